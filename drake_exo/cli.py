@@ -1,0 +1,42 @@
+"""The command `drake-exo`: one subcommand per job."""
+
+import argparse
+import importlib
+import sys
+
+from drake_exo import __version__
+from drake_exo.errors import InputError
+
+# Each module offers `add_parser(subparsers)`, which sets `run=function(args)`
+# as a default. Modules are imported on demand: `drake-exo sole` must not load
+# the exoskeleton half, nor pay for it.
+_COMMANDS = {
+    "calibrate": "drake_exo.phases.command",
+    "demo": "drake_exo.demo",
+    "sole": "drake_exo.soles.command",
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one subcommand and return its exit code (2 for bad input)."""
+    argv = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(prog="drake-exo", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    subparsers = parser.add_subparsers(dest="command", required=True)
+    wanted = next((a for a in argv if not a.startswith("-")), None)
+    names = [wanted] if wanted in _COMMANDS else list(_COMMANDS)
+    for name in names:
+        importlib.import_module(_COMMANDS[name]).add_parser(subparsers)
+    args = parser.parse_args(argv)
+    try:
+        return args.run(args) or 0
+    except InputError as error:
+        print(f"drake-exo: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("drake-exo: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

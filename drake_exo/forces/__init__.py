@@ -1,0 +1,1 @@
+"""Force laws written once, and the LeafSystems around them."""

@@ -1,0 +1,1 @@
+"""What a gait laboratory hands over, and how it becomes a Trial."""

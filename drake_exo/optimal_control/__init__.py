@@ -1,0 +1,1 @@
+"""Transcription and solution of optimal-control problems."""

@@ -1,0 +1,1 @@
+"""The calibration and prediction phases of the exoskeleton half."""

@@ -1,0 +1,1 @@
+"""Tables, figures and replays of results."""

@@ -1,0 +1,1 @@
+"""Compliant soles: elasticity, contact, stiffness, optimisation."""
