@@ -1,0 +1,1 @@
+"""Model descriptions (SDF), found through package.xml."""
