@@ -1,0 +1,26 @@
+"""Fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+_DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def data_root() -> Path:
+    """Folder of the real recordings; skips where it is absent."""
+    root = Path(os.environ.get("DRAKE_EXO_DATA", _DEFAULT_DATA))
+    if not root.is_dir():
+        pytest.skip(f"real recordings are not at {root} (DRAKE_EXO_DATA)")
+    return root
+
+
+@pytest.fixture(scope="session")
+def reference_root(data_root) -> Path:
+    """Folder of reference tables computed with OpenSim."""
+    root = data_root.parent / "reference"
+    if not root.is_dir():
+        pytest.skip(f"reference tables are not at {root}")
+    return root
