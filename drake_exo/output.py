@@ -1,0 +1,219 @@
+"""What a run leaves behind: its folder, its JSON files, its progress lines."""
+
+import dataclasses
+import json
+import math
+import os
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from drake_exo.errors import InputError
+
+# Names what a run wrote, so that replacing results never removes files that
+# somebody else put into the folder.
+MANIFEST = ".drake_exo_files"
+
+
+class OutputFolder:
+    """A folder of results that never mixes two runs.
+
+    Use as a context manager; `path` is where to write, from the start:
+
+        with prepare_output_folder("results", force=False) as folder:
+            write_json(folder / "summary.json", summary)
+
+    A fresh folder is written in place, so an interrupted run leaves its best
+    so far there. With results already present (`force`), the new ones grow in
+    `NAME.partial` beside it and replace the old ones at the end; a run that
+    fails leaves the old results untouched and its own in `NAME.partial`.
+    """
+
+    def __init__(self, target: Path, path: Path):
+        self.target = target
+        self.path = path
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, kind, value, traceback) -> None:
+        if kind is None:
+            self.commit()
+        elif self.path == self.target:
+            _write_manifest(self.target, _files(self.target))
+
+    def commit(self) -> None:
+        """Make the results final: replace old ones, note what was written."""
+        written = _files(self.path)
+        if self.path != self.target:
+            for name in _read_manifest(self.target) - written:
+                (self.target / name).unlink(missing_ok=True)
+            for name in sorted(written):
+                place = self.target / name
+                place.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(self.path / name, place)
+            shutil.rmtree(self.path)
+            self.path = self.target
+        _write_manifest(self.target, written)
+
+
+def prepare_output_folder(
+    path: str | Path, force: bool = False
+) -> OutputFolder:
+    """Create the folder `path` for results; see `OutputFolder`.
+
+    Raises:
+        InputError: it already holds files and `force` is not set, or it
+            cannot be created.
+    """
+    target = Path(path)
+    if target.exists() and not target.is_dir():
+        raise InputError(f"{target}: is a file; give a folder for --out")
+    occupied = target.is_dir() and any(target.iterdir())
+    if occupied and not force:
+        raise InputError(
+            f"{target}: already holds results; choose another folder for "
+            "--out, or replace them with --force"
+        )
+    place = target
+    try:
+        if occupied:
+            place = target.with_name(target.resolve().name + ".partial")
+            shutil.rmtree(place, ignore_errors=True)
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{target}: cannot be created ({error.strerror}); choose "
+            "another folder for --out"
+        ) from error
+    return OutputFolder(target, place)
+
+
+def _files(folder: Path) -> set[str]:
+    return {
+        p.relative_to(folder).as_posix()
+        for p in folder.rglob("*")
+        if p.is_file() and p.name != MANIFEST
+    }
+
+
+def _read_manifest(folder: Path) -> set[str]:
+    place = folder / MANIFEST
+    lines = place.read_text("utf-8").splitlines() if place.is_file() else []
+    return {line for line in lines if line}
+
+
+def _write_manifest(folder: Path, names: set[str]) -> None:
+    text = "".join(f"{name}\n" for name in sorted(names))
+    (folder / MANIFEST).write_text(text, encoding="utf-8")
+
+
+def write_json(path: str | Path, obj: Any) -> None:
+    """Write `obj` as JSON with sorted keys, whole or not at all.
+
+    Dataclasses, numpy arrays and scalars, paths, tuples and sets are
+    understood. JSON has no NaN nor infinity: they become null.
+    """
+    path = Path(path)
+    text = json.dumps(
+        _jsonable(obj),
+        sort_keys=True,
+        indent=2,
+        ensure_ascii=False,
+        allow_nan=False,
+    )
+    draft = path.with_name(path.name + ".tmp")
+    draft.write_text(text + "\n", encoding="utf-8")
+    os.replace(draft, path)
+
+
+def _jsonable(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {
+            f.name: _jsonable(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {str(key): _jsonable(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _jsonable(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_jsonable(item) for item in value]
+    if isinstance(value, set | frozenset):
+        return sorted(_jsonable(item) for item in value)
+    if isinstance(value, np.generic):
+        return _jsonable(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value
+
+
+class Progress:
+    """Progress of one job: a line now and then, to a terminal or a pipe.
+
+    Nothing is printed for jobs shorter than `interval_seconds`, except what
+    `close` is given to say.
+
+    Args:
+        title: begins every line.
+        total: number of steps, if known.
+        interval_seconds: least time between two lines.
+        stream: where to print; by default sys.stdout of the moment.
+        clock: seconds, monotonic; for tests.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        total: int | None = None,
+        *,
+        interval_seconds: float = 0.5,
+        stream: TextIO | None = None,
+        clock=time.monotonic,
+    ):
+        self.title = title
+        self.total = total
+        self.interval_seconds = interval_seconds
+        self._stream = stream
+        self._clock = clock
+        self._start = self._last = clock()
+
+    @property
+    def elapsed_seconds(self) -> float:
+        """Seconds since the job began."""
+        return self._clock() - self._start
+
+    def update(self, text: str = "", done: int | None = None) -> bool:
+        """Print a line if the last one is old enough; True if printed."""
+        if self._clock() - self._last < self.interval_seconds:
+            return False
+        self._print(text, done)
+        return True
+
+    def close(self, text: str = "") -> None:
+        """End the job; prints `text`, if any, in every case."""
+        if text:
+            self._print(text, None)
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def _print(self, text: str, done: int | None) -> None:
+        self._last = self._clock()
+        count = ""
+        if done is not None:
+            count = f"{done}/{self.total}" if self.total else f"{done}"
+        parts = [p for p in (count, text) if p]
+        print(
+            f"{self.title}: {', '.join(parts)} ({self.elapsed_seconds:.1f} s)",
+            file=self._stream or sys.stdout,
+            flush=True,
+        )

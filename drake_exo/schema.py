@@ -1,0 +1,361 @@
+"""Typed reading of YAML files into frozen dataclasses.
+
+Every mistake is reported in one sentence with the file and the line: unknown
+keys (with the nearest known one), duplicate and missing keys, wrong types,
+numbers that are not finite or out of bounds.
+
+Bounds stand in a field's metadata and are checked for the value itself or,
+in a list, tuple or dict, for each element:
+
+    mass_kg: float = field(metadata={"unit": "kg", "above": 0.0})
+
+Metadata keys: unit (for messages), above, below (exclusive), minimum, maximum
+(inclusive). A dataclass may check several fields together by raising
+`InputError` or `ValueError` in `__post_init__`.
+"""
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import yaml
+
+from drake_exo.errors import InputError
+
+T = TypeVar("T")
+
+_BOUNDS = (
+    ("above", lambda value, bound: value > bound, "above"),
+    ("below", lambda value, bound: value < bound, "below"),
+    ("minimum", lambda value, bound: value >= bound, "at least"),
+    ("maximum", lambda value, bound: value <= bound, "at most"),
+)
+_TRUE, _FALSE = ("true", "yes", "on"), ("false", "no", "off")
+_NOT_FINITE = ("nan", "inf", "infinity")
+
+
+def load(path: str | Path, cls: type[T]) -> T:
+    """Read the YAML file `path` as an instance of the dataclass `cls`.
+
+    Raises:
+        InputError: the file cannot be read, or says something that `cls`
+            does not allow.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); check the path"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: is not a text file; give a YAML file in UTF-8"
+        ) from error
+    return load_text(text, cls, str(path))
+
+
+def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
+    """Read YAML `text` as an instance of `cls`; `name` stands in messages.
+
+    Raises:
+        InputError: as `load`.
+    """
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f":{mark.line + 1}" if mark else ""
+        raise InputError(
+            f"{name}{line}: is not valid YAML ({error.problem})"
+        ) from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{name}: is not valid YAML text") from error
+    if node is None:
+        node = yaml.MappingNode(
+            "tag:yaml.org,2002:map",
+            [],
+            yaml.Mark(name, 0, 0, 0, None, None),
+        )
+    return _Reader(name).read(node, cls, "", {})
+
+
+def dump_text(obj: Any) -> str:
+    """YAML text of a dataclass instance, which `load_text` reads back."""
+    return yaml.safe_dump(
+        _plain(obj), sort_keys=False, allow_unicode=True, width=80
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses, tuples and paths as what YAML has of its own."""
+    if dataclasses.is_dataclass(value):
+        return {
+            f.name: _plain(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+            if f.init
+        }
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+class _Reader:
+    """Turns YAML nodes into typed values; knows the file's name."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def error(self, node: yaml.Node, message: str) -> InputError:
+        return InputError(f"{self.name}:{node.start_mark.line + 1}: {message}")
+
+    def read(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> Any:
+        """The value of `node` as type `hint`; `where` is the dotted key."""
+        origin = typing.get_origin(hint)
+        if dataclasses.is_dataclass(hint):
+            return self._dataclass(node, hint, where)
+        if origin is typing.Union or origin is types.UnionType:
+            return self._union(node, hint, where, meta)
+        if origin is Literal:
+            return self._literal(node, hint, where)
+        if origin in (list, tuple) or hint in (list, tuple):
+            return self._sequence(node, hint, where, meta)
+        if origin is dict or hint is dict:
+            return self._dict(node, hint, where, meta)
+        return self._scalar(node, hint, where, meta)
+
+    def _mapping(self, node: yaml.Node, where: str) -> dict:
+        """Key text -> (key node, value node), refusing duplicates."""
+        if not isinstance(node, yaml.MappingNode):
+            raise self.error(
+                node,
+                f"{where or 'the file'} must hold 'key: value' pairs, "
+                f"but holds {_describe(node)}",
+            )
+        items: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise self.error(key, "a key must be a plain word")
+            if key.value in items:
+                first = items[key.value][0].start_mark.line + 1
+                raise self.error(
+                    key,
+                    f"duplicate key {key.value!r}{_inside(where)}, already "
+                    f"given in line {first}; keep one of them",
+                )
+            items[key.value] = (key, value)
+        return items
+
+    def _dataclass(self, node: yaml.Node, cls: type, where: str) -> Any:
+        items = self._mapping(node, where)
+        hints = typing.get_type_hints(cls)
+        fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+        for text, (key, _) in items.items():
+            if text not in fields:
+                raise self.error(key, _unknown(text, list(fields), where))
+        values = {}
+        for name, field in fields.items():
+            if name in items:
+                values[name] = self.read(
+                    items[name][1],
+                    hints[name],
+                    f"{where}.{name}" if where else name,
+                    field.metadata,
+                )
+            elif not _has_default(field):
+                unit = field.metadata.get("unit")
+                raise self.error(
+                    node,
+                    f"missing key {name!r}{_inside(where)}; add "
+                    f"'{name}: ...'" + (f" [{unit}]" if unit else ""),
+                )
+        try:
+            return cls(**values)
+        except (InputError, ValueError) as error:
+            raise self.error(
+                node, f"{where + ': ' if where else ''}{error}"
+            ) from error
+
+    def _union(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> Any:
+        options = typing.get_args(hint)
+        if _is_null(node) and type(None) in options:
+            return None
+        options = [o for o in options if o is not type(None)]
+        errors = []
+        for option in options:
+            try:
+                return self.read(node, option, where, meta)
+            except InputError as error:
+                errors.append(error)
+        # The message of the option that understood the most is the one that
+        # helps; a mapping was meant as a dataclass, a list as a sequence.
+        if len(errors) > 1:
+            fitting = [
+                e
+                for e, o in zip(errors, options, strict=True)
+                if _same_shape(node, o)
+            ]
+            raise (fitting or errors)[0]
+        raise errors[0]
+
+    def _literal(self, node: yaml.Node, hint: Any, where: str) -> Any:
+        choices = typing.get_args(hint)
+        text = node.value if isinstance(node, yaml.ScalarNode) else None
+        for choice in choices:
+            if text == str(choice):
+                return choice
+        names = ", ".join(str(c) for c in choices)
+        raise self.error(
+            node,
+            f"{where} must be one of {names}, but is "
+            f"{_describe(node)}{_nearest(text, [str(c) for c in choices])}",
+        )
+
+    def _sequence(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> Any:
+        kind = typing.get_origin(hint) or hint
+        args = typing.get_args(hint) or (Any,)
+        if not isinstance(node, yaml.SequenceNode):
+            raise self.error(
+                node, f"{where} must be a list, but is {_describe(node)}"
+            )
+        count = len(node.value)
+        if kind is list or args[-1] is Ellipsis or len(args) == 0:
+            args = (args[0],) * count
+        elif hint is not tuple and len(args) != count:
+            raise self.error(
+                node, f"{where} must hold {len(args)} values, not {count}"
+            )
+        values = [
+            self.read(item, arg, f"{where}[{i}]", meta)
+            for i, (item, arg) in enumerate(zip(node.value, args, strict=True))
+        ]
+        return kind(values)
+
+    def _dict(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> dict:
+        key_hint, value_hint = typing.get_args(hint) or (str, Any)
+        result = {}
+        for text, (key, value) in self._mapping(node, where).items():
+            name = self.read(key, key_hint, f"key {text!r} of {where}", {})
+            result[name] = self.read(value, value_hint, f"{where}.{text}", meta)
+        return result
+
+    def _scalar(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> Any:
+        if hint is Any:
+            return yaml.SafeLoader("").construct_object(node, deep=True)
+        if not isinstance(node, yaml.ScalarNode) or _is_null(node):
+            raise self._wrong(node, hint, where, meta)
+        text = node.value
+        if hint is str:
+            return text
+        if hint is Path:
+            return Path(text)
+        if node.style is not None:  # quoted: meant as text
+            raise self._wrong(node, hint, where, meta)
+        if hint is bool:
+            if text.lower() in _TRUE + _FALSE:
+                return text.lower() in _TRUE
+            raise self._wrong(node, hint, where, meta)
+        if hint not in (int, float):
+            raise TypeError(f"{where}: schema cannot read {hint}")
+        return self._number(node, hint, where, meta)
+
+    def _number(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> int | float:
+        text = node.value
+        if text.lstrip("+-.").lower() in _NOT_FINITE:
+            raise self.error(
+                node, f"{where} is {text}, but must be a finite number"
+            )
+        try:
+            value = hint(text)
+        except ValueError as error:
+            raise self._wrong(node, hint, where, meta) from error
+        if not math.isfinite(value):
+            raise self.error(node, f"{where} is {text}, which is too large")
+        unit = f" {meta['unit']}" if meta.get("unit") else ""
+        for key, holds, words in _BOUNDS:
+            if key in meta and not holds(value, meta[key]):
+                raise self.error(
+                    node,
+                    f"{where} is {text}, but must be {words} "
+                    f"{meta[key]:g}{unit}",
+                )
+        return value
+
+    def _wrong(
+        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
+    ) -> InputError:
+        words = {
+            float: "a number",
+            int: "a whole number",
+            bool: "true or false",
+            str: "text",
+            Path: "a path",
+        }
+        unit = f" [{meta['unit']}]" if meta.get("unit") else ""
+        return self.error(
+            node,
+            f"{where} must be {words[hint]}{unit}, but is {_describe(node)}",
+        )
+
+
+def _has_default(field: dataclasses.Field) -> bool:
+    return (
+        field.default is not dataclasses.MISSING
+        or field.default_factory is not dataclasses.MISSING
+    )
+
+
+def _is_null(node: yaml.Node) -> bool:
+    return (
+        isinstance(node, yaml.ScalarNode)
+        and node.tag == "tag:yaml.org,2002:null"
+    )
+
+
+def _same_shape(node: yaml.Node, hint: Any) -> bool:
+    kind = typing.get_origin(hint) or hint
+    if isinstance(node, yaml.MappingNode):
+        return dataclasses.is_dataclass(kind) or kind is dict
+    if isinstance(node, yaml.SequenceNode):
+        return kind in (list, tuple)
+    return kind in (str, int, float, bool, Path, Literal)
+
+
+def _describe(node: yaml.Node) -> str:
+    if isinstance(node, yaml.MappingNode):
+        return "a group of keys"
+    if isinstance(node, yaml.SequenceNode):
+        return "a list"
+    return "empty" if _is_null(node) else repr(node.value)
+
+
+def _inside(where: str) -> str:
+    return f" in {where}" if where else ""
+
+
+def _nearest(text: str | None, names: list[str]) -> str:
+    close = difflib.get_close_matches(text or "", names, n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _unknown(text: str, names: list[str], where: str) -> str:
+    hint = _nearest(text, names) or f"; known keys are {', '.join(names)}"
+    return f"unknown key {text!r}{_inside(where)}{hint}"
