@@ -1,0 +1,274 @@
+"""The study file: one subject, its laboratory files, and what to make of them.
+
+Read with `load_study`. Paths stay as the file says them, so that nothing that
+is written later depends on the machine; `root / path` finds the file. Signals
+that only one leg was measured for are told by what is left out: a trial with
+a plate under the right foot alone counts as one leg, and is doubled.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from drake_exo import schema
+from drake_exo.errors import InputError
+from drake_exo.segments import ExoskeletonOverrides, HumanOverrides
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+_SECONDS = {"unit": "s"}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Who was measured.
+
+    Attributes:
+        mass_kg: body mass without the exoskeleton; left out, it is taken
+            from the forces of quiet standing.
+        segments: values that replace those scaled from mass and height, as
+            sums over both legs.
+    """
+
+    name: str
+    height_m: float = field(
+        metadata={"unit": "m", "above": 0.0, "maximum": 3.0}
+    )
+    mass_kg: float | None = field(
+        default=None, metadata={"unit": "kg", "above": 0.0}
+    )
+    sex: Literal["male", "female"] = "male"
+    segments: HumanOverrides = field(default_factory=HumanOverrides)
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Which axes of a file point forward and up; OpenSim's are x and y."""
+
+    forward: Axis = "x"
+    up: Axis = "y"
+
+    def __post_init__(self):
+        if self.forward[-1] == self.up[-1]:
+            raise InputError(
+                f"forward ({self.forward}) and up ({self.up}) must be two "
+                "different axes"
+            )
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """Frames of the laboratory's files."""
+
+    marker_axes: Axes = Axes()
+    force_axes: Axes = Axes()
+
+
+@dataclass(frozen=True)
+class SidedMarkers:
+    """Names of markers on the left, on the right, and on the midline."""
+
+    left: tuple[str, ...] = ()
+    right: tuple[str, ...] = ()
+    middle: tuple[str, ...] = ()
+
+    def of(self, side: Side) -> tuple[str, ...]:
+        """The names on one side."""
+        return self.left if side == "left" else self.right
+
+
+@dataclass(frozen=True)
+class JointCentres:
+    """Markers whose mean is a joint's centre in the standing trial."""
+
+    ankle: SidedMarkers
+    knee: SidedMarkers
+    hip: SidedMarkers
+
+
+@dataclass(frozen=True)
+class SegmentMarkers:
+    """Markers fixed to each segment, which inverse kinematics follows."""
+
+    foot: SidedMarkers
+    shank: SidedMarkers
+    thigh: SidedMarkers
+    pelvis: SidedMarkers
+
+
+@dataclass(frozen=True)
+class Markers:
+    """The marker set.
+
+    Attributes:
+        weights: weight of single markers in inverse kinematics, 1 if absent.
+    """
+
+    joint_centres: JointCentres
+    segments: SegmentMarkers
+    weights: dict[str, float] = field(
+        default_factory=dict, metadata={"minimum": 0.0}
+    )
+
+
+@dataclass(frozen=True)
+class Plates:
+    """Number of the force plate under each foot, or under both, from 1."""
+
+    left: int | None = field(default=None, metadata={"minimum": 1})
+    right: int | None = field(default=None, metadata={"minimum": 1})
+    both: int | None = field(default=None, metadata={"minimum": 1})
+
+    def __post_init__(self):
+        if (self.both is None) == (self.left is None and self.right is None):
+            raise InputError(
+                "name the plates of the feet as left and right, or as both"
+            )
+        if self.left is not None and self.left == self.right:
+            raise InputError(
+                f"plate {self.left} cannot be left and right; say "
+                f"'both: {self.left}' if both feet stand on it"
+            )
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Quiet, upright standing: scales the model, gives the body mass.
+
+    Attributes:
+        markers: marker file; the standing posture is its mean.
+        forces: force file of the same trial, if plates were recorded.
+        start_s, end_s: quiet part; the whole file by default.
+    """
+
+    markers: Path
+    forces: Path | None = None
+    plates: Plates | None = None
+    start_s: float | None = field(default=None, metadata=_SECONDS)
+    end_s: float | None = field(default=None, metadata=_SECONDS)
+
+    def __post_init__(self):
+        _check_window(self.start_s, self.end_s)
+        if (self.forces is None) != (self.plates is None):
+            raise InputError("forces and plates must be given together")
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Zero-lag Butterworth low-pass filter.
+
+    Attributes:
+        cutoff_hz: frequency that is damped to 1/sqrt(2) after both passes.
+        order: in effect, after both passes; each pass has half of it.
+    """
+
+    cutoff_hz: float = field(default=6.0, metadata={"unit": "Hz", "above": 0})
+    order: int = field(default=4, metadata={"minimum": 2, "maximum": 12})
+
+    def __post_init__(self):
+        if self.order % 2:
+            raise InputError(
+                f"order is {self.order}, but two passes make it even"
+            )
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """How the subject's model is fitted to the standing trial.
+
+    Attributes:
+        lengths: of shank and thigh: "markers" (between joint centres) or
+            "table" (from height). Centres of mass and radii of gyration
+            follow in proportion.
+        trunk_com: fore-aft place of the centre of mass of pelvis, trunk,
+            head and arms: "table" (straight above the hip), or "standing"
+            (so that the body's centre of mass stands above the centre of
+            pressure).
+    """
+
+    lengths: Literal["markers", "table"] = "markers"
+    trunk_com: Literal["table", "standing"] = "table"
+
+
+@dataclass(frozen=True)
+class TrialFiles:
+    """One movement: its files, and the part of them that is used.
+
+    Attributes:
+        plates: which plate is under which foot.
+        encoders: angles of the exoskeleton's joints.
+        rise: number of the sit-to-stand rise found in the recording, from 1.
+        start_s, end_s: used part, instead of (or bounding) a rise found.
+    """
+
+    name: str
+    markers: Path
+    forces: Path
+    plates: Plates
+    encoders: Path | None = None
+    rise: int | None = field(default=None, metadata={"minimum": 1})
+    start_s: float | None = field(default=None, metadata=_SECONDS)
+    end_s: float | None = field(default=None, metadata=_SECONDS)
+
+    def __post_init__(self):
+        _check_window(self.start_s, self.end_s)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study; see the attributes' own classes."""
+
+    subject: Subject
+    standing: Standing
+    markers: Markers
+    trials: tuple[TrialFiles, ...]
+    model: Literal["coupled", "human"] = "coupled"
+    exoskeleton: ExoskeletonOverrides = field(
+        default_factory=ExoskeletonOverrides
+    )
+    gravity_m_s2: float = field(
+        default=9.81, metadata={"unit": "m/s^2", "above": 0.0}
+    )
+    laboratory: Laboratory = Laboratory()
+    filter: Filter = Filter()
+    scaling: Scaling = Scaling()
+
+    def __post_init__(self):
+        names = [trial.name for trial in self.trials]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two trials are named {name!r}; rename one")
+        if not names:
+            raise InputError("trials is empty; list at least one")
+
+
+def load_study(
+    path: str | Path, data_root: str | Path | None = None
+) -> tuple[Study, Path]:
+    """Read a study file.
+
+    Args:
+        path: the YAML file.
+        data_root: folder that its relative paths start from; by default the
+            folder of the study file.
+
+    Returns:
+        The study and the folder that its paths start from.
+
+    Raises:
+        InputError: as `schema.load`, or `data_root` is no folder.
+    """
+    study = schema.load(path, Study)
+    root = Path(path).parent if data_root is None else Path(data_root)
+    if not root.is_dir():
+        raise InputError(f"{root}: is not a folder; check --data-root")
+    return study, root
+
+
+def _check_window(start_s: float | None, end_s: float | None) -> None:
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise InputError(
+            f"end_s ({end_s:g}) must be after start_s ({start_s:g})"
+        )

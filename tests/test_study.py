@@ -1,0 +1,61 @@
+from pathlib import Path
+
+import pytest
+
+from drake_exo import schema
+from drake_exo.errors import InputError
+from drake_exo.study import Study, load_study
+
+STUDY = Path(__file__).parent / "studies" / "opencap_sts1.yaml"
+
+
+def refusal(old, new, tmp_path) -> str:
+    text = STUDY.read_text()
+    assert old in text
+    path = tmp_path / "study.yaml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_study(path)
+    assert str(caught.value).startswith(f"{path}:")
+    return str(caught.value)
+
+
+def test_reads_the_real_study(tmp_path):
+    study, root = load_study(STUDY)
+    assert root == STUDY.parent
+    assert [t.name for t in study.trials] == ["rise1", "rise2", "rise3"]
+    assert study.markers.segments.pelvis.middle == ("C7",)
+    assert load_study(STUDY, tmp_path) == (study, tmp_path)
+
+
+def test_study_survives_writing():
+    study, _ = load_study(STUDY)
+    assert schema.load_text(schema.dump_text(study), Study) == study
+
+
+def test_data_root_must_be_a_folder(tmp_path):
+    with pytest.raises(InputError, match="--data-root"):
+        load_study(STUDY, tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mass_kg: 60.0", "mass_kg: -60.0", "7: subject.mass_kg is -60.0"),
+        ("  height_m:", "  heigth_m:", "did you mean 'height_m'"),
+        ("order: 4", "order: 3", "two passes make it even"),
+        ("{left: 2, right: 1}", "{left: 1, right: 1}", "'both: 1'"),
+        ("{left: 2, right: 1}", "{left: 2, both: 1}", "name the plates"),
+        ("name: rise2", "name: rise1", "two trials are named 'rise1'"),
+        ("rise: 1", "start_s: 2\n    end_s: 1", "end_s (1) must be after"),
+        ("model: human", "model: humn", "did you mean 'human'"),
+        (
+            "model: human",
+            "laboratory: {marker_axes: {forward: x, up: -x}}",
+            "two different axes",
+        ),
+        ("rise: 1", "rise: 0", "at least 1"),
+    ],
+)
+def test_refuses(old, new, words, tmp_path):
+    assert words in refusal(old, new, tmp_path)
