@@ -1,0 +1,235 @@
+"""Parameters of the planar segments of the human and of the exoskeleton.
+
+All values are sums over both legs (the legs move as one), in SI units, in the
+segment's own frame: origin at its lower joint (the foot: at the ankle), x
+forward and z up along the segment when standing straight. Points are (x, z).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from math import isfinite
+from typing import Any, TypeVar
+
+from drake_exo.errors import InputError
+
+SEGMENTS = ("foot", "shank", "thigh", "pelvis")
+
+# Radius of the heel and toe contact spheres when nothing else is said [m].
+CONTACT_RADIUS_M = 0.032
+
+_KILOGRAM = {"unit": "kg", "above": 0.0}
+_METRE = {"unit": "m", "above": 0.0}
+_INERTIA = {"unit": "kg m^2", "above": 0.0}
+_POINT = {"unit": "m"}
+
+
+@dataclass(frozen=True)
+class SegmentParameters:
+    """Mass distribution of one rigid segment, both legs together.
+
+    Attributes:
+        mass_kg: mass.
+        com_m: centre of mass (x, z) in the segment's frame.
+        inertia_kg_m2: moment of inertia for pitch about the centre of mass.
+        length_m: distance to the next joint (foot: heel to tip of the toes;
+            pelvis: hip to vertex, exoskeleton's pelvis: its height).
+    """
+
+    mass_kg: float = field(metadata=_KILOGRAM)
+    com_m: tuple[float, float] = field(metadata=_POINT)
+    inertia_kg_m2: float = field(metadata=_INERTIA)
+    length_m: float = field(metadata=_METRE)
+
+
+@dataclass(frozen=True)
+class SegmentOverrides:
+    """Values that replace scaled ones; None keeps the scaled value."""
+
+    mass_kg: float | None = field(default=None, metadata=_KILOGRAM)
+    com_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    inertia_kg_m2: float | None = field(default=None, metadata=_INERTIA)
+    length_m: float | None = field(default=None, metadata=_METRE)
+
+
+@dataclass(frozen=True)
+class HumanParameters:
+    """The human as four segments; the pelvis carries trunk, head and arms.
+
+    Attributes:
+        ankle_height_m: height of the ankle joint above the sole.
+        heel_m, toe_m: centres of the contact spheres in the foot frame.
+        shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: origins (l_x, l_z) of the
+            human-exoskeleton bushings in the human segments.
+    """
+
+    foot: SegmentParameters
+    shank: SegmentParameters
+    thigh: SegmentParameters
+    pelvis: SegmentParameters
+    ankle_height_m: float = field(metadata=_METRE)
+    heel_m: tuple[float, float] = field(metadata=_POINT)
+    toe_m: tuple[float, float] = field(metadata=_POINT)
+    shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the whole body."""
+        return sum(getattr(self, name).mass_kg for name in SEGMENTS)
+
+    @property
+    def height_m(self) -> float:
+        """Stature: ankle height, shank, thigh, and hip to vertex."""
+        return (
+            self.ankle_height_m
+            + self.shank.length_m
+            + self.thigh.length_m
+            + self.pelvis.length_m
+        )
+
+
+@dataclass(frozen=True)
+class ExoskeletonParameters:
+    """The exoskeleton: foot-plate, shank, thigh and pelvis module.
+
+    Attributes:
+        foot: the foot-plate, in the human foot's frame (it is welded to it);
+            its length is that of the plate.
+        heel_m, toe_m: centres of the contact spheres in that frame.
+        shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: bushing origins in the
+            exoskeleton's segments; they coincide with the human's when both
+            chains are aligned.
+    """
+
+    foot: SegmentParameters
+    shank: SegmentParameters
+    thigh: SegmentParameters
+    pelvis: SegmentParameters
+    heel_m: tuple[float, float] = field(metadata=_POINT)
+    toe_m: tuple[float, float] = field(metadata=_POINT)
+    shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the whole device."""
+        return sum(getattr(self, name).mass_kg for name in SEGMENTS)
+
+
+@dataclass(frozen=True)
+class HumanOverrides:
+    """Values of `HumanParameters` that replace scaled ones."""
+
+    foot: SegmentOverrides = SegmentOverrides()
+    shank: SegmentOverrides = SegmentOverrides()
+    thigh: SegmentOverrides = SegmentOverrides()
+    pelvis: SegmentOverrides = SegmentOverrides()
+    ankle_height_m: float | None = field(default=None, metadata=_METRE)
+    heel_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    toe_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    shank_cuff_m: tuple[float, float] | None = field(
+        default=None, metadata=_POINT
+    )
+    thigh_cuff_m: tuple[float, float] | None = field(
+        default=None, metadata=_POINT
+    )
+    pelvis_cuff_m: tuple[float, float] | None = field(
+        default=None, metadata=_POINT
+    )
+
+
+@dataclass(frozen=True)
+class ExoskeletonOverrides:
+    """Values of `ExoskeletonParameters` that replace fitted ones."""
+
+    foot: SegmentOverrides = SegmentOverrides()
+    shank: SegmentOverrides = SegmentOverrides()
+    thigh: SegmentOverrides = SegmentOverrides()
+    pelvis: SegmentOverrides = SegmentOverrides()
+    heel_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    toe_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    shank_cuff_m: tuple[float, float] | None = field(
+        default=None, metadata=_POINT
+    )
+    thigh_cuff_m: tuple[float, float] | None = field(
+        default=None, metadata=_POINT
+    )
+    pelvis_cuff_m: tuple[float, float] | None = field(
+        default=None, metadata=_POINT
+    )
+
+
+_T = TypeVar("_T", SegmentParameters, HumanParameters, ExoskeletonParameters)
+
+
+def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
+    """Replace single values, segment by segment.
+
+    Args:
+        parameters: what scaling gave.
+        overrides: None, an overrides dataclass, or a plain mapping such as
+            `{"shank": {"mass_kg": 6.5}, "heel_m": (-0.05, -0.06)}`. Values
+            that are None are kept as scaled.
+        where: name of the owner for messages, e.g. "human".
+
+    Raises:
+        InputError: unknown name, value not finite, or not positive where it
+            must be.
+    """
+    known = {f.name: f for f in fields(parameters)}
+    changes = {}
+    for name, value in _items(overrides, where):
+        if name not in known:
+            raise InputError(
+                f"{where} has no value '{name}' to override; "
+                f"known are {', '.join(known)}"
+            )
+        if value is None:
+            continue
+        current = getattr(parameters, name)
+        label = f"{where}.{name}"
+        if is_dataclass(current):
+            changes[name] = with_overrides(current, value, label)
+        elif isinstance(current, tuple):
+            changes[name] = _point(value, label)
+        else:
+            changes[name] = _number(value, label, known[name].metadata)
+    return replace(parameters, **changes)
+
+
+def _items(overrides: Any, where: str) -> list[tuple[str, Any]]:
+    if overrides is None:
+        return []
+    if isinstance(overrides, Mapping):
+        return list(overrides.items())
+    if is_dataclass(overrides):
+        return [(f.name, getattr(overrides, f.name)) for f in fields(overrides)]
+    raise InputError(
+        f"{where}: overrides are names with values, not {overrides!r}"
+    )
+
+
+def _number(value: Any, label: str, metadata: Mapping[str, Any]) -> float:
+    unit = metadata.get("unit", "")
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not isfinite(value)
+    ):
+        raise InputError(f"{label} must be a number in {unit}, not {value!r}")
+    if "above" in metadata and not value > metadata["above"]:
+        raise InputError(
+            f"{label} must be above {metadata['above']:g} {unit}, not {value!r}"
+        )
+    return float(value)
+
+
+def _point(value: Any, label: str) -> tuple[float, float]:
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        raise InputError(f"{label} must be two numbers (x, z) in m")
+    if len(value) != 2:
+        raise InputError(f"{label} must be two numbers (x, z) in m")
+    x, z = (_number(float(c), label, _POINT) for c in value)
+    return x, z
