@@ -1,0 +1,272 @@
+"""Nodal forces and foot pose together by one semismooth Newton method.
+
+Unknowns: world forces F_i of the ground on the contact nodes and the foot's
+pose (O, R). Equations: the node law at every contact node, and force and
+moment about the desired ZMP. Symbols as in docs/soles.md.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drake_exo.soles.active_set import ActiveSet
+from drake_exo.soles.linearisation import Linearisation
+from drake_exo.soles.node_law import ContactLaw, project
+from drake_exo.soles.rotations import exp_rotation, hat, rotation_z, yaw_of
+
+MOMENT_SCALE = 0.05  # metres; moments are divided by it in norms
+_MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
+_HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Start:
+    """How the sole is held just before the first contact.
+
+    Attributes:
+        point_L: Fixed point l_a of the sole, sole frame [m].
+        point_W: Its place O_a before contact, world [m] (z is not used).
+        yaw: Yaw ψ_ini [rad] before contact.
+    """
+
+    point_L: np.ndarray
+    point_W: np.ndarray
+    yaw: float = 0.0
+
+    def reference(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
+        """Tangential references Q_t of the first step, (m, 2)."""
+        R_ini = R @ rotation_z(self.yaw - yaw_of(R))
+        return (self.point_W + (lP - self.point_L) @ R_ini.T)[:, :2]
+
+    def reference_derivative(self, R, lP) -> np.ndarray:
+        """dQ/dω with a zero normal row, (m, 3, 3)."""
+        R_ini = R @ rotation_z(self.yaw - yaw_of(R))
+        gamma = np.array([0.0, R[1, 2], R[2, 2]]) / (1 - R[0, 2] ** 2)
+        M = np.eye(3) - np.outer(R[:, 2], gamma)
+        dQ = -hat((lP - self.point_L) @ R_ini.T) @ M
+        dQ[:, 2] = 0.0
+        return dQ
+
+
+@dataclass
+class State:
+    """Forces and pose at one step: F (m, 3) [N], O (3,) [m], R (3, 3)."""
+
+    F: np.ndarray
+    O: np.ndarray  # noqa: E741
+    R: np.ndarray
+
+    def copy(self) -> "State":
+        """A deep copy."""
+        return State(self.F.copy(), self.O.copy(), self.R.copy())
+
+
+@dataclass
+class Target:
+    """What one step must reach: force [N], ZMP on the ground [m], reference.
+
+    `reference` is Q_t (m, 2), or a Start for the first step.
+    """
+
+    force: np.ndarray
+    zmp: np.ndarray
+    reference: "np.ndarray | Start"
+
+
+@dataclass
+class Convergence:
+    """What a Newton solve reports."""
+
+    converged: bool
+    iterations: int
+    residual: float
+    message: str = ""
+    history: list = field(default_factory=list)
+
+
+class ContactSolver:
+    """Semismooth Newton for one condensed sole and one contact law.
+
+    Args:
+        C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
+        lP: Rest positions of the contact nodes, sole frame [m], (m, 3).
+        law: The contact law.
+        tolerance: On the scaled residual's largest entry.
+        max_iterations: Newton steps before giving up.
+    """
+
+    def __init__(
+        self,
+        C: np.ndarray,
+        lP: np.ndarray,
+        law: ContactLaw,
+        tolerance: float = 1e-11,
+        max_iterations: int = 20,
+    ):
+        self.C, self.lP, self.law = C, lP, law
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.active = ActiveSet(C)
+
+    def deformed(self, F: np.ndarray, R: np.ndarray) -> np.ndarray:
+        """Y = R (lP + C Rᵀ F): places relative to O, world, (m, 3)."""
+        f = F @ R
+        on = np.flatnonzero(np.any(F != 0.0, axis=1))
+        if 3 * len(on) < len(F):
+            dofs = (3 * on[:, None] + np.arange(3)).ravel()
+            u = f[on].ravel() @ self.C[dofs]
+        else:
+            u = self.C @ f.ravel()
+        return (self.lP + u.reshape(-1, 3)) @ R.T
+
+    def solve(
+        self, state: State, target: Target, fixed_pose: bool = False
+    ) -> tuple[State, Convergence]:
+        """Newton from `state`; returns the last state and its report.
+
+        Args:
+            state: First guess; not changed.
+            target: Desired force, ZMP and references.
+            fixed_pose: Keep the pose and solve for the forces alone (the
+                paper's Algorithm 3); target.force only scales the residual.
+        """
+        state = state.copy()
+        scale = max(float(np.linalg.norm(target.force)), 1e-12)
+        history = []
+        point = self._evaluate(state, target, fixed_pose, scale)
+        message = f"no convergence in {self.max_iterations} Newton steps"
+        for iteration in range(self.max_iterations + 1):
+            history.append(point.merit)
+            if point.merit <= self.tolerance:
+                state.F[~point.active] = 0.0
+                return state, Convergence(
+                    True, iteration, point.merit, "", history
+                )
+            if iteration == self.max_iterations:
+                break
+            try:
+                direction = self._direction(point, target, fixed_pose)
+            except np.linalg.LinAlgError:
+                touching = int(point.active.sum())
+                message = (
+                    f"singular Newton matrix with {touching} nodes in contact"
+                )
+                break
+            point = self._line_search(
+                point, direction, target, fixed_pose, scale
+            )
+            state = point.state
+        return state, Convergence(
+            False, len(history) - 1, history[-1], message, history
+        )
+
+    def linearise(self, state: State, target: Target) -> Linearisation:
+        """Derivatives at a state; references count as frozen."""
+        point = self._evaluate(state, target, False, 1.0)
+        return self._linearisation(point, target)
+
+    def _evaluate(self, state, target, fixed_pose, scale) -> "_Point":
+        F, law = state.F, self.law
+        P = self.deformed(F, state.R) + state.O
+        if isinstance(target.reference, Start):
+            Q_t = target.reference.reference(state.R, self.lP)
+        else:
+            Q_t = target.reference
+        delta = P.copy()
+        delta[:, :2] -= Q_t
+        tau = F - law.penalty * delta
+        phi = F - project(tau, law)
+        arm = P.copy()
+        arm[:, :2] -= target.zmp
+        merit = float(np.abs(phi).max()) / scale
+        wrench = np.zeros(6)
+        if not fixed_pose:
+            wrench[:3] = F.sum(axis=0) - target.force
+            wrench[3:] = np.cross(arm, F).sum(axis=0)
+            merit = max(
+                merit,
+                float(np.abs(wrench[:3]).max()) / scale,
+                float(np.abs(wrench[3:]).max()) / (scale * MOMENT_SCALE),
+            )
+        active = tau[:, 2] > -law.epsilon
+        return _Point(state, P, arm, tau, phi, wrench, active, merit)
+
+    def _linearisation(self, point, target) -> Linearisation:
+        self.active.update(np.flatnonzero(point.active))
+        nodes = self.active.nodes
+        return Linearisation(
+            self.active,
+            self.law,
+            point.state.R,
+            point.arm[nodes],
+            point.state.F[nodes],
+            point.tau[nodes],
+        )
+
+    def _direction(self, point, target, fixed_pose):
+        """Newton step (dF, dzO, dω) at a point, inactive forces released."""
+        state = point.state
+        stray = ~point.active & np.any(state.F != 0.0, axis=1)
+        if stray.any():  # their Newton step is dF = −F: take it at once
+            released = state.copy()
+            released.F[stray] = 0.0
+            active = point.active
+            point_new = self._evaluate(released, target, fixed_pose, 1.0)
+            point_new.active = active
+            point_new.merit = point.merit
+            point.__dict__.update(point_new.__dict__)
+        lin = self._linearisation(point, target)
+        dQ = None
+        if isinstance(target.reference, Start) and not fixed_pose:
+            dQ = target.reference.reference_derivative(
+                state.R, self.lP[lin.nodes]
+            )
+        dF = np.zeros_like(state.F)
+        phi = point.phi[lin.nodes]
+        if fixed_pose:
+            dF[lin.nodes] = lin.solve_forces(phi)
+            return dF, np.zeros(6)
+        dF[lin.nodes], dp = lin.solve(phi, point.wrench, dQ)
+        if not np.isfinite(dp).all():
+            raise np.linalg.LinAlgError
+        return dF, dp
+
+    def _line_search(self, point, direction, target, fixed_pose, scale):
+        dF, dp = direction
+        turn, shift = np.linalg.norm(dp[3:]), np.linalg.norm(dp[:3])
+        step = min(
+            1.0,
+            _MAX_TURN / max(turn, 1e-300),
+            _MAX_SHIFT / max(shift, 1e-300),
+        )
+        best = None
+        for _ in range(_HALVINGS + 1):
+            trial = move(point.state, step * dF, step * dp, target.zmp)
+            new = self._evaluate(trial, target, fixed_pose, scale)
+            if best is None or new.merit < best.merit:
+                best = new
+            if new.merit < point.merit:
+                break
+            step *= 0.5
+        return best
+
+
+@dataclass
+class _Point:
+    """Everything evaluated at one state."""
+
+    state: State
+    P: np.ndarray
+    arm: np.ndarray
+    tau: np.ndarray
+    phi: np.ndarray
+    wrench: np.ndarray
+    active: np.ndarray
+    merit: float
+
+
+def move(state: State, dF, dp, zmp) -> State:
+    """State after force increments and a pose increment (dzO, dω) about Z."""
+    Z = np.array([zmp[0], zmp[1], 0.0])
+    turn = exp_rotation(dp[3:])
+    O = Z + turn @ (state.O - Z) + dp[:3]  # noqa: E741
+    return State(state.F + dF, O, turn @ state.R)

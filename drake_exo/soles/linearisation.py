@@ -1,0 +1,144 @@
+"""Newton matrix of the contact problem, eliminated onto few unknowns.
+
+With S = W_AA⁻¹ the force increments follow from the place increments:
+dF = S (dδ − D_p dp). A firmly sticking node has dδ = −δ at once, so that
+only slipping nodes, those inside the smoothed layer, and the six pose
+unknowns remain. All matrices are in the sole frame here.
+"""
+
+import numpy as np
+from scipy.linalg import lu_factor, lu_solve
+
+from drake_exo.soles.active_set import ActiveSet, node_dofs
+from drake_exo.soles.node_law import (
+    ContactLaw,
+    firmly_sticking,
+    project_with_derivative,
+)
+from drake_exo.soles.rotations import hat
+
+
+class Linearisation:
+    """Derivatives of node law and wrench at one state, active nodes only.
+
+    Args:
+        active: Active set with S; used at once, not kept beyond its update.
+        law: Contact law.
+        R: Foot orientation.
+        arm: P_i − Z_des of the active nodes, world [m], (k, 3).
+        F: Their forces, world [N], (k, 3).
+        tau: Their τ = F − r δ, world [N], (k, 3).
+    """
+
+    def __init__(self, active: ActiveSet, law: ContactLaw, R, arm, F, tau):
+        self.nodes, self.S = active.nodes, active.S
+        self.R, self.arm, self.F = R, arm, F
+        self.r = law.penalty
+        self.loose = np.flatnonzero(~firmly_sticking(tau, law))
+        _, D = project_with_derivative(tau[self.loose], law)
+        self.D = R.T @ D @ R
+        self._g = node_dofs(self.loose)
+        self._lu = self._factorise()
+        self._S_g = self.S[:, self._g]
+
+    def _factorise(self):
+        """LU of M = (I − D) S_gg + r D."""
+        n, k = len(self._g), len(self.loose)
+        if n == 0:
+            return None
+        S_gg = self.S[np.ix_(self._g, self._g)]
+        M = S_gg - self._times_D(S_gg)
+        blocks = M.reshape(k, 3, k, 3)
+        place = np.arange(k)
+        blocks[place, :, place, :] += self.r * self.D
+        return lu_factor(M, overwrite_a=True, check_finite=False)
+
+    def _times_D(self, X: np.ndarray) -> np.ndarray:
+        """D X for stacked rows X (3g, c)."""
+        return (self.D @ X.reshape(len(self.loose), 3, -1)).reshape(X.shape)
+
+    def _respond(self, offset: np.ndarray, S_rhs: np.ndarray, phi_g):
+        """dF and dδ for dF = S dδ + S_rhs, firm dδ = offset.
+
+        Args:
+            offset: dδ of firm nodes, zero elsewhere (3k, c), or None.
+            S_rhs: S times what is added to dδ, sole frame, (3k, c).
+            phi_g: Law residual of the loose nodes, (3g, c) or None.
+
+        Returns:
+            dF and dδ, sole frame, (3k, c) each.
+        """
+        T = S_rhs if offset is None else S_rhs + self.S @ offset
+        d_delta = np.zeros_like(T) if offset is None else offset.copy()
+        if self._lu is None:
+            return T, d_delta
+        T_g = T[self._g]
+        rhs = self._times_D(T_g) - T_g
+        if phi_g is not None:
+            rhs -= phi_g
+        x = lu_solve(self._lu, rhs, overwrite_b=True, check_finite=False)
+        d_delta[self._g] = x
+        return T + self._S_g @ x, d_delta
+
+    def pose_response(self, dQ: np.ndarray | None = None):
+        """dF and dδ for unit pose increments (dzO, dω), world, (k, 3, 6)."""
+        dF, d_delta = self._respond(None, self._minus_S_pose(dQ), None)
+        return self._to_world(dF), self._to_world(d_delta)
+
+    def _minus_S_pose(self, dQ) -> np.ndarray:
+        """−S D_p (3k, 6): S W hat(F) = hat(F) spares the product with C."""
+        k = len(self.nodes)
+        right = np.zeros((k, 3, 6))
+        right[:, :, :3] = -np.eye(3)
+        right[:, :, 3:] = hat(self.arm)
+        if dQ is not None:
+            right[:, :, 3:] += dQ
+        right = (self.R.T @ right).reshape(3 * k, 6)
+        out = self.S @ right
+        out.reshape(k, 3, 6)[:, :, 3:] -= self.R.T @ hat(self.F)
+        return out
+
+    def _to_world(self, x: np.ndarray) -> np.ndarray:
+        return self.R @ x.reshape(len(self.nodes), 3, -1)
+
+    def law_response(self, phi: np.ndarray):
+        """dF and dδ of the Newton step at fixed pose, world, (k, 3)."""
+        local = (phi @ self.R).reshape(-1, 1)
+        offset = -local / self.r
+        offset[self._g] = 0.0
+        dF, d_delta = self._respond(
+            offset, np.zeros_like(offset), local[self._g]
+        )
+        return self._to_world(dF)[:, :, 0], self._to_world(d_delta)[:, :, 0]
+
+    def solve_forces(self, phi: np.ndarray) -> np.ndarray:
+        """Newton step of the forces at fixed pose, world [N], (k, 3)."""
+        return self.law_response(phi)[0]
+
+    def wrench_change(self, dF, dP) -> np.ndarray:
+        """[ΣdF; Σ(P−Z)×dF + dP×F] for fields (k, 3, c) -> (6, c)."""
+        force = dF.sum(axis=0)
+        moment = np.einsum("kij,kjc->ic", hat(self.arm), dF)
+        moment -= np.einsum("kij,kjc->ic", hat(self.F), dP)
+        return np.concatenate([force, moment])
+
+    def solve(self, phi, wrench, dQ=None):
+        """Newton step for law residual phi (k, 3) and wrench residual (6,).
+
+        Returns:
+            dF (k, 3) world, dp = (dzO, dω) (6,).
+        """
+        F0, x0 = self.law_response(phi)
+        F1, x1 = self.pose_response(dQ)
+        if dQ is not None:
+            x1 = x1.copy()
+            x1[:, :, 3:] += dQ
+        G0 = self.wrench_change(F0[:, :, None], x0[:, :, None])[:, 0]
+        G1 = self.wrench_change(F1, x1)
+        dp = np.linalg.solve(G1, -(wrench + G0))
+        return F0 + F1 @ dp, dp
+
+    def cartesian_stiffness(self) -> np.ndarray:
+        """K_c (6, 6): [dF; dΓ_Z] = K_c [dzO; dω], references frozen."""
+        dF, d_delta = self.pose_response()
+        return self.wrench_change(dF, d_delta)

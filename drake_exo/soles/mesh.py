@@ -1,0 +1,261 @@
+"""Tetrahedral meshes of soles: bricks, files, checks, volume, quality.
+
+Sole frame: x forward, y left, z up, origin at the centre of the top plane
+(the surface glued to the rigid foot); the sole lies below, at z <= 0.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from drake_exo.errors import InputError
+
+# The four faces of a tetrahedron, wound so that normals point outwards.
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+@dataclass(frozen=True, eq=False)
+class TetMesh:
+    """Linear tetrahedra of a sole and their surfaces.
+
+    Attributes:
+        nodes: Positions in the sole frame [m], (n, 3).
+        tets: Node indices, positively oriented, (e, 4).
+        dirichlet: Sorted indices of the nodes glued to the foot.
+    """
+
+    nodes: np.ndarray
+    tets: np.ndarray
+    dirichlet: np.ndarray
+
+    def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
+        """The same connectivity at other node positions."""
+        out = TetMesh(np.asarray(nodes, float), self.tets, self.dirichlet)
+        # The boundary does not depend on positions: hand it on.
+        for name in ("boundary_faces", "contact"):
+            out.__dict__[name] = getattr(self, name)
+        return out
+
+    @cached_property
+    def boundary_faces(self) -> np.ndarray:
+        """Outward triangles of the whole surface, (f, 3)."""
+        faces = self.tets[:, _FACES].reshape(-1, 3)
+        _, index, count = np.unique(
+            np.sort(faces, axis=1),
+            axis=0,
+            return_index=True,
+            return_counts=True,
+        )
+        return faces[np.sort(index[count == 1])]
+
+    @cached_property
+    def contact(self) -> np.ndarray:
+        """Sorted nodes that may touch: the surface without Dirichlet."""
+        surface = np.unique(self.boundary_faces)
+        return np.setdiff1d(surface, self.dirichlet)
+
+    @cached_property
+    def contact_faces(self) -> np.ndarray:
+        """Surface triangles that are not wholly on the glued surface."""
+        glued = np.isin(self.boundary_faces, self.dirichlet).all(axis=1)
+        return self.boundary_faces[~glued]
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Signed element volumes [m³], (e,)."""
+        return np.linalg.det(self._edges()) / 6.0
+
+    @property
+    def volume(self) -> float:
+        """Volume of the sole [m³]."""
+        return float(self.volumes.sum())
+
+    @cached_property
+    def gradients(self) -> np.ndarray:
+        """Gradients g_a of the shape functions [1/m], (e, 4, 3)."""
+        inverse = np.linalg.inv(self._edges())  # columns: g_1 g_2 g_3
+        g = np.empty((len(self.tets), 4, 3))
+        g[:, 1:] = inverse.transpose(0, 2, 1)
+        g[:, 0] = -g[:, 1:].sum(axis=1)
+        return g
+
+    def volume_gradient(self) -> np.ndarray:
+        """∂volume/∂nodes [m²], (n, 3): Σ_e V_e g_a."""
+        out = np.zeros_like(self.nodes)
+        local = self.volumes[:, None, None] * self.gradients
+        np.add.at(out, self.tets.ravel(), local.reshape(-1, 3))
+        return out
+
+    def quality(self) -> np.ndarray:
+        """Mean-ratio quality, 1 for a regular tet, <= 0 if inverted, (e,).
+
+        12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994).
+        """
+        x = self.nodes[self.tets]
+        i, j = np.triu_indices(4, 1)
+        l2 = ((x[:, i] - x[:, j]) ** 2).sum(axis=(1, 2))
+        v = self.volumes
+        return 12.0 * np.sign(v) * (3.0 * np.abs(v)) ** (2 / 3) / l2
+
+    def _edges(self) -> np.ndarray:
+        """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
+        x = self.nodes[self.tets]
+        return x[:, 1:] - x[:, :1]
+
+
+def brick(
+    size: tuple[float, float, float], divisions: tuple[int, int, int]
+) -> TetMesh:
+    """A brick of size (x, y, z) [m] cut into nx·ny·nz cells of six tets.
+
+    Neighbouring cells mirror each other (Kuhn cells by parity), so that with
+    even divisions the mesh has the symmetry of the brick.
+
+    Raises:
+        InputError: A size or a division that is not positive.
+    """
+    if min(size) <= 0 or min(divisions) < 1:
+        raise InputError(
+            f"brick: size {size} and divisions {divisions} must be positive; "
+            "give metres and whole numbers of cells"
+        )
+    nx, ny, nz = divisions
+    axes = [np.linspace(0.0, s, n + 1) for s, n in zip(size, divisions)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    nodes = grid.reshape(-1, 3) - [size[0] / 2, size[1] / 2, size[2]]
+    cell = np.stack(
+        np.meshgrid(*map(np.arange, divisions), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
+    parity = cell % 2
+    stride = np.array([(ny + 1) * (nz + 1), nz + 1, 1])
+    tets = []
+    for axis_order in ((0, 1, 2), (0, 2, 1), (1, 0, 2),
+                       (1, 2, 0), (2, 0, 1), (2, 1, 0)):  # fmt: skip
+        corner = np.zeros((4, 3), dtype=int)
+        for k, axis in enumerate(axis_order):
+            corner[k + 1 :, axis] = 1
+        # Mirror the cell along every axis in which its index is odd.
+        local = np.abs(corner[None] - parity[:, None, :])
+        tets.append(((cell[:, None, :] + local) * stride).sum(axis=2))
+    tets = np.concatenate(tets)
+    x = nodes[tets]
+    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    tets[negative] = tets[negative][:, [0, 2, 1, 3]]
+    top = np.flatnonzero(np.abs(nodes[:, 2]) < 1e-12 * size[2])
+    return checked_mesh(nodes, tets, top, "brick")
+
+
+def read_mesh(
+    path: Path | str, origin: tuple[float, float, float] | None = None
+) -> TetMesh:
+    """Read linear tetrahedra from Gmsh or another format of meshio.
+
+    The glued (Dirichlet) surface is the plane of the highest nodes.
+
+    Args:
+        path: Mesh file in metres.
+        origin: Sole frame's origin in the file's frame [m]. By default the
+            file's own origin where its top is at z = 0, else the middle of
+            the top's bounding box.
+
+    Raises:
+        InputError: Unreadable file, no tetrahedra, inverted or unconnected
+            elements, no Dirichlet surface.
+    """
+    import meshio
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: mesh file not found; check the path")
+    try:
+        raw = meshio.read(path)
+    except (Exception, SystemExit) as error:
+        reason = str(error).splitlines()[0] if str(error) else "no reader"
+        raise InputError(
+            f"{path}: not readable as a mesh ({reason}); give Gmsh .msh, "
+            ".vtk, .vtu or another format known to meshio"
+        ) from None
+    cells = [b.data for b in raw.cells if b.type == "tetra"]
+    if not cells:
+        raise InputError(
+            f"{path}: no linear tetrahedra in this mesh; export 4-node tets"
+        )
+    nodes, tets = np.asarray(raw.points, float), np.concatenate(cells)
+    if not np.isfinite(nodes).all():
+        raise InputError(f"{path}: node positions hold NaN or infinity")
+    used, tets = np.unique(tets, return_inverse=True)
+    nodes, tets = nodes[used], tets.reshape(-1, 4)
+    extent = np.ptp(nodes, axis=0).max()
+    top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
+    if origin is None:
+        origin = _guess_origin(nodes, top, extent)
+    return checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
+
+
+def _guess_origin(nodes, top, extent) -> np.ndarray:
+    z = nodes[top, 2].mean()
+    if abs(z) <= 1e-7 * extent:
+        return np.zeros(3)
+    low, high = nodes[top].min(axis=0), nodes[top].max(axis=0)
+    return np.array([*(0.5 * (low + high))[:2], z])
+
+
+def checked_mesh(nodes, tets, dirichlet, name: str) -> TetMesh:
+    """Build a mesh and refuse what cannot be simulated.
+
+    Raises:
+        InputError: Inverted or flat elements, unconnected parts, no
+            Dirichlet surface.
+    """
+    mesh = TetMesh(
+        np.ascontiguousarray(nodes, dtype=float),
+        np.ascontiguousarray(tets, dtype=np.int64),
+        np.sort(np.asarray(dirichlet, dtype=np.int64)),
+    )
+    floor = 1e-9 * np.median(np.abs(mesh.volumes))
+    bad = np.flatnonzero(mesh.volumes <= floor)
+    if len(bad):
+        raise InputError(
+            f"{name}: {len(bad)} of {len(tets)} tetrahedra are inverted or "
+            f"flat (first: element {bad[0]}); remesh"
+        )
+    i, j = tets[:, [0, 0, 0]].ravel(), tets[:, 1:].ravel()
+    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=2 * (len(nodes),))
+    parts, _ = connected_components(graph, directed=False)
+    if parts > 1:
+        raise InputError(
+            f"{name}: the mesh falls into {parts} unconnected parts; merge "
+            "coincident nodes or remove the loose parts"
+        )
+    glued = np.isin(mesh.boundary_faces, mesh.dirichlet).all(axis=1)
+    if not glued.any():
+        raise InputError(
+            f"{name}: no Dirichlet surface, since no face lies in the top "
+            "plane (highest z); turn the mesh so that the flat surface glued "
+            "to the foot is on top"
+        )
+    return mesh
+
+
+def write_stl(path: Path | str, mesh: TetMesh) -> None:
+    """Write the closed surface as binary STL in millimetres (for printing)."""
+    faces = mesh.nodes[mesh.boundary_faces] * 1000.0
+    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    record = np.zeros(
+        len(faces),
+        dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")],
+    )
+    record["n"], record["v"] = normal, faces
+    header = b"sole surface, millimetres".ljust(80)
+    count = np.uint32(len(faces)).tobytes()
+    Path(path).write_bytes(header + count + record.tobytes())
+
+
+def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
+    """v_max = m / ρ [m³], the paper's (32)."""
+    return mass_kg / density_kg_per_m3

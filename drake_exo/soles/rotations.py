@@ -1,0 +1,87 @@
+"""Rotation helpers: hat operator, exponential map, Rx·Ry·Rz angles."""
+
+import numpy as np
+
+
+def hat(v: np.ndarray) -> np.ndarray:
+    """Skew matrices of vectors: hat(a) b = a × b.
+
+    Args:
+        v: Vectors, shape (..., 3).
+
+    Returns:
+        Matrices, shape (..., 3, 3).
+    """
+    v = np.asarray(v)
+    out = np.zeros((*v.shape[:-1], 3, 3), dtype=v.dtype)
+    out[..., 0, 1] = -v[..., 2]
+    out[..., 0, 2] = v[..., 1]
+    out[..., 1, 0] = v[..., 2]
+    out[..., 1, 2] = -v[..., 0]
+    out[..., 2, 0] = -v[..., 1]
+    out[..., 2, 1] = v[..., 0]
+    return out
+
+
+def exp_rotation(w: np.ndarray) -> np.ndarray:
+    """Rotation matrix exp(hat(w)) of a rotation vector w [rad]."""
+    angle = float(np.linalg.norm(w))
+    K = hat(np.asarray(w, dtype=float))
+    if angle < 1e-4:  # series: sin(a)/a and (1-cos a)/a² lose digits here
+        a2 = angle * angle
+        return np.eye(3) + (1 - a2 / 6) * K + (0.5 - a2 / 24) * K @ K
+    return (
+        np.eye(3)
+        + np.sin(angle) / angle * K
+        + (1 - np.cos(angle)) / angle**2 * K @ K
+    )
+
+
+def rotation_xyz(angles: np.ndarray) -> np.ndarray:
+    """R = Rx(roll) · Ry(pitch) · Rz(yaw) from three angles [rad]."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
+    return np.array(
+        [
+            [cy * cz, -cy * sz, sy],
+            [cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy],
+            [sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy],
+        ]
+    )
+
+
+def angles_xyz(R: np.ndarray) -> np.ndarray:
+    """Angles [rad] (..., 3) with R = Rx·Ry·Rz, pitch in [-π/2, π/2]."""
+    return np.stack(
+        [
+            np.arctan2(-R[..., 1, 2], R[..., 2, 2]),
+            np.arcsin(np.clip(R[..., 0, 2], -1.0, 1.0)),
+            np.arctan2(-R[..., 0, 1], R[..., 0, 0]),
+        ],
+        axis=-1,
+    )
+
+
+def rotation_z(yaw: float) -> np.ndarray:
+    """Rotation by `yaw` [rad] about z."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def yaw_of(R: np.ndarray) -> float:
+    """Yaw ψ [rad] of R = Rx·Ry·Rz(ψ)."""
+    return float(np.arctan2(-R[0, 1], R[0, 0]))
+
+
+def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The smallest rotation that carries direction a onto direction b."""
+    a = a / np.linalg.norm(a)
+    b = b / np.linalg.norm(b)
+    axis = np.cross(a, b)
+    sine, cosine = np.linalg.norm(axis), float(a @ b)
+    if sine < 1e-14:
+        if cosine > 0:
+            return np.eye(3)
+        other = np.eye(3)[np.argmin(np.abs(a))]
+        axis = np.cross(a, other)
+        return exp_rotation(np.pi * axis / np.linalg.norm(axis))
+    return exp_rotation(np.arctan2(sine, cosine) * axis / sine)

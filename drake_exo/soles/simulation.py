@@ -1,0 +1,154 @@
+"""Quasi-static simulation of a sole through one contact phase."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drake_exo.soles import stiffness
+from drake_exo.soles.contact import (
+    ContactSolver,
+    Convergence,
+    Start,
+    State,
+    Target,
+)
+from drake_exo.soles.first_contact import first_step
+from drake_exo.soles.node_law import ContactLaw
+
+_MAX_SUBSTEPS = 200
+
+
+@dataclass
+class StepHistory:
+    """States of a sole over the samples of a contact phase.
+
+    A failed sample holds the last attempt's state and NaN in K_c.
+
+    Attributes:
+        F: Forces of the ground on the contact nodes, world [N], (N, m, 3).
+        O: Place of the sole frame's origin, world [m], (N, 3).
+        R: Orientation, (N, 3, 3).
+        P: Places of the contact nodes, world [m], (N, m, 3).
+        K_c: Cartesian stiffness about the ZMP, (N, 6, 6).
+        reports: Convergence of every sample.
+    """
+
+    F: np.ndarray
+    O: np.ndarray  # noqa: E741
+    R: np.ndarray
+    P: np.ndarray
+    K_c: np.ndarray
+    reports: list[Convergence] = field(default_factory=list)
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which samples converged, (N,)."""
+        return np.array([r.converged for r in self.reports], dtype=bool)
+
+    @property
+    def failed_steps(self) -> int:
+        """Number of samples without a solution."""
+        return int((~self.converged).sum())
+
+    def state(self, q: int) -> State:
+        """State at sample q (counted from 0)."""
+        return State(self.F[q], self.O[q], self.R[q])
+
+    def costs(self, weight: float = 1.0, fraction: float = 0.1):
+        """c_tr, c_rot and c over the samples (NaN where one failed)."""
+        return stiffness.costs(self.K_c, weight, fraction)
+
+
+def simulate(
+    C: np.ndarray,
+    lP: np.ndarray,
+    law: ContactLaw,
+    force: np.ndarray,
+    zmp: np.ndarray,
+    start: Start,
+    *,
+    solver: "ContactSolver | None" = None,
+    stop_at_failure: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> StepHistory:
+    """Follow the desired force and ZMP sample by sample.
+
+    Args:
+        C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
+        lP: Their rest positions, sole frame [m], (m, 3).
+        law: Contact law.
+        force: Desired force of the ground, world [N], (N, 3).
+        zmp: Desired ZMP on the ground, world [m], (N, 2).
+        start: How the sole is held just before contact.
+        solver: Solver to use instead of the semismooth Newton.
+        stop_at_failure: Leave the remaining samples out after a failure.
+        progress: Called with samples done and samples in all.
+    """
+    solver = solver or ContactSolver(C, lP, law)
+    steps, m = len(force), len(lP)
+    history = StepHistory(
+        np.zeros((steps, m, 3)),
+        np.zeros((steps, 3)),
+        np.tile(np.eye(3), (steps, 1, 1)),
+        np.zeros((steps, m, 3)),
+        np.full((steps, 6, 6), np.nan),
+    )
+    largest = float(np.linalg.norm(force, axis=1).max())
+    good = None  # (sample, state, places) of the last success
+    for q in range(steps):
+        reference = start if good is None else good[2][:, :2]
+        target = Target(force[q], zmp[q], reference)
+        if good is None:
+            state, report = first_step(solver, target, largest)
+        else:
+            before = Target(force[good[0]], zmp[good[0]], reference)
+            state, report = _next_step(solver, good[1], before, target)
+        if state is not None:
+            history.F[q], history.O[q], history.R[q] = (
+                state.F,
+                state.O,
+                state.R,
+            )
+            history.P[q] = solver.deformed(state.F, state.R) + state.O
+        history.reports.append(report)
+        if report.converged:
+            K = solver.linearise(state, target).cartesian_stiffness()
+            history.K_c[q] = K
+            good = (q, state, history.P[q])
+        elif stop_at_failure:
+            rest = Convergence(False, 0, np.inf, "left out after a failure")
+            history.reports += [rest] * (steps - q - 1)
+            break
+        if progress is not None:
+            progress(q + 1, steps)
+    return history
+
+
+def _next_step(solver, state, before, target):
+    """Newton from the last sample's state, else continuation in the load."""
+    new, report = solver.solve(state, target)
+    if report.converged:
+        return new, report
+    solver.active.refresh()
+    done, step, total = 0.0, 0.5, report.iterations
+    for _ in range(_MAX_SUBSTEPS):
+        aim = min(1.0, done + step)
+        between = Target(
+            before.force + aim * (target.force - before.force),
+            before.zmp + aim * (target.zmp - before.zmp),
+            target.reference,
+        )
+        trial, sub = solver.solve(state, between)
+        total += sub.iterations
+        if sub.converged:
+            state, done, step = trial, aim, 2 * step
+            if done >= 1.0:
+                sub.iterations = total
+                return state, sub
+        else:
+            step *= 0.5
+            if step < 1e-3:
+                break
+    report.message += f"; continuation in the load stopped at {done:.3f}"
+    return new, report

@@ -1,0 +1,59 @@
+"""Cartesian stiffness about the ZMP and the measures taken from it.
+
+K_c relates wrench and pose increments, [dF; dΓ_Z] = K_c [dzO; dω]; its
+physical stiffness is −K_c (N/m, N, N, N·m/rad).
+"""
+
+import numpy as np
+
+STABILITY_LENGTH = 0.05  # metres; makes the blocks of K_c comparable
+
+
+def sigma_max_translation(K_c: np.ndarray) -> np.ndarray:
+    """Largest singular value of the translational block [N/m]."""
+    return _singular_values(K_c[..., :3, :3])[..., 0]
+
+
+def sigma_min_rotation(K_c: np.ndarray) -> np.ndarray:
+    """Smallest singular value of the rotational block [N·m/rad]."""
+    return _singular_values(K_c[..., 3:, 3:])[..., -1]
+
+
+def _singular_values(K: np.ndarray) -> np.ndarray:
+    """Singular values (..., 3), largest first; NaN where K is not finite."""
+    fine = np.isfinite(K).all(axis=(-2, -1))
+    safe = np.where(fine[..., None, None], K, 0.0)
+    values = np.linalg.svd(safe, compute_uv=False)
+    return np.where(fine[..., None], values, np.nan)
+
+
+def stability(K_c: np.ndarray, length: float = STABILITY_LENGTH):
+    """min eig of S sym(−K_c) S, S = diag(1, 1, 1, 1/L, 1/L, 1/L) [N/m].
+
+    Positive is sufficient for stability under a dead wrench (K_c is not
+    symmetric).
+    """
+    scale = np.array([1.0] * 3 + [1.0 / length] * 3)
+    sym = -0.5 * (K_c + np.swapaxes(K_c, -1, -2))
+    fine = np.isfinite(sym).all(axis=(-2, -1))
+    scaled = np.where(fine[..., None, None], scale[:, None] * sym * scale, 0)
+    return np.where(fine, np.linalg.eigvalsh(scaled)[..., 0], np.nan)
+
+
+def heel_strike_count(samples: int, fraction: float = 0.1) -> int:
+    """Number of samples of heel strike: the first tenth, at least one."""
+    return max(1, int(np.floor(fraction * samples)))
+
+
+def costs(K_c: np.ndarray, weight: float = 1.0, fraction: float = 0.1):
+    """c_tr, c_rot and c = c_tr − w c_rot: plain sums over samples.
+
+    Args:
+        K_c: Stiffness at every sample, (N, 6, 6).
+        weight: w.
+        fraction: Part of the samples that is heel strike.
+    """
+    count = heel_strike_count(len(K_c), fraction)
+    c_tr = float(sigma_max_translation(K_c[:count]).sum())
+    c_rot = float(sigma_min_rotation(K_c).sum())
+    return c_tr, c_rot, c_tr - weight * c_rot
