@@ -83,14 +83,14 @@ def fit_exoskeleton(
     nominal, wearer = nominal_exoskeleton(), nominal_human()
 
     def slid(name: str) -> SegmentParameters:
-        segment = getattr(nominal, name)
-        ratio = getattr(human, name).length_m / getattr(wearer, name).length_m
+        segment, length = getattr(nominal, name), getattr(human, name).length_m
+        ratio = length / getattr(wearer, name).length_m
         x, z = segment.com_m
         return SegmentParameters(
             segment.mass_kg,
             (x, z * ratio),
             segment.inertia_kg_m2 * ratio**2,
-            segment.length_m * ratio,
+            length,
         )
 
     plate_ratio = human.foot.length_m / wearer.foot.length_m

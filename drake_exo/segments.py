@@ -231,5 +231,5 @@ def _point(value: Any, label: str) -> tuple[float, float]:
         raise InputError(f"{label} must be two numbers (x, z) in m")
     if len(value) != 2:
         raise InputError(f"{label} must be two numbers (x, z) in m")
-    x, z = (_number(float(c), label, _POINT) for c in value)
+    x, z = (_number(c, label, _POINT) for c in value)
     return x, z
