@@ -29,8 +29,8 @@ class Start:
         yaw: Yaw ψ_ini [rad] before contact.
     """
 
-    point_L: np.ndarray
-    point_W: np.ndarray
+    point_L: np.ndarray  # noqa: N815
+    point_W: np.ndarray  # noqa: N815
     yaw: float = 0.0
 
     def reference(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ from drake_exo.soles.rotations import (
 _MAX_TILT = np.deg2rad(80.0)
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
+_MAX_SUBSTEPS = 60
 
 
 def candidate_poses(lP: np.ndarray, zmp, start: Start) -> list[State]:
@@ -66,73 +67,118 @@ def _distance(points: np.ndarray, z: np.ndarray) -> float:
 
 def first_step(
     solver: ContactSolver, target: Target, largest_force: float
-) -> tuple[State, Convergence]:
+) -> tuple[State | None, Convergence]:
     """Solve the first step of a contact phase.
+
+    Every candidate is pressed into the ground at its own pose, then force
+    and ZMP are led to the wanted ones: with the wanted law, else with a
+    smoother law that is sharpened afterwards.
 
     Args:
         solver: Newton solver with the wanted law.
         target: First sample; its reference is a Start.
-        largest_force: Largest |F| of the phase [N]: the homotopy's start.
+        largest_force: Largest |F| of the phase [N]; pressing in uses at
+            least a fifth of it, so that enough nodes touch.
     """
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
     candidates = candidate_poses(solver.lP, target.zmp, target.reference)
-    for guess in candidates:
-        state, report = _descend(solver, target, guess, largest_force)
-        if report.converged:
-            return state, report
-    return candidates[0] if candidates else None, Convergence(
-        False,
-        report.iterations,
-        report.residual,
-        f"no start from {len(candidates)} hull facets ({report.message})",
-    )
-
-
-def _descend(solver, target, guess, largest_force):
-    """From a facet's pose: larger force and smoother law, then down."""
-    force = np.linalg.norm(target.force)
-    start_force = max(force, 0.3 * largest_force)
-    law = solver.law
-    smooth = replace(
-        law,
-        layer=max(20 * law.layer, _SMOOTHING_LAYER),
-        kappa=max(law.kappa, _SMOOTHING_KAPPA),
-    )
-    # Press in evenly, so that the facet's nodes carry load at once.
-    state = guess.copy()
-    near = guess.O[2] + (solver.lP @ guess.R.T)[:, 2] < 2e-3
-    state.F[near] = target.force * start_force / (force * near.sum())
-    shortfall = (solver.deformed(state.F, state.R) + state.O)[near, 2]
-    state.O[2] -= np.median(shortfall)
     total = 0
-    factors = [f for f in (1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015, 0.007)
-               if f * start_force > force]  # fmt: skip
+    press = max(np.linalg.norm(target.force), 0.2 * largest_force)
+    for guess in candidates:
+        for smooth in (False, True):
+            state, report = _lead(solver, target, guess, press, smooth)
+            total += report.iterations
+            report.iterations = total
+            if report.converged:
+                return state, report
+    report.message = (
+        f"no start from {len(candidates)} hull facets ({report.message})"
+    )
+    return None, report
+
+
+def _lead(solver, target, guess, press, smooth):
+    law = solver.law
+    stages = [law]
+    if smooth:
+        stages = [
+            replace(
+                law,
+                layer=max(law.layer, shrink * _SMOOTHING_LAYER),
+                kappa=max(law.kappa, shrink * _SMOOTHING_KAPPA),
+            )
+            for shrink in (1.0, 0.2, 0.04)
+        ] + [law]
+    total = 0
     try:
-        for factor in factors:
-            eased = replace(
-                target, force=target.force * factor * start_force / force
-            )
-            state, report = _with_law(solver, smooth, state, eased)
+        solver.law = stages[0]
+        state, before = _press_in(solver, target, guess, press)
+        for stage in stages:
+            solver.law = stage
+            state, report = follow_load(solver, state, before, target)
+            before = target
             total += report.iterations
             if not report.converged:
-                return state, report
-        for shrink in (1.0, 0.2, 0.04):
-            eased_law = replace(
-                smooth,
-                layer=max(law.layer, shrink * smooth.layer),
-                kappa=max(law.kappa, shrink * smooth.kappa),
-            )
-            state, report = _with_law(solver, eased_law, state, target)
-            total += report.iterations
-            if not report.converged:
-                return state, report
+                break
     finally:
         solver.law = law
-    state, report = solver.solve(state, target)
-    report.iterations += total
+    report.iterations = total
     return state, report
 
 
-def _with_law(solver, law, state, target):
-    solver.law = law
-    return solver.solve(state, target)
+def _press_in(solver, target, guess, press) -> tuple[State, Target]:
+    """Lower the sole at fixed orientation until it carries about `press`."""
+    state, depth = guess.copy(), 1e-4
+    aim = replace(target, force=np.array([0.0, 0.0, press]))
+    for _ in range(6):
+        state.O[2] = guess.O[2] - depth
+        # The references follow the held pose, as for the first sample.
+        trial, _ = solver.solve(state, aim, fixed_pose=True)
+        carried = trial.F[:, 2].sum()
+        state = trial
+        if carried > 0.5 * press and carried < 2 * press:
+            break
+        depth *= np.clip(press / max(carried, 1e-3 * press), 0.2, 10.0)
+    resultant = state.F.sum(axis=0)
+    P = solver.deformed(state.F, state.R) + state.O
+    zmp = (P[:, :2] * state.F[:, 2:]).sum(axis=0) / max(resultant[2], 1e-9)
+    return state, replace(target, force=resultant, zmp=zmp)
+
+
+def follow_load(
+    solver: ContactSolver, state: State, before: Target, target: Target
+) -> tuple[State, Convergence]:
+    """Newton at the target, else continuation in force and ZMP.
+
+    Args:
+        solver: Newton solver.
+        state: Solution for `before`.
+        before: Load that `state` carries.
+        target: Load wanted; its references hold all along.
+    """
+    new, report = solver.solve(state, target)
+    if report.converged:
+        return new, report
+    solver.active.refresh()
+    done, step, total = 0.0, 0.5, report.iterations
+    for _ in range(_MAX_SUBSTEPS):
+        aim = min(1.0, done + step)
+        between = Target(
+            before.force + aim * (target.force - before.force),
+            before.zmp + aim * (target.zmp - before.zmp),
+            target.reference,
+        )
+        trial, sub = solver.solve(state, between)
+        total += sub.iterations
+        if sub.converged:
+            state, done, step = trial, aim, 1.5 * step
+            if done >= 1.0:
+                sub.iterations = total
+                return state, sub
+        else:
+            step *= 0.5
+            if step < 1e-3:
+                break
+    report.message += f"; continuation in the load stopped at {done:.3f}"
+    report.iterations = total
+    return new, report

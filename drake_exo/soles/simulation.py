@@ -13,10 +13,8 @@ from drake_exo.soles.contact import (
     State,
     Target,
 )
-from drake_exo.soles.first_contact import first_step
+from drake_exo.soles.first_contact import first_step, follow_load
 from drake_exo.soles.node_law import ContactLaw
-
-_MAX_SUBSTEPS = 200
 
 
 @dataclass
@@ -103,7 +101,7 @@ def simulate(
             state, report = first_step(solver, target, largest)
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
-            state, report = _next_step(solver, good[1], before, target)
+            state, report = follow_load(solver, good[1], before, target)
         if state is not None:
             history.F[q], history.O[q], history.R[q] = (
                 state.F,
@@ -123,32 +121,3 @@ def simulate(
         if progress is not None:
             progress(q + 1, steps)
     return history
-
-
-def _next_step(solver, state, before, target):
-    """Newton from the last sample's state, else continuation in the load."""
-    new, report = solver.solve(state, target)
-    if report.converged:
-        return new, report
-    solver.active.refresh()
-    done, step, total = 0.0, 0.5, report.iterations
-    for _ in range(_MAX_SUBSTEPS):
-        aim = min(1.0, done + step)
-        between = Target(
-            before.force + aim * (target.force - before.force),
-            before.zmp + aim * (target.zmp - before.zmp),
-            target.reference,
-        )
-        trial, sub = solver.solve(state, between)
-        total += sub.iterations
-        if sub.converged:
-            state, done, step = trial, aim, 2 * step
-            if done >= 1.0:
-                sub.iterations = total
-                return state, sub
-        else:
-            step *= 0.5
-            if step < 1e-3:
-                break
-    report.message += f"; continuation in the load stopped at {done:.3f}"
-    return new, report
