@@ -1,0 +1,1 @@
+"""From a MathematicalProgram to IPOPT: neutral ground for both halves."""

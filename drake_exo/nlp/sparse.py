@@ -1,0 +1,568 @@
+"""A BatchedProgram as sparse arrays: values, Jacobian and Hessian.
+
+Program variables x follow from the unknowns y of the solver through
+x = offset + B y. The plain choice only drops fixed variables and applies the
+program's variable scaling; a transcription may hand over a sparse B whose
+columns satisfy its linear constraints exactly, and those constraints then
+leave the problem.
+"""
+
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from drake_exo.nlp.batch import Batch, BatchedProgram, BindingKernel
+
+_IDENTICALLY_ZERO = 1e-9
+_COMPLEX_STEP = 1e-30
+
+
+@dataclass(frozen=True)
+class Substitution:
+    """Program variables as an affine function of fewer unknowns.
+
+    Attributes:
+        variables: (na,) indices of the program variables substituted.
+        matrix: (na, ny) sparse; x[variables] = matrix @ y + offset.
+        offset: (na,).
+        scale: (ny,) typical size of each unknown.
+    """
+
+    variables: np.ndarray
+    matrix: sp.csr_array
+    offset: np.ndarray
+    scale: np.ndarray
+
+
+class _Block:
+    """A batch seen from the unknowns: f(offset + B y), B gathered by node."""
+
+    def __init__(self, batch: Batch, matrix: sp.csr_array):
+        self.batch = batch
+        n, n_in = batch.indices.shape
+        ny = matrix.shape[1]
+        rows = matrix[batch.indices.ravel()].tocoo()
+        node, slot = np.divmod(rows.row, n_in)
+        key, position = np.unique(node * ny + rows.col, return_inverse=True)
+        first = np.searchsorted(key, np.arange(n) * ny)
+        rank = np.arange(len(key)) - first[key // ny]
+        width = int(rank.max()) + 1 if len(rank) else 1
+        self.columns = np.full((n, width), -1)
+        self.columns[key // ny, rank] = key % ny
+        self.local = np.zeros((n, n_in, width))
+        self.local[node, slot, rank[position]] = rows.data
+        structure = np.abs(self.local) > 0
+        if np.ptp(self.local, axis=0).max(initial=0.0) < 1e-14:
+            self.local = self.local[0]
+            structure = structure[:1]
+        pattern = batch.kernel.sparsity.astype(float) @ structure > 0
+        pattern = np.broadcast_to(pattern, (n, batch.num_outputs, width))
+        self.pattern = pattern & (self.columns >= 0)[:, None, :]
+
+    def values(self, x):
+        return self.batch.kernel.evaluate(
+            x[self.batch.indices], self.batch.data
+        )
+
+    def jacobian(self, x):
+        """Dense blocks (n, n_out, width) with respect to the unknowns."""
+        J = self.batch.kernel.jacobian(x[self.batch.indices], self.batch.data)
+        if self.local.ndim == 3:
+            return J @ self.local
+        if J.strides[0] == 0:
+            return np.broadcast_to(
+                J[0] @ self.local, (*J.shape[:2], self.local.shape[1])
+            )
+        # One large product is much faster than many small ones.
+        flat = J.reshape(-1, J.shape[2]) @ self.local
+        return flat.reshape(*J.shape[:2], -1)
+
+    def curvature(self, x, weights):
+        """sum_i weights_i d2 f_i/dy2 by complex steps, (n, width, width)."""
+        kernel, data = self.batch.kernel, self.batch.data
+        z = x[self.batch.indices]
+        n, n_in = z.shape
+        H = np.zeros((n, n_in, n_in))
+        for k in np.flatnonzero(kernel.sparsity.any(axis=0)):
+            H[:, k] = _directional(kernel, z, data, weights, k)
+        H = 0.5 * (H + H.transpose(0, 2, 1))
+        return np.swapaxes(self.local, -1, -2) @ H @ self.local
+
+
+def _directional(kernel, z, data, weights, k):
+    """d/dz_k of weights^T J, exact where the kernel takes complex input."""
+    if getattr(kernel, "takes_complex", False):
+        step = z.astype(complex)
+        step[:, k] += 1j * _COMPLEX_STEP
+        J = kernel.jacobian(step, data).imag / _COMPLEX_STEP
+    else:
+        h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
+        up, down = z.copy(), z.copy()
+        up[:, k] += h
+        down[:, k] -= h
+        J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
+        J /= (2.0 * h)[:, None, None]
+    return np.einsum("no,noi->ni", weights, J)
+
+
+class SparseProgram:
+    """Objective, constraints and derivatives in the unknowns y.
+
+    Attributes:
+        num_unknowns: length of y.
+        num_constraints: rows of g(y).
+        y_lower, y_upper: bounds on y.
+        g_lower, g_upper: bounds on g.
+        jacobian_structure: (rows, columns) of the nonzeros.
+        hessian_structure: (rows, columns) of the lower triangle.
+        seconds: time spent by part, filled while solving.
+        evaluations: calls by part.
+    """
+
+    def __init__(
+        self,
+        program: BatchedProgram,
+        substitutions: tuple[Substitution, ...] = (),
+        exact_hessian: bool = False,
+    ):
+        self.program = program
+        self.exact_hessian = exact_hessian
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.evaluations: dict[str, int] = defaultdict(int)
+        self._cache: dict[str, tuple] = {}
+        x_lower, x_upper = _variable_bounds(program.prog)
+        self._reduce(x_lower, x_upper, substitutions)
+        self._collect_constraints(x_lower, x_upper)
+        self._collect_costs()
+        self._lay_out_jacobian()
+        self._lay_out_hessian()
+
+    # -- unknowns ---------------------------------------------------------
+
+    def _reduce(self, x_lower, x_upper, substitutions):
+        """Build x = offset + B y, with y in units of its typical size."""
+        n = self.program.prog.num_vars()
+        fixed = x_lower == x_upper
+        direct = ~fixed
+        for s in substitutions:
+            direct[s.variables] = False
+        kept = np.flatnonzero(direct)
+        scale = _variable_scaling(self.program.prog)
+        blocks = [
+            (kept, sp.diags_array(scale[kept]).tocsr(), np.zeros(len(kept)))
+        ]
+        for s in substitutions:
+            matrix = s.matrix @ sp.diags_array(s.scale)
+            blocks.append((s.variables, matrix.tocsr(), s.offset))
+        rows = np.concatenate([b[0] for b in blocks])
+        stacked = sp.block_diag([b[1] for b in blocks], format="coo")
+        self.matrix = sp.csr_array(
+            (stacked.data, (rows[stacked.row], stacked.col)),
+            shape=(n, stacked.shape[1]),
+        )
+        self.offset = np.where(fixed, x_lower, 0.0)
+        for s in substitutions:
+            self.offset[s.variables] = s.offset
+        self.num_unknowns = self.matrix.shape[1]
+        self.y_lower = np.full(self.num_unknowns, -np.inf)
+        self.y_upper = np.full(self.num_unknowns, np.inf)
+        self.y_lower[: len(kept)] = x_lower[kept] / scale[kept]
+        self.y_upper[: len(kept)] = x_upper[kept] / scale[kept]
+        self._direct = kept
+        self._substituted = np.setdiff1d(
+            np.concatenate([s.variables for s in substitutions] or [[]]),
+            kept,
+        ).astype(int)
+        self._row_scale = scale
+
+    def expand(self, y: np.ndarray) -> np.ndarray:
+        """Program variables x of unknowns y."""
+        return self.offset + self.matrix @ y
+
+    def restrict(self, x: np.ndarray) -> np.ndarray:
+        """Unknowns y whose x is nearest to the given one, each in its unit."""
+        y = np.zeros(self.num_unknowns)
+        scale = self._row_scale
+        y[: len(self._direct)] = x[self._direct] / scale[self._direct]
+        rows = self._substituted
+        if len(rows):
+            weight = sp.diags_array(1.0 / scale[rows])
+            W = (weight @ self.matrix[rows][:, len(self._direct) :]).tocsc()
+            r = (x[rows] - self.offset[rows]) / scale[rows]
+            y[len(self._direct) :] = sp.linalg.spsolve(W.T @ W, W.T @ r)
+        return np.clip(y, self.y_lower, self.y_upper)
+
+    # -- what is in the problem -------------------------------------------
+
+    def _collect_constraints(self, x_lower, x_upper):
+        loose, _ = self.program.loose_bindings()
+        singles = [
+            Batch(
+                b.evaluator().get_description() or "constraint",
+                BindingKernel(b),
+                self.program.indices(b.variables())[None],
+                b.evaluator().lower_bound()[None],
+                b.evaluator().upper_bound()[None],
+            )
+            for b in loose
+        ]
+        blocks = [
+            _Block(batch, self.matrix)
+            for batch in [*self.program.constraints, *singles]
+        ]
+        self._blocks = [b for b in blocks if not self._satisfied(b)]
+        A, lower, upper, names = _linear_rows(self.program)
+        rows = self._substituted
+        bounded = rows[np.isfinite(x_lower[rows]) | np.isfinite(x_upper[rows])]
+        picked = sp.csr_array(
+            (
+                1.0 / self._row_scale[bounded],
+                (np.arange(len(bounded)), bounded),
+            ),
+            shape=(len(bounded), len(x_lower)),
+        )
+        A = sp.vstack([A, picked]).tocsr()
+        unit = self._row_scale[bounded]
+        lower = np.r_[lower, x_lower[bounded] / unit]
+        upper = np.r_[upper, x_upper[bounded] / unit]
+        names = [
+            *names,
+            *(
+                f"bounds of {v.get_name()}"
+                for v in self.program.prog.decision_variables()[bounded]
+            ),
+        ]
+        self._A = (A @ self.matrix).tocsr()
+        shift = A @ self.offset
+        self._linear_names = names
+        parts_lower = [lower - shift]
+        parts_upper = [upper - shift]
+        for b in self._blocks:
+            parts_lower.append(b.batch.lower.ravel())
+            parts_upper.append(b.batch.upper.ravel())
+        self.g_lower = np.concatenate(parts_lower)
+        self.g_upper = np.concatenate(parts_upper)
+        self.num_constraints = len(self.g_lower)
+
+    def _satisfied(self, block: _Block) -> bool:
+        """Whether a batch holds for every y: then it leaves the problem."""
+        kernel = block.batch.kernel
+        if not hasattr(kernel, "A"):
+            return False
+        J = block.jacobian(self.offset)
+        row = np.abs(kernel.A) @ np.abs(block.local)
+        small = np.abs(J) <= _IDENTICALLY_ZERO * np.maximum(row, 1e-300)
+        if not small.all():
+            return False
+        f = block.values(self.offset)
+        return bool(
+            (np.abs(f - block.batch.lower) < _IDENTICALLY_ZERO).all()
+            and (np.abs(f - block.batch.upper) < _IDENTICALLY_ZERO).all()
+        )
+
+    def _collect_costs(self):
+        self._residuals = [
+            _Block(batch, self.matrix) for batch in self.program.residuals
+        ]
+        Q, b, c = _quadratic_cost(self.program.prog)
+        B = self.matrix
+        self._Q = (B.T @ Q @ B).tocsr()
+        self._b = B.T @ (Q @ self.offset + b)
+        self._c = c + 0.5 * self.offset @ (Q @ self.offset) + b @ self.offset
+        _, loose = self.program.loose_bindings()
+        self._costs = [
+            _Block(
+                Batch(
+                    binding.evaluator().get_description() or "cost",
+                    BindingKernel(binding),
+                    self.program.indices(binding.variables())[None],
+                    np.zeros((1, 1)),
+                    np.zeros((1, 1)),
+                ),
+                self.matrix,
+            )
+            for binding in loose
+        ]
+
+    def _lay_out_jacobian(self):
+        coo = self._A.tocoo()
+        rows, columns = [coo.row], [coo.col]
+        first = self._A.shape[0]
+        for b in self._blocks:
+            node, out, slot = np.nonzero(b.pattern)
+            rows.append(first + node * b.batch.num_outputs + out)
+            columns.append(b.columns[node, slot])
+            first += b.batch.lower.size
+        self.jacobian_structure = (
+            np.concatenate(rows).astype(np.int32),
+            np.concatenate(columns).astype(np.int32),
+        )
+        self._A_values = coo.data
+
+    def _lay_out_hessian(self):
+        """Union of all blocks' lower triangles, and where each one lands."""
+        curved = [*self._residuals, *self._costs]
+        if self.exact_hessian:
+            curved += [
+                b for b in self._blocks if not hasattr(b.batch.kernel, "A")
+            ]
+        coo = sp.tril(self._Q).tocoo()
+        ny = self.num_unknowns
+        keys = [coo.row.astype(np.int64) * ny + coo.col]
+        self._triangles = []
+        for b in curved:
+            row = np.broadcast_to(
+                b.columns[:, :, None], (*b.columns.shape, b.columns.shape[1])
+            )
+            column = row.transpose(0, 2, 1)
+            keep = (row >= column) & (column >= 0)
+            keys.append(row[keep].astype(np.int64) * ny + column[keep])
+            self._triangles.append((b, keep))
+        unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+        parts = np.split(inverse, np.cumsum([len(k) for k in keys])[:-1])
+        self._H_constant = np.bincount(
+            parts[0], coo.data, minlength=len(unique)
+        )
+        self._H_places = parts[1:]
+        self.hessian_structure = (
+            (unique // ny).astype(np.int32),
+            (unique % ny).astype(np.int32),
+        )
+
+    # -- evaluation -------------------------------------------------------
+
+    def _timed(self, part, y, compute):
+        """Compute once for each part and y, and count time and calls."""
+        cached = self._cache.get(part)
+        if cached is not None and np.array_equal(cached[0], y):
+            return cached[1]
+        start = time.perf_counter()
+        result = compute()
+        self.seconds[part] += time.perf_counter() - start
+        self.evaluations[part] += 1
+        self._cache[part] = (y.copy(), result)
+        return result
+
+    def _residual_terms(self, y):
+        def compute():
+            x = self.expand(y)
+            return [b.values(x) for b in self._residuals]
+
+        return self._timed("residuals", y, compute)
+
+    def _residual_jacobians(self, y):
+        def compute():
+            x = self.expand(y)
+            return [b.jacobian(x) for b in self._residuals]
+
+        return self._timed("residual_jacobian", y, compute)
+
+    def objective(self, y: np.ndarray) -> float:
+        """Cost at y."""
+        value = 0.5 * y @ (self._Q @ y) + self._b @ y + self._c
+        for r in self._residual_terms(y):
+            value += 0.5 * np.sum(r * r)
+        if self._costs:
+            x = self.expand(y)
+            value += sum(b.values(x).sum() for b in self._costs)
+        return float(value)
+
+    def gradient(self, y: np.ndarray) -> np.ndarray:
+        """Derivative of the cost, (ny,)."""
+        g = self._Q @ y + self._b
+        terms = list(
+            zip(
+                self._residuals,
+                self._residual_terms(y),
+                self._residual_jacobians(y),
+                strict=True,
+            )
+        )
+        x = self.expand(y) if self._costs else None
+        for b in self._costs:
+            terms.append((b, np.ones((1, 1)), b.jacobian(x)))
+        for b, r, J in terms:
+            local = np.einsum("no,now->nw", r, J)
+            keep = b.columns >= 0
+            g += np.bincount(b.columns[keep], local[keep], minlength=len(g))
+        return g
+
+    def constraints(self, y: np.ndarray) -> np.ndarray:
+        """Constraint values g(y)."""
+
+        def compute():
+            x = self.expand(y)
+            parts = [self._A @ y]
+            parts += [b.values(x).ravel() for b in self._blocks]
+            return np.concatenate(parts)
+
+        return self._timed("constraints", y, compute)
+
+    def jacobian(self, y: np.ndarray) -> np.ndarray:
+        """Nonzeros of dg/dy, in the order of jacobian_structure."""
+
+        def compute():
+            x = self.expand(y)
+            parts = [self._A_values]
+            parts += [b.jacobian(x)[b.pattern] for b in self._blocks]
+            return np.concatenate(parts)
+
+        return self._timed("jacobian", y, compute)
+
+    def hessian(self, y, multipliers, factor) -> np.ndarray:
+        """Nonzeros of the Lagrangian's Hessian (lower triangle).
+
+        Residuals contribute their Gauss-Newton term; with exact_hessian the
+        curvature of residuals and constraints is added.
+        """
+        start = time.perf_counter()
+        H = factor * self._H_constant
+        x = self.expand(y)
+        jacobians = dict(
+            zip(
+                map(id, self._residuals),
+                self._residual_jacobians(y),
+                strict=True,
+            )
+        )
+        weights = self._curvature_weights(y, multipliers, factor)
+        for (b, keep), places in zip(
+            self._triangles, self._H_places, strict=True
+        ):
+            if id(b) in jacobians:
+                J = jacobians[id(b)]
+                block = factor * (J.transpose(0, 2, 1) @ J)
+            else:
+                block = 0.0
+            if id(b) in weights:
+                block = block + b.curvature(x, weights[id(b)])
+            H += np.bincount(places, block[keep], minlength=len(H))
+        self.seconds["hessian"] += time.perf_counter() - start
+        self.evaluations["hessian"] += 1
+        return H
+
+    def _curvature_weights(self, y, multipliers, factor):
+        weights = {id(b): np.full((1, 1), factor) for b in self._costs}
+        if not self.exact_hessian:
+            return weights
+        terms = self._residual_terms(y)
+        for b, r in zip(self._residuals, terms, strict=True):
+            weights[id(b)] = factor * r
+        first = self._A.shape[0]
+        for b in self._blocks:
+            size = b.batch.lower.size
+            part = multipliers[first : first + size]
+            weights[id(b)] = part.reshape(b.batch.lower.shape)
+            first += size
+        return weights
+
+    # -- reports ----------------------------------------------------------
+
+    def row_name(self, row: int) -> str:
+        """What constraint a row of g belongs to."""
+        if row < len(self._linear_names):
+            return self._linear_names[row]
+        row -= len(self._linear_names)
+        for b in self._blocks:
+            if row < b.batch.lower.size:
+                node, out = divmod(row, b.batch.num_outputs)
+                return f"{b.batch.name}[{node}] row {out}"
+            row -= b.batch.lower.size
+        raise IndexError("no such constraint")
+
+    def worst_constraints(self, y, count: int = 5):
+        """The most violated constraints: list of (name, violation)."""
+        g = self.constraints(y)
+        violation = np.maximum(self.g_lower - g, g - self.g_upper)
+        order = np.argsort(violation)[::-1][:count]
+        return [
+            (self.row_name(int(i)), float(violation[i]))
+            for i in order
+            if violation[i] > 0.0
+        ]
+
+
+def _variable_bounds(prog):
+    lower = np.full(prog.num_vars(), -np.inf)
+    upper = np.full(prog.num_vars(), np.inf)
+    for binding in prog.bounding_box_constraints():
+        index = prog.FindDecisionVariableIndices(binding.variables())
+        evaluator = binding.evaluator()
+        np.maximum.at(lower, index, evaluator.lower_bound())
+        np.minimum.at(upper, index, evaluator.upper_bound())
+    return lower, upper
+
+
+def _variable_scaling(prog):
+    scale = np.ones(prog.num_vars())
+    for index, value in prog.GetVariableScaling().items():
+        scale[index] = value
+    return scale
+
+
+def _linear_rows(program: BatchedProgram):
+    """All linear constraints that are not in a batch, as one sparse A."""
+    prog = program.prog
+    rows, columns, values, lower, upper, names = [], [], [], [], [], []
+    bindings = [
+        *prog.linear_constraints(),
+        *prog.linear_equality_constraints(),
+    ]
+    for binding in bindings:
+        evaluator = binding.evaluator()
+        A = sp.coo_array(evaluator.get_sparse_A())
+        index = program.indices(binding.variables())
+        rows.append(A.row + len(names))
+        columns.append(index[A.col])
+        values.append(A.data)
+        lower.append(evaluator.lower_bound())
+        upper.append(evaluator.upper_bound())
+        name = evaluator.get_description() or "linear constraint"
+        names.extend(f"{name} row {i}" for i in range(A.shape[0]))
+    shape = (len(names), prog.num_vars())
+    if not names:
+        return sp.csr_array(shape), np.zeros(0), np.zeros(0), names
+    A = sp.csr_array(
+        (
+            np.concatenate(values),
+            (np.concatenate(rows), np.concatenate(columns)),
+        ),
+        shape=shape,
+    )
+    return A, np.concatenate(lower), np.concatenate(upper), names
+
+
+def _quadratic_cost(prog):
+    """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c."""
+    n = prog.num_vars()
+    b, c = np.zeros(n), 0.0
+    rows, columns, values = [[]], [[]], [[]]
+    for binding in prog.linear_costs():
+        index = prog.FindDecisionVariableIndices(binding.variables())
+        np.add.at(b, index, binding.evaluator().a())
+        c += binding.evaluator().b()
+    for binding in prog.quadratic_costs():
+        evaluator = binding.evaluator()
+        index = np.asarray(
+            prog.FindDecisionVariableIndices(binding.variables())
+        )
+        Q = sp.coo_array(evaluator.Q())
+        rows.append(index[Q.row])
+        columns.append(index[Q.col])
+        values.append(Q.data)
+        np.add.at(b, index, evaluator.b())
+        c += evaluator.c()
+    Q = sp.csr_array(
+        (
+            np.concatenate(values),
+            (
+                np.concatenate(rows).astype(int),
+                np.concatenate(columns).astype(int),
+            ),
+        ),
+        shape=(n, n),
+    )
+    return Q, b, c
