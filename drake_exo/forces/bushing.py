@@ -24,7 +24,7 @@ frames in the world, angle counter-clockwise seen from the right side.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from drake_exo.forces.scalars import cos, sin
+from drake_exo.forces.scalars import any_scalar, cos, sin
 
 COMPONENTS = ("tangential", "normal", "rotation")
 
@@ -103,6 +103,7 @@ class BushingWrench(NamedTuple):
     point_z: object  # m
 
 
+@any_scalar
 def bushing_deflection(
     human_pose,
     human_motion,
@@ -147,6 +148,7 @@ def bushing_deflection(
     return deflection, rate
 
 
+@any_scalar
 def bushing_force(deflection, rate, stiffness, damping) -> Components:
     """Force on the human in F1: K d + B ḋ, component by component.
 
@@ -164,6 +166,7 @@ def bushing_force(deflection, rate, stiffness, damping) -> Components:
     )
 
 
+@any_scalar
 def bushing_energy(deflection, stiffness) -> Components:
     """Energy ½ k d² [J] stored in each component."""
     return Components(
@@ -171,6 +174,7 @@ def bushing_energy(deflection, stiffness) -> Components:
     )
 
 
+@any_scalar
 def bushing_wrench(
     force, human_pose, exoskeleton_pose, origin, preload=(0.0, 0.0, 0.0)
 ) -> BushingWrench:

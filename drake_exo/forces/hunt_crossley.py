@@ -30,6 +30,7 @@ from drake_exo.forces.contact_constants import (
     SimbodyConstants,
 )
 from drake_exo.forces.scalars import (
+    any_scalar,
     exp,
     maximum,
     minimum,
@@ -142,6 +143,7 @@ def slip_speed(law: Law, slip_velocity, constants: Constants):
     return sqrt(slip_velocity * slip_velocity + square)
 
 
+@any_scalar
 def friction_coefficient(law: Law, speed, constants: Constants):
     """Friction coefficient at a slip speed [m/s] (paper: Figure 9).
 
@@ -159,6 +161,7 @@ def friction_coefficient(law: Law, speed, constants: Constants):
     return viscous + minimum(ratio, 1.0) * stribeck
 
 
+@any_scalar
 def sphere_force(
     law: Law,
     indentation,
@@ -219,6 +222,7 @@ def contact_arm(law: Law, indentation, radius):
     return radius if law == "paper" else radius - 0.5 * indentation
 
 
+@any_scalar
 def sphere_wrench(
     law: Law,
     center_x,

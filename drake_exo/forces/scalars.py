@@ -10,13 +10,47 @@ their imaginary part when the real parts tie. Branches therefore go through
 Object arrays may mix Python floats with Drake's scalars.
 """
 
+import functools
 import math
+import numbers
+from dataclasses import is_dataclass
 
 import numpy as np
 
 
 def _is_object(*values) -> bool:
     return any(np.asarray(value).dtype == object for value in values)
+
+
+def any_scalar(function):
+    """Decorates a function whose arguments may hold Drake's scalars.
+
+    Two warnings of numpy are silenced where arguments hold objects. Drake
+    keeps an Expression in a NaN-boxed double, and some of these look like the
+    result of an invalid operation, depending on memory addresses. And the
+    derivative of a saturated tanh, 1/cosh², overflows to its right value 0.
+    """
+
+    @functools.wraps(function)
+    def quiet(*args, **kwargs):
+        if any(_holds_object(a) for a in (*args, *kwargs.values())):
+            with np.errstate(invalid="ignore", over="ignore"):
+                return function(*args, **kwargs)
+        return function(*args, **kwargs)
+
+    return quiet
+
+
+def _holds_object(value) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.dtype == object
+    if value is None or isinstance(value, numbers.Number | np.generic | str):
+        return False
+    if isinstance(value, tuple | list):
+        return any(_holds_object(item) for item in value)
+    if is_dataclass(value):
+        return any(_holds_object(item) for item in vars(value).values())
+    return True
 
 
 def _unary(ufunc, scalar_function):
@@ -27,6 +61,7 @@ def _unary(ufunc, scalar_function):
 
     on_objects = np.frompyfunc(element, 1, 1)
 
+    @any_scalar
     def function(value):
         return on_objects(value) if _is_object(value) else ufunc(value)
 
@@ -42,18 +77,36 @@ cos = _unary(np.cos, math.cos)
 sin = _unary(np.sin, math.sin)
 
 
+def _arctan2_element(y, x):
+    from pydrake.math import arctan2
+
+    return arctan2(y, x)
+
+
+_arctan2_objects = np.frompyfunc(_arctan2_element, 2, 1)
+
+
+@any_scalar
+def arctan2(y, x):
+    """Elementwise angle of (x, y) in (−π, π]; not for complex numbers."""
+    if _is_object(y, x):
+        return _arctan2_objects(y, x)
+    return np.arctan2(y, x)
+
+
 def _select_element(a, b, if_less, otherwise):
     condition = a < b
     if isinstance(condition, bool | np.bool_):
         return if_less if condition else otherwise
-    from pydrake.symbolic import Expression, if_then_else
+    from pydrake.symbolic import if_then_else
 
-    return if_then_else(condition, Expression(if_less), Expression(otherwise))
+    return if_then_else(condition, if_less, otherwise)
 
 
 _select_objects = np.frompyfunc(_select_element, 4, 1)
 
 
+@any_scalar
 def select_less(a, b, if_less, otherwise):
     """Returns `if_less` where a < b and `otherwise` elsewhere.
 
