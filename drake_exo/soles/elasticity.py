@@ -184,7 +184,7 @@ class Sole:
 
     @cached_property
     def penalty(self) -> float:
-        """r = 1 / median(C_nn) [N/m], scale of the contact law."""
+        """Scale r = 1 / median(C_nn) [N/m] of the contact law."""
         return float(1.0 / np.median(np.diag(self.compliance)[2::3]))
 
     def displacement(self, f_L: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ class Linearisation:
         return (self.D @ X.reshape(len(self.loose), 3, -1)).reshape(X.shape)
 
     def _respond(self, offset: np.ndarray, S_rhs: np.ndarray, phi_g):
-        """dF and dδ for dF = S dδ + S_rhs, firm dδ = offset.
+        """Solve dF = S dδ + S_rhs with firm dδ = offset.
 
         Args:
             offset: dδ of firm nodes, zero elsewhere (3k, c), or None.
@@ -81,7 +81,7 @@ class Linearisation:
         return T + self._S_g @ x, d_delta
 
     def pose_response(self, dQ: np.ndarray | None = None):
-        """dF and dδ for unit pose increments (dzO, dω), world, (k, 3, 6)."""
+        """Changes dF and dδ for unit pose increments (dzO, dω), (k, 3, 6)."""
         dF, d_delta = self._respond(None, self._minus_S_pose(dQ), None)
         return self._to_world(dF), self._to_world(d_delta)
 
@@ -102,7 +102,7 @@ class Linearisation:
         return self.R @ x.reshape(len(self.nodes), 3, -1)
 
     def law_response(self, phi: np.ndarray):
-        """dF and dδ of the Newton step at fixed pose, world, (k, 3)."""
+        """Newton step dF, dδ at fixed pose, world, (k, 3)."""
         local = (phi @ self.R).reshape(-1, 1)
         offset = -local / self.r
         offset[self._g] = 0.0

@@ -123,8 +123,10 @@ def brick(
             f"brick: size {size} and divisions {divisions} must be positive; "
             "give metres and whole numbers of cells"
         )
-    nx, ny, nz = divisions
-    axes = [np.linspace(0.0, s, n + 1) for s, n in zip(size, divisions)]
+    _, ny, nz = divisions
+    axes = [
+        np.linspace(0.0, s, n + 1) for s, n in zip(size, divisions, strict=True)
+    ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     nodes = grid.reshape(-1, 3) - [size[0] / 2, size[1] / 2, size[2]]
     cell = np.stack(

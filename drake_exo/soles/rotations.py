@@ -4,7 +4,7 @@ import numpy as np
 
 
 def hat(v: np.ndarray) -> np.ndarray:
-    """Skew matrices of vectors: hat(a) b = a × b.
+    """Skew matrices of vectors: the product with b is a × b.
 
     Args:
         v: Vectors, shape (..., 3).

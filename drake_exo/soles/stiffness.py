@@ -28,7 +28,7 @@ def _singular_values(K: np.ndarray) -> np.ndarray:
 
 
 def stability(K_c: np.ndarray, length: float = STABILITY_LENGTH):
-    """min eig of S sym(−K_c) S, S = diag(1, 1, 1, 1/L, 1/L, 1/L) [N/m].
+    """Least eigenvalue of S sym(−K_c) S, S = diag(I, I/L) [N/m].
 
     Positive is sufficient for stability under a dead wrench (K_c is not
     symmetric).

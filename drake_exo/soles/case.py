@@ -1,0 +1,310 @@
+"""Case files of `drake-exo sole`: dataclasses, one for each block of keys.
+
+Paths in a case are relative to --data-root where given, else to the case
+file's folder. See docs/soles.md for every key.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from drake_exo import schema
+from drake_exo.errors import InputError
+from drake_exo.soles import loads, mesh
+from drake_exo.soles.contact import Start
+from drake_exo.soles.elasticity import MATERIALS, Material, Sole
+from drake_exo.soles.node_law import ContactLaw
+
+Vector3 = tuple[float, float, float]
+Vector2 = tuple[float, float]
+
+
+def _positive(unit: str, default=None):
+    meta = {"unit": unit, "above": 0.0}
+    return field(default=default, metadata=meta)
+
+
+def _not_negative(unit: str, default: float):
+    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
+
+
+@dataclass(frozen=True)
+class Brick:
+    """A brick meshed by code."""
+
+    size_m: Vector3
+    divisions: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class MeshBlock:
+    """Where the mesh comes from: a file or a brick."""
+
+    file: str | None = None
+    brick: Brick | None = None
+    origin_m: Vector3 | None = None
+    element: Literal["linear", "nodal_pressure"] = "linear"
+
+    def __post_init__(self):
+        _exactly_one(self, ("file", "brick"))
+
+
+@dataclass(frozen=True)
+class MaterialBlock:
+    """A named material; numbers given replace the named one's."""
+
+    name: str
+    youngs_modulus_pa: float | None = _positive("Pa")
+    poissons_ratio: float | None = None
+    density_kg_per_m3: float | None = _positive("kg/m³")
+
+    def material(self) -> Material:
+        """The material with its numbers filled in."""
+        known = MATERIALS.get(self.name)
+        values = []
+        for key in ("youngs_modulus_pa", "poissons_ratio",
+                    "density_kg_per_m3"):  # fmt: skip
+            value = getattr(self, key)
+            if value is None and known is None:
+                raise InputError(
+                    f"material {self.name!r} is not one of "
+                    f"{', '.join(MATERIALS)}; give its {key}"
+                )
+            values.append(getattr(known, key) if value is None else value)
+        return Material(self.name, *values)
+
+
+@dataclass(frozen=True)
+class ContactBlock:
+    """Contact law and solver."""
+
+    friction: float = _not_negative("", 0.8)
+    law: Literal["exact", "smoothed"] = "exact"
+    layer_m: float = _not_negative("m", 1e-5)
+    kappa: float = _not_negative("", 0.1)
+    method: Literal["newton", "gauss_seidel"] = "newton"
+
+
+@dataclass(frozen=True)
+class StartBlock:
+    """How the sole is held just before the first contact."""
+
+    point_in_sole_m: Vector3 | None = None
+    point_in_world_m: Vector2 | None = None
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class OneFoot:
+    """The soft-sole authors' file of one foot."""
+
+    file: str
+    origin_m: Vector2
+    skip_first: int = 10
+    skip_last: int = 11
+
+
+@dataclass(frozen=True)
+class Csv:
+    """A plain CSV of force and ZMP."""
+
+    file: str
+    origin_m: Vector2 = (0.0, 0.0)
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class ForcePlate:
+    """One foot's force plate in an OpenSim .mot file."""
+
+    file: str
+    prefix: str
+    start_s: float
+    end_s: float
+    origin_m: Vector2
+    yaw_rad: float = 0.0
+    least_force_n: float = _positive("N", 20.0)
+
+
+@dataclass(frozen=True)
+class Playback:
+    """One stance of an HRP-4 playback file."""
+
+    file: str
+    foot: Literal["left", "right"]
+    step: int
+    mass_kg: float = _positive("kg", 43.0)
+    period_s: float = _positive("s", 0.005)
+    gravity_m_per_s2: float = _positive("m/s²", 9.81)
+    ankle_to_centre_m: Vector2 = (0.015, 0.011)
+    least_force_n: float = _positive("N", 20.0)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A planar prediction of the exoskeleton half (CSV), both feet."""
+
+    file: str
+    origin_m: Vector2
+    share: float = field(
+        default=0.5, metadata={"above": 0.0, "maximum": 1.0}
+    )  # fmt: skip
+    least_force_n: float = _positive("N", 20.0)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same force and ZMP at every sample."""
+
+    force_n: Vector3
+    zmp_m: Vector2
+    samples: int = field(default=1, metadata={"minimum": 1})
+
+
+_KINDS = (
+    "one_foot", "csv", "force_plate", "playback", "prediction", "constant",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoadBlock:
+    """Where force and ZMP come from: exactly one kind."""
+
+    one_foot: OneFoot | None = None
+    csv: Csv | None = None
+    force_plate: ForcePlate | None = None
+    playback: Playback | None = None
+    prediction: Prediction | None = None
+    constant: Constant | None = None
+    straight: bool = False
+
+    def __post_init__(self):
+        _exactly_one(self, _KINDS)
+
+    def load(self, root: Path) -> loads.Load:
+        """Read the load; files are relative to `root`."""
+        load = self._read(root)
+        return load.straight() if self.straight else load
+
+    def _read(self, root: Path) -> loads.Load:
+        if (c := self.one_foot) is not None:
+            load = loads.read_one_foot(root / c.file, c.skip_first, c.skip_last)
+            return load.placed(c.origin_m, 0.0)
+        if (c := self.csv) is not None:
+            return loads.read_csv(root / c.file).placed(c.origin_m, c.yaw_rad)
+        if (c := self.force_plate) is not None:
+            load = loads.read_force_plate(
+                root / c.file, c.prefix, c.start_s, c.end_s, c.least_force_n
+            )
+            return load.placed(c.origin_m, c.yaw_rad)
+        if (c := self.playback) is not None:
+            return loads.read_playback(
+                root / c.file,
+                c.foot,
+                c.step,
+                c.mass_kg,
+                c.period_s,
+                c.gravity_m_per_s2,
+                c.ankle_to_centre_m,
+                c.least_force_n,
+            )
+        if (c := self.prediction) is not None:
+            load = loads.read_prediction(
+                root / c.file, c.share, c.least_force_n
+            )
+            return load.placed(c.origin_m, 0.0)
+        c = self.constant
+        return loads.constant(c.force_n, c.zmp_m, c.samples)
+
+
+@dataclass(frozen=True)
+class CostBlock:
+    """The paper's cost c = c_tr − w c_rot."""
+
+    weight: float = _not_negative("", 1.0)
+    heel_strike_fraction: float = field(
+        default=0.1, metadata={"above": 0.0, "maximum": 1.0}
+    )
+    mass_limit_kg: float = _positive("kg", 1.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Everything that one simulation of a sole needs."""
+
+    name: str
+    mesh: MeshBlock
+    material: MaterialBlock
+    load: LoadBlock
+    contact: ContactBlock = ContactBlock()
+    start: StartBlock = StartBlock()
+    cost: CostBlock = CostBlock()
+
+    def __post_init__(self):
+        self.material.material()
+        if self.contact.friction == 0:
+            raise InputError(
+                "contact.friction is 0: without friction nothing holds a "
+                "foot whose pose is free; give a value above 0"
+            )
+
+    def read_mesh(self, root: Path, replacement: Path | None = None):
+        """The case's mesh, or that of a file given instead."""
+        if replacement is not None:
+            guess = None
+            if self.mesh.file is not None:
+                guess = self.mesh.origin_m
+            return mesh.read_mesh(replacement, guess)
+        if self.mesh.brick is not None:
+            return mesh.brick(self.mesh.brick.size_m, self.mesh.brick.divisions)
+        return mesh.read_mesh(root / self.mesh.file, self.mesh.origin_m)
+
+    def sole(self, tets: mesh.TetMesh) -> Sole:
+        """The meshed sole with its material."""
+        return Sole(tets, self.material.material(), self.mesh.element)
+
+    def law(self, sole: Sole) -> ContactLaw:
+        """The contact law with the sole's own scale r."""
+        smooth = self.contact.law == "smoothed"
+        return ContactLaw(
+            self.contact.friction,
+            sole.penalty,
+            self.contact.layer_m if smooth else 0.0,
+            self.contact.kappa if smooth else 0.0,
+        )
+
+    def start_pose(self, tets: mesh.TetMesh) -> Start:
+        """How the sole is held; by default at its lowest back edge.
+
+        The default point is the middle of the lower back edge of the
+        mesh's bounding box, held where a level sole at the world's origin
+        has it.
+        """
+        point = self.start.point_in_sole_m
+        if point is None:
+            low, high = tets.nodes.min(axis=0), tets.nodes.max(axis=0)
+            point = (low[0], 0.5 * (low[1] + high[1]), low[2])
+        place = self.start.point_in_world_m or point[:2]
+        return Start(
+            np.array(point), np.array([*place, 0.0]), self.start.yaw_rad
+        )
+
+
+def read_case(path: Path | str) -> Case:
+    """Read a case file.
+
+    Raises:
+        InputError: With file, line, key and remedy.
+    """
+    return schema.load(path, Case)
+
+
+def _exactly_one(block, names) -> None:
+    given = [n for n in names if getattr(block, n) is not None]
+    if len(given) != 1:
+        raise InputError(
+            f"give exactly one of {', '.join(names)}, not "
+            f"{' and '.join(given) or 'none'}"
+        )

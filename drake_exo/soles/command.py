@@ -1,0 +1,199 @@
+"""The command `drake-exo sole`: simulate a sole through a step."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.output import Progress, prepare_output_folder, write_json
+from drake_exo.soles import results
+from drake_exo.soles.case import read_case
+from drake_exo.soles.simulation import simulate
+from drake_exo.soles.stiffness import heel_strike_count
+
+
+def add_parser(subparsers) -> None:
+    """Offer `sole simulate` to the command line."""
+    sole = subparsers.add_parser(
+        "sole", help="simulate and optimise compliant soles"
+    )
+    jobs = sole.add_subparsers(dest="job", required=True)
+    parser = jobs.add_parser(
+        "simulate", help="simulate a sole through one contact phase"
+    )
+    parser.add_argument("case", type=Path, metavar="CASE.yaml")
+    add_common_arguments(parser)
+    parser.set_defaults(run=run_simulate)
+
+
+def add_common_arguments(parser) -> None:
+    """Arguments that every job on a case file has."""
+    parser.add_argument(
+        "--mesh", type=Path, help="mesh file used instead of the case's"
+    )
+    parser.add_argument(
+        "--data-root",
+        type=Path,
+        help="folder that the case's paths are relative to "
+        "(default: the case file's)",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for the results"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace earlier results"
+    )
+
+
+def case_root(args) -> Path:
+    """Folder that the paths in a case are relative to."""
+    return args.data_root or args.case.parent
+
+
+def run_simulate(args) -> int:
+    """Simulate one case; 0 if every step converged, else 1."""
+    clock = _Clock()
+    case = read_case(args.case)
+    root = case_root(args)
+    load = case.load.load(root)
+    mesh = case.read_mesh(root, args.mesh)
+    load.check_inside(mesh.nodes[mesh.contact])
+    clock.lap("mesh")
+    folder = prepare_output_folder(args.out, args.force)
+    sole = case.sole(mesh)
+    sole.compliance  # noqa: B018 - computed here, so that it is timed apart
+    law, start = case.law(sole), case.start_pose(mesh)
+    clock.lap("condensation")
+    with folder as out:
+        history = run_history(case, sole, law, start, load)
+        clock.lap("simulation")
+        write_results(out, case, sole, law, start, load, history, clock)
+    return report(case.name, args.out, history, case)
+
+
+def run_history(case, sole, law, start, load):
+    """Simulate with progress on the terminal."""
+    solver = None
+    if case.contact.method == "gauss_seidel":
+        from drake_exo.soles.gauss_seidel import GaussSeidelSolver
+
+        solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
+    progress = Progress(case.name, len(load.times), interval_seconds=2.0)
+    return simulate(
+        sole.compliance,
+        sole.positions,
+        law,
+        load.force,
+        load.zmp,
+        start,
+        solver=solver,
+        progress=lambda done, _: progress.update("samples", done),
+    )
+
+
+def write_results(
+    out: Path, case, sole, law, start, load, history, clock
+) -> None:
+    """Tables, arrays, pictures, animation and, last, summary.json."""
+    numbers = results.summary(case, sole, history)
+    numbers["complementarity"] = results.complementarity(
+        history, law, start, sole.positions
+    )
+    if load.free_moment is not None:
+        numbers["measured_free_moment_nm"] = {
+            "mean": float(load.free_moment.mean()),
+            "largest": float(np.abs(load.free_moment).max()),
+            "simulated": 0.0,
+        }
+    columns = results.step_table(load, history)
+    results.write_csv(out / "steps.csv", columns)
+    results.write_history(out / "history.npz", sole.mesh, load, history)
+    clock.lap("tables")
+    draw(out, case, sole, load, history, columns)
+    clock.lap("pictures")
+    numbers.update(clock.seconds)
+    write_json(out / "summary.json", numbers)
+
+
+def draw(out: Path, case, sole, load, history, columns) -> None:
+    """All pictures and the animation of one simulation."""
+    # Imported here: matplotlib and meshcat are of no use to a failing case.
+    from drake_exo.soles import pictures
+    from drake_exo.soles.animation import write_animation
+
+    mesh, areas = sole.mesh, results.nodal_areas(sole.mesh)
+    count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
+    pictures.load_figure(out / "load.png", load, mesh)
+    curve = (
+        load.times,
+        columns["sigma_max_tr_n_per_m"],
+        columns["sigma_min_rot_nm_per_rad"],
+    )
+    pictures.stiffness_figure(
+        out / "stiffness.png", {case.name: curve}, load.times[count - 1]
+    )
+    pictures.pose_figure(out / "pose.png", columns)
+    pictures.pressure_figure(out / "pressure.png", mesh, load, history, areas)
+    if history.converged.any():
+        places, faces = surface_places(sole, history)
+        pressure = np.zeros(places.shape[:2])
+        pressure[:, surface_contact(mesh)] = (
+            1e-3 * history.F[history.converged][:, :, 2] / areas
+        )
+        write_animation(
+            out / "animation.html",
+            faces,
+            places,
+            pressure,
+            load.times[history.converged],
+            case.name,
+        )
+
+
+def surface_contact(mesh) -> np.ndarray:
+    """Places of the contact nodes among the surface nodes."""
+    return np.searchsorted(np.unique(mesh.boundary_faces), mesh.contact)
+
+
+def surface_places(sole, history) -> tuple[np.ndarray, np.ndarray]:
+    """World places of all surface nodes over converged samples; faces."""
+    mesh = sole.mesh
+    surface = np.unique(mesh.boundary_faces)
+    rest = mesh.nodes[surface]
+    good = history.converged
+    O, R = history.O[good], history.R[good]  # noqa: E741
+    places = O[:, None, :] + np.einsum("qij,nj->qni", R, rest)
+    # Glued nodes move with the foot; contact nodes are already known.
+    places[:, surface_contact(mesh)] = history.P[good]
+    return places, np.searchsorted(surface, mesh.boundary_faces)
+
+
+def report(name: str, out: Path, history, case) -> int:
+    """Print the outcome; the exit code."""
+    cost = case.cost
+    c_tr, c_rot, c = history.costs(cost.weight, cost.heel_strike_fraction)
+    print(
+        f"{name}: c_tr {c_tr:.4g} N/m, c_rot {c_rot:.4g} N·m/rad, "
+        f"c {c:.4g}, {len(history.reports)} steps"
+    )
+    bad = np.flatnonzero(~history.converged)
+    for q in bad[:5]:
+        print(f"{name}: step {q} failed: {history.reports[q].message}")
+    if len(bad):
+        print(f"{name}: {len(bad)} steps failed")
+    print(f"{name}: results in {out}")
+    return 1 if len(bad) else 0
+
+
+class _Clock:
+    """Seconds of each part of a run."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, part: str) -> None:
+        """Seconds since the last lap belong to `part`."""
+        now = time.perf_counter()
+        self.seconds[f"{part}_seconds"] = round(now - self._last, 4)
+        self._last = now

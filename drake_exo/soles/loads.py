@@ -1,0 +1,381 @@
+"""Loads: desired force and ZMP of one foot over one contact phase.
+
+All readers return a `Load` in the sole's world frame: x forward, y left,
+z up, the ground at z = 0, the origin below the sole frame's origin as the
+foot is set down.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from drake_exo.errors import InputError
+from drake_exo.soles.rotations import rotation_z
+
+
+@dataclass(frozen=True)
+class Load:
+    """Force and ZMP at N samples.
+
+    Attributes:
+        times: [s], (N,), strictly increasing.
+        force: Force of the ground on the sole, world [N], (N, 3).
+        zmp: ZMP on the ground, world [m], (N, 2).
+        name: Where it came from, for messages.
+        free_moment: Measured moment about the vertical through the ZMP
+            [N·m], (N,); reported only: the simulation asks for none.
+    """
+
+    times: np.ndarray
+    force: np.ndarray
+    zmp: np.ndarray
+    name: str = "load"
+    free_moment: np.ndarray | None = None
+
+    def __post_init__(self):
+        for label in ("times", "force", "zmp"):
+            if not np.isfinite(getattr(self, label)).all():
+                raise InputError(
+                    f"{self.name}: {label} holds NaN or infinity; clean the "
+                    "recording"
+                )
+        if len(self.times) == 0:
+            raise InputError(f"{self.name}: no samples; widen the window")
+        step = np.diff(self.times)
+        if (step <= 0).any():
+            first = int(np.argmax(step <= 0))
+            what = "two samples at one time" if step[first] == 0 else (
+                "time runs backwards"
+            )  # fmt: skip
+            raise InputError(
+                f"{self.name}: {what} ({self.times[first + 1]:g} s); remove "
+                "the repeated rows"
+            )
+        low = self.force[:, 2] <= 0
+        if low.any():
+            first = int(np.argmax(low))
+            raise InputError(
+                f"{self.name}: the vertical force is "
+                f"{self.force[first, 2]:g} N at {self.times[first]:g} s; it "
+                "must be above 0 at every sample, so leave the swing phase "
+                "out"
+            )
+
+    def straight(self) -> "Load":
+        """The heel-to-toe case: no sideways ZMP nor force."""
+        along = np.array([1.0, 0.0])
+        return replace(
+            self,
+            force=self.force * [1.0, 0.0, 1.0],
+            zmp=self.zmp * along,
+        )
+
+    def placed(self, origin, yaw: float) -> "Load":
+        """Seen from a foot at `origin` [m] turned by `yaw` [rad]."""
+        turn = rotation_z(-yaw)
+        return replace(
+            self,
+            force=self.force @ turn.T,
+            zmp=(self.zmp - np.asarray(origin)) @ turn[:2, :2].T,
+        )
+
+    def every(self, count: int) -> "Load":
+        """`count` samples spread evenly over the phase."""
+        index = np.unique(
+            np.round(np.linspace(0, len(self.times) - 1, count)).astype(int)
+        )
+        return replace(
+            self,
+            times=self.times[index],
+            force=self.force[index],
+            zmp=self.zmp[index],
+            free_moment=None
+            if self.free_moment is None
+            else self.free_moment[index],
+        )
+
+    def check_inside(self, lP: np.ndarray) -> None:
+        """Refuse a ZMP outside the sole's outline.
+
+        Args:
+            lP: Places of the sole's nodes in its frame [m], (m, 3).
+
+        Raises:
+            InputError: Names the first sample outside.
+        """
+        hull = ConvexHull(lP[:, :2])
+        distance = (
+            self.zmp @ hull.equations[:, :2].T + hull.equations[:, 2]
+        ).max(axis=1)
+        outside = distance > 1e-9
+        if outside.any():
+            q = int(np.argmax(outside))
+            x, y = self.zmp[q]
+            raise InputError(
+                f"{self.name}: the ZMP is outside the sole by "
+                f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s "
+                f"(x {x:.4f} m, y {y:.4f} m in the sole frame, "
+                f"{outside.sum()} of {len(outside)} samples); check the "
+                "load's origin_m and yaw_rad, or take a larger sole"
+            )
+
+
+def constant(force, zmp, samples: int = 1, period: float = 0.005) -> Load:
+    """The same force [N] and ZMP [m] at every sample."""
+    return Load(
+        np.arange(samples) * period,
+        np.tile(np.asarray(force, float), (samples, 1)),
+        np.tile(np.asarray(zmp, float), (samples, 1)),
+        "constant load",
+    )
+
+
+def read_one_foot(path, skip_first: int = 10, skip_last: int = 11) -> Load:
+    """The soft-sole authors' file: t, ZMP xy, CoM xy, force xyz."""
+    table = _table(path, columns=8, skiprows=1, delimiter=None)
+    table = table[skip_first : len(table) - skip_last]
+    return Load(table[:, 0], table[:, 5:8], table[:, 1:3], str(path))
+
+
+CSV_COLUMNS = ("time_s", "force_x_n", "force_y_n", "force_z_n",
+               "zmp_x_m", "zmp_y_m")  # fmt: skip
+
+
+def read_csv(path) -> Load:
+    """A CSV file with a header line naming `CSV_COLUMNS` in any order."""
+    names = _first_line(path).split(",")
+    names = [n.strip() for n in names]
+    missing = [c for c in CSV_COLUMNS if c not in names]
+    if missing:
+        raise InputError(
+            f"{path}:1: column {missing[0]!r} is missing; the header must "
+            f"name {', '.join(CSV_COLUMNS)}"
+        )
+    table = _table(path, len(names), skiprows=1, delimiter=",")
+    t, fx, fy, fz, zx, zy = (table[:, names.index(c)] for c in CSV_COLUMNS)
+    return Load(t, np.stack([fx, fy, fz], 1), np.stack([zx, zy], 1), str(path))
+
+
+def read_force_plate(
+    path,
+    prefix: str,
+    start_s: float,
+    end_s: float,
+    least_force_n: float = 20.0,
+    suffixes: tuple[str, str, str] = ("v", "p", "m"),
+) -> Load:
+    """One plate of an OpenSim `.mot` file (x forward, y up, z right).
+
+    Args:
+        path: File with columns `<prefix>_vx`, `_px`, `_my` and so on.
+        prefix: Such as "ground_force_2".
+        start_s: Window's first time [s].
+        end_s: Window's last time [s].
+        least_force_n: Samples below are left out at both ends [N].
+        suffixes: Letters of force, centre of pressure and moment.
+    """
+    lines = _text(path).splitlines()
+    header = next(
+        (i for i, s in enumerate(lines) if s.strip() == "endheader"), None
+    )
+    if header is None or header + 1 >= len(lines):
+        raise InputError(
+            f"{path}: no 'endheader' line; give an OpenSim .mot file"
+        )
+    names = lines[header + 1].split()
+    force, point, moment = (
+        [f"{prefix}_{s}{axis}" for axis in "xyz"] for s in suffixes
+    )
+    for name in ["time", *force, *point, *moment]:
+        if name not in names:
+            raise InputError(
+                f"{path}:{header + 2}: column {name!r} is missing; check the "
+                f"plate's prefix {prefix!r}"
+            )
+    table = _table(path, len(names), header + 2, None)
+    rows = (table[:, 0] >= start_s - 1e-9) & (table[:, 0] <= end_s + 1e-9)
+    table = table[rows]
+
+    def turned(columns):  # (x, y up, z right) -> (x, y left, z up)
+        x, y, z = (table[:, names.index(c)] for c in columns)
+        return np.stack([x, -z, y], axis=1)
+
+    F, P, M = turned(force), turned(point), turned(moment)
+    loaded = np.flatnonzero(F[:, 2] >= least_force_n)
+    if len(loaded) == 0:
+        raise InputError(
+            f"{path}: {prefix} carries less than {least_force_n:g} N from "
+            f"{start_s:g} to {end_s:g} s; choose another window"
+        )
+    keep = slice(loaded[0], loaded[-1] + 1)
+    return Load(
+        table[keep, 0], F[keep], P[keep, :2], f"{path} {prefix}", M[keep, 2]
+    )
+
+
+def read_playback(
+    path,
+    foot: str,
+    step: int,
+    mass_kg: float,
+    period_s: float = 0.005,
+    gravity: float = 9.81,
+    ankle_to_centre=(0.015, 0.011),
+    least_force_n: float = 20.0,
+) -> Load:
+    """One stance of an HRP-4 playback file (37 columns, no times).
+
+    The force is m (a + g); in double support it is shared by the ZMP's
+    progress between its places at both ends (`share_double_support`).
+
+    Args:
+        path: Playback file.
+        foot: "left" or "right".
+        step: Which stance of that foot, counted from 0.
+        mass_kg: The robot's mass.
+        period_s: Time between rows.
+        gravity: [m/s²].
+        ankle_to_centre: Sole's centre from the ankle: forward, and outward
+            (away from the other foot) [m].
+        least_force_n: Samples below are left out at both ends [N].
+    """
+    table = _table(path, columns=37, skiprows=0, delimiter=None)
+    phase = np.round(table[:, 0]).astype(int)
+    mine = {"left": 1, "right": 2}[foot]
+    runs = stances(phase, mine)
+    if not 0 <= step < len(runs):
+        raise InputError(
+            f"{path}: the {foot} foot has {len(runs)} stances; step {step} "
+            "does not exist (counted from 0)"
+        )
+    first, last = runs[step]
+    total = mass_kg * (table[:, 10:13] + [0.0, 0.0, gravity])
+    share, zmp = share_double_support(table[:, 1:3], phase, mine)
+    rows = np.arange(first, last)
+    rows = rows[share[rows] * total[rows, 2] >= least_force_n]
+    column = 13 if foot == "left" else 22
+    middle = rows[phase[rows] == mine]
+    ankle = table[middle[len(middle) // 2], column : column + 2]
+    outward = ankle_to_centre[1] * (1 if foot == "left" else -1)
+    load = Load(
+        rows * period_s,
+        share[rows, None] * total[rows],
+        zmp[rows],
+        f"{path} {foot} step {step}",
+    )
+    return load.placed(ankle + np.array([ankle_to_centre[0], outward]), 0.0)
+
+
+PREDICTION_COLUMNS = ("time_s", "grf_x_n", "grf_z_n", "cop_x_m")
+
+
+def read_prediction(
+    path, share: float = 0.5, least_force_n: float = 20.0
+) -> Load:
+    """A planar prediction of the exoskeleton half, in the sagittal plane.
+
+    A CSV file whose header names `PREDICTION_COLUMNS` in any order among
+    others: ground reaction of both feet and its centre of pressure.
+
+    Args:
+        path: CSV file.
+        share: Part of the force on this foot.
+        least_force_n: Samples below are left out [N].
+    """
+    names = [n.strip() for n in _first_line(path).split(",")]
+    missing = [c for c in PREDICTION_COLUMNS if c not in names]
+    if missing:
+        raise InputError(
+            f"{path}:1: column {missing[0]!r} is missing; the header must "
+            f"name {', '.join(PREDICTION_COLUMNS)}"
+        )
+    table = _table(path, len(names), skiprows=1, delimiter=",")
+    t, fx, fz, x = (table[:, names.index(c)] for c in PREDICTION_COLUMNS)
+    keep = share * fz >= least_force_n
+    zero = np.zeros_like(t)
+    force = share * np.stack([fx, zero, fz], axis=1)
+    return Load(
+        t[keep], force[keep], np.stack([x, zero], axis=1)[keep], str(path)
+    )
+
+
+def stances(phase: np.ndarray, mine: int) -> list[tuple[int, int]]:
+    """Row ranges around single supports `mine`, double supports included.
+
+    Only stances between two double supports that others' single supports
+    bound are whole; standing at either end of the file is left out.
+    """
+    change = np.flatnonzero(np.diff(phase)) + 1
+    edges = np.concatenate([[0], change, [len(phase)]])
+    runs = []
+    for k in range(1, len(edges) - 2):
+        before, after = k - 2, k + 2
+        if phase[edges[k]] == mine and before >= 0 and after < len(edges) - 1:
+            runs.append((int(edges[k - 1]), int(edges[k + 2])))
+    return runs
+
+
+def share_double_support(zmp, phase, mine):
+    """Share of the force on one foot and its own ZMP, row by row.
+
+    In each double support the total ZMP Z goes from A, under the foot that
+    unloads, to B, under the one that loads. With α the progress of Z along
+    AB and ρ = Z − (1 − α) A − α B, the feet take (1 − α) at A + ρ and α at
+    B + ρ: force and ZMP are continuous and add up to the total.
+
+    Returns:
+        share (n,), ZMP under this foot (n, 2).
+    """
+    n = len(zmp)
+    share = (phase == mine).astype(float)
+    own = zmp.copy()
+    change = np.flatnonzero(np.diff(phase)) + 1
+    edges = np.concatenate([[0], change, [n]])
+    for k in range(1, len(edges) - 2):
+        rows = slice(edges[k], edges[k + 1])
+        if phase[edges[k]] != 0:
+            continue
+        A, B = zmp[edges[k] - 1], zmp[edges[k + 1]]
+        AB = B - A
+        alpha = np.clip((zmp[rows] - A) @ AB / (AB @ AB), 0.0, 1.0)
+        rho = zmp[rows] - A - alpha[:, None] * AB
+        if phase[edges[k] - 1] == mine:
+            share[rows], own[rows] = 1 - alpha, A + rho
+        elif phase[edges[k + 1]] == mine:
+            share[rows], own[rows] = alpha, B + rho
+    return share, own
+
+
+def _text(path) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); check the path and "
+            "--data-root"
+        ) from None
+
+
+def _first_line(path) -> str:
+    return (_text(path).splitlines() or [""])[0]
+
+
+def _table(path, columns: int, skiprows: int, delimiter) -> np.ndarray:
+    """Numbers of a text file, each row checked for its number of columns."""
+    rows = []
+    for number, line in enumerate(_text(path).splitlines()[skiprows:]):
+        if not line.strip():
+            continue
+        place = f"{path}:{skiprows + number + 1}"
+        words = line.split(delimiter)
+        if len(words) != columns:
+            raise InputError(
+                f"{place}: {len(words)} values where {columns} are due"
+            )
+        try:
+            rows.append([float(w) for w in words])
+        except ValueError:
+            raise InputError(f"{place}: a value is not a number") from None
+    return np.array(rows).reshape(-1, columns)
