@@ -131,8 +131,7 @@ def human_sdf(human: HumanParameters) -> str:
             stretch = _Stretch((x, x, z), (x, width, z))
         else:
             z = segment.length_m / reference.length_m
-            girth = _girth(segment, reference)
-            stretch = _Stretch((girth, girth, z), (girth, width, z))
+            stretch = _Stretch((width, width, z), (width, width, z))
         _rewrite_link(model, name, segment, stretch)
     _set_frame(model, "knee_centre", (0.0, human.shank.length_m))
     _set_frame(model, "hip_centre", (0.0, human.thigh.length_m))
@@ -172,14 +171,10 @@ def exoskeleton_sdf(
 
 
 def body_width(human: HumanParameters) -> float:
-    """Breadth of the hips against those of the nominal human."""
-    return _girth(human.pelvis, nominal_human().pelvis)
-
-
-def _girth(segment: SegmentParameters, reference: SegmentParameters) -> float:
-    """Thickness ratio of a segment of equal density."""
-    length = segment.length_m / reference.length_m
-    return sqrt(segment.mass_kg / reference.mass_kg / length)
+    """Breadth against the nominal human's, for a body of equal density."""
+    nominal = nominal_human()
+    height = human.height_m / nominal.height_m
+    return sqrt(human.mass_kg / nominal.mass_kg / height)
 
 
 def _sole_depth(exoskeleton: ExoskeletonParameters) -> float:
