@@ -71,6 +71,10 @@ class Solution:
             )
         return self._values[indices]
 
+    def raw_values(self) -> np.ndarray:
+        """All program variables, sealed or not: for reports of failures."""
+        return self._values
+
     def explain(self) -> str:
         """The worst constraints by name, and what to try next."""
         if self.success:

@@ -118,6 +118,8 @@ class SparseProgram:
         g_lower, g_upper: bounds on g.
         jacobian_structure: (rows, columns) of the nonzeros.
         hessian_structure: (rows, columns) of the lower triangle.
+        matrix, offset: B and offset of x = offset + B y.
+        residual_blocks: least-squares terms of the cost.
         seconds: time spent by part, filled while solving.
         evaluations: calls by part.
     """
@@ -264,7 +266,7 @@ class SparseProgram:
         )
 
     def _collect_costs(self):
-        self._residuals = [
+        self.residual_blocks = [
             _Block(batch, self.matrix) for batch in self.program.residuals
         ]
         Q, b, c = _quadratic_cost(self.program.prog)
@@ -304,7 +306,7 @@ class SparseProgram:
 
     def _lay_out_hessian(self):
         """Union of all blocks' lower triangles, and where each one lands."""
-        curved = [*self._residuals, *self._costs]
+        curved = [*self.residual_blocks, *self._costs]
         if self.exact_hessian:
             curved += [
                 b for b in self._blocks if not hasattr(b.batch.kernel, "A")
@@ -349,14 +351,14 @@ class SparseProgram:
     def _residual_terms(self, y):
         def compute():
             x = self.expand(y)
-            return [b.values(x) for b in self._residuals]
+            return [b.values(x) for b in self.residual_blocks]
 
         return self._timed("residuals", y, compute)
 
     def _residual_jacobians(self, y):
         def compute():
             x = self.expand(y)
-            return [b.jacobian(x) for b in self._residuals]
+            return [b.jacobian(x) for b in self.residual_blocks]
 
         return self._timed("residual_jacobian", y, compute)
 
@@ -375,7 +377,7 @@ class SparseProgram:
         g = self._Q @ y + self._b
         terms = list(
             zip(
-                self._residuals,
+                self.residual_blocks,
                 self._residual_terms(y),
                 self._residual_jacobians(y),
                 strict=True,
@@ -423,7 +425,7 @@ class SparseProgram:
         x = self.expand(y)
         jacobians = dict(
             zip(
-                map(id, self._residuals),
+                map(id, self.residual_blocks),
                 self._residual_jacobians(y),
                 strict=True,
             )
@@ -449,7 +451,7 @@ class SparseProgram:
         if not self.exact_hessian:
             return weights
         terms = self._residual_terms(y)
-        for b, r in zip(self._residuals, terms, strict=True):
+        for b, r in zip(self.residual_blocks, terms, strict=True):
             weights[id(b)] = factor * r
         first = self._A.shape[0]
         for b in self._blocks:

@@ -1,0 +1,185 @@
+"""A movement of a planar model on the ground, as part of a program.
+
+One `Movement` is one trial: trajectories on a collocation grid, joint torques
+and ground reaction as controls, and the equations that tie them. Several
+movements share one program and one set of contact parameters.
+"""
+
+import numpy as np
+
+from drake_exo.nlp.batch import BatchedProgram
+from drake_exo.optimal_control.kernels import (
+    FORCE_UNIT,
+    GROUND_MOMENT_UNIT,
+    MOMENT_UNIT,
+    DynamicsKernel,
+    FootGroundKernel,
+)
+from drake_exo.optimal_control.transcription import (
+    TRANSCRIPTIONS,
+    Transcription,
+)
+from drake_exo.parameters import ContactParameter
+from drake_exo.planar_tree import PlanarTree
+
+
+class Movement:
+    """Variables and constraints of one trial.
+
+    Attributes:
+        name: of the trial.
+        grid: transcription with q, v, a and jerk.
+        torque: (n, nq - 3) joint torques [N m].
+        ground: (n, 3) ground reaction F_x, F_z [N] and M_y about the
+            laboratory origin [N m].
+    """
+
+    def __init__(
+        self,
+        program: BatchedProgram,
+        name: str,
+        tree: PlanarTree,
+        duration: float,
+        nodes_per_second: float,
+        transcription: str = "hermite_simpson",
+    ):
+        self.name = name
+        self.program = program
+        nq = tree.num_positions
+        intervals = max(round(duration * nodes_per_second), 1)
+        self.grid: Transcription = TRANSCRIPTIONS[transcription](
+            program, name, nq, duration, intervals
+        )
+        n = len(self.grid.times)
+        prog = program.prog
+        torque = prog.NewContinuousVariables(n * (nq - 3), f"{name} torque")
+        self.torque = torque.reshape(n, nq - 3)
+        ground = prog.NewContinuousVariables(n * 3, f"{name} ground")
+        self.ground = ground.reshape(n, 3)
+        for variable in torque:
+            prog.SetVariableScaling(variable, MOMENT_UNIT)
+        units = (FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT)
+        for column, unit in zip(self.ground.T, units, strict=True):
+            for variable in column:
+                prog.SetVariableScaling(variable, unit)
+        grid = self.grid
+        program.add_constraints(
+            f"{name} dynamics",
+            DynamicsKernel(tree),
+            np.hstack([grid.q, grid.v, grid.a, self.torque, self.ground]),
+        )
+
+    def stand_on(self, kernel: FootGroundKernel, parameters: np.ndarray):
+        """Tie the ground reaction to the contact law.
+
+        Args:
+            kernel: the law.
+            parameters: its decision variables, in the kernel's order.
+        """
+        grid = self.grid
+        n = len(grid.times)
+        variables = np.hstack(
+            [
+                grid.q[:, :3],
+                grid.v[:, :3],
+                self.ground,
+                np.broadcast_to(parameters, (n, len(parameters))),
+            ]
+        )
+        self.program.add_constraints(
+            f"{self.name} foot-ground", kernel, variables
+        )
+
+    def bound(self, variables, lower, upper) -> None:
+        """Bound variables of this movement; equal bounds fix them."""
+        self.program.prog.AddBoundingBoxConstraint(
+            np.asarray(lower, float), np.asarray(upper, float), variables
+        )
+
+    def track(self, terms: "list[Tracking]") -> None:
+        """Add 1/2 integral of sum ((A z - target)/sigma)^2 dt as cost."""
+        grid = self.grid
+        variables = np.hstack([t.variables for t in terms])
+        n, m = variables.shape
+        Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)
+        first = 0
+        for term in terms:
+            last = first + term.variables.shape[1]
+            A = term.rows / term.sigma[:, :, None]
+            y = term.target / term.sigma
+            Q[:, first:last, first:last] += A.transpose(0, 2, 1) @ A
+            b[:, first:last] -= np.einsum("nrm,nr->nm", A, y)
+            c += 0.5 * np.sum(y * y, axis=1)
+            first = last
+        for t, weight in enumerate(grid.quadrature):
+            if weight > 0.0:
+                cost = self.program.prog.AddQuadraticCost(
+                    weight * Q[t],
+                    weight * b[t],
+                    weight * c[t],
+                    variables[t],
+                    is_convex=True,
+                )
+                cost.evaluator().set_description(f"{self.name} cost[{t}]")
+
+    def damp_jerk(self, sigma) -> None:
+        """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
+        jerk = self.grid.jerk
+        Q = np.diag(1.0 / np.broadcast_to(sigma, jerk.shape[1:]) ** 2)
+        weight = self.grid.step * self.grid.num_intervals / len(jerk)
+        zero = np.zeros(len(Q))
+        for row in jerk:
+            self.program.prog.AddQuadraticCost(
+                weight * Q, zero, row, is_convex=True
+            )
+
+
+class Tracking:
+    """One tracked signal: rows A (n, r, m) of variables, targets, sigmas.
+
+    Args:
+        variables: (n, m) decision variables.
+        target: (n, r) measured values.
+        sigma: noise, broadcast to (n, r); infinite where not tracked.
+        rows: (n, r, m) linear map; identity by default.
+    """
+
+    def __init__(self, variables, target, sigma, rows=None):
+        self.variables = variables
+        self.target = np.asarray(target, float)
+        self.sigma = np.broadcast_to(
+            np.asarray(sigma, float), self.target.shape
+        )
+        if rows is None:
+            m = variables.shape[1]
+            rows = np.broadcast_to(np.eye(m), (len(variables), m, m))
+        self.rows = rows
+
+
+def add_parameters(
+    program: BatchedProgram,
+    parameters: list[ContactParameter],
+    prior_weight: float,
+) -> np.ndarray:
+    """Add contact parameters as decision variables.
+
+    Free ones are bounded, others fixed at their nominal values. The prior is
+    1/2 weight ((p - nominal)/span)^2 for each free one.
+
+    Returns:
+        (len(parameters),) variables.
+    """
+    prog = program.prog
+    variables = np.array(
+        [prog.NewContinuousVariables(1, p.name)[0] for p in parameters]
+    )
+    for variable, p in zip(variables, parameters, strict=True):
+        bounds = (p.lower, p.upper) if p.free else (p.nominal, p.nominal)
+        prog.AddBoundingBoxConstraint(*bounds, variable)
+        prog.SetVariableScaling(variable, max(abs(p.nominal), 0.1 * p.span))
+        if p.free and prior_weight > 0.0:
+            weight = prior_weight / p.span**2
+            prog.AddQuadraticErrorCost(
+                np.array([[weight]]), [p.nominal], [variable]
+            )
+    return variables

@@ -1,0 +1,39 @@
+"""A measured movement in the coordinates of the plant that a phase uses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+
+@dataclass(frozen=True)
+class MeasuredMovement:
+    """What a phase tracks of one trial.
+
+    Attributes:
+        name: of the trial.
+        times: (n,) from 0 [s].
+        q, v, a: (n, nq) coordinates and their derivatives [m, rad, s].
+        ground: (n, 3) F_x, F_z [N] and M_y about the laboratory origin
+            [N m], both feet together.
+    """
+
+    name: str
+    times: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    ground: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """Length of the movement [s]."""
+        return float(self.times[-1] - self.times[0])
+
+    def sample(self, times: np.ndarray) -> "MeasuredMovement":
+        """The same movement at other times, by cubic splines."""
+        splines = (
+            CubicSpline(self.times, values)(times)
+            for values in (self.q, self.v, self.a, self.ground)
+        )
+        return MeasuredMovement(self.name, times, *splines)

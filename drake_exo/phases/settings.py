@@ -1,0 +1,217 @@
+"""Settings of the calibration phases, as they stand in a study file."""
+
+from dataclasses import dataclass, field, fields
+from typing import Literal
+
+from drake_exo.errors import InputError
+from drake_exo.forces.contact_constants import (
+    Constants,
+    PaperConstants,
+    SimbodyConstants,
+)
+from drake_exo.forces.hunt_crossley import paper_stiffness
+from drake_exo.nlp.ipopt import SolverOptions
+from drake_exo.parameters import ContactParameter
+
+_NEWTON_PER_M2 = "N/m^2"
+
+
+@dataclass(frozen=True)
+class Range:
+    """A parameter: nominal value, bounds, and whether it is calibrated."""
+
+    nominal: float
+    lower: float
+    upper: float
+    free: bool = True
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A parameter whose nominal value the model gives.
+
+    Attributes:
+        below, above: how far the bounds lie from it.
+        shift: added to the model's value.
+    """
+
+    below: float = field(metadata={"unit": "m", "above": 0.0})
+    above: float = field(metadata={"unit": "m", "above": 0.0})
+    shift: float = field(default=0.0, metadata={"unit": "m"})
+    free: bool = True
+
+
+@dataclass(frozen=True)
+class SphereSettings:
+    """One contact sphere.
+
+    Attributes:
+        modulus_n_m2: plane-strain modulus E, both feet together [N/m^2].
+            The paper's law takes k = E^(2/3)/2 from it; bounds likewise.
+        dissipation_s_m: Hunt-Crossley dissipation [s/m].
+        x_m, z_m: place of the centre, about the model's heel or toe.
+        radius_m: coupled with z, so not free by default.
+    """
+
+    modulus_n_m2: Range = Range(1e7, 1e6, 1e8)
+    dissipation_s_m: Range = Range(1.0, 0.0, 5.0)
+    x_m: Spread = Spread(0.06, 0.06)
+    z_m: Spread = Spread(0.025, 0.025)
+    radius_m: Range = Range(0.032, 0.01, 0.06, free=False)
+
+
+def _sigma(default: float, unit: str):
+    return field(default=default, metadata={"unit": unit, "above": 0.0})
+
+
+@dataclass(frozen=True)
+class TrackingNoise:
+    """Standard deviation of each signal's measurement; weights are 1/s^2.
+
+    Attributes:
+        angle_deg, velocity_deg_s: joints.
+        foot_m, foot_pitch_deg: place of the foot.
+        foot_velocity_m_s, foot_pitch_rate_deg_s: its motion.
+        force_n, cop_m: ground reaction and centre of pressure.
+        torque_nm: typical torque; large, so that torques are minimised
+            without competing with what was measured.
+        jerk: typical jerk [rad/s^3 or m/s^3], likewise.
+    """
+
+    angle_deg: float = _sigma(0.5, "deg")
+    velocity_deg_s: float = _sigma(4.0, "deg/s")
+    foot_m: float = _sigma(0.005, "m")
+    foot_pitch_deg: float = _sigma(1.0, "deg")
+    foot_velocity_m_s: float = _sigma(0.03, "m/s")
+    foot_pitch_rate_deg_s: float = _sigma(5.0, "deg/s")
+    force_n: float = _sigma(5.0, "N")
+    cop_m: float = _sigma(0.001, "m")
+    torque_nm: float = _sigma(5000.0, "N m")
+    jerk: float = _sigma(10000.0, "rad/s^3")
+
+
+@dataclass(frozen=True)
+class EndTolerance:
+    """How far the foot may be from its measured place at both ends."""
+
+    x_m: float = _sigma(0.01, "m")
+    z_m: float = _sigma(0.005, "m")
+    pitch_deg: float = _sigma(2.0, "deg")
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Grid and solver.
+
+    Attributes:
+        nodes_per_second: mesh intervals per second.
+        transcription: "hermite_simpson" (Drake's DirectCollocation) or
+            "pseudospectral" (the paper's, degree 3).
+        reduce: substitute the collocation constraints' basis; the same
+            optimum with fewer unknowns.
+        hessian: "gauss_newton" or "exact".
+        solver: "ipopt" (sparse derivatives) or "drake" (Drake's own
+            IpoptSolver: slow, for small cases).
+    """
+
+    nodes_per_second: float = field(
+        default=200.0, metadata={"unit": "1/s", "minimum": 10.0}
+    )
+    transcription: Literal["hermite_simpson", "pseudospectral"] = (
+        "hermite_simpson"
+    )
+    reduce: bool = True
+    hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
+    solver: Literal["ipopt", "drake"] = "ipopt"
+    tolerance: float = field(default=1e-6, metadata={"above": 0.0})
+    max_iterations: int = field(default=300, metadata={"minimum": 1})
+
+    def options(self) -> SolverOptions:
+        """Options of the bridge to IPOPT."""
+        return SolverOptions(
+            tolerance=self.tolerance, max_iterations=self.max_iterations
+        )
+
+
+@dataclass(frozen=True)
+class FootGroundSettings:
+    """Phase A.
+
+    Attributes:
+        law: "simbody" or "paper". The paper's friction has zero slope at
+            zero slip, which slows an optimiser down.
+        constants: friction and smoothing constants of the law by name.
+        prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+        front: factors on the noise of forces and centre of pressure, for
+            the Pareto front of kinematics against forces.
+    """
+
+    law: Literal["simbody", "paper"] = "simbody"
+    constants: dict[str, float] = field(default_factory=dict)
+    heel: SphereSettings = SphereSettings()
+    toe: SphereSettings = SphereSettings()
+    noise: TrackingNoise = TrackingNoise()
+    end_tolerance: EndTolerance = EndTolerance()
+    prior_weight: float = field(default=0.01, metadata={"minimum": 0.0})
+    front: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    solver: Solver = Solver()
+
+    def law_constants(self) -> Constants:
+        """Constants of the law.
+
+        Raises:
+            InputError: a name that the law does not have.
+        """
+        law = PaperConstants if self.law == "paper" else SimbodyConstants
+        known = [f.name for f in fields(law)]
+        for name in self.constants:
+            if name not in known:
+                raise InputError(
+                    f"foot_ground.constants: the law '{self.law}' has no "
+                    f"'{name}'; it has {', '.join(known)}"
+                )
+        return law(**self.constants)
+
+    def parameters(
+        self, heel_m: tuple[float, float], toe_m: tuple[float, float]
+    ) -> list[ContactParameter]:
+        """Contact parameters of both spheres, in the kernel's order.
+
+        Args:
+            heel_m, toe_m: the model's sphere centres in the foot frame.
+        """
+        return [
+            *_sphere("heel", self.heel, heel_m, self.law),
+            *_sphere("toe", self.toe, toe_m, self.law),
+        ]
+
+
+def _sphere(name, settings, place, law):
+    def ranged(field_name, unit, r, convert=float):
+        values = (convert(v) for v in (r.nominal, r.lower, r.upper))
+        return ContactParameter(f"{name}.{field_name}", unit, *values, r.free)
+
+    def placed(field_name, spread, model):
+        nominal = model + spread.shift
+        return ContactParameter(
+            f"{name}.{field_name}",
+            "m",
+            nominal,
+            model - spread.below,
+            model + spread.above,
+            spread.free,
+        )
+
+    paper = law == "paper"
+    return [
+        ranged(
+            "stiffness",
+            "(N/m^2)^(2/3)" if paper else _NEWTON_PER_M2,
+            settings.modulus_n_m2,
+            paper_stiffness if paper else float,
+        ),
+        ranged("dissipation", "s/m", settings.dissipation_s_m),
+        placed("x", settings.x_m, place[0]),
+        placed("z", settings.z_m, place[1]),
+        ranged("radius", "m", settings.radius_m),
+    ]
