@@ -1,0 +1,178 @@
+"""One recording: marker and force files on one time base, unfiltered."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.laboratory.filters import check_filterable, low_pass, resample
+from drake_exo.laboratory.opensim_files import (
+    PlateRecording,
+    read_plates,
+    read_trc,
+)
+from drake_exo.laboratory.sagittal import (
+    PlanarWrench,
+    SagittalFrame,
+    planar_wrench,
+)
+from drake_exo.laboratory.tables import MarkerData, uniform_time
+from drake_exo.study import SIDES, Filter, Laboratory, Plates
+
+
+@dataclass(frozen=True)
+class FootForces:
+    """Plates' wrenches in the sagittal plane, by foot, at their own rate.
+
+    Attributes:
+        time: (N,) evenly spaced [s].
+        wrenches: "left" and "right", or "both" for one plate under both feet.
+        source: file name.
+    """
+
+    time: np.ndarray
+    wrenches: dict[str, PlanarWrench]
+    source: str
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return (len(self.time) - 1) / (self.time[-1] - self.time[0])
+
+    def filtered(self, settings: Filter) -> "FootForces":
+        """The same forces, low-passed."""
+
+        def smooth(values):
+            return low_pass(
+                values,
+                self.rate_hz,
+                settings.cutoff_hz,
+                settings.order,
+                self.source,
+            )
+
+        wrenches = {
+            foot: PlanarWrench(smooth(w.force), smooth(w.moment))
+            for foot, w in self.wrenches.items()
+        }
+        return FootForces(self.time, wrenches, self.source)
+
+    def at(self, time: np.ndarray) -> dict[str, PlanarWrench]:
+        """Wrenches at other times inside the recording."""
+        return {
+            foot: PlanarWrench(
+                resample(self.time, w.force, time),
+                resample(self.time, w.moment, time),
+            )
+            for foot, w in self.wrenches.items()
+        }
+
+    def vertical(self) -> np.ndarray:
+        """Total vertical force (N,), one foot alone counting twice [N]."""
+        feet = list(self.wrenches.values())
+        total = sum(w.force[:, 1] for w in feet)
+        return 2.0 * total if self.is_one_leg else total
+
+    @property
+    def is_one_leg(self) -> bool:
+        """Whether only one foot stood on a plate."""
+        return len(self.wrenches) == 1 and "both" not in self.wrenches
+
+
+def read_markers(path: Path, settings: Filter) -> MarkerData:
+    """Read a marker file onto an even time base.
+
+    Raises:
+        InputError: as `read_trc` and `uniform_time`; too short or too slow
+            for the filter.
+    """
+    data = read_trc(path)
+    time = uniform_time(data.source, data.time, data.rate_hz)
+    check_filterable(data.source, len(time), data.rate_hz, settings.cutoff_hz)
+    return MarkerData(
+        time, data.names, data.positions, data.rate_hz, data.source
+    )
+
+
+def read_foot_forces(
+    path: Path, plates: Plates, laboratory: Laboratory, settings: Filter
+) -> FootForces:
+    """Read a force file and keep the plates under the feet.
+
+    Raises:
+        InputError: as `read_plates` and `uniform_time`; no such plate; too
+            short or too slow for the filter; forces that pull the body down.
+    """
+    time, recorded = read_plates(path)
+    time = uniform_time(str(path), time)
+    frame = SagittalFrame(
+        laboratory.force_axes.forward, laboratory.force_axes.up
+    )
+    numbers = {
+        foot: getattr(plates, foot)
+        for foot in (*SIDES, "both")
+        if getattr(plates, foot) is not None
+    }
+    wrenches = {
+        foot: planar_wrench(_plate(path, recorded, number), frame)
+        for foot, number in numbers.items()
+    }
+    forces = FootForces(time, wrenches, str(path))
+    check_filterable(
+        forces.source, len(time), forces.rate_hz, settings.cutoff_hz
+    )
+    _check_direction(forces)
+    return forces
+
+
+def _plate(path, recorded: list[PlateRecording], number: int):
+    for plate in recorded:
+        if plate.number == number:
+            return plate
+    numbers = ", ".join(str(p.number) for p in recorded)
+    raise InputError(
+        f"{path}: has no force plate {number}; it holds plates {numbers}"
+    )
+
+
+def _check_direction(forces: FootForces) -> None:
+    """Forces must be those on the body: upwards when standing."""
+    F_z = forces.vertical()
+    if -F_z.min() > max(F_z.max(), 50.0):
+        raise InputError(
+            f"{forces.source}: the vertical force reaches {F_z.min():.0f} N, "
+            "downwards; give the forces on the body, or correct "
+            "laboratory.force_axes"
+        )
+
+
+def common_time(
+    markers: MarkerData, forces: FootForces, settings: Filter
+) -> np.ndarray:
+    """Marker times at which forces were recorded too (N,).
+
+    Raises:
+        InputError: the files do not overlap, or for too short a time.
+    """
+    inside = (markers.time >= forces.time[0] - 1e-9) & (
+        markers.time <= forces.time[-1] + 1e-9
+    )
+    if not inside.any():
+        raise InputError(
+            f"{forces.source}: forces ({_span(forces.time)}) and markers "
+            f"({_span(markers.time)}, {markers.source}) do not overlap in "
+            "time; give files of the same recording"
+        )
+    time = markers.time[inside]
+    check_filterable(
+        f"{markers.source} together with {forces.source}",
+        len(time),
+        markers.rate_hz,
+        settings.cutoff_hz,
+    )
+    return np.clip(time, forces.time[0], forces.time[-1])
+
+
+def _span(time: np.ndarray) -> str:
+    return f"{time[0]:g} to {time[-1]:g} s"

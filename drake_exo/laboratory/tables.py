@@ -1,0 +1,228 @@
+"""What laboratory files become: tables and markers over time.
+
+Missing values are NaN until somebody asks for the column: then they are
+refused, with the place of the gap.
+"""
+
+import difflib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drake_exo.errors import InputError
+
+# A time stamp may be rounded, but no frame may be missing.
+_JITTER = 0.45
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns over time.
+
+    Attributes:
+        time: (N,) [s], increasing.
+        names: column names without time, length C.
+        values: (N, C), units as `source` says; NaN where missing.
+        in_degrees: what the file's header says of angles, None if nothing.
+        source: file name, for messages and provenance.
+    """
+
+    time: np.ndarray
+    names: tuple[str, ...]
+    values: np.ndarray
+    in_degrees: bool | None = None
+    source: str = ""
+
+    def column(self, name: str) -> np.ndarray:
+        """One column (N,).
+
+        Raises:
+            InputError: no such column, or it has gaps.
+        """
+        if name not in self.names:
+            raise missing_column(self.source, name, self.names)
+        values = self.values[:, self.names.index(name)]
+        check_gaps(self.source, f"column {name!r}", self.time, values)
+        return values
+
+    def columns(self, names) -> np.ndarray:
+        """Several columns (N, len(names)); raises as `column`."""
+        return np.stack([self.column(name) for name in names], axis=1)
+
+    def in_radians(self, translations: tuple[str, ...] = ()) -> "Table":
+        """The same table with angles in radians.
+
+        Args:
+            translations: columns that are not angles; names ending in _tx,
+                _ty, _tz, _x, _y or _z never are.
+
+        Raises:
+            InputError: the header does not say degrees or radians, or says
+                what the values cannot be.
+        """
+        rotational = [
+            i
+            for i, name in enumerate(self.names)
+            if name not in translations and not is_translation(name)
+        ]
+        angles = self.values[:, rotational]
+        check_angle_unit(self, angles)
+        values = self.values.copy()
+        if self.in_degrees:
+            values[:, rotational] = np.deg2rad(angles)
+        return replace(self, values=values, in_degrees=False)
+
+
+@dataclass(frozen=True)
+class MarkerData:
+    """Marker positions over time.
+
+    Attributes:
+        time: (N,) [s], increasing.
+        names: marker names, length M.
+        positions: (N, M, 3) [m] in the file's axes; NaN where not seen.
+        rate_hz: frames per second as the header says.
+        source: file name.
+    """
+
+    time: np.ndarray
+    names: tuple[str, ...]
+    positions: np.ndarray
+    rate_hz: float
+    source: str = ""
+
+    def of(self, names) -> np.ndarray:
+        """Positions (N, len(names), 3) of some markers, without gaps.
+
+        Raises:
+            InputError: a marker is missing, or has gaps.
+        """
+        found = []
+        for name in names:
+            if name not in self.names:
+                raise missing_column(self.source, name, self.names, "marker")
+            p = self.positions[:, self.names.index(name)]
+            check_gaps(self.source, f"marker {name!r}", self.time, p)
+            found.append(p)
+        return np.stack(found, axis=1)
+
+
+def missing_column(source, name, names, what="column") -> InputError:
+    """The error for a column that is not there, with the nearest name."""
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    if not hint:
+        hint = f"; there are {', '.join(names[:8])}"
+        hint += ", ..." if len(names) > 8 else ""
+    return InputError(f"{source}: has no {what} {name!r}{hint}")
+
+
+def check_gaps(source, what, time, values) -> None:
+    """Refuse values (N,) or (N, k) that are not finite.
+
+    Raises:
+        InputError: naming the first gap and how much is missing.
+    """
+    bad = ~np.isfinite(values.reshape(len(time), -1)).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InputError(
+            f"{source}: {what} has no value in {bad.sum()} of {len(time)} "
+            f"frames, first at {time[first]:g} s; fill the gaps or use "
+            "another one"
+        )
+
+
+def is_translation(name: str) -> bool:
+    """Whether a coordinate's name says that it is a length."""
+    return name.endswith(("_tx", "_ty", "_tz", "_x", "_y", "_z"))
+
+
+def check_angle_unit(table: Table, angles: np.ndarray) -> None:
+    """Compare what the header says of angles with the angles themselves.
+
+    No joint turns by more than a full turn, so larger numbers are degrees.
+    Numbers within half a turn that move by more than 20 degrees, read as
+    radians, are radians: read as degrees the whole body would stay within
+    3.2 degrees of zero and yet be in motion.
+
+    Raises:
+        InputError: header and values contradict each other, or the header
+            says nothing.
+    """
+    if table.in_degrees is None:
+        raise InputError(
+            f"{table.source}: the header does not say whether angles are in "
+            "degrees; add 'inDegrees=yes' or 'inDegrees=no'"
+        )
+    if angles.size == 0 or not np.isfinite(angles).any():
+        return
+    largest = np.nanmax(np.abs(angles))
+    motion = np.nanmax(np.nanmax(angles, 0) - np.nanmin(angles, 0))
+    if not table.in_degrees and largest > 2.0 * np.pi:
+        raise InputError(
+            f"{table.source}: inDegrees=no, but angles reach {largest:.4g}, "
+            "which can only be degrees; correct the header to inDegrees=yes"
+        )
+    if table.in_degrees and largest <= np.pi and motion > np.deg2rad(20.0):
+        raise InputError(
+            f"{table.source}: inDegrees=yes, but no angle exceeds "
+            f"{largest:.3g}, which can only be radians; correct the header "
+            "to inDegrees=no"
+        )
+
+
+def uniform_time(
+    source: str, time: np.ndarray, rate_hz: float | None = None
+) -> np.ndarray:
+    """Evenly spaced times (N,) behind possibly rounded time stamps.
+
+    Args:
+        source: file name, for messages.
+        time: (N,) increasing [s].
+        rate_hz: frames per second as the header says, if it does.
+
+    Raises:
+        InputError: a frame is missing or repeated, or header and time
+            stamps disagree.
+    """
+    check_increasing(source, time)
+    n = len(time)
+    if n < 2:
+        raise InputError(f"{source}: holds {n} frames; two are the least")
+    step = (time[-1] - time[0]) / (n - 1)
+    # A rounded last stamp must not stretch the whole grid.
+    if rate_hz and abs(step * rate_hz - 1.0) < 0.5 / max(n - 1, 2):
+        step = 1.0 / rate_hz
+    grid = time[0] + step * np.arange(n)
+    off = np.abs(time - grid)
+    if off.max() > _JITTER * step:
+        worst = int(np.argmax(off))
+        raise InputError(
+            f"{source}: time is not evenly spaced around {time[worst]:g} s "
+            f"(frame {worst + 1}); resample the file at a constant rate"
+        )
+    if rate_hz and abs(step * rate_hz - 1.0) > 0.01:
+        raise InputError(
+            f"{source}: the header says {rate_hz:g} frames a second, the "
+            f"time column {1.0 / step:g}; correct the one that is wrong"
+        )
+    return grid
+
+
+def check_increasing(source: str, time: np.ndarray) -> None:
+    """Refuse times that do not increase.
+
+    Raises:
+        InputError: naming the frame.
+    """
+    if not np.isfinite(time).all():
+        frame = int(np.argmin(np.isfinite(time)))
+        raise InputError(f"{source}: time of frame {frame + 1} is missing")
+    steps = np.diff(time)
+    if len(steps) and steps.min() <= 0.0:
+        frame = int(np.argmax(steps <= 0.0)) + 1
+        raise InputError(
+            f"{source}: time does not increase from {time[frame - 1]:g} to "
+            f"{time[frame]:g} s (frame {frame + 1}); sort or re-export it"
+        )
