@@ -149,6 +149,12 @@ def set_stage(meshcat: Meshcat, view: View = OBLIQUE) -> None:
     """Point the camera of a page; hide axes and grid."""
     for name in ("/Axes", "/Grid"):
         meshcat.SetProperty(name, "visible", False)
-    meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
-    meshcat.SetProperty("/Background", "bottom_color", [0.93, 0.94, 0.96])
+    background = "/Background/<object>"
+    meshcat.SetProperty(background, "top_color", [1.0, 1.0, 1.0])
+    meshcat.SetProperty(background, "bottom_color", [0.93, 0.94, 0.96])
+    # A long lens: little perspective, so that arrows beside the leg still
+    # start where they act.
+    meshcat.SetCamera(
+        Meshcat.PerspectiveCamera(fov=view.field_of_view_deg, aspect=1.5)
+    )
     meshcat.SetCameraPose(view.eye, view.target)
