@@ -1,0 +1,42 @@
+"""Draws docs/pictures: the human, and a rise from a chair with the device."""
+
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.report.pictures import (
+    HALFWAY_DEG,
+    SEATED_DEG,
+    STANDING_DEG,
+    render,
+    upright_pose,
+    write_png,
+)
+from drake_exo.report.scene import Scene
+
+_FOLDER = Path(__file__).parent / "pictures"
+
+
+def main() -> None:
+    """Write human.png and rise.png."""
+    _FOLDER.mkdir(exist_ok=True)
+    alone = Scene("human", stills=True)
+    write_png(
+        _FOLDER / "human.png", render(alone, upright_pose(alone, STANDING_DEG))
+    )
+    coupled = Scene("coupled", stills=True, chair_height_m=0.43)
+    # The exoskeleton's angles differ a little: straps are soft.
+    poses = [
+        upright_pose(coupled, joints, offsets)
+        for joints, offsets in (
+            (SEATED_DEG, (-1.0, -2.0, 2.0)),
+            (HALFWAY_DEG, (-1.0, -3.0, 2.0)),
+            (STANDING_DEG, (0.0, 0.0, 0.0)),
+        )
+    ]
+    rise = [render(coupled, q, width=520, height=680) for q in poses]
+    write_png(_FOLDER / "rise.png", np.hstack(rise))
+
+
+if __name__ == "__main__":
+    main()
