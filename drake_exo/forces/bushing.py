@@ -73,6 +73,16 @@ class BushingParameters:
             self.rotational_damping,
         )
 
+    @property
+    def origin(self) -> tuple:
+        """(x, z) of F1 in the human link."""
+        return self.origin_x, self.origin_z
+
+    @property
+    def preload(self) -> tuple:
+        """(x, z, angle) of F2 relative to its aligned place."""
+        return self.preload_x, self.preload_z, self.preload_angle
+
     def scaled(self, factor: float) -> "BushingParameters":
         """Stiffness and damping times `factor`; origins stay (Phase C2)."""
         names = [

@@ -12,14 +12,11 @@ Object arrays may mix Python floats with Drake's scalars.
 
 import functools
 import math
-import numbers
 from dataclasses import is_dataclass
 
 import numpy as np
 
-
-def _is_object(*values) -> bool:
-    return any(np.asarray(value).dtype == object for value in values)
+_QUIET = {"invalid": "ignore", "over": "ignore"}
 
 
 def any_scalar(function):
@@ -33,24 +30,31 @@ def any_scalar(function):
 
     @functools.wraps(function)
     def quiet(*args, **kwargs):
-        if any(_holds_object(a) for a in (*args, *kwargs.values())):
-            with np.errstate(invalid="ignore", over="ignore"):
+        if any(map(_holds_object, args)) or (
+            kwargs and any(map(_holds_object, kwargs.values()))
+        ):
+            with np.errstate(**_QUIET):
                 return function(*args, **kwargs)
         return function(*args, **kwargs)
 
     return quiet
 
 
+# Types of arguments that need no further look; the check runs in simulations.
+_PLAIN = frozenset((float, int, complex, str, bool, type(None), np.float64))
+
+
 def _holds_object(value) -> bool:
-    if isinstance(value, np.ndarray):
-        return value.dtype == object
-    if value is None or isinstance(value, numbers.Number | np.generic | str):
+    kind = type(value)
+    if kind in _PLAIN:
         return False
-    if isinstance(value, tuple | list):
-        return any(_holds_object(item) for item in value)
-    if is_dataclass(value):
-        return any(_holds_object(item) for item in vars(value).values())
-    return True
+    if kind is np.ndarray:
+        return value.dtype.hasobject
+    if issubclass(kind, tuple | list):
+        return any(map(_holds_object, value))
+    if is_dataclass(kind):
+        return any(map(_holds_object, vars(value).values()))
+    return not issubclass(kind, np.generic)
 
 
 def _unary(ufunc, scalar_function):
@@ -61,9 +65,11 @@ def _unary(ufunc, scalar_function):
 
     on_objects = np.frompyfunc(element, 1, 1)
 
-    @any_scalar
     def function(value):
-        return on_objects(value) if _is_object(value) else ufunc(value)
+        if not _holds_object(value):
+            return ufunc(value)
+        with np.errstate(**_QUIET):
+            return on_objects(value)
 
     function.__name__ = function.__qualname__ = ufunc.__name__
     function.__doc__ = f"Elementwise {ufunc.__name__} for any scalar type."
@@ -86,11 +92,11 @@ def _arctan2_element(y, x):
 _arctan2_objects = np.frompyfunc(_arctan2_element, 2, 1)
 
 
-@any_scalar
 def arctan2(y, x):
     """Elementwise angle of (x, y) in (−π, π]; not for complex numbers."""
-    if _is_object(y, x):
-        return _arctan2_objects(y, x)
+    if _holds_object((y, x)):
+        with np.errstate(**_QUIET):
+            return _arctan2_objects(y, x)
     return np.arctan2(y, x)
 
 
@@ -106,15 +112,15 @@ def _select_element(a, b, if_less, otherwise):
 _select_objects = np.frompyfunc(_select_element, 4, 1)
 
 
-@any_scalar
 def select_less(a, b, if_less, otherwise):
     """Returns `if_less` where a < b and `otherwise` elsewhere.
 
     Both values are evaluated, so neither may fail where it is not selected.
     Complex numbers compare by their real parts. All arguments broadcast.
     """
-    if _is_object(a, b, if_less, otherwise):
-        return _select_objects(a, b, if_less, otherwise)
+    if _holds_object((a, b, if_less, otherwise)):
+        with np.errstate(**_QUIET):
+            return _select_objects(a, b, if_less, otherwise)
     return np.where(np.real(a) < np.real(b), if_less, otherwise)
 
 
