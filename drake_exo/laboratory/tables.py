@@ -190,8 +190,11 @@ def uniform_time(
     n = len(time)
     if n < 2:
         raise InputError(f"{source}: holds {n} frames; two are the least")
+    usual = float(np.median(np.diff(time)))
+    if rate_hz and abs(usual * rate_hz - 1.0) > 0.2:
+        raise _wrong_rate(source, rate_hz, usual)
     step = (time[-1] - time[0]) / (n - 1)
-    # A rounded last stamp must not stretch the whole grid.
+    # Stamps rounded to milliseconds must not stretch the grid.
     if rate_hz and abs(step * rate_hz - 1.0) < 0.5 / max(n - 1, 2):
         step = 1.0 / rate_hz
     grid = time[0] + step * np.arange(n)
@@ -202,12 +205,16 @@ def uniform_time(
             f"{source}: time is not evenly spaced around {time[worst]:g} s "
             f"(frame {worst + 1}); resample the file at a constant rate"
         )
-    if rate_hz and abs(step * rate_hz - 1.0) > 0.01:
-        raise InputError(
-            f"{source}: the header says {rate_hz:g} frames a second, the "
-            f"time column {1.0 / step:g}; correct the one that is wrong"
-        )
+    if rate_hz and n >= 20 and abs(step * rate_hz - 1.0) > 0.02:
+        raise _wrong_rate(source, rate_hz, step)
     return grid
+
+
+def _wrong_rate(source: str, rate_hz: float, step: float) -> InputError:
+    return InputError(
+        f"{source}: the header says {rate_hz:g} frames a second, the time "
+        f"column {1.0 / step:.4g}; correct the one that is wrong"
+    )
 
 
 def check_increasing(source: str, time: np.ndarray) -> None:

@@ -38,8 +38,9 @@ def _function(node):
         )
         return spline
     if node.tag == "MultiplierFunction":
-        inner, scale = _function(node.find("function")), float(
-            node.findtext("scale")
+        inner, scale = (
+            _function(node.find("function")),
+            float(node.findtext("scale")),
         )
         return lambda q: scale * inner(q)
     raise NotImplementedError(node.tag)
@@ -50,9 +51,7 @@ def rotation(axis, angle):
     x, y, z = axis / np.linalg.norm(axis)
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     s, c = np.sin(angle), np.cos(angle)
-    return (
-        np.eye(3) + s[:, None, None] * K + (1 - c)[:, None, None] * (K @ K)
-    )
+    return np.eye(3) + s[:, None, None] * K + (1 - c)[:, None, None] * (K @ K)
 
 
 def _offset(node):
@@ -130,3 +129,26 @@ class Osim:
                 moment = moment + mass * (p + R @ com)
                 total += mass
         return moment / total
+
+    def places(self):
+        """Child body -> place of its joint in the parent (no rotation)."""
+        found = {}
+        for joint in self.joints:
+            frames = {
+                f.attrib["name"]: _offset(f)
+                for f in joint.iter("PhysicalOffsetFrame")
+            }
+            child = frames[joint.findtext("socket_child_frame")][2]
+            found[child] = frames[joint.findtext("socket_parent_frame")][1]
+        return found
+
+
+def joint_function(osim, joint, axis):
+    """The function of one axis of a custom joint."""
+    (node,) = (j for j in osim.joints if j.attrib["name"] == joint)
+    for item in node.find("SpatialTransform"):
+        if item.attrib["name"] == axis:
+            return _function(
+                next(c for c in item if c.tag not in ("coordinates", "axis"))
+            )
+    raise KeyError(axis)
