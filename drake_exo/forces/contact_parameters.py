@@ -27,7 +27,7 @@ class ContactSphere:
     x: float = field(metadata={"unit": "m"})
     z: float = field(metadata={"unit": "m"})
     radius: float = field(metadata={"unit": "m", "above": 0.0})
-    stiffness: float = field(metadata={"unit": "by law", "above": 0.0})
+    stiffness: float = field(metadata={"unit": "", "above": 0.0})
     dissipation: float = field(metadata={"unit": "s/m", "minimum": 0.0})
 
 
@@ -92,7 +92,7 @@ def check_bounds(values, what: str) -> None:
     """
     for item in fields(values):
         value, bounds = getattr(values, item.name), item.metadata
-        where = f"{what}: {item.name} is {value!r} {bounds.get('unit', '')}"
+        where = f"{what}: {item.name} is {value:g} {bounds['unit']}".rstrip()
         if not np.isfinite(value):
             raise InputError(f"{where}; give a finite number")
         if "above" in bounds and not value > bounds["above"]:
