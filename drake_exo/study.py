@@ -12,6 +12,7 @@ from typing import Literal
 
 from drake_exo import schema
 from drake_exo.errors import InputError
+from drake_exo.phases.settings import FootGroundSettings
 from drake_exo.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
@@ -60,10 +61,18 @@ class Axes:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """Frames of the laboratory's files."""
+    """Frames and clocks of the laboratory's files.
+
+    Attributes:
+        force_delay_s: lag of the plates' clock behind the markers'.
+        estimate_force_delay: find what lag is left from Newton's law; the
+            trial's provenance reports it.
+    """
 
     marker_axes: Axes = Axes()
     force_axes: Axes = Axes()
+    force_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    estimate_force_delay: bool = False
 
 
 @dataclass(frozen=True)
@@ -234,6 +243,9 @@ class Study:
     laboratory: Laboratory = Laboratory()
     filter: Filter = Filter()
     scaling: Scaling = Scaling()
+    foot_ground: FootGroundSettings = field(
+        default_factory=FootGroundSettings
+    )
 
     def __post_init__(self):
         names = [trial.name for trial in self.trials]

@@ -33,6 +33,7 @@ from drake_exo.laboratory.sagittal import (
     merge_feet,
 )
 from drake_exo.laboratory.subject import SubjectModel, fit_subject
+from drake_exo.laboratory.synchronise import force_delay
 from drake_exo.laboratory.tables import uniform_time
 from drake_exo.laboratory.trial import Trial
 from drake_exo.output import Progress
@@ -53,6 +54,7 @@ class Movement:
         hip_z: (N,) height of the middle of the hips [m].
         forces: foot -> filtered wrench (N,).
         is_one_leg: whether only one foot stood on a plate.
+        force_delay_s: lag of the plates' clock that was taken out [s].
         rises: sit-to-stand rises found in it.
         marker_residuals_m: marker -> RMS distance from the model.
     """
@@ -65,6 +67,7 @@ class Movement:
     hip_z: np.ndarray
     forces: dict[str, PlanarWrench]
     is_one_leg: bool
+    force_delay_s: float
     rises: list[Rise]
     marker_residuals_m: dict[str, float]
 
@@ -133,7 +136,11 @@ def process(
     q = smooth(q)
     v, a = derivatives(time, q)
     hip_z = smooth(poses.hip.imag)
-    wrenches = forces.filtered(study.filter).at(time)
+    forces = forces.filtered(study.filter)
+    delay = study.laboratory.force_delay_s
+    if study.laboratory.estimate_force_delay:
+        delay += _delay(time, q, v, a, hip_z, forces.delayed(delay), subject)
+    wrenches = forces.delayed(delay).at(time)
     return Movement(
         time=time,
         q=q,
@@ -143,6 +150,7 @@ def process(
         hip_z=hip_z,
         forces=wrenches,
         is_one_leg=forces.is_one_leg,
+        force_delay_s=delay,
         rises=_rises(time, q, v, a, hip_z, wrenches, forces, subject),
         marker_residuals_m=residual_rms(subject.markers, poses),
     )
@@ -155,6 +163,21 @@ def _rises(time, q, v, a, hip_z, wrenches, forces: FootForces, subject):
     needed = inverse_dynamics(tree, q, v, a, {})[:, 1]
     weight = tree.mass * tree.gravity
     return find_rises(time, hip_z, needed - F_z, F_z, weight)
+
+
+def _delay(time, q, v, a, hip_z, forces: FootForces, subject):
+    """Lag of the forces, from the rises (or from all loaded frames)."""
+    wrenches = forces.at(time)
+    rises = _rises(time, q, v, a, hip_z, wrenches, forces, subject)
+    F_z = sum(w.force[:, 1] for w in wrenches.values())
+    F_z = 2.0 * F_z if forces.is_one_leg else F_z
+    used = np.zeros(len(time), bool)
+    for rise in rises:
+        used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
+    if not rises:
+        used = F_z > 0.5 * subject.rigid.mass * subject.rigid.gravity
+    needed = inverse_dynamics(subject.rigid, q, v, a, {})[:, 1]
+    return force_delay(time, needed, F_z, used)
 
 
 def cut(
@@ -192,6 +215,7 @@ def cut(
         },
         "part": how,
         "plate_shift_m": shifts,
+        "force_delay_s": movement.force_delay_s,
         "one_leg_doubled": movement.is_one_leg,
         "legs_followed": list(subject.markers.sides),
         "marker_residual_rms_m": movement.marker_residuals_m,

@@ -58,8 +58,13 @@ class FootForces:
         }
         return FootForces(self.time, wrenches, self.source)
 
+    def delayed(self, delay_s: float) -> "FootForces":
+        """The same forces with a lag of their clock taken out."""
+        return FootForces(self.time - delay_s, self.wrenches, self.source)
+
     def at(self, time: np.ndarray) -> dict[str, PlanarWrench]:
-        """Wrenches at other times inside the recording."""
+        """Wrenches at other times; the ends' values beyond the recording."""
+        time = np.clip(time, self.time[0], self.time[-1])
         return {
             foot: PlanarWrench(
                 resample(self.time, w.force, time),

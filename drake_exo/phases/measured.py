@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from drake_exo.laboratory.trial import Trial
+
 
 @dataclass(frozen=True)
 class MeasuredMovement:
@@ -37,3 +39,15 @@ class MeasuredMovement:
             for values in (self.q, self.v, self.a, self.ground)
         )
         return MeasuredMovement(self.name, times, *splines)
+
+
+def from_trial(trial: Trial) -> MeasuredMovement:
+    """A laboratory trial as a phase sees it."""
+    return MeasuredMovement(
+        trial.name,
+        trial.time - trial.time[0],
+        trial.q,
+        trial.v,
+        trial.a,
+        np.column_stack([trial.grf, trial.moment_y]),
+    )
