@@ -183,7 +183,7 @@ def floating_pair(damping):
             for name, b in bushings.items()
         }
     model = build_diagram("coupled", bushings=bushings, gravity=0.0)
-    simulator = build_simulator(model, integrator="runge_kutta3", accuracy=1e-5)
+    simulator = build_simulator(model, integrator="runge_kutta3", accuracy=1e-4)
     context = model.plant_context(simulator.get_context())
     q = np.array([0.0, 5.0, 0.0, 0.1, 0.4, 0.5, 0.0, 0.3, 0.4])
     model.plant.SetPositions(context, q)
@@ -214,7 +214,7 @@ def test_bushings_bring_the_chains_together():
     root = simulator.get_context()
     apart = np.abs(model.diagram.GetOutputPort("deflections").Eval(root))
     assert apart.reshape(3, 3)[:, :2].max() > 0.02
-    energies = energies_while(model, simulator, 1.5)
+    energies = energies_while(model, simulator, 2.0)
     assert len(energies) > 100
     assert np.max(np.diff(energies)) <= 1e-6 * energies[0]
     # What is left is motion of both together, without a joint to damp it.
