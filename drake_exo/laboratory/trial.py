@@ -1,9 +1,11 @@
 """A trial: one movement on one time base, filtered, with its provenance."""
 
+import io
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -127,7 +129,8 @@ class Trial:
         """
         path = Path(path)
         try:
-            with np.load(path.with_name(path.name + ".npz")) as data:
+            numbers = path.with_name(path.name + ".npz").read_bytes()
+            with np.load(io.BytesIO(numbers)) as data:
                 arrays = {name: data[name] for name in _ARRAYS}
             text = path.with_name(path.name + ".json").read_text("utf-8")
             rest = json.loads(text)
@@ -138,7 +141,7 @@ class Trial:
                 provenance=rest["provenance"],
                 **arrays,
             )
-        except (OSError, ValueError, KeyError, EOFError) as error:
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise InputError(
                 f"{path}: holds no trial ({error}); save it again"
             ) from error
