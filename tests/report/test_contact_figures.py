@@ -1,0 +1,89 @@
+import json
+
+import numpy as np
+import pytest
+
+from drake_exo.cli import main
+from drake_exo.report.contact_figures import (
+    ContactCurves,
+    draw_friction,
+    draw_normal_force,
+)
+
+FILES = {
+    "figure_8_normal_force.png",
+    "figure_8_normal_force.pdf",
+    "figure_9_friction.png",
+    "figure_9_friction.pdf",
+    "summary.json",
+}
+
+
+def line(axes, label):
+    return next(li for li in axes.get_lines() if li.get_label() == label)
+
+
+def test_figure_8_is_monotone_with_a_slope_in_the_zoom():
+    figure = draw_normal_force(ContactCurves())
+    (axes,) = figure.axes
+    x, force = line(axes, "paper, at rest").get_data()
+    assert (x[0], x[-1]) == (-50.0, 20.0)
+    assert np.all(np.diff(force) > 0.0)
+    (inset,) = axes.child_axes
+    zoom, small = inset.get_lines()[0].get_data()
+    assert (zoom[0], zoom[-1]) == (-50.0, 0.0)
+    assert np.all(np.diff(small) / np.diff(1e-3 * zoom) > 2.9)
+    assert np.max(small) < 0.475
+
+
+def test_figure_9_peaks_at_one_and_is_flat_from_three():
+    figure = draw_friction(ContactCurves())
+    ratio, mu = line(figure.axes[0], r"paper, $\mu_2$").get_data()
+    assert ratio[np.argmax(mu)] == 1.0
+    assert np.max(mu) == pytest.approx(0.9)
+    np.testing.assert_allclose(mu[ratio >= 3.0], 0.6, rtol=1e-12)
+    assert mu[0] == 0.0
+
+
+def test_command_writes_the_same_files_twice(tmp_path, capsys):
+    for name in ("one", "two"):
+        assert main(["contact", "--out", str(tmp_path / name)]) == 0
+    shown = capsys.readouterr().out
+    for file in FILES:
+        assert file in shown
+        first, second = (tmp_path / n / file for n in ("one", "two"))
+        assert first.read_bytes() == second.read_bytes()
+    png = (tmp_path / "one" / "figure_8_normal_force.png").read_bytes()
+    assert png.startswith(b"\x89PNG") and len(png) > 20000
+    summary = json.loads((tmp_path / "one" / "summary.json").read_text())
+    assert summary["parameters"]["modulus"] == 5e6
+    assert 0.44 < summary["force_out_of_contact_n"] < 0.475
+    assert summary["slope_out_of_contact_n_per_m"] == pytest.approx(
+        2.96, abs=0.01
+    )
+    assert summary["peak_friction_at_v_rel"] == 1.0
+    assert summary["friction_at_v_rel_3"] == pytest.approx(0.6)
+
+
+def test_command_refuses_to_overwrite(tmp_path, capsys):
+    assert main(["contact", "--out", str(tmp_path)]) == 0
+    assert main(["contact", "--out", str(tmp_path)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--radius", "0", "radius is 0 m; it must be above 0"),
+        ("--modulus", "nan", "modulus is nan N/m²; give a finite number"),
+        ("--dissipation", "-1", "must be at least 0"),
+        ("--dynamic-friction", "0.95", "above static friction"),
+    ],
+)
+def test_command_refuses_bad_values(tmp_path, capsys, option, value, message):
+    folder = tmp_path / "out"
+    assert main(["contact", "--out", str(folder), f"{option}={value}"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not folder.exists()
