@@ -255,8 +255,9 @@ class SparseProgram:
         if not hasattr(kernel, "A"):
             return False
         J = block.jacobian(self.offset)
-        row = np.abs(kernel.A) @ np.abs(block.local)
-        small = np.abs(J) <= _IDENTICALLY_ZERO * np.maximum(row, 1e-300)
+        size = np.abs(kernel.A) @ np.abs(block.local)
+        size = size.max(axis=-1, keepdims=True)
+        small = np.abs(J) <= _IDENTICALLY_ZERO * size
         if not small.all():
             return False
         f = block.values(self.offset)

@@ -61,6 +61,18 @@ class Transcription(ABC):
     def _add_to(self, program: BatchedProgram) -> None:
         """Add variables and collocation constraints."""
 
+    @staticmethod
+    @abstractmethod
+    def midpoints(times, q, v, a, jerk):
+        """State in the middle of each interval of a solution.
+
+        Args:
+            times, q, v, a, jerk: values at the nodes.
+
+        Returns:
+            times (m,), q, v, a (m, n_dof).
+        """
+
     @abstractmethod
     def _scalar_basis(self) -> tuple[sp.csr_array, np.ndarray]:
         """Basis of one coordinate: rows q, v, a, jerk of all nodes.
@@ -116,6 +128,19 @@ class HermiteSimpson(Transcription):
         program.register(
             f"{self.name} collocation", kernel, bindings, zero, zero
         )
+
+    @staticmethod
+    def midpoints(times, q, v, a, jerk):
+        """See Transcription; jerk is linear in each interval."""
+        s = 0.5 * np.diff(times)[:, None]
+        j0, j1 = jerk[:-1], jerk[1:]
+        snap = 0.5 * (j1 - j0) / s
+        a_mid = a[:-1] + s * (j0 + s * snap / 2.0)
+        v_mid = v[:-1] + s * (a[:-1] + s * (j0 / 2.0 + s * snap / 6.0))
+        q_mid = q[:-1] + s * (
+            v[:-1] + s * (a[:-1] / 2.0 + s * (j0 / 6.0 + s * snap / 24.0))
+        )
+        return times[:-1] + s[:, 0], q_mid, v_mid, a_mid
 
     def _scalar_basis(self):
         n = self.num_intervals + 1
@@ -173,6 +198,25 @@ class Pseudospectral(Transcription):
             AffineKernel(A),
             np.concatenate(columns, axis=1),
         )
+
+    @staticmethod
+    def midpoints(times, q, v, a, jerk):
+        """See Transcription; each state is a cubic in each interval."""
+        points, _, _ = radau_points()
+        nodes = np.r_[0.0, points]
+        weights = np.array(
+            [
+                np.prod(0.5 - np.delete(nodes, i))
+                / np.prod(nodes[i] - np.delete(nodes, i))
+                for i in range(4)
+            ]
+        )
+        first = np.arange(0, len(times) - 1, 3)
+        middle = [
+            sum(w * x[first + i] for i, w in enumerate(weights))
+            for x in (q, v, a)
+        ]
+        return 0.5 * (times[first] + times[first + 3]), *middle
 
     def _scalar_basis(self):
         """Values q, v, a at the mesh points determine each interval."""

@@ -75,7 +75,8 @@ class TrackingNoise:
         force_n, cop_m: ground reaction and centre of pressure.
         torque_nm: typical torque; large, so that torques are minimised
             without competing with what was measured.
-        jerk: typical jerk [rad/s^3 or m/s^3], likewise.
+        jerk: typical jerk [rad/s^3 or m/s^3], likewise; much larger, and
+            the motion wiggles between the nodes.
     """
 
     angle_deg: float = _sigma(0.5, "deg")
@@ -87,7 +88,7 @@ class TrackingNoise:
     force_n: float = _sigma(5.0, "N")
     cop_m: float = _sigma(0.001, "m")
     torque_nm: float = _sigma(5000.0, "N m")
-    jerk: float = _sigma(10000.0, "rad/s^3")
+    jerk: float = _sigma(200.0, "rad/s^3")
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class Solver:
     reduce: bool = True
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     solver: Literal["ipopt", "drake"] = "ipopt"
-    tolerance: float = field(default=1e-6, metadata={"above": 0.0})
+    tolerance: float = field(default=1e-5, metadata={"above": 0.0})
     max_iterations: int = field(default=300, metadata={"minimum": 1})
 
     def options(self) -> SolverOptions:

@@ -1,0 +1,223 @@
+"""Movements whose truth is the model: for twin experiments and benchmarks.
+
+A rise from sitting to standing is drawn in joint space, then made consistent:
+the movement problem with known contact parameters is solved close to it. What
+comes out satisfies dynamics, contact law and collocation exactly, so that a
+calibration of such data must find the parameters that made them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from drake_exo.laboratory.filters import low_pass
+from drake_exo.parameters import ContactParameter
+from drake_exo.phases.foot_ground import FootGroundProblem
+from drake_exo.phases.measured import MeasuredMovement
+from drake_exo.phases.settings import FootGroundSettings, TrackingNoise
+from drake_exo.planar_tree import PlanarTree
+
+# Knots of the drawn path per second, and samples of what is handed on.
+_KNOTS = 40.0
+# Loose on the foot and on forces, which the contact decides.
+_DRAWN = TrackingNoise(
+    foot_m=0.05,
+    foot_pitch_deg=10.0,
+    foot_velocity_m_s=0.5,
+    foot_pitch_rate_deg_s=50.0,
+    force_n=50.0,
+    cop_m=0.02,
+)
+
+
+@dataclass(frozen=True)
+class Rise:
+    """A sit-to-stand rise as it is drawn.
+
+    Attributes:
+        name: of the trial.
+        duration_s: of the movement.
+        knee_deg, hip_deg: at seat-off and when standing.
+        balance_m: centre of mass ahead of the ankle, at both ends and in
+            the middle.
+        lag_deg: largest difference of the exoskeleton's angles from the
+            human's, where the model has an exoskeleton.
+    """
+
+    name: str
+    duration_s: float = 1.5
+    knee_deg: tuple[float, float] = (80.0, 5.0)
+    hip_deg: tuple[float, float] = (85.0, 5.0)
+    balance_m: tuple[float, float, float] = (0.03, 0.09, 0.05)
+    lag_deg: float = 2.0
+
+
+def rises(count: int, duration_s: float = 1.5, seed: int = 0) -> list[Rise]:
+    """Rises that differ in posture and balance, named rise1, rise2, ..."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for i in range(count):
+        sit, stand = rng.uniform(-5.0, 5.0), rng.uniform(0.0, 6.0)
+        made.append(
+            Rise(
+                f"rise{i + 1}",
+                duration_s,
+                (80.0 + sit, 4.0 + stand),
+                (85.0 + sit + rng.uniform(-4.0, 4.0), 4.0 + stand),
+                tuple(
+                    np.array([0.03, 0.09, 0.05]) + rng.uniform(-0.02, 0.02, 3)
+                ),
+            )
+        )
+    return made
+
+
+def draw(tree: PlanarTree, rise: Rise) -> MeasuredMovement:
+    """A rise in joint space, over the middle of a foot that stands still.
+
+    The ankle keeps the centre of mass where the rise says; the ground
+    reaction is what inverse dynamics needs.
+
+    Args:
+        tree: human or coupled model.
+        rise: posture and time.
+    """
+    count = max(round(rise.duration_s * _KNOTS), 20) + 1
+    times = np.linspace(0.0, rise.duration_s, count)
+    s = times / rise.duration_s
+    step = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    bump = (4.0 * s * (1.0 - s)) ** 2
+    nq = tree.num_positions
+    q = np.zeros((count, nq))
+    for column, ends in ((4, rise.knee_deg), (5, rise.hip_deg)):
+        q[:, column] = np.deg2rad(ends[0] + (ends[1] - ends[0]) * step)
+    lag = np.deg2rad(rise.lag_deg) * bump[:, None]
+    start, top, end = rise.balance_m
+    balance = start + (end - start) * step + (top - 0.5 * (start + end)) * bump
+    for _ in range(8):
+        if nq == 9:
+            q[:, 6:] = q[:, 3:6] + lag * [1.0, -0.5, 0.7]
+        q[:, 3] += _ankle_step(tree, q, balance)
+    path = make_interp_spline(times, q, k=7)
+    v, a = path.derivative(1)(times), path.derivative(2)(times)
+    forces = tree.inverse_dynamics(q, v, a)
+    # The foot's origin stays at the laboratory's.
+    ground = forces[:, :3] * [1.0, 1.0, -1.0]
+    return MeasuredMovement(rise.name, times, q, v, a, ground)
+
+
+def _ankle_step(tree, q, balance):
+    """Newton step of the ankle that brings the centre of mass in place."""
+    h = 1e-6
+    bent = q.copy()
+    bent[:, 3] += h
+    if tree.num_positions == 9:
+        bent[:, 6] += h
+    x = tree.center_of_mass(q)[:, 0]
+    slope = (tree.center_of_mass(bent)[:, 0] - x) / h
+    return (balance - x) / slope
+
+
+def consistent(
+    tree: PlanarTree,
+    drawn: list[MeasuredMovement],
+    truth: list[ContactParameter],
+    settings: FootGroundSettings,
+) -> list[MeasuredMovement]:
+    """Movements near the drawn ones that satisfy the model exactly.
+
+    They hold at the nodes of the settings' grid.
+
+    Args:
+        tree: the model.
+        drawn: from `draw`.
+        truth: parameters whose nominal values made the data.
+        settings: law, constants and grid; its noise is not used.
+
+    Raises:
+        SealedSolutionError: no such movement was found.
+    """
+    settings = replace(settings, noise=_DRAWN, prior_weight=0.0)
+    fixed = [replace(p, free=False) for p in truth]
+    made = []
+    for movement in drawn:
+        values = np.array([p.nominal for p in truth])
+        settled = _settled(tree, movement, fixed, settings, values)
+        problem = FootGroundProblem(tree, [settled], fixed, settings)
+        result = problem.solve()
+        result.solution.values(np.zeros(0, int))
+        found = result.trajectories[0]
+        made.append(
+            MeasuredMovement(
+                movement.name,
+                found.times,
+                found.q,
+                found.v,
+                found.a,
+                found.ground,
+            )
+        )
+    return made
+
+
+def _settled(tree, movement, fixed, settings, values):
+    """The drawn movement with its foot where the contact carries it."""
+    problem = FootGroundProblem(tree, [movement], fixed, settings)
+    x = problem.guess(values)
+    grid = problem.movements[0].grid
+    foot_q = x[problem.program.indices(grid.q[:, :3])]
+    at = movement.sample(grid.times)
+    q = np.hstack([foot_q, at.q[:, 3:]])
+    return replace(at, q=q)
+
+
+def noisy(
+    movement: MeasuredMovement,
+    seed: int,
+    noise: TrackingNoise,
+    cutoff_hz: float = 6.0,
+) -> MeasuredMovement:
+    """Add smooth measurement noise of the given standard deviations.
+
+    Args:
+        movement: without noise.
+        seed: of the random numbers.
+        noise: angle_deg, foot_m, foot_pitch_deg, force_n and cop_m are used;
+            noise of velocities is the derivative of that of positions.
+        cutoff_hz: of the filter that the noise has passed.
+    """
+    rng = np.random.default_rng(seed)
+    nq = movement.q.shape[1]
+    sigma = np.r_[
+        noise.foot_m,
+        noise.foot_m,
+        np.deg2rad(noise.foot_pitch_deg),
+        np.full(nq - 3, np.deg2rad(noise.angle_deg)),
+    ]
+    dq = _smooth(rng, movement.times, sigma, cutoff_hz)
+    path = make_interp_spline(movement.times, dq, k=5)
+    force = _smooth(
+        rng, movement.times, [noise.force_n, noise.force_n], cutoff_hz
+    )
+    cop = _smooth(rng, movement.times, [noise.cop_m], cutoff_hz)[:, 0]
+    ground = movement.ground.copy()
+    center = -ground[:, 2] / ground[:, 1] + cop
+    ground[:, :2] += force
+    ground[:, 2] = -center * ground[:, 1]
+    return MeasuredMovement(
+        movement.name,
+        movement.times,
+        movement.q + dq,
+        movement.v + path.derivative(1)(movement.times),
+        movement.a + path.derivative(2)(movement.times),
+        ground,
+    )
+
+
+def _smooth(rng, times, sigma, cutoff_hz):
+    """White noise through the laboratory's filter, scaled to sigma."""
+    rate = (len(times) - 1) / (times[-1] - times[0])
+    white = rng.standard_normal((len(times), len(sigma)))
+    filtered = low_pass(white, rate, cutoff_hz, 4, "noise")
+    return filtered / filtered.std(axis=0) * sigma
