@@ -149,7 +149,10 @@ def bushing_force_derivatives(
     for i in range(3):
         k, b = np.asarray(stiffness[i]), np.asarray(damping[i])
         force[i] = k * deflection[i] + b * rate[i]
-        d_force[i, :14] = k * d_deflection[i] + b * d_rate[i]
+        np.multiply(b, d_rate[i], out=d_force[i, :14])
+        # Deflection depends on poses and origin only.
+        for columns in (slice(0, 3), slice(6, 9), slice(12, 14)):
+            d_force[i, columns] += k * d_deflection[i, columns]
         d_force[i, 14 + i] = deflection[i]
         d_force[i, 17 + i] = rate[i]
     return BushingForceDerivatives(

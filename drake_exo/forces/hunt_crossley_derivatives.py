@@ -208,7 +208,7 @@ def sphere_force_derivatives(
     direction = v / speed
     minus_ratio = -mu * direction  # friction / normal
     np.multiply(minus_ratio, d_normal, out=d_friction)
-    by_slip = d_mu * direction**2 + mu * slip_square / speed**3
+    by_slip = d_mu * direction**2 + mu * slip_square / (speed * speed * speed)
     d_friction[2] = -normal * by_slip
     return SphereForceDerivatives(
         np.broadcast_to(normal, shape),
