@@ -12,6 +12,7 @@ from drake_exo.errors import InputError
 # the exoskeleton half, nor pay for it.
 _COMMANDS = {
     "calibrate": "drake_exo.phases.command",
+    "sensitivity": "drake_exo.phases.sensitivity_command",
     "contact": "drake_exo.report.contact_figures",
     "demo": "drake_exo.demo",
     "sole": "drake_exo.soles.command",

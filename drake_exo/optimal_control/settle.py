@@ -18,7 +18,8 @@ _UNKNOWNS = [1, 2, 3]
 _SLIP = [3]
 _LARGEST_STEP = np.array([np.inf, 2e-3, 0.02, 0.02])
 _PASSES = 2
-_NEWTON_STEPS = 60
+_NEWTON_STEPS = 12
+_SETTLED = 1e-3  # of the kernel's units: it is only a guess
 
 
 def settle_foot(
@@ -109,5 +110,5 @@ def _newton(kernel, x, unknowns):
         better = np.linalg.norm(r_trial, axis=1) <= size
         x[better] = trial[better]
         r[better] = r_trial[better]
-        if np.abs(r).max() < 1e-10:
+        if np.abs(r).max() < _SETTLED:
             return

@@ -9,28 +9,26 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.laboratory.loading import load_trials
 from drake_exo.laboratory.opensim_files import write_table
 from drake_exo.laboratory.tables import Table
 from drake_exo.nlp.ipopt import Iterate
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.phases import audit
+from drake_exo.phases.calibration_inputs import load_inputs
 from drake_exo.phases.foot_ground import (
     FootGroundProblem,
     FootGroundResult,
     Trajectory,
 )
-from drake_exo.phases.measured import MeasuredMovement, from_trial
+from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.scores import rmsd, spread
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import COUPLED_COORDINATES, build_plant
+from drake_exo.plant import COUPLED_COORDINATES
 from drake_exo.report.phase_a_figures import (
     front_figure,
     ground_reaction_figure,
     kinematics_figure,
 )
 from drake_exo.report.tables import format_table, rmsd_table
-from drake_exo.study import load_study
 
 _CHECKPOINT_SECONDS = 5.0
 
@@ -66,24 +64,12 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
-    study, root = load_study(args.study, args.data_root)
+    inputs = load_inputs(args.study, args.data_root)
+    trials = inputs.trials
     with prepare_output_folder(args.out, args.force) as out:
-        subject, loaded = load_trials(study, root)
-        trials = [from_trial(t) for t in loaded]
-        for trial in loaded:
+        for trial in inputs.loaded:
             trial.save(out / f"measured_{trial.name}")
-        model = (study.model, subject.human, subject.exoskeleton)
-        tree = PlanarTree.from_plant(
-            build_plant(*model, gravity=study.gravity_m_s2)
-        )
-        foot = subject.exoskeleton or subject.human
-        settings = study.foot_ground
-        problem = FootGroundProblem(
-            tree,
-            trials,
-            settings.parameters(foot.heel_m, foot.toe_m),
-            settings,
-        )
+        problem = inputs.problem()
         watch = SolveWatch("calibrate foot-ground", out / "checkpoint.npz")
         result = problem.solve(on_iterate=watch)
         summary = _summary(result, trials)
@@ -100,9 +86,9 @@ def run(args: argparse.Namespace) -> int:
         if not result.solution.success:
             write_json(out / "summary.json", summary)
             return _failed(result)
-        summary["audit"] = _audit(model, study, tree, result)
-        if not args.no_front and settings.front:
-            summary["front"] = _front(out, tree, trials, problem, result)
+        summary["audit"] = _audit(inputs, result)
+        if not args.no_front and inputs.settings.front:
+            summary["front"] = _front(out, inputs, result)
         write_json(out / "summary.json", summary)
         (out / "checkpoint.npz").unlink(missing_ok=True)
     print(f"results in {args.out}")
@@ -252,12 +238,14 @@ def _write_trajectories(out: Path, trajectories: list[Trajectory]) -> None:
         )
 
 
-def _audit(model, study, tree, result: FootGroundResult) -> list[dict]:
+def _audit(inputs, result: FootGroundResult) -> list[dict]:
     rows = []
     progress = Progress("simulate", total=len(result.trajectories))
     for i, found in enumerate(result.trajectories):
-        residuals = audit.between_nodes(tree, result, found)
-        simulated = audit.simulate(*model, study.gravity_m_s2, result, found)
+        residuals = audit.between_nodes(inputs.tree, result, found)
+        simulated = audit.simulate(
+            *inputs.model, inputs.study.gravity_m_s2, result, found
+        )
         checked = audit.compare(found, simulated, residuals)
         progress.update(found.name, done=i + 1)
         rows.append(
@@ -289,7 +277,7 @@ def _audit(model, study, tree, result: FootGroundResult) -> list[dict]:
     return rows
 
 
-def _front(out, tree, trials, problem, result) -> list[dict]:
+def _front(out, inputs, result) -> list[dict]:
     """Kinematics against forces: the noise of forces scaled by factors."""
     settings = result.settings
     rows = []
@@ -304,12 +292,12 @@ def _front(out, tree, trials, problem, result) -> list[dict]:
                 cop_m=factor * settings.noise.cop_m,
             )
             found = FootGroundProblem(
-                tree,
-                trials,
-                problem.parameters,
+                inputs.tree,
+                inputs.trials,
+                inputs.parameters,
                 replace(settings, noise=noise),
             ).solve()
-        rows.append(_front_row(factor, found, trials))
+        rows.append(_front_row(factor, found, inputs.trials))
         progress.update(f"factor {factor:g}", done=i + 1)
     header = [
         "noise of forces ×",

@@ -49,7 +49,7 @@ class Rise:
     duration_s: float = 1.5
     knee_deg: tuple[float, float] = (80.0, 5.0)
     hip_deg: tuple[float, float] = (85.0, 5.0)
-    balance_m: tuple[float, float, float] = (0.03, 0.09, 0.05)
+    balance_m: tuple[float, float, float] = (0.05, 0.08, 0.06)
     lag_deg: float = 2.0
 
 
@@ -66,7 +66,7 @@ def rises(count: int, duration_s: float = 1.5, seed: int = 0) -> list[Rise]:
                 (80.0 + sit, 4.0 + stand),
                 (85.0 + sit + rng.uniform(-4.0, 4.0), 4.0 + stand),
                 tuple(
-                    np.array([0.03, 0.09, 0.05]) + rng.uniform(-0.02, 0.02, 3)
+                    np.array([0.05, 0.08, 0.06]) + rng.uniform(-0.01, 0.01, 3)
                 ),
             )
         )
