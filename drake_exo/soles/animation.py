@@ -1,15 +1,19 @@
 """The deforming sole as one HTML file: meshcat's viewer, nothing fetched."""
 
 import base64
+import warnings
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import umsgpack
 from matplotlib import colormaps
-from meshcat import commands, geometry
-from meshcat.animation import Animation
-from meshcat.path import Path as ScenePath
+
+with warnings.catch_warnings():  # its server uses a deprecated part of zmq
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from meshcat import commands, geometry
+    from meshcat.animation import Animation
+    from meshcat.path import Path as ScenePath
 
 _MAX_FRAMES = 110
 _MAX_BYTES = 14_000_000

@@ -45,7 +45,7 @@ class MeshBlock:
     file: str | None = None
     brick: Brick | None = None
     origin_m: Vector3 | None = None
-    element: Literal["linear", "nodal_pressure"] = "linear"
+    element: Literal["linear", "smoothed"] = "linear"
 
     def __post_init__(self):
         _exactly_one(self, ("file", "brick"))

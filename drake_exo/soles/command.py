@@ -1,7 +1,12 @@
 """The command `drake-exo sole`: simulate a sole through a step."""
 
+import os
 import time
 from pathlib import Path
+
+# Before numpy loads its BLAS: matrices here are small, and two threads are
+# slower than one wherever the cores have other work.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 

@@ -10,12 +10,17 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
 from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.smoothing import (
+    edge_average,
+    gradient_operators,
+    node_average,
+)
 
-Element = Literal["linear", "nodal_pressure"]
+Element = Literal["linear", "smoothed"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Material:
             raise InputError(
                 f"material {self.name}: poissons_ratio {self.poissons_ratio} "
                 "must lie between -1 and 0.5 (0.5 is incompressible; use "
-                "0.49 with element nodal_pressure)"
+                "0.49 with element smoothed)"
             )
         if not self.density_kg_per_m3 > 0:
             raise InputError(
@@ -75,14 +80,13 @@ def stiffness_matrix(
 ) -> csr_matrix:
     """Assembled stiffness of all nodes [N/m], (3n, 3n).
 
-    `nodal_pressure` takes the dilatation as an average around each node
-    (Bonet and Burton, Commun. Numer. Meth. Engng 14, 1998), which does not
-    lock for ν near 0.5 and keeps the linear tetrahedra's contact nodes.
+    K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for "linear"; for
+    "smoothed" see `smoothing`.
     """
+    if element == "smoothed":
+        return _smoothed_stiffness(mesh, material)
     g, V = mesh.gradients, mesh.volumes
     shear, lam = material.shear_modulus, material.lame_lambda
-    if element == "nodal_pressure":
-        lam = -2 / 3 * shear  # deviatoric part alone
     gg = np.einsum("eai,ebi->eab", g, g)
     outer = np.einsum("eai,ebj->eaibj", g, g)
     Ke = lam * outer + shear * outer.transpose(0, 1, 4, 3, 2)
@@ -92,37 +96,30 @@ def stiffness_matrix(
     dofs = (3 * mesh.tets[:, :, None] + np.arange(3)).reshape(-1, 12)
     size = 3 * len(mesh.nodes)
     rows, cols = np.repeat(dofs, 12, axis=1), np.tile(dofs, (1, 12))
-    K = csr_matrix(
+    return csr_matrix(
         (Ke.reshape(-1), (rows.ravel(), cols.ravel())), shape=(size, size)
     )
-    if element == "nodal_pressure":
-        D, V_node = nodal_dilatation(mesh)
-        scale = csr_matrix(
-            (material.bulk_modulus * V_node, (range(len(V_node)),) * 2)
-        )
-        K = (K + D.T @ scale @ D).tocsr()
-    return K
 
 
-def nodal_dilatation(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
-    """Averages of div u around nodes: matrix (n, 3n), node volumes [m³]."""
-    n, V = len(mesh.nodes), mesh.volumes
-    quarter = np.repeat(V / 4, 4)
-    V_node = np.bincount(mesh.tets.ravel(), quarter, minlength=n)
-    share = csr_matrix(
-        (quarter, (mesh.tets.ravel(), np.repeat(np.arange(len(V)), 4))),
-        shape=(n, len(V)),
-    )
-    dofs = (3 * mesh.tets[:, :, None] + np.arange(3)).reshape(-1, 12)
-    div = csr_matrix(
-        (
-            mesh.gradients.reshape(-1),
-            (np.repeat(np.arange(len(V)), 12), dofs.ravel()),
-        ),
-        shape=(len(V), 3 * n),
-    )
-    inverse = csr_matrix((1 / V_node, (range(n),) * 2), shape=(n, n))
-    return (inverse @ share @ div).tocsr(), V_node
+def _smoothed_stiffness(mesh: TetMesh, material: Material) -> csr_matrix:
+    """Deviator averaged around edges, dilatation around nodes."""
+    gradient = gradient_operators(mesh)
+    edge, V_edge = edge_average(mesh)
+    node, V_node = node_average(mesh)
+    G = [edge @ g for g in gradient]
+    D = [node @ g for g in gradient]
+    shear = material.shear_modulus
+    W, bulk = diags(shear * V_edge), diags(material.bulk_modulus * V_node)
+    laplacian = sum(g.T @ W @ g for g in G)
+    blocks = [[None] * 3 for _ in range(3)]
+    for i in range(3):
+        for j in range(3):
+            K = G[j].T @ W @ G[i] - 2 / 3 * (G[i].T @ W @ G[j])
+            K = K + D[i].T @ bulk @ D[j]
+            blocks[i][j] = K + laplacian if i == j else K
+    n = len(mesh.nodes)
+    order = (np.arange(3) * n + np.arange(n)[:, None]).ravel()
+    return bmat(blocks, format="csr")[order][:, order]
 
 
 @dataclass(eq=False)
@@ -132,7 +129,7 @@ class Sole:
     Attributes:
         mesh: The mesh at rest.
         material: Its material.
-        element: "linear" (the paper's) or "nodal_pressure" (locking-free).
+        element: "linear" (the paper's) or "smoothed" (locking-free).
     """
 
     mesh: TetMesh
@@ -210,24 +207,35 @@ class Sole:
     def stress(self, u: np.ndarray) -> np.ndarray:
         """Cauchy stress of every element [Pa], (..., e, 3, 3).
 
-        With `nodal_pressure` the pressure is the mean of the nodes' own.
+        With "smoothed", the mean of the stresses of its edges (deviator)
+        and nodes (pressure).
         """
         eps = self.strain(u)
-        trace = np.trace(eps, axis1=-2, axis2=-1)
-        lam = self.material.lame_lambda
-        if self.element == "nodal_pressure":
-            D, _ = nodal_dilatation(self.mesh)
-            flat = u.reshape(-1, u.shape[-2] * 3)
-            node = (D @ flat.T).T.reshape(*u.shape[:-2], -1)
-            mean = node[..., self.mesh.tets].mean(axis=-1)
-            volumetric = self.material.bulk_modulus * mean
-            volumetric = (
-                volumetric - 2 / 3 * self.material.shear_modulus * trace
-            )
-        else:
-            volumetric = lam * trace
-        sigma = 2 * self.material.shear_modulus * eps
-        return sigma + volumetric[..., None, None] * np.eye(3)
+        eye = np.eye(3)
+        shear = self.material.shear_modulus
+        if self.element == "linear":
+            trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None]
+            return 2 * shear * eps + self.material.lame_lambda * trace * eye
+        lead, e = eps.shape[:-3], len(self.mesh.tets)
+        flat = np.moveaxis(eps.reshape(-1, e, 9), 1, 0).reshape(e, -1)
+        edge, node = self._round_trips
+        mean = (edge @ flat).reshape(e, -1, 3, 3)
+        dilatation = np.trace((node @ flat).reshape(e, -1, 3, 3),
+                              axis1=-2, axis2=-1)  # fmt: skip
+        trace = np.trace(mean, axis1=-2, axis2=-1)[..., None, None]
+        sigma = 2 * shear * (mean - trace / 3 * eye)
+        sigma += self.material.bulk_modulus * dilatation[..., None, None] * eye
+        return np.moveaxis(sigma, 0, 1).reshape(*lead, e, 3, 3)
+
+    @cached_property
+    def _round_trips(self) -> tuple[csr_matrix, csr_matrix]:
+        """Element field -> edges (nodes) -> mean over the element's own."""
+        out = []
+        for average, shares in ((edge_average, 6), (node_average, 4)):
+            A, _ = average(self.mesh)
+            owners = (A.T > 0).astype(float) / shares
+            out.append((owners @ A).tocsr())
+        return tuple(out)
 
 
 def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:

@@ -123,12 +123,20 @@ def brick(
             f"brick: size {size} and divisions {divisions} must be positive; "
             "give metres and whole numbers of cells"
         )
-    _, ny, nz = divisions
     axes = [
-        np.linspace(0.0, s, n + 1) for s, n in zip(size, divisions, strict=True)
+        np.linspace(-0.5, 0.5, divisions[0] + 1) * size[0],
+        np.linspace(-0.5, 0.5, divisions[1] + 1) * size[1],
+        np.linspace(-1.0, 0.0, divisions[2] + 1) * size[2],
     ]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    nodes = grid.reshape(-1, 3) - [size[0] / 2, size[1] / 2, size[2]]
+    return grid_mesh(*axes)
+
+
+def grid_mesh(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> TetMesh:
+    """A block over increasing grid lines [m]; the last z is glued."""
+    grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+    nodes = grid.reshape(-1, 3)
+    divisions = tuple(n - 1 for n in grid.shape[:3])
+    _, ny, nz = divisions
     cell = np.stack(
         np.meshgrid(*map(np.arange, divisions), indexing="ij"), axis=-1
     ).reshape(-1, 3)
@@ -147,7 +155,7 @@ def brick(
     x = nodes[tets]
     negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
     tets[negative] = tets[negative][:, [0, 2, 1, 3]]
-    top = np.flatnonzero(np.abs(nodes[:, 2]) < 1e-12 * size[2])
+    top = np.flatnonzero(nodes[:, 2] == z[-1])
     return checked_mesh(nodes, tets, top, "brick")
 
 

@@ -50,7 +50,7 @@ def load_figure(path: Path, load: Load, mesh: TetMesh) -> None:
         left.annotate(
             "heel strike",
             1e3 * load.zmp[0],
-            (12, -14),
+            (8, 5),
             textcoords="offset points",
         )
         left.set(

@@ -1,0 +1,215 @@
+"""Case files, loads and the command, bad input included."""
+
+import json
+import subprocess
+import sys
+
+import meshio
+import numpy as np
+import pytest
+
+from drake_exo import cli
+from drake_exo.errors import InputError
+from drake_exo.soles import loads
+from drake_exo.soles.case import read_case
+from drake_exo.soles.mesh import brick
+
+GOOD = """
+name: small
+mesh:
+  brick: {size_m: [0.23, 0.13, 0.03], divisions: [4, 3, 2]}
+material: {name: neoprene}
+contact: {friction: 0.8}
+load:
+  csv: {file: load.csv}
+"""
+ROWS = """time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m
+0.0,1,0,200,-0.05,0.0
+0.1,0,0,400,0.0,0.0
+0.2,0,0,200,0.05,0.01
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "case.yaml").write_text(GOOD)
+    (tmp_path / "load.csv").write_text(ROWS)
+    return tmp_path
+
+
+def _run(folder, *more):
+    return cli.main(
+        ["sole", "simulate", str(folder / "case.yaml"),
+         "--out", str(folder / "out"), *more]
+    )  # fmt: skip
+
+
+def test_a_case_runs_and_leaves_its_results(folder):
+    assert _run(folder) == 0
+    numbers = json.loads((folder / "out" / "summary.json").read_text())
+    for key in ("c_tr", "c_rot", "c", "steps", "failed_steps",
+                "contact_nodes", "tets", "simulation_seconds"):  # fmt: skip
+        assert key in numbers
+    assert (numbers["steps"], numbers["failed_steps"]) == (3, 0)
+    assert numbers["complementarity"] < 1e-10
+    page = folder / "out" / "animation.html"
+    text = page.read_text(encoding="utf-8")
+    assert page.stat().st_size < 20e6
+    assert "handle_command_bytearray" in text
+    assert 'src="' not in text  # nothing is fetched
+    arrays = np.load(folder / "out" / "history.npz")
+    assert arrays["force_W"].shape[0] == 3
+    for name in ("load", "stiffness", "pose", "pressure"):
+        assert (folder / "out" / f"{name}.png").stat().st_size > 5000
+
+
+def test_results_are_not_overwritten_and_repeat_exactly(folder, capsys):
+    assert _run(folder) == 0
+    names = ("steps.csv", "animation.html", "stiffness.png")
+    first = [(folder / "out" / n).read_bytes() for n in names]
+    assert _run(folder) == 2
+    assert "--force" in capsys.readouterr().err
+    assert _run(folder, "--force") == 0
+    assert [(folder / "out" / n).read_bytes() for n in names] == first
+
+
+BAD = {
+    "zmp outside": (("load.csv", "-0.05,0.0", "-0.25,0.0"), "outside the sole"),
+    "no force": (("load.csv", "0,0,400", "0,0,0"), "vertical force"),
+    "pull": (("load.csv", "0,0,400", "0,0,-3"), "vertical force"),
+    "same time": (("load.csv", "0.2,0,0", "0.1,0,0"), "two samples at one"),
+    "not a number": (("load.csv", "400", "x"), "not a number"),
+    "nan": (("load.csv", "400", "nan"), "NaN"),
+    "nu": (
+        ("case.yaml", "neoprene}", "neoprene, poissons_ratio: 0.5}"),
+        "poissons_ratio",
+    ),
+    "mu below": (("case.yaml", "0.8", "-0.1"), "friction"),
+    "mu zero": (("case.yaml", "0.8", "0.0"), "friction"),
+    "key": (("case.yaml", "friction:", "fricton:"), "fricton"),
+    "two loads": (
+        ("case.yaml", "load:", "load:\n  constant: {force_n: [0, 0, 1], "
+         "zmp_m: [0, 0]}"), "exactly one",
+    ),
+    "material": (("case.yaml", "neoprene", "cheese"), "cheese"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_exit_code_2(folder, capsys, name):
+    (file, old, new), message = BAD[name]
+    path = folder / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    assert _run(folder) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert "Traceback" not in err
+    assert err.count("\n") == 1
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize("fault", ["inverted", "unconnected", "no top"])
+def test_bad_mesh_is_exit_code_2(folder, capsys, fault):
+    mesh = brick((0.23, 0.13, 0.03), (3, 2, 2))
+    nodes, tets = mesh.nodes, mesh.tets.copy()
+    if fault == "inverted":
+        tets[5] = tets[5][[1, 0, 2, 3]]
+    elif fault == "unconnected":
+        tets = np.concatenate([tets, tets + len(nodes)])
+        nodes = np.concatenate([nodes, nodes + np.eye(3)[0]])
+    else:
+        nodes = nodes + [[0, 0, 0.01]] * np.abs(nodes[:, :1]) ** 0.5
+    path = folder / "mesh.vtk"
+    meshio.Mesh(nodes, [("tetra", tets)]).write(path)
+    assert _run(folder, "--mesh", str(path)) == 2
+    words = {"inverted": "inverted", "unconnected": "unconnected",
+             "no top": "no Dirichlet surface"}  # fmt: skip
+    assert words[fault] in capsys.readouterr().err
+
+
+def test_missing_files_are_exit_code_2(folder, capsys):
+    assert _run(folder, "--mesh", str(folder / "none.msh")) == 2
+    (folder / "load.csv").unlink()
+    assert _run(folder) == 2
+    assert "check the path" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "c_tr", "c_rot"),
+    [
+        ("hrp4_neoprene", 4.33e6, 2.04e5),
+        ("hrp4_butyl", 6.03e6, 2.84e5),
+        ("hrp4_straight", 9.67e6, 3.77e5),
+    ],
+)
+def test_authors_step(data_root, name, c_tr, c_rot):
+    from pathlib import Path
+
+    from drake_exo.soles.command import run_history
+
+    case = read_case(Path(__file__).parents[1] / "cases" / f"{name}.yaml")
+    load = case.load.load(data_root)
+    mesh = case.read_mesh(data_root)
+    load.check_inside(mesh.nodes[mesh.contact])
+    sole = case.sole(mesh)
+    start = case.start_pose(mesh)
+    history = run_history(case, sole, case.law(sole), start, load)
+    assert len(history.reports) == 219
+    assert history.failed_steps == 0
+    costs = history.costs()
+    assert costs[0] == pytest.approx(c_tr, rel=5e-3)
+    assert costs[1] == pytest.approx(c_rot, rel=5e-3)
+
+
+def test_force_plate_is_turned_upright(data_root):
+    path = data_root / "opencap_subject4" / "ID" / "walking1_grf.mot"
+    load = loads.read_force_plate(path, "ground_force_2", 0.54, 1.21)
+    assert (load.force[:, 2] > 0).all()
+    assert np.ptp(load.zmp[:, 0]) == pytest.approx(0.268, abs=0.03)
+    with pytest.raises(InputError, match="ground_force_7"):
+        loads.read_force_plate(path, "ground_force_7", 0.54, 1.21)
+
+
+def test_playback_shares_double_support_continuously(data_root):
+    path = data_root / "soft_sole_hrp4" / "trajectory" / "hrp4_playback.txt"
+    left = loads.read_playback(path, "left", 1, 43.0)
+    step = np.abs(np.diff(left.force[:, 2])).max()
+    assert step < 0.05 * left.force[:, 2].max()
+    assert np.abs(np.diff(left.zmp, axis=0)).max() < 2e-3
+    middle = left.force[len(left.times) // 2, 2]
+    assert middle == pytest.approx(43 * 9.81, rel=0.1)
+
+
+def test_double_support_shares_add_up():
+    phase = np.array([1] * 5 + [0] * 10 + [2] * 5)
+    s = np.concatenate([np.zeros(5), np.linspace(0, 1, 10), np.ones(5)])
+    zmp = np.stack([0.2 * s, 0.1 - 0.2 * s + 0.02 * np.sin(np.pi * s)], 1)
+    a, za = loads.share_double_support(zmp, phase, 1)
+    b, zb = loads.share_double_support(zmp, phase, 2)
+    np.testing.assert_allclose(a + b, 1.0)
+    total = a[:, None] * za + b[:, None] * zb
+    np.testing.assert_allclose(total, zmp, atol=1e-15)
+
+
+def test_a_turned_force_plate_sees_a_turned_load():
+    load = loads.constant([10.0, 0.0, 100.0], [1.0, 2.0])
+    seen = load.placed([1.0, 1.0], np.pi / 2)
+    np.testing.assert_allclose(seen.zmp[0], [1.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(seen.force[0], [0.0, -10.0, 100.0], atol=1e-14)
+
+
+def test_soles_never_load_systems_nor_the_exoskeleton_half():
+    code = (
+        "import sys, pkgutil, importlib, drake_exo.soles as s\n"
+        "for m in pkgutil.iter_modules(s.__path__):\n"
+        "    importlib.import_module('drake_exo.soles.' + m.name)\n"
+        "bad = [m for m in sys.modules if m.startswith(("
+        "'pydrake.systems', 'pydrake.multibody', 'drake_exo.plant', "
+        "'drake_exo.forces', 'drake_exo.phases', 'drake_exo.laboratory', "
+        "'drake_exo.optimal_control', 'drake_exo.report'))]\n"
+        "assert not bad, bad\n"
+        "assert 'drake_exo.soles.command' in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,300 @@
+"""Contact and pose: closed forms, both methods, stiffness, Hertz."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_exo.soles import results
+from drake_exo.soles.contact import ContactSolver, Start, State, Target
+from drake_exo.soles.elasticity import MATERIALS, Material, Sole
+from drake_exo.soles.gauss_seidel import GaussSeidelSolver, contact_at_pose
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.rotations import exp_rotation
+from drake_exo.soles.simulation import simulate
+
+SIZE = (0.23, 0.13, 0.03)
+START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
+
+
+def _load(count=20):
+    """Heel to toe with a sideways push, well inside the brick."""
+    s = np.linspace(0, 1, count)
+    force = np.stack(
+        [60 * np.cos(np.pi * s), -25 * np.sin(np.pi * s),
+         150 + 500 * np.sin(np.pi * s)], axis=1,
+    )  # fmt: skip
+    zmp = np.stack([-0.08 + 0.14 * s, 0.03 - 0.02 * s], axis=1)
+    return force, zmp
+
+
+@pytest.fixture(scope="module")
+def sole():
+    return Sole(brick(SIZE, (8, 5, 3)), MATERIALS["neoprene"])
+
+
+@pytest.fixture(scope="module")
+def history(sole):
+    law = ContactLaw(0.8, sole.penalty)
+    return simulate(sole.compliance, sole.positions, law, *_load(), START)
+
+
+def test_force_and_zmp_are_reached(history):
+    force, zmp = _load()
+    assert history.failed_steps == 0
+    np.testing.assert_allclose(history.F.sum(axis=1), force, atol=1e-6)
+    moment = np.einsum(
+        "qmi->qi",
+        np.cross(
+            history.P - np.c_[zmp, np.zeros(len(zmp))][:, None], history.F
+        ),
+    )
+    assert np.abs(moment).max() < 1e-7
+
+
+def test_complementarity_is_met_in_exact_mode(sole, history):
+    law = ContactLaw(0.8, sole.penalty)
+    error = results.complementarity(history, law, START, sole.positions)
+    assert error < 1e-10
+    history_bad = replace(history, P=history.P + 1e-7 * np.eye(3)[2])
+    assert (
+        results.complementarity(history_bad, law, START, sole.positions) > 1e-10
+    )
+
+
+def test_gauss_seidel_and_newton_agree(sole, history):
+    law = ContactLaw(0.8, sole.penalty)
+    solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
+    other = simulate(
+        sole.compliance,
+        sole.positions,
+        law,
+        *_load(),
+        START,
+        solver=solver,
+    )
+    assert other.failed_steps == 0
+    assert np.abs(other.O - history.O).max() < 1e-8
+    assert np.abs(other.R - history.R).max() < 1e-8
+    assert np.abs(other.P - history.P).max() < 1e-8
+
+
+def test_first_jacobian_includes_the_moving_reference(sole):
+    """Newton at the first sample converges quadratically, so dQ is right."""
+    law = ContactLaw(0.8, sole.penalty)
+    force, zmp = _load()
+    solver = ContactSolver(sole.compliance, sole.positions, law)
+    history = simulate(
+        sole.compliance, sole.positions, law, force[:1], zmp[:1], START
+    )
+    target = Target(force[0] * 1.0001, zmp[0], START)
+    _, report = solver.solve(history.state(0), target)
+    assert report.converged
+    assert report.iterations <= 3
+
+
+def test_stiffness_matches_finite_differences(sole, history):
+    """K_c against contact at perturbed poses, references frozen."""
+    law = ContactLaw(0.8, sole.penalty)
+    _, zmp = _load()
+    solver = ContactSolver(
+        sole.compliance, sole.positions, law, tolerance=1e-15
+    )
+    checked = 0
+    for q in (3, 10, 15):
+        Z = np.array([*zmp[q], 0.0])
+        reference = history.P[q - 1][:, :2]
+        K, same = np.zeros((6, 6)), True
+        for k in range(6):
+            h = 1e-8 if k < 3 else 1e-7
+            wrench = []
+            for sign in (1, -1):
+                dp = np.zeros(6)
+                dp[k] = sign * h
+                turn = exp_rotation(dp[3:])
+                state, _ = contact_at_pose(
+                    solver,
+                    turn @ history.R[q],
+                    Z + turn @ (history.O[q] - Z) + dp[:3],
+                    reference,
+                    history.F[q],
+                )
+                same &= ((state.F[:, 2] > 0) == (history.F[q][:, 2] > 0)).all()
+                P = solver.deformed(state.F, state.R) + state.O
+                wrench.append(
+                    np.concatenate(
+                        [
+                            state.F.sum(axis=0),
+                            np.cross(P - Z, state.F).sum(axis=0),
+                        ]
+                    )
+                )
+            K[:, k] = (wrench[0] - wrench[1]) / (2 * h)
+        assert same
+        scale = np.array([1.0] * 3 + [0.05] * 3)
+        error = scale[:, None] ** -1 * (K - history.K_c[q]) / scale
+        size = scale[:, None] ** -1 * history.K_c[q] / scale
+        assert np.abs(error).max() < 1e-6 * np.abs(size).max()
+        checked += 1
+    assert checked == 3
+
+
+def test_springs_stick_and_slip_as_in_closed_form():
+    """A block on independent springs: forth and back with hysteresis."""
+    m, k_n, k_t, mu = 9, 2e4, 1e4, 0.5
+    C = np.diag(np.tile([1 / k_t, 1 / k_t, 1 / k_n], m))
+    grid = np.linspace(-0.05, 0.05, 3)
+    lP = np.stack([*np.meshgrid(grid, grid), np.zeros((3, 3))], -1)
+    lP = lP.reshape(-1, 3)
+    solver = ContactSolver(C, lP, ContactLaw(mu, 1.5e4), tolerance=1e-14)
+    depth, limit = 1e-3, mu * k_n * 1e-3
+    reference, stretch, F = lP[:, :2].copy(), 0.0, None
+    place = 0.0
+    for target in (3e-4, 9e-4, 1.4e-3, 1.0e-3, -5e-4):
+        stretch = np.clip(stretch + target - place, -limit / k_t, limit / k_t)
+        place = target
+        O = np.array([target, 0.0, -depth])  # noqa: E741
+        state, report = contact_at_pose(solver, np.eye(3), O, reference, F)
+        assert report.converged
+        np.testing.assert_allclose(
+            state.F,
+            np.tile([-k_t * stretch, 0.0, k_n * depth], (m, 1)),
+            atol=1e-9,
+        )
+        F = state.F
+        P = solver.deformed(F, np.eye(3)) + O
+        reference = P[:, :2]
+
+
+def test_elastic_block_slides_at_the_friction_limit(sole):
+    law = ContactLaw(0.5, sole.penalty)
+    solver = ContactSolver(sole.compliance, sole.positions, law)
+    reference = sole.positions[:, :2]
+    F = None
+    for push in (1e-4, 5e-4, 2e-3, 5e-3, 1e-2):
+        O = np.array([push, 0.0, 0.03 - 5e-4])  # noqa: E741
+        state, report = contact_at_pose(solver, np.eye(3), O, reference, F)
+        assert report.converged
+        F = state.F
+    total = F.sum(axis=0)
+    assert total[0] == pytest.approx(-0.5 * total[2], rel=1e-3)
+
+
+def test_both_methods_agree_without_friction(sole):
+    law = ContactLaw(0.0, sole.penalty)
+    pose = exp_rotation(np.array([0.02, -0.01, 0.0]))
+    O = np.array([0.0, 0.0, 0.0305])  # noqa: E741
+    reference = sole.positions[:, :2]
+    states = []
+    for kind in (ContactSolver, GaussSeidelSolver):
+        solver = kind(sole.compliance, sole.positions, law)
+        state, report = contact_at_pose(solver, pose, O, reference)
+        assert report.converged
+        states.append(state.F)
+    assert np.abs(states[0][:, :2]).max() < 1e-12 * states[0].max()
+    np.testing.assert_allclose(*states, atol=1e-6 * states[0].max())
+
+
+@pytest.mark.parametrize("element", ["linear", "smoothed"])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
+def test_contact_patch_is_uniform(element, nu):
+    """A thin pad pressed flat: uniform pressure within 1 %.
+
+    With ν = 0 everywhere; else far from the free rim, where the pad is in
+    uniaxial strain.
+    """
+    material = Material("m", 1e6, nu, 1000.0)
+    height, depth = 0.002, 1e-5
+    pad = Sole(brick((0.2, 0.16, height), (20, 16, 2)), material, element)
+    solver = ContactSolver(
+        pad.compliance, pad.positions, ContactLaw(0.0, pad.penalty)
+    )
+    O = np.array([0.0, 0.0, height - depth])  # noqa: E741
+    state, report = contact_at_pose(solver, np.eye(3), O, pad.positions[:, :2])
+    assert report.converged
+    area = _bottom_area(pad)
+    x = pad.positions
+    rim = 0.0 if nu == 0 else 30 * height
+    inner = (
+        (np.abs(x[:, 0]) <= 0.1 - rim)
+        & (np.abs(x[:, 1]) <= 0.08 - rim)
+        & (x[:, 2] < -0.99 * height)
+    )
+    pressure = state.F[inner, 2] / area[inner]
+    modulus = material.lame_lambda + 2 * material.shear_modulus
+    exact = modulus * depth / height
+    np.testing.assert_allclose(pressure, exact, rtol=0.01)
+
+
+def _bottom_area(pad):
+    faces = pad.mesh.contact_faces
+    x = pad.mesh.nodes[faces]
+    low = pad.mesh.nodes[:, 2].min()
+    bottom = np.isclose(x[:, :, 2], low).all(axis=1)
+    area = 0.5 * np.linalg.norm(
+        np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1
+    )
+    total = np.bincount(
+        faces[bottom].ravel(),
+        np.repeat(area[bottom] / 3, 3),
+        len(pad.mesh.nodes),
+    )
+    return total[pad.mesh.contact]
+
+
+@pytest.mark.parametrize(
+    ("name", "weight"), [("J_f100", 98.1), ("J_f400", 392.4)]
+)
+def test_authors_outputs_are_reproduced(data_root, name, weight):
+    from scipy.io import loadmat
+
+    from drake_exo.soles.mesh import read_mesh
+    from drake_exo.soles.rotations import angles_xyz
+
+    folder = data_root / "soft_sole_hrp4"
+    raw = loadmat(folder / "reference" / f"{name}.mat")
+    raw = raw["Jmat"][0, 0]["step_1"][0, 0]
+    force, zmp = raw["Ftot_tot"].T, raw["Z_tot"].T - [0.115, 0.0]
+    assert force[0, 2] == pytest.approx(weight, rel=1e-3)
+    mesh = read_mesh(folder / "meshes" / "brick_0.23x0.13x0.021_316nodes.msh")
+    sole = Sole(mesh, Material("foam", 320e3, 0.3, 1230.0))
+    point = np.array([-0.115, 0.0, -0.021])
+    history = simulate(
+        sole.compliance,
+        sole.positions,
+        ContactLaw(0.65, sole.penalty),
+        force,
+        zmp,
+        Start(point, np.array([-0.115, 0.0, 0.0])),
+    )
+    assert history.failed_steps == 0
+    place = history.O + history.R @ point + [0.115, 0.0, 0.0]
+    part = slice(0, 140)
+    assert np.abs(place - raw["displ_tot"].T)[part].max() < 1e-8
+    angles = angles_xyz(history.R)
+    assert np.abs(angles - raw["angleact_tot"].T)[part].max() < 1e-8
+    theirs = raw["Kcart_tot"].reshape(-1, 6, 6)
+    np.testing.assert_allclose(
+        np.einsum("qii->qi", history.K_c)[part],
+        np.einsum("qii->qi", theirs)[part],
+        rtol=1e-3,
+    )
+
+
+def test_an_impossible_load_says_why(sole):
+    """Sideways force beyond friction: refused step by step, with a reason."""
+    law = ContactLaw(0.3, sole.penalty)
+    force = np.array([[0.0, 0, 300], [60.0, 0, 300], [150.0, 0, 300]])
+    zmp = np.zeros((3, 2))
+    history = simulate(sole.compliance, sole.positions, law, force, zmp, START)
+    assert list(history.converged) == [True, True, False]
+    assert "continuation in the load stopped at" in history.reports[2].message
+    assert np.isnan(history.K_c[2]).all()
+
+
+def test_state_copy_is_deep():
+    state = State(np.zeros((2, 3)), np.zeros(3), np.eye(3))
+    other = state.copy()
+    other.F[0, 0] = other.O[0] = other.R[0, 1] = 1.0
+    assert state.F[0, 0] == state.O[0] == state.R[0, 1] == 0.0

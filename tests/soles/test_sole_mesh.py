@@ -1,0 +1,172 @@
+"""Meshes and shapes: volume, gradients, quality, files, bad meshes."""
+
+import meshio
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.soles.mesh import brick, checked_mesh, read_mesh, write_stl
+from drake_exo.soles.shape import SphericalSpline
+
+SIZE = (0.23, 0.13, 0.03)
+
+
+def test_brick_fills_its_box_at_any_density():
+    for divisions in [(1, 1, 1), (5, 3, 2), (8, 4, 3)]:
+        mesh = brick(SIZE, divisions)
+        assert mesh.volume == pytest.approx(np.prod(SIZE), rel=1e-12)
+        assert (mesh.volumes > 0).all()
+        np.testing.assert_allclose(np.ptp(mesh.nodes, axis=0), SIZE, atol=1e-15)
+        assert (mesh.nodes[mesh.dirichlet, 2] == 0).all()
+
+
+def test_brick_of_even_divisions_is_symmetric():
+    mesh = brick(SIZE, (4, 4, 2))
+    centres = mesh.nodes[mesh.tets].mean(axis=1)
+
+    def key(c):
+        return np.sort(np.round(c * 1e6).astype(int) @ [10**12, 10**6, 1])
+
+    np.testing.assert_array_equal(key(centres), key(centres * [-1, 1, 1]))
+    np.testing.assert_array_equal(key(centres), key(centres * [1, -1, 1]))
+
+
+def test_volume_gradient_matches_finite_differences():
+    rng = np.random.default_rng(0)
+    mesh = brick(SIZE, (4, 3, 2))
+    d = rng.standard_normal(mesh.nodes.shape)
+    h = 1e-6
+    plus = mesh.with_nodes(mesh.nodes + h * d).volume
+    minus = mesh.with_nodes(mesh.nodes - h * d).volume
+    slope = (plus - minus) / (2 * h)
+    assert (mesh.volume_gradient() * d).sum() == pytest.approx(slope, rel=1e-8)
+
+
+def test_surface_normals_point_outwards():
+    mesh = brick(SIZE, (3, 3, 2))
+    x = mesh.nodes[mesh.boundary_faces]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    # Divergence theorem: the flux of x/3 is the volume.
+    flux = (normal * x.mean(axis=1)).sum() / 6
+    assert flux == pytest.approx(mesh.volume, rel=1e-12)
+
+
+def test_quality_of_known_tetrahedra():
+    regular = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
+    mesh = brick(SIZE, (2, 2, 2))
+    assert (mesh.quality() > 0).all()
+    from drake_exo.soles.mesh import TetMesh
+
+    tets = np.array([[0, 2, 1, 3]])
+    one = TetMesh(regular, tets, np.array([0]))
+    sign = np.sign(one.volumes[0])
+    assert sign * one.quality()[0] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_authors_mesh_comes_in_the_sole_frame(data_root):
+    folder = data_root / "soft_sole_hrp4" / "meshes"
+    mesh = read_mesh(folder / "brick_0.23x0.13x0.030_164nodes.msh")
+    assert len(mesh.nodes) == 164
+    np.testing.assert_allclose(
+        mesh.nodes.min(axis=0), [-0.115, -0.065, -0.03], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        mesh.nodes.max(axis=0), [0.115, 0.065, 0.0], atol=1e-12
+    )
+    assert mesh.volume == pytest.approx(897e-6, rel=1e-9)
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".vtu", ".msh"])
+def test_files_of_other_formats_are_read(tmp_path, suffix):
+    mesh = brick(SIZE, (3, 2, 2))
+    path = tmp_path / f"sole{suffix}"
+    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
+    back = read_mesh(path)
+    np.testing.assert_allclose(back.nodes, mesh.nodes, atol=1e-15)
+    np.testing.assert_array_equal(back.contact, mesh.contact)
+
+
+def test_inverted_element_is_refused():
+    mesh = brick(SIZE, (2, 2, 2))
+    tets = mesh.tets.copy()
+    tets[3] = tets[3][[1, 0, 2, 3]]
+    with pytest.raises(InputError, match=r"inverted.*element 3"):
+        checked_mesh(mesh.nodes, tets, mesh.dirichlet, "m")
+
+
+def test_unconnected_parts_are_refused():
+    mesh = brick(SIZE, (2, 2, 2))
+    nodes = np.concatenate([mesh.nodes, mesh.nodes + np.eye(3)[0]])
+    tets = np.concatenate([mesh.tets, mesh.tets + len(mesh.nodes)])
+    with pytest.raises(InputError, match="2 unconnected parts"):
+        checked_mesh(nodes, tets, mesh.dirichlet, "m")
+
+
+def test_a_mesh_without_flat_top_is_refused(tmp_path):
+    mesh = brick(SIZE, (2, 2, 2))
+    path = tmp_path / "tilted.vtk"
+    c, s = np.cos(0.2), np.sin(0.2)
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    meshio.Mesh(mesh.nodes @ turn.T, [("tetra", mesh.tets)]).write(path)
+    with pytest.raises(InputError, match="no Dirichlet surface"):
+        read_mesh(path)
+
+
+def test_stl_holds_the_closed_surface(tmp_path):
+    mesh = brick(SIZE, (3, 2, 2))
+    path = tmp_path / "sole.stl"
+    write_stl(path, mesh)
+    back = meshio.read(path)
+    triangles = back.points[back.cells_dict["triangle"]]
+    volume = np.linalg.det(triangles).sum() / 6
+    assert volume == pytest.approx(mesh.volume * 1e9, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("intervals", "fixed", "count"),
+    [((10, 10), False, 122), ((10, 10), True, 100), ((6, 6), False, 50)],
+)
+def test_spline_counts_its_free_coefficients(intervals, fixed, count):
+    assert SphericalSpline(intervals, fixed).count == count
+
+
+def test_spline_of_ones_is_the_initial_shape():
+    mesh = brick(SIZE, (6, 4, 3))
+    for fixed in (False, True):
+        spline = SphericalSpline((10, 10), fixed)
+        out = spline.deform(mesh.nodes, np.ones(spline.count))
+        np.testing.assert_allclose(out, mesh.nodes, atol=1e-15)
+
+
+def test_spline_keeps_top_flat_and_fixes_it_on_demand():
+    rng = np.random.default_rng(1)
+    mesh = brick(SIZE, (6, 4, 3))
+    top = mesh.dirichlet
+    free = SphericalSpline((10, 10))
+    out = free.deform(mesh.nodes, rng.uniform(0.7, 1.2, free.count))
+    assert (out[top, 2] == 0).all()
+    assert np.abs(out[top] - mesh.nodes[top]).max() > 1e-3
+    fixed = SphericalSpline((10, 10), fixed_top=True)
+    out = fixed.deform(mesh.nodes, rng.uniform(0.7, 1.2, fixed.count))
+    np.testing.assert_allclose(out[top], mesh.nodes[top], atol=1e-15)
+
+
+def test_poles_are_tied():
+    spline = SphericalSpline((10, 10))
+    around = np.linspace(0.1, 2 * np.pi, 7)
+    near = np.stack(
+        [np.ones(7), 1e-9 * np.sin(around), -1e-9 * np.abs(np.cos(around))], 1
+    )
+    rng = np.random.default_rng(2)
+    M, s0 = spline.basis(near)
+    s = M @ rng.uniform(0.5, 1.5, spline.count) + s0
+    assert np.ptp(s) < 1e-6
+
+
+def test_volume_scales_with_the_cube_of_a_constant_factor():
+    mesh = brick(SIZE, (4, 3, 2))
+    spline = SphericalSpline((5, 5))
+    bigger = mesh.with_nodes(
+        spline.deform(mesh.nodes, np.full(spline.count, 1.1))
+    )
+    assert bigger.volume == pytest.approx(1.1**3 * mesh.volume, rel=1e-12)
