@@ -14,7 +14,6 @@ import numpy as np
 
 from drake_exo.optimal_control.kernels import (
     FORCE_UNIT,
-    MOMENT_UNIT,
     DynamicsKernel,
 )
 from drake_exo.planar_tree import PlanarTree
@@ -49,8 +48,9 @@ class Bushing:
     """
 
     def __init__(self, tree: PlanarTree, segment: str, preload=(0, 0, 0)):
-        human, device = tree.body_index(segment), tree.body_index(
-            f"exo_{segment}"
+        human, device = (
+            tree.body_index(segment),
+            tree.body_index(f"exo_{segment}"),
         )
         self.nq = tree.num_positions
         self._h = tree.segment_of[human]
@@ -188,8 +188,7 @@ class CoupledDynamicsKernel:
             )
             first = self._first + 3 * nb + 2 * b
             J[:, :, first : first + 2] = (
-                bushing.gradient_by_origin(bushing.turn(q), force)
-                / FORCE_UNIT
+                bushing.gradient_by_origin(bushing.turn(q), force) / FORCE_UNIT
             )
         return J
 

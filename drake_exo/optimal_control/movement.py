@@ -8,6 +8,14 @@ movements share one program and one set of contact parameters.
 import numpy as np
 
 from drake_exo.nlp.batch import BatchedProgram
+from drake_exo.optimal_control.interaction_kernels import (
+    UNITS as INTERACTION_UNITS,
+)
+from drake_exo.optimal_control.interaction_kernels import (
+    Bushing,
+    BushingKernel,
+    CoupledDynamicsKernel,
+)
 from drake_exo.optimal_control.kernels import (
     FORCE_UNIT,
     GROUND_MOMENT_UNIT,
@@ -32,6 +40,19 @@ class Movement:
         torque: (n, nq - 3) joint torques [N m].
         ground: (n, 3) ground reaction F_x, F_z [N] and M_y about the
             laboratory origin [N m].
+        interaction: (n, 9) forces of the bushings on the human's shank,
+            thigh and pelvis (tangential, normal [N], moment [N m] each), or
+            None where the model has no bushings.
+
+    Args:
+        program: to add to.
+        name: of the trial.
+        tree: dynamics of the model.
+        duration: of the movement [s].
+        nodes_per_second: mesh intervals per second.
+        transcription: name in TRANSCRIPTIONS.
+        bushings: couple human and exoskeleton, with `origins` (2 each) as
+            decision variables.
     """
 
     def __init__(
@@ -42,6 +63,8 @@ class Movement:
         duration: float,
         nodes_per_second: float,
         transcription: str = "hermite_simpson",
+        bushings: list[Bushing] | None = None,
+        origins: np.ndarray | None = None,
     ):
         self.name = name
         self.program = program
@@ -63,11 +86,27 @@ class Movement:
             for variable in column:
                 prog.SetVariableScaling(variable, unit)
         grid = self.grid
-        program.add_constraints(
-            f"{name} dynamics",
-            DynamicsKernel(tree),
-            np.hstack([grid.q, grid.v, grid.a, self.torque, self.ground]),
-        )
+        inputs = [grid.q, grid.v, grid.a, self.torque, self.ground]
+        kernel = DynamicsKernel(tree)
+        self.interaction = None
+        if bushings:
+            kernel = CoupledDynamicsKernel(tree, bushings)
+            self.interaction = self._interaction_variables(len(bushings))
+            inputs.append(self.interaction)
+            inputs.append(np.broadcast_to(origins, (n, len(origins))))
+        program.add_constraints(f"{name} dynamics", kernel, np.hstack(inputs))
+
+    def _interaction_variables(self, num_bushings):
+        prog = self.program.prog
+        n = len(self.grid.times)
+        variables = prog.NewContinuousVariables(
+            n * 3 * num_bushings, f"{self.name} interaction"
+        ).reshape(n, -1)
+        units = np.tile(INTERACTION_UNITS, num_bushings)
+        for column, unit in zip(variables.T, units, strict=True):
+            for variable in column:
+                prog.SetVariableScaling(variable, unit)
+        return variables
 
     def stand_on(self, kernel: FootGroundKernel, parameters: np.ndarray):
         """Tie the ground reaction to the contact law.
@@ -88,6 +127,30 @@ class Movement:
         )
         self.program.add_constraints(
             f"{self.name} foot-ground", kernel, variables
+        )
+
+    def strap(self, index: int, kernel: BushingKernel, parameters) -> None:
+        """Tie the forces of one bushing to its law.
+
+        Args:
+            index: of the bushing.
+            kernel: the law.
+            parameters: its decision variables, as BUSHING_PARAMETERS.
+        """
+        grid = self.grid
+        n = len(grid.times)
+        force = self.interaction[:, 3 * index : 3 * index + 3]
+        self.program.add_constraints(
+            f"{self.name} bushing {index}",
+            kernel,
+            np.hstack(
+                [
+                    grid.q,
+                    grid.v,
+                    force,
+                    np.broadcast_to(parameters, (n, len(parameters))),
+                ]
+            ),
         )
 
     def bound(self, variables, lower, upper) -> None:

@@ -19,7 +19,7 @@ from drake_exo.optimal_control.kernels import (
     FootGroundKernel,
 )
 from drake_exo.optimal_control.transcription import TRANSCRIPTIONS
-from drake_exo.phases.foot_ground import FootGroundResult, Trajectory
+from drake_exo.phases.problem import PhaseResult, Trajectory
 from drake_exo.planar_tree import PlanarTree
 from drake_exo.segments import ExoskeletonParameters, HumanParameters
 
@@ -56,7 +56,7 @@ class Audit:
 
 
 def between_nodes(
-    tree: PlanarTree, result: FootGroundResult, trajectory: Trajectory
+    tree: PlanarTree, result: PhaseResult, trajectory: Trajectory
 ) -> tuple[float, float]:
     """Largest force [N] and moment [N m] missing midway between nodes.
 
@@ -94,7 +94,7 @@ def simulate(
     human: HumanParameters,
     exoskeleton: ExoskeletonParameters | None,
     gravity: float,
-    result: FootGroundResult,
+    result: PhaseResult,
     trajectory: Trajectory,
 ) -> Trajectory:
     """Run a trial in the Diagram with the calibrated contact.
@@ -146,7 +146,7 @@ def simulate(
     )
 
 
-def contact_parameters(result: FootGroundResult) -> ContactParameters:
+def contact_parameters(result: PhaseResult) -> ContactParameters:
     """The calibrated contact as the LeafSystem takes it."""
     values = result.values().reshape(-1, len(SPHERE_PARAMETERS))
     spheres = {

@@ -15,12 +15,9 @@ from drake_exo.nlp.ipopt import Iterate
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.phases import audit
 from drake_exo.phases.calibration_inputs import load_inputs
-from drake_exo.phases.foot_ground import (
-    FootGroundProblem,
-    FootGroundResult,
-    Trajectory,
-)
+from drake_exo.phases.foot_ground import FootGroundProblem
 from drake_exo.phases.measured import MeasuredMovement
+from drake_exo.phases.problem import PhaseResult, Trajectory
 from drake_exo.phases.scores import rmsd, spread
 from drake_exo.plant import COUPLED_COORDINATES
 from drake_exo.report.phase_a_figures import (
@@ -124,7 +121,7 @@ class SolveWatch:
         draft.replace(self._checkpoint)
 
 
-def _failed(result: FootGroundResult) -> int:
+def _failed(result: PhaseResult) -> int:
     solution = result.solution
     print(
         f"not solved: {solution.status} after {solution.iterations} "
@@ -134,7 +131,7 @@ def _failed(result: FootGroundResult) -> int:
     return 130 if solution.status == "stopped by the user" else 1
 
 
-def _summary(result: FootGroundResult, trials: list[MeasuredMovement]) -> dict:
+def _summary(result: PhaseResult, trials: list[MeasuredMovement]) -> dict:
     solution = result.solution
     return {
         "phase": "foot-ground",
@@ -173,7 +170,7 @@ def _summary(result: FootGroundResult, trials: list[MeasuredMovement]) -> dict:
     }
 
 
-def _parameters_text(result: FootGroundResult) -> str:
+def _parameters_text(result: PhaseResult) -> str:
     rows = [
         [
             p.name,
@@ -192,7 +189,7 @@ def _parameters_text(result: FootGroundResult) -> str:
     )
 
 
-def _write_parameters(out: Path, result: FootGroundResult) -> None:
+def _write_parameters(out: Path, result: PhaseResult) -> None:
     write_json(
         out / "parameters.json",
         {
@@ -238,7 +235,7 @@ def _write_trajectories(out: Path, trajectories: list[Trajectory]) -> None:
         )
 
 
-def _audit(inputs, result: FootGroundResult) -> list[dict]:
+def _audit(inputs, result: PhaseResult) -> list[dict]:
     rows = []
     progress = Progress("simulate", total=len(result.trajectories))
     for i, found in enumerate(result.trajectories):

@@ -13,7 +13,7 @@ from drake_exo.optimal_control.kernels import (
     GROUND_MOMENT_UNIT,
     FootGroundKernel,
 )
-from drake_exo.phases.foot_ground import FootGroundResult
+from drake_exo.phases.problem import PhaseResult
 
 # Parameters whose sensitivities point this nearly the same way are coupled.
 COUPLED = 0.99
@@ -62,7 +62,7 @@ class Identifiability:
         return lines
 
 
-def contact_sensitivity(result: FootGroundResult) -> Identifiability:
+def contact_sensitivity(result: PhaseResult) -> Identifiability:
     """Sensitivity of ground reaction and CoP at the calibrated motion.
 
     All parameters of the spheres are looked at, fixed ones included.

@@ -1,11 +1,14 @@
 """A measured movement in the coordinates of the plant that a phase uses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from drake_exo.laboratory.trial import Trial
+
+# Under this vertical force there is no centre of pressure to speak of [N].
+LEAST_FORCE = 20.0
 
 
 @dataclass(frozen=True)
@@ -18,6 +21,10 @@ class MeasuredMovement:
         q, v, a: (n, nq) coordinates and their derivatives [m, rad, s].
         ground: (n, 3) F_x, F_z [N] and M_y about the laboratory origin
             [N m], both feet together.
+        moments: (n, nq - 3) joint moments, human's then exoskeleton's [N m];
+            None where not known.
+        normal_force: segment -> (n,) force on the human normal to it [N],
+            where a pressure mat measured it.
     """
 
     name: str
@@ -26,6 +33,8 @@ class MeasuredMovement:
     v: np.ndarray
     a: np.ndarray
     ground: np.ndarray
+    moments: np.ndarray | None = None
+    normal_force: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:
@@ -34,11 +43,17 @@ class MeasuredMovement:
 
     def sample(self, times: np.ndarray) -> "MeasuredMovement":
         """The same movement at other times, by cubic splines."""
-        splines = (
-            CubicSpline(self.times, values)(times)
-            for values in (self.q, self.v, self.a, self.ground)
+
+        def at(values):
+            return CubicSpline(self.times, values)(times)
+
+        return MeasuredMovement(
+            self.name,
+            times,
+            *map(at, (self.q, self.v, self.a, self.ground)),
+            moments=None if self.moments is None else at(self.moments),
+            normal_force={k: at(f) for k, f in self.normal_force.items()},
         )
-        return MeasuredMovement(self.name, times, *splines)
 
 
 def from_trial(trial: Trial) -> MeasuredMovement:

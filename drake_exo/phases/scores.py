@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from drake_exo.phases.foot_ground import Trajectory
 from drake_exo.phases.measured import MeasuredMovement
+from drake_exo.phases.problem import Trajectory
 from drake_exo.plant import COUPLED_COORDINATES
 
 _PHASE_SAMPLES = 101

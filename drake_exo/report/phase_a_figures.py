@@ -8,8 +8,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from drake_exo.phases.foot_ground import Trajectory
 from drake_exo.phases.measured import MeasuredMovement
+from drake_exo.phases.problem import Trajectory
 from drake_exo.phases.scores import measured_cop
 
 _MEASURED = {"color": "0.15", "lw": 1.6}
