@@ -210,32 +210,50 @@ class Sole:
         With "smoothed", the mean of the stresses of its edges (deviator)
         and nodes (pressure).
         """
-        eps = self.strain(u)
+        H = displacement_gradient(self.mesh, u)
+        return self.stress_and_energy(H)[0]
+
+    def stress_and_energy(self, H: np.ndarray):
+        """Stress [Pa] (..., e, 3, 3) and energy density [J/m³] (..., e).
+
+        Args:
+            H: Displacement gradients of the elements, (..., e, 3, 3).
+        """
+        eps = 0.5 * (H + np.swapaxes(H, -1, -2))
         eye = np.eye(3)
         shear = self.material.shear_modulus
         if self.element == "linear":
             trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None]
-            return 2 * shear * eps + self.material.lame_lambda * trace * eye
+            sigma = 2 * shear * eps + self.material.lame_lambda * trace * eye
+            return sigma, 0.5 * (sigma * eps).sum(axis=(-2, -1))
         lead, e = eps.shape[:-3], len(self.mesh.tets)
         flat = np.moveaxis(eps.reshape(-1, e, 9), 1, 0).reshape(e, -1)
-        edge, node = self._round_trips
-        mean = (edge @ flat).reshape(e, -1, 3, 3)
-        dilatation = np.trace((node @ flat).reshape(e, -1, 3, 3),
-                              axis1=-2, axis2=-1)  # fmt: skip
-        trace = np.trace(mean, axis1=-2, axis2=-1)[..., None, None]
-        sigma = 2 * shear * (mean - trace / 3 * eye)
-        sigma += self.material.bulk_modulus * dilatation[..., None, None] * eye
-        return np.moveaxis(sigma, 0, 1).reshape(*lead, e, 3, 3)
+        (edge, to_edge), (node, to_node) = self._averages
+        around = (edge @ flat).reshape(edge.shape[0], -1, 3, 3)
+        third = np.trace(around, axis1=-2, axis2=-1)[..., None, None] / 3
+        deviator = around - third * eye
+        dilatation = node @ np.trace(
+            flat.reshape(e, -1, 3, 3), axis1=-2, axis2=-1
+        )
+        bulk = self.material.bulk_modulus
+        sigma = to_edge @ (2 * shear * deviator).reshape(edge.shape[0], -1)
+        sigma = sigma.reshape(e, -1, 3, 3)
+        sigma += (to_node @ (bulk * dilatation))[..., None, None] * eye
+        energy = to_edge @ (shear * (deviator**2).sum(axis=(-2, -1)))
+        energy += to_node @ (0.5 * bulk * dilatation**2)
+        return (
+            np.moveaxis(sigma, 0, 1).reshape(*lead, e, 3, 3),
+            energy.T.reshape(*lead, e),
+        )
 
     @cached_property
-    def _round_trips(self) -> tuple[csr_matrix, csr_matrix]:
-        """Element field -> edges (nodes) -> mean over the element's own."""
+    def _averages(self):
+        """Element -> edges and back as a mean over its own; nodes likewise."""
         out = []
         for average, shares in ((edge_average, 6), (node_average, 4)):
             A, _ = average(self.mesh)
-            owners = (A.T > 0).astype(float) / shares
-            out.append((owners @ A).tocsr())
-        return tuple(out)
+            out.append((A, (A.T > 0).astype(float).tocsr() / shares))
+        return out
 
 
 def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ class Linearisation:
     def __init__(self, active: ActiveSet, law: ContactLaw, R, arm, F, tau):
         self.nodes, self.S = active.nodes, active.S
         self.R, self.arm, self.F = R, arm, F
+        self.law, self.tau = law, tau
         self.r = law.penalty
         self.loose = np.flatnonzero(~firmly_sticking(tau, law))
         _, D = project_with_derivative(tau[self.loose], law)
@@ -142,3 +143,48 @@ class Linearisation:
         """K_c (6, 6): [dF; dΓ_Z] = K_c [dzO; dω], references frozen."""
         dF, d_delta = self.pose_response()
         return self.wrench_change(dF, d_delta)
+
+    def solve_transposed(self, Sb: np.ndarray):
+        """Solve J_Fᵀ z = b for b given as S b.
+
+        Args:
+            Sb: S times the right-hand sides, world, (k, 3, c).
+
+        Returns:
+            z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e;
+            world, (k, 3, c) each.
+        """
+        k, c = len(self.nodes), Sb.shape[2]
+        local = (self.R.T @ Sb).reshape(3 * k, c)
+        y = local
+        e = np.zeros_like(local)
+        z_g = None
+        if self._lu is not None:
+            z_g = lu_solve(
+                self._lu, local[self._g], trans=1, check_finite=False
+            )
+            blocks = z_g.reshape(-1, 3, c)
+            e_g = blocks - np.swapaxes(self.D, 1, 2) @ blocks
+            e[self._g] = e_g.reshape(z_g.shape)
+            y = local - self._S_g @ e[self._g]
+        z = y / self.r
+        if z_g is not None:
+            z[self._g] = z_g
+        return self._to_world(z), self._to_world(y), self._to_world(e)
+
+    def times_S(self, x: np.ndarray) -> np.ndarray:
+        """W_AA⁻¹ times fields, world, (k, 3, c)."""
+        local = (self.R.T @ x).reshape(3 * len(self.nodes), -1)
+        return self._to_world(self.S @ local)
+
+    def law_derivative_change(self, d_tau: np.ndarray) -> np.ndarray:
+        """Directional derivative of D along dτ, world, (k, 3, 3).
+
+        By a complex step, hence exact; zero at firmly sticking nodes.
+        """
+        out = np.zeros((len(self.nodes), 3, 3))
+        if len(self.loose):
+            tau = self.tau[self.loose] + 1e-30j * d_tau[self.loose]
+            _, D = project_with_derivative(tau, self.law)
+            out[self.loose] = D.imag / 1e-30
+        return out
