@@ -67,12 +67,19 @@ class Laboratory:
         force_delay_s: lag of the plates' clock behind the markers'.
         estimate_force_delay: find what lag is left from Newton's law; the
             trial's provenance reports it.
+        forces_act_on: whether files hold the forces on the body, or on the
+            plate (equal and opposite).
+        fill_gaps_s: longest gap of a marker that is filled; none by default.
     """
 
     marker_axes: Axes = Axes()
     force_axes: Axes = Axes()
     force_delay_s: float = field(default=0.0, metadata=_SECONDS)
     estimate_force_delay: bool = False
+    forces_act_on: Literal["body", "plate"] = "body"
+    fill_gaps_s: float = field(
+        default=0.0, metadata={"unit": "s", "minimum": 0.0}
+    )
 
 
 @dataclass(frozen=True)
@@ -243,9 +250,7 @@ class Study:
     laboratory: Laboratory = Laboratory()
     filter: Filter = Filter()
     scaling: Scaling = Scaling()
-    foot_ground: FootGroundSettings = field(
-        default_factory=FootGroundSettings
-    )
+    foot_ground: FootGroundSettings = field(default_factory=FootGroundSettings)
 
     def __post_init__(self):
         names = [trial.name for trial in self.trials]

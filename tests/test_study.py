@@ -50,8 +50,8 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("rise: 1", "start_s: 2\n    end_s: 1", "end_s (1) must be after"),
         ("model: human", "model: humn", "did you mean 'human'"),
         (
-            "model: human",
-            "laboratory: {marker_axes: {forward: x, up: -x}}",
+            "{estimate_force_delay: true}",
+            "{marker_axes: {forward: x, up: -x}}",
             "two different axes",
         ),
         ("rise: 1", "rise: 0", "at least 1"),

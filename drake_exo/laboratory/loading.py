@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.laboratory.cleaning import fill_gaps
 from drake_exo.laboratory.filters import (
     check_filterable,
     derivatives,
@@ -57,6 +58,7 @@ class Movement:
         force_delay_s: lag of the plates' clock that was taken out [s].
         rises: sit-to-stand rises found in it.
         marker_residuals_m: marker -> RMS distance from the model.
+        gaps_filled: marker -> share of frames that was filled.
     """
 
     time: np.ndarray
@@ -70,6 +72,7 @@ class Movement:
     force_delay_s: float
     rises: list[Rise]
     marker_residuals_m: dict[str, float]
+    gaps_filled: dict[str, float]
 
 
 def load_trials(
@@ -109,7 +112,11 @@ def process(
     Raises:
         InputError: as `load_trials`.
     """
-    markers = read_markers(root / files.markers, study.filter)
+    markers, gaps = fill_gaps(
+        read_markers(root / files.markers, study.filter),
+        subject.markers.names,
+        study.laboratory.fill_gaps_s,
+    )
     forces = read_foot_forces(
         root / files.forces, files.plates, study.laboratory, study.filter
     )
@@ -153,6 +160,7 @@ def process(
         force_delay_s=delay,
         rises=_rises(time, q, v, a, hip_z, wrenches, forces, subject),
         marker_residuals_m=residual_rms(subject.markers, poses),
+        gaps_filled=gaps,
     )
 
 
@@ -219,6 +227,7 @@ def cut(
         "one_leg_doubled": movement.is_one_leg,
         "legs_followed": list(subject.markers.sides),
         "marker_residual_rms_m": movement.marker_residuals_m,
+        "gaps_filled": movement.gaps_filled,
         **exo,
     }
     return Trial(

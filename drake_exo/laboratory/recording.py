@@ -6,11 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.laboratory.c3d_files import read_c3d
 from drake_exo.laboratory.filters import check_filterable, low_pass, resample
 from drake_exo.laboratory.opensim_files import (
     PlateRecording,
     read_plates,
     read_trc,
+)
+from drake_exo.laboratory.optitrack_files import (
+    read_markers_csv,
+    read_plate_csv,
 )
 from drake_exo.laboratory.sagittal import (
     PlanarWrench,
@@ -85,14 +90,56 @@ class FootForces:
         return len(self.wrenches) == 1 and "both" not in self.wrenches
 
 
+def _markers_of_c3d(path: Path) -> MarkerData:
+    markers = read_c3d(path).markers
+    if markers is None:
+        raise InputError(f"{path}: holds no markers; give another file")
+    return markers
+
+
+def _plates_of_c3d(path: Path):
+    file = read_c3d(path)
+    if not file.plates:
+        raise InputError(f"{path}: holds no force plate; give another file")
+    return file.plate_time, file.plates
+
+
+def _plate_of_csv(path: Path):
+    time, plate = read_plate_csv(path)
+    return time, [plate]
+
+
+_MARKER_READERS = {
+    ".trc": read_trc,
+    ".c3d": _markers_of_c3d,
+    ".csv": read_markers_csv,
+}
+_FORCE_READERS = {
+    ".mot": read_plates,
+    ".sto": read_plates,
+    ".c3d": _plates_of_c3d,
+    ".csv": _plate_of_csv,
+}
+
+
+def _reader(path: Path, readers: dict, what: str):
+    kind = Path(path).suffix.lower()
+    if kind not in readers:
+        raise InputError(
+            f"{path}: is no {what} file that can be read; give one of "
+            f"{', '.join(readers)}"
+        )
+    return readers[kind]
+
+
 def read_markers(path: Path, settings: Filter) -> MarkerData:
-    """Read a marker file onto an even time base.
+    """Read a marker file (.trc, .c3d, Motive's .csv) onto an even time base.
 
     Raises:
-        InputError: as `read_trc` and `uniform_time`; too short or too slow
-            for the filter.
+        InputError: unreadable, of another kind, or uneven in time; too short
+            or too slow for the filter.
     """
-    data = read_trc(path)
+    data = _reader(path, _MARKER_READERS, "marker")(path)
     time = uniform_time(data.source, data.time, data.rate_hz)
     check_filterable(data.source, len(time), data.rate_hz, settings.cutoff_hz)
     return MarkerData(
@@ -105,11 +152,14 @@ def read_foot_forces(
 ) -> FootForces:
     """Read a force file and keep the plates under the feet.
 
+    Files are .mot, .sto, .c3d and Motive's .csv.
+
     Raises:
-        InputError: as `read_plates` and `uniform_time`; no such plate; too
-            short or too slow for the filter; forces that pull the body down.
+        InputError: unreadable, of another kind, or uneven in time; no such
+            plate; too short or too slow for the filter; forces that pull the
+            body down.
     """
-    time, recorded = read_plates(path)
+    time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
     frame = SagittalFrame(
         laboratory.force_axes.forward, laboratory.force_axes.up
@@ -123,6 +173,8 @@ def read_foot_forces(
         foot: planar_wrench(_plate(path, recorded, number), frame)
         for foot, number in numbers.items()
     }
+    if laboratory.forces_act_on == "plate":
+        wrenches = {foot: w.reversed() for foot, w in wrenches.items()}
     forces = FootForces(time, wrenches, str(path))
     check_filterable(
         forces.source, len(time), forces.rate_hz, settings.cutoff_hz
@@ -147,8 +199,8 @@ def _check_direction(forces: FootForces) -> None:
     if -F_z.min() > max(F_z.max(), 50.0):
         raise InputError(
             f"{forces.source}: the vertical force reaches {F_z.min():.0f} N, "
-            "downwards; give the forces on the body, or correct "
-            "laboratory.force_axes"
+            "downwards; say 'forces_act_on: plate' in laboratory if these "
+            "are the forces on the plate, or correct force_axes"
         )
 
 

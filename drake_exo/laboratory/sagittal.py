@@ -67,6 +67,10 @@ class PlanarWrench:
         """The same wrench acting `dx` further forward [m]."""
         return PlanarWrench(self.force, self.moment - dx * self.force[:, 1])
 
+    def reversed(self) -> "PlanarWrench":
+        """Equal and opposite: on the plate instead of on the body."""
+        return PlanarWrench(-self.force, -self.moment)
+
     def doubled(self) -> "PlanarWrench":
         """One leg's wrench taken for both."""
         return PlanarWrench(2.0 * self.force, 2.0 * self.moment)

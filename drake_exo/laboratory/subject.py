@@ -1,6 +1,6 @@
 """The subject's model, fitted to a standing trial."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from drake_exo.anthropometry import scale_human
 from drake_exo.description import fit_exoskeleton, nominal_exoskeleton
 from drake_exo.errors import InputError
+from drake_exo.laboratory.cleaning import fill_gaps
 from drake_exo.laboratory.inverse_kinematics import (
     merge_legs,
     residual_rms,
@@ -32,7 +33,7 @@ from drake_exo.segments import (
     SegmentParameters,
     with_overrides,
 )
-from drake_exo.study import Standing, Study
+from drake_exo.study import Markers, Standing, Study
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,9 @@ def fit_subject(study: Study, root: Path) -> SubjectModel:
         read_markers(root / study.standing.markers, study.filter),
         study.standing,
     )
+    standing, gaps = fill_gaps(
+        standing, _all_names(study.markers), study.laboratory.fill_gaps_s
+    )
     model = build_marker_model(standing, study.markers, frame)
     points = frame.points(standing.of(model.names)).mean(axis=0)[None]
     poses = solve_poses(model, points, standing.source)
@@ -77,6 +81,7 @@ def fit_subject(study: Study, root: Path) -> SubjectModel:
     report: dict[str, Any] = {
         "standing_angles_deg": np.rad2deg(q[0, 2:]),
         "standing_residual_rms_m": residual_rms(model, poses),
+        "standing_gaps_filled": gaps,
         "ankle_height_m": model.ankle_height_m,
         "lengths_m": dict(model.lengths_m),
     }
@@ -90,6 +95,16 @@ def fit_subject(study: Study, root: Path) -> SubjectModel:
         report["standing_cop_x_m"] = _cop(wrench)
         report["standing_com_x_m"] = float(tree.center_of_mass(q)[0, 0])
     return SubjectModel(human, device, model, mass, tree, report)
+
+
+def _all_names(markers: Markers) -> list[str]:
+    """Every marker that the study names."""
+    groups = [
+        getattr(part, f.name)
+        for part in (markers.joint_centres, markers.segments)
+        for f in fields(part)
+    ]
+    return [n for g in groups for n in (*g.left, *g.right, *g.middle)]
 
 
 def _quiet_part(data: MarkerData, standing: Standing) -> MarkerData:

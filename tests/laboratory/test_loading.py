@@ -1,5 +1,6 @@
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from synthetic_recording import (
 
 from drake_exo.anthropometry import scale_human
 from drake_exo.errors import InputError
+from drake_exo.laboratory.c3d_writing import PlateDesign, write_c3d
 from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
 from drake_exo.laboratory.loading import load_trial, load_trials, process
 from drake_exo.laboratory.opensim_files import (
+    read_plates,
     read_table,
     read_trc,
     write_table,
@@ -306,7 +309,38 @@ def test_refuses_a_marker_with_a_gap(files):
 
     edit_markers(folder, hide)
     message = refusal(study, folder)
-    assert "'R_sh1' has no value in 30 of 850 frames" in message
+    assert "'R_sh1' has no value in 30 frames from 2 s" in message
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    message = refusal(replace(study, laboratory=lax), folder)
+    assert "0.3 s long; gaps up to laboratory.fill_gaps_s (0.2 s)" in message
+
+
+def test_fills_gaps_up_to_the_stated_length(files, loaded):
+    folder, study = files
+
+    def hide(data):
+        data.positions[200:220, data.names.index("R_sh1")] = np.nan
+        return data
+
+    edit_markers(folder, hide)
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    _, trials = load_trials(replace(study, laboratory=lax), folder)
+    assert trials[0].provenance["gaps_filled"] == {"R_sh1": 20 / 850}
+    change = np.abs(trials[0].q - loaded[1][0].q)
+    assert 0.0 < change.max() < 5e-4
+
+
+def test_refuses_a_marker_unseen_at_the_end(files):
+    folder, study = files
+
+    def hide(data):
+        data.positions[-3:, data.names.index("R_sh1")] = np.nan
+        return data
+
+    edit_markers(folder, hide)
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    message = refusal(replace(study, laboratory=lax), folder)
+    assert "at the end of the recording" in message
 
 
 def test_refuses_a_missing_marker(files):
@@ -329,7 +363,7 @@ def test_refuses_a_plate_that_is_not_there(files):
     assert "no force plate 3; it holds plates 1, 2" in message
 
 
-def test_refuses_forces_on_the_ground(files):
+def test_forces_on_the_plate(files, loaded):
     folder, study = files
 
     def flip(table):
@@ -337,7 +371,43 @@ def test_refuses_forces_on_the_ground(files):
         return replace(table, values=table.values * sign)
 
     edit_forces(folder, flip)
-    assert "forces on the body" in refusal(study, folder)
+    assert "forces_act_on: plate" in refusal(study, folder)
+    edit_forces(folder, flip, "static.mot")
+    turned = replace(study.laboratory, forces_act_on="plate")
+    _, trials = load_trials(replace(study, laboratory=turned), folder)
+    np.testing.assert_allclose(trials[0].grf, loaded[1][0].grf, atol=1e-6)
+    np.testing.assert_allclose(trials[0].cop_x, loaded[1][0].cop_x, atol=1e-9)
+
+
+def test_reads_c3d_alike(files, loaded):
+    folder, study = files
+    data = read_trc(folder / "sts.trc")
+    _, plates = read_plates(folder / "sts.mot")
+    corners = np.array(
+        [[0.9, 0, -0.3], [0, 0, -0.3], [0, 0, 0.3], [0.9, 0, 0.3]]
+    )
+    designs = [PlateDesign(corners), PlateDesign(corners, 3, (0.1, 0.2, -0.05))]
+    write_c3d(folder / "sts.c3d", data, plates, designs)
+    trials = tuple(
+        replace(t, markers=Path("sts.c3d"), forces=Path("sts.c3d"))
+        for t in study.trials
+    )
+    _, found = load_trials(replace(study, trials=trials), folder)
+    np.testing.assert_allclose(found[0].q, loaded[1][0].q, atol=1e-6)
+    np.testing.assert_allclose(found[0].grf, loaded[1][0].grf, atol=1e-3)
+    np.testing.assert_allclose(found[0].cop_x, loaded[1][0].cop_x, atol=1e-5)
+    bare = replace(study.trials[0], markers=Path("sts.c3d"))
+    write_c3d(folder / "sts.c3d", data)
+    bare = replace(bare, forces=Path("sts.c3d"))
+    message = refusal(replace(study, trials=(bare,)), folder)
+    assert "holds no force plate" in message
+
+
+def test_refuses_files_of_another_kind(files):
+    folder, study = files
+    odd = replace(study.trials[0], markers=Path("sts.mot"))
+    message = refusal(replace(study, trials=(odd,)), folder)
+    assert "is no marker file that can be read; give one of .trc" in message
 
 
 def test_refuses_a_rise_that_is_not_there(files):
