@@ -187,21 +187,22 @@ class FootGroundSettings:
         ]
 
 
+def _placed(name, spread, model):
+    """A place given about the model's own."""
+    return ContactParameter(
+        name,
+        "m",
+        model + spread.shift,
+        model - spread.below,
+        model + spread.above,
+        spread.free,
+    )
+
+
 def _sphere(name, settings, place, law):
     def ranged(field_name, unit, r, convert=float):
         values = (convert(v) for v in (r.nominal, r.lower, r.upper))
         return ContactParameter(f"{name}.{field_name}", unit, *values, r.free)
-
-    def placed(field_name, spread, model):
-        nominal = model + spread.shift
-        return ContactParameter(
-            f"{name}.{field_name}",
-            "m",
-            nominal,
-            model - spread.below,
-            model + spread.above,
-            spread.free,
-        )
 
     paper = law == "paper"
     return [
@@ -212,7 +213,119 @@ def _sphere(name, settings, place, law):
             paper_stiffness if paper else float,
         ),
         ranged("dissipation", "s/m", settings.dissipation_s_m),
-        placed("x", settings.x_m, place[0]),
-        placed("z", settings.z_m, place[1]),
+        _placed(f"{name}.x", settings.x_m, place[0]),
+        _placed(f"{name}.z", settings.z_m, place[1]),
         ranged("radius", "m", settings.radius_m),
+    ]
+
+
+@dataclass(frozen=True)
+class BushingSettings:
+    """One human-exoskeleton bushing.
+
+    Attributes:
+        origin_x_m, origin_z_m: about the model's cuff, in the human segment.
+        tangential_n_m, normal_n_m, rotational_nm_rad: stiffness.
+        tangential_damping, normal_damping [N s/m], rotational_damping
+            [N m s/rad]: constant (paper, II-C).
+    """
+
+    origin_x_m: Spread = Spread(0.05, 0.05)
+    origin_z_m: Spread = Spread(0.1, 0.1)
+    tangential_n_m: Range = Range(2000.0, 100.0, 20000.0)
+    normal_n_m: Range = Range(5000.0, 100.0, 50000.0)
+    rotational_nm_rad: Range = Range(50.0, 1.0, 500.0)
+    tangential_damping: float = field(default=10.0, metadata={"minimum": 0.0})
+    normal_damping: float = field(default=10.0, metadata={"minimum": 0.0})
+    rotational_damping: float = field(default=0.1, metadata={"minimum": 0.0})
+
+    @property
+    def damping(self) -> tuple[float, float, float]:
+        """In the order of the bushing's components."""
+        return (
+            self.tangential_damping,
+            self.normal_damping,
+            self.rotational_damping,
+        )
+
+
+@dataclass(frozen=True)
+class InteractionNoise(TrackingNoise):
+    """Noise of the signals that Phases B and C track besides.
+
+    Attributes:
+        moment_nm: joint moments, human.
+        exo_moment_nm: joint moments, exoskeleton.
+        normal_force_n: resultant of a pressure mat.
+        energy_j: typical contact energy of a component; what is minimised is
+            the square of the energy over this.
+    """
+
+    moment_nm: float = _sigma(5.0, "N m")
+    exo_moment_nm: float = _sigma(1.0, "N m")
+    normal_force_n: float = _sigma(2.0, "N")
+    energy_j: float = _sigma(1.0, "J")
+
+
+@dataclass(frozen=True)
+class InteractionSettings:
+    """Phase B, and the models of Phase C."""
+
+    shank: BushingSettings = BushingSettings()
+    thigh: BushingSettings = BushingSettings()
+    pelvis: BushingSettings = BushingSettings()
+    noise: InteractionNoise = InteractionNoise()
+    end_tolerance: EndTolerance = EndTolerance()
+    prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
+    solver: Solver = Solver()
+
+    def parameters(
+        self, places: dict[str, tuple[float, float]]
+    ) -> list[ContactParameter]:
+        """Parameters of the three bushings, five each, in kernel order.
+
+        Args:
+            places: segment -> cuff (x, z) in the human segment [m].
+        """
+        return [
+            p
+            for name, place in places.items()
+            for p in _bushing(name, getattr(self, name), place)
+        ]
+
+
+@dataclass(frozen=True)
+class PredictionSettings:
+    """Phase C.
+
+    Attributes:
+        objective: "tracking" (forces, centre of pressure and torques, as the
+            paper) or "comfort" (interaction forces minimised, ground
+            reaction free, effort bounded).
+        torque_limit_nm: bound on every joint torque, both legs together.
+        guess: "data" or "line" (a minimum-jerk line between the end states).
+    """
+
+    objective: Literal["tracking", "comfort"] = "tracking"
+    noise: InteractionNoise = InteractionNoise()
+    end_tolerance: EndTolerance = EndTolerance()
+    torque_limit_nm: float = field(
+        default=1000.0, metadata={"unit": "N m", "above": 0.0}
+    )
+    guess: Literal["data", "line"] = "line"
+    solver: Solver = Solver()
+
+
+def _bushing(name, settings, place):
+    def ranged(what, unit, r):
+        return ContactParameter(
+            f"{name}.{what}", unit, r.nominal, r.lower, r.upper, r.free
+        )
+
+    return [
+        _placed(f"{name}.origin_x", settings.origin_x_m, place[0]),
+        _placed(f"{name}.origin_z", settings.origin_z_m, place[1]),
+        ranged("tangential_stiffness", "N/m", settings.tangential_n_m),
+        ranged("normal_stiffness", "N/m", settings.normal_n_m),
+        ranged("rotational_stiffness", "N m/rad", settings.rotational_nm_rad),
     ]
