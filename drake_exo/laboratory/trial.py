@@ -32,6 +32,11 @@ class Trial:
             origin at z = 0, M_y = z F_x - x F_z [N m].
         mass_kg: body mass without the exoskeleton.
         provenance: which files, which filter, what was shifted or doubled.
+        moments: (N, nq - 3) joint moments [N m]: the human's (resultant of
+            inverse dynamics minus the exoskeleton's), then the
+            exoskeleton's; None where not known.
+        normal_force: segment ("shank", "thigh", "pelvis") -> (N,) force on
+            the human normal to the segment [N], where a mat measured it.
     """
 
     name: str
@@ -44,6 +49,8 @@ class Trial:
     moment_y: np.ndarray
     mass_kg: float
     provenance: dict[str, Any] = field(default_factory=dict)
+    moments: np.ndarray | None = None
+    normal_force: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self):
         n, nq = len(self.time), len(self.coordinates)
@@ -53,13 +60,29 @@ class Trial:
             "a": (n, nq),
             "grf": (n, 2),
             "moment_y": (n,),
+            **{f"normal_force.{key}": (n,) for key in self.normal_force},
         }
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
+        if self.moments is not None:
+            shapes["moments"] = (n, nq - 3)
+        for name, array in self._arrays().items():
+            if array.shape != shapes[name]:
                 raise ValueError(
                     f"trial {self.name}: {name} has shape "
-                    f"{getattr(self, name).shape}, not {shape}"
+                    f"{array.shape}, not {shapes[name]}"
                 )
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name but time."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS[1:]}
+        if self.moments is not None:
+            arrays["moments"] = self.moments
+        for key, force in self.normal_force.items():
+            arrays[f"normal_force.{key}"] = force
+        return arrays
+
+    def _with(self, time: np.ndarray, arrays: dict) -> "Trial":
+        """The same trial with other numbers, named as in `_arrays`."""
+        return replace(self, time=time, **_fields(arrays))
 
     @property
     def duration(self) -> float:
@@ -85,9 +108,8 @@ class Trial:
                 f"the recording ({self.time[0]:g} to {self.time[-1]:g} s); "
                 "correct start_s and end_s"
             )
-        return replace(
-            self, **{name: getattr(self, name)[inside] for name in _ARRAYS}
-        )
+        arrays = {name: x[inside] for name, x in self._arrays().items()}
+        return self._with(self.time[inside], arrays)
 
     def resample(self, nodes_per_second: float) -> "Trial":
         """The same movement on another even time base.
@@ -100,16 +122,19 @@ class Trial:
         count = max(round(self.duration * nodes_per_second), 1) + 1
         time = np.linspace(self.time[0], self.time[-1], count)
         arrays = {
-            name: resample(self.time, getattr(self, name), time)
-            for name in _ARRAYS[1:]
+            name: resample(self.time, x, time)
+            for name, x in self._arrays().items()
         }
-        return replace(self, time=time, **arrays)
+        return self._with(time, arrays)
 
     def save(self, path: str | Path) -> None:
         """Write `path`.npz (numbers) and `path`.json (the rest)."""
         path = Path(path)
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        np.savez(path.with_name(path.name + ".npz"), **arrays)
+        np.savez(
+            path.with_name(path.name + ".npz"),
+            time=self.time,
+            **self._arrays(),
+        )
         write_json(
             path.with_name(path.name + ".json"),
             {
@@ -131,7 +156,7 @@ class Trial:
         try:
             numbers = path.with_name(path.name + ".npz").read_bytes()
             with np.load(io.BytesIO(numbers)) as data:
-                arrays = {name: data[name] for name in _ARRAYS}
+                arrays = {name: data[name] for name in data.files}
             text = path.with_name(path.name + ".json").read_text("utf-8")
             rest = json.loads(text)
             return Trial(
@@ -139,9 +164,20 @@ class Trial:
                 tuple(rest["coordinates"]),
                 mass_kg=rest["mass_kg"],
                 provenance=rest["provenance"],
-                **arrays,
+                **_fields(arrays),
             )
-        except (OSError, ValueError, KeyError, BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
             raise InputError(
                 f"{path}: holds no trial ({error}); save it again"
             ) from error
+
+
+def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Fields of a Trial from arrays named as in `Trial._arrays`."""
+    mats = {
+        name.partition(".")[2]: array
+        for name, array in arrays.items()
+        if name.startswith("normal_force.")
+    }
+    rest = {k: x for k, x in arrays.items() if "." not in k}
+    return {**rest, "normal_force": mats}

@@ -65,4 +65,6 @@ def from_trial(trial: Trial) -> MeasuredMovement:
         trial.v,
         trial.a,
         np.column_stack([trial.grf, trial.moment_y]),
+        trial.moments,
+        trial.normal_force,
     )
