@@ -6,16 +6,21 @@ that only one leg was measured for are told by what is left out: a trial with
 a plate under the right foot alone counts as one leg, and is doubled.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from drake_exo import schema
 from drake_exo.errors import InputError
-from drake_exo.phases.settings import FootGroundSettings
+from drake_exo.phases.settings import (
+    FootGroundSettings,
+    InteractionSettings,
+    PredictionSettings,
+)
 from drake_exo.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
+Use = Literal["calibration", "prediction"]
 SIDES: tuple[Side, Side] = ("left", "right")
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -214,6 +219,8 @@ class TrialFiles:
 
     Attributes:
         plates: which plate is under which foot.
+        use: contact is calibrated with it (Phases A and B), or it is
+            predicted and compared with (Phase C).
         encoders: angles of the exoskeleton's joints.
         rise: number of the sit-to-stand rise found in the recording, from 1.
         start_s, end_s: used part, instead of (or bounding) a rise found.
@@ -223,6 +230,7 @@ class TrialFiles:
     markers: Path
     forces: Path
     plates: Plates
+    use: Use = "calibration"
     encoders: Path | None = None
     rise: int | None = field(default=None, metadata={"minimum": 1})
     start_s: float | None = field(default=None, metadata=_SECONDS)
@@ -251,6 +259,10 @@ class Study:
     filter: Filter = Filter()
     scaling: Scaling = Scaling()
     foot_ground: FootGroundSettings = field(default_factory=FootGroundSettings)
+    interaction: InteractionSettings = field(
+        default_factory=InteractionSettings
+    )
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
     def __post_init__(self):
         names = [trial.name for trial in self.trials]
@@ -259,6 +271,20 @@ class Study:
                 raise InputError(f"two trials are named {name!r}; rename one")
         if not names:
             raise InputError("trials is empty; list at least one")
+
+
+def trials_for(study: Study, use: Use) -> Study:
+    """The same study with the trials of one use alone.
+
+    Raises:
+        InputError: it has none.
+    """
+    trials = tuple(t for t in study.trials if t.use == use)
+    if not trials:
+        raise InputError(
+            f"no trial is for {use}; give those that are 'use: {use}'"
+        )
+    return replace(study, trials=trials)
 
 
 def load_study(
