@@ -48,26 +48,54 @@ class Sensitivity:
         self.right.append(right.ravel())
 
 
-def singular_terms(K_c: np.ndarray, count: int, w_tr: float, w_rot: float):
-    """Terms of w_tr c_tr + w_rot c_rot: a list for every sample.
+@dataclass(frozen=True)
+class TurnTerm:
+    """A functional of one sample's orientation: its derivative by ω."""
+
+    by_turn: np.ndarray
+
+
+def singular_terms(K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray):
+    """Terms of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot).
 
     Args:
         K_c: (N, 6, 6).
-        count: Samples of heel strike.
-        w_tr: Factor of Σ σ_max(K_tr) over heel strike.
-        w_rot: Factor of Σ σ_min(K_rot) over all samples.
+        by_tr, by_rot: Factors at every sample, (N,).
+
+    Returns:
+        For every sample a list of terms.
     """
     terms = []
-    for q, K in enumerate(K_c):
+    for K, tr, rot in zip(K_c, by_tr, by_rot, strict=True):
         here = []
-        if q < count and w_tr:
+        if tr:
             U, _, Vt = np.linalg.svd(K[:3, :3])
-            here.append(_padded(w_tr, U[:, 0], Vt[0], slice(0, 3)))
-        if w_rot:
+            here.append(_padded(tr, U[:, 0], Vt[0], slice(0, 3)))
+        if rot:
             U, _, Vt = np.linalg.svd(K[3:, 3:])
-            here.append(_padded(w_rot, U[:, 2], Vt[2], slice(3, 6)))
+            here.append(_padded(rot, U[:, 2], Vt[2], slice(3, 6)))
         terms.append(here)
     return terms
+
+
+def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
+    """Terms of Σ factor · min eig(S sym(−K_c) S)."""
+    scale = np.array([1.0] * 3 + [1.0 / length] * 3)
+    terms = []
+    for K, factor in zip(K_c, factors, strict=True):
+        sym = -0.5 * (K + K.T) * np.outer(scale, scale)
+        v = scale * np.linalg.eigh(sym)[1][:, 0]
+        terms.append([Term(-factor, v, v)])
+    return terms
+
+
+def tilt_terms(R: np.ndarray, factors: np.ndarray):
+    """Terms of Σ factor · R_zz (the cosine of the tilt)."""
+    up = np.array([0.0, 0.0, 1.0])
+    return [
+        [TurnTerm(f * np.cross(r[:, 2], up))]
+        for r, f in zip(R, factors, strict=True)
+    ]
 
 
 def _padded(alpha, u, v, part) -> Term:
@@ -137,6 +165,9 @@ class _Step:
         bP, bF, bQ = np.zeros((3, k, 3))
         b_w = np.zeros(3)
         for term in terms:
+            if isinstance(term, TurnTerm):
+                b_w += term.by_turn
+                continue
             b_w += self._term(total, term, bP, bF, bQ)
         if self.first:
             b_w += np.einsum("kij,ki->j", self.dQ, bQ)

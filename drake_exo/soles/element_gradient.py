@@ -10,7 +10,7 @@ import numpy as np
 from drake_exo.soles.elasticity import Sole, displacement_gradient
 
 _CHUNK = 64
-_NEGLIGIBLE = 1e-13
+_NEGLIGIBLE = 1e-11
 
 
 def compliance_gradient(
