@@ -12,6 +12,7 @@ from typing import Literal
 
 from drake_exo import schema
 from drake_exo.errors import InputError
+from drake_exo.laboratory.instruments import Axes, Device, Mat, PressureFile
 from drake_exo.phases.settings import (
     FootGroundSettings,
     InteractionSettings,
@@ -22,7 +23,6 @@ from drake_exo.segments import ExoskeletonOverrides, HumanOverrides
 Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
 SIDES: tuple[Side, Side] = ("left", "right")
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 _SECONDS = {"unit": "s"}
 
@@ -50,21 +50,6 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Axes:
-    """Which axes of a file point forward and up; OpenSim's are x and y."""
-
-    forward: Axis = "x"
-    up: Axis = "y"
-
-    def __post_init__(self):
-        if self.forward[-1] == self.up[-1]:
-            raise InputError(
-                f"forward ({self.forward}) and up ({self.up}) must be two "
-                "different axes"
-            )
-
-
-@dataclass(frozen=True)
 class Laboratory:
     """Frames and clocks of the laboratory's files.
 
@@ -75,15 +60,36 @@ class Laboratory:
         forces_act_on: whether files hold the forces on the body, or on the
             plate (equal and opposite).
         fill_gaps_s: longest gap of a marker that is filled; none by default.
+        encoder_delay_s, pressure_delay_s: lag of their clocks behind the
+            markers'.
+        estimate_encoder_delay: find what lag is left from the human's joint
+            angles.
+        estimate_pressure_delay: likewise from what the cuffs must bear to
+            move the exoskeleton; needs encoders.
+        largest_delay_s: how far estimates look to either side.
+        remove_plate_drift: level the plates where nothing stands on them.
+        chair_on_thighs: share of the chair's wrench on the thighs, the rest
+            acts on the pelvis.
     """
 
-    marker_axes: Axes = Axes()
-    force_axes: Axes = Axes()
+    marker_axes: Axes = field(default_factory=Axes)
+    force_axes: Axes = field(default_factory=Axes)
     force_delay_s: float = field(default=0.0, metadata=_SECONDS)
     estimate_force_delay: bool = False
     forces_act_on: Literal["body", "plate"] = "body"
     fill_gaps_s: float = field(
         default=0.0, metadata={"unit": "s", "minimum": 0.0}
+    )
+    encoder_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    estimate_encoder_delay: bool = False
+    pressure_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    estimate_pressure_delay: bool = False
+    largest_delay_s: float = field(
+        default=0.05, metadata={"unit": "s", "above": 0.0, "maximum": 1.0}
+    )
+    remove_plate_drift: bool = False
+    chair_on_thighs: float = field(
+        default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
     )
 
 
@@ -136,11 +142,16 @@ class Markers:
 
 @dataclass(frozen=True)
 class Plates:
-    """Number of the force plate under each foot, or under both, from 1."""
+    """Numbers of the force plates, from 1: under each foot, or under both.
+
+    Attributes:
+        chair: under the chair, whose weight is tared.
+    """
 
     left: int | None = field(default=None, metadata={"minimum": 1})
     right: int | None = field(default=None, metadata={"minimum": 1})
     both: int | None = field(default=None, metadata={"minimum": 1})
+    chair: int | None = field(default=None, metadata={"minimum": 1})
 
     def __post_init__(self):
         if (self.both is None) == (self.left is None and self.right is None):
@@ -151,6 +162,11 @@ class Plates:
             raise InputError(
                 f"plate {self.left} cannot be left and right; say "
                 f"'both: {self.left}' if both feet stand on it"
+            )
+        feet = (self.left, self.right, self.both)
+        if self.chair is not None and self.chair in feet:
+            raise InputError(
+                f"plate {self.chair} cannot be under the chair and a foot"
             )
 
 
@@ -222,7 +238,14 @@ class TrialFiles:
         use: contact is calibrated with it (Phases A and B), or it is
             predicted and compared with (Phase C).
         encoders: angles of the exoskeleton's joints.
+        exo_moments: moments of its joints, as recorded; by the model of
+            `device` if left out.
+        pressure: recordings of the mats.
+        empty_plates: the same plates with nothing on them, which levels
+            those that are never unloaded in the trial.
         rise: number of the sit-to-stand rise found in the recording, from 1.
+        seated_s: how long before seat-off the used part starts; needs the
+            chair's plate.
         start_s, end_s: used part, instead of (or bounding) a rise found.
     """
 
@@ -232,17 +255,33 @@ class TrialFiles:
     plates: Plates
     use: Use = "calibration"
     encoders: Path | None = None
+    exo_moments: Path | None = None
+    pressure: tuple[PressureFile, ...] = ()
+    empty_plates: Path | None = None
     rise: int | None = field(default=None, metadata={"minimum": 1})
+    seated_s: float = field(default=0.0, metadata={"unit": "s", "minimum": 0.0})
     start_s: float | None = field(default=None, metadata=_SECONDS)
     end_s: float | None = field(default=None, metadata=_SECONDS)
 
     def __post_init__(self):
         _check_window(self.start_s, self.end_s)
+        if self.seated_s > 0.0 and self.rise is None:
+            raise InputError("seated_s counts back from a rise; name it")
+        if self.seated_s > 0.0 and self.plates.chair is None:
+            raise InputError(
+                "seated_s needs the chair's plate; name it in plates.chair"
+            )
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study; see the attributes' own classes."""
+    """A study; see the attributes' own classes.
+
+    Attributes:
+        device: how the exoskeleton was measured and what its drives do; left
+            out, joint moments are known only where they were recorded.
+        mats: pressure matrices by name.
+    """
 
     subject: Subject
     standing: Standing
@@ -252,6 +291,8 @@ class Study:
     exoskeleton: ExoskeletonOverrides = field(
         default_factory=ExoskeletonOverrides
     )
+    device: Device | None = None
+    mats: dict[str, Mat] = field(default_factory=dict)
     gravity_m_s2: float = field(
         default=9.81, metadata={"unit": "m/s^2", "above": 0.0}
     )
@@ -271,6 +312,13 @@ class Study:
                 raise InputError(f"two trials are named {name!r}; rename one")
         if not names:
             raise InputError("trials is empty; list at least one")
+        for trial in self.trials:
+            for name in (m for p in trial.pressure for m in p.mats):
+                if name not in self.mats:
+                    raise InputError(
+                        f"trial {trial.name}: {name!r} is none of the mats "
+                        f"({', '.join(self.mats) or 'there are none'})"
+                    )
 
 
 def trials_for(study: Study, use: Use) -> Study:
