@@ -231,6 +231,46 @@ class CostBlock:
 
 
 @dataclass(frozen=True)
+class Stage:
+    """One run of the optimiser."""
+
+    divisions: tuple[int, int, int] | None = None
+    samples: int | None = None
+    layer_m: float = _positive("m", 1e-5)
+    kappa: float = _not_negative("", 0.1)
+    iterations: int = field(default=40, metadata={"minimum": 0})
+
+
+@dataclass(frozen=True)
+class OptimizeBlock:
+    """Shape parametrisation, limits and stages of an optimisation."""
+
+    intervals: tuple[int, int] = (10, 10)
+    fixed_top: bool = False
+    bounds: Vector2 = (0.3, 1.4)
+    stability_n_per_m: float | None = _positive("N/m", 1000.0)
+    tilt_deg: float | None = _positive("°", 20.0)
+    c_rot_nm_per_rad: float | None = _positive("N·m/rad")
+    use_tr: float = _not_negative("", 1.0)
+    roughness: float = _not_negative("", 1e-3)
+    tolerance: float = _positive("", 1e-4)
+    stages: tuple[Stage, ...] = (
+        Stage((10, 6, 3), 40, 4e-5, 0.2, 40),
+        Stage((14, 8, 4), 80, 1e-5, 0.1, 30),
+        Stage((18, 10, 4), None, 5e-6, 0.1, 20),
+    )
+
+    def __post_init__(self):
+        if not 0 < self.bounds[0] < 1 < self.bounds[1]:
+            raise InputError(
+                f"bounds {list(self.bounds)} must lie around 1, the initial "
+                "shape, and above 0"
+            )
+        if not self.stages:
+            raise InputError("stages: give at least one")
+
+
+@dataclass(frozen=True)
 class Case:
     """Everything that one simulation of a sole needs."""
 
@@ -241,6 +281,7 @@ class Case:
     contact: ContactBlock = ContactBlock()
     start: StartBlock = StartBlock()
     cost: CostBlock = CostBlock()
+    optimize: OptimizeBlock = OptimizeBlock()
 
     def __post_init__(self):
         self.material.material()

@@ -29,6 +29,34 @@ def add_parser(subparsers) -> None:
     parser.add_argument("case", type=Path, metavar="CASE.yaml")
     add_common_arguments(parser)
     parser.set_defaults(run=run_simulate)
+    parser = jobs.add_parser("optimize", help="find the best shape for a case")
+    parser.add_argument("case", type=Path, metavar="CASE.yaml")
+    add_common_arguments(parser)
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="DIR",
+        help="go on from the checkpoint in this folder of an earlier run",
+    )
+    parser.set_defaults(run=_run_optimize)
+    parser = jobs.add_parser("study", help="the paper's five cases (Table 2)")
+    parser.add_argument(
+        "--coarse", action="store_true", help="one coarse stage, two minutes"
+    )
+    add_common_arguments(parser)
+    parser.set_defaults(run=_run_study)
+
+
+def _run_optimize(args) -> int:
+    from drake_exo.soles.optimise_command import run_optimize
+
+    return run_optimize(args)
+
+
+def _run_study(args) -> int:
+    from drake_exo.soles.study import run_study
+
+    return run_study(args)
 
 
 def add_common_arguments(parser) -> None:

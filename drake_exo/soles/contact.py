@@ -191,6 +191,8 @@ class ContactSolver:
         return _Point(state, P, arm, tau, phi, wrench, active, merit)
 
     def _linearisation(self, point, target) -> Linearisation:
+        if not point.active.any():
+            raise np.linalg.LinAlgError("no node in contact")
         self.active.update(np.flatnonzero(point.active))
         nodes = self.active.nodes
         return Linearisation(

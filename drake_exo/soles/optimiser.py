@@ -75,6 +75,21 @@ def minimise(
         [],
     )  # fmt: skip
     cache = {}
+    stopped = []
+
+    def guarded(function):
+        """Ctrl-C must not surface inside IPOPT's C++: stop at the next
+        iteration instead, and raise it again afterwards.
+        """
+
+        def call(*args):
+            try:
+                return function(*args)
+            except KeyboardInterrupt:
+                stopped.append(True)
+                return np.nan
+
+        return call
 
     def derivatives(p):
         key = p.tobytes()
@@ -108,7 +123,7 @@ def minimise(
         best.error = inf_du
         if on_iterate is not None:
             on_iterate(iteration, best)
-        return True
+        return not stopped
 
     rows, columns = np.divmod(np.arange(m * n), n)
     solver = ipyopt.Problem(
@@ -120,10 +135,10 @@ def minimise(
         np.full(m, 1e20),
         (rows, columns),
         (np.arange(0), np.arange(0)),
-        problem.cost,
-        gradient,
-        constraints,
-        jacobian,
+        guarded(problem.cost),
+        guarded(gradient),
+        guarded(constraints),
+        guarded(jacobian),
         intermediate_callback=watch,
         ipopt_options={
             "hessian_approximation": "limited-memory",
@@ -140,6 +155,8 @@ def minimise(
     )
     multipliers = np.zeros(m)
     _, _, status = solver.solve(best.p.copy(), mult_g=multipliers)
+    if stopped:
+        raise KeyboardInterrupt
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     best.optimal = status == 0
     best.multipliers = multipliers

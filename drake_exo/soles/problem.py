@@ -115,7 +115,10 @@ class ShapeProblem:
         """Simulate a design; None if it cannot be simulated."""
         key = p.tobytes()
         if key not in self._cache:
-            self._cache = {key: self._simulate(p.copy())}
+            try:
+                self._cache = {key: self._simulate(p.copy())}
+            except np.linalg.LinAlgError:  # a shape that cannot carry load
+                self._cache = {key: None}
             self.evaluations += 1
             self.failures += self._cache[key] is None
         return self._cache[key]

@@ -1,0 +1,120 @@
+"""The command `drake-exo sole optimize`: the best shape for a case."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.output import Progress, prepare_output_folder, write_json
+from drake_exo.soles import design as designs
+from drake_exo.soles.case import read_case
+from drake_exo.soles.mesh import write_stl
+
+
+def run_optimize(args) -> int:
+    """Optimise one case; 0 where the final design simulates throughout."""
+    case = read_case(args.case)
+    root = args.data_root or args.case.parent
+    load = case.load.load(root)
+    mesh = case.read_mesh(root, args.mesh)
+    load.check_inside(mesh.nodes[mesh.contact])
+    start = case.start_pose(mesh)
+    resume = read_checkpoint(args.resume) if args.resume else None
+    with prepare_output_folder(args.out, args.force) as out:
+        row = optimise_case(out, case, mesh, load, start, resume)
+    print_row(row)
+    print(f"{case.name}: results in {args.out}")
+    return 1 if row["failed_steps"] else 0
+
+
+def optimise_case(out: Path, case, mesh, load, start, resume=None) -> dict:
+    """Optimise, judge and write one case into a folder; its summary."""
+    began = time.perf_counter()
+    progress = Progress(case.name, interval_seconds=2.0)
+    design = designs.optimise(
+        case, mesh, load, start, out, progress.update, resume
+    )
+    row = designs.design_summary(case, design)
+    row["finer"] = designs.finer_check(case, mesh, load, start, design)
+    row["seconds"] = round(time.perf_counter() - began, 2)
+    row["stages_seconds"] = [round(s, 2) for s in design.seconds]
+    write_design(out, case, load, design)
+    write_json(out / "summary.json", row)
+    return row
+
+
+def write_design(out: Path, case, load, design) -> None:
+    """Coefficients, mesh, STL, pictures and animation of a design."""
+    from drake_exo.soles import command, design_pictures, pictures, results
+    from drake_exo.soles.stiffness import heel_strike_count
+
+    spline = design.problem.spline
+    write_json(
+        out / "design.json",
+        {
+            "intervals": spline.intervals,
+            "fixed_top": spline.fixed_top,
+            "coefficients": design.p,
+            "stage": len(case.optimize.stages),
+        },
+    )
+    write_stl(out / "sole.stl", design.mesh)
+    _write_mesh(out / "sole.vtk", design.mesh)
+    columns = results.step_table(load, design.history)
+    results.write_csv(out / "steps.csv", columns)
+    command.draw(out, case, design.sole, load, design.history, columns)
+    before = results.step_table(load, design.first_history)
+    count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
+    curves = {
+        name: (
+            load.times,
+            table["sigma_max_tr_n_per_m"],
+            table["sigma_min_rot_nm_per_rad"],
+        )
+        for name, table in (("initial", before), ("optimised", columns))
+    }
+    pictures.stiffness_figure(
+        out / "stiffness.png", curves, load.times[count - 1]
+    )
+    design_pictures.shape_figure(
+        out / "shape.png", design.mesh, case.name, design.first_sole.mesh
+    )
+    design_pictures.trace_figure(out / "history.png", design.optima)
+
+
+def _write_mesh(path: Path, mesh) -> None:
+    import meshio
+
+    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
+
+
+def read_checkpoint(path: Path) -> dict:
+    """A checkpoint of an earlier run, given as file or folder.
+
+    Raises:
+        InputError: Missing or not a checkpoint.
+    """
+    file = path / "checkpoint.json" if path.is_dir() else path
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        p = np.array(data["coefficients"], dtype=float)
+        stage = int(data["stage"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{file}: not a checkpoint; give the folder of an interrupted run"
+        ) from None
+    return {"coefficients": p, "stage": stage}
+
+
+def print_row(row: dict) -> None:
+    """One line on a finished case."""
+    print(
+        f"{row['name']}: c_tr {row['c_tr']:.3g} (×{row['ratio_tr']:.3f}), "
+        f"c_rot {row['c_rot']:.3g} (×{row['ratio_rot']:.3f}), "
+        f"{row['volume_cm3']:.0f} cm³, "
+        f"{'optimal' if row['optimal'] else row.get('status', '')}, "
+        f"{'stable' if row['stable'] else 'unstable'}, largest strain "
+        f"{row['max_strain']:.2f}, {row['seconds']:.0f} s"
+    )
