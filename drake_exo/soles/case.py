@@ -163,8 +163,52 @@ class Constant:
     samples: int = field(default=1, metadata={"minimum": 1})
 
 
+@dataclass(frozen=True)
+class Pattern:
+    """Own walking pattern; the defaults are the authors' 80 kg robot's."""
+
+    mass_kg: float = _positive("kg", 80.0)
+    com_height_m: float = _positive("m", 0.9)
+    step_length_m: float = _positive("m", 0.2695)
+    step_width_m: float = _positive("m", 0.165)
+    step_time_s: float = _positive("s", 1.005)
+    double_support_s: float = _positive("s", 0.19)
+    back_m: float = -0.1
+    front_m: float = 0.048
+    inner_m: float = 0.05
+    outer_m: float = -0.055
+    ankle_m: Vector2 = (-0.017, 0.011)
+    torque_weight: float = _not_negative("", 0.7)
+    gravity_m_per_s2: float = _positive("m/s²", 9.81)
+    period_s: float = _positive("s", 0.005)
+    least_share: float = field(
+        default=0.13, metadata={"above": 0.0, "below": 1.0}
+    )
+
+    def load(self) -> loads.Load:
+        """Plan the step; the right foot's load."""
+        from drake_exo.soles.walking_pattern import Robot, plan
+
+        robot = Robot(
+            self.mass_kg,
+            self.com_height_m,
+            self.step_length_m,
+            self.step_width_m,
+            self.step_time_s,
+            self.double_support_s,
+            self.back_m,
+            self.front_m,
+            self.inner_m,
+            self.outer_m,
+            self.ankle_m,
+            self.torque_weight,
+            self.gravity_m_per_s2,
+        )
+        return plan(robot).foot_load(self.period_s, self.least_share)
+
+
 _KINDS = (
-    "one_foot", "csv", "force_plate", "playback", "prediction", "constant",
+    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction", "constant",
 )  # fmt: skip
 
 
@@ -172,6 +216,7 @@ _KINDS = (
 class LoadBlock:
     """Where force and ZMP come from: exactly one kind."""
 
+    pattern: Pattern | None = None
     one_foot: OneFoot | None = None
     csv: Csv | None = None
     force_plate: ForcePlate | None = None
@@ -189,6 +234,8 @@ class LoadBlock:
         return load.straight() if self.straight else load
 
     def _read(self, root: Path) -> loads.Load:
+        if self.pattern is not None:
+            return self.pattern.load()
         if (c := self.one_foot) is not None:
             load = loads.read_one_foot(root / c.file, c.skip_first, c.skip_last)
             return load.placed(c.origin_m, 0.0)

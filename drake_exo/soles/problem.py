@@ -187,7 +187,9 @@ class ShapeProblem:
         ]
         if limits.stability is not None:
             x = stiffness.stability(e.history.K_c) - limits.stability
-            values.append(soft_minimum(x / self.stability_scale)[0])
+            values.append(
+                soft_minimum(_saturate(x / self.stability_scale)[0])[0]
+            )
         if limits.tilt_deg is not None:
             x = e.history.R[:, 2, 2] - np.cos(np.deg2rad(limits.tilt_deg))
             values.append(soft_minimum(x / 0.06)[0])
@@ -210,7 +212,8 @@ class ShapeProblem:
         ]
         if limits.stability is not None:
             x = stiffness.stability(K) - limits.stability
-            share = soft_minimum(x / self.stability_scale)[1]
+            y, slope = _saturate(x / self.stability_scale)
+            share = slope * soft_minimum(y)[1]
             functionals.append(
                 stability_terms(
                     K,
@@ -259,6 +262,12 @@ class ShapeProblem:
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
         """Chain rule from node positions (n, 3) to coefficients (P,)."""
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
+
+
+def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give x / √(1 + x²) and its slope: a wild sample must not rule the search."""
+    root = np.sqrt(1 + x**2)
+    return x / root, root**-3
 
 
 def soft_minimum(

@@ -1,0 +1,279 @@
+"""Walking pattern of one cyclic step: ZMP, CoM and forces of one foot.
+
+Linear inverted pendulum, c̈ = ω² (c − z) with ω² = g / h. The CoM is a
+B-spline of degree 5 over uniform knots, so that the ZMP z = c − c̈ / ω² is a
+piecewise polynomial, twice differentiable. A quadratic programme finds its
+coefficients: least energy of the pendulum's actuation, ∫ |c̈|² dt, with the
+ZMP inside the support and cyclic boundary conditions (one step later the
+state is the same, mirrored and one step length ahead). The landing foot is
+the right one; y is to the left; sole frame of the right foot.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from drake_exo.errors import InputError
+from drake_exo.soles.loads import Load
+
+_DEGREE, _PIECES, _GRID = 5, 16, 161
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot's walk.
+
+    Attributes:
+        mass: [kg].
+        com_height: [m].
+        step_length: Between consecutive footprints [m].
+        step_width: Between the middles of the soles [m].
+        step_time: One step, double support included [s].
+        double_support: Its double support [s].
+        back, front: ZMP bounds of single support along the sole [m].
+        inner: Largest y towards the other foot in single support [m].
+        outer: Smallest y [m].
+        ankle: Place of the ankle in the sole frame [m].
+        torque_weight: Factor of the ankle torque in the energy.
+        gravity: [m/s²].
+    """
+
+    mass: float
+    com_height: float
+    step_length: float
+    step_width: float
+    step_time: float
+    double_support: float
+    back: float
+    front: float
+    inner: float
+    outer: float
+    ankle: tuple[float, float] = (-0.017, 0.011)
+    torque_weight: float = 1.0
+    gravity: float = 9.81
+
+    def __post_init__(self):
+        if not 0 < self.double_support < self.step_time:
+            raise InputError(
+                "pattern: double_support_s must be above 0 and below "
+                "step_time_s"
+            )
+        if not (self.back < self.front and self.outer < self.inner):
+            raise InputError(
+                "pattern: back_m must be below front_m and outer_m below "
+                "inner_m"
+            )
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """CoM splines of one step, from landing to the next landing.
+
+    Attributes:
+        robot: What walks.
+        com: Spline of (x, y) over [0, step_time].
+        zmp: Likewise, z = c − c̈ / ω².
+    """
+
+    robot: Robot
+    com: BSpline
+    zmp: BSpline
+
+    def at(self, spline: BSpline, t: np.ndarray) -> np.ndarray:
+        """A spline carried on over the following mirrored step, (n, 2)."""
+        T = self.robot.step_time
+        late = t > T
+        out = spline(np.where(late, t - T, t))
+        out[late] = _mirrored(out[late], self.robot)
+        return out
+
+    def foot_load(self, period: float = 0.005, least: float = 0.1) -> Load:
+        """Force and ZMP of the right foot over its whole contact phase.
+
+        Args:
+            period: Time between samples [s].
+            least: Leave samples out below this part of the weight.
+        """
+        robot = self.robot
+        T, D = robot.step_time, robot.double_support
+        t = np.arange(0.0, T + D + 1e-9, period)
+        z, acceleration = self.at(self.zmp, t), self._acceleration(t)
+        share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))
+        own = self._own_zmp(t, z)
+        total = robot.mass * np.concatenate(
+            [acceleration, np.full((len(t), 1), robot.gravity)], axis=1
+        )
+        keep = share >= least
+        return Load(
+            t[keep], (share[:, None] * total)[keep], own[keep],
+            "walking pattern",
+        )  # fmt: skip
+
+    def _acceleration(self, t):
+        T = self.robot.step_time
+        late = t > T
+        out = self.com(np.where(late, t - T, t), 2)
+        out[late, 1] *= -1
+        return out
+
+    def _own_zmp(self, t, z):
+        """Under the right foot: in double support its own line plus ρ/2…
+
+        The feet keep to parabolas a(t) and b(t) that continue their
+        single-support ZMP; what is left of the total, ρ, goes to both.
+        """
+        T, D = self.robot.step_time, self.robot.double_support
+        own = z.copy()
+        for first in (True, False):
+            rows = t <= D if first else t >= T
+            s = t[rows] - (0.0 if first else T)
+            a, b = self._lines(s)
+            share = smooth_share(s / D)[:, None]
+            line = b if first else a
+            if not first:
+                line = _mirrored(line, self.robot)
+                a, b = (_mirrored(q, self.robot) for q in (a, b))
+            own[rows] = line + z[rows] - (1 - share) * a - share * b
+        return own
+
+    def _lines(self, s):
+        """Unloading foot's and landing foot's ZMP at s since landing."""
+        D = self.robot.double_support
+        z = self.zmp
+        a, b = _progress(np.asarray(s), D)
+        return z(0.0) + a * z(0.0, 1), z(D) + b * z(D, 1)
+
+
+def smooth_share(s: np.ndarray) -> np.ndarray:
+    """Share of the landing foot: quintic from 0 to 1, C² at both ends."""
+    s = np.clip(s, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
+
+
+def _progress(s: np.ndarray, D: float):
+    """Factors of the ZMP's speed in a foot's own double-support path.
+
+    The unloading foot's ZMP starts with the speed it has and comes to rest;
+    the landing foot's starts at rest and takes up its speed: parabolas.
+    """
+    a = s - s**2 / (2 * D)
+    b = (s - D) + (s - D) ** 2 / (2 * D)
+    return a[:, None], b[:, None]
+
+
+def _mirrored(points, robot: Robot):
+    """One step on: ahead by the step length, mirrored about the path."""
+    return np.stack(
+        [points[:, 0] + robot.step_length, robot.step_width - points[:, 1]],
+        axis=1,
+    )
+
+
+def plan(robot: Robot) -> Pattern:
+    """Solve the quadratic programme.
+
+    Raises:
+        InputError: No ZMP inside the bounds carries such a step.
+    """
+    from pydrake.solvers import ClarabelSolver, MathematicalProgram
+
+    T, D = robot.step_time, robot.double_support
+    omega2 = robot.gravity / robot.com_height
+    knots = np.concatenate(
+        [np.zeros(_DEGREE), np.linspace(0, T, _PIECES + 1),
+         np.full(_DEGREE, T)]
+    )  # fmt: skip
+    count = _PIECES + _DEGREE
+    basis = BSpline(knots, np.eye(count), _DEGREE)
+    t = np.linspace(0, T, _GRID)
+    C2 = basis(t, 2)
+    Z = basis(t) - C2 / omega2
+    prog = MathematicalProgram()
+    p = prog.NewContinuousVariables(count, 2, "c")
+    weight = np.sqrt(T / _GRID)
+    sign, shift = (1.0, -1.0), (robot.step_length, robot.step_width)
+    hold = 1e2 * _double_support_residual(basis, omega2, t[t <= D], D)
+    for k in range(2):
+        A = weight * C2
+        prog.AddQuadraticCost(
+            2 * A.T @ A, np.zeros(count), p[:, k], is_convex=True
+        )
+        # Ankle torque m g (z − a), over h as a force, in single support.
+        A = weight * np.sqrt(robot.torque_weight) * omega2 * Z[t >= D]
+        a = weight * np.sqrt(robot.torque_weight) * omega2 * robot.ankle[k]
+        prog.AddQuadraticCost(
+            2 * A.T @ A, -2 * a * A.sum(axis=0), p[:, k], is_convex=True
+        )
+        A = weight * hold
+        prog.AddQuadraticCost(
+            2 * A.T @ A, np.zeros(count), p[:, k], is_convex=True
+        )
+        for order in range(_DEGREE):
+            row = basis(T, order) - sign[k] * basis(0.0, order)
+            value = shift[k] if order == 0 else 0.0
+            size = np.linalg.norm(row)
+            prog.AddLinearEqualityConstraint(
+                row[None] / size, [value / size], p[:, k]
+            )
+    single = np.concatenate([Z[t >= D], _ends(basis, omega2, T, D)])
+    prog.AddLinearConstraint(
+        single, np.full(len(single), robot.back),
+        np.full(len(single), robot.front), p[:, 0],
+    )  # fmt: skip
+    prog.AddLinearConstraint(
+        single, np.full(len(single), robot.outer),
+        np.full(len(single), robot.inner), p[:, 1],
+    )  # fmt: skip
+    result = ClarabelSolver().Solve(prog)
+    if not result.is_success():
+        raise InputError(
+            "pattern: no ZMP inside its bounds carries this step; widen "
+            "back_m to front_m and outer_m to inner_m, or slow the step"
+        )
+    c = BSpline(knots, result.GetSolution(p), _DEGREE)
+    z_coefficients = _as_spline(knots, c, omega2)
+    return Pattern(robot, c, z_coefficients)
+
+
+def _ends(basis, omega2, T, D):
+    """Rows of the right foot's ZMP as it lands and as it lifts off."""
+
+    def z(at, order=0):
+        return basis(at, order) - basis(at, order + 2) / omega2
+
+    return np.stack([z(D) - D / 2 * z(D, 1), z(T) + D / 2 * z(T, 1)])
+
+
+def _double_support_residual(basis, omega2, t, D):
+    """Rows of z(t) − (1 − α) a(t) − α b(t): the feet keep to lines."""
+
+    def z(at, order=0):
+        return basis(at, order) - basis(at, order + 2) / omega2
+
+    share = smooth_share(t / D)[:, None]
+    forth, back = _progress(t, D)
+    a = z(0.0)[None] + forth * z(0.0, 1)[None]
+    b = z(D)[None] + back * z(D, 1)[None]
+    rows = np.stack([z(s) for s in t])
+    return rows - (1 - share) * a - share * b
+
+
+def _as_spline(knots, c: BSpline, omega2: float) -> BSpline:
+    """The ZMP z = c − c̈/ω² as one spline of degree 5, repeated knots for C²."""
+    inner = knots[_DEGREE:-_DEGREE]
+    multiple = np.concatenate(
+        [
+            np.full(_DEGREE + 1, inner[0]),
+            np.repeat(inner[1:-1], 3),
+            np.full(_DEGREE + 1, inner[-1]),
+        ]
+    )
+    count = len(multiple) - _DEGREE - 1
+    # Greville points make interpolation of a member of the space exact.
+    sites = np.array(
+        [multiple[i + 1 : i + _DEGREE + 1].mean() for i in range(count)]
+    )
+    values = c(sites) - c(sites, 2) / omega2
+    design = BSpline.design_matrix(sites, multiple, _DEGREE).toarray()
+    return BSpline(multiple, np.linalg.solve(design, values), _DEGREE)
