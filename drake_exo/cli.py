@@ -15,6 +15,7 @@ _COMMANDS = {
     "sensitivity": "drake_exo.phases.sensitivity_command",
     "contact": "drake_exo.report.contact_figures",
     "demo": "drake_exo.demo",
+    "lab": "drake_exo.virtual_laboratory.command",
     "sole": "drake_exo.soles.command",
 }
 

@@ -1,0 +1,1 @@
+"""A simulated measurement campaign with known truth, in laboratory formats."""

@@ -1,0 +1,312 @@
+"""What the subject means to do: rise so that the feet can stay where they are.
+
+The reference motion of ankle, knee and hip is a spline that comes out of a
+small least-squares problem: near a template (sit, lean forward, rise, stand),
+smooth, and with the centre of pressure under the feet where it is wanted. The
+chair carries what its cushion gives. Loads and feed-forward torques are those
+of the rigid model.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.optimize import least_squares
+
+from drake_exo.forces.contact_parameters import ContactParameters
+from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
+from drake_exo.laboratory.sagittal import PlanarWrench
+from drake_exo.planar_tree import PlanarTree
+from drake_exo.virtual_laboratory.loads import chair_wrench, ground_wrench
+from drake_exo.virtual_laboratory.seat import SeatParameters
+
+_DEGREE = 5
+_KNOT_S = 0.1
+_NODE_S = 0.02
+_HIP_HEIGHT_M = 0.9
+_DIFFERENCE = 1e-6
+_NEWTON_STEPS = 40
+_LARGEST_STEP = 5e-3  # m or rad
+
+# Standard deviations of the template, the larger they are the freer the plan.
+_QUIET_DEG = 0.3
+_MOVING_DEG = 8.0
+_COP_M = 0.004
+_SEAT_SHARE = 0.03  # of the weight
+_JERK = 80.0  # rad/s^3
+# When the weight leaves the chair, in parts of the time of leaning forward.
+_UNLOADING = (0.35, 1.0)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """A posture over resting feet, angles in degrees.
+
+    Attributes:
+        shank: forward lean of the shank.
+        knee: flexion.
+        trunk: forward lean of the trunk.
+    """
+
+    shank: float
+    knee: float
+    trunk: float
+
+    def joints(self, pitch: np.ndarray) -> np.ndarray:
+        """ankle, knee, hip (n, 3) [rad] on feet of pitch (n,) [rad]."""
+        hip = self.knee - self.shank + self.trunk
+        flat = np.deg2rad([self.shank, self.knee, hip])
+        return flat + np.outer(pitch, [1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class RisePlan:
+    """How a sit-to-stand is meant to go.
+
+    Attributes:
+        seated: posture on the chair.
+        leant: posture around seat-off.
+        standing: final posture.
+        quiet_s, lean_s, rise_s, stand_s: lengths of sitting still, leaning
+            forward, rising and standing still.
+        cop_m: centre of pressure in front of the ankle.
+    """
+
+    seated: Posture = Posture(shank=16.0, knee=96.0, trunk=4.0)
+    leant: Posture = Posture(shank=20.0, knee=92.0, trunk=42.0)
+    standing: Posture = Posture(shank=6.0, knee=2.0, trunk=0.0)
+    quiet_s: float = 0.5
+    lean_s: float = 0.7
+    rise_s: float = 1.5
+    stand_s: float = 0.8
+    cop_m: float = 0.050
+
+    @property
+    def duration(self) -> float:
+        """Length of the whole recording [s]."""
+        return self.quiet_s + self.lean_s + self.rise_s + self.stand_s
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A planned motion of the rigid model.
+
+    Attributes:
+        times: (n,) from 0 [s].
+        q, v: (n, 6) coordinates and velocities, feet at rest.
+        torque: (n, 3) ankle, knee, hip [N m].
+        ground: (n, 3) F_x, F_z [N], M_y about the origin that feet bear.
+        seat: (n, 3) the same of the chair.
+    """
+
+    times: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    torque: np.ndarray
+    ground: np.ndarray
+    seat: np.ndarray
+
+
+class Planner:
+    """Plans movements of one subject.
+
+    Args:
+        tree: the rigid 6-DOF model.
+        contact: foot-ground contact, in which the feet sink.
+    """
+
+    def __init__(self, tree: PlanarTree, contact: ContactParameters):
+        self.tree = tree
+        self.contact = contact
+        self.weight = tree.mass * tree.gravity
+
+    def standing(self, duration: float, cop_m: float) -> Reference:
+        """Quiet standing, trunk upright, over a centre of pressure."""
+        times = np.linspace(0.0, duration, 11)
+        foot = self.resting_foot(np.array([self.weight]), cop_m)
+        posture = RisePlan().standing
+        for _ in range(4):
+            q = np.hstack([foot, posture.joints(foot[:, 2])])
+            gap = cop_m - self.tree.center_of_mass(q)[0, 0]
+            lean = posture.shank + np.rad2deg(gap / _HIP_HEIGHT_M)
+            posture = replace(posture, shank=float(lean))
+        q = q.repeat(len(times), axis=0)
+        return self._reference(None, times, q, 0.0 * q, 0.0 * q)
+
+    def seat(self, plan: RisePlan) -> SeatParameters:
+        """A chair on which the seated posture is in equilibrium."""
+        q, share = self._seated(plan)
+        seat = SeatParameters(height_m=0.0)
+        z = self.tree.point_positions(q, "pelvis", (seat.x_m, seat.z_m))[0, 1]
+        depth = seat.depth(share * self.weight)
+        return SeatParameters(float(z) - seat.radius_m + depth)
+
+    def rise(self, plan: RisePlan, seat: SeatParameters) -> Reference:
+        """A sit-to-stand from a chair made for its seated posture."""
+        times = np.linspace(
+            0.0, plan.duration, round(plan.duration / _NODE_S) + 1
+        )
+        begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
+        share = self._seated(plan)[1] * (
+            1.0 - _minimum_jerk((times - begin) / (end - begin))
+        )
+        foot = self.resting_foot(self.weight * (1.0 - share), plan.cop_m)
+        return self._solve(plan, seat, times, foot, share)
+
+    def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
+        """Seated coordinates (1, 6), and the chair's share of the weight."""
+        seat, share = SeatParameters(height_m=0.0), 0.6
+        for _ in range(3):
+            load = np.array([self.weight * (1.0 - share)])
+            foot = self.resting_foot(load, plan.cop_m)
+            q = np.hstack([foot, plan.seated.joints(foot[:, 2])])
+            p = self.tree.point_positions(q, "pelvis", (seat.x_m, seat.z_m))
+            com = self.tree.center_of_mass(q)
+            share = (com[0, 0] - plan.cop_m) / (p[0, 0] - plan.cop_m)
+        return q, float(share)
+
+    def resting_foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
+        """Foot coordinates (n, 3) at rest under vertical loads (n,) [N]."""
+        tree, q = self.tree, np.zeros((len(load), self.tree.num_positions))
+        spheres = self.contact.spheres.values()
+        q[:, 1] = np.mean([s.radius - s.z for s in spheres]) - 5e-3
+        wanted = np.column_stack([load, -cop_m * load])
+
+        def excess(q):
+            w = ground_wrench(tree, self.contact, q, np.zeros_like(q))
+            return np.column_stack([w.force[:, 1], w.moment]) - wanted
+
+        for _ in range(_NEWTON_STEPS):
+            r, J = excess(q), np.empty((len(load), 2, 2))
+            for k in (0, 1):
+                moved = q.copy()
+                moved[:, 1 + k] += _DIFFERENCE
+                J[:, :, k] = (excess(moved) - r) / _DIFFERENCE
+            step = -np.linalg.solve(J, r[:, :, None])[:, :, 0]
+            q[:, 1:3] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+            if np.abs(step).max() < 1e-9:
+                break
+        return q[:, :3]
+
+    def _solve(self, plan, seat, times, foot, wanted) -> Reference:
+        """Least squares for the joints' coefficients.
+
+        The foot (n, 3) and the chair's share (n,) of the weight are given.
+        """
+        basis = _basis(plan.duration)
+        B, B_v, B_a, B_j = (basis.derivative(k)(times) for k in range(4))
+        spline = make_interp_spline(times, foot, k=_DEGREE)
+        foot_v, foot_a = (spline.derivative(k)(times) for k in (1, 2))
+        template, sigma = _template(plan, times, foot[:, 2])
+        start = np.linalg.lstsq(B, template, rcond=None)[0]
+
+        def motion(c):
+            return (
+                np.hstack([foot, B @ c]),
+                np.hstack([foot_v, B_v @ c]),
+                np.hstack([foot_a, B_a @ c]),
+            )
+
+        def residuals(x):
+            c = x.reshape(start.shape)
+            q, v, a = motion(c)
+            ground, chair = self._loads(seat, q, v, a)
+            share = chair.force[:, 1] / self.weight - wanted
+            cop = ground.moment + plan.cop_m * ground.force[:, 1]
+            return np.hstack(
+                [
+                    (cop / self.weight / _COP_M)[:, None],
+                    (share / _SEAT_SHARE)[:, None],
+                    (q[:, 3:] - template) / sigma[:, None],
+                    B_j @ c / _JERK,
+                ]
+            )
+
+        found = least_squares(
+            lambda x: residuals(x).ravel(),
+            start.ravel(),
+            jac=_banded_differences(residuals, B != 0.0),
+            method="lm",
+            ftol=1e-3,
+            max_nfev=15,
+        )
+        c = found.x.reshape(start.shape)
+        return self._reference(seat, times, *motion(c))
+
+    def _loads(self, seat, q, v, a):
+        """Wrenches (n,) of the ground on the feet and of the seat."""
+        chair = chair_wrench(self.tree, seat, q, v)
+        needed = inverse_dynamics(self.tree, q, v, a, {"pelvis": chair})
+        F_x, F_z, pitch = needed[:, :3].T
+        moment = -pitch + q[:, 1] * F_x - q[:, 0] * F_z
+        return PlanarWrench(np.column_stack([F_x, F_z]), moment), chair
+
+    def _reference(self, seat, times, q, v, a) -> Reference:
+        ground, chair = self._loads(seat, q, v, a)
+        loads = {"pelvis": chair, "foot": ground}
+        demand = inverse_dynamics(self.tree, q, v, a, loads)
+        columns = [
+            np.column_stack([w.force, w.moment]) for w in (ground, chair)
+        ]
+        return Reference(times, q, v, demand[:, 3:], *columns)
+
+
+def _basis(duration: float) -> BSpline:
+    """All basis functions at once, at rest at both ends."""
+    count = round(duration / _KNOT_S)
+    inner = np.linspace(0.0, duration, count + 1)
+    knots = np.r_[[0.0] * _DEGREE, inner, [duration] * _DEGREE]
+    # Three equal coefficients have neither velocity nor acceleration.
+    ends = np.eye(count + _DEGREE - 4)
+    ends = np.repeat(ends, [3, *[1] * (len(ends) - 2), 3], axis=0)
+    return BSpline(knots, ends, _DEGREE)
+
+
+def _template(plan: RisePlan, times, pitch):
+    """Angles (n, 3) that the plan stays near, and how near (n,) [rad]."""
+    at = np.cumsum([0.0, plan.quiet_s, plan.lean_s, plan.rise_s])
+    postures = [
+        p.joints(pitch) for p in (plan.seated, plan.leant, plan.standing)
+    ]
+    template = postures[0]
+    for k in (0, 1):
+        step = postures[k + 1] - postures[k]
+        phase = (times - at[k + 1]) / (at[k + 2] - at[k + 1])
+        template = template + _minimum_jerk(phase)[:, None] * step
+    quiet = (times <= at[1]) | (times >= at[3])
+    return template, np.deg2rad(np.where(quiet, _QUIET_DEG, _MOVING_DEG))
+
+
+def _minimum_jerk(phase):
+    s = np.clip(phase, 0.0, 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def _banded_differences(
+    residuals: Callable[[np.ndarray], np.ndarray], touches: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Jacobian by differences, coefficients that do not meet all at once.
+
+    Args:
+        residuals: of coefficients (m * 3,), shape (n, k).
+        touches: (n, m) which coefficient acts at which node.
+    """
+    n, m = touches.shape
+    group_count = _DEGREE + 1
+
+    def jacobian(c):
+        base = residuals(c)
+        k = base.shape[1]
+        J = np.zeros((n, k, m, 3))
+        for joint in range(3):
+            for group in range(group_count):
+                step = np.zeros((m, 3))
+                step[group::group_count, joint] = _DIFFERENCE
+                change = residuals(c + step.ravel()) - base
+                for i in range(group, m, group_count):
+                    rows = touches[:, i]
+                    J[rows, :, i, joint] = change[rows] / _DIFFERENCE
+        return J.reshape(n * k, m * 3)
+
+    return jacobian
