@@ -177,12 +177,14 @@ class Standing:
     Attributes:
         markers: marker file; the standing posture is its mean.
         forces: force file of the same trial, if plates were recorded.
+        empty_plates: the same plates with nothing on them.
         start_s, end_s: quiet part; the whole file by default.
     """
 
     markers: Path
     forces: Path | None = None
     plates: Plates | None = None
+    empty_plates: Path | None = None
     start_s: float | None = field(default=None, metadata=_SECONDS)
     end_s: float | None = field(default=None, metadata=_SECONDS)
 

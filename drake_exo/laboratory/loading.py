@@ -1,78 +1,30 @@
 """From a study's files to its trials."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.laboratory.cleaning import fill_gaps
-from drake_exo.laboratory.filters import (
-    check_filterable,
-    derivatives,
-    low_pass,
-    resample,
+from drake_exo.laboratory.chair_plate import on_segments
+from drake_exo.laboratory.exoskeleton_signals import (
+    check_covers,
+    drive_moments,
 )
-from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
-from drake_exo.laboratory.inverse_kinematics import (
-    merge_legs,
-    residual_rms,
-    solve_poses,
+from drake_exo.laboratory.filters import resample
+from drake_exo.laboratory.inverse_dynamics import (
+    from_the_ground_up,
+    inverse_dynamics,
 )
-from drake_exo.laboratory.opensim_files import read_coordinates
-from drake_exo.laboratory.recording import (
-    FootForces,
-    common_time,
-    read_foot_forces,
-    read_markers,
-)
-from drake_exo.laboratory.rises import Rise, find_rises
-from drake_exo.laboratory.sagittal import (
-    PlanarWrench,
-    SagittalFrame,
-    merge_feet,
-)
+from drake_exo.laboratory.movement import Movement, process
+from drake_exo.laboratory.sagittal import PlanarWrench, merge_feet
 from drake_exo.laboratory.subject import SubjectModel, fit_subject
-from drake_exo.laboratory.synchronise import force_delay
-from drake_exo.laboratory.tables import uniform_time
 from drake_exo.laboratory.trial import Trial
-from drake_exo.output import Progress
 from drake_exo.plant import COUPLED_COORDINATES, RIGID_COORDINATES
 from drake_exo.study import Study, TrialFiles
 
-_EXO = COUPLED_COORDINATES[len(RIGID_COORDINATES) :]
-
-
-@dataclass(frozen=True)
-class Movement:
-    """A whole recording, processed: what trials are cut from.
-
-    Attributes:
-        time: (N,) [s].
-        q, v, a: (N, 6) filtered motion of the rigid model.
-        ankles: side -> (N, 2) filtered ankle centres [m].
-        hip_z: (N,) height of the middle of the hips [m].
-        forces: foot -> filtered wrench (N,).
-        is_one_leg: whether only one foot stood on a plate.
-        force_delay_s: lag of the plates' clock that was taken out [s].
-        rises: sit-to-stand rises found in it.
-        marker_residuals_m: marker -> RMS distance from the model.
-        gaps_filled: marker -> share of frames that was filled.
-    """
-
-    time: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    ankles: dict[str, np.ndarray]
-    hip_z: np.ndarray
-    forces: dict[str, PlanarWrench]
-    is_one_leg: bool
-    force_delay_s: float
-    rises: list[Rise]
-    marker_residuals_m: dict[str, float]
-    gaps_filled: dict[str, float]
+__all__ = ["Movement", "cut", "load_trial", "load_trials", "process"]
 
 
 def load_trials(
@@ -89,10 +41,10 @@ def load_trials(
     movements: dict[Any, Movement] = {}
     trials = []
     for files in study.trials:
-        key = (files.markers, files.forces, files.plates)
+        key = _recording(files)
         if key not in movements:
             movements[key] = process(files, subject, study, root)
-        trials.append(cut(files, movements[key], subject, study, root))
+        trials.append(cut(files, movements[key], subject, study))
     return subject, tuple(trials)
 
 
@@ -101,91 +53,7 @@ def load_trial(
 ) -> Trial:
     """Read, process and cut one trial; raises as `load_trials`."""
     movement = process(files, subject, study, root)
-    return cut(files, movement, subject, study, root)
-
-
-def process(
-    files: TrialFiles, subject: SubjectModel, study: Study, root: Path
-) -> Movement:
-    """Inverse kinematics, filtering and rises of a whole recording.
-
-    Raises:
-        InputError: as `load_trials`.
-    """
-    markers, gaps = fill_gaps(
-        read_markers(root / files.markers, study.filter),
-        subject.markers.names,
-        study.laboratory.fill_gaps_s,
-    )
-    forces = read_foot_forces(
-        root / files.forces, files.plates, study.laboratory, study.filter
-    )
-    time = common_time(markers, forces, study.filter)
-    frame = SagittalFrame(
-        study.laboratory.marker_axes.forward, study.laboratory.marker_axes.up
-    )
-    points = frame.points(markers.of(subject.markers.names))
-    inside = np.searchsorted(markers.time, time[0] - 1e-9)
-    points = points[inside : inside + len(time)]
-    with Progress(f"inverse kinematics of {files.name}") as progress:
-        poses = solve_poses(subject.markers, points, markers.source, progress)
-    q, ankles = merge_legs(subject.markers, poses)
-
-    def smooth(values):
-        return low_pass(
-            values,
-            markers.rate_hz,
-            study.filter.cutoff_hz,
-            study.filter.order,
-            markers.source,
-        )
-
-    q = smooth(q)
-    v, a = derivatives(time, q)
-    hip_z = smooth(poses.hip.imag)
-    forces = forces.filtered(study.filter)
-    delay = study.laboratory.force_delay_s
-    if study.laboratory.estimate_force_delay:
-        delay += _delay(time, q, v, a, hip_z, forces.delayed(delay), subject)
-    wrenches = forces.delayed(delay).at(time)
-    return Movement(
-        time=time,
-        q=q,
-        v=v,
-        a=a,
-        ankles={side: smooth(p) for side, p in ankles.items()},
-        hip_z=hip_z,
-        forces=wrenches,
-        is_one_leg=forces.is_one_leg,
-        force_delay_s=delay,
-        rises=_rises(time, q, v, a, hip_z, wrenches, forces, subject),
-        marker_residuals_m=residual_rms(subject.markers, poses),
-        gaps_filled=gaps,
-    )
-
-
-def _rises(time, q, v, a, hip_z, wrenches, forces: FootForces, subject):
-    tree = subject.rigid
-    F_z = sum(w.force[:, 1] for w in wrenches.values())
-    F_z = 2.0 * F_z if forces.is_one_leg else F_z
-    needed = inverse_dynamics(tree, q, v, a, {})[:, 1]
-    weight = tree.mass * tree.gravity
-    return find_rises(time, hip_z, needed - F_z, F_z, weight)
-
-
-def _delay(time, q, v, a, hip_z, forces: FootForces, subject):
-    """Lag of the forces, from the rises (or from all loaded frames)."""
-    wrenches = forces.at(time)
-    rises = _rises(time, q, v, a, hip_z, wrenches, forces, subject)
-    F_z = sum(w.force[:, 1] for w in wrenches.values())
-    F_z = 2.0 * F_z if forces.is_one_leg else F_z
-    used = np.zeros(len(time), bool)
-    for rise in rises:
-        used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
-    if not rises:
-        used = F_z > 0.5 * subject.rigid.mass * subject.rigid.gravity
-    needed = inverse_dynamics(subject.rigid, q, v, a, {})[:, 1]
-    return force_delay(time, needed, F_z, used)
+    return cut(files, movement, subject, study)
 
 
 def cut(
@@ -193,13 +61,12 @@ def cut(
     movement: Movement,
     subject: SubjectModel,
     study: Study,
-    root: Path,
 ) -> Trial:
     """Cut one trial out of a processed recording.
 
     Raises:
-        InputError: no such rise, a part outside the recording, or encoder
-            angles that do not cover it.
+        InputError: no such rise, a part outside the recording, or encoders,
+            moments or mats that do not cover it.
     """
     start, end, how = _bounds(files, movement)
     inside = (movement.time >= start - 1e-9) & (movement.time <= end + 1e-9)
@@ -210,9 +77,13 @@ def cut(
             f"{movement.time[-1]:g} s); correct start_s and end_s"
         )
     wrench, shifts = _merge(movement, inside)
-    q, v, a, names, exo = _with_exoskeleton(
-        files, movement, inside, study, root
+    time = movement.time[inside]
+    q, v, a, names, exo = _coordinates(files, movement, inside, study)
+    chair, on_thighs = _chair(movement, inside, study)
+    moments, source = _moments(
+        movement, subject, study, (time, q, v, a), wrench, chair
     )
+    normal_force, mats = _normal_forces(movement, time)
     provenance = {
         "markers": files.markers.as_posix(),
         "forces": files.forces.as_posix(),
@@ -223,17 +94,23 @@ def cut(
         },
         "part": how,
         "plate_shift_m": shifts,
-        "force_delay_s": movement.force_delay_s,
+        "force_delay_s": movement.delays_s["forces"],
+        "delays_s": movement.delays_s,
+        "clocks": movement.clocks,
+        "plate_levels": movement.plate_levels,
         "one_leg_doubled": movement.is_one_leg,
         "legs_followed": list(subject.markers.sides),
         "marker_residual_rms_m": movement.marker_residuals_m,
         "gaps_filled": movement.gaps_filled,
+        "moments": source,
+        "chair": "plate" if chair is not None else "not measured",
+        "mats": mats,
         **exo,
     }
     return Trial(
         name=files.name,
         coordinates=names,
-        time=movement.time[inside],
+        time=time,
         q=q,
         v=v,
         a=a,
@@ -241,6 +118,10 @@ def cut(
         moment_y=wrench.moment,
         mass_kg=subject.mass_kg,
         provenance=provenance,
+        moments=moments,
+        normal_force=normal_force,
+        chair=chair,
+        chair_on_thighs=on_thighs,
     )
 
 
@@ -267,6 +148,8 @@ def _bounds(files: TrialFiles, movement: Movement):
             "chair_bore_weight": rise.had_chair,
             "standing_is_steady": rise.is_steady,
         }
+        if files.seated_s > 0.0:
+            start, how["seated_s"] = start - files.seated_s, files.seated_s
     if files.start_s is not None:
         start, how["start_s"] = files.start_s, files.start_s
     if files.end_s is not None:
@@ -296,42 +179,87 @@ def _merge(movement: Movement, inside: np.ndarray):
     return merge_feet(part, {side: places.get(side, middle) for side in part})
 
 
-def _with_exoskeleton(files, movement, inside, study: Study, root: Path):
+def _recording(files: TrialFiles) -> TrialFiles:
+    """What trials of one recording have in common."""
+    return replace(
+        files,
+        name="",
+        use="calibration",
+        rise=None,
+        seated_s=0.0,
+        start_s=None,
+        end_s=None,
+    )
+
+
+def _coordinates(files, movement: Movement, inside, study: Study):
     """Coordinates of the study's model; adds the exoskeleton's angles."""
     q, v, a = (x[inside] for x in (movement.q, movement.v, movement.a))
     if study.model == "human":
         return q, v, a, RIGID_COORDINATES, {}
-    if files.encoders is None:
+    if movement.angles is None:
         parts = [np.hstack([x, x[:, 3:]]) for x in (q, v, a)]
         note = {"exoskeleton_angles": "as the human's (no encoders)"}
         return *parts, COUPLED_COORDINATES, note
-    exo = _encoders(root / files.encoders, movement.time[inside], study)
+    exo = movement.angles.motion(movement.time[inside])
     parts = [np.hstack([x, y]) for x, y in zip((q, v, a), exo, strict=True)]
-    note = {"encoders": files.encoders.as_posix()}
+    note = {
+        "encoders": files.encoders.as_posix(),
+        "encoder_legs": movement.angles.one_leg or "both",
+    }
     return *parts, COUPLED_COORDINATES, note
 
 
-def _encoders(path: Path, time: np.ndarray, study: Study):
-    """Exoskeleton angles and derivatives (N, 3) at `time`."""
-    table = read_coordinates(path)
-    grid = uniform_time(table.source, table.time)
-    angles = table.columns(_EXO)
-    rate = (len(grid) - 1) / (grid[-1] - grid[0])
-    check_filterable(table.source, len(grid), rate, study.filter.cutoff_hz)
-    if grid[0] > time[0] + 1e-9 or grid[-1] < time[-1] - 1e-9:
-        raise InputError(
-            f"{table.source}: encoder angles cover {grid[0]:g} to "
-            f"{grid[-1]:g} s, but the trial runs from {time[0]:g} to "
-            f"{time[-1]:g} s; export the whole trial or shorten it with "
-            "start_s and end_s"
-        )
-    angles = low_pass(
-        angles,
-        rate,
-        study.filter.cutoff_hz,
-        study.filter.order,
-        table.source,
-    )
-    return tuple(
-        resample(grid, x, time) for x in (angles, *derivatives(grid, angles))
-    )
+def _chair(movement: Movement, inside, study: Study):
+    """Wrench (n, 3) of the chair in the part, and the thighs' share."""
+    if movement.chair is None:
+        return None, 0.0
+    w = movement.chair
+    chair = np.column_stack([w.force, w.moment])[inside]
+    return chair, study.laboratory.chair_on_thighs
+
+
+def _moments(movement, subject, study: Study, motion, wrench, chair):
+    """Joint moments (n, nq - 3), and where they come from.
+
+    The resultant is that of the rigid model, from the ground up; the human's
+    is what the exoskeleton's leaves of it.
+    """
+    time, q, v, a = motion
+    loads = {"foot": wrench}
+    if chair is not None:
+        loads |= on_segments(chair, study.laboratory.chair_on_thighs)
+    rigid = [x[:, :6] for x in (q, v, a)]
+    Q = inverse_dynamics(subject.rigid, *rigid, loads)
+    resultant = from_the_ground_up(subject.rigid, rigid[0], Q)[:, 3:]
+    if study.model == "human":
+        return resultant, {"human": "resultant"}
+    if movement.moments is not None:
+        exo = movement.moments.at(time, "exoskeleton moments")
+        source = "recorded"
+        if movement.moments.one_leg:
+            source += f", {movement.moments.one_leg} leg doubled"
+    elif study.device is not None:
+        exo = drive_moments(study.device, subject.coupled, q, v, a)
+        source = "device model"
+        if movement.angles is None:
+            source += " at the human's angles"
+    else:
+        return None, {
+            "human": "unknown: neither exo_moments nor device are given"
+        }
+    moments = np.hstack([resultant - exo, exo])
+    return moments, {"human": "resultant - exoskeleton", "exoskeleton": source}
+
+
+def _normal_forces(movement: Movement, time):
+    """Normal force by segment, both legs, and what was doubled."""
+    total: dict[str, np.ndarray] = {}
+    notes: dict[str, Any] = {}
+    for mat in movement.mats:
+        check_covers(mat.source, mat.time, time, f"pressures of {mat.name}")
+        at = np.clip(time, mat.time[0], mat.time[-1])
+        force = resample(mat.time, mat.normal, at)
+        total[mat.segment] = total.get(mat.segment, 0.0) + force
+        notes[mat.name] = mat.report
+    return total, notes

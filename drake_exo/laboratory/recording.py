@@ -1,6 +1,6 @@
 """One recording: marker and force files on one time base, unfiltered."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,11 @@ from drake_exo.laboratory.opensim_files import (
 from drake_exo.laboratory.optitrack_files import (
     read_markers_csv,
     read_plate_csv,
+)
+from drake_exo.laboratory.plate_levels import (
+    LARGEST_CHAIR_N,
+    LARGEST_FOOT_N,
+    level,
 )
 from drake_exo.laboratory.sagittal import (
     PlanarWrench,
@@ -34,11 +39,15 @@ class FootForces:
         time: (N,) evenly spaced [s].
         wrenches: "left" and "right", or "both" for one plate under both feet.
         source: file name.
+        chair: of the plate under the chair, if there is one.
+        levels: plate ("left", ..., "chair") -> offset and drift taken out.
     """
 
     time: np.ndarray
     wrenches: dict[str, PlanarWrench]
     source: str
+    chair: PlanarWrench | None = None
+    levels: dict[str, dict] = field(default_factory=dict)
 
     @property
     def rate_hz(self) -> float:
@@ -57,15 +66,57 @@ class FootForces:
                 self.source,
             )
 
-        wrenches = {
-            foot: PlanarWrench(smooth(w.force), smooth(w.moment))
-            for foot, w in self.wrenches.items()
-        }
-        return FootForces(self.time, wrenches, self.source)
+        return self._mapped(
+            lambda w: PlanarWrench(smooth(w.force), smooth(w.moment))
+        )
 
     def delayed(self, delay_s: float) -> "FootForces":
         """The same forces with a lag of their clock taken out."""
-        return FootForces(self.time - delay_s, self.wrenches, self.source)
+        return replace(self, time=self.time - delay_s)
+
+    def without(self, empty: "FootForces") -> "FootForces":
+        """The same forces less the mean of a recording of empty plates."""
+        levels = {}
+
+        def less(name, w):
+            zero = empty.chair if name == "chair" else empty.wrenches[name]
+            force, moment = zero.force.mean(axis=0), zero.moment.mean()
+            levels[name] = {"empty_plate_n": float(force[1])}
+            return PlanarWrench(w.force - force, w.moment - moment)
+
+        found = self._by_plate(less)
+        return replace(found, levels=levels)
+
+    def levelled(self) -> "FootForces":
+        """The same forces less offset and drift of unloaded samples."""
+        levels = {}
+
+        def flat(name, w):
+            largest = LARGEST_CHAIR_N if name == "chair" else LARGEST_FOOT_N
+            w, found = level(self.time, w, largest)
+            levels[name] = {**self.levels.get(name, {}), **found}
+            return w
+
+        found = self._by_plate(flat)
+        return replace(found, levels=levels)
+
+    def _by_plate(self, function) -> "FootForces":
+        """Function of name and wrench, applied to every plate."""
+        return replace(
+            self,
+            wrenches={n: function(n, w) for n, w in self.wrenches.items()},
+            chair=None if self.chair is None else function("chair", self.chair),
+        )
+
+    def _mapped(self, function) -> "FootForces":
+        return self._by_plate(lambda _, w: function(w))
+
+    def chair_at(self, time: np.ndarray) -> PlanarWrench | None:
+        """As `at`, of the plate under the chair."""
+        if self.chair is None:
+            return None
+        alone = replace(self, wrenches={"chair": self.chair})
+        return alone.at(time)["chair"]
 
     def at(self, time: np.ndarray) -> dict[str, PlanarWrench]:
         """Wrenches at other times; the ends' values beyond the recording."""
@@ -148,11 +199,22 @@ def read_markers(path: Path, settings: Filter) -> MarkerData:
 
 
 def read_foot_forces(
-    path: Path, plates: Plates, laboratory: Laboratory, settings: Filter
+    path: Path,
+    plates: Plates,
+    laboratory: Laboratory,
+    settings: Filter,
+    loaded: bool = True,
 ) -> FootForces:
-    """Read a force file and keep the plates under the feet.
+    """Read a force file and keep the plates under feet and chair.
 
     Files are .mot, .sto, .c3d and Motive's .csv.
+
+    Args:
+        path: the file.
+        plates: numbers of the plates.
+        laboratory: axes and signs.
+        settings: filter that will be applied.
+        loaded: whether somebody stands on them.
 
     Raises:
         InputError: unreadable, of another kind, or uneven in time; no such
@@ -166,7 +228,7 @@ def read_foot_forces(
     )
     numbers = {
         foot: getattr(plates, foot)
-        for foot in (*SIDES, "both")
+        for foot in (*SIDES, "both", "chair")
         if getattr(plates, foot) is not None
     }
     wrenches = {
@@ -175,11 +237,13 @@ def read_foot_forces(
     }
     if laboratory.forces_act_on == "plate":
         wrenches = {foot: w.reversed() for foot, w in wrenches.items()}
-    forces = FootForces(time, wrenches, str(path))
+    chair = wrenches.pop("chair", None)
+    forces = FootForces(time, wrenches, str(path), chair)
     check_filterable(
         forces.source, len(time), forces.rate_hz, settings.cutoff_hz
     )
-    _check_direction(forces)
+    if loaded:
+        _check_direction(forces)
     return forces
 
 

@@ -46,6 +46,7 @@ class SubjectModel:
         markers: places of the markers on the segments.
         mass_kg: body mass without the exoskeleton.
         rigid: batched dynamics of the 6-DOF plant, exoskeleton welded.
+        coupled: of the 9-DOF plant, None for the model "human".
         report: where values come from, for the quality report.
     """
 
@@ -54,6 +55,7 @@ class SubjectModel:
     markers: MarkerModel
     mass_kg: float
     rigid: PlanarTree
+    coupled: PlanarTree | None
     report: dict[str, Any]
 
 
@@ -79,6 +81,7 @@ def fit_subject(study: Study, root: Path) -> SubjectModel:
     q, ankles = merge_legs(model, poses)
     wrench = _standing_wrench(study, root, ankles)
     report: dict[str, Any] = {
+        "stated_mass_kg": study.subject.mass_kg,
         "standing_angles_deg": np.rad2deg(q[0, 2:]),
         "standing_residual_rms_m": residual_rms(model, poses),
         "standing_gaps_filled": gaps,
@@ -94,7 +97,12 @@ def fit_subject(study: Study, root: Path) -> SubjectModel:
     if wrench is not None:
         report["standing_cop_x_m"] = _cop(wrench)
         report["standing_com_x_m"] = float(tree.center_of_mass(q)[0, 0])
-    return SubjectModel(human, device, model, mass, tree, report)
+    coupled = None
+    if device is not None:
+        gravity = study.gravity_m_s2
+        plant = build_plant("coupled", human, device, gravity=gravity)
+        coupled = PlanarTree.from_plant(plant)
+    return SubjectModel(human, device, model, mass, tree, coupled, report)
 
 
 def _all_names(markers: Markers) -> list[str]:
@@ -136,6 +144,18 @@ def _standing_wrench(study, root, ankles) -> PlanarWrench | None:
         study.laboratory,
         study.filter,
     )
+    if standing.empty_plates is not None:
+        forces = forces.without(
+            read_foot_forces(
+                root / standing.empty_plates,
+                standing.plates,
+                study.laboratory,
+                study.filter,
+                loaded=False,
+            )
+        )
+    if study.laboratory.remove_plate_drift:
+        forces = forces.levelled()
     inside = _inside(forces.time, standing)
     if not inside.any():
         raise InputError(

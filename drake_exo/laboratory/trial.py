@@ -37,6 +37,11 @@ class Trial:
             exoskeleton's; None where not known.
         normal_force: segment ("shank", "thigh", "pelvis") -> (N,) force on
             the human normal to the segment [N], where a mat measured it.
+        chair: (N, 3) F_x, F_z [N] and M_y about the origin [N m] of the
+            chair on the body, zero from seat-off on; None where no plate
+            measured it.
+        chair_on_thighs: share of it that acts on the thighs, the rest acts
+            on the pelvis.
     """
 
     name: str
@@ -51,6 +56,8 @@ class Trial:
     provenance: dict[str, Any] = field(default_factory=dict)
     moments: np.ndarray | None = None
     normal_force: dict[str, np.ndarray] = field(default_factory=dict)
+    chair: np.ndarray | None = None
+    chair_on_thighs: float = 0.0
 
     def __post_init__(self):
         n, nq = len(self.time), len(self.coordinates)
@@ -64,6 +71,8 @@ class Trial:
         }
         if self.moments is not None:
             shapes["moments"] = (n, nq - 3)
+        if self.chair is not None:
+            shapes["chair"] = (n, 3)
         for name, array in self._arrays().items():
             if array.shape != shapes[name]:
                 raise ValueError(
@@ -76,6 +85,8 @@ class Trial:
         arrays = {name: getattr(self, name) for name in _ARRAYS[1:]}
         if self.moments is not None:
             arrays["moments"] = self.moments
+        if self.chair is not None:
+            arrays["chair"] = self.chair
         for key, force in self.normal_force.items():
             arrays[f"normal_force.{key}"] = force
         return arrays
@@ -141,6 +152,7 @@ class Trial:
                 "name": self.name,
                 "coordinates": self.coordinates,
                 "mass_kg": self.mass_kg,
+                "chair_on_thighs": self.chair_on_thighs,
                 "provenance": self.provenance,
             },
         )
@@ -164,6 +176,7 @@ class Trial:
                 tuple(rest["coordinates"]),
                 mass_kg=rest["mass_kg"],
                 provenance=rest["provenance"],
+                chair_on_thighs=rest["chair_on_thighs"],
                 **_fields(arrays),
             )
         except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:

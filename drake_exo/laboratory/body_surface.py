@@ -1,0 +1,248 @@
+"""The scanned body: where the cells of a mat lie and which way they face."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drake_exo.errors import InputError
+from drake_exo.laboratory.instruments import Scan
+from drake_exo.laboratory.sagittal import SagittalFrame
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+# A body or a part of it, largest extent [m].
+_PLAUSIBLE_M = (0.08, 3.0)
+_READERS = {
+    ".stl": meshio.stl.read,
+    ".ply": meshio.ply.read,
+    ".obj": meshio.obj.read,
+}
+_FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
+_NEIGHBOURS = 32
+_SAMPLES = 65  # of a line that is laid on the surface
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangulated surface, x forward, y left, z up.
+
+    Attributes:
+        vertices: (V, 3) [m].
+        triangles: (F, 3), outwards.
+        source: file name.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    source: str
+
+    def __post_init__(self):
+        corners = self.vertices[self.triangles]
+        centres = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - centres[:, None], axis=2).max()
+        a, b, c = corners.transpose(1, 0, 2)
+        area = 0.5 * np.cross(b - a, c - a)
+        for name, value in (
+            ("_corners", corners),
+            ("_centres", centres),
+            ("_tree", cKDTree(centres)),
+            ("_reach", reach),
+            ("_area", area),
+        ):
+            object.__setattr__(self, name, value)
+
+    def closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest points (P, 3) of the surface, and their triangles (P,)."""
+        count = min(_NEIGHBOURS, len(self.triangles))
+        near, index = self._tree.query(points, k=count)
+        near = near.reshape(len(points), count)
+        index = index.reshape(len(points), count)
+        found, triangle = self._closest_of(points, index)
+        far = np.linalg.norm(found - points, axis=1) + self._reach
+        if count < len(self.triangles):
+            # Large triangles may reach closer than their centres tell.
+            for i in np.flatnonzero(near[:, -1] < far):
+                some = self._tree.query_ball_point(points[i], far[i])
+                found[i : i + 1], triangle[i : i + 1] = self._closest_of(
+                    points[i : i + 1], np.array([some])
+                )
+        return found, triangle
+
+    def _closest_of(self, points, index):
+        """Nearest points on some triangles each, index (P, K)."""
+        on = _closest_on_triangles(points[:, None], self._corners[index])
+        distance = np.linalg.norm(on - points[:, None], axis=2)
+        best = distance.argmin(axis=1)
+        rows = np.arange(len(points))
+        return on[rows, best], index[rows, best]
+
+    def normals(self, points, triangles, radius: float) -> np.ndarray:
+        """Outward unit normals (P, 3), averaged over a cell's size."""
+        total = self._area[triangles].copy()
+        for i, near in enumerate(self._tree.query_ball_point(points, radius)):
+            if near:
+                total[i] += self._area[near].sum(axis=0)
+        return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+    def lay(self, start, end) -> np.ndarray:
+        """Lines (L, S, 3) over the surface between points (L, 3)."""
+        t = np.linspace(0.0, 1.0, _SAMPLES)[None, :, None]
+        chord = start[:, None] + t * (end - start)[:, None]
+        return self.closest(chord.reshape(-1, 3))[0].reshape(chord.shape)
+
+
+def read_surface(path: Path, scan: Scan) -> Surface:
+    """Read a scan (.stl, .ply, .obj).
+
+    Raises:
+        InputError: unreadable, no triangles, or of a size that no body has
+            in the unit that the study names.
+    """
+    read = _READERS.get(Path(path).suffix.lower())
+    if read is None:
+        raise InputError(
+            f"{path}: is no scan that can be read; give one of "
+            f"{', '.join(_READERS)}"
+        )
+    try:
+        mesh = read(path)
+        triangles = mesh.get_cells_type("triangle")
+        raw = np.asarray(mesh.points, float)[:, :3]
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); check the path"
+        ) from error
+    except Exception as error:  # whatever a damaged file makes of the parser
+        raise InputError(
+            f"{path}: is not a readable scan ({error}); export it again"
+        ) from error
+    if len(triangles) == 0 or not np.isfinite(raw).all():
+        raise InputError(f"{path}: holds no triangles; export a mesh")
+    check_size(path, raw[np.unique(triangles)], scan.unit)
+    points = LENGTHS[scan.unit] * raw @ _axes(scan).T
+    return _outwards(Surface(points, np.asarray(triangles), str(path)))
+
+
+def _axes(scan: Scan) -> np.ndarray:
+    return SagittalFrame(scan.axes.forward, scan.axes.up).R_PL
+
+
+def check_size(path, points: np.ndarray, unit: str) -> None:
+    """Refuse a scan in another unit than the study says.
+
+    Raises:
+        InputError: naming the unit that would fit.
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    low, high = _PLAUSIBLE_M
+    if low <= LENGTHS[unit] * extent <= high:
+        return
+    fitting = [u for u, s in LENGTHS.items() if low <= s * extent <= high]
+    hint = " or ".join(fitting)
+    raise InputError(
+        f"{path}: the scan spans {extent:.4g} {unit} in the study's unit, "
+        "which no body does; "
+        + (f"say 'unit: {hint}' in its scan" if fitting else "check the file")
+    )
+
+
+def _outwards(surface: Surface) -> Surface:
+    """Turn all triangles if they face the middle of the body."""
+    away = surface._centres - surface._centres.mean(axis=0)
+    if np.sum(surface._area * away) >= 0.0:
+        return surface
+    flipped = surface.triangles[:, ::-1]
+    return Surface(surface.vertices, flipped, surface.source)
+
+
+def _closest_on_triangles(p, corners):
+    """Nearest points (..., 3) of triangles (..., 3, 3) to points (..., 3)."""
+    a, b, c = (corners[..., k, :] for k in range(3))
+    n = np.cross(b - a, c - a)
+    size = np.maximum((n * n).sum(-1, keepdims=True), 1e-300)
+    on = p - ((p - a) * n).sum(-1, keepdims=True) / size * n
+    inside = np.ones(on.shape[:-1], bool)
+    best = np.full(on.shape[:-1], np.inf)
+    result = on.copy()
+    for s, e in ((a, b), (b, c), (c, a)):
+        inside &= (np.cross(e - s, on - s) * n).sum(-1) >= 0.0
+    for s, e in ((a, b), (b, c), (c, a)):
+        d = e - s
+        length = np.maximum((d * d).sum(-1, keepdims=True), 1e-300)
+        t = np.clip(((p - s) * d).sum(-1, keepdims=True) / length, 0.0, 1.0)
+        q = s + t * d
+        distance = np.linalg.norm(q - p, axis=-1)
+        closer = ~inside & (distance < best)
+        best = np.where(closer, distance, best)
+        result = np.where(closer[..., None], q, result)
+    return result
+
+
+def place_cells(
+    surface: Surface, scan: Scan, rows: int, columns: int, root: Path
+) -> np.ndarray:
+    """Centres (rows * columns, 3) of a mat's cells on the surface [m].
+
+    Between corners, the mat's first and last column are laid on the surface,
+    then every row between them; cells lie evenly along those lines.
+
+    Raises:
+        InputError: corners or cells are off the surface, or the file of
+            cells does not fit the mat.
+    """
+    if scan.cells is not None:
+        given = _read_cells(root / scan.cells, rows, columns)
+    else:
+        given = np.array(scan.corners)
+    points = LENGTHS[scan.unit] * given @ _axes(scan).T
+    on = surface.closest(points)[0]
+    off = np.linalg.norm(on - points, axis=1)
+    if off.max() > _FARTHEST_M:
+        what = "cell" if scan.cells is not None else "corner"
+        raise InputError(
+            f"{surface.source}: {what} {int(off.argmax()) + 1} of the mat "
+            f"lies {off.max():.3g} m off the scanned surface; give it in the "
+            "scan's own unit and axes"
+        )
+    if scan.cells is not None:
+        return on
+    first, last = surface.lay(on[[0, 1]], on[[3, 2]])
+    share = (np.arange(rows) + 0.5) / rows
+    lines = surface.lay(_along(first, share), _along(last, share))
+    share = (np.arange(columns) + 0.5) / columns
+    return np.concatenate([_along(line, share) for line in lines])
+
+
+def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Points at shares of a line's length."""
+    length = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    s = np.r_[0.0, np.cumsum(length)]
+    s = s / s[-1] if s[-1] > 0.0 else np.linspace(0.0, 1.0, len(s))
+    return np.column_stack([np.interp(share, s, x) for x in line.T])
+
+
+def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
+    """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
+    try:
+        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); check the path"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            f"{path}: is no table of cells ({error}); write lines of row, "
+            "column, x, y, z under one line of names"
+        ) from error
+    wanted = [(r, c) for r in range(rows) for c in range(columns)]
+    found = {}
+    if table.shape[1] == 5:
+        found = {(int(t[0]) - 1, int(t[1]) - 1): t[2:] for t in table}
+    if sorted(found) != wanted or len(table) != len(wanted):
+        raise InputError(
+            f"{path}: must hold row (1 to {rows}), column (1 to {columns}), "
+            f"x, y, z of each of the {rows * columns} cells once"
+        )
+    return np.array([found[key] for key in wanted])

@@ -1,0 +1,337 @@
+"""A whole recording, processed: what trials are cut from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.laboratory.chair_plate import until_seat_off
+from drake_exo.laboratory.cleaning import fill_gaps
+from drake_exo.laboratory.exoskeleton_signals import (
+    Signal,
+    read_angles,
+    read_moments,
+)
+from drake_exo.laboratory.filters import derivatives, low_pass
+from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
+from drake_exo.laboratory.inverse_kinematics import (
+    merge_legs,
+    residual_rms,
+    solve_poses,
+)
+from drake_exo.laboratory.mat_forces import MatForce, read_mat_forces
+from drake_exo.laboratory.recording import (
+    FootForces,
+    common_time,
+    read_foot_forces,
+    read_markers,
+)
+from drake_exo.laboratory.rises import Rise, find_rises
+from drake_exo.laboratory.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.laboratory.subject import SubjectModel
+from drake_exo.laboratory.synchronise import (
+    EXPLAINED,
+    force_delay,
+    regressed_delay,
+)
+from drake_exo.laboratory.tables import MarkerData
+from drake_exo.output import Progress
+from drake_exo.study import Study, TrialFiles
+
+
+@dataclass(frozen=True)
+class Movement:
+    """A whole recording, processed: what trials are cut from.
+
+    Attributes:
+        time: (N,) [s].
+        q, v, a: (N, 6) filtered motion of the rigid model.
+        ankles: side -> (N, 2) filtered ankle centres [m].
+        hip_z: (N,) height of the middle of the hips [m].
+        forces: foot -> filtered wrench (N,).
+        chair: filtered wrench (N,) of the chair until seat-off, None where
+            no plate is under it.
+        is_one_leg: whether only one foot stood on a plate.
+        delays_s: "forces", "encoders", "pressure" -> lag of the clock that
+            was taken out [s].
+        clocks: what the estimates of those say of themselves.
+        plate_levels: plate -> offset and drift that were taken out.
+        rises: sit-to-stand rises found in it.
+        marker_residuals_m: marker -> RMS distance from the model.
+        gaps_filled: marker -> share of frames that was filled.
+        angles: encoders, None for none.
+        moments: recorded exoskeleton moments, None for none.
+        mats: force of each mat.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    ankles: dict[str, np.ndarray]
+    hip_z: np.ndarray
+    forces: dict[str, PlanarWrench]
+    chair: PlanarWrench | None
+    is_one_leg: bool
+    delays_s: dict[str, float]
+    clocks: dict[str, str]
+    plate_levels: dict[str, dict]
+    rises: list[Rise]
+    marker_residuals_m: dict[str, float]
+    gaps_filled: dict[str, float]
+    angles: Signal | None = None
+    moments: Signal | None = None
+    mats: tuple[MatForce, ...] = ()
+
+
+@dataclass
+class _Motion:
+    """Markers, made coordinates."""
+
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    ankles: dict[str, np.ndarray]
+    hip_z: np.ndarray
+    residuals: dict[str, float]
+
+
+def process(
+    files: TrialFiles, subject: SubjectModel, study: Study, root: Path
+) -> Movement:
+    """Read, clean, synchronise and filter a whole recording.
+
+    Raises:
+        InputError: as `loading.load_trials`.
+    """
+    markers, gaps = fill_gaps(
+        read_markers(root / files.markers, study.filter),
+        subject.markers.names,
+        study.laboratory.fill_gaps_s,
+    )
+    forces = _read_forces(files, study, root)
+    time = common_time(markers, forces, study.filter)
+    motion = _follow(files.name, markers, time, subject, study)
+    forces = forces.filtered(study.filter)
+    delays = {"forces": study.laboratory.force_delay_s}
+    clocks: dict[str, str] = {}
+    if study.laboratory.estimate_force_delay:
+        late = _force_delay(
+            motion, forces.delayed(delays["forces"]), subject, study
+        )
+        delays["forces"] += late
+        clocks["forces"] = _said(late, study, None)
+    forces = forces.delayed(delays["forces"])
+    wrenches, chair = forces.at(time), forces.chair_at(time)
+    weight = subject.rigid.mass * subject.rigid.gravity
+    if chair is not None:
+        chair = until_seat_off(time, chair, weight)
+    angles, moments = _exoskeleton(files, motion, study, root, delays, clocks)
+    mats = _mats(files, motion, angles, subject, study, root, delays, clocks)
+    return Movement(
+        time=time,
+        q=motion.q,
+        v=motion.v,
+        a=motion.a,
+        ankles=motion.ankles,
+        hip_z=motion.hip_z,
+        forces=wrenches,
+        chair=chair,
+        is_one_leg=forces.is_one_leg,
+        delays_s=delays,
+        clocks=clocks,
+        plate_levels=forces.levels,
+        rises=_rises(motion, wrenches, chair, forces.is_one_leg, subject),
+        marker_residuals_m=motion.residuals,
+        gaps_filled=gaps,
+        angles=angles,
+        moments=moments,
+        mats=mats,
+    )
+
+
+def _read_forces(files: TrialFiles, study: Study, root: Path) -> FootForces:
+    laboratory, settings = study.laboratory, study.filter
+    forces = read_foot_forces(
+        root / files.forces, files.plates, laboratory, settings
+    )
+    if files.empty_plates is not None:
+        forces = forces.without(
+            read_foot_forces(
+                root / files.empty_plates,
+                files.plates,
+                laboratory,
+                settings,
+                loaded=False,
+            )
+        )
+    return forces.levelled() if laboratory.remove_plate_drift else forces
+
+
+def _follow(
+    name: str,
+    markers: MarkerData,
+    time: np.ndarray,
+    subject: SubjectModel,
+    study: Study,
+) -> _Motion:
+    """Inverse kinematics of the frames at `time`, filtered."""
+    frame = SagittalFrame(
+        study.laboratory.marker_axes.forward, study.laboratory.marker_axes.up
+    )
+    points = frame.points(markers.of(subject.markers.names))
+    inside = np.searchsorted(markers.time, time[0] - 1e-9)
+    points = points[inside : inside + len(time)]
+    with Progress(f"inverse kinematics of {name}") as progress:
+        poses = solve_poses(subject.markers, points, markers.source, progress)
+    q, ankles = merge_legs(subject.markers, poses)
+
+    def smooth(values):
+        return low_pass(
+            values,
+            markers.rate_hz,
+            study.filter.cutoff_hz,
+            study.filter.order,
+            markers.source,
+        )
+
+    q = smooth(q)
+    v, a = derivatives(time, q)
+    return _Motion(
+        time,
+        q,
+        v,
+        a,
+        {side: smooth(p) for side, p in ankles.items()},
+        smooth(poses.hip.imag),
+        residual_rms(subject.markers, poses),
+    )
+
+
+def _vertical(wrenches: dict[str, PlanarWrench], is_one_leg: bool):
+    F_z = sum(w.force[:, 1] for w in wrenches.values())
+    return 2.0 * F_z if is_one_leg else F_z
+
+
+def _rises(motion, wrenches, chair, is_one_leg, subject) -> list[Rise]:
+    """Rises, by the chair's plate or else by what the feet leave over."""
+    tree = subject.rigid
+    F_z = _vertical(wrenches, is_one_leg)
+    if chair is None:
+        needed = inverse_dynamics(tree, motion.q, motion.v, motion.a, {})[:, 1]
+        on_chair = needed - F_z
+    else:
+        on_chair = chair.force[:, 1]
+    weight = tree.mass * tree.gravity
+    return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
+
+
+def _force_delay(motion, forces: FootForces, subject, study) -> float:
+    """Lag of the forces, from the rises (or from all loaded frames)."""
+    time, tree = motion.time, subject.rigid
+    wrenches, chair = forces.at(time), forces.chair_at(time)
+    weight = tree.mass * tree.gravity
+    needed = inverse_dynamics(tree, motion.q, motion.v, motion.a, {})[:, 1]
+    F_z = _vertical(wrenches, forces.is_one_leg)
+    reach = study.laboratory.largest_delay_s
+    if chair is not None:  # together they bear the body all the time
+        everywhere = np.ones(len(time), bool)
+        total = F_z + chair.force[:, 1]
+        return force_delay(time, needed, total, everywhere, reach)
+    rises = _rises(motion, wrenches, chair, forces.is_one_leg, subject)
+    used = np.zeros(len(time), bool)
+    for rise in rises:
+        used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
+    if not rises:
+        used = F_z > 0.5 * weight
+    return force_delay(time, needed, F_z, used, reach)
+
+
+def _said(delay: float, study: Study, explained: float | None) -> str:
+    """What an estimated delay is worth, in words."""
+    reach = study.laboratory.largest_delay_s
+    text = f"estimated {1e3 * delay:+.0f} ms"
+    if explained is not None:
+        text += f", {100.0 * explained:.0f} % explained"
+    if abs(delay) > reach - 1.5e-3:
+        text += "; at the edge of the search, raise laboratory.largest_delay_s"
+    return text
+
+
+def _exoskeleton(files, motion, study: Study, root, delays, clocks):
+    """Encoders and recorded moments, on the markers' clock."""
+    if study.model == "human":
+        return None, None
+    laboratory, angles, moments = study.laboratory, None, None
+    delay = laboratory.encoder_delay_s
+    if files.encoders is not None:
+        legs = study.device.encoder_legs if study.device else "both"
+        angles = read_angles(root / files.encoders, legs, study.filter)
+        if laboratory.estimate_encoder_delay:
+            late, explained = regressed_delay(
+                motion.time,
+                motion.q[:, 3:, None],
+                angles.time - delay,
+                angles.values,
+                laboratory.largest_delay_s,
+            )
+            delay += late
+            clocks["encoders"] = _said(late, study, explained)
+        angles = angles.delayed(delay)
+        delays["encoders"] = delay
+    if files.exo_moments is not None:
+        legs = study.device.moment_legs if study.device else "both"
+        moments = read_moments(root / files.exo_moments, legs, study.filter)
+        moments = moments.delayed(delay)
+    return angles, moments
+
+
+def _mats(files, motion, angles, subject, study: Study, root, delays, clocks):
+    """Force of each mat, on the markers' clock."""
+    mats = read_mat_forces(files.pressure, study.mats, root, study.filter)
+    if not mats:
+        return ()
+    laboratory = study.laboratory
+    delay = laboratory.pressure_delay_s
+    if laboratory.estimate_pressure_delay:
+        if angles is None:
+            clocks["pressure"] = "not estimated: there are no encoders"
+        else:
+            late, explained = _pressure_delay(
+                motion, angles, mats, delay, subject, laboratory
+            )
+            believed = explained >= EXPLAINED
+            clocks["pressure"] = _said(late, study, explained)
+            if believed:
+                delay += late
+            else:
+                clocks["pressure"] += "; too little, not applied"
+    delays["pressure"] = delay
+    return tuple(mat.delayed(delay) for mat in mats)
+
+
+def _pressure_delay(motion, angles: Signal, mats, delay, subject, laboratory):
+    """Lag of the mats against what the cuffs must bear.
+
+    A mat's force is regressed on the device's share of inverse dynamics and
+    on the deflection between device and human.
+    """
+    seen = (motion.time >= angles.time[0]) & (motion.time <= angles.time[-1])
+    time = motion.time[seen]
+    exo = angles.motion(time)
+    human = [x[seen] for x in (motion.q, motion.v, motion.a)]
+    q, v, a = (np.hstack([h, e]) for h, e in zip(human, exo, strict=True))
+    carried = subject.coupled.inverse_dynamics(q, v, a)[:, 6:]
+    regressors = np.hstack([carried, q[:, 6:] - q[:, 3:6]])
+    signal_time = mats[0].time
+    signal = np.column_stack(
+        [np.interp(signal_time, m.time, m.normal) for m in mats]
+    )
+    return regressed_delay(
+        time,
+        regressors,
+        signal_time - delay,
+        signal,
+        laboratory.largest_delay_s,
+    )
