@@ -1,0 +1,132 @@
+"""Measured wrenches on bodies, such as the chair's, in equations of motion.
+
+The wrench is data at each node, but where the body is is not: a chair bears
+hundreds of newtons, and a hip that lies a centimetre from where markers saw
+it changes joint moments by newton metres. So the generalized force depends
+on q as in the Diagram, instead of being evaluated along the measured motion.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from drake_exo.optimal_control.kernels import FORCE_UNIT
+from drake_exo.planar_tree import PlanarTree
+
+
+class AppliedWrench:
+    """A wrench over time, on bodies of a model by share.
+
+    Args:
+        tree: the model.
+        shares: body name -> share of the wrench.
+        times: (n,) increasing [s].
+        wrench: (n, 3) F_x, F_z [N] and M_y = z F_x - x F_z about the
+            laboratory's origin [N m].
+    """
+
+    def __init__(
+        self,
+        tree: PlanarTree,
+        shares: Mapping[str, float],
+        times: np.ndarray,
+        wrench: np.ndarray,
+    ):
+        self._spline = CubicSpline(times, wrench)
+        nq = tree.num_positions
+        self._map = np.zeros((tree.angle_map.shape[0], nq))
+        self._map[:, 2:] = tree.angle_map
+        self._levers = []
+        for name, share in shares.items():
+            index = tree.body_index(name)
+            turn = self._map[tree.segment_of[index]]
+            self._levers.append((share, tree.origins[index], turn))
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """The wrench (n, 3) at times [s]."""
+        return self._spline(times)
+
+    def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Generalized forces (n, nq) of wrenches (n, 3) at positions q."""
+        c, s = self._directions(q)
+        F_x, F_z, M_y = wrench.T[:, :, None]
+        Q = np.zeros(q.shape, np.result_type(q, wrench))
+        for share, L, turn in self._levers:
+            x, z, dx, dz = self._point(q, c, s, L)
+            moment = M_y - (z[:, None] * F_x - x[:, None] * F_z)
+            # Angles are counter-clockwise, M_y is about y: clockwise.
+            Q += share * (F_x * dx + F_z * dz - moment * turn)
+            Q[:, 0] += share * F_x[:, 0]
+            Q[:, 1] += share * F_z[:, 0]
+        return Q
+
+    def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Derivatives (n, nq, nq) of `generalized` by q."""
+        c, s = self._directions(q)
+        F_x, F_z = wrench.T[:2, :, None]
+        nq = q.shape[1]
+        J = np.zeros((len(q), nq, nq))
+        for share, L, turn in self._levers:
+            _, _, dx, dz = self._point(q, c, s, L)
+            # Of the lever's ends: d2p/dtheta2 = -w L.
+            bend = F_x * (L.imag * s - L.real * c)
+            bend -= F_z * (L.real * s + L.imag * c)
+            J += share * np.einsum(
+                "nk,ki,kj->nij", bend, self._map, self._map, optimize=True
+            )
+            slide_x, slide_z = dx.copy(), dz.copy()
+            slide_x[:, 0] += 1.0
+            slide_z[:, 1] += 1.0
+            moved = F_x * slide_z - F_z * slide_x
+            J += share * turn[None, :, None] * moved[:, None, :]
+        return J
+
+    def _directions(self, q):
+        phi = q @ self._map.T
+        return np.cos(phi), np.sin(phi)
+
+    def _point(self, q, c, s, L):
+        """x, z (n,) of a point, and derivatives by angles (n, nq)."""
+        x = q[:, 0] + c @ L.real - s @ L.imag
+        z = q[:, 1] + s @ L.real + c @ L.imag
+        dx = (-s * L.real - c * L.imag) @ self._map
+        dz = (c * L.real - s * L.imag) @ self._map
+        return x, z, dx, dz
+
+
+class LoadedDynamicsKernel:
+    """A kernel of equations of motion, with an applied wrench.
+
+    Inputs and outputs as those of the inner kernel, whose inputs start with
+    q. Data: (n, 3) wrenches, as `AppliedWrench.at`; None for no load.
+
+    Args:
+        inner: such as DynamicsKernel; gets no data itself.
+        load: the wrench.
+    """
+
+    def __init__(self, inner, load: AppliedWrench):
+        self._inner = inner
+        self._load = load
+        nq = self._num_positions = inner.sparsity.shape[0]
+        self.sparsity = inner.sparsity.copy()
+        self.sparsity[2:, :nq] = True
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        r = self._inner.evaluate(x, None)
+        if data is None:
+            return r
+        q = x[:, : self._num_positions]
+        return r - self._load.generalized(q, data) / FORCE_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = self._inner.jacobian(x, None)
+        if data is None:
+            return J
+        nq = self._num_positions
+        J = J.copy()
+        J[:, :, :nq] -= self._load.by_positions(x[:, :nq], data) / FORCE_UNIT
+        return J
