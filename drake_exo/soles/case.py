@@ -208,7 +208,8 @@ class Pattern:
 
 
 _KINDS = (
-    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction", "constant",
+    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
+    "constant",
 )  # fmt: skip
 
 

@@ -56,6 +56,7 @@ def minimise(
     iterations: int = 60,
     tolerance: float = 1e-4,
     on_iterate: Callable[[int, "Optimum"], None] | None = None,
+    options: dict | None = None,
 ) -> Optimum:
     """Run IPOPT from p0.
 
@@ -66,6 +67,7 @@ def minimise(
         iterations: IPOPT iterations.
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far.
+        options: More options of IPOPT.
     """
     import ipyopt
 
@@ -146,11 +148,15 @@ def minimise(
             "max_iter": iterations,
             "tol": tolerance,
             "acceptable_iter": 0,
-            "mu_strategy": "adaptive",
+            "mu_strategy": "monotone",
+            "mu_init": 1e-2,
+            # Far outside the limits a simulation says little.
+            "theta_max_fact": 0.1,
             "nlp_scaling_method": "none",
             "bound_relax_factor": 0.0,
             "print_level": 0,
             "sb": "yes",
+            **(options or {}),
         },
     )
     multipliers = np.zeros(m)

@@ -265,7 +265,7 @@ class ShapeProblem:
 
 
 def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give x / √(1 + x²) and its slope: a wild sample must not rule the search."""
+    """Give x / √(1 + x²) and its slope: no wild sample rules the search."""
     root = np.sqrt(1 + x**2)
     return x / root, root**-3
 

@@ -1,0 +1,157 @@
+"""Times of the sole half: simulation, both contact methods, the gradient.
+
+python benchmarks/sole.py [--json] [--data-root DIR] [--full]
+"""
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from drake_exo.soles.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.case import LoadBlock, OneFoot, Pattern
+from drake_exo.soles.contact import ContactSolver, Start
+from drake_exo.soles.elasticity import MATERIALS, Sole
+from drake_exo.soles.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.simulation import simulate
+from drake_exo.soles.stiffness import heel_strike_count
+from drake_exo.soles.study import _AUTHORS_ORIGIN, AUTHORS_STEP, SIZE
+
+START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
+MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}
+METHODS = {100: (8, 5, 3), 200: (12, 7, 3), 400: (18, 10, 4),
+           800: (26, 15, 5)}  # fmt: skip
+
+
+def step(root):
+    if root and (root / AUTHORS_STEP).is_file():
+        block = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, _AUTHORS_ORIGIN))
+    else:
+        block = LoadBlock(pattern=Pattern())
+    return block.load(root or Path("."))
+
+
+def timed(function):
+    began = time.perf_counter()
+    out = function()
+    return out, time.perf_counter() - began
+
+
+def run(sole, law, load, rows, solver=None, **more):
+    return simulate(
+        sole.compliance, sole.positions, law, load.force[rows],
+        load.zmp[rows], START, solver=solver, **more,
+    )  # fmt: skip
+
+
+def simulation(load):
+    out = {}
+    for name, divisions in MESHES.items():
+        sole = Sole(brick(SIZE, divisions), MATERIALS["neoprene"])
+        _, condensation = timed(lambda s=sole: s.compliance)
+        law = ContactLaw(0.8, sole.penalty)
+        history, contact = timed(
+            lambda s=sole, w=law: run(s, w, load, slice(None))
+        )
+        out[name] = {
+            "nodes": len(sole.mesh.nodes),
+            "tets": len(sole.mesh.tets),
+            "steps": len(history.reports),
+            "failed_steps": history.failed_steps,
+            "condensation_seconds": condensation,
+            "contact_seconds": contact,
+            "total_seconds": condensation + contact,
+        }
+    return out
+
+
+def methods(load, full):
+    out = {}
+    for name, divisions in METHODS.items():
+        sole = Sole(brick(SIZE, divisions), MATERIALS["neoprene"])
+        law = ContactLaw(0.8, sole.penalty)
+        rows = slice(0, None) if full else slice(0, 60)
+        slow = GaussSeidelSolver(sole.compliance, sole.positions, law)
+        run(sole, law, load, slice(0, 1), slow)  # compiles
+        b, newton = timed(lambda s=sole, w=law, r=rows: run(s, w, load, r))
+        a, sweeps = timed(
+            lambda s=sole, w=law, r=rows, g=slow: run(s, w, load, r, g)
+        )
+        count = len(a.reports)
+        out[f"about {name}"] = {
+            "contact_nodes": len(sole.positions),
+            "gauss_seidel_ms_per_step": 1e3 * sweeps / count,
+            "newton_ms_per_step": 1e3 * newton / count,
+            "largest_difference_m": float(np.abs(a.P - b.P).max()),
+        }
+    return out
+
+
+def gradient(load):
+    out = {}
+    for divisions in ((10, 6, 3), (14, 8, 4), (20, 10, 4)):
+        mesh = brick(SIZE, divisions)
+        spline = SphericalSpline()
+        sole = Sole(mesh, MATERIALS["neoprene"])
+        law = ContactLaw(0.8, sole.penalty, 1e-5, 0.1)
+
+        def forward(s=sole, w=law):
+            solver = ContactSolver(s.compliance, s.positions, w)
+            return solver, run(s, w, load, slice(None), solver)
+
+        (solver, history), there = timed(forward)
+        n = len(load.times)
+        early = np.arange(n) < heel_strike_count(n)
+        terms = singular_terms(history.K_c, early * 1.0, -np.ones(n))
+        other = singular_terms(history.K_c, np.zeros(n), np.ones(n))
+
+        def back(f, s=sole, v=solver, h=history):
+            return shape_gradients(s, v, load.force, load.zmp, START, h, f)
+
+        _, one = timed(lambda t=terms: back([t]))
+        _, two = timed(lambda t=terms, o=other: back([t, o]))
+        out[f"{len(mesh.tets)} tets"] = {
+            "coefficients": spline.count,
+            "forward_seconds": there,
+            "gradient_over_forward": one / there,
+            "further_over_forward": (two - one) / there,
+        }
+    return out
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--full", action="store_true",
+                        help="all samples for both methods")  # fmt: skip
+    parser.add_argument("--data-root", type=Path)
+    args = parser.parse_args()
+    load = step(args.data_root)
+    numbers = {
+        "simulation": simulation(load),
+        "methods": methods(load, args.full),
+        "gradient": gradient(load),
+    }
+    if args.json:
+        print(json.dumps(numbers, indent=2))
+        return
+    for part, rows in numbers.items():
+        print(part)
+        for name, row in rows.items():
+            text = ", ".join(
+                f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}"
+                for k, v in row.items()
+            )
+            print(f"  {name}: {text}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""Gradients of the simulation by shape against finite differences."""
+
+import numpy as np
+import pytest
+
+from drake_exo.soles.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.contact import ContactSolver, Start
+from drake_exo.soles.elasticity import MATERIALS, Sole
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.problem import (
+    Limits,
+    ShapeProblem,
+    sample_weights,
+    second_differences,
+    soft_minimum,
+)
+from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.simulation import simulate
+
+SIZE = (0.23, 0.13, 0.03)
+START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
+
+
+def _load(count):
+    s = np.linspace(0, 1, count)
+    force = np.stack(
+        [40 * np.cos(np.pi * s), -20 * np.sin(np.pi * s),
+         150 + 500 * np.sin(np.pi * s)], axis=1,
+    )  # fmt: skip
+    zmp = np.stack([-0.08 + 0.13 * s, 0.04 - 0.02 * np.sin(np.pi * s)], 1)
+    return Load(0.05 * np.arange(count), force, zmp)
+
+
+class Setting:
+    def __init__(self, divisions, count, element="linear", layer=5e-5):
+        self.mesh = brick(SIZE, divisions)
+        self.spline = SphericalSpline((6, 6))
+        self.M, _ = self.spline.basis(self.mesh.nodes)
+        self.element = element
+        self.load = _load(count)
+        self.material = MATERIALS["neoprene"]
+        r = Sole(self.mesh, self.material, element).penalty
+        self.law = ContactLaw(0.8, r, layer, 0.2)
+
+    def forward(self, p):
+        mesh = self.mesh.with_nodes(self.spline.deform(self.mesh.nodes, p))
+        sole = Sole(mesh, self.material, self.element)
+        solver = ContactSolver(
+            sole.compliance, sole.positions, self.law, tolerance=1e-13
+        )
+        history = simulate(
+            sole.compliance, sole.positions, self.law, self.load.force,
+            self.load.zmp, START, solver=solver,
+        )  # fmt: skip
+        assert history.failed_steps == 0
+        return sole, solver, history
+
+    def gradient(self, p, by_tr, by_rot):
+        sole, solver, history = self.forward(p)
+        X = shape_gradients(
+            sole, solver, self.load.force, self.load.zmp, START, history,
+            [singular_terms(history.K_c, by_tr, by_rot)],
+        )[0]  # fmt: skip
+        return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
+
+
+def _measure(history, by_tr, by_rot):
+    from drake_exo.soles import stiffness
+
+    return by_tr @ stiffness.sigma_max_translation(
+        history.K_c
+    ) + by_rot @ stiffness.sigma_min_rotation(history.K_c)
+
+
+@pytest.mark.parametrize(
+    ("divisions", "count", "element"),
+    [((6, 4, 3), 1, "linear"), ((6, 5, 4), 8, "linear"),
+     ((6, 4, 3), 5, "smoothed"), ((14, 8, 4), 4, "linear")],
+)  # fmt: skip
+def test_gradient_matches_central_differences(divisions, count, element):
+    setting = Setting(divisions, count, element)
+    rng = np.random.default_rng(0)
+    p = 1 + 0.05 * rng.standard_normal(setting.spline.count)
+    by_tr = (np.arange(count) < 2).astype(float)
+    by_rot = -3.0 * np.ones(count)
+    direction = rng.standard_normal(len(p))
+    slope = setting.gradient(p, by_tr, by_rot) @ direction
+    errors = []
+    for h in (1e-6, 3e-7):
+        plus, minus = (
+            _measure(setting.forward(p + s * h * direction)[2], by_tr, by_rot)
+            for s in (1, -1)
+        )
+        errors.append(abs((plus - minus) / (2 * h) / slope - 1))
+    assert min(errors) < 1e-5
+    # A planted error of a tenth of a per mille must not go unnoticed.
+    assert abs((plus - minus) / (2 * h) / (1.0001 * slope) - 1) > 1e-5
+
+
+@pytest.fixture(scope="module")
+def problem():
+    setting = Setting((6, 4, 3), 12)
+    return ShapeProblem(
+        setting.mesh, setting.spline, setting.material, setting.law,
+        setting.load, START, 1.0,
+        Limits(813e-6, stability=500.0, tilt_deg=20.0, c_rot=1e4),
+        roughness=1e-2, samples=8,
+    )  # fmt: skip
+
+
+def test_cost_and_constraints_have_right_derivatives(problem):
+    rng = np.random.default_rng(1)
+    p = 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
+    direction = rng.standard_normal(len(p))
+    gradient, jacobian = problem.derivatives(p)
+    assert jacobian.shape == (len(problem.names()), len(p))
+    exact = np.array([gradient @ direction, *(jacobian @ direction)])
+
+    def values(x):
+        return np.array([problem.cost(x), *problem.constraints(x)])
+
+    errors = [
+        np.abs(
+            (values(p + h * direction) - values(p - h * direction))
+            / (2 * h * exact)
+            - 1
+        )
+        for h in (1e-6, 1e-7)
+    ]
+    np.testing.assert_array_less(np.min(errors, axis=0), 1e-5)
+
+
+def test_a_shape_that_cannot_be_simulated_is_nan(problem):
+    p = np.ones(problem.spline.count)
+    p[::2] = -1.0
+    assert np.isnan(problem.cost(p))
+    assert np.isnan(problem.constraints(p)).all()
+
+
+def test_mathematical_program_carries_the_same_derivatives(problem):
+    from pydrake.autodiffutils import (
+        ExtractGradient,
+        ExtractValue,
+        InitializeAutoDiff,
+    )
+
+    from drake_exo.soles.optimiser import mathematical_program
+
+    prog, _ = mathematical_program(problem, (0.3, 1.4))
+    x = np.full(problem.spline.count, 0.97)
+    gradient, jacobian = problem.derivatives(x)
+    cost = prog.GetAllCosts()[0].evaluator()
+    y = cost.Eval(InitializeAutoDiff(x).ravel())
+    np.testing.assert_allclose(ExtractValue(y).ravel(), problem.cost(x))
+    np.testing.assert_allclose(ExtractGradient(y).ravel(), gradient)
+    limits = prog.generic_constraints()[0].evaluator()
+    y = limits.Eval(InitializeAutoDiff(x).ravel())
+    np.testing.assert_allclose(ExtractGradient(y), jacobian)
+
+
+def test_optimiser_lowers_the_cost_within_the_limits(problem):
+    from drake_exo.soles.optimiser import minimise
+
+    p0 = np.full(problem.spline.count, 0.96)
+    best = minimise(problem, p0, (0.5, 1.25), iterations=8)
+    assert best.violation < 1e-4
+    assert best.cost < 0.8 * problem.cost(p0)
+    assert (best.p >= 0.5).all()
+    assert (best.p <= 1.25).all()
+
+
+def test_sample_weights_stand_for_all_samples():
+    for samples in (None, 20, 44):
+        picked, by_tr, by_rot = sample_weights(219, samples, 0.1)
+        assert by_tr.sum() == pytest.approx(21)
+        assert by_rot.sum() == pytest.approx(219)
+        assert picked[0] == 0
+        assert picked[-1] == 218
+
+
+def test_soft_minimum_is_below_and_its_shares_add_up():
+    x = np.array([0.5, 0.1, 0.3])
+    value, share = soft_minimum(x)
+    assert 0.05 < value <= 0.1
+    assert share.sum() == pytest.approx(1.0)
+
+
+def test_roughness_of_a_constant_scale_vanishes():
+    D, d0 = second_differences(SphericalSpline((5, 5)))
+    bend = D @ np.ones(SphericalSpline((5, 5)).count) + d0
+    assert np.abs(bend).max() < 1e-14
