@@ -35,11 +35,11 @@ def shape_figure(path: Path, mesh: TetMesh, title: str, outline=None) -> None:
         outline: Initial mesh, drawn as its bounding box.
     """
     with plt.rc_context({**_STYLE, "figure.constrained_layout.use": False}):
-        figure = plt.figure(figsize=(11.0, 6.4))
+        figure = plt.figure(figsize=(12.0, 6.0))
         for k, (name, elevation, azimuth) in enumerate(_VIEWS):
             axis = figure.add_subplot(2, 3, k + 1, projection="3d")
             _draw(axis, mesh, elevation, azimuth, outline)
-            axis.set_title(name, y=0.98, fontsize=10)
+            axis.set_title(name, y=0.94, fontsize=10)
         figure.suptitle(title)
         figure.subplots_adjust(0.0, 0.0, 1.0, 0.9, 0.0, 0.05)
         _save(figure, path)
@@ -51,7 +51,7 @@ def _draw(axis, mesh, elevation, azimuth, outline):
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     glued = np.isin(mesh.boundary_faces, mesh.dirichlet).all(axis=1)
     light = _LIGHT * ([1, 1, -1] if elevation > 45 else [1, 1, 1])
-    shade = 0.45 + 0.55 * np.clip(normal @ light, 0, 1)
+    shade = 0.62 + 0.38 * normal @ light
     colour = np.where(glued[:, None], [0.65, 0.65, 0.7], [0.85, 0.55, 0.3])
     axis.add_collection3d(
         Poly3DCollection(
@@ -69,7 +69,7 @@ def _draw(axis, mesh, elevation, azimuth, outline):
     axis.set(
         xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2])
     )
-    axis.set_box_aspect(high - low, zoom=1.45)
+    axis.set_box_aspect(high - low, zoom=1.12)
     axis.set_proj_type("ortho")
     axis.view_init(elevation, azimuth)
     axis.set_axis_off()
