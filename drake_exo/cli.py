@@ -11,6 +11,7 @@ from drake_exo.errors import InputError
 # as a default. Modules are imported on demand: `drake-exo sole` must not load
 # the exoskeleton half, nor pay for it.
 _COMMANDS = {
+    "check": "drake_exo.laboratory.check_command",
     "calibrate": "drake_exo.phases.command",
     "sensitivity": "drake_exo.phases.sensitivity_command",
     "contact": "drake_exo.report.contact_figures",

@@ -62,10 +62,10 @@ class Laboratory:
         fill_gaps_s: longest gap of a marker that is filled; none by default.
         encoder_delay_s, pressure_delay_s: lag of their clocks behind the
             markers'.
-        estimate_encoder_delay: find what lag is left from the human's joint
-            angles.
-        estimate_pressure_delay: likewise from what the cuffs must bear to
-            move the exoskeleton; needs encoders.
+        estimate_encoder_delay: find what lag is left from the device's
+            equations of motion, the cuffs being springs.
+        estimate_pressure_delay: likewise from the cuffs' deflection; needs
+            encoders.
         largest_delay_s: how far estimates look to either side.
         remove_plate_drift: level the plates where nothing stands on them.
         chair_on_thighs: share of the chair's wrench on the thighs, the rest

@@ -7,12 +7,15 @@ import numpy as np
 
 from drake_exo.laboratory.chair_plate import until_seat_off
 from drake_exo.laboratory.cleaning import fill_gaps
+from drake_exo.laboratory.cuff_clock import encoder_delay, mat_delay
 from drake_exo.laboratory.exoskeleton_signals import (
     Signal,
+    drive_moments,
     read_angles,
     read_moments,
 )
 from drake_exo.laboratory.filters import derivatives, low_pass
+from drake_exo.laboratory.instruments import Device
 from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
 from drake_exo.laboratory.inverse_kinematics import (
     merge_legs,
@@ -32,7 +35,6 @@ from drake_exo.laboratory.subject import SubjectModel
 from drake_exo.laboratory.synchronise import (
     EXPLAINED,
     force_delay,
-    regressed_delay,
 )
 from drake_exo.laboratory.tables import MarkerData
 from drake_exo.output import Progress
@@ -127,7 +129,9 @@ def process(
     weight = subject.rigid.mass * subject.rigid.gravity
     if chair is not None:
         chair = until_seat_off(time, chair, weight)
-    angles, moments = _exoskeleton(files, motion, study, root, delays, clocks)
+    angles, moments = _exoskeleton(
+        files, motion, subject, study, root, delays, clocks
+    )
     mats = _mats(files, motion, angles, subject, study, root, delays, clocks)
     return Movement(
         time=time,
@@ -259,32 +263,59 @@ def _said(delay: float, study: Study, explained: float | None) -> str:
     return text
 
 
-def _exoskeleton(files, motion, study: Study, root, delays, clocks):
+def _exoskeleton(files, motion, subject, study: Study, root, delays, clocks):
     """Encoders and recorded moments, on the markers' clock."""
     if study.model == "human":
         return None, None
-    laboratory, angles, moments = study.laboratory, None, None
-    delay = laboratory.encoder_delay_s
+    device = study.device or Device()
+    angles, moments = None, None
+    if files.exo_moments is not None:
+        path = root / files.exo_moments
+        moments = read_moments(path, device.moment_legs, study.filter)
+    delay = study.laboratory.encoder_delay_s
     if files.encoders is not None:
-        legs = study.device.encoder_legs if study.device else "both"
-        angles = read_angles(root / files.encoders, legs, study.filter)
-        if laboratory.estimate_encoder_delay:
-            late, explained = regressed_delay(
+        path = root / files.encoders
+        angles = read_angles(path, device.encoder_legs, study.filter)
+        if study.laboratory.estimate_encoder_delay:
+            late, explained = encoder_delay(
                 motion.time,
-                motion.q[:, 3:, None],
-                angles.time - delay,
-                angles.values,
-                laboratory.largest_delay_s,
+                (motion.q, motion.v, motion.a),
+                angles.delayed(delay),
+                _drive(device, moments, delay, subject),
+                subject,
+                study.laboratory.largest_delay_s,
             )
-            delay += late
-            clocks["encoders"] = _said(late, study, explained)
+            delay += _believed("encoders", late, explained, study, clocks)
         angles = angles.delayed(delay)
         delays["encoders"] = delay
-    if files.exo_moments is not None:
-        legs = study.device.moment_legs if study.device else "both"
-        moments = read_moments(root / files.exo_moments, legs, study.filter)
+    if moments is not None:
         moments = moments.delayed(delay)
     return angles, moments
+
+
+def _drive(device: Device, moments: Signal | None, delay: float, subject):
+    """The device's joint moments as a function of its time and motion."""
+    if moments is None:
+        return lambda _, q, v, a: drive_moments(
+            device, subject.coupled, q, v, a
+        )
+    time = moments.time - delay
+
+    def recorded(at, *_):
+        return np.column_stack(
+            [np.interp(at, time, x) for x in moments.values.T]
+        )
+
+    return recorded
+
+
+def _believed(name, late, explained, study: Study, clocks) -> float:
+    """The estimate, or none if it explains too little; says which."""
+    clocks[name] = _said(late, study, explained)
+    if explained >= EXPLAINED:
+        return late
+    clocks[name] += "; too little, not applied"
+    return 0.0
 
 
 def _mats(files, motion, angles, subject, study: Study, root, delays, clocks):
@@ -301,37 +332,15 @@ def _mats(files, motion, angles, subject, study: Study, root, delays, clocks):
             late, explained = _pressure_delay(
                 motion, angles, mats, delay, subject, laboratory
             )
-            believed = explained >= EXPLAINED
-            clocks["pressure"] = _said(late, study, explained)
-            if believed:
-                delay += late
-            else:
-                clocks["pressure"] += "; too little, not applied"
+            delay += _believed("pressure", late, explained, study, clocks)
     delays["pressure"] = delay
     return tuple(mat.delayed(delay) for mat in mats)
 
 
 def _pressure_delay(motion, angles: Signal, mats, delay, subject, laboratory):
-    """Lag of the mats against what the cuffs must bear.
-
-    A mat's force is regressed on the device's share of inverse dynamics and
-    on the deflection between device and human.
-    """
+    """Lag of the mats behind the deflection between device and human."""
     seen = (motion.time >= angles.time[0]) & (motion.time <= angles.time[-1])
     time = motion.time[seen]
-    exo = angles.motion(time)
-    human = [x[seen] for x in (motion.q, motion.v, motion.a)]
-    q, v, a = (np.hstack([h, e]) for h, e in zip(human, exo, strict=True))
-    carried = subject.coupled.inverse_dynamics(q, v, a)[:, 6:]
-    regressors = np.hstack([carried, q[:, 6:] - q[:, 3:6]])
-    signal_time = mats[0].time
-    signal = np.column_stack(
-        [np.interp(signal_time, m.time, m.normal) for m in mats]
-    )
-    return regressed_delay(
-        time,
-        regressors,
-        signal_time - delay,
-        signal,
-        laboratory.largest_delay_s,
-    )
+    q = np.hstack([motion.q[seen], angles.at(time, "encoder angles")])
+    signals = [(m.segment, m.time - delay, m.normal) for m in mats]
+    return mat_delay(time, q, signals, subject, laboratory.largest_delay_s)

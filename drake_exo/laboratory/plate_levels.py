@@ -7,6 +7,7 @@ from drake_exo.laboratory.sagittal import PlanarWrench
 _BAND_N = 12.0  # unloaded samples scatter within this around their level
 _SMOOTH_S = 0.025
 _SHORTEST_S = 0.1  # unloaded for at least so long
+_EDGE_S = 0.1  # cut from either side of an unloaded part
 _TREND_SHARE = 0.5  # of the recording that unloaded parts must span
 # A level beyond this is a load, not drift. A chair may not have been tared.
 LARGEST_FOOT_N = 20.0
@@ -32,8 +33,11 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
     near = np.abs(smooth - np.quantile(smooth, 0.02)) < _BAND_N
     edges = np.flatnonzero(np.diff(np.r_[0, near, 0])).reshape(-1, 2)
     for start, end in edges:
-        if end - start < _SHORTEST_S / step:
-            near[start:end] = False
+        # Its edges are still, or already, a load.
+        cut = round(_EDGE_S / step)
+        long = end - start - 2 * cut >= _SHORTEST_S / step
+        near[start : start + cut if long else end] = False
+        near[end - cut if long else start : end] = False
     if not near.any() or abs(np.median(F_z[near])) > largest_n:
         return np.zeros(len(time), bool)
     return near

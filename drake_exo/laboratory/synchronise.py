@@ -2,15 +2,17 @@
 
 Systems that are started by hand, or filtered on their way, are milliseconds
 apart; in a fast rise ten of them are tens of newtons. What the feet must bear
-by Newton's law, from the markers alone, tells the plates' offset; the human's
-joint angles tell the encoders'; what the cuffs must bear to move the
-exoskeleton tells the pressure mats'.
+by Newton's law, from the markers alone, tells the plates' offset; that of
+encoders and mats is found in `cuff_clock`.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
 _STEP_S = 0.001
-# Share of a mat's variation that must be explained before a lag is believed.
+_COARSE = 4  # steps of the first search
+# Share of variance that must be explained before a lag is believed.
 EXPLAINED = 0.8
 
 
@@ -46,50 +48,22 @@ def force_delay(
     return round(float(delays[int(np.argmin(spread))]), 6)
 
 
-def regressed_delay(
-    time: np.ndarray,
-    regressors: np.ndarray,
-    signal_time: np.ndarray,
-    signal: np.ndarray,
-    reach_s: float,
+def search_delay(
+    left: Callable[[float], float], reach_s: float
 ) -> tuple[float, float]:
-    """By how much a signal lags behind what explains it linearly [s].
+    """The delay that leaves the least unexplained, to 1 ms.
 
     Args:
-        time: (N,) evenly spaced [s].
-        regressors: (N, k), or (N, c, k) with its own for each channel; a
-            constant is added.
-        signal_time: (M,) of the signal's own clock [s].
-        signal: (M, c), filtered.
-        reach_s: largest delay either way.
+        left: share of variance that a delay leaves unexplained.
+        reach_s: largest delay either way [s].
 
     Returns:
-        The delay, to 1 ms, with the least unexplained variance, and the
-        share of variance that is explained there.
+        The delay [s], and the share that is explained there.
     """
-    inside = (time > signal_time[0] + reach_s) & (
-        time < signal_time[-1] - reach_s
-    )
-    t, R = time[inside], regressors[inside]
-    if len(t) < 20:
-        return 0.0, 0.0
-    channels = signal.shape[1]
-    if R.ndim == 2:
-        R = np.repeat(R[:, None], channels, axis=1)
-    bases = []
-    for c in range(channels):
-        A = np.column_stack([np.ones(len(t)), R[:, c]])
-        U, s, _ = np.linalg.svd(A / np.linalg.norm(A, axis=0).clip(1e-12), 0)
-        bases.append(U[:, s > 1e-9 * s[0]])
-    delays = _lags(reach_s)
-    left = np.zeros(len(delays))
-    for i, delay in enumerate(delays):
-        total = 0.0
-        for c, U in enumerate(bases):
-            y = np.interp(t + delay, signal_time, signal[:, c])
-            r = y - U @ (U.T @ y)
-            left[i] += r @ r
-            total += np.sum((y - y.mean()) ** 2)
-        left[i] /= max(total, 1e-12)
-    best = int(np.argmin(left))
-    return round(float(delays[best]), 6), float(1.0 - left[best])
+    coarse = _lags(reach_s)[::_COARSE]
+    best = min(coarse, key=left)
+    fine = best + _STEP_S * np.arange(1 - _COARSE, _COARSE)
+    fine = fine[np.abs(fine) <= reach_s + 1e-9]
+    values = [left(delay) for delay in fine]
+    found = int(np.argmin(values))
+    return round(float(fine[found]), 6), 1.0 - values[found]
