@@ -85,10 +85,7 @@ def write_campaign(
             )
             _measure(folder, movement, truth, active, seed, 1 + number)
             windows[movement.name] = _window(movement, plan)
-    write_json(
-        folder / "truth" / "truth.json",
-        {"seed": seed, "disturbances": active, "parameters": truth},
-    )
+    _write_truth(folder / "truth", truth, seed, active)
     return _write_study(folder, truth, windows)
 
 
@@ -143,6 +140,22 @@ def _measure(folder, movement, truth, active, seed, number) -> None:
         truth_table(movement),
         f"{name}: what truly happened",
     )
+
+
+def _write_truth(folder: Path, truth: Truth, seed: int, active) -> None:
+    """All of it, and each phase's parameters by their names there."""
+    about = {"seed": seed, "disturbances": active}
+    write_json(folder / "truth.json", {**about, "parameters": truth})
+    for name, contacts in (
+        ("foot_ground", truth.contact.spheres),
+        ("interaction", truth.bushings),
+    ):
+        values = {
+            f"{part}.{key}": value
+            for part, contact in contacts.items()
+            for key, value in vars(contact).items()
+        }
+        write_json(folder / f"{name}.json", {**about, "parameters": values})
 
 
 def truth_table(movement: Simulated) -> Table:
