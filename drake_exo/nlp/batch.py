@@ -22,6 +22,10 @@ from pydrake.solvers import MathematicalProgram
 class Kernel(Protocol):
     """A function of n_in inputs, evaluated for n instances at once.
 
+    A kernel may also have `curvature(x, weights, data)`, the Hessians
+    (n, n_in, n_in) of its outputs summed with weights (n, n_out): it then
+    enters the Lagrangian's Hessian beside the Gauss-Newton terms.
+
     Attributes:
         sparsity: (n_out, n_in) bool, True where the Jacobian may be nonzero.
     """
@@ -108,12 +112,15 @@ class BatchedProgram:
             not in a batch is evaluated binding by binding.
         constraints: batches lower <= f(x) <= upper.
         residuals: batches whose cost is half the sum of squares of f(x).
+        labelled: kind -> indices of variables that `label` has named.
     """
 
     def __init__(self):
         self.prog = MathematicalProgram()
         self.constraints: list[Batch] = []
         self.residuals: list[Batch] = []
+        self.labelled: dict[str, np.ndarray] = {}
+        self._labels: list[tuple] = []
         self._covered: set[int] = set()
         self._keep_alive: list = []
 
@@ -121,6 +128,48 @@ class BatchedProgram:
         """Indices in the program of an array of variables, same shape."""
         found = self.prog.FindDecisionVariableIndices(variables.ravel())
         return np.asarray(found, int).reshape(variables.shape)
+
+    def label(
+        self,
+        kind: str,
+        variables: np.ndarray,
+        columns: list[str],
+        rows: list[str],
+        units: list[tuple[str, float]],
+    ) -> None:
+        """Name the variables of a trajectory for reports.
+
+        Args:
+            kind: what bounds on them are: "limit" or "state".
+            variables: (n, m) decision variables.
+            columns: (m,) what each column is, such as "rise1 hip torque".
+            rows: (n,) where each row is, such as "at 0.2 s".
+            units: (m,) unit for reports, and factor that leads to it.
+        """
+        index = self.indices(variables)
+        self._labels.append((index, columns, rows, units))
+        known = self.labelled.get(kind, [])
+        self.labelled[kind] = np.union1d(known, index.ravel()).astype(int)
+
+    def _find_label(self, index: int) -> tuple[str, str, tuple[str, float]]:
+        for where, columns, rows, units in self._labels:
+            row, column = np.nonzero(where == index)
+            if len(row):
+                return columns[column[0]], rows[row[0]], units[column[0]]
+        name = self.prog.decision_variable(index).get_name()
+        return name, "", ("", 1.0)
+
+    def signal_name(self, index: int) -> str:
+        """What a variable belongs to: its column's label, or its name."""
+        return self._find_label(index)[0]
+
+    def variable_name(self, index: int) -> str:
+        """Label of a variable, or its name in the program."""
+        return " ".join(self._find_label(index)[:2]).strip()
+
+    def unit(self, index: int) -> tuple[str, float]:
+        """Unit of a variable in reports, and the factor that leads to it."""
+        return self._find_label(index)[2]
 
     def add_constraints(
         self, name, kernel, variables, lower=0.0, upper=0.0, data=None

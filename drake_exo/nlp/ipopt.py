@@ -4,11 +4,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import ipyopt
 import numpy as np
 
+from drake_exo.nlp import elastic
 from drake_exo.nlp.solution import Solution
 from drake_exo.nlp.sparse import SparseProgram
 
@@ -35,6 +36,14 @@ _STATUS = {
 }
 _STOPPED = 5
 _ACCEPTED = (0, 1)
+_INFEASIBLE = "infeasible: bounds exclude each other"
+# An attempt is given up after so many iterations in IPOPT's feasibility
+# restoration, or without a tenth less infeasibility and optimality error.
+_RESTORING = 12
+_STALLED = 40
+_ELASTIC_ITERATIONS = 80
+_ELASTIC_TOLERANCE = 1e-4
+_FEASIBLE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,10 @@ class SolverOptions:
     Attributes:
         tolerance: IPOPT's scaled optimality error.
         max_iterations: for each attempt.
-        strategies: barrier strategies; the next is tried by itself when one
-            fails (adaptive is faster, monotone survives strong noise).
+        strategies: the next is tried by itself when one fails: barrier
+            strategies with the program's Hessian (adaptive is faster,
+            monotone survives strong noise), then "exact", with the
+            constraints' curvature, which tight bounds may need.
         pivot_order: MUMPS' ordering; 2 (AMF) measured fastest on
             collocation problems, about half the time of the default.
         extra: further IPOPT options by name.
@@ -53,7 +64,7 @@ class SolverOptions:
 
     tolerance: float = 1e-6
     max_iterations: int = 300
-    strategies: tuple[str, ...] = ("adaptive", "monotone")
+    strategies: tuple[str, ...] = ("adaptive", "monotone", "exact")
     pivot_order: int = 2
     extra: dict = field(default_factory=dict)
 
@@ -76,9 +87,16 @@ class Iterate:
 
 
 class _Watch:
-    """Follows one attempt: best iterate, progress, interruption."""
+    """Follows one attempt: best iterate, progress, interruption.
+
+    Attributes:
+        gave_up: whether it stopped the attempt, as it led nowhere.
+    """
 
     def __init__(self, problem, strategy, start, on_iterate, stop):
+        self.gave_up = False
+        self._restoring = 0
+        self._least, self._least_at = np.inf, 0
         self.problem = problem
         self.strategy = strategy
         self.start = start
@@ -96,7 +114,7 @@ class _Watch:
         self.iterations = iteration
         if self.current is not None and np.isfinite(objective):
             # Feasible iterates compare by cost, others by violation.
-            feasible = inf_pr <= 1e-4
+            feasible = inf_pr <= _FEASIBLE
             key = (0.0, objective) if feasible else (inf_pr, objective)
             if key < self.best_key:
                 self.best_key, self.best = key, self.current
@@ -113,7 +131,22 @@ class _Watch:
                     None if y is None else self.problem.expand(y),
                 )
             )
-        return not self.stop.is_set()
+        self._judge(mode, iteration, max(inf_pr, inf_du))
+        return not (self.stop.is_set() or self.gave_up)
+
+    def _judge(self, mode, iteration, error):
+        self._restoring += mode != 0
+        if error < 0.9 * self._least:
+            self._least, self._least_at = error, iteration
+        self.gave_up = (
+            self._restoring > _RESTORING
+            or iteration - self._least_at > _STALLED
+        )
+
+    @property
+    def found_feasible(self) -> bool:
+        """Whether an iterate kept all constraints."""
+        return self.best_key[0] == 0.0
 
 
 def solve(
@@ -136,20 +169,51 @@ def solve(
     options = options or SolverOptions()
     start = time.perf_counter()
     y0 = problem.restrict(guess)
-    total = 0
+    total, binding = 0, None
     stop = threading.Event()
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
+            if strategy == "exact":
+                problem.use_exact_hessian()
             watch = _Watch(problem, strategy, start, on_iterate, stop)
             y, objective, status = _attempt(problem, y0, options, watch)
             total += watch.iterations
-            if status in _ACCEPTED or status == _STOPPED:
+            if status in _ACCEPTED or stop.is_set():
+                break
+            if binding is None and not watch.found_feasible:
+                # Either bounds are in each other's way, or the point where
+                # none has to give way is a better start.
+                def relaxed(elastic, y):
+                    return _relaxed(elastic, y, options, on_iterate, start, stop)
+
+                y0, binding = elastic.relax(problem, y0, relaxed)
+            elif binding:
                 break
     if status not in _ACCEPTED and watch.best is not None:
         y = watch.best
         objective = problem.objective(y)
     elapsed = time.perf_counter() - start
-    return _solution(problem, y, objective, status, watch, total, elapsed)
+    solution = _solution(problem, y, objective, status, watch, total, elapsed)
+    if not solution.success and stop.is_set():
+        solution.status = _STATUS[_STOPPED]
+    elif watch.gave_up and status == _STOPPED:
+        solution.status = "no progress"
+    if binding and not solution.success:
+        solution.status = _INFEASIBLE
+        solution.binding = binding
+    return solution
+
+
+def _relaxed(program, y, options, on_iterate, start, stop):
+    """Solve an elastic program; None if that fails."""
+    options = replace(
+        options,
+        tolerance=max(_ELASTIC_TOLERANCE, options.tolerance),
+        max_iterations=min(_ELASTIC_ITERATIONS, options.max_iterations),
+    )
+    watch = _Watch(program, "elastic", start, on_iterate, stop)
+    y, _, status = _attempt(program, y, options, watch)
+    return y if status in _ACCEPTED else None
 
 
 def _attempt(problem, y0, options, watch):
@@ -168,8 +232,14 @@ def _attempt(problem, y0, options, watch):
 
     settings = {
         "tol": options.tolerance,
+        # On fine grids rounding ends the descent just above the tolerance.
+        "acceptable_tol": 10.0 * options.tolerance,
+        "acceptable_iter": 3,
+        "acceptable_obj_change_tol": 1e-7,
         "max_iter": options.max_iterations,
-        "mu_strategy": watch.strategy,
+        "mu_strategy": (
+            "monotone" if watch.strategy == "monotone" else "adaptive"
+        ),
         "print_level": 0,
         "sb": "yes",
         "linear_solver": "mumps",

@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drake_exo.nlp.elastic import Excess
+
 
 class SealedSolutionError(RuntimeError):
     """A failed solution was read without `unseal()`."""
@@ -20,6 +22,7 @@ class Solution:
         objective: at the returned point.
         infeasibility: largest scaled constraint violation there.
         worst_constraints: (name, violation), largest first.
+        binding: bounds that exclude each other, of an infeasible problem.
         active_bounds: names of named parameters that sit at a bound.
         num_variables, num_constraints, jacobian_nonzeros: of the problem
             that the solver saw.
@@ -38,6 +41,7 @@ class Solution:
     num_constraints: int
     jacobian_nonzeros: int
     strategy: str = ""
+    binding: list[Excess] = field(default_factory=list)
     active_bounds: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     evaluations: dict[str, int] = field(default_factory=dict)
@@ -79,6 +83,11 @@ class Solution:
         """The worst constraints by name, and what to try next."""
         if self.success:
             return "all constraints hold"
+        if self.binding:
+            return (
+                "No solution keeps all bounds; the least that has to give "
+                "way: " + "; ".join(map(str, self.binding)) + "."
+            )
         if not self.worst_constraints:
             return (
                 "All constraints hold: the point is feasible but not yet "

@@ -7,6 +7,7 @@ columns satisfy its linear constraints exactly, and those constraints then
 leave the problem.
 """
 
+import hashlib
 import time
 from collections import defaultdict
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ import scipy.sparse as sp
 from drake_exo.nlp.batch import Batch, BatchedProgram, BindingKernel
 
 _IDENTICALLY_ZERO = 1e-9
-_COMPLEX_STEP = 1e-30
+# Far from feasible points the multipliers, and so the curvature, mean little.
+_NEARLY_FEASIBLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -81,30 +83,31 @@ class _Block:
         return flat.reshape(*J.shape[:2], -1)
 
     def curvature(self, x, weights):
-        """sum_i weights_i d2 f_i/dy2 by complex steps, (n, width, width)."""
+        """sum_i weights_i d2 f_i/dy2, (n, width, width).
+
+        By differences of the Jacobian where the kernel has no `curvature`.
+        """
         kernel, data = self.batch.kernel, self.batch.data
         z = x[self.batch.indices]
-        n, n_in = z.shape
-        H = np.zeros((n, n_in, n_in))
-        for k in np.flatnonzero(kernel.sparsity.any(axis=0)):
-            H[:, k] = _directional(kernel, z, data, weights, k)
-        H = 0.5 * (H + H.transpose(0, 2, 1))
+        if hasattr(kernel, "curvature"):
+            H = kernel.curvature(z, weights, data)
+        else:
+            n, n_in = z.shape
+            H = np.zeros((n, n_in, n_in))
+            for k in np.flatnonzero(kernel.sparsity.any(axis=0)):
+                H[:, k] = _directional(kernel, z, data, weights, k)
+            H = 0.5 * (H + H.transpose(0, 2, 1))
         return np.swapaxes(self.local, -1, -2) @ H @ self.local
 
 
 def _directional(kernel, z, data, weights, k):
-    """d/dz_k of weights^T J, exact where the kernel takes complex input."""
-    if getattr(kernel, "takes_complex", False):
-        step = z.astype(complex)
-        step[:, k] += 1j * _COMPLEX_STEP
-        J = kernel.jacobian(step, data).imag / _COMPLEX_STEP
-    else:
-        h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
-        up, down = z.copy(), z.copy()
-        up[:, k] += h
-        down[:, k] -= h
-        J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
-        J /= (2.0 * h)[:, None, None]
+    """d/dz_k of weights^T J by central differences."""
+    h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
+    up, down = z.copy(), z.copy()
+    up[:, k] += h
+    down[:, k] -= h
+    J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
+    J /= (2.0 * h)[:, None, None]
     return np.einsum("no,noi->ni", weights, J)
 
 
@@ -119,6 +122,7 @@ class SparseProgram:
         jacobian_structure: (rows, columns) of the nonzeros.
         hessian_structure: (rows, columns) of the lower triangle.
         matrix, offset: B and offset of x = offset + B y.
+        linear_matrix: the first rows of g(y), which are linear.
         residual_blocks: least-squares terms of the cost.
         seconds: time spent by part, filled while solving.
         evaluations: calls by part.
@@ -136,11 +140,18 @@ class SparseProgram:
         self.evaluations: dict[str, int] = defaultdict(int)
         self._cache: dict[str, tuple] = {}
         x_lower, x_upper = _variable_bounds(program.prog)
+        self._x_bounds = x_lower, x_upper
         self._reduce(x_lower, x_upper, substitutions)
         self._collect_constraints(x_lower, x_upper)
         self._collect_costs()
         self._lay_out_jacobian()
         self._lay_out_hessian()
+
+    def use_exact_hessian(self) -> None:
+        """From now on, add the curvature of constraints and residuals."""
+        if not self.exact_hessian:
+            self.exact_hessian = True
+            self._lay_out_hessian()
 
     # -- unknowns ---------------------------------------------------------
 
@@ -233,11 +244,12 @@ class SparseProgram:
         names = [
             *names,
             *(
-                f"bounds of {v.get_name()}"
-                for v in self.program.prog.decision_variables()[bounded]
+                f"bounds of {self.program.variable_name(int(i))}"
+                for i in bounded
             ),
         ]
-        self._A = (A @ self.matrix).tocsr()
+        self._bounded = bounded
+        self.linear_matrix = (A @ self.matrix).tocsr()
         shift = A @ self.offset
         self._linear_names = names
         parts_lower = [lower - shift]
@@ -270,11 +282,9 @@ class SparseProgram:
         self.residual_blocks = [
             _Block(batch, self.matrix) for batch in self.program.residuals
         ]
-        Q, b, c = _quadratic_cost(self.program.prog)
-        B = self.matrix
-        self._Q = (B.T @ Q @ B).tocsr()
-        self._b = B.T @ (Q @ self.offset + b)
-        self._c = c + 0.5 * self.offset @ (Q @ self.offset) + b @ self.offset
+        # Kept in program variables: a basis of splines would lose digits in
+        # the cancellation of its large coefficients.
+        self._Q, self._b, self._c = _quadratic_cost(self.program.prog)
         _, loose = self.program.loose_bindings()
         self._costs = [
             _Block(
@@ -291,9 +301,9 @@ class SparseProgram:
         ]
 
     def _lay_out_jacobian(self):
-        coo = self._A.tocoo()
+        coo = self.linear_matrix.tocoo()
         rows, columns = [coo.row], [coo.col]
-        first = self._A.shape[0]
+        first = self.linear_matrix.shape[0]
         for b in self._blocks:
             node, out, slot = np.nonzero(b.pattern)
             rows.append(first + node * b.batch.num_outputs + out)
@@ -308,11 +318,9 @@ class SparseProgram:
     def _lay_out_hessian(self):
         """Union of all blocks' lower triangles, and where each one lands."""
         curved = [*self.residual_blocks, *self._costs]
-        if self.exact_hessian:
-            curved += [
-                b for b in self._blocks if not hasattr(b.batch.kernel, "A")
-            ]
-        coo = sp.tril(self._Q).tocoo()
+        curved += [b for b in self._blocks if self._is_curved(b)]
+        Q = self.matrix.T @ self._Q @ self.matrix
+        coo = sp.tril(Q).tocoo()
         ny = self.num_unknowns
         keys = [coo.row.astype(np.int64) * ny + coo.col]
         self._triangles = []
@@ -334,6 +342,70 @@ class SparseProgram:
             (unique // ny).astype(np.int32),
             (unique % ny).astype(np.int32),
         )
+
+    def _is_curved(self, block: _Block) -> bool:
+        """Whether a constraint's curvature enters the Hessian."""
+        kernel = block.batch.kernel
+        if self.exact_hessian:
+            return not hasattr(kernel, "A")
+        return hasattr(kernel, "curvature")
+
+    # -- bounds of single variables ---------------------------------------
+
+    def relaxable(self, kinds) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns, and rows of g, that are bounded labelled variables.
+
+        Args:
+            kinds: of labels that count.
+        """
+        known = self.program.labelled
+        labelled = [i for kind in kinds for i in known.get(kind, [])]
+        bounded = np.isfinite(self.y_lower) | np.isfinite(self.y_upper)
+        bounded = np.flatnonzero(bounded[: len(self._direct)])
+        columns = bounded[np.isin(self._direct[bounded], labelled)]
+        rows = self._first_bounded + np.flatnonzero(
+            np.isin(self._bounded, labelled)
+        )
+        return columns, rows
+
+    @property
+    def _first_bounded(self) -> int:
+        return len(self._linear_names) - len(self._bounded)
+
+    def variable_of_column(self, columns: np.ndarray) -> np.ndarray:
+        """Program variable of an unknown that is one by itself."""
+        return self._direct[columns]
+
+    def variable_of_row(self, rows: np.ndarray) -> np.ndarray:
+        """Program variable that a row of g bounds."""
+        return self._bounded[rows - self._first_bounded]
+
+    def row_of_variable(self, variables: np.ndarray) -> np.ndarray:
+        """Row of g that bounds each variable; -1 where none does."""
+        order = np.argsort(self._bounded)
+        place = np.searchsorted(self._bounded, variables, sorter=order)
+        place = order[np.minimum(place, len(order) - 1)]
+        hit = self._bounded[place] == variables
+        return np.where(hit, self._first_bounded + place, -1)
+
+    def bound_of(self, variable: int, upper: bool) -> float:
+        """Bound of a program variable in its own unit."""
+        return float(self._x_bounds[int(upper)][variable])
+
+    def fingerprint(self) -> str:
+        """Digest of bounds, costs and structure: what a checkpoint is of."""
+        digest = hashlib.sha256()
+        for part in (
+            self.y_lower,
+            self.y_upper,
+            self.g_lower,
+            self.g_upper,
+            self._b,
+            self._H_constant,
+            *self.jacobian_structure,
+        ):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        return digest.hexdigest()
 
     # -- evaluation -------------------------------------------------------
 
@@ -365,17 +437,18 @@ class SparseProgram:
 
     def objective(self, y: np.ndarray) -> float:
         """Cost at y."""
-        value = 0.5 * y @ (self._Q @ y) + self._b @ y + self._c
+        x = self.expand(y)
+        value = 0.5 * x @ (self._Q @ x) + self._b @ x + self._c
         for r in self._residual_terms(y):
             value += 0.5 * np.sum(r * r)
         if self._costs:
-            x = self.expand(y)
             value += sum(b.values(x).sum() for b in self._costs)
         return float(value)
 
     def gradient(self, y: np.ndarray) -> np.ndarray:
         """Derivative of the cost, (ny,)."""
-        g = self._Q @ y + self._b
+        x = self.expand(y)
+        g = self.matrix.T @ (self._Q @ x + self._b)
         terms = list(
             zip(
                 self.residual_blocks,
@@ -384,7 +457,6 @@ class SparseProgram:
                 strict=True,
             )
         )
-        x = self.expand(y) if self._costs else None
         for b in self._costs:
             terms.append((b, np.ones((1, 1)), b.jacobian(x)))
         for b, r, J in terms:
@@ -398,7 +470,7 @@ class SparseProgram:
 
         def compute():
             x = self.expand(y)
-            parts = [self._A @ y]
+            parts = [self.linear_matrix @ y]
             parts += [b.values(x).ravel() for b in self._blocks]
             return np.concatenate(parts)
 
@@ -418,8 +490,9 @@ class SparseProgram:
     def hessian(self, y, multipliers, factor) -> np.ndarray:
         """Nonzeros of the Lagrangian's Hessian (lower triangle).
 
-        Residuals contribute their Gauss-Newton term; with exact_hessian the
-        curvature of residuals and constraints is added.
+        Residuals contribute their Gauss-Newton term; once the constraints
+        nearly hold, they add their curvature where the kernel knows it. With
+        exact_hessian the curvature of all of them is added from the start.
         """
         start = time.perf_counter()
         H = factor * self._H_constant
@@ -435,32 +508,41 @@ class SparseProgram:
         for (b, keep), places in zip(
             self._triangles, self._H_places, strict=True
         ):
+            terms = []
             if id(b) in jacobians:
                 J = jacobians[id(b)]
-                block = factor * (J.transpose(0, 2, 1) @ J)
-            else:
-                block = 0.0
+                terms.append(factor * (J.transpose(0, 2, 1) @ J))
             if id(b) in weights:
-                block = block + b.curvature(x, weights[id(b)])
-            H += np.bincount(places, block[keep], minlength=len(H))
+                terms.append(b.curvature(x, weights[id(b)]))
+            for term in terms:
+                H += np.bincount(places, term[keep], minlength=len(H))
         self.seconds["hessian"] += time.perf_counter() - start
         self.evaluations["hessian"] += 1
         return H
 
     def _curvature_weights(self, y, multipliers, factor):
         weights = {id(b): np.full((1, 1), factor) for b in self._costs}
-        if not self.exact_hessian:
+        if self.exact_hessian:
+            terms = self._residual_terms(y)
+            for b, r in zip(self.residual_blocks, terms, strict=True):
+                weights[id(b)] = factor * r
+        elif self._violation(y) > _NEARLY_FEASIBLE:
             return weights
-        terms = self._residual_terms(y)
-        for b, r in zip(self.residual_blocks, terms, strict=True):
-            weights[id(b)] = factor * r
-        first = self._A.shape[0]
+        first = self.linear_matrix.shape[0]
         for b in self._blocks:
             size = b.batch.lower.size
             part = multipliers[first : first + size]
             weights[id(b)] = part.reshape(b.batch.lower.shape)
             first += size
         return weights
+
+    def _violation(self, y) -> float:
+        """Largest constraint violation."""
+        g = self.constraints(y)
+        return max(
+            np.max(self.g_lower - g, initial=0.0),
+            np.max(g - self.g_upper, initial=0.0),
+        )
 
     # -- reports ----------------------------------------------------------
 

@@ -152,6 +152,67 @@ class FootGroundKernel:
         J[:, :, first + 2 : first + 4] += by_motion[:, :, 6:]
         J[:, :, first + 4] += D[:, :, 7]
 
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in).
+
+        The law is so stiff that without this the solver's steps overshoot;
+        derivatives by the radius, which is coupled with z, are left out.
+        """
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        weights = weights / self._units
+        for s in range(self.num_spheres):
+            p, motion, by_inputs = self._sphere(x, s)
+            first = 9 + len(SPHERE_PARAMETERS) * s
+            # Columns: q, v of the foot, place of the centre; then k and c.
+            columns = [*range(6), first + 2, first + 3, first, first + 1]
+            D = np.zeros((len(x), 7, 10))
+            D[:, :5, :8] = by_inputs
+            D[:, 5, 8] = D[:, 6, 9] = 1.0
+            inner, gradient = self._sphere_curvature(motion, p, weights)
+            block = D.transpose(0, 2, 1) @ inner @ D
+            block += _motion_curvature(x, p, gradient)
+            H[np.ix_(range(len(x)), columns, columns)] += block
+        return H
+
+    def _sphere_curvature(self, motion, p, weights):
+        """Second and first derivatives of a weighted wrench.
+
+        By the centre's x, z, v_x, v_z, the pitch rate, stiffness and
+        dissipation: (n, 7, 7) and (n, 7). Second derivatives of the force
+        are differences of its analytic first ones.
+        """
+        inputs = [*motion, p[0], p[1]]
+        steps = [None, 1e-7, 1e-6, 1e-6, 1e-5, 1e-5 * p[0], 1e-5]
+
+        def first(values):
+            wrench, d = sphere_wrench_derivatives(
+                self.law, *values, p[4], self.constants
+            )
+            return wrench, d[:2, :7]
+
+        wrench, d = first(inputs)
+        n = len(p[0])
+        second = np.zeros((2, 7, 7, n))
+        for k in range(1, 7):
+            up, down = list(inputs), list(inputs)
+            up[k], down[k] = inputs[k] + steps[k], inputs[k] - steps[k]
+            second[:, k] = (first(up)[1] - first(down)[1]) / (2.0 * steps[k])
+        second = 0.5 * (second + second.transpose(0, 2, 1, 3))
+        # The contact point's height is a fixed share of the centre's.
+        share = 1.0 if self.law == "paper" else 0.5
+        along = weights[:, 0] + weights[:, 2] * wrench.point_z
+        upward = weights[:, 1] - weights[:, 2] * wrench.point_x
+        H = along * second[0] + upward * second[1]
+        turning = weights[:, 2]
+        H[1] += share * turning * d[0]
+        H[:, 1] += share * turning * d[0]
+        H[0] -= turning * d[1]
+        H[:, 0] -= turning * d[1]
+        gradient = along * d[0] + upward * d[1]
+        gradient[0] -= turning * wrench.force_z
+        gradient[1] += share * turning * wrench.force_x
+        return H.transpose(2, 0, 1), gradient.T
+
     def _sphere(self, x, s):
         """Parameters, motion of the centre, and its derivatives (n, 5, 8).
 
@@ -169,8 +230,6 @@ class FootGroundKernel:
             x[:, 4] + rx * rate,
             rate,
         )
-        if np.iscomplexobj(x):
-            return p, motion, None
         d = np.zeros((len(x), 5, 8))
         d[:, 0, 0] = d[:, 1, 1] = d[:, 2, 3] = d[:, 3, 4] = d[:, 4, 5] = 1.0
         d[:, 0, 2], d[:, 1, 2] = -rz, rx
@@ -181,3 +240,27 @@ class FootGroundKernel:
         d[:, 2, 6], d[:, 2, 7] = -s_ * rate, -c * rate
         d[:, 3, 6], d[:, 3, 7] = c * rate, -s_ * rate
         return p, motion, d
+
+
+def _motion_curvature(x, p, gradient):
+    """Second derivatives of a sphere's motion, weighted: (n, 10, 10).
+
+    By q, v of the foot and the place of the centre; see `_sphere`.
+    """
+    c, s = np.cos(x[:, 2]), np.sin(x[:, 2])
+    rate = x[:, 5]
+    rx, rz = c * p[2] - s * p[3], s * p[2] + c * p[3]
+    by_x, by_z, by_vx, by_vz = gradient[:, :4].T
+    A, B = by_x + rate * by_vz, by_z - rate * by_vx
+    H = np.zeros((len(x), 10, 10))
+    H[:, 2, 2] = -A * rx - B * rz
+    for i, j, value in (
+        (2, 6, B * c - A * s),
+        (2, 7, -A * c - B * s),
+        (2, 5, -by_vz * rz - by_vx * rx),
+        (5, 6, by_vz * c - by_vx * s),
+        (5, 7, -by_vz * s - by_vx * c),
+    ):
+        H[:, i, j] += value
+        H[:, j, i] += value
+    return H

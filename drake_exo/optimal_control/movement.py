@@ -29,6 +29,7 @@ from drake_exo.optimal_control.transcription import (
 )
 from drake_exo.parameters import ContactParameter
 from drake_exo.planar_tree import PlanarTree
+from drake_exo.plant import COUPLED_COORDINATES
 
 
 class Movement:
@@ -43,6 +44,9 @@ class Movement:
         interaction: (n, 9) forces of the bushings on the human's shank,
             thigh and pelvis (tangential, normal [N], moment [N m] each), or
             None where the model has no bushings.
+        dynamics: kernel of the equations of motion; its inputs are q, v, a,
+            torque, ground and, with bushings, interaction and origins.
+        tracked: terms of the cost.
 
     Args:
         program: to add to.
@@ -85,6 +89,7 @@ class Movement:
         for column, unit in zip(self.ground.T, units, strict=True):
             for variable in column:
                 prog.SetVariableScaling(variable, unit)
+        self._label(tree)
         grid = self.grid
         inputs = [grid.q, grid.v, grid.a, self.torque, self.ground]
         kernel = DynamicsKernel(tree)
@@ -94,7 +99,41 @@ class Movement:
             self.interaction = self._interaction_variables(len(bushings))
             inputs.append(self.interaction)
             inputs.append(np.broadcast_to(origins, (n, len(origins))))
+        self.dynamics = kernel
+        self.tracked: list[Tracking] = []
         program.add_constraints(f"{name} dynamics", kernel, np.hstack(inputs))
+
+    def _label(self, tree):
+        """Name what may be bounded, for reports of infeasible problems."""
+        joints = COUPLED_COORDINATES[: tree.num_positions]
+        at = [f"at {t:.3g} s" for t in self.grid.times]
+        turns = len(joints) - 2
+        degrees = np.rad2deg(1.0)
+        for kind, variables, names, what, units in (
+            (
+                "state",
+                self.grid.q,
+                joints,
+                "",
+                [("m", 1.0)] * 2 + [("deg", degrees)] * turns,
+            ),
+            (
+                "state",
+                self.grid.v,
+                joints,
+                " velocity",
+                [("m/s", 1.0)] * 2 + [("deg/s", degrees)] * turns,
+            ),
+            (
+                "limit",
+                self.torque,
+                joints[3:],
+                " torque",
+                [("N m", 1.0)] * (turns - 1),
+            ),
+        ):
+            columns = [f"{self.name} {joint}{what}" for joint in names]
+            self.program.label(kind, variables, columns, at, units)
 
     def _interaction_variables(self, num_bushings):
         prog = self.program.prog
@@ -162,6 +201,7 @@ class Movement:
     def track(self, terms: "list[Tracking]") -> None:
         """Add 1/2 integral of sum ((A z - target)/sigma)^2 dt as cost."""
         grid = self.grid
+        self.tracked.extend(terms)
         variables = np.hstack([t.variables for t in terms])
         n, m = variables.shape
         Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)

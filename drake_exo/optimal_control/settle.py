@@ -2,24 +2,29 @@
 
 Measured feet are off by millimetres, which is kilonewtons on stiff spheres.
 Before a solve the foot is lowered, tilted and made to creep at each node, so
-that the contact law gives the ground reaction that the movement needs.
+that the contact law gives the ground reaction that was measured. The force on
+each sphere follows from statics, and the law is monotone in the indentation
+and in the slip velocity, so both are found by bisection: nothing can diverge.
 """
 
 import numpy as np
 
-from drake_exo.forces.hunt_crossley import hertz_factor
+from drake_exo.forces.hunt_crossley import contact_arm, sphere_force
 from drake_exo.optimal_control.kernels import (
     SPHERE_PARAMETERS,
     FootGroundKernel,
 )
 
-# Columns of the kernel's inputs: z, pitch, and velocity along x of the foot.
-_UNKNOWNS = [1, 2, 3]
-_SLIP = [3]
-_LARGEST_STEP = np.array([np.inf, 2e-3, 0.02, 0.02])
-_PASSES = 2
-_NEWTON_STEPS = 12
-_SETTLED = 1e-3  # of the kernel's units: it is only a guess
+# Each sphere bears at least this share, so that the foot stays on both.
+_LEAST_SHARE = 0.02
+_LEAST_FORCE = 1.0  # N, on each sphere
+# Brackets: clearance and indentation [m], slip velocity [m/s].
+_CLEARANCE = 0.05
+_DEEPEST = 0.2
+_FASTEST = 0.2
+_BISECTIONS = 45
+_LARGEST_SLOPE = 0.5  # sine of the foot's tilt
+_PASSES = 3
 
 
 def settle_foot(
@@ -31,8 +36,10 @@ def settle_foot(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Foot motion whose contact forces are the given ones.
 
+    Sinking is taken as slow: the dissipative part of the force is left out.
+
     Args:
-        kernel: the contact law.
+        kernel: the contact law, of two spheres.
         parameters: its parameters, in the kernel's order.
         times: (n,) [s].
         foot: (n, 3) x, z, pitch of the foot as measured [m, rad].
@@ -40,75 +47,113 @@ def settle_foot(
 
     Returns:
         Foot positions (n, 3) and velocities (n, 3). Where the law cannot
-        give the force (lifted foot, more than friction holds), the nearest
-        found is returned: it is only a guess.
+        give the force (centre of pressure off the foot, more than friction
+        holds), the nearest is returned: it is only a guess.
     """
-    n = len(times)
-    q, v = foot.copy(), np.zeros((n, 3))
-    q[:, 1:] = _two_spheres(kernel, parameters, foot[:, 0], ground)
+    count = len(SPHERE_PARAMETERS)
+    spheres = np.asarray(parameters[: 2 * count], float).reshape(2, count)
+    spheres = spheres[np.argsort(spheres[:, 2])]
+    q = foot.astype(float)
+    drift, height = np.zeros(len(times)), np.zeros(len(times))
     for _ in range(_PASSES):
-        x = np.hstack(
-            [q, v, ground, np.broadcast_to(parameters, (n, len(parameters)))]
-        )
-        _newton(kernel, x, _UNKNOWNS)
-        q[:, 1:3] = x[:, 1:3]
-        v[:, 0] = x[:, 3]
-        creep = np.r_[0.0, np.cumsum(np.diff(times) * v[1:, 0])]
         # The drift is kept about the measured place.
-        q[:, 0] = foot[:, 0].mean() + creep - creep.mean()
-    # Sinking and tilting are slow: their damping is left to the solver, as
-    # iterating on differentiated rates need not converge.
-    v[:, 1:] = np.gradient(q[:, 1:], times, axis=0)
-    x[:, :6] = np.hstack([q, v])
-    _newton(kernel, x, _SLIP)
-    v[:, 0] = x[:, 3]
+        q[:, 0] = foot[:, 0].mean() + drift - drift.mean()
+        loads = _loads(spheres, q, ground, height)
+        depths = _depths(kernel, spheres, loads)
+        q[:, 1:] = _pose(spheres, depths)
+        height = _height(kernel.law, spheres, loads, depths)
+        slip = _slip(kernel, spheres, loads, ground[:, 0])
+        v = np.gradient(q, times, axis=0)
+        v[:, 0] = slip - (q[:, 1] - height) * v[:, 2]
+        steps = 0.5 * np.diff(times) * (v[1:, 0] + v[:-1, 0])
+        drift = np.r_[0.0, np.cumsum(steps)]
     return q, v
 
 
-def _two_spheres(kernel, parameters, x, ground):
-    """Height and pitch (n, 2) at which Hertz' law alone carries the load."""
-    count = len(SPHERE_PARAMETERS)
-    k, _, px, pz, r = parameters[: 2 * count].reshape(2, count).T
-    heel, toe = np.argsort(px)
-    center = -ground[:, 2] / ground[:, 1] - x
-    share = np.clip((center - px[heel]) / (px[toe] - px[heel]), 0.03, 0.97)
-    heights = {}
-    for sphere, part in ((heel, 1.0 - share), (toe, share)):
-        load = np.maximum(part * ground[:, 1], 1.0)
-        stiffness = hertz_factor(kernel.law, k[sphere], r[sphere])
-        heights[sphere] = r[sphere] - (load / stiffness) ** (2.0 / 3.0)
-    dx, dz = px[toe] - px[heel], pz[toe] - pz[heel]
-    rise = (heights[toe] - heights[heel]) / np.hypot(dx, dz)
-    pitch = np.arcsin(np.clip(rise, -0.5, 0.5)) - np.arctan2(dz, dx)
-    z = heights[heel] - np.sin(pitch) * px[heel] - np.cos(pitch) * pz[heel]
-    return np.column_stack([z, pitch])
+def _loads(spheres, q, ground, height):
+    """Normal force (n, 2) on heel and toe that F_z and M_y ask for [N].
 
-
-def _newton(kernel, x, unknowns):
-    """Solve for the unknowns of every node at once, in place.
-
-    With one unknown only the friction is solved for.
+    Args:
+        spheres: parameters (2, 5), heel first.
+        q: (n, 3) of the foot.
+        ground: (n, 3) reaction.
+        height: (n,) of the point where it acts [m].
     """
-    rows = len(unknowns)
-    largest = _LARGEST_STEP[unknowns]
-    r = kernel.evaluate(x, None)[:, :rows]
-    for _ in range(_NEWTON_STEPS):
-        J = kernel.jacobian(x, None)[:, :rows, unknowns]
-        J = J + 1e-9 * np.eye(rows)
-        step = -np.linalg.solve(J, r[:, :, None])[:, :, 0]
-        excess = np.max(np.abs(step) / largest, axis=1)
-        step /= np.maximum(excess, 1.0)[:, None]
-        size = np.linalg.norm(r, axis=1)
-        for _ in range(6):
-            trial = x.copy()
-            trial[:, unknowns] += step
-            r_trial = kernel.evaluate(trial, None)[:, :rows]
-            worse = np.linalg.norm(r_trial, axis=1) > size
-            if not worse.any():
-                break
-            step[worse] *= 0.5
-        better = np.linalg.norm(r_trial, axis=1) <= size
-        x[better] = trial[better]
-        r[better] = r_trial[better]
-        if np.abs(r).max() < _SETTLED:
-            return
+    sine, cosine = np.sin(q[:, 2]), np.cos(q[:, 2])
+    x = q[:, :1] + np.outer(cosine, spheres[:, 2])
+    x -= np.outer(sine, spheres[:, 3])
+    total = np.maximum(ground[:, 1], 2.0 * _LEAST_FORCE)
+    center = (height * ground[:, 0] - ground[:, 2]) / total
+    share = (center - x[:, 0]) / (x[:, 1] - x[:, 0])
+    share = np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
+    loads = total[:, None] * np.column_stack([1.0 - share, share])
+    return np.maximum(loads, _LEAST_FORCE)
+
+
+def _depths(kernel, spheres, loads):
+    """Indentations (n, 2) that carry the loads [m]."""
+
+    def excess(depth):
+        force, _ = sphere_force(
+            kernel.law,
+            depth,
+            0.0,
+            0.0,
+            spheres[:, 0],
+            spheres[:, 1],
+            spheres[:, 4],
+            kernel.constants,
+        )
+        return force - loads
+
+    return _root(excess, -_CLEARANCE, _DEEPEST, loads.shape)
+
+
+def _height(law, spheres, loads, depths):
+    """Mean height (n,) of the contact points, weighted by load [m]."""
+    r = spheres[:, 4]
+    points = r - depths - contact_arm(law, depths, r)
+    return np.sum(loads * points, axis=1) / np.sum(loads, axis=1)
+
+
+def _slip(kernel, spheres, loads, force_x):
+    """Slip velocity (n,) at which friction gives F_x [m/s]."""
+
+    def excess(slip):
+        # Friction is proportional to the normal force: one sphere's will do.
+        normal, friction = sphere_force(
+            kernel.law,
+            0.01,
+            0.0,
+            slip,
+            spheres[0, 0],
+            spheres[0, 1],
+            spheres[0, 4],
+            kernel.constants,
+        )
+        return force_x - loads.sum(axis=1) * friction / normal
+
+    return _root(excess, -_FASTEST, _FASTEST, force_x.shape)
+
+
+def _root(increasing, lower, upper, shape):
+    """Bisection for all entries at once; an end where there is no root."""
+    low, high = np.full(shape, lower), np.full(shape, upper)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        above = increasing(middle) > 0.0
+        high = np.where(above, middle, high)
+        low = np.where(above, low, middle)
+    return 0.5 * (low + high)
+
+
+def _pose(spheres, depths):
+    """Height and pitch (n, 2) of the foot at given indentations."""
+    (px, pz), r = spheres[:, 2:4].T, spheres[:, 4]
+    heights = r - depths
+    dx, dz = np.diff(px)[0], np.diff(pz)[0]
+    rise = np.diff(heights, axis=1)[:, 0] / np.hypot(dx, dz)
+    pitch = np.arcsin(np.clip(rise, -_LARGEST_SLOPE, _LARGEST_SLOPE))
+    pitch -= np.arctan2(dz, dx)
+    z = heights[:, 0] - np.sin(pitch) * px[0] - np.cos(pitch) * pz[0]
+    return np.column_stack([z, pitch])

@@ -5,27 +5,30 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from drake_exo.forces.bushing import BushingParameters
 from drake_exo.forces.contact_parameters import (
     ContactParameters,
     ContactSphere,
 )
 from drake_exo.forces.diagram import build_diagram, build_simulator
 from drake_exo.forces.tracking_controller import TrackingController
+from drake_exo.optimal_control.interaction_kernels import (
+    BUSHING_PARAMETERS,
+    BUSHINGS,
+    UNITS,
+)
 from drake_exo.optimal_control.kernels import (
     FORCE_UNIT,
     GROUND_MOMENT_UNIT,
     SPHERE_PARAMETERS,
-    DynamicsKernel,
-    FootGroundKernel,
 )
 from drake_exo.optimal_control.transcription import TRANSCRIPTIONS
-from drake_exo.phases.problem import PhaseResult, Trajectory
-from drake_exo.planar_tree import PlanarTree
+from drake_exo.phases.problem import PhaseProblem, PhaseResult, Trajectory
+from drake_exo.phases.scores import rms
 from drake_exo.segments import ExoskeletonParameters, HumanParameters
 
 FORCE_TOLERANCE = 1.0  # N
 MOMENT_TOLERANCE = 0.5  # N m
-_REPORTS_PER_SECOND = 100.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Audit:
         simulated_grf_n: RMS difference of the simulated ground reaction
             (horizontal, vertical) from the solution's.
         simulated_angles_deg: largest RMS difference of a joint angle.
+        simulated_interaction_n: largest RMS difference of an interaction
+            force; None without bushings.
         holds: whether both residuals are within tolerance.
     """
 
@@ -45,6 +50,7 @@ class Audit:
     moment_nm: float
     simulated_grf_n: tuple[float, float]
     simulated_angles_deg: float
+    simulated_interaction_n: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -56,12 +62,18 @@ class Audit:
 
 
 def between_nodes(
-    tree: PlanarTree, result: PhaseResult, trajectory: Trajectory
+    problem: PhaseProblem, result: PhaseResult, index: int
 ) -> tuple[float, float]:
     """Largest force [N] and moment [N m] missing midway between nodes.
 
     Controls are cubic splines through the nodes.
+
+    Args:
+        problem: that was solved.
+        result: its solution.
+        index: of the trial.
     """
+    trajectory = result.trajectories[index]
     grid = TRANSCRIPTIONS[result.settings.solver.transcription]
     times, q, v, a = grid.midpoints(
         trajectory.times,
@@ -70,23 +82,38 @@ def between_nodes(
         trajectory.a,
         trajectory.jerk,
     )
-    torque = CubicSpline(trajectory.times, trajectory.torque)(times)
-    ground = CubicSpline(trajectory.times, trajectory.ground)(times)
-    dynamics = FORCE_UNIT * DynamicsKernel(tree).evaluate(
-        np.hstack([q, v, a, torque, ground]), None
+
+    def at(values):
+        return CubicSpline(trajectory.times, values)(times)
+
+    def repeated(values):
+        return np.broadcast_to(values, (len(times), len(values)))
+
+    spheres, bushings = problem.contact_values(result.values())
+    ground = at(trajectory.ground)
+    inputs = [q, v, a, at(trajectory.torque), ground]
+    if len(bushings):
+        interaction = at(trajectory.interaction)
+        inputs += [interaction, repeated(bushings[:, :2].ravel())]
+    dynamics = FORCE_UNIT * problem.movements[index].dynamics.evaluate(
+        np.hstack(inputs), None
     )
-    settings = result.settings
-    kernel = FootGroundKernel(settings.law, settings.law_constants())
-    values = np.broadcast_to(
-        result.values(), (len(times), len(result.parameters))
-    )
-    contact = kernel.evaluate(
-        np.hstack([q[:, :3], v[:, :3], ground, values]), None
+    contact = problem.kernel.evaluate(
+        np.hstack([q[:, :3], v[:, :3], ground, repeated(spheres)]), None
     )
     contact = contact * [FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT]
-    force = max(np.abs(dynamics[:, :2]).max(), np.abs(contact[:, :2]).max())
-    moment = max(np.abs(dynamics[:, 2:]).max(), np.abs(contact[:, 2]).max())
-    return float(force), float(moment)
+    forces = [dynamics[:, :2], contact[:, :2]]
+    moments = [dynamics[:, 2:], contact[:, 2:]]
+    for b, (law, values) in enumerate(zip(problem.laws, bushings, strict=True)):
+        force = interaction[:, 3 * b : 3 * b + 3]
+        r = UNITS * law.evaluate(
+            np.hstack([q, v, force, repeated(values)]), None
+        )
+        forces.append(r[:, :2])
+        moments.append(r[:, 2:])
+    return tuple(
+        float(max(np.abs(r).max() for r in parts)) for parts in (forces, moments)
+    )
 
 
 def simulate(
@@ -94,27 +121,34 @@ def simulate(
     human: HumanParameters,
     exoskeleton: ExoskeletonParameters | None,
     gravity: float,
+    problem: PhaseProblem,
     result: PhaseResult,
-    trajectory: Trajectory,
+    index: int,
 ) -> Trajectory:
-    """Run a trial in the Diagram with the calibrated contact.
+    """Run a trial in the Diagram with the phase's contact.
 
-    The solution's torques act, with feedback that keeps it from drifting; as
-    in Phase A, human and exoskeleton do not touch.
+    The solution's torques act, with feedback that keeps it from drifting. In
+    Phase A, human and exoskeleton do not touch.
+
+    Args:
+        kind, human, exoskeleton, gravity: the model.
+        problem, result, index: as `between_nodes`.
 
     Returns:
         The simulated motion at the solution's nodes.
     """
-    controller = TrackingController(
-        trajectory.times, trajectory.q, trajectory.v, trajectory.torque
-    )
+    trajectory = result.trajectories[index]
     model = build_diagram(
         kind,
         human,
         exoskeleton,
-        contact=contact_parameters(result),
-        bushings={} if kind == "coupled" else None,
-        controller=controller,
+        contact=contact_parameters(problem, result),
+        bushings=(
+            bushing_parameters(problem, result) if kind == "coupled" else None
+        ),
+        controller=TrackingController(
+            trajectory.times, trajectory.q, trajectory.v, trajectory.torque
+        ),
         gravity=gravity,
     )
     simulator = build_simulator(model)
@@ -123,17 +157,17 @@ def simulate(
     model.plant.SetPositions(plant_context, trajectory.q[0])
     model.plant.SetVelocities(plant_context, trajectory.v[0])
     simulator.Initialize()
-    state, ground, torque = [], [], []
+    ports = ["state", "ground_reaction", "joint_torques"]
+    if model.bushings is not None:
+        ports.append("interaction_forces")
+    rows = {name: [] for name in ports}
     for t in trajectory.times:
         simulator.AdvanceTo(float(t))
-        state.append(model.diagram.GetOutputPort("state").Eval(context))
-        ground.append(
-            model.diagram.GetOutputPort("ground_reaction").Eval(context)
-        )
-        torque.append(
-            model.diagram.GetOutputPort("joint_torques").Eval(context)
-        )
-    q, v = np.split(np.array(state), 2, axis=1)
+        for name in ports:
+            value = model.diagram.GetOutputPort(name).Eval(context)
+            rows[name].append(value)
+    q, v = np.split(np.array(rows["state"]), 2, axis=1)
+    interaction = rows.get("interaction_forces")
     return Trajectory(
         trajectory.name,
         trajectory.times,
@@ -141,22 +175,53 @@ def simulate(
         v,
         np.gradient(v, trajectory.times, axis=0),
         np.zeros_like(trajectory.jerk),
-        np.array(torque),
-        np.array(ground),
+        np.array(rows["joint_torques"]),
+        np.array(rows["ground_reaction"]),
+        None if interaction is None else np.array(interaction),
     )
 
 
-def contact_parameters(result: PhaseResult) -> ContactParameters:
-    """The calibrated contact as the LeafSystem takes it."""
-    values = result.values().reshape(-1, len(SPHERE_PARAMETERS))
+def contact_parameters(
+    problem: PhaseProblem, result: PhaseResult
+) -> ContactParameters:
+    """The foot-ground contact as the LeafSystem takes it."""
+    values, _ = problem.contact_values(result.values())
     spheres = {
         name: ContactSphere(
             **dict(zip(SPHERE_PARAMETERS, map(float, row), strict=True))
         )
-        for name, row in zip(("heel", "toe"), values, strict=True)
+        for name, row in zip(
+            ("heel", "toe"),
+            values.reshape(-1, len(SPHERE_PARAMETERS)),
+            strict=True,
+        )
     }
-    settings = result.settings
-    return ContactParameters(settings.law, spheres, settings.law_constants())
+    return ContactParameters(
+        problem.foot.law, spheres, problem.foot.law_constants()
+    )
+
+
+def bushing_parameters(
+    problem: PhaseProblem, result: PhaseResult
+) -> dict[str, BushingParameters]:
+    """The bushings as the LeafSystem takes them, scaled as in the phase."""
+    _, table = problem.contact_values(result.values())
+    if not len(table):
+        return {}
+    parameters = {}
+    for name, row in zip(BUSHINGS, table, strict=True):
+        tangential, normal, rotational = problem.damping[name]
+        x, z, angle = problem.preload.get(name, (0.0, 0.0, 0.0))
+        parameters[name] = BushingParameters(
+            **dict(zip(BUSHING_PARAMETERS, map(float, row), strict=True)),
+            tangential_damping=tangential,
+            normal_damping=normal,
+            rotational_damping=rotational,
+            preload_x=x,
+            preload_z=z,
+            preload_angle=angle,
+        ).scaled(problem.scale)
+    return parameters
 
 
 def compare(
@@ -165,10 +230,16 @@ def compare(
     """Join the two halves of an audit."""
     d_ground = simulated.ground[:, :2] - solution.ground[:, :2]
     d_angles = np.rad2deg(simulated.q[:, 3:] - solution.q[:, 3:])
-    grf = np.sqrt(np.mean(d_ground**2, axis=0))
+    interaction = None
+    if solution.interaction is not None:
+        d_force = simulated.interaction - solution.interaction
+        linear = d_force.reshape(len(d_force), -1, 3)[:, :, :2]
+        interaction = float(rms(linear.reshape(len(d_force), -1)).max())
+    grf = rms(d_ground)
     return Audit(
         force_n=residuals[0],
         moment_nm=residuals[1],
         simulated_grf_n=(float(grf[0]), float(grf[1])),
-        simulated_angles_deg=float(np.sqrt(np.mean(d_angles**2, axis=0)).max()),
+        simulated_angles_deg=float(rms(d_angles).max()),
+        simulated_interaction_n=interaction,
     )

@@ -26,11 +26,16 @@ from drake_exo.phases.problem import (
 
 
 class FootGroundProblem(PhaseProblem):
-    """Phase A posed; `settings` are FootGroundSettings.
+    """Phase A posed; `settings` are FootGroundSettings."""
 
-    Attributes:
-        kernel: the contact law.
-    """
+    @property
+    def foot(self):
+        """Settings of this phase."""
+        return self.settings
+
+    def contact_values(self, values):
+        """See PhaseProblem."""
+        return values, np.zeros((0, 5))
 
     def _add_parameters(self):
         settings = self.settings

@@ -31,7 +31,7 @@ from drake_exo.phases.problem import (
     kinematic_terms,
     needed_ground,
 )
-from drake_exo.phases.settings import FootGroundSettings, InteractionSettings
+from drake_exo.phases.settings import FootGroundSettings
 from drake_exo.planar_tree import PlanarTree
 
 _NUM = len(BUSHING_PARAMETERS)
@@ -41,20 +41,22 @@ NORMAL = 1  # component of a bushing that a pressure mat measures
 class CoupledProblem(PhaseProblem):
     """Phases B and C: human and exoskeleton coupled by three bushings.
 
+    A model of the human alone has none; then nothing else is different.
+
     Args:
-        tree: the coupled model.
+        tree: the model.
         trials: measured movements.
         parameters: of the bushings, BUSHING_PARAMETERS for each.
         settings: of the phase.
-        interaction: settings of the bushings, for their damping.
+        damping: segment -> tangential, normal [N s/m] and rotational
+            [N m s/rad] damping.
         foot: settings of Phase A: the law.
         foot_values: calibrated parameters of the spheres, fixed here.
         scale: multiplies stiffness and damping (Phase C2).
         preload: segment -> (x, z, angle) of the exoskeleton's frame.
 
     Attributes:
-        bushings: geometry of each.
-        kernel: the foot-ground law.
+        segments: names of the segments that have a bushing.
     """
 
     prior_weight = 0.0
@@ -66,26 +68,32 @@ class CoupledProblem(PhaseProblem):
         parameters: list[ContactParameter],
         settings,
         *,
-        interaction: InteractionSettings,
+        damping: dict[str, tuple[float, float, float]],
         foot: FootGroundSettings,
         foot_values: np.ndarray,
         scale: float = 1.0,
         preload: dict[str, tuple] | None = None,
     ):
-        preload = preload or {}
-        self.interaction = interaction
+        self.preload = preload or {}
+        self.damping = damping
         self.scale = scale
+        self.segments = BUSHINGS if tree.num_positions == 9 else ()
+        self.foot = foot
         self.kernel = FootGroundKernel(foot.law, foot.law_constants())
         self.foot_values = np.asarray(foot_values, float)
         self.bushings = [
-            Bushing(tree, name, preload.get(name, (0.0, 0.0, 0.0)))
-            for name in BUSHINGS
+            Bushing(tree, name, self.preload.get(name, (0.0, 0.0, 0.0)))
+            for name in self.segments
         ]
         self.laws = [
-            BushingKernel(b, getattr(interaction, name).damping, scale)
-            for name, b in zip(BUSHINGS, self.bushings, strict=True)
+            BushingKernel(b, damping[name], scale)
+            for name, b in zip(self.segments, self.bushings, strict=True)
         ]
         super().__init__(tree, trials, parameters, settings)
+
+    def contact_values(self, values):
+        """See PhaseProblem."""
+        return self.foot_values, values.reshape(-1, _NUM)
 
     def _add_parameters(self):
         self.parameter_variables = add_parameters(
@@ -128,7 +136,7 @@ class CoupledProblem(PhaseProblem):
         table = self.parameter_variables.reshape(-1, _NUM)
         # The integral's weights belong inside the square.
         used = grid.quadrature > 0.0
-        for b, chosen in enumerate(components):
+        for b, chosen in enumerate(components[: len(self.bushings)]):
             if not chosen:
                 continue
             kernel = _Weighted(
@@ -178,14 +186,16 @@ class CoupledProblem(PhaseProblem):
             force = self.scale * values[b, 2:] * d
             interaction[:, 3 * b : 3 * b + 3] = force
             forces += np.einsum("nc,ncq->nq", force, J)
-        for variables, numbers in (
+        filled = [
             (grid.q, q),
             (grid.v, v),
             (grid.a, at.a),
             (movement.torque, forces[:, 3:]),
             (movement.ground, needed_ground(q, forces)),
-            (movement.interaction, interaction),
-        ):
+        ]
+        if self.bushings:
+            filled.append((movement.interaction, interaction))
+        for variables, numbers in filled:
             x[self.program.indices(variables)] = numbers
 
 
@@ -229,6 +239,7 @@ def torque_terms(movement, at, noise) -> list[Tracking]:
         zero = np.zeros(movement.torque.shape)
         return [Tracking(movement.torque, zero, noise.torque_nm)]
     sigma = np.repeat([noise.moment_nm, noise.exo_moment_nm], 3)
+    sigma = sigma[: movement.torque.shape[1]]
     return [Tracking(movement.torque, at.moments, sigma)]
 
 

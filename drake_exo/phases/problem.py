@@ -2,7 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +12,20 @@ from drake_exo.nlp.batch import BatchedProgram
 from drake_exo.nlp.ipopt import Iterate
 from drake_exo.nlp.solution import Solution
 from drake_exo.nlp.sparse import SparseProgram
+from drake_exo.optimal_control.interaction_kernels import (
+    Bushing,
+    BushingKernel,
+)
+from drake_exo.optimal_control.kernels import FootGroundKernel
 from drake_exo.optimal_control.movement import Movement, Tracking
 from drake_exo.parameters import ContactParameter
 from drake_exo.phases.measured import LEAST_FORCE, MeasuredMovement
-from drake_exo.phases.settings import EndTolerance, Solver, TrackingNoise
+from drake_exo.phases.settings import (
+    EndTolerance,
+    FootGroundSettings,
+    Solver,
+    TrackingNoise,
+)
 from drake_exo.planar_tree import PlanarTree
 
 
@@ -82,11 +92,19 @@ class PhaseProblem(ABC):
         movements: one for each trial.
         parameters: calibrated and fixed contact parameters.
         parameter_variables: their decision variables.
+        foot: settings of Phase A, for the law under the foot.
+        kernel: that law.
+        bushings, laws: geometry and law of each human-exoskeleton contact;
+            empty where the chains do not touch.
         build_seconds: time to pose and compile; a solve adds that of its
             guess and checks.
     """
 
     parameter_variables: np.ndarray
+    foot: FootGroundSettings
+    kernel: FootGroundKernel
+    bushings: Sequence[Bushing] = ()
+    laws: Sequence[BushingKernel] = ()
 
     def __init__(
         self,
@@ -109,6 +127,14 @@ class PhaseProblem(ABC):
     @property
     def _solver(self) -> Solver:
         return self.settings.solver
+
+    @abstractmethod
+    def contact_values(self, values: np.ndarray):
+        """Parameters of spheres (10,) and of bushings (len(bushings), 5).
+
+        Args:
+            values: of `parameters`.
+        """
 
     @abstractmethod
     def _add_parameters(self) -> None:
@@ -215,12 +241,20 @@ def fix_ends(
     reach = np.array(
         [tolerance.x_m, tolerance.z_m, np.deg2rad(tolerance.pitch_deg)]
     )
+    speed = np.array(
+        [
+            tolerance.velocity_m_s,
+            tolerance.velocity_m_s,
+            np.deg2rad(tolerance.pitch_rate_deg_s),
+        ]
+    )
     grid = movement.grid
     for i in (0, -1):
         movement.bound(grid.q[i, 3:], at.q[i, 3:], at.q[i, 3:])
         movement.bound(grid.v[i, 3:], at.v[i, 3:], at.v[i, 3:])
-        foot = at.q[i, :3]
+        foot, moving = at.q[i, :3], at.v[i, :3]
         movement.bound(grid.q[i, :3], foot - reach, foot + reach)
+        movement.bound(grid.v[i, :3], moving - speed, moving + speed)
 
 
 def kinematic_terms(movement, at, noise: TrackingNoise) -> list[Tracking]:

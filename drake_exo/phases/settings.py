@@ -93,11 +93,16 @@ class TrackingNoise:
 
 @dataclass(frozen=True)
 class EndTolerance:
-    """How far the foot may be from its measured place at both ends."""
+    """How far the foot may be from what was measured at both ends.
+
+    Without a bound on its velocity, a body may be thrown up by its feet.
+    """
 
     x_m: float = _sigma(0.01, "m")
     z_m: float = _sigma(0.005, "m")
     pitch_deg: float = _sigma(2.0, "deg")
+    velocity_m_s: float = _sigma(0.05, "m/s")
+    pitch_rate_deg_s: float = _sigma(10.0, "deg/s")
 
 
 @dataclass(frozen=True)
@@ -278,6 +283,14 @@ class InteractionSettings:
     end_tolerance: EndTolerance = EndTolerance()
     prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
     solver: Solver = Solver()
+
+    @property
+    def damping(self) -> dict[str, tuple[float, float, float]]:
+        """Of each segment's bushing, in the order of its components."""
+        return {
+            name: getattr(self, name).damping
+            for name in ("shank", "thigh", "pelvis")
+        }
 
     def parameters(
         self, places: dict[str, tuple[float, float]]

@@ -1,0 +1,213 @@
+"""Which bounds make a program infeasible, and by how much.
+
+The bounds of trajectories (torque limits, given end states) become springs:
+what they would have to give way by names them. Everything else, such as
+dynamics and contact, keeps holding.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.nlp.sparse import SparseProgram
+
+# Stiffness of the springs against costs of order one, softest first: each
+# solve starts from the last. A bound that is merely active gives way by its
+# multiplier over the stiffness. Limits are tried before given states.
+_STAGES = {
+    ("limit",): (1.0, 30.0, 1e3, 1e5),
+    ("state",): (30.0, 1e3, 1e5),
+}
+# Excess that counts, in the variables' units (100 N m, 1 rad, 1 m).
+SIGNIFICANT = 5e-3
+
+
+@dataclass(frozen=True)
+class Excess:
+    """A bound that had to give way.
+
+    Attributes:
+        name: of the variable.
+        needed: value it takes when its bound gives way.
+        bound: that it exceeds.
+        unit: of both.
+    """
+
+    name: str
+    needed: float
+    bound: float
+    unit: str
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name} would be {self.needed:.4g} {self.unit}, "
+            f"its bound is {self.bound:.4g} {self.unit}"
+        )
+
+
+class ElasticProgram:
+    """A SparseProgram whose trajectory bounds give way; the same interface.
+
+    Args:
+        problem: to relax. Only labelled variables are
+            (`BatchedProgram.label`); fixed ones are if the collocation
+            constraints were substituted.
+        kinds: of labels whose bounds give way.
+        weight: stiffness of the springs.
+
+    Attributes:
+        num_springs: bounds that can give way.
+    """
+
+    def __init__(self, problem: SparseProgram, kinds, weight: float):
+        self._problem = problem
+        self._weight = weight
+        self.num_unknowns = problem.num_unknowns
+        self.num_constraints = problem.num_constraints
+        self.jacobian_structure = problem.jacobian_structure
+        columns, rows = problem.relaxable(kinds)
+        self._columns, self._rows = columns, rows
+        self._A = problem.linear_matrix[rows]
+        self._lower = np.r_[problem.y_lower[columns], problem.g_lower[rows]]
+        self._upper = np.r_[problem.y_upper[columns], problem.g_upper[rows]]
+        self.num_springs = len(self._lower)
+        self.y_lower, self.y_upper = (
+            _with(bounds, columns, free)
+            for bounds, free in (
+                (problem.y_lower, -np.inf),
+                (problem.y_upper, np.inf),
+            )
+        )
+        self.g_lower, self.g_upper = (
+            _with(bounds, rows, free)
+            for bounds, free in (
+                (problem.g_lower, -np.inf),
+                (problem.g_upper, np.inf),
+            )
+        )
+        self._lay_out_hessian()
+
+    def _lay_out_hessian(self):
+        """Own entries come after the problem's; IPOPT adds duplicates."""
+        A = self._A.tocsr()
+        spring, i, j, value = [], [], [], []
+        for row in range(A.shape[0]):
+            part = slice(A.indptr[row], A.indptr[row + 1])
+            index, data = A.indices[part], A.data[part]
+            first, second = np.meshgrid(index, index, indexing="ij")
+            keep = first >= second
+            spring.append(np.full(keep.sum(), len(self._columns) + row))
+            i.append(first[keep])
+            j.append(second[keep])
+            value.append(np.outer(data, data)[keep])
+        count = len(self._columns)
+        self._spring = np.concatenate([np.arange(count), *spring])
+        self._curvature = np.concatenate([np.ones(count), *value])
+        own = (
+            np.concatenate([self._columns, *part]).astype(np.int32)
+            for part in (i, j)
+        )
+        self.hessian_structure = tuple(
+            np.concatenate(pair)
+            for pair in zip(self._problem.hessian_structure, own, strict=True)
+        )
+
+    def expand(self, y: np.ndarray) -> np.ndarray:
+        """As SparseProgram."""
+        return self._problem.expand(y)
+
+    def excess(self, y: np.ndarray) -> np.ndarray:
+        """How far relaxed variables, then rows, are beyond their bounds."""
+        z = np.r_[y[self._columns], self._A @ y]
+        return z - np.clip(z, self._lower, self._upper)
+
+    def objective(self, y):
+        """The problem's, plus the springs' energy."""
+        e = self.excess(y)
+        return self._problem.objective(y) + 0.5 * self._weight * float(e @ e)
+
+    def gradient(self, y):
+        """Derivative of the objective."""
+        e = self._weight * self.excess(y)
+        g = self._problem.gradient(y)
+        count = len(self._columns)
+        g[self._columns] += e[:count]
+        return g + self._A.T @ e[count:]
+
+    def constraints(self, y):
+        """As SparseProgram."""
+        return self._problem.constraints(y)
+
+    def jacobian(self, y):
+        """As SparseProgram."""
+        return self._problem.jacobian(y)
+
+    def hessian(self, y, multipliers, factor):
+        """As SparseProgram, in the order of hessian_structure."""
+        stretched = self.excess(y)[self._spring] != 0.0
+        own = factor * self._weight * self._curvature * stretched
+        return np.r_[self._problem.hessian(y, multipliers, factor), own]
+
+    def binding(self, y: np.ndarray, count: int = 8) -> list[Excess]:
+        """The bounds that gave way most, one for each signal."""
+        excess = self.excess(y)
+        index = np.r_[
+            self._problem.variable_of_column(self._columns),
+            self._problem.variable_of_row(self._rows),
+        ]
+        x = self._problem.expand(y)
+        found: dict[str, Excess] = {}
+        for k in np.argsort(-np.abs(excess)):
+            if abs(excess[k]) < SIGNIFICANT or len(found) == count:
+                break
+            i = int(index[k])
+            program = self._problem.program
+            bound = self._problem.bound_of(i, upper=excess[k] > 0.0)
+            unit, factor = program.unit(i)
+            found.setdefault(
+                program.signal_name(i),
+                Excess(
+                    program.variable_name(i), factor * x[i], factor * bound, unit
+                ),
+            )
+        return list(found.values())
+
+
+def relax(
+    problem: SparseProgram,
+    y: np.ndarray,
+    attempt: Callable[[ElasticProgram, np.ndarray], np.ndarray | None],
+) -> tuple[np.ndarray, list[Excess] | None]:
+    """Look for the bounds that are in each other's way.
+
+    Args:
+        problem: that could not be solved.
+        y: where to start.
+        attempt: solves an elastic program from a start; None if it fails.
+
+    Returns:
+        A better start, and the bounds that gave way there: none if the
+        problem is feasible, None if nothing was found out.
+    """
+    for kinds, stiffnesses in _STAGES.items():
+        found, at = None, y
+        for stiffness in stiffnesses:
+            elastic = ElasticProgram(problem, kinds, stiffness)
+            if not elastic.num_springs:
+                break
+            solved = attempt(elastic, at)
+            if solved is None:
+                break
+            at, found = solved, elastic.binding(solved)
+            if not found:
+                break
+        if found is not None:
+            return np.clip(at, problem.y_lower, problem.y_upper), found
+    return y, None
+
+
+def _with(bounds, index, value):
+    changed = bounds.copy()
+    changed[index] = value
+    return changed
