@@ -148,8 +148,7 @@ def minimise(
             "max_iter": iterations,
             "tol": tolerance,
             "acceptable_iter": 0,
-            "mu_strategy": "monotone",
-            "mu_init": 1e-2,
+            "mu_strategy": "adaptive",
             # Far outside the limits a simulation says little.
             "theta_max_fact": 0.1,
             "nlp_scaling_method": "none",
