@@ -168,7 +168,10 @@ class ElasticProgram:
             found.setdefault(
                 program.signal_name(i),
                 Excess(
-                    program.variable_name(i), factor * x[i], factor * bound, unit
+                    program.variable_name(i),
+                    factor * x[i],
+                    factor * bound,
+                    unit,
                 ),
             )
         return list(found.values())

@@ -36,13 +36,14 @@ _STATUS = {
 }
 _STOPPED = 5
 _ACCEPTED = (0, 1)
-_INFEASIBLE = "infeasible: bounds exclude each other"
+_INFEASIBLE = "infeasible: no solution keeps all bounds"
 # An attempt is given up after so many iterations in IPOPT's feasibility
 # restoration, or without a tenth less infeasibility and optimality error.
 _RESTORING = 12
 _STALLED = 40
 _ELASTIC_ITERATIONS = 80
 _ELASTIC_TOLERANCE = 1e-4
+_EXACT_ITERATIONS = 60
 _FEASIBLE = 1e-4
 
 
@@ -171,24 +172,31 @@ def solve(
     y0 = problem.restrict(guess)
     total, binding = 0, None
     stop = threading.Event()
+
+    def relaxed(program, y):
+        return _relaxed(program, y, options, on_iterate, start, stop)
+
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
             if strategy == "exact":
                 problem.use_exact_hessian()
+                options = replace(
+                    options,
+                    max_iterations=min(
+                        _EXACT_ITERATIONS, options.max_iterations
+                    ),
+                )
             watch = _Watch(problem, strategy, start, on_iterate, stop)
             y, objective, status = _attempt(problem, y0, options, watch)
             total += watch.iterations
             if status in _ACCEPTED or stop.is_set():
                 break
+            if binding:
+                break
             if binding is None and not watch.found_feasible:
                 # Either bounds are in each other's way, or the point where
                 # none has to give way is a better start.
-                def relaxed(elastic, y):
-                    return _relaxed(elastic, y, options, on_iterate, start, stop)
-
                 y0, binding = elastic.relax(problem, y0, relaxed)
-            elif binding:
-                break
     if status not in _ACCEPTED and watch.best is not None:
         y = watch.best
         objective = problem.objective(y)

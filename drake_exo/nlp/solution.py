@@ -85,8 +85,9 @@ class Solution:
             return "all constraints hold"
         if self.binding:
             return (
-                "No solution keeps all bounds; the least that has to give "
-                "way: " + "; ".join(map(str, self.binding)) + "."
+                "Bounds that are in the way, and the least change found: "
+                + "; ".join(map(str, self.binding))
+                + "."
             )
         if not self.worst_constraints:
             return (

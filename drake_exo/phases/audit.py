@@ -112,7 +112,8 @@ def between_nodes(
         forces.append(r[:, :2])
         moments.append(r[:, 2:])
     return tuple(
-        float(max(np.abs(r).max() for r in parts)) for parts in (forces, moments)
+        float(max(np.abs(r).max() for r in parts))
+        for parts in (forces, moments)
     )
 
 
