@@ -261,6 +261,15 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     return out
 
 
+def finish_on_own_mesh(case: Case) -> Case:
+    """The last stage on the case's own mesh, such as one given by --mesh."""
+    stages = case.optimize.stages
+    last = replace(stages[-1], divisions=None)
+    return replace(
+        case, optimize=replace(case.optimize, stages=(*stages[:-1], last))
+    )
+
+
 def without_limits(case: Case) -> Case:
     """The paper's own problem: neither stability nor tilt limited."""
     return replace(

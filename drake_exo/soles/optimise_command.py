@@ -21,6 +21,8 @@ def run_optimize(args) -> int:
     mesh = case.read_mesh(root, args.mesh)
     load.check_inside(mesh.nodes[mesh.contact])
     start = case.start_pose(mesh)
+    if args.mesh is not None:
+        case = designs.finish_on_own_mesh(case)
     resume = read_checkpoint(args.resume) if args.resume else None
     with prepare_output_folder(args.out, args.force) as out:
         row = optimise_case(out, case, mesh, load, start, resume)

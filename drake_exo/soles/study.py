@@ -19,6 +19,7 @@ from drake_exo.soles.case import (
     Stage,
     StartBlock,
 )
+from drake_exo.soles.design import finish_on_own_mesh
 from drake_exo.soles.optimise_command import optimise_case, print_row
 
 SIZE = (0.23, 0.13, 0.03)
@@ -97,6 +98,8 @@ def _one(folder: Path, case: Case, root: Path, mesh_file) -> dict:
     step = case.load.load(root)
     mesh = case.read_mesh(root, mesh_file)
     step.check_inside(mesh.nodes[mesh.contact])
+    if mesh_file is not None:
+        case = finish_on_own_mesh(case)
     return optimise_case(folder, case, mesh, step, case.start_pose(mesh))
 
 

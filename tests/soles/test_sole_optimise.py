@@ -1,0 +1,112 @@
+"""The command `sole optimize` and the five cases."""
+
+import json
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from drake_exo import cli
+from drake_exo.soles.case import LoadBlock, Pattern, read_case
+from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.study import TABLE_2, five_cases, table
+
+CASE = """
+name: small
+mesh:
+  brick: {size_m: [0.23, 0.13, 0.03], divisions: [5, 4, 2]}
+material: {name: neoprene}
+start: {point_in_sole_m: [-0.115, 0.0, -0.03]}
+load:
+  csv: {file: load.csv}
+optimize:
+  intervals: [5, 5]
+  stages:
+    - {samples: 6, layer_m: 5.0e-5, kappa: 0.2, iterations: 3}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("optimise")
+    (place / "case.yaml").write_text(CASE)
+    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
+    for k, s in enumerate(np.linspace(0, 1, 10)):
+        rows.append(
+            f"{0.1 * k},{20 - 40 * s},0,{200 + 300 * s * (1 - s)},"
+            f"{-0.07 + 0.12 * s},0.02"
+        )
+    (place / "load.csv").write_text("\n".join(rows))
+    code = cli.main(
+        ["sole", "optimize", str(place / "case.yaml"),
+         "--out", str(place / "out")]
+    )  # fmt: skip
+    assert code == 0
+    return place
+
+
+def test_a_better_sole_comes_out(folder):
+    row = json.loads((folder / "out" / "summary.json").read_text())
+    assert row["c"] < row["c_initial"]
+    assert row["volume_cm3"] <= 813.1
+    for key in ("c_tr", "c_rot", "c_tr_initial", "c_rot_initial", "optimal",
+                "stable", "max_strain", "seconds"):  # fmt: skip
+        assert key in row
+    for name in ("shape.png", "history.png", "sole.stl", "animation.html"):
+        assert (folder / "out" / name).stat().st_size > 1000
+
+
+def test_the_mesh_written_is_the_design(folder):
+    row = json.loads((folder / "out" / "summary.json").read_text())
+    mesh = read_mesh(folder / "out" / "sole.vtk")
+    assert 1e6 * mesh.volume == pytest.approx(row["volume_cm3"], rel=1e-6)
+    stl = meshio.read(folder / "out" / "sole.stl")
+    corners = stl.points[stl.cells_dict["triangle"]]
+    volume = 1e-3 * np.linalg.det(corners).sum() / 6
+    assert volume == pytest.approx(row["volume_cm3"], rel=1e-3)
+
+
+def test_a_run_goes_on_from_its_checkpoint(folder):
+    code = cli.main(
+        ["sole", "optimize", str(folder / "case.yaml"),
+         "--resume", str(folder / "out"), "--out", str(folder / "more")]
+    )  # fmt: skip
+    assert code == 0
+    first, then = (
+        json.loads((folder / name / "summary.json").read_text())["c"]
+        for name in ("out", "more")
+    )
+    assert then <= first * 1.01
+
+
+def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):
+    code = cli.main(
+        ["sole", "optimize", str(folder / "case.yaml"),
+         "--resume", str(folder), "--out", str(folder / "never")]
+    )  # fmt: skip
+    assert code == 2
+    assert "not a checkpoint" in capsys.readouterr().err
+
+
+def test_case_files_are_the_studys_cases():
+    cases = Path(__file__).parents[1] / "cases"
+    for case in five_cases(LoadBlock(pattern=Pattern()), coarse=False):
+        name = f"sole_{case.name.lower().replace('-', '_')}.yaml"
+        read = read_case(cases / name)
+        assert read.optimize == case.optimize
+        assert read.cost == case.cost
+        assert read.material == case.material
+        assert read.load.straight == case.load.straight
+
+
+def test_table_holds_the_papers_rows():
+    rows = [
+        {"name": name, "weight": 1.0, "c_tr_initial": v[0], "c_tr": v[1],
+         "c_rot_initial": v[2], "c_rot": v[3]}
+        for name, v in TABLE_2.items()
+    ]  # fmt: skip
+    text = table(rows)
+    assert "paper" in text
+    assert "3.88e+06  8.06e+05  0.208" in text
+    assert text.count("ours") == 5
