@@ -10,7 +10,7 @@ from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.results import nodal_areas
 
 E, NU, R, A = 1e6, 0.3, 1.0, 0.09  # a/R = 0.09
-CELL = A / 11
+CELL = A / 10
 
 
 def _graded(cells, far, growth=2.0):
@@ -24,9 +24,9 @@ def _graded(cells, far, growth=2.0):
 
 
 def _paraboloid():
-    half = _graded(13, 5 * A)
+    half = _graded(12, 4 * A)
     lines = np.concatenate([-half[:0:-1], half])
-    depth = _graded(6, 5 * A)
+    depth = _graded(6, 4 * A)
     height = depth[-1]
     mesh = grid_mesh(lines, lines, depth - height)  # fine layers below
     x = mesh.nodes.copy()
