@@ -31,12 +31,14 @@ class Substitution:
         matrix: (na, ny) sparse; x[variables] = matrix @ y + offset.
         offset: (na,).
         scale: (ny,) typical size of each unknown.
+        accuracy: (na,) how well a guess of each variable is to be kept.
     """
 
     variables: np.ndarray
     matrix: sp.csr_array
     offset: np.ndarray
     scale: np.ndarray
+    accuracy: np.ndarray
 
 
 class _Block:
@@ -190,21 +192,28 @@ class SparseProgram:
             kept,
         ).astype(int)
         self._row_scale = scale
+        self._accuracy = scale.copy()
+        for s in substitutions:
+            self._accuracy[s.variables] = s.accuracy
 
     def expand(self, y: np.ndarray) -> np.ndarray:
         """Program variables x of unknowns y."""
         return self.offset + self.matrix @ y
 
     def restrict(self, x: np.ndarray) -> np.ndarray:
-        """Unknowns y whose x is nearest to the given one, each in its unit."""
+        """Unknowns y whose x is nearest to the given one.
+
+        Distances of substituted variables count in units of their accuracy.
+        """
         y = np.zeros(self.num_unknowns)
         scale = self._row_scale
         y[: len(self._direct)] = x[self._direct] / scale[self._direct]
         rows = self._substituted
         if len(rows):
-            weight = sp.diags_array(1.0 / scale[rows])
+            unit = self._accuracy[rows]
+            weight = sp.diags_array(1.0 / unit)
             W = (weight @ self.matrix[rows][:, len(self._direct) :]).tocsc()
-            r = (x[rows] - self.offset[rows]) / scale[rows]
+            r = (x[rows] - self.offset[rows]) / unit
             y[len(self._direct) :] = sp.linalg.spsolve(W.T @ W, W.T @ r)
         return np.clip(y, self.y_lower, self.y_upper)
 

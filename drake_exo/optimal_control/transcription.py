@@ -22,6 +22,9 @@ from drake_exo.nlp.sparse import Substitution
 
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
 _SIZES = (1.0, 1.0, 10.0, 100.0)
+# How well a guess is to be kept: a tenth of a millimetre is tens of newtons
+# of contact force, while accelerations of a guess mean little.
+_ACCURACY = (1e-4, 1e-2, 3.0, 1e4)
 
 
 class Transcription(ABC):
@@ -84,12 +87,15 @@ class Transcription(ABC):
         """All trajectory variables through the basis of this grid."""
         basis, sizes = self._scalar_basis()
         matrix = sp.kron(basis, sp.eye_array(self.num_dof), format="csr")
-        stacked = np.concatenate([x.ravel() for x in self._arrays()])
+        arrays = [x.ravel() for x in self._arrays()]
+        stacked = np.concatenate(arrays)
+        counts = [len(x) for x in arrays]
         return Substitution(
             variables=program.indices(stacked),
             matrix=sp.csr_array(matrix),
             offset=np.zeros(len(stacked)),
             scale=np.repeat(sizes, self.num_dof),
+            accuracy=np.repeat(_ACCURACY, counts),
         )
 
 

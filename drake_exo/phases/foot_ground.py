@@ -21,7 +21,6 @@ from drake_exo.phases.problem import (
     fix_ends,
     ground_terms,
     kinematic_terms,
-    needed_ground,
 )
 
 
@@ -82,18 +81,18 @@ class FootGroundProblem(PhaseProblem):
             grid = movement.grid
             at = trial.sample(grid.times)
             q, v = at.q.copy(), at.v.copy()
-            forces = self.tree.inverse_dynamics(q, v, at.a)
-            ground = needed_ground(q, forces)
             q[:, :3], v[:, :3] = settle_foot(
-                self.kernel, values, grid.times, at.q[:, :3], ground
+                self.kernel, values, grid.times, at.q[:, :3], at.ground
             )
-            forces = self.tree.inverse_dynamics(q, v, at.a)
+            a = at.a.copy()
+            a[:, :3] = np.gradient(v[:, :3], grid.times, axis=0)
+            forces = self.tree.inverse_dynamics(q, v, a)
             for variables, numbers in (
                 (grid.q, q),
                 (grid.v, v),
-                (grid.a, at.a),
+                (grid.a, a),
                 (movement.torque, forces[:, 3:]),
-                (movement.ground, ground),
+                (movement.ground, at.ground),
             ):
                 x[self.program.indices(variables)] = numbers
         return x

@@ -11,6 +11,7 @@ import numpy as np
 from drake_exo.optimal_control.interaction_kernels import (
     BUSHING_PARAMETERS,
     BUSHINGS,
+    NORMAL,
     Bushing,
     BushingKernel,
     EnergyKernel,
@@ -35,7 +36,6 @@ from drake_exo.phases.settings import FootGroundSettings
 from drake_exo.planar_tree import PlanarTree
 
 _NUM = len(BUSHING_PARAMETERS)
-NORMAL = 1  # component of a bushing that a pressure mat measures
 
 
 class CoupledProblem(PhaseProblem):
@@ -171,12 +171,15 @@ class CoupledProblem(PhaseProblem):
     def _fill(self, x, movement, at, values):
         grid = movement.grid
         q, v = at.q.copy(), at.v.copy()
-        forces = self.tree.inverse_dynamics(q, v, at.a)
-        ground = needed_ground(q, forces)
+        a, ground = at.a.copy(), at.ground
+        if not ground.any():  # not measured
+            forces = self.tree.inverse_dynamics(q, v, a)
+            ground = needed_ground(q, forces)
         q[:, :3], v[:, :3] = settle_foot(
             self.kernel, self.foot_values, grid.times, at.q[:, :3], ground
         )
-        forces = self.tree.inverse_dynamics(q, v, at.a)
+        a[:, :3] = np.gradient(v[:, :3], grid.times, axis=0)
+        forces = self.tree.inverse_dynamics(q, v, a)
         interaction = np.zeros((len(q), 3 * len(self.bushings)))
         for b, bushing in enumerate(self.bushings):
             origin = np.broadcast_to(values[b, :2], (len(q), 2))
@@ -189,9 +192,9 @@ class CoupledProblem(PhaseProblem):
         filled = [
             (grid.q, q),
             (grid.v, v),
-            (grid.a, at.a),
+            (grid.a, a),
             (movement.torque, forces[:, 3:]),
-            (movement.ground, needed_ground(q, forces)),
+            (movement.ground, ground),
         ]
         if self.bushings:
             filled.append((movement.interaction, interaction))
