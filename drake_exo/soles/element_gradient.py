@@ -7,10 +7,11 @@ the element's stress and energy are replaced by means over its own averages.
 
 import numpy as np
 
-from drake_exo.soles.elasticity import Sole, displacement_gradient
+from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.smoothing import gradient_operators
 
 _CHUNK = 64
-_NEGLIGIBLE = 1e-11
+_NEGLIGIBLE = 1e-10
 
 
 def compliance_gradient(
@@ -34,20 +35,22 @@ def compliance_gradient(
     weight, Q = weight[keep], Q[:, keep]
     mesh = sole.mesh
     N = sole.influence[:, touched]
+    gradient = gradient_operators(mesh)
     M = np.zeros((len(mesh.tets), 9, 9))  # Σ w σ ⊗ H
     energy = np.zeros(len(mesh.tets))  # Σ w 2 ψ̄
     for start in range(0, len(weight), _CHUNK):
         part = slice(start, start + _CHUNK)
         w = weight[part]
-        U = np.zeros((len(w), len(mesh.nodes), 3))
-        U[:, sole.free] = (N @ Q[:, part]).T.reshape(len(w), -1, 3)
-        H = displacement_gradient(mesh, U)
-        sigma, density = sole.stress_and_energy(H)
-        energy += 2 * w @ density
-        flat = (sigma * w[:, None, None, None]).reshape(len(w), -1, 9)
-        M += flat.transpose(1, 2, 0) @ H.reshape(len(w), -1, 9).transpose(
-            1, 0, 2
-        )
+        U = np.zeros((len(mesh.nodes), 3 * len(w)))
+        U[sole.free] = (N @ Q[:, part]).reshape(-1, 3 * len(w))
+        H = np.empty((len(mesh.tets), 3, 3, len(w)))
+        for j, D in enumerate(gradient):  # ∂/∂X_j of every mode at once
+            H[:, :, j] = (D @ U).reshape(-1, 3, len(w))
+        sigma, density = _stress_and_energy(sole, H)
+        energy += 2 * density @ w
+        M += (sigma * w).reshape(-1, 9, len(w)) @ H.reshape(
+            -1, 9, len(w)
+        ).transpose(0, 2, 1)
     M = M.reshape(-1, 3, 3, 3, 3)
     work = np.einsum("eijij->e", M)
     turned = np.einsum("eibia->eab", M)  # Hᵀ σ
@@ -58,3 +61,16 @@ def compliance_gradient(
     out = np.zeros_like(mesh.nodes)
     np.add.at(out, mesh.tets.ravel(), local.reshape(-1, 3))
     return out
+
+
+def _stress_and_energy(sole: Sole, H: np.ndarray):
+    """As `Sole.stress_and_energy`, modes last: (e, 3, 3, k), (e, k)."""
+    if sole.element != "linear":
+        sigma, energy = sole.stress_and_energy(np.moveaxis(H, -1, 0))
+        return np.moveaxis(sigma, 0, -1), energy.T
+    material = sole.material
+    sigma = material.shear_modulus * (H + H.transpose(0, 2, 1, 3))
+    trace = material.lame_lambda * (H[:, 0, 0] + H[:, 1, 1] + H[:, 2, 2])
+    for i in range(3):
+        sigma[:, i, i] += trace
+    return sigma, 0.5 * np.einsum("eijk,eijk->ek", sigma, H)
