@@ -63,9 +63,14 @@ class OutputFolder:
 
 
 def prepare_output_folder(
-    path: str | Path, force: bool = False
+    path: str | Path, force: bool = False, resume: bool = False
 ) -> OutputFolder:
     """Create the folder `path` for results; see `OutputFolder`.
+
+    Args:
+        path: the folder.
+        force: replace results in it.
+        resume: go on in it, or in what a run with `force` left of its own.
 
     Raises:
         InputError: it already holds files and `force` is not set, or it
@@ -75,15 +80,20 @@ def prepare_output_folder(
     if target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; give a folder for --out")
     occupied = target.is_dir() and any(target.iterdir())
-    if occupied and not force:
+    if occupied and not (force or resume):
         raise InputError(
             f"{target}: already holds results; choose another folder for "
             "--out, or replace them with --force"
         )
     place = target
+    partial = target.with_name(target.resolve().name + ".partial")
+    if resume and occupied:
+        return OutputFolder(
+            target, partial if force and partial.is_dir() else target
+        )
     try:
         if occupied:
-            place = target.with_name(target.resolve().name + ".partial")
+            place = partial
             shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -26,6 +26,7 @@ BUSHING_PARAMETERS = (
     "normal_stiffness",
     "rotational_stiffness",
 )
+NORMAL = 1  # component that a pressure mat measures
 INTERACTION_FORCE_UNIT = 10.0  # N
 INTERACTION_MOMENT_UNIT = 1.0  # N m
 UNITS = np.array(

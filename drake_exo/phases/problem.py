@@ -242,10 +242,12 @@ def fix_ends(
         [tolerance.x_m, tolerance.z_m, np.deg2rad(tolerance.pitch_deg)]
     )
     speed = np.array(
-        [
-            tolerance.velocity_m_s,
-            tolerance.velocity_m_s,
-            np.deg2rad(tolerance.pitch_rate_deg_s),
+        [np.inf if tolerance.velocity_m_s is None else tolerance.velocity_m_s]
+        * 2
+        + [
+            np.inf
+            if tolerance.pitch_rate_deg_s is None
+            else np.deg2rad(tolerance.pitch_rate_deg_s)
         ]
     )
     grid = movement.grid

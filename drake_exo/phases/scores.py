@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from drake_exo.optimal_control.interaction_kernels import BUSHINGS, NORMAL
 from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import Trajectory
 from drake_exo.plant import COUPLED_COORDINATES
@@ -19,7 +20,9 @@ def rmsd(trajectory: Trajectory, trial: MeasuredMovement) -> dict:
 
     Returns:
         trial, angles_deg and velocities_deg_s by joint, foot (x_mm, z_mm,
-        pitch_deg), grf_n (horizontal, vertical), cop_mm.
+        pitch_deg), grf_n (horizontal, vertical), cop_mm; where they were
+        measured, moments_nm by joint and interaction_n (normal force) by
+        segment, empty otherwise.
     """
     at = trial.sample(trajectory.times)
     joints = COUPLED_COORDINATES[3 : trajectory.q.shape[1]]
@@ -38,7 +41,25 @@ def rmsd(trajectory: Trajectory, trial: MeasuredMovement) -> dict:
         },
         "grf_n": {"horizontal": d_ground[0], "vertical": d_ground[1]},
         "cop_mm": 1e3 * rms(cop)[0],
+        "moments_nm": (
+            {}
+            if at.moments is None
+            else _by_joint(joints, rms(trajectory.torque - at.moments))
+        ),
+        "interaction_n": (
+            {}
+            if trajectory.interaction is None
+            else {
+                name: float(rms(normal_force(trajectory, name) - force))
+                for name, force in at.normal_force.items()
+            }
+        ),
     }
+
+
+def normal_force(trajectory: Trajectory, segment: str) -> np.ndarray:
+    """Normal force (n,) of a cuff on the human's segment [N]."""
+    return trajectory.interaction[:, 3 * BUSHINGS.index(segment) + NORMAL]
 
 
 def measured_cop(at: MeasuredMovement) -> np.ndarray:
@@ -65,6 +86,18 @@ def spread(trials: list[MeasuredMovement]) -> dict:
             return np.full(values.shape[2], np.nan)
         return values.std(axis=0, ddof=1).mean(axis=0)
 
+    moments, interaction = {}, {}
+    if all(t.moments is not None for t in trials):
+        moments = _by_joint(joints, deviation(lambda t: t.moments))
+    for name in BUSHINGS:
+        having = [t for t in sampled if name in t.normal_force]
+        if having:
+            values = np.stack([t.normal_force[name] for t in having])
+            interaction[name] = (
+                float(values.std(axis=0, ddof=1).mean())
+                if len(values) > 1
+                else None
+            )
     force = deviation(lambda t: t.ground[:, :2])
     cop = deviation(lambda t: (measured_cop(t) - t.q[:, 0])[:, None])
     return {
@@ -76,6 +109,8 @@ def spread(trials: list[MeasuredMovement]) -> dict:
         ),
         "grf_n": {"horizontal": force[0], "vertical": force[1]},
         "cop_mm": 1e3 * cop[0],
+        "moments_nm": moments,
+        "interaction_n": interaction,
     }
 
 

@@ -95,14 +95,22 @@ class TrackingNoise:
 class EndTolerance:
     """How far the foot may be from what was measured at both ends.
 
-    Without a bound on its velocity, a body may be thrown up by its feet.
+    Its velocity is free where None: there it is tracked.
     """
 
     x_m: float = _sigma(0.01, "m")
     z_m: float = _sigma(0.005, "m")
     pitch_deg: float = _sigma(2.0, "deg")
-    velocity_m_s: float = _sigma(0.05, "m/s")
-    pitch_rate_deg_s: float = _sigma(10.0, "deg/s")
+    velocity_m_s: float | None = None
+    pitch_rate_deg_s: float | None = None
+
+
+@dataclass(frozen=True)
+class PredictionEnds(EndTolerance):
+    """As EndTolerance; with free velocities the feet may throw the body up."""
+
+    velocity_m_s: float | None = _sigma(0.05, "m/s")
+    pitch_rate_deg_s: float | None = _sigma(10.0, "deg/s")
 
 
 @dataclass(frozen=True)
@@ -321,7 +329,7 @@ class PredictionSettings:
 
     objective: Literal["tracking", "comfort"] = "tracking"
     noise: InteractionNoise = InteractionNoise()
-    end_tolerance: EndTolerance = EndTolerance()
+    end_tolerance: PredictionEnds = PredictionEnds()
     torque_limit_nm: float = field(
         default=1000.0, metadata={"unit": "N m", "above": 0.0}
     )

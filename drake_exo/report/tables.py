@@ -43,31 +43,48 @@ def rmsd_table(rmsd: list[dict], spread: dict | None = None) -> str:
     if spread is not None:
         header.append("measured SD")
     rows = []
-    for label, path in _signals(rmsd[0]):
-        values = [_get(r, path) for r in rmsd]
-        sd = float(np.std(values, ddof=1)) if len(values) > 1 else None
-        row = [label, *values, float(np.mean(values)), sd]
+    for label, path in rmsd_signals(rmsd):
+        values = [lookup(r, path) for r in rmsd]
+        row = [label, *values, *mean_and_sd(values)]
         if spread is not None:
-            row.append(_get(spread, path))
+            row.append(lookup(spread, path))
         rows.append(row)
     return format_table(header, rows)
+
+
+def mean_and_sd(values) -> tuple[float | None, float | None]:
+    """Mean and standard deviation of those that are not None."""
+    known = [v for v in values if v is not None]
+    sd = float(np.std(known, ddof=1)) if len(known) > 1 else None
+    return (float(np.mean(known)) if known else None), sd
 
 
 _UNITS = {
     "angles_deg": "angle {} [deg]",
     "velocities_deg_s": "velocity {} [deg/s]",
     "grf_n": "ground reaction {} [N]",
+    "cop_mm": "centre of pressure [mm]",
+    "moments_nm": "moment {} [N m]",
+    "interaction_n": "normal force {} [N]",
 }
 
 
-def _signals(example):
+def rmsd_signals(rmsd: list[dict]):
+    """(label, keys) of every signal that some trial has."""
     for key, label in _UNITS.items():
-        for name in example[key]:
+        names: dict = {}
+        for trial in rmsd:
+            value = trial.get(key, {})
+            if not isinstance(value, dict):
+                yield label, (key,)
+                break
+            names |= dict.fromkeys(value)
+        for name in names:
             yield label.format(name), (key, name)
-    yield "centre of pressure [mm]", ("cop_mm",)
 
 
-def _get(tree, path):
+def lookup(tree, path) -> float | None:
+    """Follow keys into nested dictionaries; None where they end."""
     for key in path:
         tree = tree.get(key) if isinstance(tree, dict) else None
         if tree is None:

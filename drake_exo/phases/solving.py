@@ -1,0 +1,104 @@
+"""Solving a phase as a command does: progress, checkpoints, resuming."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.nlp.ipopt import Iterate
+from drake_exo.output import Progress
+from drake_exo.phases.problem import PhaseProblem, PhaseResult
+
+CHECKPOINT = "checkpoint.npz"
+_CHECKPOINT_SECONDS = 2.0
+
+
+class SolveWatch:
+    """Progress lines and checkpoints of a solve.
+
+    Args:
+        title: begins every line.
+        checkpoint: file that keeps the newest iterate.
+        fingerprint: of the problem, kept with it.
+    """
+
+    def __init__(self, title: str, checkpoint: Path, fingerprint: str):
+        self._progress = Progress(title)
+        self._checkpoint = checkpoint
+        self._fingerprint = fingerprint
+        self._saved = -np.inf
+
+    def __call__(self, iterate: Iterate) -> None:
+        """See `nlp.ipopt.solve`."""
+        self._progress.update(
+            f"{iterate.strategy} iteration {iterate.iteration}, objective "
+            f"{iterate.objective:.6g}, infeasibility "
+            f"{iterate.infeasibility:.1e}"
+        )
+        now = time.monotonic()
+        if iterate.x is None or now - self._saved < _CHECKPOINT_SECONDS:
+            return
+        self._saved = now
+        draft = self._checkpoint.with_name("checkpoint.tmp.npz")
+        np.savez(draft, x=iterate.x, fingerprint=self._fingerprint)
+        draft.replace(self._checkpoint)
+
+
+def solve(
+    problem: PhaseProblem, title: str, folder: Path, resume: bool
+) -> PhaseResult:
+    """Solve with progress; the newest iterate is kept in `folder`.
+
+    Args:
+        problem: the phase.
+        title: begins every line of progress.
+        folder: where checkpoint.npz is written while solving; it stays there
+            if the solve does not succeed.
+        resume: start from the checkpoint found there, if there is one.
+
+    Raises:
+        InputError: the checkpoint belongs to another problem, or is damaged;
+            or from the pre-flight check.
+    """
+    checkpoint = folder / CHECKPOINT
+    fingerprint = problem.compile().fingerprint()
+    guess = None
+    if resume and checkpoint.is_file():
+        guess = _read_checkpoint(checkpoint, fingerprint)
+        print(f"{title}: resumed from {CHECKPOINT}")
+    watch = SolveWatch(title, checkpoint, fingerprint)
+    result = problem.solve(guess, on_iterate=watch)
+    if result.solution.success:
+        checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def _read_checkpoint(path: Path, fingerprint: str) -> np.ndarray:
+    try:
+        with np.load(path) as data:
+            x, found = data["x"], str(data["fingerprint"])
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise InputError(
+            f"{path}: holds no checkpoint ({error}); leave out --resume"
+        ) from error
+    if found != fingerprint:
+        raise InputError(
+            f"{path}: is of another study or other settings; leave out "
+            "--resume to start afresh"
+        )
+    return x
+
+
+def report_failure(result: PhaseResult) -> int:
+    """Say why a solve failed; returns the command's exit code."""
+    solution = result.solution
+    print(
+        f"not solved: {solution.status} after {solution.iterations} "
+        f"iterations. {solution.explain()} What was reached so far is "
+        "written, marked as failed."
+    )
+    return 130 if solution.status == "stopped by the user" else 1
