@@ -24,7 +24,8 @@ class Kernel(Protocol):
 
     A kernel may also have `curvature(x, weights, data)`, the Hessians
     (n, n_in, n_in) of its outputs summed with weights (n, n_out): it then
-    enters the Lagrangian's Hessian beside the Gauss-Newton terms.
+    enters the Lagrangian's Hessian beside the Gauss-Newton terms. Where that
+    is zero for some inputs, `curved_inputs` (n_in,) tells the others.
 
     Attributes:
         sparsity: (n_out, n_in) bool, True where the Jacobian may be nonzero.

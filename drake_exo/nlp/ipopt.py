@@ -58,15 +58,15 @@ class SolverOptions:
             strategies with the program's Hessian (adaptive is faster,
             monotone survives strong noise), then "exact", with the
             constraints' curvature, which tight bounds may need.
-        pivot_order: MUMPS' ordering; 2 (AMF) measured fastest on
-            collocation problems, about half the time of the default.
+        pivot_order: MUMPS' ordering; 0 (AMD) measured fastest on collocation
+            problems with contact, 10 to 40 % before the others.
         extra: further IPOPT options by name.
     """
 
     tolerance: float = 1e-6
     max_iterations: int = 300
     strategies: tuple[str, ...] = ("adaptive", "monotone", "exact")
-    pivot_order: int = 2
+    pivot_order: int = 0
     extra: dict = field(default_factory=dict)
 
 

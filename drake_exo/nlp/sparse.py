@@ -16,10 +16,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from drake_exo.nlp.batch import Batch, BatchedProgram, BindingKernel
+from drake_exo.nlp.program_arrays import (
+    linear_rows,
+    quadratic_cost,
+    variable_bounds,
+    variable_scaling,
+)
 
 _IDENTICALLY_ZERO = 1e-9
 # Far from feasible points the multipliers, and so the curvature, mean little.
-_NEARLY_FEASIBLE = 1e-3
+_NEARLY_FEASIBLE = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,9 @@ class _Block:
         pattern = batch.kernel.sparsity.astype(float) @ structure > 0
         pattern = np.broadcast_to(pattern, (n, batch.num_outputs, width))
         self.pattern = pattern & (self.columns >= 0)[:, None, :]
+        inputs = batch.kernel.sparsity.any(axis=0)
+        inputs = getattr(batch.kernel, "curved_inputs", inputs)
+        self.curved = structure[:, inputs].any(axis=1) & (self.columns >= 0)
 
     def values(self, x):
         return self.batch.kernel.evaluate(
@@ -141,7 +150,7 @@ class SparseProgram:
         self.seconds: dict[str, float] = defaultdict(float)
         self.evaluations: dict[str, int] = defaultdict(int)
         self._cache: dict[str, tuple] = {}
-        x_lower, x_upper = _variable_bounds(program.prog)
+        x_lower, x_upper = variable_bounds(program.prog)
         self._x_bounds = x_lower, x_upper
         self._reduce(x_lower, x_upper, substitutions)
         self._collect_constraints(x_lower, x_upper)
@@ -165,7 +174,7 @@ class SparseProgram:
         for s in substitutions:
             direct[s.variables] = False
         kept = np.flatnonzero(direct)
-        scale = _variable_scaling(self.program.prog)
+        scale = variable_scaling(self.program.prog)
         blocks = [
             (kept, sp.diags_array(scale[kept]).tocsr(), np.zeros(len(kept)))
         ]
@@ -236,7 +245,7 @@ class SparseProgram:
             for batch in [*self.program.constraints, *singles]
         ]
         self._blocks = [b for b in blocks if not self._satisfied(b)]
-        A, lower, upper, names = _linear_rows(self.program)
+        A, lower, upper, names = linear_rows(self.program.prog)
         rows = self._substituted
         bounded = rows[np.isfinite(x_lower[rows]) | np.isfinite(x_upper[rows])]
         picked = sp.csr_array(
@@ -293,7 +302,7 @@ class SparseProgram:
         ]
         # Kept in program variables: a basis of splines would lose digits in
         # the cancellation of its large coefficients.
-        self._Q, self._b, self._c = _quadratic_cost(self.program.prog)
+        self._Q, self._b, self._c = quadratic_cost(self.program.prog)
         _, loose = self.program.loose_bindings()
         self._costs = [
             _Block(
@@ -339,6 +348,8 @@ class SparseProgram:
             )
             column = row.transpose(0, 2, 1)
             keep = (row >= column) & (column >= 0)
+            if b not in self.residual_blocks:
+                keep &= b.curved[:, :, None] & b.curved[:, None, :]
             keys.append(row[keep].astype(np.int64) * ny + column[keep])
             self._triangles.append((b, keep))
         unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
@@ -577,86 +588,3 @@ class SparseProgram:
             for i in order
             if violation[i] > 0.0
         ]
-
-
-def _variable_bounds(prog):
-    lower = np.full(prog.num_vars(), -np.inf)
-    upper = np.full(prog.num_vars(), np.inf)
-    for binding in prog.bounding_box_constraints():
-        index = prog.FindDecisionVariableIndices(binding.variables())
-        evaluator = binding.evaluator()
-        np.maximum.at(lower, index, evaluator.lower_bound())
-        np.minimum.at(upper, index, evaluator.upper_bound())
-    return lower, upper
-
-
-def _variable_scaling(prog):
-    scale = np.ones(prog.num_vars())
-    for index, value in prog.GetVariableScaling().items():
-        scale[index] = value
-    return scale
-
-
-def _linear_rows(program: BatchedProgram):
-    """All linear constraints that are not in a batch, as one sparse A."""
-    prog = program.prog
-    rows, columns, values, lower, upper, names = [], [], [], [], [], []
-    bindings = [
-        *prog.linear_constraints(),
-        *prog.linear_equality_constraints(),
-    ]
-    for binding in bindings:
-        evaluator = binding.evaluator()
-        A = sp.coo_array(evaluator.get_sparse_A())
-        index = program.indices(binding.variables())
-        rows.append(A.row + len(names))
-        columns.append(index[A.col])
-        values.append(A.data)
-        lower.append(evaluator.lower_bound())
-        upper.append(evaluator.upper_bound())
-        name = evaluator.get_description() or "linear constraint"
-        names.extend(f"{name} row {i}" for i in range(A.shape[0]))
-    shape = (len(names), prog.num_vars())
-    if not names:
-        return sp.csr_array(shape), np.zeros(0), np.zeros(0), names
-    A = sp.csr_array(
-        (
-            np.concatenate(values),
-            (np.concatenate(rows), np.concatenate(columns)),
-        ),
-        shape=shape,
-    )
-    return A, np.concatenate(lower), np.concatenate(upper), names
-
-
-def _quadratic_cost(prog):
-    """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c."""
-    n = prog.num_vars()
-    b, c = np.zeros(n), 0.0
-    rows, columns, values = [[]], [[]], [[]]
-    for binding in prog.linear_costs():
-        index = prog.FindDecisionVariableIndices(binding.variables())
-        np.add.at(b, index, binding.evaluator().a())
-        c += binding.evaluator().b()
-    for binding in prog.quadratic_costs():
-        evaluator = binding.evaluator()
-        index = np.asarray(
-            prog.FindDecisionVariableIndices(binding.variables())
-        )
-        Q = sp.coo_array(evaluator.Q())
-        rows.append(index[Q.row])
-        columns.append(index[Q.col])
-        values.append(Q.data)
-        np.add.at(b, index, evaluator.b())
-        c += evaluator.c()
-    Q = sp.csr_array(
-        (
-            np.concatenate(values),
-            (
-                np.concatenate(rows).astype(int),
-                np.concatenate(columns).astype(int),
-            ),
-        ),
-        shape=(n, n),
-    )
-    return Q, b, c

@@ -103,6 +103,10 @@ class FootGroundKernel:
         self.sparsity = np.ones((3, n_in), bool)
         self.sparsity[:2, 0] = False
         self.sparsity[:, 6:9] = np.eye(3, dtype=bool)
+        # See `curvature`.
+        self.curved_inputs = np.ones(n_in, bool)
+        self.curved_inputs[6:9] = False
+        self.curved_inputs[13 :: len(SPHERE_PARAMETERS)] = False
         self._units = np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])
 
     def evaluate(self, x, data):
