@@ -1,5 +1,6 @@
 """The scanned body: where the cells of a mat lie and which way they face."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,15 +54,23 @@ class Surface:
         ):
             object.__setattr__(self, name, value)
 
-    def closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nearest points (P, 3) of the surface, and their triangles (P,)."""
+    def closest(
+        self, points: np.ndarray, exact: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest points (P, 3) of the surface, and their triangles (P,).
+
+        Args:
+            points: (P, 3) [m].
+            exact: look at every triangle that might be nearer than those
+                with the nearest centres; slow for points deep inside.
+        """
         count = min(_NEIGHBOURS, len(self.triangles))
         near, index = self._tree.query(points, k=count)
         near = near.reshape(len(points), count)
         index = index.reshape(len(points), count)
         found, triangle = self._closest_of(points, index)
         far = np.linalg.norm(found - points, axis=1) + self._reach
-        if count < len(self.triangles):
+        if exact and count < len(self.triangles):
             # Large triangles may reach closer than their centres tell.
             for i in np.flatnonzero(near[:, -1] < far):
                 some = self._tree.query_ball_point(points[i], far[i])
@@ -90,7 +99,8 @@ class Surface:
         """Lines (L, S, 3) over the surface between points (L, 3)."""
         t = np.linspace(0.0, 1.0, _SAMPLES)[None, :, None]
         chord = start[:, None] + t * (end - start)[:, None]
-        return self.closest(chord.reshape(-1, 3))[0].reshape(chord.shape)
+        on, _ = self.closest(chord.reshape(-1, 3), exact=False)
+        return on.reshape(chord.shape)
 
 
 def read_surface(path: Path, scan: Scan) -> Surface:
@@ -107,7 +117,14 @@ def read_surface(path: Path, scan: Scan) -> Surface:
             f"{', '.join(_READERS)}"
         )
     try:
-        mesh = read(path)
+        # meshio would look for the end of a .ply's header for ever.
+        text = Path(path).read_bytes()
+        if text.startswith(b"ply") and b"end_header" not in text:
+            raise InputError("its header does not end")
+        with warnings.catch_warnings():
+            # meshio takes the text of an ASCII file for a binary count first.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            mesh = read(path)
         triangles = mesh.get_cells_type("triangle")
         raw = np.asarray(mesh.points, float)[:, :3]
     except OSError as error:
@@ -161,9 +178,10 @@ def _closest_on_triangles(p, corners):
     """Nearest points (..., 3) of triangles (..., 3, 3) to points (..., 3)."""
     a, b, c = (corners[..., k, :] for k in range(3))
     n = np.cross(b - a, c - a)
-    size = np.maximum((n * n).sum(-1, keepdims=True), 1e-300)
+    square = (n * n).sum(-1, keepdims=True)
+    size = np.maximum(square, 1e-300)
     on = p - ((p - a) * n).sum(-1, keepdims=True) / size * n
-    inside = np.ones(on.shape[:-1], bool)
+    inside = square[..., 0] > 0.0  # scans have triangles without area
     best = np.full(on.shape[:-1], np.inf)
     result = on.copy()
     for s, e in ((a, b), (b, c), (c, a)):
