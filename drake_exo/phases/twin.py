@@ -12,14 +12,20 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from drake_exo.laboratory.filters import low_pass
+from drake_exo.optimal_control.kernels import FootGroundKernel
+from drake_exo.optimal_control.settle import settle_foot
 from drake_exo.parameters import ContactParameter
 from drake_exo.phases.foot_ground import FootGroundProblem
 from drake_exo.phases.measured import MeasuredMovement
+from drake_exo.phases.problem import needed_ground
 from drake_exo.phases.settings import FootGroundSettings, TrackingNoise
 from drake_exo.planar_tree import PlanarTree
 
 # Knots of the drawn path per second, and samples of what is handed on.
 _KNOTS = 40.0
+# Contact law and values of its parameters.
+Contact = tuple[FootGroundKernel, np.ndarray]
+
 # Loose on the foot and on forces, which the contact decides.
 _DRAWN = TrackingNoise(
     foot_m=0.05,
@@ -73,8 +79,10 @@ def rises(count: int, duration_s: float = 1.5, seed: int = 0) -> list[Rise]:
     return made
 
 
-def draw(tree: PlanarTree, rise: Rise) -> MeasuredMovement:
-    """A rise in joint space, over the middle of a foot that stands still.
+def draw(
+    tree: PlanarTree, rise: Rise, contact: Contact | None = None
+) -> MeasuredMovement:
+    """A rise in joint space, over the middle of the foot.
 
     The ankle keeps the centre of mass where the rise says; the ground
     reaction is what inverse dynamics needs.
@@ -82,29 +90,41 @@ def draw(tree: PlanarTree, rise: Rise) -> MeasuredMovement:
     Args:
         tree: human or coupled model.
         rise: posture and time.
+        contact: carries the foot; without one it stands still at the origin.
     """
     count = max(round(rise.duration_s * _KNOTS), 20) + 1
     times = np.linspace(0.0, rise.duration_s, count)
     s = times / rise.duration_s
     step = s**3 * (10.0 + s * (6.0 * s - 15.0))
     bump = (4.0 * s * (1.0 - s)) ** 2
-    nq = tree.num_positions
-    q = np.zeros((count, nq))
+    q = np.zeros((count, tree.num_positions))
     for column, ends in ((4, rise.knee_deg), (5, rise.hip_deg)):
         q[:, column] = np.deg2rad(ends[0] + (ends[1] - ends[0]) * step)
-    lag = np.deg2rad(rise.lag_deg) * bump[:, None]
     start, top, end = rise.balance_m
     balance = start + (end - start) * step + (top - 0.5 * (start + end)) * bump
-    for _ in range(8):
-        if nq == 9:
-            q[:, 6:] = q[:, 3:6] + lag * [1.0, -0.5, 0.7]
-        q[:, 3] += _ankle_step(tree, q, balance)
+    lag = np.deg2rad(rise.lag_deg) * bump
+    if contact is not None:
+        q[:, :3] = _standing(tree, contact, times, balance)
+    _balance(tree, q, balance, lag)
     path = make_interp_spline(times, q, k=7)
     v, a = path.derivative(1)(times), path.derivative(2)(times)
-    forces = tree.inverse_dynamics(q, v, a)
-    # The foot's origin stays at the laboratory's.
-    ground = forces[:, :3] * [1.0, 1.0, -1.0]
+    ground = needed_ground(q, tree.inverse_dynamics(q, v, a))
     return MeasuredMovement(rise.name, times, q, v, a, ground)
+
+
+def _standing(tree, contact, times, balance):
+    """The foot (n, 3) under a body that rises slowly."""
+    weight = np.full(len(times), tree.mass * tree.gravity)
+    ground = np.column_stack([0.0 * weight, weight, -balance * weight])
+    return settle_foot(*contact, times, np.zeros((len(times), 3)), ground)[0]
+
+
+def _balance(tree, q, balance, lag):
+    """Bend the ankle until the centre of mass is where it shall be."""
+    for _ in range(8):
+        if tree.num_positions == 9:
+            q[:, 6:] = q[:, 3:6] + np.outer(lag, [1.0, -0.5, 0.7])
+        q[:, 3] += _ankle_step(tree, q, balance)
 
 
 def _ankle_step(tree, q, balance):
@@ -116,23 +136,23 @@ def _ankle_step(tree, q, balance):
         bent[:, 6] += h
     x = tree.center_of_mass(q)[:, 0]
     slope = (tree.center_of_mass(bent)[:, 0] - x) / h
-    return (balance - x) / slope
+    return (balance + q[:, 0] - x) / slope
 
 
 def consistent(
     tree: PlanarTree,
-    drawn: list[MeasuredMovement],
+    rises: list[Rise],
     truth: list[ContactParameter],
     settings: FootGroundSettings,
 ) -> list[MeasuredMovement]:
-    """Movements near the drawn ones that satisfy the model exactly.
+    """Movements near drawn rises that satisfy the model exactly.
 
     They hold at the nodes of the settings' grid.
 
     Args:
         tree: the model.
-        drawn: from `draw`.
-        truth: parameters whose nominal values made the data.
+        rises: to draw.
+        truth: parameters whose nominal values make the data.
         settings: law, constants and grid; its noise is not used.
 
     Raises:
@@ -140,17 +160,17 @@ def consistent(
     """
     settings = replace(settings, noise=_DRAWN, prior_weight=0.0)
     fixed = [replace(p, free=False) for p in truth]
+    kernel = FootGroundKernel(settings.law, settings.law_constants())
+    values = np.array([p.nominal for p in truth])
     made = []
-    for movement in drawn:
-        values = np.array([p.nominal for p in truth])
-        settled = _settled(tree, movement, fixed, settings, values)
-        problem = FootGroundProblem(tree, [settled], fixed, settings)
-        result = problem.solve()
-        result.solution.values(np.zeros(0, int))
+    for rise in rises:
+        drawn = draw(tree, rise, (kernel, values))
+        result = FootGroundProblem(tree, [drawn], fixed, settings).solve()
+        result.solution.values(np.zeros(0, int))  # raises if it failed
         found = result.trajectories[0]
         made.append(
             MeasuredMovement(
-                movement.name,
+                rise.name,
                 found.times,
                 found.q,
                 found.v,
@@ -159,17 +179,6 @@ def consistent(
             )
         )
     return made
-
-
-def _settled(tree, movement, fixed, settings, values):
-    """The drawn movement with its foot where the contact carries it."""
-    problem = FootGroundProblem(tree, [movement], fixed, settings)
-    x = problem.guess(values)
-    grid = problem.movements[0].grid
-    foot_q = x[problem.program.indices(grid.q[:, :3])]
-    at = movement.sample(grid.times)
-    q = np.hstack([foot_q, at.q[:, 3:]])
-    return replace(at, q=q)
 
 
 def noisy(
