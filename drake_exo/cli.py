@@ -13,6 +13,8 @@ from drake_exo.errors import InputError
 _COMMANDS = {
     "check": "drake_exo.laboratory.check_command",
     "calibrate": "drake_exo.phases.command",
+    "predict": "drake_exo.phases.prediction_command",
+    "report": "drake_exo.report.command",
     "sensitivity": "drake_exo.phases.sensitivity_command",
     "contact": "drake_exo.report.contact_figures",
     "demo": "drake_exo.demo",

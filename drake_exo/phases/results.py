@@ -190,7 +190,7 @@ def phase_summary(
             for p in result.parameters
         ],
         "rmsd": [
-            rmsd(found, trial)
+            rmsd(found, trial, loads=phase != "foot-ground")
             for found, trial in zip(result.trajectories, trials, strict=True)
         ],
         "measured_sd": spread(trials),

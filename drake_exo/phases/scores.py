@@ -15,8 +15,16 @@ def rms(values: np.ndarray) -> np.ndarray:
     return np.sqrt(np.nanmean(np.square(values), axis=0))
 
 
-def rmsd(trajectory: Trajectory, trial: MeasuredMovement) -> dict:
+def rmsd(
+    trajectory: Trajectory, trial: MeasuredMovement, loads: bool = True
+) -> dict:
     """Root mean square differences of one trial.
+
+    Args:
+        trajectory: of the model.
+        trial: as measured.
+        loads: compare joint moments and interaction forces, which mean
+            nothing while human and exoskeleton do not touch (Phase A).
 
     Returns:
         trial, angles_deg and velocities_deg_s by joint, foot (x_mm, z_mm,
@@ -43,7 +51,7 @@ def rmsd(trajectory: Trajectory, trial: MeasuredMovement) -> dict:
         "cop_mm": 1e3 * rms(cop)[0],
         "moments_nm": (
             {}
-            if at.moments is None
+            if at.moments is None or not loads
             else _by_joint(joints, rms(trajectory.torque - at.moments))
         ),
         "interaction_n": (

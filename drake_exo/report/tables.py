@@ -59,6 +59,10 @@ def mean_and_sd(values) -> tuple[float | None, float | None]:
     return (float(np.mean(known)) if known else None), sd
 
 
+_ORDER = (
+    *("ankle", "knee", "hip", "exo_ankle", "exo_knee", "exo_hip"),
+    *("horizontal", "vertical", "pelvis", "thigh", "shank"),
+)
 _UNITS = {
     "angles_deg": "angle {} [deg]",
     "velocities_deg_s": "velocity {} [deg/s]",
@@ -79,8 +83,13 @@ def rmsd_signals(rmsd: list[dict]):
                 yield label, (key,)
                 break
             names |= dict.fromkeys(value)
-        for name in names:
+        for name in sorted(names, key=_place):
             yield label.format(name), (key, name)
+
+
+def _place(name: str) -> int:
+    """Where a coordinate, component or segment stands in a table."""
+    return _ORDER.index(name) if name in _ORDER else len(_ORDER)
 
 
 def lookup(tree, path) -> float | None:
