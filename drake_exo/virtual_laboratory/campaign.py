@@ -1,38 +1,62 @@
 """A measurement campaign: simulated, measured, written, truth apart."""
 
 from collections.abc import Iterable
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from drake_exo.errors import InputError
-from drake_exo.laboratory.opensim_files import write_table
-from drake_exo.laboratory.sagittal import PlanarWrench
-from drake_exo.laboratory.tables import Table
-from drake_exo.output import Progress, write_json
+from drake_exo.output import Progress
 from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import COUPLED_COORDINATES, build_plant
+from drake_exo.plant import build_plant
+from drake_exo.virtual_laboratory.disturbances import DISTURBANCES, checked
 from drake_exo.virtual_laboratory.instruments import (
-    DISTURBANCES,
+    LARGEST_LAG_S,
     MARKER_RATE_HZ,
     PLATES,
-    Instruments,
+    Clocks,
+    Laboratory,
+    empty_plate_levels,
 )
-from drake_exo.virtual_laboratory.marker_set import (
-    marker_set,
-    study_markers,
-)
+from drake_exo.virtual_laboratory.marker_errors import slides
+from drake_exo.virtual_laboratory.marker_set import marker_set
 from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan
+from drake_exo.virtual_laboratory.pressure_mats import (
+    record_pressure,
+    write_scans,
+)
 from drake_exo.virtual_laboratory.simulation import (
-    RATE_HZ,
+    PASSIVE,
     Simulated,
     simulate,
 )
-from drake_exo.virtual_laboratory.truth import STANDING_COP_M, Truth, draw_truth
+from drake_exo.virtual_laboratory.study_file import EMPTY, Entry, write_study
+from drake_exo.virtual_laboratory.truth import (
+    STANDING_COP_M,
+    Truth,
+    draw_truth,
+)
+from drake_exo.virtual_laboratory.truth_files import (
+    write_motion,
+    write_parameters,
+)
 
-NUM_TRIALS = 3
+FILES = ("c3d", "opensim")
+_MODES = ("passive", "assisted")
+_CONFIGURATIONS = ("pelvis", "legs")
+_TRIALS, _MOVEMENTS = 5, 3
+# The last movement of the latest trials: three to calibrate, six to predict.
+_USED = {
+    ("passive", "pelvis"): (4, 5),
+    ("passive", "legs"): (5,),
+    ("assisted", "pelvis"): (3, 4, 5),
+    ("assisted", "legs"): (3, 4, 5),
+}
+NUM_USED = sum(map(len, _USED.values()))
+_HELP = (0.0, 0.2, 0.2)
 _STANDING_S = 2.0
 # A trial begins when the chair is felt no more, a little later so that the
 # filter does not smear the chair's force into it.
@@ -41,11 +65,77 @@ _AFTER_CHAIR_S = 0.08
 _AFTER_RISE_S = 0.1
 
 
+@dataclass(frozen=True)
+class Movement:
+    """One sit-to-stand of the protocol.
+
+    Attributes:
+        mode: "passive" or "assisted".
+        configuration: of the mats, "pelvis" or "legs".
+        trial, movement: from 1.
+    """
+
+    mode: str
+    configuration: str
+    trial: int
+    movement: int = _MOVEMENTS
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"{self.mode}_{self.configuration}_{self.trial}_{self.movement}"
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the study uses it."""
+        used = _USED[self.mode, self.configuration]
+        return self.movement == _MOVEMENTS and self.trial in used
+
+    @property
+    def key(self) -> list[int]:
+        """Of its random numbers."""
+        return [
+            _MODES.index(self.mode),
+            _CONFIGURATIONS.index(self.configuration),
+            self.trial,
+            self.movement,
+        ]
+
+
+def protocol(count: int | None = None, full: bool = False) -> list[Movement]:
+    """Movements of a campaign: those that the study uses come first.
+
+    Args:
+        count: that many of those in use; all nine by default.
+        full: also the ones that the paper recorded and did not use, 60 in
+            all.
+
+    Raises:
+        InputError: a count that is not from one to nine.
+    """
+    if count is not None and not 1 <= count <= NUM_USED:
+        raise InputError(f"trials is {count}; give 1 to {NUM_USED}")
+    everything = [
+        Movement(mode, configuration, trial, movement)
+        for mode in _MODES
+        for configuration in _CONFIGURATIONS
+        for trial in range(1, _TRIALS + 1)
+        for movement in range(1, _MOVEMENTS + 1)
+    ]
+    used = [m for m in everything if m.is_used][:count]
+    rest = [m for m in everything if not m.is_used]
+    return used + rest if full else used
+
+
 def write_campaign(
     folder: str | Path,
     seed: int,
     disturbances: Iterable[str] = tuple(DISTURBANCES),
-    trials: int = NUM_TRIALS,
+    trials: int | None = None,
+    *,
+    full: bool = False,
+    files: str = "c3d",
+    processes: int = 1,
 ) -> Path:
     """Simulate a subject and write what a laboratory would hand over.
 
@@ -54,39 +144,164 @@ def write_campaign(
             truth/, which no calibration reads.
         seed: same seed, same bytes.
         disturbances: names of `DISTURBANCES` that act.
-        trials: number of sit-to-stand movements.
+        trials: number of movements in use, the three of calibration first;
+            nine by default.
+        full: also record what the study does not use, as the paper did.
+        files: "c3d" or "opensim" (.trc and .mot).
+        processes: that work at once; has no influence on the result. With
+            more than one, a script needs `if __name__ == "__main__"`.
 
     Returns:
         The study file.
 
     Raises:
-        InputError: unknown disturbance, negative seed or no trial.
+        InputError: unknown disturbance or kind of files, negative seed, or
+            an impossible number of trials.
     """
-    folder, active = Path(folder), frozenset(disturbances)
-    _check(seed, active, trials)
-    truth = draw_truth(np.random.default_rng([seed, 0]))
-    plant = build_plant(
-        "rigid", truth.human, truth.exoskeleton, gravity=truth.gravity
-    )
-    planner = Planner(PlanarTree.from_plant(plant), truth.contact)
-    (folder / "truth").mkdir(parents=True, exist_ok=True)
-    windows = {}
-    with Progress("virtual laboratory", interval_seconds=2.0) as progress:
-        plan = planner.standing(_STANDING_S, STANDING_COP_M)
-        standing = simulate("standing", truth, plan, None, progress)
-        _measure(folder, standing, truth, active, seed, 1)
-        for number in range(1, trials + 1):
-            rng = np.random.default_rng([seed, 1, number])
-            plan = vary(RisePlan(), rng)
-            seat = planner.seat(plan)
-            reference = planner.rise(plan, seat)
-            movement = simulate(
-                f"rise{number}", truth, reference, seat, progress
-            )
-            _measure(folder, movement, truth, active, seed, 1 + number)
-            windows[movement.name] = _window(movement, plan)
-    _write_truth(folder / "truth", truth, seed, active)
-    return _write_study(folder, truth, windows)
+    job = Campaign(Path(folder), seed, checked(disturbances), files)
+    movements = protocol(trials, full)
+    if seed < 0:
+        raise InputError(f"seed is {seed}; give a number from 0 on")
+    if files not in FILES:
+        raise InputError(f"files is {files!r}; give one of {', '.join(FILES)}")
+    (job.folder / "truth").mkdir(parents=True, exist_ok=True)
+    with Progress(
+        "virtual laboratory", len(movements), interval_seconds=2.0
+    ) as progress:
+        mats = job.prepare(progress)
+        entries = _recorded(job, movements, processes, progress)
+    path = job.folder / "study.yaml"
+    write_study(path, job.truth, job.laboratory, mats, entries)
+    return path
+
+
+def _recorded(job, movements, processes, progress) -> list[Entry]:
+    """Record all movements; what the study is to say of those in use."""
+    entries: dict[str, Entry] = {}
+    if processes == 1:
+        for done, movement in enumerate(movements):
+            entries[movement.name] = job.record(movement, progress, done)
+    else:
+        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+            futures = {
+                pool.submit(Campaign.record, job, m): m for m in movements
+            }
+            try:
+                for done, future in enumerate(as_completed(futures), 1):
+                    name = futures[future].name
+                    entries[name] = future.result()
+                    progress.update(name, done)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    return [entries[m.name] for m in movements if m.is_used]
+
+
+class Campaign:
+    """One subject in one laboratory; every movement stands for itself.
+
+    Args:
+        folder: where files go.
+        seed: of all random numbers.
+        active: disturbances.
+        files: "c3d" or "opensim".
+    """
+
+    def __init__(
+        self, folder: Path, seed: int, active: frozenset[str], files: str
+    ):
+        self.folder = folder
+        self.seed = seed
+        self.active = active
+        self.truth: Truth = draw_truth(self._rng(0), active)
+        plant = build_plant(
+            "rigid",
+            self.truth.human,
+            self.truth.exoskeleton,
+            gravity=self.truth.gravity,
+        )
+        self.planner = Planner(PlanarTree.from_plant(plant), self.truth.contact)
+        markers, rng = marker_set(self.truth.human), self._rng(1)
+        self.laboratory = Laboratory(
+            folder,
+            files,
+            markers,
+            slides(markers, rng),
+            {place: empty_plate_levels(rng) for place in PLATES},
+            active,
+        )
+
+    def _rng(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng([max(self.seed, 0), *key])
+
+    def prepare(self, progress: Progress | None = None) -> dict[str, dict]:
+        """Quiet standing, empty plates, body scan and true parameters.
+
+        Returns:
+            The section `mats` of the study.
+        """
+        plan = self.planner.standing(_STANDING_S, STANDING_COP_M)
+        standing = simulate("standing", self.truth, plan, progress=progress)
+        rng = self._rng(2)
+        self.laboratory.record_motion(standing, rng, hidden=False)
+        if "plate_drift" in self.active:
+            self.laboratory.record_empty(EMPTY, rng)
+        truth = self.folder / "truth"
+        write_motion(truth, standing)
+        write_parameters(truth, self.truth, self.seed, self.active)
+        return write_scans(
+            self.folder, standing.tree, standing.q[-1], self.truth.human
+        )
+
+    def record(
+        self,
+        movement: Movement,
+        progress: Progress | None = None,
+        done: int | None = None,
+    ) -> Entry:
+        """Simulate a movement and write its files."""
+        plan = RisePlan()
+        if "variation" in self.active:
+            plan = vary(plan, self._rng(3, *movement.key))
+        seat = self.planner.seat(plan)
+        assisted = movement.mode == "assisted"
+        happened = simulate(
+            movement.name,
+            self.truth,
+            self.planner.rise(plan, seat),
+            seat,
+            _HELP if assisted else PASSIVE,
+            progress,
+            done,
+        )
+        self._measure(happened, movement)
+        start, end = _window(happened, plan)
+        return Entry(
+            movement.name,
+            "prediction" if assisted else "calibration",
+            movement.configuration,
+            assisted,
+            start,
+            end,
+        )
+
+    def _measure(self, happened: Simulated, movement: Movement) -> None:
+        rng = self._rng(4, *movement.key)
+        lags = rng.uniform(-LARGEST_LAG_S, LARGEST_LAG_S, 2).round(3)
+        clocks = Clocks(*lags) if "clocks" in self.active else Clocks()
+        self.laboratory.record_motion(happened, rng)
+        self.laboratory.record_device(
+            happened, clocks, movement.mode == "assisted", rng
+        )
+        record_pressure(
+            self.folder / f"{movement.name}.asc",
+            happened,
+            movement.configuration,
+            clocks.mats,
+            self.truth.human,
+            "pressure_steps" in self.active,
+        )
+        write_motion(self.folder / "truth", happened, clocks)
 
 
 def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
@@ -110,84 +325,6 @@ def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
     )
 
 
-def _check(seed: int, active: frozenset[str], trials: int) -> None:
-    for name in sorted(active - set(DISTURBANCES)):
-        raise InputError(
-            f"no disturbance is called '{name}'; known are "
-            f"{', '.join(DISTURBANCES)}"
-        )
-    if seed < 0:
-        raise InputError(f"seed is {seed}; give a number from 0 on")
-    if trials < 1:
-        raise InputError(f"trials is {trials}; one is the least")
-
-
-def _measure(folder, movement, truth, active, seed, number) -> None:
-    """Write one movement's files, and what truly happened."""
-    rng = np.random.default_rng([seed, 2, number])
-    instruments = Instruments(
-        marker_set(truth.human), float(rng.uniform(0.46, 0.54)), active
-    )
-    name = movement.name
-    instruments.write_markers(folder / f"{name}.trc", movement, rng)
-    instruments.write_plates(folder / f"{name}_forces.mot", movement, rng)
-    if name != "standing":
-        instruments.write_encoders(
-            folder / f"{name}_encoders.mot", movement, rng
-        )
-    write_table(
-        folder / "truth" / f"{name}.sto",
-        truth_table(movement),
-        f"{name}: what truly happened",
-    )
-
-
-def _write_truth(folder: Path, truth: Truth, seed: int, active) -> None:
-    """All of it, and each phase's parameters by their names there."""
-    about = {"seed": seed, "disturbances": active}
-    write_json(folder / "truth.json", {**about, "parameters": truth})
-    for name, contacts in (
-        ("foot_ground", truth.contact.spheres),
-        ("interaction", truth.bushings),
-    ):
-        values = {
-            f"{part}.{key}": value
-            for part, contact in contacts.items()
-            for key, value in vars(contact).items()
-        }
-        write_json(folder / f"{name}.json", {**about, "parameters": values})
-
-
-def truth_table(movement: Simulated) -> Table:
-    """Motion, joint torques and forces at the markers' rate, in SI units."""
-    step = round(RATE_HZ / MARKER_RATE_HZ)
-    names, columns = [], []
-    for suffix, values in (
-        ("", movement.q),
-        ("_speed", movement.v),
-        ("_acceleration", movement.a),
-    ):
-        names += [name + suffix for name in COUPLED_COORDINATES]
-        columns.append(values)
-    names += [f"{name}_torque" for name in COUPLED_COORDINATES[3:]]
-    columns.append(movement.torque)
-    for place, w in (("ground", movement.ground), ("chair", movement.chair)):
-        names += [f"{place}_{k}" for k in ("force_x", "force_z", "moment_y")]
-        columns.append(_columns(w))
-    names += [
-        f"{bushing}_{component}"
-        for bushing in ("shank", "thigh", "pelvis")
-        for component in ("tangential", "normal", "rotation")
-    ]
-    columns.append(movement.interaction)
-    values = np.hstack(columns)[::step]
-    return Table(movement.times[::step], tuple(names), values, False)
-
-
-def _columns(wrench: PlanarWrench) -> np.ndarray:
-    return np.column_stack([wrench.force, wrench.moment])
-
-
 def _window(movement: Simulated, plan: RisePlan) -> tuple[float, float]:
     """Used part of a trial, to the marker frame [s]."""
     felt = movement.chair.force[:, 1] > _CHAIR_GONE_N
@@ -195,73 +332,3 @@ def _window(movement: Simulated, plan: RisePlan) -> tuple[float, float]:
     end = plan.duration - plan.stand_s + _AFTER_RISE_S
     frames = np.round(np.array([start, end]) * MARKER_RATE_HZ)
     return tuple((frames / MARKER_RATE_HZ).tolist())
-
-
-def _write_study(folder: Path, truth: Truth, windows) -> Path:
-    feet = {side: PLATES[side] for side in ("left", "right")}
-    study = {
-        "subject": {
-            "name": "virtual_subject",
-            "mass_kg": round(truth.human.mass_kg, 3),
-            "height_m": round(truth.human.height_m, 4),
-            "sex": "male",
-        },
-        "model": "coupled",
-        "gravity_m_s2": truth.gravity,
-        "filter": {"cutoff_hz": 6.0, "order": 4},
-        "standing": {
-            "markers": "standing.trc",
-            "forces": "standing_forces.mot",
-            "plates": feet,
-            "start_s": 0.5,
-        },
-        "scaling": {"lengths": "markers", "trunk_com": "table"},
-        "markers": study_markers(),
-        "trials": [
-            {
-                "name": name,
-                "markers": f"{name}.trc",
-                "forces": f"{name}_forces.mot",
-                "encoders": f"{name}_encoders.mot",
-                "plates": feet,
-                "start_s": start,
-                "end_s": end,
-            }
-            for name, (start, end) in windows.items()
-        ],
-        "foot_ground": _foot_ground(),
-    }
-    path = folder / "study.yaml"
-    text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
-    path.write_text(
-        "# A virtual subject in the exoskeleton stands up.\n" + text,
-        encoding="utf-8",
-    )
-    return path
-
-
-def _foot_ground() -> dict:
-    """Settings of the first phase; nominal values are not the truth."""
-
-    def sphere():
-        return {
-            "modulus_n_m2": {"nominal": 5e6, "lower": 1e6, "upper": 2e7},
-            "dissipation_s_m": {"nominal": 2.0, "lower": 0.0, "upper": 5.0},
-            "x_m": {"below": 0.03, "above": 0.03},
-            "z_m": {"below": 0.015, "above": 0.015},
-        }
-
-    return {
-        "law": "simbody",
-        "heel": sphere(),
-        "toe": sphere(),
-        "noise": {
-            "angle_deg": 0.3,
-            "velocity_deg_s": 2.0,
-            "foot_m": 0.001,
-            "foot_pitch_deg": 0.3,
-            "force_n": 3.0,
-            "cop_m": 0.0005,
-        },
-        "solver": {"nodes_per_second": 100.0},
-    }

@@ -1,9 +1,12 @@
 """From what happened to what a laboratory's instruments say."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from drake_exo.laboratory.c3d_writing import PlateDesign, write_c3d
+from drake_exo.laboratory.csv_files import write_csv_table
 from drake_exo.laboratory.opensim_files import (
     PlateRecording,
     write_table,
@@ -12,6 +15,7 @@ from drake_exo.laboratory.opensim_files import (
 from drake_exo.laboratory.sagittal import COP_THRESHOLD_N, PlanarWrench
 from drake_exo.laboratory.tables import MarkerData, Table
 from drake_exo.plant import COUPLED_COORDINATES
+from drake_exo.virtual_laboratory import marker_errors
 from drake_exo.virtual_laboratory.marker_set import (
     HALF_STANCE_M,
     Marker,
@@ -20,89 +24,179 @@ from drake_exo.virtual_laboratory.marker_set import (
 from drake_exo.virtual_laboratory.simulation import RATE_HZ, Simulated
 
 MARKER_RATE_HZ = 100.0
-ENCODER_RATE_HZ = 200.0
+DEVICE_RATE_HZ = 200.0
 PLATES = {"left": 1, "right": 2, "chair": 3}
+LARGEST_LAG_S = 0.04
+_PER_FRAME = round(RATE_HZ / MARKER_RATE_HZ)
 
-# What `--without` switches off, by name.
-DISTURBANCES = {
-    "marker_noise": "0.3 mm white noise on every marker coordinate",
-    "plate_noise": "0.5 N and 0.2 N m white noise on every plate",
-    "encoder_noise": "0.02 degree white noise, 0.01 degree resolution",
-}
-_MARKER_NOISE_M = 3e-4
 _FORCE_NOISE_N = 0.5
 _MOMENT_NOISE_NM = 0.2
-_ENCODER_NOISE_DEG = 0.02
-_ENCODER_STEP_DEG = 0.01
+_OFFSET = np.array([2.0, 4.0, 0.5])  # F_x, F_z [N], M_y [N m]
+_DRIFT = np.array([0.5, 1.5, 0.2])  # over a recording
+_EMPTY_S = 2.0
+_ANGLE_NOISE = np.deg2rad(0.02)
+_ANGLE_STEP = np.deg2rad(0.01)
+_EXO_MOMENT_NOISE_NM = 0.1
 
-# Where a plate without load says that its force acts.
-_CENTRES = {"left": 0.06, "right": 0.06, "chair": -0.35}
+# Middle, along the walkway and to the right, of each plate [m].
+_MIDDLE = {
+    "left": (0.06, -HALF_STANCE_M),
+    "right": (0.06, HALF_STANCE_M),
+    "chair": (-0.45, 0.0),
+}
+_HALF_SIZE = {"left": (0.25, 0.085), "right": (0.25, 0.085)}
+_CHAIR_HALF_SIZE = (0.24, 0.25)
+
+
+def empty_plate_levels(rng: np.random.Generator) -> np.ndarray:
+    """F_x, F_z [N] and M_y [N m] that a plate shows with nothing on it."""
+    return rng.uniform(-1.0, 1.0, 3) * _OFFSET
 
 
 @dataclass(frozen=True)
-class Instruments:
-    """The laboratory's equipment.
+class Clocks:
+    """Lag of each system's clock behind the markers' [s]."""
+
+    device: float = 0.0
+    mats: float = 0.0
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """The equipment, the same for all movements.
 
     Attributes:
+        folder: where files go.
+        files: "c3d" (markers and plates in one .c3d, device as .csv) or
+            "opensim" (.trc and .mot).
         markers: on the subject, by name.
-        left_share: of the ground reaction, under the left foot.
+        slide: (M, 2) of the skin under them.
+        offsets: plate -> F_x, F_z, M_y of the empty plate.
         disturbances: names of those that act.
     """
 
+    folder: Path
+    files: str
     markers: dict[str, Marker]
-    left_share: float
+    slide: np.ndarray
+    offsets: dict[str, np.ndarray]
     disturbances: frozenset[str]
 
-    def write_markers(self, path, movement: Simulated, rng) -> None:
-        """Marker positions, 100 Hz (.trc)."""
-        q = _every(MARKER_RATE_HZ, movement.q)
-        p = marker_positions(movement.tree, q, self.markers)
-        if "marker_noise" in self.disturbances:
-            p = p + rng.normal(0.0, _MARKER_NOISE_M, p.shape)
-        time = np.arange(len(q)) / MARKER_RATE_HZ
-        write_trc(
-            path,
-            MarkerData(time, tuple(self.markers), p, MARKER_RATE_HZ),
-        )
+    def motion_files(self, name: str) -> dict[str, str]:
+        """Names of the files of markers and forces."""
+        if self.files == "c3d":
+            return {"markers": f"{name}.c3d", "forces": f"{name}.c3d"}
+        return {"markers": f"{name}.trc", "forces": f"{name}_forces.mot"}
 
-    def write_plates(self, path, movement: Simulated, rng) -> None:
-        """Plates under the feet and the tared one under the chair (.mot)."""
-        share = {"left": self.left_share, "right": 1.0 - self.left_share}
+    def device_file(self, name: str, what: str) -> str:
+        """Name of a file of the device: "encoders" or "moments"."""
+        return f"{name}_{what}.{'csv' if self.files == 'c3d' else 'mot'}"
+
+    def record_motion(self, movement: Simulated, rng, hidden=True) -> None:
+        """Write markers at 100 Hz and plates at 1000 Hz.
+
+        Args:
+            movement: what happened.
+            rng: of this recording.
+            hidden: whether markers may be hidden at times.
+        """
+        active, tree = self.disturbances, movement.tree
+        q = movement.q[::_PER_FRAME]
+        p = marker_positions(tree, q, self.markers)
+        if "soft_tissue" in active:
+            p = p + marker_errors.soft_tissue(tree, q, self.markers, self.slide)
+        noise = rng.normal(0.0, marker_errors.NOISE_M, p.shape)
+        if "marker_noise" in active:
+            p = p + noise
+        if "gaps" in active and hidden:
+            p = marker_errors.hide(p, rng)
+        share = float(rng.uniform(0.46, 0.54))
+        if "variation" not in active:
+            share = 0.5
+        feet = {"left": share, "right": 1.0 - share}
         wrenches = {
             foot: PlanarWrench(
                 s * movement.ground.force, s * movement.ground.moment
             )
-            for foot, s in share.items()
+            for foot, s in feet.items()
         }
         wrenches["chair"] = movement.chair
-        names, columns = [], []
+        self._write(movement.name, p, self._disturbed(wrenches, rng))
+
+    def record_empty(self, name: str, rng) -> None:
+        """Write the plates with nothing on them."""
+        n = round(_EMPTY_S * RATE_HZ) + 1
+        nothing = PlanarWrench(np.zeros((n, 2)), np.zeros(n))
+        plates = self._disturbed(dict.fromkeys(PLATES, nothing), rng, 0.0)
+        frames = (n - 1) // _PER_FRAME + 1
+        corner = np.zeros((frames, 1, 3))
+        alone = replace(self, markers={"FLOOR": Marker("world", 0, 0, 0)})
+        alone._write(name, corner, plates)
+
+    def _disturbed(self, wrenches, rng, drift=1.0) -> list[PlateRecording]:
+        plates = []
         for place, number in PLATES.items():
             w = wrenches[place]
+            values = np.column_stack([w.force, w.moment])
+            n = len(values)
+            noise = rng.normal(size=(n, 3))
+            slope = drift * rng.uniform(-1.0, 1.0, 3) * _DRIFT
             if "plate_noise" in self.disturbances:
-                w = PlanarWrench(
-                    w.force + rng.normal(0.0, _FORCE_NOISE_N, w.force.shape),
-                    w.moment
-                    + rng.normal(0.0, _MOMENT_NOISE_NM, w.moment.shape),
-                )
-            plate = plate_recording(number, w, place)
-            for label, values in (
-                ("force_{}_v", plate.force),
-                ("force_{}_p", plate.point),
-                ("torque_{}_", plate.torque),
-            ):
-                names += [f"ground_{label.format(number)}{a}" for a in "xyz"]
-                columns.append(values)
-        table = Table(movement.times, tuple(names), np.hstack(columns))
-        write_table(path, table)
+                values[:, :2] += _FORCE_NOISE_N * noise[:, :2]
+                values[:, 2] += _MOMENT_NOISE_NM * noise[:, 2]
+            if "plate_drift" in self.disturbances:
+                values += self.offsets[place]
+                values += np.linspace(0.0, 1.0, n)[:, None] * slope
+            w = PlanarWrench(values[:, :2], values[:, 2])
+            plates.append(plate_recording(number, w, place))
+        return plates
 
-    def write_encoders(self, path, movement: Simulated, rng) -> None:
-        """Joint angles of the exoskeleton, 200 Hz, degrees (.mot)."""
-        angles = np.rad2deg(_every(ENCODER_RATE_HZ, movement.q[:, 6:]))
+    def _write(self, name, positions, plates) -> None:
+        time = np.arange(len(positions)) / MARKER_RATE_HZ
+        names, paths = tuple(self.markers), self.motion_files(name)
+        if self.files == "opensim":
+            data = MarkerData(time, names, positions, MARKER_RATE_HZ)
+            write_trc(self.folder / paths["markers"], data)
+            _write_plates(self.folder / paths["forces"], plates)
+            return
+        count = len(time) * _PER_FRAME
+        write_c3d(
+            self.folder / paths["markers"],
+            MarkerData(time, names, _z_up(positions), MARKER_RATE_HZ),
+            [_resized(plate, count) for plate in plates],
+            [_design(place) for place in PLATES],
+            _PER_FRAME,
+        )
+
+    def record_device(
+        self, movement: Simulated, clocks: Clocks, with_moments: bool, rng
+    ) -> None:
+        """Write encoders, and joint moments if the device records them."""
+        time = np.arange(0.0, movement.times[-1], 1.0 / DEVICE_RATE_HZ)
+        at = time - clocks.device
+        angles = _sampled(movement, movement.q[:, 6:], at)
+        moments = _sampled(movement, movement.torque[:, 3:], at)
+        noise = rng.normal(size=(2, *angles.shape))
         if "encoder_noise" in self.disturbances:
-            angles = angles + rng.normal(0.0, _ENCODER_NOISE_DEG, angles.shape)
-            angles = _ENCODER_STEP_DEG * np.round(angles / _ENCODER_STEP_DEG)
-        time = np.arange(len(angles)) / ENCODER_RATE_HZ
-        table = Table(time, COUPLED_COORDINATES[6:], angles, in_degrees=True)
+            angles = angles + _ANGLE_NOISE * noise[0]
+            angles = _ANGLE_STEP * np.round(angles / _ANGLE_STEP)
+            moments = moments + _EXO_MOMENT_NOISE_NM * noise[1]
+        names = COUPLED_COORDINATES[6:]
+        table = Table(time, names, angles, in_degrees=False)
+        self._write_device(movement.name, "encoders", table, "deg")
+        if with_moments:
+            names = tuple(f"{name}_moment" for name in names)
+            table = Table(time, names, moments, in_degrees=False)
+            self._write_device(movement.name, "moments", table, "Nm")
+
+    def _write_device(self, name, what, table: Table, unit: str) -> None:
+        path = self.folder / self.device_file(name, what)
+        if self.files == "c3d":
+            write_csv_table(path, table, [unit] * len(table.names))
+            return
+        if unit == "deg":
+            values = np.rad2deg(table.values)
+            table = replace(table, values=values, in_degrees=True)
         write_table(path, table)
 
 
@@ -115,19 +209,58 @@ def plate_recording(
     for it, so that the wrench stays what it was.
     """
     F_x, F_z = wrench.force.T
-    lateral = {"left": -HALF_STANCE_M, "right": HALF_STANCE_M}
+    x, right = _MIDDLE[place]
     loaded = F_z > COP_THRESHOLD_N
     force, point, torque = np.zeros((3, len(F_z), 3))
     force[:, 0], force[:, 1] = F_x, F_z
     point[:, 0] = np.where(
-        loaded, -wrench.moment / np.where(loaded, F_z, 1.0), _CENTRES[place]
+        loaded, -wrench.moment / np.where(loaded, F_z, 1.0), x
     )
-    point[:, 2] = lateral.get(place, 0.0)
+    point[:, 2] = right
     # About y (left) in the plane, so about -z (right) in the file; a force
     # off the midline has no part in it, its moments are about x and y.
     torque[:, 2] = -(wrench.moment + point[:, 0] * F_z)
     return PlateRecording(number, force, point, torque, True)
 
 
-def _every(rate_hz: float, values: np.ndarray) -> np.ndarray:
-    return values[:: round(RATE_HZ / rate_hz)]
+def _write_plates(path: Path, plates: list[PlateRecording]) -> None:
+    names, columns = [], []
+    for plate in plates:
+        for label, values in (
+            ("force_{}_v", plate.force),
+            ("force_{}_p", plate.point),
+            ("torque_{}_", plate.torque),
+        ):
+            names += [f"ground_{label.format(plate.number)}{a}" for a in "xyz"]
+            columns.append(values)
+    time = np.arange(len(columns[0])) / RATE_HZ
+    write_table(path, Table(time, tuple(names), np.hstack(columns)))
+
+
+def _z_up(values: np.ndarray) -> np.ndarray:
+    """From OpenSim's axes to x forward, y left, z up."""
+    return np.stack([values[..., 0], -values[..., 2], values[..., 1]], axis=-1)
+
+
+def _resized(plate: PlateRecording, count: int) -> PlateRecording:
+    """The first `count` samples, the last one repeated, z up."""
+    i = np.minimum(np.arange(count), len(plate.force) - 1)
+    parts = (_z_up(x[i]) for x in (plate.force, plate.point, plate.torque))
+    return PlateRecording(plate.number, *parts, True)
+
+
+def _design(place: str) -> PlateDesign:
+    """Where a plate lies: forward right, back right, back left, ..."""
+    x, right = _MIDDLE[place]
+    half_x, half_y = _HALF_SIZE.get(place, _CHAIR_HALF_SIZE)
+    corners = [
+        (x + a * half_x, -(right + b * half_y), 0.0)
+        for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    ]
+    return PlateDesign(np.array(corners))
+
+
+def _sampled(movement: Simulated, values, at) -> np.ndarray:
+    """Values (N, k) at other times; the ends' values beyond the ends."""
+    columns = [np.interp(at, movement.times, column) for column in values.T]
+    return np.column_stack(columns)

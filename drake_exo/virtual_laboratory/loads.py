@@ -7,17 +7,13 @@ from dataclasses import astuple
 
 import numpy as np
 
-from drake_exo.forces.bushing import (
-    BushingParameters,
-    bushing_deflection,
-    bushing_force,
-    bushing_wrench,
-)
+from drake_exo.forces.bushing import bushing_deflection, bushing_wrench
 from drake_exo.forces.contact_parameters import ContactParameters
 from drake_exo.forces.contact_system import foot_contact
 from drake_exo.laboratory.inverse_dynamics import wrench_on_body
 from drake_exo.laboratory.sagittal import PlanarWrench
 from drake_exo.planar_tree import PlanarTree
+from drake_exo.virtual_laboratory.cuffs import Cuff, cuff_force
 from drake_exo.virtual_laboratory.seat import SeatParameters, seat_wrench
 
 
@@ -72,17 +68,18 @@ def chair_wrench(
 
 
 def interaction(
-    tree: PlanarTree, bushings: dict[str, BushingParameters], q, v
+    tree: PlanarTree, cuffs: dict[str, Cuff], q, v
 ) -> tuple[np.ndarray, dict[str, PlanarWrench]]:
     """Cuff forces along a motion.
 
     Returns:
-        Tangential, normal and rotational component (N, 3 * bushings) on the
+        Tangential, normal and rotational component (N, 3 * cuffs) on the
         human as `HumanExoskeletonBushings` reports them, and the wrench
         on the human by segment.
     """
     components, wrenches = [], {}
-    for name, bushing in bushings.items():
+    for name, cuff in cuffs.items():
+        bushing = cuff.bushing
         links = []
         for body in (name, f"exo_{name}"):
             position, angle, motion = link_motion(tree, q, v, body)
@@ -96,9 +93,7 @@ def interaction(
             bushing.origin,
             bushing.preload,
         )
-        force = bushing_force(
-            deflection, rate, bushing.stiffness, bushing.damping
-        )
+        force = cuff_force(cuff, deflection, rate)
         w = bushing_wrench(
             force, human, device, bushing.origin, bushing.preload
         )
@@ -114,7 +109,7 @@ def interaction(
 def applied(
     tree: PlanarTree,
     contact: ContactParameters,
-    bushings: dict[str, BushingParameters],
+    cuffs: dict[str, Cuff],
     seat: SeatParameters | None,
     q,
     v,
@@ -122,7 +117,7 @@ def applied(
     """Generalized forces (N, 9) of ground, chair and cuffs together."""
     loads = wrench_on_body(tree, q, "foot", ground_wrench(tree, contact, q, v))
     loads += wrench_on_body(tree, q, "pelvis", chair_wrench(tree, seat, q, v))
-    for name, w in interaction(tree, bushings, q, v)[1].items():
+    for name, w in interaction(tree, cuffs, q, v)[1].items():
         back = PlanarWrench(-w.force, -w.moment)
         loads += wrench_on_body(tree, q, name, w)
         loads += wrench_on_body(tree, q, f"exo_{name}", back)

@@ -18,7 +18,8 @@ from drake_exo.forces.contact_parameters import ContactParameters
 from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
 from drake_exo.laboratory.sagittal import PlanarWrench
 from drake_exo.planar_tree import PlanarTree
-from drake_exo.virtual_laboratory.loads import chair_wrench, ground_wrench
+from drake_exo.virtual_laboratory.feet import resting_foot
+from drake_exo.virtual_laboratory.loads import chair_wrench
 from drake_exo.virtual_laboratory.seat import SeatParameters
 
 _DEGREE = 5
@@ -26,8 +27,6 @@ _KNOT_S = 0.1
 _NODE_S = 0.02
 _HIP_HEIGHT_M = 0.9
 _DIFFERENCE = 1e-6
-_NEWTON_STEPS = 40
-_LARGEST_STEP = 5e-3  # m or rad
 
 # Standard deviations of the template, the larger they are the freer the plan.
 _QUIET_DEG = 0.3
@@ -77,7 +76,7 @@ class RisePlan:
     leant: Posture = Posture(shank=20.0, knee=92.0, trunk=42.0)
     standing: Posture = Posture(shank=6.0, knee=2.0, trunk=0.0)
     quiet_s: float = 0.5
-    lean_s: float = 0.7
+    lean_s: float = 0.9
     rise_s: float = 1.5
     stand_s: float = 0.8
     cop_m: float = 0.050
@@ -124,7 +123,7 @@ class Planner:
     def standing(self, duration: float, cop_m: float) -> Reference:
         """Quiet standing, trunk upright, over a centre of pressure."""
         times = np.linspace(0.0, duration, 11)
-        foot = self.resting_foot(np.array([self.weight]), cop_m)
+        foot = self._foot(np.array([self.weight]), cop_m)
         posture = RisePlan().standing
         for _ in range(4):
             q = np.hstack([foot, posture.joints(foot[:, 2])])
@@ -151,7 +150,7 @@ class Planner:
         share = self._seated(plan)[1] * (
             1.0 - _minimum_jerk((times - begin) / (end - begin))
         )
-        foot = self.resting_foot(self.weight * (1.0 - share), plan.cop_m)
+        foot = self._foot(self.weight * (1.0 - share), plan.cop_m)
         return self._solve(plan, seat, times, foot, share)
 
     def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
@@ -159,35 +158,15 @@ class Planner:
         seat, share = SeatParameters(height_m=0.0), 0.6
         for _ in range(3):
             load = np.array([self.weight * (1.0 - share)])
-            foot = self.resting_foot(load, plan.cop_m)
+            foot = self._foot(load, plan.cop_m)
             q = np.hstack([foot, plan.seated.joints(foot[:, 2])])
             p = self.tree.point_positions(q, "pelvis", (seat.x_m, seat.z_m))
             com = self.tree.center_of_mass(q)
             share = (com[0, 0] - plan.cop_m) / (p[0, 0] - plan.cop_m)
         return q, float(share)
 
-    def resting_foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
-        """Foot coordinates (n, 3) at rest under vertical loads (n,) [N]."""
-        tree, q = self.tree, np.zeros((len(load), self.tree.num_positions))
-        spheres = self.contact.spheres.values()
-        q[:, 1] = np.mean([s.radius - s.z for s in spheres]) - 5e-3
-        wanted = np.column_stack([load, -cop_m * load])
-
-        def excess(q):
-            w = ground_wrench(tree, self.contact, q, np.zeros_like(q))
-            return np.column_stack([w.force[:, 1], w.moment]) - wanted
-
-        for _ in range(_NEWTON_STEPS):
-            r, J = excess(q), np.empty((len(load), 2, 2))
-            for k in (0, 1):
-                moved = q.copy()
-                moved[:, 1 + k] += _DIFFERENCE
-                J[:, :, k] = (excess(moved) - r) / _DIFFERENCE
-            step = -np.linalg.solve(J, r[:, :, None])[:, :, 0]
-            q[:, 1:3] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-            if np.abs(step).max() < 1e-9:
-                break
-        return q[:, :3]
+    def _foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
+        return resting_foot(self.tree, self.contact, load, cop_m)
 
     def _solve(self, plan, seat, times, foot, wanted) -> Reference:
         """Least squares for the joints' coefficients.

@@ -18,6 +18,7 @@ from drake_exo.forces.planar import (
 )
 
 _LAW = "simbody"
+_CLEARANCE_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,9 @@ class Seat(LeafSystem):
         self.set_name("seat")
         self._pelvis = pelvis
         self._seat = seat
+        # From there up no posture reaches the seat: nothing to evaluate.
+        reach = np.hypot(seat.x_m, seat.z_m) + seat.radius_m
+        self._clear_z = seat.height_m + reach + _CLEARANCE_M
         declare_body_inputs(self, float)
         declare_force_output(self, float, self._calc_spatial_forces)
         self.DeclareVectorOutputPort("seat_reaction", 3, self._calc_reaction)
@@ -105,6 +109,10 @@ class Seat(LeafSystem):
         return position, direction, wrench
 
     def _calc_spatial_forces(self, context, output):
+        pose = self.GetInputPort("body_poses").Eval(context)[int(self._pelvis)]
+        if pose.translation()[2] > self._clear_z:
+            output.set_value([])
+            return
         position, direction, wrench = self._evaluate(context)
         point = to_body(position, direction, wrench.point_x, wrench.point_z)
         force = (wrench.force_x, wrench.force_z)

@@ -8,7 +8,7 @@ comes out of the simulation, not out of the plan.
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.systems.framework import EventStatus, LeafSystem
+from pydrake.systems.framework import EventStatus
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from drake_exo.forces.diagram import build_diagram, build_simulator
@@ -16,6 +16,12 @@ from drake_exo.laboratory.sagittal import PlanarWrench
 from drake_exo.output import Progress
 from drake_exo.planar_tree import PlanarTree
 from drake_exo.plant import build_plant
+from drake_exo.virtual_laboratory.control import (
+    DeviceController,
+    SubjectController,
+    controller,
+)
+from drake_exo.virtual_laboratory.cuffs import Cuffs
 from drake_exo.virtual_laboratory.loads import (
     applied,
     chair_wrench,
@@ -27,16 +33,10 @@ from drake_exo.virtual_laboratory.seat import Seat, SeatParameters
 from drake_exo.virtual_laboratory.truth import Truth
 
 RATE_HZ = 1000.0
+PASSIVE = (0.0, 0.0, 0.0)
 _SETTLE_S = 0.4
-_ACCURACY = 1e-3
+_ACCURACY = 5e-4
 _STEP_S = 0.05
-# Of the subject's own feedback, both legs: ankle, knee, hip.
-_STIFFNESS = np.array([3000.0, 2000.0, 2000.0])  # N m/rad
-_DAMPING = np.array([250.0, 120.0, 120.0])  # N m s/rad
-# What the feedback holds, of the rigid model's coordinates: the ankle holds
-# the shank against the vertical, not against the foot. On soft soles a foot
-# that tips would otherwise take the body along.
-_HELD = np.eye(6)[3:] - np.outer([1.0, 0.0, 0.0], np.eye(6)[2])
 
 
 @dataclass(frozen=True)
@@ -67,50 +67,14 @@ class Simulated:
     tree: PlanarTree
 
 
-class SubjectController(LeafSystem):
-    """Feed-forward joint torques and feedback towards a plan.
-
-    Input state; output joint_torques: ankle, knee, hip, and zero for the
-    passive exoskeleton [N m].
-
-    Args:
-        reference: the plan; its ends are held before and after.
-    """
-
-    def __init__(self, reference: Reference):
-        super().__init__()
-        self.set_name("subject")
-        self._span = reference.times[[0, -1]]
-        targets = [reference.q @ _HELD.T, reference.v @ _HELD.T]
-        self._plan = CubicSpline(
-            reference.times, np.hstack([*targets, reference.torque])
-        )
-        self.DeclareVectorInputPort("state", 18)
-        self.DeclareVectorOutputPort("joint_torques", 6, self._calc)
-
-    def torques(self, time, q, v) -> np.ndarray:
-        """Human joint torques (N, 3) at times (N,) and states (N, 9)."""
-        wanted = self._plan(np.clip(time, *self._span))
-        moving = (time >= self._span[0]) & (time <= self._span[1])
-        position, velocity, torque = np.split(wanted, 3, axis=-1)
-        error = position - q[..., :6] @ _HELD.T
-        rate = np.where(moving[..., None], velocity, 0.0)
-        rate = rate - v[..., :6] @ _HELD.T
-        return torque + _STIFFNESS * error + _DAMPING * rate
-
-    def _calc(self, context, output):
-        state = self.GetInputPort("state").Eval(context)
-        q, v = state[:9], state[9:]
-        time = np.array(context.get_time())
-        output.SetFromVector(np.r_[self.torques(time, q, v), 0.0, 0.0, 0.0])
-
-
 def simulate(
     name: str,
     truth: Truth,
     reference: Reference,
-    seat: SeatParameters | None,
+    seat: SeatParameters | None = None,
+    help_share: tuple[float, float, float] = PASSIVE,
     progress: Progress | None = None,
+    done: int | None = None,
 ) -> Simulated:
     """Let the subject follow its plan.
 
@@ -119,24 +83,24 @@ def simulate(
         truth: the subject.
         reference: its plan.
         seat: the chair, if there is one.
+        help_share: of the gravity torque at ankle, knee and hip, which the
+            exoskeleton bears.
         progress: told of every step.
+        done: movements simulated before.
     """
     plant = build_plant(
         "coupled", truth.human, truth.exoskeleton, gravity=truth.gravity
     )
     tree = PlanarTree.from_plant(plant)
-    controller = SubjectController(reference)
-    chair = []
-    if seat is not None:
-        chair = [Seat(plant.GetBodyByName("pelvis").index(), seat)]
+    subject, device = _controllers(truth, reference, help_share)
     model = build_diagram(
         "coupled",
         truth.human,
         truth.exoskeleton,
         contact=truth.contact,
-        bushings=truth.bushings,
-        controller=controller,
-        forces=chair,
+        bushings={},
+        controller=controller(subject, device),
+        forces=_forces(plant, truth, seat),
         gravity=truth.gravity,
     )
     simulator = build_simulator(model, accuracy=_ACCURACY)
@@ -145,8 +109,36 @@ def simulate(
     context.SetTime(-_SETTLE_S)
     q = equilibrium(tree, truth, seat, reference.q[0])
     model.plant.SetPositions(model.plant_context(context), q)
-    motion = _advance(simulator, name, float(reference.times[-1]), progress)
-    return _recorded(name, tree, truth, seat, controller, motion)
+    end = float(reference.times[-1])
+
+    def tell(time: float) -> None:
+        if progress:
+            progress.update(f"{name}, {time:.2f} of {end:.2f} s", done)
+
+    motion = _advance(simulator, end, tell)
+    return _recorded(name, tree, truth, seat, (subject, device), motion)
+
+
+def _controllers(truth, reference, help_share):
+    rigid = build_plant(
+        "rigid", truth.human, truth.exoskeleton, gravity=truth.gravity
+    )
+    device = DeviceController(
+        PlanarTree.from_plant(rigid), help_share, truth.friction
+    )
+    help_expected = device.help(reference.q[:, 3:], reference.ground[:, 1])
+    return SubjectController(reference, help_expected), device
+
+
+def _forces(plant, truth: Truth, seat: SeatParameters | None):
+    """Cuffs and chair as systems."""
+
+    def link(name):
+        return plant.GetBodyByName(name).index()
+
+    pairs = {name: (link(name), link(f"exo_{name}")) for name in truth.cuffs}
+    cuffs = Cuffs(pairs, truth.cuffs)
+    return [cuffs] if seat is None else [cuffs, Seat(link("pelvis"), seat)]
 
 
 def equilibrium(
@@ -170,7 +162,7 @@ def equilibrium(
         trial = q + np.vstack([np.zeros(9), 1e-7 * free])
         rest = np.zeros_like(trial)
         r = tree.inverse_dynamics(trial, rest, rest) - applied(
-            tree, truth.contact, truth.bushings, seat, trial, rest
+            tree, truth.contact, truth.cuffs, seat, trial, rest
         )
         r = r[:, [1, 2, 6, 7, 8]]
         J = (r[1:] - r[0]).T / 1e-7
@@ -181,18 +173,21 @@ def equilibrium(
     return q
 
 
-def _advance(simulator, name, end, progress) -> CubicHermiteSpline:
-    """The state (18,) from 0 to `end`, through every step and its slope."""
-    system, steps = simulator.get_system(), []
+def _advance(simulator, end, tell):
+    """Positions and velocities (9,) as functions of time from 0 to `end`.
+
+    Velocities are splines through the steps' ends alone: slopes there carry
+    what is left of the stiff foot's transients, which the contact's damping
+    would turn into noise of the forces.
+    """
+    steps = []
 
     def note(context):
         time = context.get_time()
-        if progress:
-            progress.update(f"{name}, {time:.2f} of {end:.2f} s")
+        tell(time)
         if time >= 0.0:
-            slope = system.EvalTimeDerivatives(context).CopyToVector()
             state = context.get_continuous_state_vector().CopyToVector()
-            steps.append((time, state, slope))
+            steps.append((time, state))
         return EventStatus.DidNothing()
 
     simulator.Initialize()
@@ -200,21 +195,25 @@ def _advance(simulator, name, end, progress) -> CubicHermiteSpline:
     note(simulator.get_context())
     simulator.set_monitor(note)
     simulator.AdvanceTo(end)
-    times, states, slopes = (
-        np.array(column) for column in zip(*steps, strict=True)
-    )
-    _, new = np.unique(times, return_index=True)
-    return CubicHermiteSpline(times[new], states[new], slopes[new])
+    times, states = (np.array(column) for column in zip(*steps, strict=True))
+    times, new = np.unique(times, return_index=True)
+    q, v = states[new, :9], states[new, 9:]
+    return CubicHermiteSpline(times, q, v), CubicSpline(times, v)
 
 
-def _recorded(name, tree, truth, seat, controller, motion) -> Simulated:
-    end = motion.x[-1]
+def _recorded(name, tree, truth, seat, controllers, motion) -> Simulated:
+    end = motion[0].x[-1]
     times = np.arange(round(end * RATE_HZ) + 1) / RATE_HZ
-    state = motion(np.minimum(times, end))
-    q, v = state[:, :9], state[:, 9:]
-    torque = np.zeros((len(times), 6))
-    torque[:, :3] = controller.torques(times, q, v)
-    loads = applied(tree, truth.contact, truth.bushings, seat, q, v)
+    q, v = (spline(np.minimum(times, end)) for spline in motion)
+    ground = ground_wrench(tree, truth.contact, q, v)
+    subject, device = controllers
+    torque = np.hstack(
+        [
+            subject.torques(times, q, v),
+            device.torques(q[:, 6:], v[:, 6:], ground.force[:, 1]),
+        ]
+    )
+    loads = applied(tree, truth.contact, truth.cuffs, seat, q, v)
     loads[:, 3:] += torque
     return Simulated(
         name,
@@ -223,9 +222,9 @@ def _recorded(name, tree, truth, seat, controller, motion) -> Simulated:
         v,
         _accelerations(tree, q, v, loads),
         torque,
-        ground_wrench(tree, truth.contact, q, v),
+        ground,
         chair_wrench(tree, seat, q, v),
-        interaction(tree, truth.bushings, q, v)[0],
+        interaction(tree, truth.cuffs, q, v)[0],
         tree,
     )
 
@@ -233,8 +232,7 @@ def _recorded(name, tree, truth, seat, controller, motion) -> Simulated:
 def _accelerations(tree: PlanarTree, q, v, loads) -> np.ndarray:
     """Accelerations (N, 9) under generalized forces (N, 9).
 
-    From the equations of motion; the slope of the interpolated velocities
-    would be off by newtons between steps.
+    From the equations of motion, so that truth obeys them at every sample.
     """
     rest = np.zeros_like(q)
     mass = tree.inverse_dynamics_jacobians(q, rest, rest)[2]

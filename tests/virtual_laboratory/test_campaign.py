@@ -5,21 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import drake_exo
 from drake_exo.cli import main
 from drake_exo.errors import InputError
-from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
 from drake_exo.laboratory.loading import load_trials
 from drake_exo.laboratory.opensim_files import read_table
 from drake_exo.laboratory.sagittal import PlanarWrench
 from drake_exo.planar_tree import PlanarTree
 from drake_exo.plant import build_plant
 from drake_exo.study import load_study
-from drake_exo.virtual_laboratory.campaign import write_campaign
+from drake_exo.virtual_laboratory import campaign
+from drake_exo.virtual_laboratory.campaign import protocol, write_campaign
+from drake_exo.virtual_laboratory.disturbances import DISTURBANCES
 from drake_exo.virtual_laboratory.instruments import plate_recording
 
 SEED = 4
+FIRST = "passive_pelvis_4_3"
+WEIGHT = 85.0 * 9.81
 
 
 def written(folder: Path) -> dict[str, bytes]:
@@ -28,118 +32,136 @@ def written(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("undisturbed")
-    write_campaign(folder, SEED, disturbances=(), trials=1)
+def simulations():
+    """Movements simulated without disturbance, by name."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory, simulations):
+    folder = tmp_path_factory.mktemp("clean")
+    simulate = campaign.simulate
+
+    def keep(name, *args, **kwargs):
+        simulations[name] = simulate(name, *args, **kwargs)
+        return simulations[name]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "simulate", keep)
+        write_campaign(folder, SEED, ["variation"], trials=1)
     return folder
 
 
 @pytest.fixture(scope="module")
-def truth(undisturbed):
-    return read_table(undisturbed / "truth" / "rise1.sto")
+def disturbed(tmp_path_factory):
+    """All disturbances, two movements, by the command: in two processes."""
+    folder = tmp_path_factory.mktemp("disturbed") / "campaign"
+    command = ["lab", "--seed", str(SEED), "--trials", "2"]
+    assert main([*command, "--out", str(folder)]) == 0
+    return folder
 
 
-@pytest.fixture(scope="module")
-def read_back(undisturbed, tmp_path_factory):
-    """The campaign as a calibration gets it: without its truth."""
-    folder = tmp_path_factory.mktemp("handed_over")
-    shutil.copytree(undisturbed, folder, dirs_exist_ok=True)
-    shutil.rmtree(folder / "truth")
-    study, root = load_study(folder / "study.yaml")
-    subject, (trial,) = load_trials(study, root)
-    return study, subject, trial
+def handed_over(folder, tmp_path):
+    """The campaign as a calibration gets it, without its truth, read."""
+    place = tmp_path / "handed_over"
+    shutil.copytree(folder, place)
+    shutil.rmtree(place / "truth")
+    study, root = load_study(place / "study.yaml")
+    return load_trials(study, root)
 
 
-def at(truth, trial):
-    return np.round((trial.time - truth.time[0]) * 100).astype(int)
+def rms(values):
+    return np.sqrt(np.mean(values**2, axis=0))
 
 
-def test_same_seed_same_bytes_through_the_command(tmp_path):
-    for name in ("a", "b"):
-        assert (
-            main(
-                [
-                    "lab",
-                    "--seed",
-                    str(SEED),
-                    "--trials",
-                    "1",
-                    "--out",
-                    str(tmp_path / name),
-                ]
-            )
-            == 0
-        )
-    first, second = (written(tmp_path / name) for name in ("a", "b"))
-    assert first == second
-    assert {"study.yaml", "truth/truth.json", "rise1.trc"} <= set(first)
-
-
-def test_results_are_not_overwritten(tmp_path, capsys):
-    (tmp_path / "notes.txt").write_text("mine")
-    assert main(["lab", "--out", str(tmp_path)]) == 2
-    assert "--force" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"disturbances": ["marker_nois"]}, "marker_noise"),
-        ({"seed": -1}, "seed is -1"),
-        ({"trials": 0}, "trials is 0"),
-    ],
-)
-def test_bad_requests_are_refused(tmp_path, arguments, message):
-    with pytest.raises(InputError, match=message):
-        write_campaign(tmp_path, **{"seed": 0, **arguments})
-    assert not list(tmp_path.iterdir())
-
-
-def test_angles_and_places_are_read_back(read_back, truth):
-    _, _, trial = read_back
-    i = at(truth, trial)
-    q = truth.columns(trial.coordinates)[i]
-    error = np.sqrt(np.mean((trial.q - q) ** 2, axis=0))
-    assert np.rad2deg(error[2:]).max() < 0.1
-    assert error[:2].max() < 1e-4
-    speeds = truth.columns([f"{c}_speed" for c in trial.coordinates])[i]
-    error = np.sqrt(np.mean((trial.v - speeds) ** 2, axis=0))
-    assert np.rad2deg(error[2:]).max() < 2.0
-    # A rise, not a twitch.
+def errors(folder, trial):
+    """RMS differences of a trial from what truly happened."""
+    truth = read_table(folder / "truth" / f"{trial.name}.sto")
+    i = np.round((trial.time - truth.time[0]) * 100).astype(int)
+    ground = ["ground_force_x", "ground_force_z", "ground_moment_y"]
+    F_x, F_z, M_y = truth.columns(ground)[i].T
+    names = trial.coordinates
+    q = truth.columns(names)[i]
+    v = truth.columns([f"{c}_speed" for c in names])[i]
+    torque = truth.columns([f"{c}_torque" for c in names[3:]])[i]
+    # A rise that is worth the comparison, after the chair.
     assert np.rad2deg(np.ptp(q[:, 4])) > 80.0
+    assert np.abs(torque).max() > 50.0
+    assert truth.column("chair_force_z")[i].max() < 1.0
+    return {
+        "angles_deg": np.rad2deg(rms(trial.q - q)[2:]),
+        "foot_m": rms(trial.q - q)[:2],
+        "velocities_deg_s": np.rad2deg(rms(trial.v - v)[2:]),
+        "grf_n": rms(trial.grf - np.column_stack([F_x, F_z])),
+        "cop_m": rms(trial.cop_x + M_y / F_z),
+        "moments_nm": rms(trial.moments - torque),
+        **{
+            f"{segment}_n": rms(force - truth.column(f"{segment}_normal")[i])
+            for segment, force in trial.normal_force.items()
+        },
+    }
 
 
-def test_forces_are_read_back(read_back, truth):
-    _, _, trial = read_back
-    i = at(truth, trial)
-    names = ("ground_force_x", "ground_force_z", "ground_moment_y")
-    ground = truth.columns(names)[i]
-    error = np.sqrt(np.mean((trial.grf - ground[:, :2]) ** 2, axis=0))
-    assert error.max() < 2.0
-    cop = -ground[:, 2] / ground[:, 1]
-    assert np.sqrt(np.mean((trial.cop_x - cop) ** 2)) < 5e-4
+def test_same_seed_same_bytes_in_one_process_or_two(disturbed, tmp_path):
+    write_campaign(tmp_path, SEED, trials=1)
+    first, second = written(disturbed), written(tmp_path)
+    studies = [
+        yaml.safe_load(files.pop("study.yaml")) for files in (first, second)
+    ]
+    assert second.items() <= first.items()
+    assert {"truth/truth.json", "standing.c3d", f"{FIRST}.c3d"} <= set(second)
+    del studies[0]["trials"][1:]
+    assert studies[0] == studies[1]
 
 
-def test_joint_moments_are_read_back(read_back, truth):
-    _, subject, trial = read_back
-    i = at(truth, trial)
-    torque = truth.columns([f"{c}_torque" for c in trial.coordinates[3:]])[i]
-    human, device = torque[:, :3], torque[:, 3:]
-    found = inverse_dynamics(
-        subject.rigid,
-        trial.q[:, :6],
-        trial.v[:, :6],
-        trial.a[:, :6],
-        {"foot": PlanarWrench(trial.grf, trial.moment_y)},
-    )
-    error = found[:, 3:] - human - device
-    assert np.sqrt(np.mean(error**2, axis=0)).max() < 5.0
-    assert np.abs(human).max() > 50.0
+def test_undisturbed_files_hold_the_truth(clean, tmp_path):
+    _, (trial,) = handed_over(clean, tmp_path)
+    error = errors(clean, trial)
+    assert error["angles_deg"].max() < 0.1
+    assert error["foot_m"].max() < 1e-4
+    assert error["velocities_deg_s"].max() < 2.0
+    assert error["grf_n"].max() < 2.0
+    assert error["cop_m"] < 5e-4
+    assert error["moments_nm"].max() < 5.0
+    assert error["pelvis_n"] < 1.0
 
 
-def test_forces_balance_the_motion(undisturbed, truth):
-    """Newton for the whole body, from finely sampled velocities."""
-    _, subject = _subject(undisturbed)
+def test_opensim_files_hold_the_same(clean, simulations, tmp_path):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "simulate", lambda n, *_, **__: simulations[n])
+        (tmp_path / "opensim").mkdir()
+        write_campaign(
+            tmp_path / "opensim", SEED, ["variation"], 1, files="opensim"
+        )
+    assert (tmp_path / "opensim" / f"{FIRST}.trc").is_file()
+    _, (text,) = handed_over(tmp_path / "opensim", tmp_path)
+    _, (binary,) = handed_over(clean, tmp_path / "binary")
+    np.testing.assert_allclose(text.q, binary.q, atol=1e-5)
+    np.testing.assert_allclose(text.grf, binary.grf, atol=1e-2)
+    np.testing.assert_allclose(text.cop_x, binary.cop_x, atol=1e-5)
+
+
+def test_disturbed_files_are_near_the_truth(clean, disturbed, tmp_path):
+    _, trials = handed_over(disturbed, tmp_path)
+    _, (perfect,) = handed_over(clean, tmp_path / "clean")
+    for trial in trials:
+        error = errors(disturbed, trial)
+        assert error["angles_deg"].max() < 2.0
+        assert error["grf_n"].max() < 5.0
+        assert error["moments_nm"].max() < 10.0
+        assert error["pelvis_n"] < 10.0
+    # The disturbances do disturb.
+    quiet = errors(clean, perfect)
+    for name in ("angles_deg", "moments_nm", "pelvis_n"):
+        assert np.max(errors(disturbed, trials[0])[name]) > 1.3 * np.max(
+            quiet[name]
+        )
+
+
+def test_forces_balance_the_motion(clean, tmp_path):
+    """Newton for the whole body, and rates that are those of the motion."""
+    subject, _ = handed_over(clean, tmp_path)
+    truth = read_table(clean / "truth" / f"{FIRST}.sto")
     tree = PlanarTree.from_plant(
         build_plant("coupled", subject.human, subject.exoskeleton)
     )
@@ -149,7 +171,6 @@ def test_forces_balance_the_motion(undisturbed, truth):
     given = truth.columns(["ground_force_x", "ground_force_z"])
     given = given + truth.columns(["chair_force_x", "chair_force_z"])
     assert np.abs(needed - given).max() < 0.5
-    # Accelerations are those of the motion, and velocities likewise.
     step = truth.time[1] - truth.time[0]
     for values, rate in ((q, v), (v, a)):
         change = np.diff(values, axis=0)[:, 3:6]
@@ -158,31 +179,64 @@ def test_forces_balance_the_motion(undisturbed, truth):
         assert np.abs(drift).max() < 0.02 * np.ptp(values[:, 3:6])
 
 
-def _subject(folder):
-    study, root = load_study(folder / "study.yaml")
-    return study, load_trials(study, root)[0]
+def test_the_chair_bears_while_seated(clean):
+    truth = read_table(clean / "truth" / f"{FIRST}.sto")
+    chair, feet = truth.columns(["chair_force_z", "ground_force_z"])[0]
+    assert 0.4 * WEIGHT < chair < 0.8 * WEIGHT
+    assert chair + feet == pytest.approx(WEIGHT, rel=1e-3)
 
 
-def test_the_chair_bears_until_seat_off(read_back, truth):
-    _, _, trial = read_back
-    chair = truth.column("chair_force_z")
-    weight = 85.0 * 9.81
-    assert 0.4 * weight < chair[0] < 0.8 * weight
-    assert chair[0] + truth.column("ground_force_z")[0] == pytest.approx(
-        weight, rel=1e-3
-    )
-    assert chair[at(truth, trial)].max() < 1.0
-
-
-def test_standing_settles_to_body_weight(undisturbed):
-    standing = read_table(undisturbed / "truth" / "standing.sto")
+@pytest.mark.parametrize("kind", ["clean", "disturbed"])
+def test_standing_settles_to_body_weight(kind, request):
+    folder = request.getfixturevalue(kind)
+    standing = read_table(folder / "truth" / "standing.sto")
     force = standing.column("ground_force_z")
-    assert force[-1] == pytest.approx(85.0 * 9.81, rel=1e-3)
-    assert np.abs(force / force[-1] - 1.0).max() < 0.01
-    foot, hip = standing.columns(["foot_pitch", "hip"])[-1]
-    ankle, knee = standing.columns(["ankle", "knee"])[-1]
-    assert np.rad2deg(abs(foot)) < 0.2
-    assert np.rad2deg(abs(foot - ankle + knee - hip)) < 0.2
+    assert force[-1] == pytest.approx(WEIGHT, rel=1e-3)
+    assert np.abs(force / WEIGHT - 1.0).max() < 0.01
+    pitch, ankle, knee, hip = standing.columns(
+        ["foot_pitch", "ankle", "knee", "hip"]
+    )[-1]
+    assert np.rad2deg(abs(pitch)) < 0.2
+    assert np.rad2deg(abs(pitch - ankle + knee - hip)) < 0.2
+
+
+def test_protocol_is_that_of_the_paper():
+    used, everything = protocol(), protocol(full=True)
+    assert len(used) == 9
+    assert [m.mode for m in used] == ["passive"] * 3 + ["assisted"] * 6
+    assert [m.configuration for m in used[:3]].count("pelvis") == 2
+    assert len(everything) == len(set(everything)) == 60
+    assert everything[:9] == used
+    assert protocol(3) == used[:3]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"disturbances": ["marker_nois"]}, "marker_noise"),
+        ({"seed": -1}, "seed is -1"),
+        ({"trials": 0}, "trials is 0"),
+        ({"trials": 10}, "1 to 9"),
+        ({"files": "mat"}, "c3d, opensim"),
+    ],
+)
+def test_bad_requests_are_refused(tmp_path, arguments, message):
+    with pytest.raises(InputError, match=message):
+        write_campaign(tmp_path, **{"seed": 0, **arguments})
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_are_not_overwritten(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["lab", "--out", str(tmp_path)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_command_names_the_disturbances(capsys):
+    with pytest.raises(SystemExit):
+        main(["lab", "--help"])
+    text = capsys.readouterr().out
+    assert all(name in text for name in DISTURBANCES)
 
 
 def test_plates_keep_the_wrench_without_load():

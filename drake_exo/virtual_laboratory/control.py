@@ -1,0 +1,165 @@
+"""Who moves: the subject, and the device that helps."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Multiplexer
+from scipy.interpolate import CubicSpline
+
+from drake_exo.planar_tree import PlanarTree
+from drake_exo.virtual_laboratory.plan import Reference
+
+# Of the subject's own feedback, both legs: ankle, knee, hip.
+_STIFFNESS = np.array([3000.0, 2000.0, 2000.0])  # N m/rad
+_DAMPING = np.array([250.0, 120.0, 120.0])  # N m s/rad
+# What the feedback holds, of the rigid model's coordinates: the ankle holds
+# the shank against the vertical, not against the foot. On soft soles a foot
+# that tips would otherwise take the body along.
+_HELD = np.eye(6)[3:] - np.outer([1.0, 0.0, 0.0], np.eye(6)[2])
+_SAMPLE_S = 1e-3
+# The device helps when the feet bear this much of the weight.
+_ENGAGED = (0.5, 0.9)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction of the device's joints, both legs together.
+
+    Attributes:
+        viscous: ankle, knee, hip [N m s/rad].
+        coulomb: likewise [N m].
+        speed: at which tanh(1) of the dry friction acts [rad/s].
+    """
+
+    viscous: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    coulomb: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    speed: float = field(default=0.05, metadata={"unit": "rad/s"})
+
+    def torques(self, rates: np.ndarray) -> np.ndarray:
+        """Torques (..., 3) at joint rates (..., 3)."""
+        dry = np.array(self.coulomb) * np.tanh(rates / self.speed)
+        return -np.array(self.viscous) * rates - dry
+
+
+class SubjectController(LeafSystem):
+    """Feed-forward joint torques and feedback towards a plan.
+
+    Input state; output torques: ankle, knee, hip [N m].
+
+    Args:
+        reference: the plan; its ends are held before and after.
+        help_expected: (n, 3) torques that the device is trusted with.
+    """
+
+    def __init__(self, reference: Reference, help_expected: np.ndarray):
+        super().__init__()
+        self.set_name("subject")
+        end = reference.times[-1]
+        self._last = round(end / _SAMPLE_S) - 1
+        times = np.linspace(0.0, end, self._last + 2)
+        self._step = times[1]
+        plan = np.hstack(
+            [
+                reference.q @ _HELD.T,
+                reference.v @ _HELD.T,
+                reference.torque - help_expected,
+            ]
+        )
+        # Looked up ten thousand times: a table is quicker than the spline.
+        self._table = CubicSpline(reference.times, plan)(times)
+        self.DeclareVectorInputPort("state", 18)
+        self.DeclareVectorOutputPort("torques", 3, self._calc)
+
+    def torques(self, time, q, v) -> np.ndarray:
+        """Torques (..., 3) at times (...) and states (..., 9)."""
+        at = np.clip(time / self._step, 0.0, self._last + 1.0)
+        i = np.minimum(at.astype(int), self._last)
+        share = (at - i)[..., None]
+        plan = (1.0 - share) * self._table[i] + share * self._table[i + 1]
+        error = plan[..., :3] - q[..., :6] @ _HELD.T
+        rate = plan[..., 3:6] - v[..., :6] @ _HELD.T
+        return plan[..., 6:] + _STIFFNESS * error + _DAMPING * rate
+
+    def _calc(self, context, output):
+        state = self.GetInputPort("state").Eval(context)
+        time = np.float64(context.get_time())
+        output.SetFromVector(self.torques(time, state[:9], state[9:]))
+
+
+class DeviceController(LeafSystem):
+    """The exoskeleton's joints: friction, and help against gravity.
+
+    Knows its own encoders and the load on its foot-plates: it bears a share
+    of the torque that gravity asks of somebody who holds the posture of the
+    device, as soon as the feet are loaded.
+
+    Inputs state and ground_reaction; output torques: exo_ankle, exo_knee,
+    exo_hip [N m].
+
+    Args:
+        tree: the rigid model.
+        share: of the gravity torque at ankle, knee and hip.
+        friction: of the joints.
+    """
+
+    def __init__(
+        self,
+        tree: PlanarTree,
+        share: tuple[float, float, float],
+        friction: Friction,
+    ):
+        super().__init__()
+        self.set_name("device")
+        self._tree, self._share = tree, np.array(share)
+        self._weight = tree.mass * tree.gravity
+        self._friction = friction
+        self.DeclareVectorInputPort("state", 18)
+        if self._share.any():
+            self.DeclareVectorInputPort("ground_reaction", 3)
+        self.DeclareVectorOutputPort("torques", 3, self._calc)
+
+    def torques(self, angles, rates, load) -> np.ndarray:
+        """Torques (N, 3) at angles and rates (N, 3) and F_z (N,) [N]."""
+        return self.help(angles, load) + self._friction.torques(rates)
+
+    def help(self, angles, load) -> np.ndarray:
+        """What the drives give, without friction."""
+        if not self._share.any():
+            return np.zeros_like(angles)
+        q = np.hstack([np.zeros((len(angles), 3)), angles])
+        rest = np.zeros_like(q)
+        gravity = self._tree.inverse_dynamics(q, rest, rest)[:, 3:]
+        low, high = _ENGAGED
+        s = np.clip((load / self._weight - low) / (high - low), 0.0, 1.0)
+        engaged = s * s * (3.0 - 2.0 * s)
+        return engaged[:, None] * self._share * gravity
+
+    def _calc(self, context, output):
+        state = self.GetInputPort("state").Eval(context)
+        load = np.zeros(1)
+        if self._share.any():
+            load = self.GetInputPort("ground_reaction").Eval(context)[1:2]
+        found = self.torques(state[None, 6:9], state[None, 15:18], load)
+        output.SetFromVector(found[0])
+
+
+def controller(subject: SubjectController, device: DeviceController) -> Diagram:
+    """Both as one system with the output joint_torques (6)."""
+    builder = DiagramBuilder()
+    joined = builder.AddSystem(Multiplexer([3, 3]))
+    for i, system in enumerate((subject, device)):
+        builder.AddSystem(system)
+        builder.Connect(
+            system.GetOutputPort("torques"), joined.get_input_port(i)
+        )
+    builder.ExportInput(subject.GetInputPort("state"), "state")
+    builder.ConnectInput("state", device.GetInputPort("state"))
+    if device.HasInputPort("ground_reaction"):
+        builder.ExportInput(
+            device.GetInputPort("ground_reaction"), "ground_reaction"
+        )
+    builder.ExportOutput(joined.get_output_port(), "joint_torques")
+    diagram = builder.Build()
+    diagram.set_name("subject_and_device")
+    return diagram
