@@ -8,6 +8,10 @@ movements share one program and one set of contact parameters.
 import numpy as np
 
 from drake_exo.nlp.batch import BatchedProgram
+from drake_exo.optimal_control.applied_wrench import (
+    AppliedWrench,
+    LoadedDynamicsKernel,
+)
 from drake_exo.optimal_control.interaction_kernels import (
     UNITS as INTERACTION_UNITS,
 )
@@ -57,6 +61,7 @@ class Movement:
         transcription: name in TRANSCRIPTIONS.
         bushings: couple human and exoskeleton, with `origins` (2 each) as
             decision variables.
+        chair: wrench of the chair, if the movement starts seated.
     """
 
     def __init__(
@@ -69,6 +74,7 @@ class Movement:
         transcription: str = "hermite_simpson",
         bushings: list[Bushing] | None = None,
         origins: np.ndarray | None = None,
+        chair: AppliedWrench | None = None,
     ):
         self.name = name
         self.program = program
@@ -99,9 +105,27 @@ class Movement:
             self.interaction = self._interaction_variables(len(bushings))
             inputs.append(self.interaction)
             inputs.append(np.broadcast_to(origins, (n, len(origins))))
+        self._chair = chair
+        if chair is not None:
+            kernel = LoadedDynamicsKernel(kernel, chair)
         self.dynamics = kernel
         self.tracked: list[Tracking] = []
-        program.add_constraints(f"{name} dynamics", kernel, np.hstack(inputs))
+        program.add_constraints(
+            f"{name} dynamics",
+            kernel,
+            np.hstack(inputs),
+            data=self.loads(grid.times),
+        )
+
+    def loads(self, times: np.ndarray) -> np.ndarray | None:
+        """Data of the dynamics kernel: the chair's wrench (n, 3), if any."""
+        return None if self._chair is None else self._chair.at(times)
+
+    def applied(self, q: np.ndarray) -> np.ndarray | float:
+        """Generalized forces (n, nq) of the chair at the nodes."""
+        if self._chair is None:
+            return 0.0
+        return self._chair.generalized(q, self._chair.at(self.grid.times))
 
     def _label(self, tree):
         """Name what may be bounded, for reports of infeasible problems."""

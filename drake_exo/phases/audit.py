@@ -6,6 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from drake_exo.forces.bushing import BushingParameters
+from drake_exo.forces.chair import Chair
 from drake_exo.forces.contact_parameters import (
     ContactParameters,
     ContactSphere,
@@ -23,8 +24,10 @@ from drake_exo.optimal_control.kernels import (
     SPHERE_PARAMETERS,
 )
 from drake_exo.optimal_control.transcription import TRANSCRIPTIONS
+from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import PhaseProblem, PhaseResult, Trajectory
 from drake_exo.phases.scores import rms
+from drake_exo.plant import build_plant
 from drake_exo.segments import ExoskeletonParameters, HumanParameters
 
 FORCE_TOLERANCE = 1.0  # N
@@ -95,8 +98,9 @@ def between_nodes(
     if len(bushings):
         interaction = at(trajectory.interaction)
         inputs += [interaction, repeated(bushings[:, :2].ravel())]
-    dynamics = FORCE_UNIT * problem.movements[index].dynamics.evaluate(
-        np.hstack(inputs), None
+    movement = problem.movements[index]
+    dynamics = FORCE_UNIT * movement.dynamics.evaluate(
+        np.hstack(inputs), movement.loads(times)
     )
     contact = problem.kernel.evaluate(
         np.hstack([q[:, :3], v[:, :3], ground, repeated(spheres)]), None
@@ -150,6 +154,7 @@ def simulate(
         controller=TrackingController(
             trajectory.times, trajectory.q, trajectory.v, trajectory.torque
         ),
+        forces=_chair(kind, human, exoskeleton, problem.trials[index]),
         gravity=gravity,
     )
     simulator = build_simulator(model)
@@ -180,6 +185,18 @@ def simulate(
         np.array(rows["ground_reaction"]),
         None if interaction is None else np.array(interaction),
     )
+
+
+def _chair(kind, human, exoskeleton, trial: MeasuredMovement) -> list:
+    """The chair that a trial starts on, if it does."""
+    if trial.chair is None:
+        return []
+    plant = build_plant(kind, human, exoskeleton)
+    bodies = {
+        plant.GetBodyByName(name).index(): share
+        for name, share in trial.chair_shares.items()
+    }
+    return [Chair(bodies, trial.times, trial.chair)]
 
 
 def contact_parameters(

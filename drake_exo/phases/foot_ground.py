@@ -18,6 +18,7 @@ from drake_exo.optimal_control.settle import settle_foot
 from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import (
     PhaseProblem,
+    chair_wrench,
     fix_ends,
     ground_terms,
     kinematic_terms,
@@ -51,6 +52,7 @@ class FootGroundProblem(PhaseProblem):
             trial.duration,
             self._solver.nodes_per_second,
             self._solver.transcription,
+            chair=chair_wrench(self.tree, trial),
         )
         movement.stand_on(self.kernel, self.parameter_variables)
         at = trial.sample(movement.grid.times)
@@ -87,6 +89,7 @@ class FootGroundProblem(PhaseProblem):
             a = at.a.copy()
             a[:, :3] = np.gradient(v[:, :3], grid.times, axis=0)
             forces = self.tree.inverse_dynamics(q, v, a)
+            forces -= movement.applied(q)
             for variables, numbers in (
                 (grid.q, q),
                 (grid.v, v),

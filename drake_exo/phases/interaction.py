@@ -27,6 +27,7 @@ from drake_exo.parameters import ContactParameter
 from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import (
     PhaseProblem,
+    chair_wrench,
     fix_ends,
     ground_terms,
     kinematic_terms,
@@ -117,6 +118,7 @@ class CoupledProblem(PhaseProblem):
             self._solver.transcription,
             self.bushings,
             table[:, :2].ravel(),
+            chair_wrench(self.tree, trial),
         )
         movement.stand_on(self.kernel, self._foot_variables)
         for i, law in enumerate(self.laws):
@@ -174,12 +176,14 @@ class CoupledProblem(PhaseProblem):
         a, ground = at.a.copy(), at.ground
         if not ground.any():  # not measured
             forces = self.tree.inverse_dynamics(q, v, a)
+            forces -= movement.applied(q)
             ground = needed_ground(q, forces)
         q[:, :3], v[:, :3] = settle_foot(
             self.kernel, self.foot_values, grid.times, at.q[:, :3], ground
         )
         a[:, :3] = np.gradient(v[:, :3], grid.times, axis=0)
         forces = self.tree.inverse_dynamics(q, v, a)
+        forces -= movement.applied(q)
         interaction = np.zeros((len(q), 3 * len(self.bushings)))
         for b, bushing in enumerate(self.bushings):
             origin = np.broadcast_to(values[b, :2], (len(q), 2))

@@ -25,6 +25,9 @@ class MeasuredMovement:
             None where not known.
         normal_force: segment -> (n,) force on the human normal to it [N],
             where a pressure mat measured it.
+        chair: (n, 3) F_x, F_z [N] and M_y about the laboratory origin [N m]
+            of the chair on the body; None where it starts at seat-off.
+        chair_on_thighs: share of that on the thighs, the rest on the pelvis.
     """
 
     name: str
@@ -35,6 +38,19 @@ class MeasuredMovement:
     ground: np.ndarray
     moments: np.ndarray | None = None
     normal_force: dict[str, np.ndarray] = field(default_factory=dict)
+    chair: np.ndarray | None = None
+    chair_on_thighs: float = 0.0
+
+    @property
+    def chair_shares(self) -> dict[str, float]:
+        """Segment -> share of the chair's wrench; none without a chair."""
+        if self.chair is None:
+            return {}
+        parts = {
+            "pelvis": 1.0 - self.chair_on_thighs,
+            "thigh": self.chair_on_thighs,
+        }
+        return {name: share for name, share in parts.items() if share > 0.0}
 
     @property
     def duration(self) -> float:
@@ -53,6 +69,8 @@ class MeasuredMovement:
             *map(at, (self.q, self.v, self.a, self.ground)),
             moments=None if self.moments is None else at(self.moments),
             normal_force={k: at(f) for k, f in self.normal_force.items()},
+            chair=None if self.chair is None else at(self.chair),
+            chair_on_thighs=self.chair_on_thighs,
         )
 
 
@@ -67,4 +85,7 @@ def from_trial(trial: Trial) -> MeasuredMovement:
         np.column_stack([trial.grf, trial.moment_y]),
         trial.moments,
         trial.normal_force,
+        # Zero all the time is no chair, and costs nothing.
+        trial.chair if trial.chair is not None and trial.chair.any() else None,
+        trial.chair_on_thighs,
     )

@@ -12,6 +12,7 @@ from drake_exo.nlp.batch import BatchedProgram
 from drake_exo.nlp.ipopt import Iterate
 from drake_exo.nlp.solution import Solution
 from drake_exo.nlp.sparse import SparseProgram
+from drake_exo.optimal_control.applied_wrench import AppliedWrench
 from drake_exo.optimal_control.interaction_kernels import (
     Bushing,
     BushingKernel,
@@ -306,6 +307,15 @@ def ground_terms(movement, at, noise: TrackingNoise) -> list[Tracking]:
             movement.ground[:, 1:], np.zeros((len(load), 1)), spread, rows
         ),
     ]
+
+
+def chair_wrench(
+    tree: PlanarTree, trial: MeasuredMovement
+) -> AppliedWrench | None:
+    """The measured wrench of a chair in a trial that starts seated."""
+    if trial.chair is None:
+        return None
+    return AppliedWrench(tree, trial.chair_shares, trial.times, trial.chair)
 
 
 def needed_ground(q: np.ndarray, forces: np.ndarray) -> np.ndarray:
