@@ -1,0 +1,216 @@
+"""Phase A at full size: time and memory over trials, nodes and grids.
+
+    python benchmarks/phase_a.py [--json] [--repeat N] [--only SUBSTRING]
+
+Trials of 1.5 s of the coupled model (9 degrees of freedom), consistent with a
+known contact, with smooth noise of fixed seed. They are made beforehand and
+not timed. Every row runs in a fresh process, so that its peak memory is its
+own; build + solve is what a user waits for.
+"""
+
+import argparse
+import json
+import os
+import pickle
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.description import fit_exoskeleton, nominal_human
+from drake_exo.phases.foot_ground import FootGroundProblem
+from drake_exo.phases.measured import MeasuredMovement
+from drake_exo.phases.problem import needed_ground
+from drake_exo.phases.settings import (
+    FootGroundSettings,
+    Range,
+    Solver,
+    SphereSettings,
+    Spread,
+    TrackingNoise,
+)
+from drake_exo.planar_tree import PlanarTree
+from drake_exo.plant import build_plant
+from drake_exo.report.tables import format_table
+
+_DURATION = 1.5
+_TRUE_MODULUS = 5e6
+_ROWS = [
+    *((3, nodes, "hermite_simpson") for nodes in (50, 100, 200)),
+    *((trials, 200, "hermite_simpson") for trials in (1, 2, 6)),
+    (3, 200, "pseudospectral"),
+]
+
+
+def _model():
+    human = nominal_human()
+    exoskeleton = fit_exoskeleton(human)
+    plant = build_plant("coupled", human, exoskeleton)
+    return human, exoskeleton, PlanarTree.from_plant(plant)
+
+
+def _settings(modulus, free, shift, **solver):
+    sphere = SphereSettings(
+        modulus_n_m2=Range(modulus, 1e6, 5e7, free),
+        dissipation_s_m=Range(1.0, 0.0, 5.0, free),
+        x_m=Spread(0.05, 0.05, 3.0 * shift, free),
+        z_m=Spread(0.02, 0.02, -shift, free),
+    )
+    return FootGroundSettings(heel=sphere, toe=sphere, solver=Solver(**solver))
+
+
+def _motion(human, tree, index, count):
+    """Minimum-jerk rise with a lean of the trunk, feet flat."""
+    t = np.linspace(0.0, _DURATION, count)
+    s = (t / _DURATION)[:, None]
+    rise = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+    lean = np.polynomial.Polynomial([0, 0, 16, -32, 16])
+    start = np.deg2rad([0, 0, 0, 20 + index, 80 + 3 * index, 105 + 2 * index])
+    end = np.deg2rad([0, 0, 0, 3, 5, 2])
+    start, end = (np.r_[q, q[3:]] for q in (start, end))
+    trunk = np.zeros(9)
+    trunk[[5, 8]] = np.deg2rad(20.0)
+    q, v, a = (
+        start * (order == 0)
+        + (rise.deriv(order) if order else rise)(s)
+        / _DURATION**order
+        * (end - start)
+        + (lean.deriv(order) if order else lean)(s) / _DURATION**order * trunk
+        for order in range(3)
+    )
+    q[:, 1] = human.ankle_height_m - 0.001
+    ground = needed_ground(q, tree.inverse_dynamics(q, v, a))
+    return MeasuredMovement(f"trial{index + 1}", t, q, v, a, ground)
+
+
+def make_trials(count: int) -> list[MeasuredMovement]:
+    """Movements that obey the true contact, with smooth noise on top."""
+    human, exoskeleton, tree = _model()
+    wanted = [_motion(human, tree, i % 3, 76) for i in range(count)]
+    wanted = [replace(m, name=f"trial{i + 1}") for i, m in enumerate(wanted)]
+    settings = _settings(_TRUE_MODULUS, False, 0.0, nodes_per_second=50.0)
+    noise = replace(TrackingNoise(), angle_deg=5.0, velocity_deg_s=20.0)
+    settings = replace(settings, noise=noise)
+    parameters = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
+    result = FootGroundProblem(tree, wanted, parameters, settings).solve()
+    assert result.solution.success, result.solution.explain()
+    rng = np.random.default_rng(0)
+
+    def wobble(t, scale):
+        waves = 0.0
+        for frequency in (0.7, 1.3, 2.1):
+            phase = rng.uniform(0.0, 2 * np.pi, len(scale))
+            wave = np.sin(2 * np.pi * frequency * t[:, None] + phase)
+            waves = waves + wave * rng.normal(size=len(scale))
+        return 0.5 * scale * waves
+
+    angles = np.r_[0.1, 0.1, np.ones(7)]
+    return [
+        MeasuredMovement(
+            t.name,
+            t.times,
+            t.q + wobble(t.times, np.deg2rad(0.3) * angles),
+            t.v + wobble(t.times, np.deg2rad(2.0) * angles),
+            t.a,
+            t.ground + wobble(t.times, np.array([4.0, 4.0, 0.5])),
+        )
+        for t in result.trajectories
+    ]
+
+
+def run_row(data: Path, trials: int, nodes: float, transcription: str):
+    """Calibrate once; prints one JSON object."""
+    movements = pickle.loads(data.read_bytes())[:trials]
+    _, exoskeleton, tree = _model()
+    settings = _settings(
+        1e7,
+        True,
+        0.003,
+        nodes_per_second=nodes,
+        transcription=transcription,
+    )
+    parameters = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
+    start, cpu = time.perf_counter(), time.process_time()
+    result = FootGroundProblem(tree, movements, parameters, settings).solve()
+    total = time.perf_counter() - start
+    cpu = time.process_time() - cpu
+    solution = result.solution
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    row = {
+        "trials": trials,
+        "nodes_per_second": nodes,
+        "transcription": transcription,
+        "build_seconds": total - solution.seconds["solve"],
+        "solve_seconds": solution.seconds["solve"],
+        "linear_algebra_seconds": solution.seconds["linear_algebra_and_ipopt"],
+        "cpu_seconds": cpu,
+        "iterations": solution.iterations,
+        "success": solution.success,
+        "num_variables": solution.num_variables,
+        "num_constraints": solution.num_constraints,
+        "peak_memory_mb": peak / 1024.0,
+    }
+    print(json.dumps(row))
+
+
+def _measure(data, row, repeat):
+    """Median of each figure over fresh processes."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    runs = []
+    for _ in range(repeat):
+        done = subprocess.run(
+            [sys.executable, __file__, "--row", str(data), *map(str, row)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=environment,
+        )
+        runs.append(json.loads(done.stdout.splitlines()[-1]))
+    middle = dict(runs[0])
+    for key, value in middle.items():
+        if isinstance(value, float) and key != "nodes_per_second":
+            middle[key] = statistics.median(r[key] for r in runs)
+    return middle
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--repeat", type=int, default=1)
+    parser.add_argument("--only", default="", help="rows whose name has this")
+    parser.add_argument("--row", nargs=4, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.row:
+        data, trials, nodes, transcription = args.row
+        run_row(Path(data), int(trials), float(nodes), transcription)
+        return
+    rows = [r for r in _ROWS if args.only in f"{r[0]}x{r[1]} {r[2]}"]
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder) / "trials.pickle"
+        data.write_bytes(pickle.dumps(make_trials(max(r[0] for r in rows))))
+        found = []
+        for row in rows:
+            found.append(_measure(data, row, args.repeat))
+            if not args.json:
+                print(f"{row[0]} x {row[1]}/s {row[2]} done", flush=True)
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return
+    keys = [k for k in found[0] if k not in ("transcription", "success")]
+    print(
+        format_table(
+            ["grid", *(k.replace("_", " ") for k in keys)],
+            [[r["transcription"], *(r[k] for k in keys)] for r in found],
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
