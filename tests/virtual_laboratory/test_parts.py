@@ -1,0 +1,260 @@
+"""Parts of the virtual laboratory against the laws they are made of."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_exo.description import fit_exoskeleton, nominal_human
+from drake_exo.forces.contact_parameters import nominal_contact
+from drake_exo.forces.diagram import build_diagram, nominal_bushings
+from drake_exo.laboratory.instruments import Mat, Scan
+from drake_exo.laboratory.mat_forces import cell_directions
+from drake_exo.planar_tree import PlanarTree
+from drake_exo.plant import build_plant
+from drake_exo.virtual_laboratory.control import (
+    DeviceController,
+    Friction,
+    SubjectController,
+    controller,
+)
+from drake_exo.virtual_laboratory.cuffs import Cuff, Cuffs, cuff_force
+from drake_exo.virtual_laboratory.disturbances import TRUTH
+from drake_exo.virtual_laboratory.feet import levelled, resting_foot
+from drake_exo.virtual_laboratory.loads import (
+    applied,
+    chair_wrench,
+    ground_wrench,
+    interaction,
+)
+from drake_exo.virtual_laboratory.marker_errors import hide
+from drake_exo.virtual_laboratory.marker_set import (
+    marker_set,
+    study_markers,
+)
+from drake_exo.virtual_laboratory.plan import Planner, RisePlan
+from drake_exo.virtual_laboratory.pressure_mats import (
+    CELL_AREA_M2,
+    CONFIGURATIONS,
+    cell_pressures,
+    write_scans,
+)
+from drake_exo.virtual_laboratory.seat import Seat, SeatParameters
+from drake_exo.virtual_laboratory.simulation import equilibrium
+from drake_exo.virtual_laboratory.truth import STANDING_COP_M, draw_truth
+
+HUMAN = nominal_human()
+DEVICE = fit_exoskeleton(HUMAN)
+RICH = frozenset(TRUTH)
+
+
+@pytest.fixture(scope="module")
+def rigid():
+    return PlanarTree.from_plant(build_plant("rigid"))
+
+
+@pytest.fixture(scope="module")
+def coupled():
+    return PlanarTree.from_plant(build_plant("coupled"))
+
+
+def random_state(rng):
+    q = np.array([0.0, 0.06, 0.02, 0.3, 1.6, 1.4, 0.31, 1.65, 1.42])
+    return q + rng.normal(0.0, 0.01, 9), rng.normal(0.0, 0.3, 9)
+
+
+def test_forces_of_the_diagram_are_those_of_the_record(coupled):
+    """LeafSystems in a diagram and batches over samples: one set of laws."""
+    rng = np.random.default_rng(1)
+    truth = draw_truth(rng, RICH)
+    plant = build_plant("coupled", truth.human, truth.exoskeleton)
+    tree = PlanarTree.from_plant(plant)
+    link = {
+        name: plant.GetBodyByName(name).index()
+        for name in (
+            "pelvis",
+            *(
+                f"{p}{n}"
+                for p in ("", "exo_")
+                for n in ("shank", "thigh", "pelvis")
+            ),
+        )
+    }
+    pairs = {name: (link[name], link[f"exo_{name}"]) for name in truth.cuffs}
+    seat = SeatParameters(height_m=0.48)
+    model = build_diagram(
+        "coupled",
+        truth.human,
+        truth.exoskeleton,
+        contact=truth.contact,
+        bushings={},
+        forces=[Cuffs(pairs, truth.cuffs), Seat(link["pelvis"], seat)],
+    )
+    context = model.diagram.CreateDefaultContext()
+    model.diagram.get_input_port(0).FixValue(context, np.zeros(6))
+    for _ in range(3):
+        q, v = random_state(rng)
+        model.plant.SetPositionsAndVelocities(
+            model.plant_context(context), np.r_[q, v]
+        )
+        slope = model.diagram.EvalTimeDerivatives(context).CopyToVector()
+        q, v, a = (x[None] for x in (q, v, slope[9:]))
+        loads = applied(tree, truth.contact, truth.cuffs, seat, q, v)
+        assert chair_wrench(tree, seat, q, v).force[0, 1] > 10.0
+        np.testing.assert_allclose(
+            tree.inverse_dynamics(q, v, a), loads, rtol=1e-9, atol=1e-6
+        )
+
+
+def test_plain_cuffs_are_bushings(coupled):
+    rng = np.random.default_rng(2)
+    bushings = nominal_bushings(HUMAN, DEVICE)
+    model = build_diagram("coupled", bushings=bushings)
+    context = model.diagram.CreateDefaultContext()
+    q, v = random_state(rng)
+    model.plant.SetPositionsAndVelocities(
+        model.plant_context(context), np.r_[q, v]
+    )
+    port = model.diagram.GetOutputPort("interaction_forces")
+    cuffs = {name: Cuff(bushing) for name, bushing in bushings.items()}
+    found = interaction(coupled, cuffs, q[None], v[None])[0][0]
+    np.testing.assert_allclose(found, port.Eval(context), rtol=1e-10)
+
+
+def test_cuffs_stiffen_and_slip():
+    bushing = nominal_bushings(HUMAN, DEVICE)["thigh"]
+    cuff = Cuff(bushing, progression=50.0, slip=1.0 / 25.0)
+    d = np.linspace(-0.03, 0.03, 61)
+    rest = (0.0 * d, 0.0 * d, 0.0 * d)
+    normal = cuff_force(cuff, (0.0 * d, d, 0.0 * d), rest).normal
+    stiffness = np.gradient(normal, d)
+    assert stiffness[30] == pytest.approx(bushing.normal_stiffness, rel=1e-2)
+    assert np.all(np.diff(stiffness[30:-1]) > 0.0)
+    along = cuff_force(cuff, (d, 0.0 * d, 0.0 * d), rest).tangential
+    assert np.all(np.diff(along) > 0.0)
+    assert np.abs(along).max() < 25.0
+
+
+@pytest.mark.parametrize("active", [frozenset(), RICH])
+def test_standing_foot_is_level_and_bears_the_weight(rigid, active):
+    truth = draw_truth(np.random.default_rng(3), active)
+    load = np.array([0.5 * truth.weight, truth.weight])
+    q = np.zeros((2, 6))
+    q[:, :3] = resting_foot(rigid, truth.contact, load, STANDING_COP_M)
+    ground = ground_wrench(rigid, truth.contact, q, 0.0 * q)
+    np.testing.assert_allclose(ground.force[:, 1], load, rtol=1e-6)
+    np.testing.assert_allclose(ground.cop_x(), STANDING_COP_M, atol=1e-6)
+    assert q[1, 1] == pytest.approx(truth.human.ankle_height_m, abs=1e-6)
+    assert q[1, 2] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_levelling_keeps_the_shape_of_the_sole(rigid):
+    sole = nominal_contact("simbody", (-0.05, -0.03), (0.17, -0.04), 0.03)
+    flat = levelled(rigid, sole, 800.0, 0.05, 0.07)
+
+    def distance(contact):
+        heel, toe = contact.spheres.values()
+        return np.hypot(heel.x - toe.x, heel.z - toe.z)
+
+    assert distance(flat) == pytest.approx(distance(sole), rel=1e-9)
+
+
+def test_truth_is_drawn_in_one_order():
+    """Switching one thing off leaves the other numbers as they were."""
+    all_of_it = draw_truth(np.random.default_rng(5), RICH)
+    for name in TRUTH:
+        less = draw_truth(np.random.default_rng(5), RICH - {name})
+        if name not in ("progressive", "shear"):
+            assert less.cuffs == all_of_it.cuffs
+        if name != "segments":
+            assert less.human == all_of_it.human
+    assert all_of_it.human.mass_kg == pytest.approx(HUMAN.mass_kg)
+
+
+def test_seated_posture_is_in_balance(rigid, coupled):
+    truth = draw_truth(np.random.default_rng(6), frozenset())
+    planner, plan = Planner(rigid, truth.contact), RisePlan()
+    seat = planner.seat(plan)
+    reference = planner.rise(plan, seat)
+    cop = -reference.ground[:, 2] / reference.ground[:, 1]
+    risen = reference.times > plan.quiet_s + plan.lean_s
+    assert np.abs(cop[risen] - plan.cop_m).max() < 0.01
+    assert reference.ground[:, 1].min() > 100.0
+    q = equilibrium(coupled, truth, seat, reference.q[0])[None]
+    rest = np.zeros_like(q)
+    left = coupled.inverse_dynamics(q, rest, rest) - applied(
+        coupled, truth.contact, truth.cuffs, seat, q, rest
+    )
+    np.testing.assert_allclose(left[0, [0, 1, 2, 6, 7, 8]], 0.0, atol=1e-5)
+    # Where the plan wanted to be, to what cuffs give.
+    assert np.abs(q[0, :6] - reference.q[0]).max() < np.deg2rad(1.5)
+
+
+def test_controllers_join_to_six_torques(rigid):
+    truth = draw_truth(np.random.default_rng(7), frozenset())
+    reference = Planner(rigid, truth.contact).standing(1.0, STANDING_COP_M)
+    friction = Friction((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))
+    device = DeviceController(rigid, (0.0, 0.5, 0.5), friction)
+    expected = device.help(reference.q[:, 3:], reference.ground[:, 1])
+    subject = SubjectController(reference, expected)
+    both = controller(subject, device)
+    context = both.CreateDefaultContext()
+    q = np.r_[reference.q[0], reference.q[0, 3:]]
+    v = np.r_[np.zeros(6), 1.0, -1.0, 0.0]
+    both.GetInputPort("state").FixValue(context, np.r_[q, v])
+    both.GetInputPort("ground_reaction").FixValue(context, reference.ground[0])
+    found = both.GetOutputPort("joint_torques").Eval(context)
+    # On the plan, both together give what the plan needs.
+    rubbing = np.array([-3.0, 3.0, 0.0])
+    total = found[:3] + found[3:] - rubbing
+    np.testing.assert_allclose(total, reference.torque[0], atol=1e-9)
+    assert np.abs(expected[0]).max() > 1.0
+    unloaded = device.torques(q[None, 6:], v[None, 6:], np.zeros(1))
+    np.testing.assert_allclose(unloaded[0], rubbing, atol=1e-9)
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+def test_mats_sum_to_the_cuff_force(configuration, tmp_path, coupled):
+    q = np.zeros(9)
+    q[1], q[3], q[6] = 0.07, 0.08, 0.08
+    section = write_scans(tmp_path, coupled, q, HUMAN)
+    force = np.array([-80.0, -5.0, 0.0, 40.0])
+    total: dict[str, np.ndarray] = {}
+    for mat in CONFIGURATIONS[configuration]:
+        settings = dict(section[mat.name])
+        scan = settings.pop("scan")
+        scan |= {key: Path(scan[key]) for key in ("file", "cells")}
+        inward, report = cell_directions(
+            Mat(**settings, scan=Scan(**scan)), mat.name, tmp_path
+        )
+        assert report["cell_distance_mm"] == pytest.approx(14.14, rel=0.03)
+        pressure = cell_pressures(mat, HUMAN, force)
+        assert pressure.min() >= 0.0
+        legs = 1.0 if mat.legs == "both" else 2.0
+        found = legs * CELL_AREA_M2 * pressure @ inward
+        total[mat.segment] = total.get(mat.segment, 0.0) + found
+    for found in total.values():
+        np.testing.assert_allclose(found[:, 0], force, atol=0.5)
+        np.testing.assert_allclose(found[:, 1:], 0.0, atol=0.5)
+
+
+def test_gaps_are_short_and_few():
+    positions = np.ones((200, 56, 3))
+    seen = hide(positions, np.random.default_rng(8))
+    gone = np.isnan(seen).any(axis=2)
+    assert 0 < gone.any(axis=0).sum() <= 6
+    assert gone.sum(axis=0).max() <= 12
+    assert not gone[[0, -1]].any()
+
+
+def test_study_names_markers_that_exist():
+    markers, said = marker_set(HUMAN), study_markers()
+    assert len(markers) == 56
+    named = [
+        name
+        for part in said.values()
+        for sides in part.values()
+        for names in sides.values()
+        for name in names
+    ]
+    assert set(named) <= set(markers)
