@@ -18,15 +18,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from drake_exo.description import fit_exoskeleton, nominal_human
 from drake_exo.phases.foot_ground import FootGroundProblem
 from drake_exo.phases.measured import MeasuredMovement
-from drake_exo.phases.problem import needed_ground
 from drake_exo.phases.settings import (
     FootGroundSettings,
     Range,
@@ -35,12 +31,14 @@ from drake_exo.phases.settings import (
     Spread,
     TrackingNoise,
 )
+from drake_exo.phases.twin import consistent, noisy, rises
 from drake_exo.planar_tree import PlanarTree
 from drake_exo.plant import build_plant
 from drake_exo.report.tables import format_table
 
 _DURATION = 1.5
 _TRUE_MODULUS = 5e6
+_NOISE = TrackingNoise(angle_deg=0.3, force_n=2.0, foot_m=0.0005)
 _ROWS = [
     *((3, nodes, "hermite_simpson") for nodes in (50, 100, 200)),
     *((trials, 200, "hermite_simpson") for trials in (1, 2, 6)),
@@ -65,63 +63,13 @@ def _settings(modulus, free, shift, **solver):
     return FootGroundSettings(heel=sphere, toe=sphere, solver=Solver(**solver))
 
 
-def _motion(human, tree, index, count):
-    """Minimum-jerk rise with a lean of the trunk, feet flat."""
-    t = np.linspace(0.0, _DURATION, count)
-    s = (t / _DURATION)[:, None]
-    rise = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
-    lean = np.polynomial.Polynomial([0, 0, 16, -32, 16])
-    start = np.deg2rad([0, 0, 0, 20 + index, 80 + 3 * index, 105 + 2 * index])
-    end = np.deg2rad([0, 0, 0, 3, 5, 2])
-    start, end = (np.r_[q, q[3:]] for q in (start, end))
-    trunk = np.zeros(9)
-    trunk[[5, 8]] = np.deg2rad(20.0)
-    q, v, a = (
-        start * (order == 0)
-        + (rise.deriv(order) if order else rise)(s)
-        / _DURATION**order
-        * (end - start)
-        + (lean.deriv(order) if order else lean)(s) / _DURATION**order * trunk
-        for order in range(3)
-    )
-    q[:, 1] = human.ankle_height_m - 0.001
-    ground = needed_ground(q, tree.inverse_dynamics(q, v, a))
-    return MeasuredMovement(f"trial{index + 1}", t, q, v, a, ground)
-
-
 def make_trials(count: int) -> list[MeasuredMovement]:
     """Movements that obey the true contact, with smooth noise on top."""
-    human, exoskeleton, tree = _model()
-    wanted = [_motion(human, tree, i % 3, 76) for i in range(count)]
-    wanted = [replace(m, name=f"trial{i + 1}") for i, m in enumerate(wanted)]
-    settings = _settings(_TRUE_MODULUS, False, 0.0, nodes_per_second=50.0)
-    noise = replace(TrackingNoise(), angle_deg=5.0, velocity_deg_s=20.0)
-    settings = replace(settings, noise=noise)
-    parameters = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
-    result = FootGroundProblem(tree, wanted, parameters, settings).solve()
-    assert result.solution.success, result.solution.explain()
-    rng = np.random.default_rng(0)
-
-    def wobble(t, scale):
-        waves = 0.0
-        for frequency in (0.7, 1.3, 2.1):
-            phase = rng.uniform(0.0, 2 * np.pi, len(scale))
-            wave = np.sin(2 * np.pi * frequency * t[:, None] + phase)
-            waves = waves + wave * rng.normal(size=len(scale))
-        return 0.5 * scale * waves
-
-    angles = np.r_[0.1, 0.1, np.ones(7)]
-    return [
-        MeasuredMovement(
-            t.name,
-            t.times,
-            t.q + wobble(t.times, np.deg2rad(0.3) * angles),
-            t.v + wobble(t.times, np.deg2rad(2.0) * angles),
-            t.a,
-            t.ground + wobble(t.times, np.array([4.0, 4.0, 0.5])),
-        )
-        for t in result.trajectories
-    ]
+    _, exoskeleton, tree = _model()
+    settings = _settings(_TRUE_MODULUS, False, 0.0, nodes_per_second=100.0)
+    truth = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
+    exact = consistent(tree, rises(count, _DURATION), truth, settings)
+    return [noisy(m, i, _NOISE) for i, m in enumerate(exact)]
 
 
 def run_row(data: Path, trials: int, nodes: float, transcription: str):
