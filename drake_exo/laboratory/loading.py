@@ -85,23 +85,9 @@ def cut(
     )
     normal_force, mats = _normal_forces(movement, time)
     provenance = {
-        "markers": files.markers.as_posix(),
-        "forces": files.forces.as_posix(),
-        "filter": {
-            "kind": "Butterworth, zero lag",
-            "cutoff_hz": study.filter.cutoff_hz,
-            "order": study.filter.order,
-        },
+        **_provenance(files, movement, subject, study),
         "part": how,
         "plate_shift_m": shifts,
-        "force_delay_s": movement.delays_s["forces"],
-        "delays_s": movement.delays_s,
-        "clocks": movement.clocks,
-        "plate_levels": movement.plate_levels,
-        "one_leg_doubled": movement.is_one_leg,
-        "legs_followed": list(subject.markers.sides),
-        "marker_residual_rms_m": movement.marker_residuals_m,
-        "gaps_filled": movement.gaps_filled,
         "moments": source,
         "chair": "plate" if chair is not None else "not measured",
         "mats": mats,
@@ -123,6 +109,29 @@ def cut(
         chair=chair,
         chair_on_thighs=on_thighs,
     )
+
+
+def _provenance(
+    files: TrialFiles, movement: Movement, subject: SubjectModel, study: Study
+) -> dict[str, Any]:
+    """Which files, which filter, what was done to the whole recording."""
+    return {
+        "markers": files.markers.as_posix(),
+        "forces": files.forces.as_posix(),
+        "filter": {
+            "kind": "Butterworth, zero lag",
+            "cutoff_hz": study.filter.cutoff_hz,
+            "order": study.filter.order,
+        },
+        "force_delay_s": movement.delays_s["forces"],
+        "delays_s": movement.delays_s,
+        "clocks": movement.clocks,
+        "plate_levels": movement.plate_levels,
+        "one_leg_doubled": movement.is_one_leg,
+        "legs_followed": list(subject.markers.sides),
+        "marker_residual_rms_m": movement.marker_residuals_m,
+        "gaps_filled": movement.gaps_filled,
+    }
 
 
 def _bounds(files: TrialFiles, movement: Movement):
