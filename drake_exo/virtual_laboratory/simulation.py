@@ -35,7 +35,7 @@ from drake_exo.virtual_laboratory.truth import Truth
 RATE_HZ = 1000.0
 PASSIVE = (0.0, 0.0, 0.0)
 _SETTLE_S = 0.4
-_ACCURACY = 5e-4
+_ACCURACY = 1e-3
 _STEP_S = 0.05
 
 
