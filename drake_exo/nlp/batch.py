@@ -233,10 +233,14 @@ class BatchedProgram:
         return tuple(
             [b for b in bindings if id(b.evaluator()) not in self._covered]
             for bindings in (
-                _nonlinear_constraints(self.prog),
-                _nonlinear_costs(self.prog),
+                nonlinear_constraints(self.prog),
+                nonlinear_costs(self.prog),
             )
         )
+
+    def keep_alive(self, thing) -> None:
+        """Keep an object that the program's evaluators point to."""
+        self._keep_alive.append(thing)
 
     def _cover(self, bindings):
         # pydrake hands out the same wrapper as long as one is alive.
@@ -245,7 +249,8 @@ class BatchedProgram:
         self._covered.update(map(id, evaluators))
 
 
-def _nonlinear_constraints(prog):
+def nonlinear_constraints(prog):
+    """Bindings of constraints that are neither linear nor bounds."""
     linear = [
         *prog.linear_constraints(),
         *prog.linear_equality_constraints(),
@@ -258,7 +263,8 @@ def _nonlinear_constraints(prog):
     ]
 
 
-def _nonlinear_costs(prog):
+def nonlinear_costs(prog):
+    """Bindings of costs that are neither linear nor quadratic."""
     quadratic = [*prog.linear_costs(), *prog.quadratic_costs()]
     kept = [b.evaluator() for b in quadratic]
     skip = set(map(id, kept))

@@ -113,15 +113,17 @@ class HermiteSimpson(Transcription):
         self.quadrature[[0, -1]] *= 0.5
         prog = program.prog
         before = len(prog.generic_constraints())
-        self._system = _integrator(n_dof)
+        system = _integrator(n_dof)
         collocation = DirectCollocation(
-            self._system,
-            self._system.CreateDefaultContext(),
+            system,
+            system.CreateDefaultContext(),
             n,
             self.step,
             self.step,
             prog=prog,
         )
+        # Its constraints point to contexts that it owns, and to the system.
+        program.keep_alive((system, collocation))
         states = np.stack([collocation.state(i) for i in range(n)])
         self.q, self.v, self.a = np.split(states, 3, axis=1)
         self.jerk = np.stack([collocation.input(i) for i in range(n)])
