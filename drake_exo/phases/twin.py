@@ -6,6 +6,7 @@ comes out satisfies dynamics, contact law and collocation exactly, so that a
 calibration of such data must find the parameters that made them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -230,3 +231,17 @@ def _smooth(rng, times, sigma, cutoff_hz):
     white = rng.standard_normal((len(times), len(sigma)))
     filtered = low_pass(white, rate, cutoff_hz, 4, "noise")
     return filtered / filtered.std(axis=0) * sigma
+
+
+def random_values(
+    parameters: list[ContactParameter], count: int, seed: int
+) -> Iterator[np.ndarray]:
+    """Starts anywhere inside the bounds; fixed parameters stay."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        yield np.array(
+            [
+                rng.uniform(p.lower, p.upper) if p.free else p.nominal
+                for p in parameters
+            ]
+        )
