@@ -1,5 +1,6 @@
 """A measurement campaign: simulated, measured, written, truth apart."""
 
+import signal
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -182,7 +183,13 @@ def _recorded(job, movements, processes, progress) -> list[Entry]:
         for done, movement in enumerate(movements):
             entries[movement.name] = job.record(movement, progress, done)
     else:
-        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        # Interrupted, workers end at once instead of after their movement.
+        with ProcessPoolExecutor(
+            processes,
+            get_context("spawn"),
+            signal.signal,
+            (signal.SIGINT, signal.SIG_DFL),
+        ) as pool:
             futures = {
                 pool.submit(Campaign.record, job, m): m for m in movements
             }
@@ -192,7 +199,7 @@ def _recorded(job, movements, processes, progress) -> list[Entry]:
                     entries[name] = future.result()
                     progress.update(name, done)
             except BaseException:
-                pool.shutdown(cancel_futures=True)
+                pool.shutdown(wait=False, cancel_futures=True)
                 raise
     return [entries[m.name] for m in movements if m.is_used]
 
