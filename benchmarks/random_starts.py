@@ -1,0 +1,146 @@
+"""From random starts to one optimum: how many calibrations agree.
+
+    python benchmarks/random_starts.py [--starts N] [--json]
+                                       [--exact] [--nodes-per-second R]
+
+Three noisy trials of the coupled model (9 degrees of freedom) with a known
+contact are calibrated from starts drawn uniformly inside the parameters'
+bounds. Prints each start's objective, iterations and time, and how many reach
+the best objective within 1e-4 of it. With --exact the data hold no noise and
+the regularisers are switched off, so that the optimum is the truth.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from drake_exo.description import fit_exoskeleton, nominal_human
+from drake_exo.phases import twin
+from drake_exo.phases.foot_ground import FootGroundProblem
+from drake_exo.phases.settings import (
+    FootGroundSettings,
+    Range,
+    Solver,
+    SphereSettings,
+)
+from drake_exo.planar_tree import PlanarTree
+from drake_exo.plant import build_plant
+from drake_exo.report.tables import format_table
+
+_TOLERANCE = 1e-4
+_NEGLIGIBLE = 1e-6  # of exact data's objective, which is zero at the truth
+_TRUTH = {"stiffness": 1.3, "dissipation": 1.4}
+
+
+def _problem(nodes_per_second: float, exact: bool):
+    """The problem, its nominal parameters and the true ones."""
+    human = nominal_human()
+    exoskeleton = fit_exoskeleton(human)
+    tree = PlanarTree.from_plant(build_plant("coupled", human, exoskeleton))
+    sphere = SphereSettings(
+        modulus_n_m2=Range(4e6, 5e5, 2e7), dissipation_s_m=Range(1.0, 0.0, 5.0)
+    )
+    solver = Solver(nodes_per_second=nodes_per_second)
+    settings = FootGroundSettings(heel=sphere, toe=sphere, solver=solver)
+    nominal = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
+    truth = [
+        replace(p, nominal=_TRUTH.get(p.name.split(".")[1], 1.0) * p.nominal)
+        for p in nominal
+    ]
+    data = twin.consistent(tree, twin.rises(3), truth, settings)
+    noise = settings.noise
+    if exact:
+        noise = replace(noise, torque_nm=1e9, jerk=1e9)
+        settings = replace(settings, noise=noise, prior_weight=1e-9)
+    else:
+        noise = replace(
+            noise,
+            angle_deg=0.3,
+            foot_m=0.0005,
+            foot_pitch_deg=0.1,
+            force_n=3.0,
+            cop_m=0.002,
+        )
+        data = [
+            twin.noisy(movement, seed, noise, cutoff_hz=2.0)
+            for seed, movement in enumerate(data)
+        ]
+    return FootGroundProblem(tree, data, nominal, settings), nominal, truth
+
+
+def _solve(problem, values) -> dict:
+    start = time.perf_counter()
+    result = problem.solve(problem.guess(values))
+    solution = result.solution
+    return {
+        "success": solution.success,
+        "status": solution.status,
+        "objective": solution.objective,
+        "iterations": solution.iterations,
+        "seconds": time.perf_counter() - start,
+        "values": result.values().tolist(),
+    }
+
+
+def run(starts: int, nodes_per_second: float, exact: bool, seed: int = 0):
+    """Solve from every start.
+
+    Returns:
+        Rows, each start's own, and the largest relative difference of its
+        parameters from the true ones.
+    """
+    problem, nominal, truth = _problem(nodes_per_second, exact)
+    free = [p.free for p in nominal]
+    true = np.array([p.nominal for p in truth])[free]
+    rows = []
+    for values in twin.random_values(nominal, starts, seed):
+        row = _solve(problem, values)
+        found = np.array(row.pop("values"))[free]
+        row["furthest_from_truth"] = float(np.abs(found / true - 1.0).max())
+        rows.append(row)
+    best = min(r["objective"] for r in rows if r["success"])
+    allowed = _NEGLIGIBLE if exact else _TOLERANCE * best
+    for row in rows:
+        row["same"] = row["success"] and abs(row["objective"] - best) <= allowed
+    return rows
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--starts", type=int, default=50)
+    parser.add_argument("--nodes-per-second", type=float, default=50.0)
+    parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    rows = run(args.starts, args.nodes_per_second, args.exact)
+    if args.json:
+        print(json.dumps(rows, indent=2))
+        return
+    best = min(r["objective"] for r in rows if r["success"])
+    print(
+        format_table(
+            ["start", "status", "above best", "iterations", "s", "off truth"],
+            [
+                [
+                    str(i + 1),
+                    row["status"],
+                    f"{row['objective'] - best:.1e}",
+                    str(row["iterations"]),
+                    f"{row['seconds']:.1f}",
+                    f"{100.0 * row['furthest_from_truth']:.3g} %",
+                ]
+                for i, row in enumerate(rows)
+            ],
+        )
+    )
+    print(f"best objective {best:.8g}")
+    same = sum(r["same"] for r in rows)
+    print(f"{same} of {len(rows)} starts reach the same optimum")
+
+
+if __name__ == "__main__":
+    main()
