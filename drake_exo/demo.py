@@ -1,18 +1,19 @@
 """`drake-exo demo`: the main job on the embedded virtual laboratory.
 
 Writes a simulated campaign of a person who stands up in an exoskeleton, in
-the files of a gait laboratory, and calibrates from them alone.
+the files of a gait laboratory; from them alone calibrates the contact of foot
+and ground and of person and device (Phases A and B), predicts six movements
+that were not used (C1), again with stiffer cuffs (C2), and reports it all
+beside the paper's figures.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from drake_exo.cli import main
 from drake_exo.output import prepare_output_folder
-from drake_exo.report.tables import format_table
 
 _SEED = "1"
 
@@ -21,7 +22,7 @@ def add_parser(subparsers) -> None:
     """Add `demo` to the command line."""
     parser = subparsers.add_parser(
         "demo",
-        help="write a virtual campaign and calibrate from it",
+        help="virtual campaign, calibration, prediction and report",
         description=__doc__,
     )
     parser.add_argument("--out", type=Path, required=True)
@@ -32,38 +33,45 @@ def add_parser(subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the campaign, calibrate, and compare with the truth."""
+    """Run the steps one after the other; stops at the first that fails."""
     with prepare_output_folder(args.out, args.force) as out:
-        laboratory, results = out / "laboratory", out / "foot_ground"
-        for step in (
-            ["lab", "--seed", _SEED, "--out", str(laboratory)],
-            [
-                "calibrate",
-                str(laboratory / "study.yaml"),
-                "--phase",
-                "foot-ground",
-                "--out",
-                str(results),
-            ],
-        ):
+        for title, step in _steps(out):
+            print(f"== {title}", flush=True)
             code = main(step)
             if code:
                 return code
-        _compare(laboratory, results)
     print(f"all of it is in {args.out}")
     return 0
 
 
-def _compare(laboratory: Path, results: Path) -> None:
-    """Print calibrated beside true parameters; only here truth is read."""
-    truth = json.loads(
-        (laboratory / "truth" / "foot_ground.json").read_text("utf-8")
-    )["parameters"]
-    found = json.loads((results / "parameters.json").read_text("utf-8"))
-    rows = [
-        [name, f"{value:.4g}", f"{truth[name]:.4g}", found["units"][name]]
-        for name, value in found["parameters"].items()
-        if name in truth
+def _steps(out: Path) -> list[tuple[str, list[str]]]:
+    """Titles and command lines of the demo."""
+    laboratory = out / "laboratory"
+    study = str(laboratory / "study.yaml")
+    calibration = str(out / "calibration")
+    predict = ["predict", study, "--calibration", calibration]
+    return [
+        (
+            "virtual laboratory: a campaign of nine movements",
+            ["lab", "--seed", _SEED, "--out", str(laboratory)],
+        ),
+        (
+            "Phases A and B: calibrate from three movements",
+            ["calibrate", study, "--no-front", "--out", calibration],
+        ),
+        (
+            "Phase C1: predict six movements from their end states",
+            [*predict, "--out", str(out / "prediction")],
+        ),
+        (
+            "Phase C2: again with cuffs 1.4 times as stiff",
+            [
+                *predict,
+                "--scale-interaction",
+                "1.4",
+                "--out",
+                str(out / "prediction_stiff"),
+            ],
+        ),
+        ("report", ["report", str(out)]),
     ]
-    print("Calibrated parameters beside the true ones")
-    print(format_table(["parameter", "calibrated", "true", "unit"], rows))
