@@ -170,7 +170,7 @@ def solve(
     options = options or SolverOptions()
     start = time.perf_counter()
     y0 = problem.restrict(guess)
-    total, binding = 0, None
+    total, binding, hopeful = 0, None, True
     stop = threading.Event()
 
     def relaxed(program, y):
@@ -179,6 +179,8 @@ def solve(
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
             if strategy == "exact":
+                if not hopeful:
+                    break  # dear, and nothing says that it would help
                 problem.use_exact_hessian()
                 options = replace(
                     options,
@@ -193,10 +195,12 @@ def solve(
                 break
             if binding:
                 break
+            hopeful = watch.found_feasible
             if binding is None and not watch.found_feasible:
                 # Either bounds are in each other's way, or the point where
                 # none has to give way is a better start.
                 y0, binding = elastic.relax(problem, y0, relaxed)
+            hopeful = hopeful or binding == []
     if status not in _ACCEPTED and watch.best is not None:
         y = watch.best
         objective = problem.objective(y)

@@ -122,6 +122,12 @@ def _directional(kernel, z, data, weights, k):
     return np.einsum("no,noi->ni", weights, J)
 
 
+def _accumulate(g: np.ndarray, block: _Block, local: np.ndarray) -> None:
+    """Add a block's parts of a gradient (n, width) where they belong."""
+    keep = block.columns >= 0
+    g += np.bincount(block.columns[keep], local[keep], minlength=len(g))
+
+
 class SparseProgram:
     """Objective, constraints and derivatives in the unknowns y.
 
@@ -408,6 +414,23 @@ class SparseProgram:
         hit = self._bounded[place] == variables
         return np.where(hit, self._first_bounded + place, -1)
 
+    def column_of_variable(self, variables: np.ndarray) -> np.ndarray:
+        """Unknown that is a program variable by itself, up to its scale.
+
+        Raises:
+            ValueError: a variable is fixed or substituted.
+        """
+        place = np.searchsorted(self._direct, variables)
+        if (
+            self._direct[np.minimum(place, len(self._direct) - 1)] != variables
+        ).any():
+            raise ValueError("not an unknown by itself")
+        return place
+
+    def scale_of(self, variables: np.ndarray) -> np.ndarray:
+        """Typical size of program variables."""
+        return self._row_scale[variables]
+
     def bound_of(self, variable: int, upper: bool) -> float:
         """Bound of a program variable in its own unit."""
         return float(self._x_bounds[int(upper)][variable])
@@ -469,20 +492,21 @@ class SparseProgram:
         """Derivative of the cost, (ny,)."""
         x = self.expand(y)
         g = self.matrix.T @ (self._Q @ x + self._b)
-        terms = list(
-            zip(
-                self.residual_blocks,
-                self._residual_terms(y),
-                self._residual_jacobians(y),
-                strict=True,
-            )
-        )
+        g += self.residual_gradient(y)
         for b in self._costs:
-            terms.append((b, np.ones((1, 1)), b.jacobian(x)))
-        for b, r, J in terms:
-            local = np.einsum("no,now->nw", r, J)
-            keep = b.columns >= 0
-            g += np.bincount(b.columns[keep], local[keep], minlength=len(g))
+            _accumulate(g, b, b.jacobian(x)[:, 0])
+        return g
+
+    def residual_gradient(self, y: np.ndarray) -> np.ndarray:
+        """The part of the gradient that least-squares residuals have."""
+        g = np.zeros(self.num_unknowns)
+        for b, r, J in zip(
+            self.residual_blocks,
+            self._residual_terms(y),
+            self._residual_jacobians(y),
+            strict=True,
+        ):
+            _accumulate(g, b, np.einsum("no,now->nw", r, J))
         return g
 
     def constraints(self, y: np.ndarray) -> np.ndarray:

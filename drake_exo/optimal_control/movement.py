@@ -5,6 +5,8 @@ and ground reaction as controls, and the equations that tie them. Several
 movements share one program and one set of contact parameters.
 """
 
+from typing import Literal
+
 import numpy as np
 
 from drake_exo.nlp.batch import BatchedProgram
@@ -34,6 +36,8 @@ from drake_exo.optimal_control.transcription import (
 from drake_exo.parameters import ContactParameter
 from drake_exo.planar_tree import PlanarTree
 from drake_exo.plant import COUPLED_COORDINATES
+
+Role = Literal["position", "velocity", "measured", "regulariser"]
 
 
 class Movement:
@@ -252,13 +256,19 @@ class Movement:
     def damp_jerk(self, sigma) -> None:
         """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
         jerk = self.grid.jerk
+        self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
         Q = np.diag(1.0 / np.broadcast_to(sigma, jerk.shape[1:]) ** 2)
-        weight = self.grid.step * self.grid.num_intervals / len(jerk)
+        weight = self.jerk_weight
         zero = np.zeros(len(Q))
         for row in jerk:
             self.program.prog.AddQuadraticCost(
                 weight * Q, zero, row, is_convex=True
             )
+
+    @property
+    def jerk_weight(self) -> float:
+        """Quadrature weight of each row of jerk [s]."""
+        return self.grid.step * self.grid.num_intervals / len(self.grid.jerk)
 
 
 class Tracking:
@@ -269,9 +279,15 @@ class Tracking:
         target: (n, r) measured values.
         sigma: noise, broadcast to (n, r); infinite where not tracked.
         rows: (n, r, m) linear map; identity by default.
+        role: what the target is: "position" or "velocity" (noise of the
+            second is the derivative of the first's), another "measured"
+            signal, or a "regulariser", which is none.
     """
 
-    def __init__(self, variables, target, sigma, rows=None):
+    def __init__(
+        self, variables, target, sigma, rows=None, role: Role = "measured"
+    ):
+        self.role = role
         self.variables = variables
         self.target = np.asarray(target, float)
         self.sigma = np.broadcast_to(
@@ -281,6 +297,12 @@ class Tracking:
             m = variables.shape[1]
             rows = np.broadcast_to(np.eye(m), (len(variables), m, m))
         self.rows = rows
+
+
+def minimised(variables: np.ndarray, sigma) -> Tracking:
+    """A term that pulls variables (n, m) to zero."""
+    zero = np.zeros(variables.shape)
+    return Tracking(variables, zero, sigma, role="regulariser")
 
 
 def add_parameters(

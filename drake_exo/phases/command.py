@@ -13,6 +13,7 @@ from pathlib import Path
 from drake_exo.output import prepare_output_folder, write_json
 from drake_exo.phases.audit_table import audit_trials
 from drake_exo.phases.calibration_inputs import CalibrationInputs, load_inputs
+from drake_exo.phases.covariance import uncertainty
 from drake_exo.phases.front import pareto_front
 from drake_exo.phases.problem import PhaseProblem, PhaseResult
 from drake_exo.phases.results import (
@@ -155,6 +156,8 @@ def _calibrate(
         phase, inputs.study.subject.name, result, inputs.trials
     )
     summary |= extra
+    if result.solution.success:
+        _add_intervals(summary["parameters"], problem, result, inputs)
     _write(out, problem, result, inputs, summary)
     if not result.solution.success:
         write_json(out / "summary.json", summary)
@@ -165,6 +168,29 @@ def _calibrate(
     summary |= more(result)
     write_json(out / "summary.json", summary)
     return 0
+
+
+def _add_intervals(rows, problem, result, inputs) -> None:
+    """95 % intervals of the free parameters, where they can be told."""
+    filtered = inputs.study.filter
+    found = uncertainty(problem, result, filtered.cutoff_hz, filtered.order)
+    if found is None:
+        return
+    by_name = {row["name"]: row for row in rows}
+    for name, sd, pull, half, known in zip(
+        found.names,
+        found.sd,
+        found.pull,
+        found.half_width,
+        found.identifiable,
+        strict=True,
+    ):
+        by_name[name] |= {
+            "sd": sd,
+            "pull": pull,
+            "half_width_95": half,
+            "identifiable": bool(known),
+        }
 
 
 def _write(

@@ -11,8 +11,8 @@ import numpy as np
 from drake_exo.optimal_control.kernels import FootGroundKernel
 from drake_exo.optimal_control.movement import (
     Movement,
-    Tracking,
     add_parameters,
+    minimised,
 )
 from drake_exo.optimal_control.settle import settle_foot
 from drake_exo.phases.measured import MeasuredMovement
@@ -58,12 +58,11 @@ class FootGroundProblem(PhaseProblem):
         at = trial.sample(movement.grid.times)
         noise = self.settings.noise
         fix_ends(movement, at, self.settings.end_tolerance)
-        zero = np.zeros(movement.torque.shape)
         movement.track(
             [
                 *kinematic_terms(movement, at, noise),
                 *ground_terms(movement, at, noise),
-                Tracking(movement.torque, zero, noise.torque_nm),
+                minimised(movement.torque, noise.torque_nm),
             ]
         )
         movement.damp_jerk(noise.jerk)

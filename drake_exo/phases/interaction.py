@@ -21,6 +21,7 @@ from drake_exo.optimal_control.movement import (
     Movement,
     Tracking,
     add_parameters,
+    minimised,
 )
 from drake_exo.optimal_control.settle import settle_foot
 from drake_exo.parameters import ContactParameter
@@ -243,8 +244,7 @@ class InteractionProblem(CoupledProblem):
 def torque_terms(movement, at, noise) -> list[Tracking]:
     """Joint moments tracked where known, minimised otherwise."""
     if at.moments is None:
-        zero = np.zeros(movement.torque.shape)
-        return [Tracking(movement.torque, zero, noise.torque_nm)]
+        return [minimised(movement.torque, noise.torque_nm)]
     sigma = np.repeat([noise.moment_nm, noise.exo_moment_nm], 3)
     sigma = sigma[: movement.torque.shape[1]]
     return [Tracking(movement.torque, at.moments, sigma)]

@@ -13,7 +13,7 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from drake_exo.optimal_control.controller_kernel import ControllerKernel
-from drake_exo.optimal_control.movement import Movement, Tracking
+from drake_exo.optimal_control.movement import Movement, minimised
 from drake_exo.phases.interaction import CoupledProblem, torque_terms
 from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import fix_ends, ground_terms
@@ -63,8 +63,7 @@ class PredictionProblem(CoupledProblem):
                 *torque_terms(movement, at, noise),
             ]
         else:
-            zero = np.zeros(movement.torque.shape)
-            terms = [Tracking(movement.torque, zero, noise.torque_nm)]
+            terms = [minimised(movement.torque, noise.torque_nm)]
         movement.track(terms)
         movement.damp_jerk(noise.jerk)
         self.minimise_energy(movement, [[0, 1, 2]] * 3, noise.energy_j)

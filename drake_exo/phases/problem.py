@@ -269,22 +269,24 @@ def kinematic_terms(movement, at, noise: TrackingNoise) -> list[Tracking]:
         noise: standard deviations.
     """
     grid = movement.grid
-    joints = grid.q.shape[1] - 3
+    device = grid.q.shape[1] - 6
     sigma_q = np.r_[
         noise.foot_m,
         noise.foot_m,
         np.deg2rad(noise.foot_pitch_deg),
-        np.full(joints, np.deg2rad(noise.angle_deg)),
+        np.full(3, np.deg2rad(noise.angle_deg)),
+        np.full(device, np.deg2rad(noise.exo_angle_deg)),
     ]
     sigma_v = np.r_[
         noise.foot_velocity_m_s,
         noise.foot_velocity_m_s,
         np.deg2rad(noise.foot_pitch_rate_deg_s),
-        np.full(joints, np.deg2rad(noise.velocity_deg_s)),
+        np.full(3, np.deg2rad(noise.velocity_deg_s)),
+        np.full(device, np.deg2rad(noise.exo_velocity_deg_s)),
     ]
     return [
-        Tracking(grid.q, at.q, sigma_q),
-        Tracking(grid.v, at.v, sigma_v),
+        Tracking(grid.q, at.q, sigma_q, role="position"),
+        Tracking(grid.v, at.v, sigma_v, role="velocity"),
     ]
 
 

@@ -207,12 +207,20 @@ def parameters_table(parameters: list[dict]) -> str:
             f"{p['lower']:.3g}",
             f"{p['upper']:.3g}",
             p["unit"],
-            ("at bound" if p["at_bound"] else "") if p["free"] else "fixed",
+            _remark(p),
         ]
         for p in parameters
     ]
     header = ["parameter", "value", "95 %", "lower", "upper", "unit", ""]
     return format_table(header, rows)
+
+
+def _remark(parameter: dict) -> str:
+    if not parameter["free"]:
+        return "fixed"
+    if parameter["at_bound"]:
+        return "at bound"
+    return "" if parameter.get("identifiable", True) else "weakly determined"
 
 
 def _interval(parameter: dict) -> str:

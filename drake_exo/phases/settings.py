@@ -69,7 +69,8 @@ class TrackingNoise:
     """Standard deviation of each signal's measurement; weights are 1/s^2.
 
     Attributes:
-        angle_deg, velocity_deg_s: joints.
+        angle_deg, velocity_deg_s: human joints, by markers on skin.
+        exo_angle_deg, exo_velocity_deg_s: the exoskeleton's, by encoders.
         foot_m, foot_pitch_deg: place of the foot.
         foot_velocity_m_s, foot_pitch_rate_deg_s: its motion.
         force_n, cop_m: ground reaction and centre of pressure.
@@ -81,6 +82,8 @@ class TrackingNoise:
 
     angle_deg: float = _sigma(0.5, "deg")
     velocity_deg_s: float = _sigma(4.0, "deg/s")
+    exo_angle_deg: float = _sigma(0.1, "deg")
+    exo_velocity_deg_s: float = _sigma(1.0, "deg/s")
     foot_m: float = _sigma(0.005, "m")
     foot_pitch_deg: float = _sigma(1.0, "deg")
     foot_velocity_m_s: float = _sigma(0.03, "m/s")

@@ -24,6 +24,7 @@ from drake_exo.planar_tree import PlanarTree
 
 # Knots of the drawn path per second, and samples of what is handed on.
 _KNOTS = 40.0
+_MARGIN_S = 1.0
 # Contact law and values of its parameters.
 Contact = tuple[FootGroundKernel, np.ndarray]
 
@@ -193,8 +194,9 @@ def noisy(
     Args:
         movement: without noise.
         seed: of the random numbers.
-        noise: angle_deg, foot_m, foot_pitch_deg, force_n and cop_m are used;
-            noise of velocities is the derivative of that of positions.
+        noise: of angles, foot, forces and centre of pressure, and of moments
+            and mats where there are some; noise of velocities is the
+            derivative of that of positions.
         cutoff_hz: of the filter that the noise has passed.
     """
     rng = np.random.default_rng(seed)
@@ -203,7 +205,8 @@ def noisy(
         noise.foot_m,
         noise.foot_m,
         np.deg2rad(noise.foot_pitch_deg),
-        np.full(nq - 3, np.deg2rad(noise.angle_deg)),
+        np.full(3, np.deg2rad(noise.angle_deg)),
+        np.full(nq - 6, np.deg2rad(noise.exo_angle_deg)),
     ]
     dq = _smooth(rng, movement.times, sigma, cutoff_hz)
     path = make_interp_spline(movement.times, dq, k=5)
@@ -215,22 +218,38 @@ def noisy(
     center = -ground[:, 2] / ground[:, 1] + cop
     ground[:, :2] += force
     ground[:, 2] = -center * ground[:, 1]
-    return MeasuredMovement(
-        movement.name,
-        movement.times,
-        movement.q + dq,
-        movement.v + path.derivative(1)(movement.times),
-        movement.a + path.derivative(2)(movement.times),
-        ground,
+    moments = movement.moments
+    if moments is not None:
+        spread = [noise.moment_nm] * 3 + [noise.exo_moment_nm] * (nq - 6)
+        moments = moments + _smooth(rng, movement.times, spread, cutoff_hz)
+    mats = {
+        name: force
+        + _smooth(rng, movement.times, [noise.normal_force_n], cutoff_hz)[:, 0]
+        for name, force in movement.normal_force.items()
+    }
+    return replace(
+        movement,
+        q=movement.q + dq,
+        v=movement.v + path.derivative(1)(movement.times),
+        a=movement.a + path.derivative(2)(movement.times),
+        ground=ground,
+        moments=moments,
+        normal_force=mats,
     )
 
 
 def _smooth(rng, times, sigma, cutoff_hz):
-    """White noise through the laboratory's filter, scaled to sigma."""
+    """White noise through the laboratory's filter, scaled to sigma.
+
+    A movement is cut from a longer recording: filters ring at its ends, not
+    at the movement's.
+    """
     rate = (len(times) - 1) / (times[-1] - times[0])
-    white = rng.standard_normal((len(times), len(sigma)))
+    margin = round(rate * _MARGIN_S)
+    white = rng.standard_normal((len(times) + 2 * margin, len(sigma)))
     filtered = low_pass(white, rate, cutoff_hz, 4, "noise")
-    return filtered / filtered.std(axis=0) * sigma
+    filtered = filtered / filtered[margin:-margin].std(axis=0)
+    return filtered[margin:-margin] * sigma
 
 
 def random_values(

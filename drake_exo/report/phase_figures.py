@@ -220,12 +220,15 @@ def _finish(figure, axes, path):
         handles, labels = ax.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
     figure.align_ylabels()
-    figure.tight_layout(rect=(0, 0, 1, 0.965))
+    columns = min(len(entries), 4)
+    legend = 0.1 + 0.22 * -(-len(entries) // columns)  # inches
+    top = 1.0 - legend / figure.get_size_inches()[1]
+    figure.tight_layout(rect=(0, 0, 1, top))
     figure.legend(
         entries.values(),
         entries.keys(),
         loc="upper center",
-        ncol=min(len(entries), 4),
+        ncol=columns,
         frameon=False,
     )
     # Without the software's name the same input gives the same bytes.

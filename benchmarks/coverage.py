@@ -1,0 +1,110 @@
+"""Does the 95 % interval of a calibrated parameter hold the truth?
+
+Phase B on a twin (truth = model) with noise alone, many seeds. Noise is made
+by filtering white noise; the intervals come from the optimum's conditions.
+
+    python benchmarks/coverage.py --seeds 200 [--json]
+"""
+
+import argparse
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from drake_exo.output import Progress
+from drake_exo.phases.covariance import uncertainty
+from drake_exo.phases.interaction_twin import InteractionTwin, interaction_twin
+from drake_exo.phases.settings import InteractionNoise
+from drake_exo.phases.twin import noisy
+
+# What is left of instruments' noise after the filter: markers of 0.3 mm,
+# encoders of 0.02 degree, plates of 0.5 N, mats in steps. Cuffs' energy and
+# jerk hardly count.
+NOISE = InteractionNoise(
+    angle_deg=0.02,
+    velocity_deg_s=0.3,
+    exo_angle_deg=0.01,
+    exo_velocity_deg_s=0.15,
+    foot_m=1e-4,
+    foot_pitch_deg=0.02,
+    foot_velocity_m_s=1.5e-3,
+    foot_pitch_rate_deg_s=0.3,
+    force_n=0.3,
+    cop_m=2e-4,
+    moment_nm=0.5,
+    exo_moment_nm=0.05,
+    normal_force_n=1.0,
+    energy_j=100.0,
+)
+
+
+def coverage(twin: InteractionTwin, seeds: int) -> list[dict]:
+    """One row for each parameter: share of seeds whose interval holds it."""
+    settings = twin.settings(noise=NOISE)
+    settings = replace(
+        settings, solver=replace(settings.solver, tolerance=1e-5)
+    )
+    truth = np.array([p.nominal for p in twin.truth])
+    rows, failed = [], 0
+    with Progress("coverage", total=seeds) as progress:
+        for seed in range(seeds):
+            trials = [
+                noisy(trial, 1000 * seed + k, NOISE)
+                for k, trial in enumerate(twin.trials)
+            ]
+            problem = twin.calibration(settings, trials)
+            result = problem.solve()
+            progress.update(
+                f"seed {seed}, {result.solution.iterations} iterations",
+                done=seed + 1,
+            )
+            if not result.solution.success:
+                failed += 1
+                continue
+            found = uncertainty(problem, result)
+            rows.append(
+                (result.values() - truth, found.half_width, found.identifiable)
+            )
+    error, half, identifiable = (np.array(x) for x in zip(*rows, strict=True))
+    # A parameter counts if most seeds call it identifiable.
+    return [
+        {
+            "parameter": p.name,
+            "identifiable": bool(identifiable[:, k].mean() > 0.5),
+            "coverage": float((np.abs(error[:, k]) <= half[:, k]).mean()),
+            "bias": float(error[:, k].mean()),
+            "error_sd": float(error[:, k].std()),
+            "half_width_95": float(half[:, k].mean()),
+            "true": p.nominal,
+            "seeds": len(rows),
+            "failed": failed,
+        }
+        for k, p in enumerate(twin.truth)
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--nodes-per-second", type=float, default=50.0)
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    rows = coverage(
+        interaction_twin(nodes_per_second=args.nodes_per_second), args.seeds
+    )
+    if args.json:
+        print(json.dumps({"noise": asdict(NOISE), "rows": rows}, indent=2))
+        return
+    for r in rows:
+        print(
+            f"{r['parameter']:28s} {'yes' if r['identifiable'] else 'no':4s}"
+            f"{100 * r['coverage']:6.1f} %  true {r['true']:10.4g}  bias "
+            f"{r['bias']:10.3g}  SD {r['error_sd']:10.3g}  95 % +- "
+            f"{r['half_width_95']:10.3g}"
+        )
+    print(f"{rows[0]['seeds']} seeds, {rows[0]['failed']} failed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""How well the data determine calibrated parameters: intervals of 95 %.
+
+First-order propagation of the measurement noise through the conditions of the
+optimum (`nlp.sensitivity`). Noise has the standard deviations of the study
+file and the spectrum of its filter, so that it is correlated in time, and
+noise of velocities is the derivative of that of positions; given end states
+carry it too. The prior counts as one more measurement, of the nominal value.
+What tracks no measurement (energy, jerk) adds no noise but pulls parameters
+away from what the data say; the pull is reported beside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.nlp.sensitivity import Response, response
+from drake_exo.nlp.sparse import SparseProgram
+from drake_exo.optimal_control.movement import Movement
+from drake_exo.phases.problem import PhaseProblem, PhaseResult
+
+_QUANTILE_95 = 1.959964
+# A parameter is identifiable if noise leaves less than this of its range.
+_IDENTIFIABLE = 0.1
+_FREQUENCIES_PER_CYCLE = 4  # resolution: a quarter of 1/duration
+_HIGHEST = 3.0  # of the cut-off frequency
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Of free parameters at an optimum.
+
+    Attributes:
+        names: (m,).
+        covariance: (m, m), by noise and prior.
+        pull: (m,) how far the terms that track nothing have moved each.
+        span: (m,) between the bounds.
+    """
+
+    names: list[str]
+    covariance: np.ndarray
+    pull: np.ndarray
+    span: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (m,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half of each 95 % interval (m,), the pull included."""
+        return _QUANTILE_95 * np.hypot(self.sd, self.pull)
+
+    @property
+    def identifiable(self) -> np.ndarray:
+        """Whether noise leaves each within a tenth of its range (m,)."""
+        return self.sd < _IDENTIFIABLE * self.span
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(m, m)."""
+        sd = np.maximum(self.sd, 1e-300)
+        return self.covariance / np.outer(sd, sd)
+
+
+def uncertainty(
+    problem: PhaseProblem,
+    result: PhaseResult,
+    cutoff_hz: float = 6.0,
+    order: int = 4,
+) -> Uncertainty | None:
+    """Covariance of the free parameters of a calibration.
+
+    Args:
+        problem: with its collocation constraints substituted.
+        result: its solution.
+        cutoff_hz, order: of the filter that the signals went through.
+
+    Returns:
+        None if nothing is free, or the collocation constraints were kept
+        (`reduce: false`): then given end states are no constraints.
+    """
+    free = [k for k, p in enumerate(problem.parameters) if p.free]
+    if not free or not result.settings.solver.reduce:
+        return None
+    program = problem.compile()
+    y = program.restrict(result.solution.raw_values())
+    index = problem.program.indices(problem.parameter_variables[free])
+    columns = program.column_of_variable(index)
+    unit = program.scale_of(index)
+    found = response(program, y, columns)
+    found = Response(
+        unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
+    )
+    # By changes of the gradient with respect to program variables.
+    by_x = found.by_gradient @ program.matrix.T
+    covariance = np.zeros((len(free), len(free)))
+    for movement in problem.movements:
+        for part in _noise(movement, program, found, by_x, cutoff_hz, order):
+            covariance += part @ part.T
+    weight = getattr(result.settings, "prior_weight", 0.0)
+    spans = np.array([problem.parameters[k].span for k in free])
+    by_prior = by_x[:, index] * (np.sqrt(weight) / spans)
+    covariance += by_prior @ by_prior.T
+    return Uncertainty(
+        [problem.parameters[k].name for k in free],
+        covariance,
+        found.by_gradient @ _regulariser(problem, program, y),
+        spans,
+    )
+
+
+def _noise(movement: Movement, program: SparseProgram, found, by_x, cut, order):
+    """Response (m, k) to independent unit noises, for each signal."""
+    times, weights = movement.grid.times, movement.grid.quadrature
+    values, slopes = noise_basis(times, cut, order)
+    responses = {}
+    for term in movement.tracked:
+        if term.role == "regulariser":
+            continue
+        variables = program.program.indices(term.variables)
+        gain = term.rows / term.sigma[:, :, None] ** 2
+        R = -np.einsum(
+            "pnm,nrm,n->pnr", by_x[:, variables], gain, weights, optimize=True
+        )
+        if term.role in ("position", "velocity"):
+            _add_ends(R, variables, program, found)
+            responses[term.role] = R, term.sigma
+            continue
+        for r in range(R.shape[2]):
+            sigma = np.where(np.isfinite(term.sigma[:, r]), term.sigma[:, r], 0)
+            yield (R[:, :, r] * sigma) @ values
+    if "position" in responses:
+        R, sigma = responses["position"]
+        R_v = responses["velocity"][0] if "velocity" in responses else 0.0 * R
+        for d in range(R.shape[2]):
+            yield sigma[0, d] * (R[:, :, d] @ values + R_v[:, :, d] @ slopes)
+
+
+def _add_ends(R, variables, program, found):
+    """Given end states carry the noise of the measurement."""
+    for node in (0, -1):
+        rows = program.row_of_variable(variables[node])
+        given = rows >= 0
+        unit = program.scale_of(variables[node][given])
+        R[:, node, given] += found.by_bounds[:, rows[given]] / unit
+
+
+def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
+    """Gradient of what tracks no measurement, the prior left out."""
+    x = program.expand(y)
+    g = np.zeros(len(x))
+    for movement in problem.movements:
+        jerk = problem.program.indices(movement.grid.jerk)
+        weight = movement.jerk_weight / movement.jerk_sigma**2
+        g[jerk] += weight * x[jerk]
+        weights = movement.grid.quadrature[:, None]
+        for term in movement.tracked:
+            if term.role == "regulariser":
+                index = problem.program.indices(term.variables)
+                g[index] += weights * x[index] / term.sigma**2
+    return program.matrix.T @ g + program.residual_gradient(y)
+
+
+def noise_basis(
+    times: np.ndarray, cutoff_hz: float, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Independent parts of filtered white noise of unit variance.
+
+    Args:
+        times: (n,) [s].
+        cutoff_hz: where the filter damps amplitudes to 1/sqrt(2).
+        order: of the zero-lag Butterworth filter, in effect.
+
+    Returns:
+        values (n, k): noise is values @ white noise (k,); and their time
+        derivatives [1/s].
+    """
+    duration = times[-1] - times[0]
+    step = 1.0 / (_FREQUENCIES_PER_CYCLE * duration)
+    frequencies = step * (
+        0.5 + np.arange(int(np.ceil(_HIGHEST * cutoff_hz / step)))
+    )
+    gain = 1.0 / (
+        1.0 + (np.sqrt(2.0) - 1.0) * (frequencies / cutoff_hz) ** order
+    )
+    amplitude = gain / np.sqrt(np.sum(gain**2))
+    omega = 2.0 * np.pi * frequencies
+    phase = np.outer(times - times[0], omega)
+    c, s = amplitude * np.cos(phase), amplitude * np.sin(phase)
+    return np.hstack([c, s]), np.hstack([-omega * s, omega * c])
