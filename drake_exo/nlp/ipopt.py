@@ -276,7 +276,9 @@ def _attempt(problem, y0, options, watch):
         intermediate_callback=watch,
         ipopt_options=settings,
     )
-    y, objective, status = nlp.solve(y0.copy())
+    # A trial step may go far off; IPOPT shortens it when it sees infinity.
+    with np.errstate(all="ignore"):
+        y, objective, status = nlp.solve(y0.copy())
     return y, objective, status
 
 
