@@ -57,7 +57,8 @@ class SolverOptions:
         strategies: the next is tried by itself when one fails: barrier
             strategies with the program's Hessian (adaptive is faster,
             monotone survives strong noise), then "exact", with the
-            constraints' curvature, which tight bounds may need.
+            constraints' curvature, which tight bounds may need, and at last
+            "patient": adaptive to the end, however long nothing improves.
         pivot_order: MUMPS' ordering; 0 (AMD) measured fastest on collocation
             problems with contact, 10 to 40 % before the others.
         extra: further IPOPT options by name.
@@ -65,7 +66,12 @@ class SolverOptions:
 
     tolerance: float = 1e-6
     max_iterations: int = 300
-    strategies: tuple[str, ...] = ("adaptive", "monotone", "exact")
+    strategies: tuple[str, ...] = (
+        "adaptive",
+        "monotone",
+        "exact",
+        "patient",
+    )
     pivot_order: int = 0
     extra: dict = field(default_factory=dict)
 
@@ -139,7 +145,7 @@ class _Watch:
         self._restoring += mode != 0
         if error < 0.9 * self._least:
             self._least, self._least_at = error, iteration
-        self.gave_up = (
+        self.gave_up = self.strategy != "patient" and (
             self._restoring > _RESTORING
             or iteration - self._least_at > _STALLED
         )
@@ -171,6 +177,7 @@ def solve(
     start = time.perf_counter()
     y0 = problem.restrict(guess)
     total, binding, hopeful = 0, None, True
+    exact = problem.exact_hessian
     stop = threading.Event()
 
     def relaxed(program, y):
@@ -178,16 +185,9 @@ def solve(
 
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
-            if strategy == "exact":
-                if not hopeful:
-                    break  # dear, and nothing says that it would help
-                problem.use_exact_hessian()
-                options = replace(
-                    options,
-                    max_iterations=min(
-                        _EXACT_ITERATIONS, options.max_iterations
-                    ),
-                )
+            if strategy == "exact" and not hopeful:
+                continue  # dear, and nothing says that it would help
+            problem.use_exact_hessian(exact or strategy == "exact")
             watch = _Watch(problem, strategy, start, on_iterate, stop)
             y, objective, status = _attempt(problem, y0, options, watch)
             total += watch.iterations
@@ -248,7 +248,11 @@ def _attempt(problem, y0, options, watch):
         "acceptable_tol": 10.0 * options.tolerance,
         "acceptable_iter": 3,
         "acceptable_obj_change_tol": 1e-7,
-        "max_iter": options.max_iterations,
+        "max_iter": (
+            min(_EXACT_ITERATIONS, options.max_iterations)
+            if watch.strategy == "exact"
+            else options.max_iterations
+        ),
         "mu_strategy": (
             "monotone" if watch.strategy == "monotone" else "adaptive"
         ),

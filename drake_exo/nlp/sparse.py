@@ -164,10 +164,10 @@ class SparseProgram:
         self._lay_out_jacobian()
         self._lay_out_hessian()
 
-    def use_exact_hessian(self) -> None:
-        """From now on, add the curvature of constraints and residuals."""
-        if not self.exact_hessian:
-            self.exact_hessian = True
+    def use_exact_hessian(self, exact: bool) -> None:
+        """Whether to add the curvature of all constraints and residuals."""
+        if self.exact_hessian != exact:
+            self.exact_hessian = exact
             self._lay_out_hessian()
 
     # -- unknowns ---------------------------------------------------------
