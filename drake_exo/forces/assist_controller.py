@@ -54,7 +54,7 @@ def AssistController_(T):
             for joint, support in zip((1, 2), self._support, strict=True):
                 torque = -support * sin(state[joint])
                 torque = torque - self._damping * state[3 + joint]
-                output.SetAtIndex(joint, T(torque))
+                output.SetAtIndex(joint, torque)
 
     return Impl
 
