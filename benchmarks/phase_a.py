@@ -38,7 +38,8 @@ from drake_exo.report.tables import format_table
 
 _DURATION = 1.5
 _TRUE_MODULUS = 5e6
-_NOISE = TrackingNoise(angle_deg=0.3, force_n=2.0, foot_m=0.0005)
+# What is left of a gait laboratory's noise after filtering.
+_NOISE = TrackingNoise(angle_deg=0.1, force_n=1.0, foot_m=0.0002)
 _ROWS = [
     *((3, nodes, "hermite_simpson") for nodes in (50, 100, 200)),
     *((trials, 200, "hermite_simpson") for trials in (1, 2, 6)),
