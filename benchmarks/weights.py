@@ -1,0 +1,123 @@
+"""How results of Phase B depend on the weights.
+
+    python benchmarks/weights.py [--json] [--factors 0.25 4]
+
+Weights are 1/sigma^2 of each signal's measurement noise. Here the sigma of one
+group of signals at a time is multiplied by a factor, on twin data with noise:
+what the fit looks like then, and how far forces that no mat measured, and
+parameters, move.
+"""
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.output import Progress
+from drake_exo.phases.covariance import uncertainty
+from drake_exo.phases.interaction_twin import interaction_twin
+from drake_exo.phases.scores import rms, rmsd
+from drake_exo.phases.twin import noisy
+from drake_exo.report.tables import format_table
+
+sys.path.insert(0, str(Path(__file__).parent))
+from coverage import NOISE
+
+GROUPS = {
+    "kinematics": (
+        "angle_deg",
+        "velocity_deg_s",
+        "exo_angle_deg",
+        "exo_velocity_deg_s",
+        "foot_m",
+        "foot_pitch_deg",
+        "foot_velocity_m_s",
+        "foot_pitch_rate_deg_s",
+    ),
+    "ground reaction": ("force_n", "cop_m"),
+    "joint moments": ("moment_nm", "exo_moment_nm"),
+    "mats": ("normal_force_n",),
+    "contact energy": ("energy_j",),
+    "jerk": ("jerk",),
+}
+
+
+def sweep(factors: list[float]) -> list[dict]:
+    """One row for each group and factor; the first is as it stands."""
+    twin = interaction_twin()
+    trials = [noisy(t, k, NOISE) for k, t in enumerate(twin.trials)]
+    truth = np.array([p.nominal for p in twin.truth])
+    cases = [("as it stands", 1.0, NOISE)]
+    for group, names in GROUPS.items():
+        for factor in factors:
+            scaled = {n: factor * getattr(NOISE, n) for n in names}
+            cases.append((group, factor, replace(NOISE, **scaled)))
+    rows, base, half = [], None, None
+    progress = Progress("weights", total=len(cases))
+    for k, (group, factor, noise) in enumerate(cases):
+        problem = twin.calibration(twin.settings(noise=noise), trials)
+        result = problem.solve()
+        if base is None:
+            base = result
+            found = uncertainty(problem, result)
+            half, known = found.half_width, found.identifiable
+        scores = [
+            rmsd(t, m) for t, m in zip(result.trajectories, trials, strict=True)
+        ]
+        moved = np.abs(result.values() - base.values())
+        unseen = [
+            rms(a.interaction - b.interaction).max()
+            for a, b in zip(result.trajectories, base.trajectories, strict=True)
+        ]
+        rows.append(
+            {
+                "group": group,
+                "factor": factor,
+                "success": result.solution.success,
+                "angles_deg": _mean(scores, "angles_deg"),
+                "grf_n": _mean(scores, "grf_n"),
+                "moments_nm": _mean(scores, "moments_nm"),
+                "interaction_n": _mean(scores, "interaction_n"),
+                "interaction_change_n": float(max(unseen)),
+                "parameter_change_of_95": float(np.max((moved / half)[known])),
+                "parameter_error_of_95": float(
+                    np.max((np.abs(result.values() - truth) / half)[known])
+                ),
+            }
+        )
+        progress.update(f"{group} x {factor:g}", done=k + 1)
+    return rows
+
+
+def _mean(scores, key) -> float:
+    return float(np.mean([v for s in scores for v in s[key].values()]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--factors", type=float, nargs="+", default=[0.25, 4.0])
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    rows = sweep(args.factors)
+    if args.json:
+        print(json.dumps(rows, indent=2))
+        return
+    keys = list(rows[0])[3:]
+    header = ["sigma of", "x", *keys]
+    print(
+        format_table(
+            header,
+            [
+                [r["group"], f"{r['factor']:g}", *(r[k] for k in keys)]
+                for r in rows
+            ],
+            3,
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
