@@ -113,6 +113,10 @@ class ElasticProgram:
             for pair in zip(self._problem.hessian_structure, own, strict=True)
         )
 
+    def start_again(self) -> None:
+        """See SparseProgram, likewise the following."""
+        self._problem.start_again()
+
     def expand(self, y: np.ndarray) -> np.ndarray:
         """As SparseProgram."""
         return self._problem.expand(y)

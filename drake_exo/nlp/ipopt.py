@@ -263,6 +263,7 @@ def _attempt(problem, y0, options, watch):
         "fixed_variable_treatment": "make_parameter",
         **options.extra,
     }
+    problem.start_again()
     nlp = ipyopt.Problem(
         problem.num_unknowns,
         _finite(problem.y_lower),

@@ -24,8 +24,10 @@ from drake_exo.nlp.program_arrays import (
 )
 
 _IDENTICALLY_ZERO = 1e-9
-# Far from feasible points the multipliers, and so the curvature, mean little.
+# Far from feasible points the multipliers, and so the curvature, mean little:
+# below the first violation curvature enters, above the second it leaves.
 _NEARLY_FEASIBLE = 0.1
+_FAR = 1.0
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,7 @@ class SparseProgram:
         self.seconds: dict[str, float] = defaultdict(float)
         self.evaluations: dict[str, int] = defaultdict(int)
         self._cache: dict[str, tuple] = {}
+        self._is_near = False
         x_lower, x_upper = variable_bounds(program.prog)
         self._x_bounds = x_lower, x_upper
         self._reduce(x_lower, x_upper, substitutions)
@@ -163,6 +166,10 @@ class SparseProgram:
         self._collect_costs()
         self._lay_out_jacobian()
         self._lay_out_hessian()
+
+    def start_again(self) -> None:
+        """Forget where the last attempt got to; call before each."""
+        self._is_near = False
 
     def use_exact_hessian(self, exact: bool) -> None:
         """Whether to add the curvature of all constraints and residuals."""
@@ -570,8 +577,11 @@ class SparseProgram:
             terms = self._residual_terms(y)
             for b, r in zip(self.residual_blocks, terms, strict=True):
                 weights[id(b)] = factor * r
-        elif self._violation(y) > _NEARLY_FEASIBLE:
-            return weights
+        else:
+            enough = _FAR if self._is_near else _NEARLY_FEASIBLE
+            self._is_near = self._violation(y) <= enough
+            if not self._is_near:
+                return weights
         first = self.linear_matrix.shape[0]
         for b in self._blocks:
             size = b.batch.lower.size
