@@ -56,7 +56,7 @@ def check_derivatives(
         if error.max(initial=0.0) > tolerance * scale:
             row = int(error.argmax())
             raise DerivativeError(
-                f"{problem.row_name(row)}: derivative {(J @ d)[row]:.9g} "
+                f"{problem.rows.name(row)}: derivative {(J @ d)[row]:.9g} "
                 f"along a direction, but differences give {g[row]:.9g}"
             )
         f = (problem.objective(up) - problem.objective(down)) / (2 * step)

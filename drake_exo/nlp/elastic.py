@@ -68,7 +68,7 @@ class ElasticProgram:
         self.jacobian_structure = problem.jacobian_structure
         columns, rows = problem.relaxable(kinds)
         self._columns, self._rows = columns, rows
-        self._A = problem.linear_matrix[rows]
+        self._A = problem.rows.linear[rows]
         self._lower = np.r_[problem.y_lower[columns], problem.g_lower[rows]]
         self._upper = np.r_[problem.y_upper[columns], problem.g_upper[rows]]
         self.num_springs = len(self._lower)
@@ -157,8 +157,8 @@ class ElasticProgram:
         """The bounds that gave way most, one for each signal."""
         excess = self.excess(y)
         index = np.r_[
-            self._problem.variable_of_column(self._columns),
-            self._problem.variable_of_row(self._rows),
+            self._problem.unknowns.variable_of(self._columns),
+            self._problem.rows.variable_of(self._rows),
         ]
         x = self._problem.expand(y)
         found: dict[str, Excess] = {}
@@ -167,7 +167,7 @@ class ElasticProgram:
                 break
             i = int(index[k])
             program = self._problem.program
-            bound = self._problem.bound_of(i, upper=excess[k] > 0.0)
+            bound = self._problem.unknowns.bound_of(i, upper=excess[k] > 0.0)
             unit, factor = program.unit(i)
             found.setdefault(
                 program.signal_name(i),

@@ -47,12 +47,12 @@ def check(
     if not np.isfinite(g).all():
         row = int(np.flatnonzero(~np.isfinite(g))[0])
         raise InputError(
-            f"{problem.row_name(row)} is not finite at the guess; check the "
+            f"{problem.rows.name(row)} is not finite at the guess; check the "
             "trial's data and the parameters' nominal values"
         )
     influence = _influence(problem, y)
     for name, index in parameters.items():
-        columns = problem.matrix[[index]].indices
+        columns = problem.unknowns.matrix[[index]].indices
         if influence[columns].max(initial=0.0) <= _INFLUENCE:
             raise InputError(
                 f"parameter {name} influences nothing that was measured; fix "

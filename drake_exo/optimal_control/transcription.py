@@ -18,7 +18,7 @@ from pydrake.systems.primitives import LinearSystem
 from scipy.interpolate import BSpline
 
 from drake_exo.nlp.batch import AffineKernel, BatchedProgram
-from drake_exo.nlp.sparse import Substitution
+from drake_exo.nlp.unknowns import Substitution
 
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
 _SIZES = (1.0, 1.0, 10.0, 100.0)

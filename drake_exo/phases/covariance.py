@@ -88,14 +88,14 @@ def uncertainty(
     program = problem.compile()
     y = program.restrict(result.solution.raw_values())
     index = problem.program.indices(problem.parameter_variables[free])
-    columns = program.column_of_variable(index)
-    unit = program.scale_of(index)
+    columns = program.unknowns.column_of(index)
+    unit = program.unknowns.scale[index]
     found = response(program, y, columns)
     found = Response(
         unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
     )
     # By changes of the gradient with respect to program variables.
-    by_x = found.by_gradient @ program.matrix.T
+    by_x = found.by_gradient @ program.unknowns.matrix.T
     covariance = np.zeros((len(free), len(free)))
     for movement in problem.movements:
         for part in _noise(movement, program, found, by_x, cutoff_hz, order):
@@ -142,9 +142,9 @@ def _noise(movement: Movement, program: SparseProgram, found, by_x, cut, order):
 def _add_ends(R, variables, program, found):
     """Given end states carry the noise of the measurement."""
     for node in (0, -1):
-        rows = program.row_of_variable(variables[node])
+        rows = program.rows.row_of(variables[node])
         given = rows >= 0
-        unit = program.scale_of(variables[node][given])
+        unit = program.unknowns.scale[variables[node][given]]
         R[:, node, given] += found.by_bounds[:, rows[given]] / unit
 
 
@@ -161,7 +161,7 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
             if term.role == "regulariser":
                 index = problem.program.indices(term.variables)
                 g[index] += weights * x[index] / term.sigma**2
-    return program.matrix.T @ g + program.residual_gradient(y)
+    return program.unknowns.matrix.T @ g + program.residual_gradient(y)
 
 
 def noise_basis(

@@ -6,7 +6,8 @@ import scipy.sparse as sp
 
 from drake_exo.nlp.batch import AffineKernel, BatchedProgram
 from drake_exo.nlp.derivatives import DerivativeError, check_derivatives
-from drake_exo.nlp.sparse import SparseProgram, Substitution
+from drake_exo.nlp.sparse import SparseProgram
+from drake_exo.nlp.unknowns import Substitution
 
 _N = 6
 
@@ -223,7 +224,7 @@ def test_a_substitution_drops_the_constraints_it_satisfies():
 def test_rows_are_named():
     program, _, _ = _program()
     problem = SparseProgram(program)
-    names = [problem.row_name(i) for i in range(problem.num_constraints)]
+    names = [problem.rows.name(i) for i in range(problem.num_constraints)]
     assert "curve[2] row 1" in names
     assert any(name.startswith("loose") for name in names)
     y = _point(problem)

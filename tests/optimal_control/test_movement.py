@@ -160,7 +160,7 @@ def test_worst_constraints_name_trial_node_and_row():
     problem = SparseProgram(program, (movement.grid.substitution(program),))
     x = start(*posed)
     y = problem.restrict(x)
-    names = [problem.row_name(i) for i in range(problem.num_constraints)]
+    names = [problem.rows.name(i) for i in range(problem.num_constraints)]
     assert "rise1 dynamics[10] row 3" in names
     assert "rise1 foot-ground[0] row 2" in names
     # In the air nothing carries the body: its weight is what is missing.

@@ -134,7 +134,7 @@ def test_constraints_are_named_by_trial():
         HermiteSimpson(program, name, 1, 1.0, 5)
     problem = SparseProgram(program)
     names = {
-        problem.row_name(i).split(" row")[0]
+        problem.rows.name(i).split(" row")[0]
         for i in range(problem.num_constraints)
     }
     assert "rise1 collocation[0]" in names

@@ -156,7 +156,7 @@ def test_response_predicts_another_solve(exact, cuffs_twin):
     program = problem.compile()
     y = program.restrict(result.solution.raw_values())
     index = problem.program.indices(problem.parameter_variables)
-    columns = program.column_of_variable(index)
+    columns = program.unknowns.column_of(index)
     found = response(program, y, columns)
     first, *rest = cuffs_twin.trials
     ramp = np.linspace(0.0, 1.0, len(first.times))[:, None]
