@@ -14,34 +14,17 @@ import numpy as np
 
 from drake_exo.output import Progress
 from drake_exo.phases.covariance import uncertainty
-from drake_exo.phases.interaction_twin import InteractionTwin, interaction_twin
-from drake_exo.phases.settings import InteractionNoise
-from drake_exo.phases.twin import noisy
-
-# What is left of instruments' noise after the filter: markers of 0.3 mm,
-# encoders of 0.02 degree, plates of 0.5 N, mats in steps. Cuffs' energy and
-# jerk hardly count.
-NOISE = InteractionNoise(
-    angle_deg=0.02,
-    velocity_deg_s=0.3,
-    exo_angle_deg=0.01,
-    exo_velocity_deg_s=0.15,
-    foot_m=1e-4,
-    foot_pitch_deg=0.02,
-    foot_velocity_m_s=1.5e-3,
-    foot_pitch_rate_deg_s=0.3,
-    force_n=0.3,
-    cop_m=2e-4,
-    moment_nm=0.5,
-    exo_moment_nm=0.05,
-    normal_force_n=1.0,
-    energy_j=100.0,
+from drake_exo.phases.interaction_twin import (
+    INSTRUMENT_NOISE,
+    InteractionTwin,
+    interaction_twin,
 )
+from drake_exo.phases.twin import noisy
 
 
 def coverage(twin: InteractionTwin, seeds: int) -> list[dict]:
     """One row for each parameter: share of seeds whose interval holds it."""
-    settings = twin.settings(noise=NOISE)
+    settings = twin.settings(noise=INSTRUMENT_NOISE)
     settings = replace(
         settings, solver=replace(settings.solver, tolerance=1e-5)
     )
@@ -50,7 +33,7 @@ def coverage(twin: InteractionTwin, seeds: int) -> list[dict]:
     with Progress("coverage", total=seeds) as progress:
         for seed in range(seeds):
             trials = [
-                noisy(trial, 1000 * seed + k, NOISE)
+                noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
                 for k, trial in enumerate(twin.trials)
             ]
             problem = twin.calibration(settings, trials)
@@ -94,7 +77,11 @@ def main() -> None:
         interaction_twin(nodes_per_second=args.nodes_per_second), args.seeds
     )
     if args.json:
-        print(json.dumps({"noise": asdict(NOISE), "rows": rows}, indent=2))
+        print(
+            json.dumps(
+                {"noise": asdict(INSTRUMENT_NOISE), "rows": rows}, indent=2
+            )
+        )
         return
     for r in rows:
         print(

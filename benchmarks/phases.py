@@ -10,20 +10,19 @@ starts how many of N reach the best objective within 1e-4 of it.
 import argparse
 import json
 import resource
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from drake_exo.output import Progress
-from drake_exo.phases.interaction_twin import InteractionTwin, interaction_twin
+from drake_exo.phases.interaction_twin import (
+    INSTRUMENT_NOISE,
+    InteractionTwin,
+    interaction_twin,
+)
 from drake_exo.phases.settings import PredictionSettings, Solver
 from drake_exo.phases.twin import noisy, random_values
 from drake_exo.report.tables import format_table
-
-sys.path.insert(0, str(Path(__file__).parent))
-from coverage import NOISE
 
 _TOLERANCE = 1e-4
 
@@ -51,14 +50,14 @@ def row(name: str, problem, guess=None, trials: int = 1) -> dict:
 
 def measured(twin: InteractionTwin):
     """The twin's trials with instruments' noise."""
-    return [noisy(t, k, NOISE) for k, t in enumerate(twin.trials)]
+    return [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(twin.trials)]
 
 
 def times(twin: InteractionTwin) -> list[dict]:
     """B, then C1 from a line, from data, with other stiffness, for comfort."""
     trials = measured(twin)
     solver = Solver(twin.nodes_per_second)
-    settings = twin.settings(noise=NOISE, solver=solver)
+    settings = twin.settings(noise=INSTRUMENT_NOISE, solver=solver)
     rows = [row("B", twin.calibration(settings, trials), None, 3)]
     base = PredictionSettings(solver=solver)
     for name, changes, scale in (
@@ -76,7 +75,9 @@ def times(twin: InteractionTwin) -> list[dict]:
 
 def random_starts(twin: InteractionTwin, count: int) -> dict:
     """Phase B from starts anywhere inside the parameters' bounds."""
-    settings = twin.settings(noise=NOISE, solver=Solver(twin.nodes_per_second))
+    settings = twin.settings(
+        noise=INSTRUMENT_NOISE, solver=Solver(twin.nodes_per_second)
+    )
     problem = twin.calibration(settings, measured(twin))
     objectives, iterations = [problem.solve().solution.objective], []
     with Progress("random starts", total=count) as progress:

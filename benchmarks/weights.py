@@ -10,21 +10,19 @@ parameters, move.
 
 import argparse
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from drake_exo.output import Progress
 from drake_exo.phases.covariance import uncertainty
-from drake_exo.phases.interaction_twin import interaction_twin
+from drake_exo.phases.interaction_twin import (
+    INSTRUMENT_NOISE,
+    interaction_twin,
+)
 from drake_exo.phases.scores import rms, rmsd
 from drake_exo.phases.twin import noisy
 from drake_exo.report.tables import format_table
-
-sys.path.insert(0, str(Path(__file__).parent))
-from coverage import NOISE
 
 GROUPS = {
     "kinematics": (
@@ -48,13 +46,13 @@ GROUPS = {
 def sweep(factors: list[float]) -> list[dict]:
     """One row for each group and factor; the first is as it stands."""
     twin = interaction_twin()
-    trials = [noisy(t, k, NOISE) for k, t in enumerate(twin.trials)]
+    trials = [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(twin.trials)]
     truth = np.array([p.nominal for p in twin.truth])
-    cases = [("as it stands", 1.0, NOISE)]
+    cases = [("as it stands", 1.0, INSTRUMENT_NOISE)]
     for group, names in GROUPS.items():
         for factor in factors:
-            scaled = {n: factor * getattr(NOISE, n) for n in names}
-            cases.append((group, factor, replace(NOISE, **scaled)))
+            scaled = {n: factor * getattr(INSTRUMENT_NOISE, n) for n in names}
+            cases.append((group, factor, replace(INSTRUMENT_NOISE, **scaled)))
     rows, base, half = [], None, None
     progress = Progress("weights", total=len(cases))
     for k, (group, factor, noise) in enumerate(cases):

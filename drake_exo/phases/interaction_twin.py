@@ -42,6 +42,25 @@ TRUE_CUFFS = {
 }
 # Mats of each trial in turn: the paper's two configurations.
 MATS = (("pelvis",), ("pelvis",), ("shank", "thigh"))
+# What is left of instruments' noise after the filter: markers of 0.3 mm,
+# encoders of 0.02 degree, plates of 0.5 N, mats in steps. Cuffs' energy and
+# jerk hardly count.
+INSTRUMENT_NOISE = InteractionNoise(
+    angle_deg=0.02,
+    velocity_deg_s=0.3,
+    exo_angle_deg=0.01,
+    exo_velocity_deg_s=0.15,
+    foot_m=1e-4,
+    foot_pitch_deg=0.02,
+    foot_velocity_m_s=1.5e-3,
+    foot_pitch_rate_deg_s=0.3,
+    force_n=0.3,
+    cop_m=2e-4,
+    moment_nm=0.5,
+    exo_moment_nm=0.05,
+    normal_force_n=1.0,
+    energy_j=100.0,
+)
 # What the device's joints do besides following: nothing, nearly.
 _DEVICE_NM = 0.5
 _SPHERE = SphereSettings(

@@ -18,6 +18,19 @@ EMPTY = "plates_empty"
 _JOINTS = ("ankle", "knee", "hip")
 
 
+# Standard deviation of each signal as it reaches a phase: markers slide on
+# skin, the foot's do not; mats resolve 2.5 kPa on some thirty loaded cells.
+_NOISE = {
+    "angle_deg": 0.5,
+    "velocity_deg_s": 4.0,
+    "foot_m": 0.001,
+    "foot_pitch_deg": 0.3,
+    "force_n": 3.0,
+    "cop_m": 0.0005,
+}
+_FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 1.0, "energy_j": 1.0}
+
+
 @dataclass(frozen=True)
 class Entry:
     """A movement that the study uses.
@@ -79,6 +92,8 @@ def write_study(
         "mats": mats,
         "trials": [_trial(laboratory, entry) for entry in entries],
         "foot_ground": _foot_ground(),
+        "interaction": _interaction(),
+        "prediction": _prediction(),
     }
     text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
     path.write_text(
@@ -157,13 +172,22 @@ def _foot_ground() -> dict:
         "law": "simbody",
         "heel": sphere(),
         "toe": sphere(),
-        "noise": {
-            "angle_deg": 0.3,
-            "velocity_deg_s": 2.0,
-            "foot_m": 0.001,
-            "foot_pitch_deg": 0.3,
-            "force_n": 3.0,
-            "cop_m": 0.0005,
-        },
+        "noise": dict(_NOISE),
         "solver": {"nodes_per_second": 100.0},
     }
+
+
+def _interaction() -> dict:
+    """Weights of the second phase."""
+    own = {
+        "exo_angle_deg": 0.1,
+        "exo_velocity_deg_s": 1.0,
+        "normal_force_n": 1.0,
+    }
+    return {"noise": {**_NOISE, **own, **_FORCE_NOISE}}
+
+
+def _prediction() -> dict:
+    """Weights of the third phase, which tracks no kinematics."""
+    ground = {key: _NOISE[key] for key in ("force_n", "cop_m")}
+    return {"noise": {**ground, **_FORCE_NOISE}}

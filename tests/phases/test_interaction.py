@@ -7,29 +7,13 @@ import pytest
 
 from drake_exo.phases import audit
 from drake_exo.phases.covariance import noise_basis, uncertainty
-from drake_exo.phases.interaction_twin import exact_settings
+from drake_exo.phases.interaction_twin import (
+    INSTRUMENT_NOISE,
+    exact_settings,
+)
 from drake_exo.phases.scores import rmsd
-from drake_exo.phases.settings import InteractionNoise
 from drake_exo.phases.twin import noisy, random_values
 
-# What is left of instruments' noise after the filter, as in
-# benchmarks/coverage.py, which runs hundreds of seeds.
-NOISE = InteractionNoise(
-    angle_deg=0.02,
-    velocity_deg_s=0.3,
-    exo_angle_deg=0.01,
-    exo_velocity_deg_s=0.15,
-    foot_m=1e-4,
-    foot_pitch_deg=0.02,
-    foot_velocity_m_s=1.5e-3,
-    foot_pitch_rate_deg_s=0.3,
-    force_n=0.3,
-    cop_m=2e-4,
-    moment_nm=0.5,
-    exo_moment_nm=0.05,
-    normal_force_n=1.0,
-    energy_j=100.0,
-)
 # Exact data determine all but the shank's cuff, which hardly moves.
 SEEDS = 4
 
@@ -107,12 +91,12 @@ def test_random_starts_reach_one_optimum(exact, cuffs_twin):
 
 
 def test_truth_lies_in_the_intervals(cuffs_twin):
-    settings = cuffs_twin.settings(noise=NOISE)
+    settings = cuffs_twin.settings(noise=INSTRUMENT_NOISE)
     truth = truth_of(cuffs_twin)
     inside, counted = 0, 0
     for seed in range(SEEDS):
         trials = [
-            noisy(trial, 1000 * seed + k, NOISE)
+            noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
             for k, trial in enumerate(cuffs_twin.trials)
         ]
         problem = cuffs_twin.calibration(settings, trials)
@@ -130,15 +114,15 @@ def test_truth_lies_in_the_intervals(cuffs_twin):
 def test_intervals_are_not_too_wide(cuffs_twin):
     """A tenth of the noise gives a tenth of the interval."""
     small = replace(
-        NOISE,
+        INSTRUMENT_NOISE,
         **{
             name: 0.1 * value
-            for name, value in vars(NOISE).items()
+            for name, value in vars(INSTRUMENT_NOISE).items()
             if name not in ("energy_j", "jerk", "torque_nm")
         },
     )
     widths = []
-    for noise in (NOISE, small):
+    for noise in (INSTRUMENT_NOISE, small):
         settings = cuffs_twin.settings(noise=noise, prior_weight=1e-6)
         problem = cuffs_twin.calibration(settings)
         found = uncertainty(problem, problem.solve())
