@@ -15,6 +15,7 @@ from drake_exo.phases.audit_table import audit_trials
 from drake_exo.phases.calibration_inputs import CalibrationInputs, load_inputs
 from drake_exo.phases.covariance import uncertainty
 from drake_exo.phases.front import pareto_front
+from drake_exo.phases.model_file import write_model
 from drake_exo.phases.problem import PhaseProblem, PhaseResult
 from drake_exo.phases.results import (
     parameters_table,
@@ -149,6 +150,7 @@ def _calibrate(
     more=lambda result: {},
 ) -> int:
     """Solve one phase and write its results; returns the exit code."""
+    write_model(out, inputs.model)
     for trial in inputs.loaded:
         trial.save(out / f"measured_{trial.name}")
     result = solve(problem, f"calibrate {phase}", out, resume)

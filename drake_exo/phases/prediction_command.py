@@ -19,7 +19,9 @@ from drake_exo.output import prepare_output_folder, write_json
 from drake_exo.phases.audit_table import audit_trials
 from drake_exo.phases.calibration_inputs import load_inputs
 from drake_exo.phases.command import add_study_arguments
+from drake_exo.phases.model_file import write_model
 from drake_exo.phases.results import (
+    PARAMETERS,
     read_calibration,
     solve_summary,
     write_trajectories,
@@ -77,11 +79,14 @@ def run(args: argparse.Namespace) -> int:
     """Predict every trial, audit, and write everything to --out."""
     settings_of = _settings(args)
     contact = read_calibration(args.calibration)
+    contact_text = (args.calibration / PARAMETERS).read_text("utf-8")
     controller = load_controller(args.controller)
     inputs = load_inputs(args.study, args.data_root, "prediction")
     settings = settings_of(inputs.study.prediction)
     solved, pairs, code = [], [], 0
     with prepare_output_folder(args.out, args.force, args.resume) as out:
+        write_model(out, inputs.model)
+        (out / PARAMETERS).write_text(contact_text, encoding="utf-8")
         for loaded, trial in zip(inputs.loaded, inputs.trials, strict=True):
             loaded.save(out / f"measured_{loaded.name}")
             problem = inputs.prediction_problem(
