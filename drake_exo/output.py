@@ -1,6 +1,7 @@
 """What a run leaves behind: its folder, its JSON files, its progress lines."""
 
 import dataclasses
+import io
 import json
 import math
 import os
@@ -140,6 +141,44 @@ def write_json(path: str | Path, obj: Any) -> None:
     draft = path.with_name(path.name + ".tmp")
     draft.write_text(text + "\n", encoding="utf-8")
     os.replace(draft, path)
+
+
+def read_json(path: str | Path, remedy: str) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        path: the file.
+        remedy: ends the message, such as "run it again".
+
+    Raises:
+        InputError: it cannot be read, or is no JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text("utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); {remedy}"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not valid JSON; {remedy}") from error
+
+
+def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
+    """All arrays of a .npz file; arguments and errors as `read_json`.
+
+    The file is checked as a whole before any array is believed: its
+    checksums, and that it holds numbers or text alone.
+    """
+    try:
+        whole = io.BytesIO(Path(path).read_bytes())
+        with np.load(whole, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or 'damaged'}); {remedy}"
+        ) from error
+    except Exception as error:  # whatever damage makes of zip and array
+        raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
 def _jsonable(value: Any) -> Any:

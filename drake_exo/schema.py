@@ -16,7 +16,6 @@ Metadata keys: unit (for messages), above, below (exclusive), minimum, maximum
 
 import dataclasses
 import difflib
-import math
 import types
 import typing
 from collections.abc import Mapping
@@ -37,6 +36,8 @@ _BOUNDS = (
 )
 _TRUE, _FALSE = ("true", "yes", "on"), ("false", "no", "off")
 _NOT_FINITE = ("nan", "inf", "infinity")
+_LARGEST = 1e150  # its square is still a number
+_LONGEST = 40  # characters of a value in a message
 
 
 def load(path: str | Path, cls: type[T]) -> T:
@@ -104,6 +105,22 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def check_bounds(
+    where: str, value: float, meta: Mapping, text: str | None = None
+) -> None:
+    """Check a number, written as `text`, against a field's metadata.
+
+    Raises:
+        InputError: naming `where`, the value and the bound.
+    """
+    unit = f" {meta['unit']}" if meta.get("unit") else ""
+    for key, holds, words in _BOUNDS:
+        if key in meta and not holds(value, meta[key]):
+            raise InputError(
+                f"{where} is {text or format(value, 'g')}, but must be {words} {meta[key]:g}{unit}"
+            )
 
 
 class _Reader:
@@ -287,16 +304,14 @@ class _Reader:
             value = hint(text)
         except ValueError as error:
             raise self._wrong(node, hint, where, meta) from error
-        if not math.isfinite(value):
-            raise self.error(node, f"{where} is {text}, which is too large")
-        unit = f" {meta['unit']}" if meta.get("unit") else ""
-        for key, holds, words in _BOUNDS:
-            if key in meta and not holds(value, meta[key]):
-                raise self.error(
-                    node,
-                    f"{where} is {text}, but must be {words} "
-                    f"{meta[key]:g}{unit}",
-                )
+        if not abs(value) <= _LARGEST:
+            raise self.error(
+                node, f"{where} is {_short(text)}, which is too large"
+            )
+        try:
+            check_bounds(where, value, meta, _short(text))
+        except InputError as error:
+            raise self.error(node, str(error)) from error
         return value
 
     def _wrong(
@@ -344,7 +359,11 @@ def _describe(node: yaml.Node) -> str:
         return "a group of keys"
     if isinstance(node, yaml.SequenceNode):
         return "a list"
-    return "empty" if _is_null(node) else repr(node.value)
+    return "empty" if _is_null(node) else repr(_short(node.value))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
 
 
 def _inside(where: str) -> str:

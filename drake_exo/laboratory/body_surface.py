@@ -1,6 +1,5 @@
 """The scanned body: where the cells of a mat lie and which way they face."""
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,8 @@ from scipy.spatial import cKDTree
 from drake_exo.errors import InputError
 from drake_exo.laboratory.instruments import Scan
 from drake_exo.laboratory.sagittal import SagittalFrame
+from drake_exo.mesh_files import read_cells
+from drake_exo.text_tables import number_rows, read_text
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 # A body or a part of it, largest extent [m].
@@ -116,30 +117,12 @@ def read_surface(path: Path, scan: Scan) -> Surface:
             f"{path}: is no scan that can be read; give one of "
             f"{', '.join(_READERS)}"
         )
-    try:
-        # meshio would look for the end of a .ply's header for ever.
-        text = Path(path).read_bytes()
-        if text.startswith(b"ply") and b"end_header" not in text:
-            raise InputError("its header does not end")
-        with warnings.catch_warnings():
-            # meshio takes the text of an ASCII file for a binary count first.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            mesh = read(path)
-        triangles = mesh.get_cells_type("triangle")
-        raw = np.asarray(mesh.points, float)[:, :3]
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
-    except Exception as error:  # whatever a damaged file makes of the parser
-        raise InputError(
-            f"{path}: is not a readable scan ({error}); export it again"
-        ) from error
-    if len(triangles) == 0 or not np.isfinite(raw).all():
+    raw, triangles = read_cells(path, "triangle", "export it again", read)
+    if len(triangles) == 0:
         raise InputError(f"{path}: holds no triangles; export a mesh")
     check_size(path, raw[np.unique(triangles)], scan.unit)
     points = LENGTHS[scan.unit] * raw @ _axes(scan).T
-    return _outwards(Surface(points, np.asarray(triangles), str(path)))
+    return _outwards(Surface(points, triangles, str(path)))
 
 
 def _axes(scan: Scan) -> np.ndarray:
@@ -218,9 +201,11 @@ def place_cells(
     on = surface.closest(points)[0]
     off = np.linalg.norm(on - points, axis=1)
     if off.max() > _FARTHEST_M:
-        what = "cell" if scan.cells is not None else "corner"
+        what, source = "corner", surface.source
+        if scan.cells is not None:
+            what, source = "cell", root / scan.cells
         raise InputError(
-            f"{surface.source}: {what} {int(off.argmax()) + 1} of the mat "
+            f"{source}: {what} {int(off.argmax()) + 1} of the mat "
             f"lies {off.max():.3g} m off the scanned surface; give it in the "
             "scan's own unit and axes"
         )
@@ -243,20 +228,12 @@ def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
     """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
-    try:
-        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
-    except ValueError as error:
-        raise InputError(
-            f"{path}: is no table of cells ({error}); write lines of row, "
-            "column, x, y, z under one line of names"
-        ) from error
+    lines = read_text(path).splitlines()
+    cells = [line.split(",") for line in lines[1:] if line.strip()]
+    table = number_rows(path, list(enumerate(cells, 2)), 5)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
     found = {}
-    if table.shape[1] == 5:
+    if (np.abs(table) < 1e6).all():
         found = {(int(t[0]) - 1, int(t[1]) - 1): t[2:] for t in table}
     if sorted(found) != wanted or len(table) != len(wanted):
         raise InputError(

@@ -1,11 +1,10 @@
 """C3D files: markers, force plates of types 1 to 4, analog channels.
 
-The bytes are decoded by ezc3d; what the plates' signals mean is worked out
-here (The C3D File Format, FORCE_PLATFORM group). A plate's own frame comes
-from its corners: x from corner 2 to 1, y from corner 4 to 1, z = x × y, which
-points down for a plate in the floor. ORIGIN runs from the origin of the
-plate's signals to the middle of its surface, so its z is negative; files with
-a positive one are common and are corrected.
+What the plates' signals mean (The C3D File Format, FORCE_PLATFORM group): a
+plate's own frame comes from its corners, x from corner 2 to 1, y from corner 4
+to 1, z = x × y, which points down for a plate in the floor. ORIGIN runs from
+the origin of the plate's signals to the middle of its surface, so its z is
+negative; files with a positive one are common and are corrected.
 
     type 1: F, point of application from the middle, free moment
     type 2: F and M about the signals' origin
@@ -16,16 +15,18 @@ a positive one are common and are corrected.
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.laboratory.c3d_decoding import C3dContents, decode
 from drake_exo.laboratory.opensim_files import PlateRecording
 from drake_exo.laboratory.tables import MarkerData, Table
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
+_MOST_PLATES = 64
+_LARGEST = 1e30  # of a signal, in any unit
 
 
 @dataclass(frozen=True)
@@ -58,82 +59,18 @@ def read_c3d(path: str | Path) -> C3d:
             without corners or channels, or of another type.
     """
     path = Path(path)
-    _check_complete(path)
-    try:
-        file = ezc3d.c3d(str(path))
-    except (OSError, RuntimeError, ValueError, IndexError) as error:
-        raise InputError(
-            f"{path}: is not a readable C3D file ({error}); export it again"
-        ) from error
-    parameters = file["parameters"]
-    markers = _markers(path, file, parameters)
-    analog, units = _analog(path, file, parameters)
-    group = parameters.get("FORCE_PLATFORM", {})
-    count = int(_numbers(group, "USED", (1,), [0])[0])
+    file = decode(path)
+    markers = _markers(path, file)
+    analog, units = _analog(path, file)
+    used = file.numbers("FORCE_PLATFORM", "USED")
+    count = 0 if used is None else int(np.clip(used.flat[0], 0, _MOST_PLATES))
     plates, corners = [], np.zeros((count, 4, 3))
     for i in range(count):
-        plate = _PlateSignals(path, group, i, analog, units, parameters)
+        plate = _PlateSignals(path, file, i, analog, units)
         plates.append(plate.recording())
         corners[i] = plate.corners
     time = np.zeros(0) if analog is None else analog.time
     return C3d(markers, plates, time, analog, units, corners)
-
-
-def _check_complete(path: Path) -> None:
-    """Refuse a file shorter than its header announces."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
-    if len(data) < 1024 or data[1] != 0x50:
-        raise InputError(f"{path}: is not a C3D file; check the path")
-    # Processor 84: little-endian IEEE; the other two are rare and are left
-    # to ezc3d.
-    place = (data[0] - 1) * 512
-    if len(data) <= place + 3 or data[place + 3] != 84:
-        if len(data) <= place + 3:
-            raise _truncated(path)
-        return
-    words = np.frombuffer(data[:24], "<u2").astype(int)
-    points, analogs, first, last, start = (
-        words[1],
-        words[2],
-        words[3],
-        words[4],
-        words[8],
-    )
-    is_float = np.frombuffer(data[12:16], "<f4")[0] < 0.0
-    frames = last - first + 1
-    if last == 0xFFFF:  # longer than the header can say
-        return
-    size = (4 * points + analogs) * (4 if is_float else 2)
-    if len(data) < (start - 1) * 512 + frames * size:
-        raise _truncated(path)
-
-
-def _truncated(path) -> InputError:
-    return InputError(
-        f"{path}: ends before its last frame; the file is truncated, copy "
-        "or export it again"
-    )
-
-
-def _numbers(group, name: str, shape, default=None) -> np.ndarray:
-    values = group.get(name, {}).get("value")
-    if values is None or np.size(values) == 0:
-        values = [] if default is None else default
-    return np.asarray(values, float).reshape(shape) if shape else values
-
-
-def _texts(group, name: str) -> list[str]:
-    """Text entries of a parameter and its continuations (LABELS2, ...)."""
-    found = []
-    for suffix in ("", *range(2, 10)):
-        value = group.get(f"{name}{suffix}", {}).get("value") or []
-        found += [str(v).strip() for v in value]
-    return found
 
 
 def _unit(path, text: str, known: dict[str, float], what: str) -> float:
@@ -147,8 +84,8 @@ def _unit(path, text: str, known: dict[str, float], what: str) -> float:
     return known[unit]
 
 
-def _point_unit(path, parameters) -> float:
-    units = _texts(parameters["POINT"], "UNITS")
+def _point_unit(path, file: C3dContents) -> float:
+    units = file.texts("POINT", "UNITS")
     return _unit(path, units[0] if units else "", _LENGTHS, "POINT:UNITS")
 
 
@@ -162,39 +99,31 @@ def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _markers(path, file, parameters) -> MarkerData | None:
-    points = file["data"]["points"][:3]
-    if points.shape[1] == 0 or points.shape[2] == 0:
+def _markers(path, file: C3dContents) -> MarkerData | None:
+    p = file.points
+    if p.size == 0:
         return None
-    rate = float(file["header"]["points"]["frame_rate"])
-    if not rate > 0.0:
-        raise InputError(f"{path}: says no frame rate; correct POINT:RATE")
-    p = _point_unit(path, parameters) * points.transpose(2, 1, 0)
+    p = _point_unit(path, file) * p
     # Some exporters write unseen markers as zeros instead of residual -1.
     p = np.where((p == 0.0).all(axis=2, keepdims=True), np.nan, p)
-    names = _texts(parameters["POINT"], "LABELS")
     return MarkerData(
-        time=np.arange(len(p)) / rate,
-        names=_unique(names, p.shape[1], "marker"),
+        time=np.arange(len(p)) / file.rate_hz,
+        names=_unique(file.texts("POINT", "LABELS"), p.shape[1], "marker"),
         positions=p,
-        rate_hz=rate,
+        rate_hz=file.rate_hz,
         source=str(path),
     )
 
 
-def _analog(path, file, parameters) -> tuple[Table | None, dict[str, str]]:
-    values = file["data"]["analogs"][0].T
+def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
+    values = file.analogs
     if values.size == 0:
         return None, {}
-    rate = float(file["header"]["analogs"]["frame_rate"])
-    if not rate > 0.0:
-        raise InputError(f"{path}: says no analog rate; correct ANALOG:RATE")
-    group = parameters["ANALOG"]
-    names = _unique(_texts(group, "LABELS"), values.shape[1], "channel")
-    units = _texts(group, "UNITS")
+    names = _unique(file.texts("ANALOG", "LABELS"), values.shape[1], "channel")
+    units = file.texts("ANALOG", "UNITS")
     units += [""] * (len(names) - len(units))
     table = Table(
-        time=np.arange(len(values)) / rate,
+        time=np.arange(len(values)) / file.analog_rate_hz,
         names=names,
         values=values,
         source=str(path),
@@ -205,16 +134,16 @@ def _analog(path, file, parameters) -> tuple[Table | None, dict[str, str]]:
 class _PlateSignals:
     """One plate of a file: its geometry and its signals."""
 
-    def __init__(self, path, group, index, analog, units, parameters):
-        self.path, self.index = path, index
-        self.kind = self._type(group)
-        length = _point_unit(path, parameters)
-        self.corners = length * self._corners(group)
-        self.origin = length * self._origin(group)
-        raw, self.units = self._signals(group, analog, units)
+    def __init__(self, path, file: C3dContents, index, analog, units):
+        self.path, self.index, self.file = path, index, file
+        self.kind = self._type()
+        length = _point_unit(path, file)
+        self.corners = length * self._corners()
+        self.origin = length * self._origin()
+        raw, self.units = self._signals(analog, units)
         self.length = length
         if self.kind == 4:
-            raw = raw @ self._calibration(group).T
+            raw = raw @ self._calibration().T
         self.raw = raw
 
     @property
@@ -224,52 +153,55 @@ class _PlateSignals:
     def _error(self, message: str) -> InputError:
         return InputError(f"{self.path}: {self.name} {message}")
 
-    def _type(self, group) -> int:
-        types = _numbers(group, "TYPE", (-1,))
-        if len(types) <= self.index:
+    def _parameter(self, name: str, dimensions: int) -> np.ndarray | None:
+        """The plate's own entry of a parameter, None if it is not there."""
+        values = self.file.numbers("FORCE_PLATFORM", name)
+        if values is None or values.ndim != dimensions:
+            return None
+        if values.shape[-1] <= self.index:
+            return None
+        own = values[..., self.index]
+        return own if np.isfinite(own).all() else None
+
+    def _type(self) -> int:
+        kind = self._parameter("TYPE", 1)
+        if kind is None:
             raise self._error("has no FORCE_PLATFORM:TYPE; export it again")
-        kind = int(types[self.index])
-        if kind not in _CHANNELS:
+        if float(kind) not in _CHANNELS:
             raise self._error(
-                f"is of type {kind}; types 1 to 4 can be read, export it as "
+                f"is of type {kind:g}; types 1 to 4 can be read, export it as "
                 "type 2"
             )
-        return kind
+        return int(kind)
 
-    def _corners(self, group) -> np.ndarray:
-        values = np.asarray(_numbers(group, "CORNERS", None), float)
-        if values.ndim != 3 or values.shape[2] <= self.index:
+    def _corners(self) -> np.ndarray:
+        values = self._parameter("CORNERS", 3)
+        if values is None or values.shape != (3, 4):
             raise self._error("has no corners; complete FORCE_PLATFORM:CORNERS")
-        corners = values[:, :, self.index].T
+        corners = values.T
         sides = corners[0] - corners[1], corners[0] - corners[3]
-        if not np.linalg.norm(np.cross(*sides)) > 1e-9:
+        if not 1e-9 < np.linalg.norm(np.cross(*sides)) < 1e12:
             raise self._error(
                 "has no corners (they span no area); complete "
                 "FORCE_PLATFORM:CORNERS"
             )
         return corners
 
-    def _origin(self, group) -> np.ndarray:
-        values = np.asarray(_numbers(group, "ORIGIN", None), float)
-        if values.ndim != 2 or values.shape[1] <= self.index:
+    def _origin(self) -> np.ndarray:
+        origin = self._parameter("ORIGIN", 2)
+        if origin is None or origin.shape != (3,):
             raise self._error("has no FORCE_PLATFORM:ORIGIN; complete it")
-        origin = values[:, self.index]
         return -origin if origin[2] > 0.0 else origin
 
-    def _signals(self, group, analog, units):
-        channels = np.asarray(_numbers(group, "CHANNEL", None), int)
+    def _signals(self, analog, units):
+        channels = self._parameter("CHANNEL", 2)
         count = _CHANNELS[self.kind]
-        if (
-            analog is None
-            or channels.ndim != 2
-            or channels.shape[1] <= self.index
-            or channels.shape[0] < count
-        ):
+        if analog is None or channels is None or len(channels) < count:
             raise self._error(
                 f"of type {self.kind} lacks its {count} analog channels; "
                 "complete FORCE_PLATFORM:CHANNEL"
             )
-        index = channels[:count, self.index] - 1
+        index = channels[:count].astype(int) - 1
         if index.min() < 0 or index.max() >= len(analog.names):
             raise self._error(
                 f"names analog channel {index.max() + 1}, but there are "
@@ -277,19 +209,21 @@ class _PlateSignals:
             )
         names = [analog.names[i] for i in index]
         values = analog.values[:, index]
-        if not np.isfinite(values).all():
+        if not (np.abs(values) < _LARGEST).all():
             raise self._error("has gaps in its channels; export it again")
         return values, [units[n] for n in names]
 
-    def _calibration(self, group) -> np.ndarray:
-        values = np.asarray(_numbers(group, "CAL_MATRIX", None), float)
-        if values.ndim != 3 or values.shape[2] <= self.index:
+    def _calibration(self) -> np.ndarray:
+        matrix = self._parameter("CAL_MATRIX", 3)
+        if matrix is None or min(matrix.shape) < 6:
             raise self._error(
                 "of type 4 has no calibration matrix; complete "
                 "FORCE_PLATFORM:CAL_MATRIX"
             )
-        matrix = values[:6, :6, self.index]
-        if not np.abs(np.linalg.det(matrix)) > 0.0:
+        matrix = matrix[:6, :6]
+        if np.abs(matrix).max() > _LARGEST or (
+            np.linalg.matrix_rank(matrix) < 6
+        ):
             raise self._error(
                 "of type 4 has a singular calibration matrix; correct "
                 "FORCE_PLATFORM:CAL_MATRIX"

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.laboratory.opensim_files import read_text
 from drake_exo.laboratory.tables import Table, check_increasing
+from drake_exo.text_tables import number_rows, read_text
 
 # Factors to s, rad, N m, N, m.
 UNITS = {
@@ -38,21 +38,8 @@ def read_csv_table(path: str | Path) -> Table:
     if len(lines) < 3:
         raise InputError(f"{path}: holds fewer than two samples")
     names, factors = _header(path, lines[0].split(","))
-    rows = [line.split(",") for line in lines[1:]]
-    for i, row in enumerate(rows):
-        if len(row) != len(names):
-            raise InputError(
-                f"{path}:{i + 2}: has {len(row)} values where {len(names)} "
-                "are named; the file is truncated or damaged"
-            )
-    try:
-        values = np.array(
-            [[cell.strip() or "nan" for cell in row] for row in rows], float
-        )
-    except ValueError as error:
-        raise InputError(
-            f"{path}: holds text among numbers ({error})"
-        ) from error
+    rows = [(i, line.split(",")) for i, line in enumerate(lines[1:], 2)]
+    values = number_rows(path, rows, len(names))
     values = values * factors
     check_increasing(str(path), values[:, 0])
     return Table(

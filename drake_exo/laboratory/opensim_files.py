@@ -18,6 +18,7 @@ from drake_exo.laboratory.tables import (
     check_gaps,
     check_increasing,
 )
+from drake_exo.text_tables import number_rows, read_text
 
 _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
@@ -52,23 +53,6 @@ class PlateRecording:
         return np.cross(self.point, self.force) + self.torque
 
 
-def read_text(path: str | Path) -> str:
-    """Text of a file.
-
-    Raises:
-        InputError: it cannot be read, or is no text.
-    """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
-    if b"\0" in data:
-        raise InputError(f"{path}: is a binary file, not text; check it")
-    return data.decode("utf-8-sig", errors="replace")
-
-
 def read_table(path: str | Path) -> Table:
     """Read a .mot or .sto file.
 
@@ -94,7 +78,7 @@ def read_table(path: str | Path) -> Table:
         )
     _check_names(path, rest[0] + 1, names)
     rows = [(i + 1, lines[i].split()) for i in rest[1:]]
-    values = _numbers(path, rows, len(names))
+    values = number_rows(path, rows, len(names))
     _check_count(path, header.get("nrows"), len(rows), "nRows", "rows")
     check_increasing(str(path), values[:, 0])
     return Table(
@@ -141,7 +125,7 @@ def read_trc(path: str | Path) -> MarkerData:
     for i in range(5, len(lines)):
         if lines[i].strip():
             rows.append((i + 1, _fields(lines[i], width)))
-    values = _numbers(path, rows, width)
+    values = number_rows(path, rows, width)
     _check_count(
         path, header.get("numframes"), len(rows), "NumFrames", "frames"
     )
@@ -330,28 +314,4 @@ def _fields(line: str, width: int) -> list[str]:
         cells.pop()
     if len(cells) < width and (len(cells) - 2) % 3 == 0:
         cells += [""] * (width - len(cells))
-    return [cell.strip() or "nan" for cell in cells]
-
-
-def _numbers(path, rows, width: int) -> np.ndarray:
-    """Rows of text as numbers (len(rows), width)."""
-    if not rows:
-        raise InputError(f"{path}: holds no data rows; export it again")
-    for line, cells in rows:
-        if len(cells) != width:
-            raise InputError(
-                f"{path}:{line}: has {len(cells)} values where {width} are "
-                "named; the file is truncated or damaged"
-            )
-    try:
-        return np.array([cells for _, cells in rows], dtype=float)
-    except ValueError:
-        for line, cells in rows:
-            for cell in cells:
-                try:
-                    float(cell)
-                except ValueError:
-                    raise InputError(
-                        f"{path}:{line}: {cell!r} is not a number"
-                    ) from None
-        raise
+    return cells

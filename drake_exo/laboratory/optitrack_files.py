@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.laboratory.opensim_files import PlateRecording, read_text
+from drake_exo.laboratory.opensim_files import PlateRecording
 from drake_exo.laboratory.tables import MarkerData, check_increasing
+from drake_exo.text_tables import number_rows, read_text
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
@@ -99,7 +100,10 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
     x, y = corners[0] - corners[1], corners[0] - corners[3]
     z = np.cross(x, y)
     if not np.linalg.norm(z) > 1e-9:
-        raise InputError(f"{path}: the plate's corners span no area")
+        raise InputError(
+            f"{path}: the plate's corners span no area; export the device's "
+            "header"
+        )
     axes = (x, np.cross(z, x), z)
     R = np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
     reaction = -signals[first:]
@@ -143,23 +147,7 @@ def _label_rows(path, rows) -> tuple[list[str], list[str]]:
 
 def _values(path, rows, start: int, width: int) -> np.ndarray:
     """Rows of numbers (N, width); empty cells are gaps."""
-    body = rows[start:]
-    if not body:
-        raise InputError(f"{path}: holds no data rows; export it again")
-    for i, row in enumerate(body):
-        if len(row) != width:
-            raise InputError(
-                f"{path}: data row {i + 1} has {len(row)} values where "
-                f"{width} are named; the file is truncated or damaged"
-            )
-    try:
-        return np.array(
-            [[cell.strip() or "nan" for cell in row] for row in body], float
-        )
-    except ValueError as error:
-        raise InputError(f"{path}: holds text among numbers ({error})") from (
-            error
-        )
+    return number_rows(path, enumerate(rows[start:], start + 1), width)
 
 
 def _check_total(path, text: str | None, count: int) -> None:
@@ -183,9 +171,12 @@ def _rate(path, text: str | None) -> float:
 def _corners(path, head) -> np.ndarray:
     """Corners (4, 3) [m]."""
     try:
-        return np.array(
+        corners = np.array(
             [[float(head[f"{c}_{a}"]) for a in "XYZ"] for c in _CORNERS]
         )
+        if not (np.abs(corners) < 1e6).all():
+            raise ValueError("one is out of all bounds")
+        return corners
     except (KeyError, ValueError) as error:
         raise InputError(
             f"{path}: has no corners of the plate ({error}); export the "

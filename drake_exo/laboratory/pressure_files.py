@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.laboratory.opensim_files import read_text
 from drake_exo.laboratory.tables import check_gaps, check_increasing
+from drake_exo.text_tables import number_rows, read_text
 
 _PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
 
@@ -176,23 +176,12 @@ def _number(path, text: str, pattern: str, what: str) -> float:
 
 
 def _table(path, lines, start: int, width: int, separator) -> np.ndarray:
-    rows = []
-    for i in range(start, len(lines)):
-        cells = lines[i].split(separator)
-        if not lines[i].strip():
-            continue
-        if len(cells) != width:
-            raise InputError(
-                f"{path}:{i + 1}: has {len(cells)} values where {width} are "
-                "named; the file is truncated or damaged"
-            )
-        rows.append(cells)
-    try:
-        return np.array(rows, float).reshape(-1, width)
-    except ValueError as error:
-        raise InputError(f"{path}: holds text among numbers ({error})") from (
-            error
-        )
+    rows = (
+        (i + 1, lines[i].split(separator))
+        for i in range(start, len(lines))
+        if lines[i].strip()
+    )
+    return number_rows(path, rows, width)
 
 
 def _groups(path, head: str, cells: int) -> dict[str, np.ndarray]:

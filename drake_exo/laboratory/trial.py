@@ -1,18 +1,15 @@
 """A trial: one movement on one time base, filtered, with its provenance."""
 
-import io
-import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.laboratory.filters import resample
 from drake_exo.laboratory.sagittal import cop_x
-from drake_exo.output import write_json
+from drake_exo.output import read_arrays, read_json, write_json
 
 _ARRAYS = ("time", "q", "v", "a", "grf", "moment_y")
 
@@ -165,24 +162,30 @@ class Trial:
             InputError: one of the files is missing or damaged.
         """
         path = Path(path)
+        again = "save it again"
+        arrays = read_arrays(path.with_name(path.name + ".npz"), again)
+        rest = read_json(path.with_name(path.name + ".json"), again)
         try:
-            numbers = path.with_name(path.name + ".npz").read_bytes()
-            with np.load(io.BytesIO(numbers)) as data:
-                arrays = {name: data[name] for name in data.files}
-            text = path.with_name(path.name + ".json").read_text("utf-8")
-            rest = json.loads(text)
-            return Trial(
+            trial = Trial(
                 rest["name"],
                 tuple(rest["coordinates"]),
-                mass_kg=rest["mass_kg"],
-                provenance=rest["provenance"],
-                chair_on_thighs=rest["chair_on_thighs"],
+                mass_kg=float(rest["mass_kg"]),
+                provenance=dict(rest["provenance"]),
+                chair_on_thighs=float(rest["chair_on_thighs"]),
                 **_fields(arrays),
             )
-        except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+            trial._check_numbers()
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise InputError(
-                f"{path}: holds no trial ({error}); save it again"
+                f"{path}: holds no trial ({error}); {again}"
             ) from error
+        return trial
+
+    def _check_numbers(self) -> None:
+        """Raises ValueError unless all arrays hold finite numbers."""
+        for name, x in {"time": self.time, **self._arrays()}.items():
+            if x.dtype != float or not np.isfinite(x).all():
+                raise ValueError(f"{name} does not hold finite numbers")
 
 
 def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from drake_exo import schema
 from drake_exo.errors import InputError
 from drake_exo.laboratory.opensim_files import write_table
 from drake_exo.laboratory.tables import Table
@@ -17,11 +18,12 @@ from drake_exo.optimal_control.interaction_kernels import (
     BUSHINGS,
 )
 from drake_exo.optimal_control.kernels import SPHERE_PARAMETERS
-from drake_exo.output import write_json
+from drake_exo.output import read_arrays, write_json
 from drake_exo.parameters import ContactParameter
 from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import PhaseProblem, PhaseResult, Trajectory
 from drake_exo.phases.scores import rmsd, spread
+from drake_exo.phases.settings import FootGroundSettings
 from drake_exo.plant import COUPLED_COORDINATES
 from drake_exo.report.tables import format_table
 
@@ -36,24 +38,40 @@ class Calibration:
     Attributes:
         law: of the foot-ground contact.
         constants: of that law by name.
-        values: parameter name -> value, of spheres and, after Phase B, of
+        parameters: name -> value, of spheres and, after Phase B, of
             bushings.
         units: parameter name -> unit.
         damping: segment -> tangential, normal, rotational damping; empty
             after Phase A.
     """
 
-    law: str
+    law: Literal["simbody", "paper"]
     constants: dict[str, float]
-    values: dict[str, float]
+    parameters: dict[str, float]
     units: dict[str, str]
     damping: dict[str, tuple[float, float, float]]
+
+    def __post_init__(self):
+        FootGroundSettings(self.law, self.constants).law_constants()
+        groups = {"heel": SPHERE_PARAMETERS, "toe": SPHERE_PARAMETERS}
+        if self.damping or any(s in self._segments() for s in BUSHINGS):
+            groups |= dict.fromkeys(BUSHINGS, BUSHING_PARAMETERS)
+            for segment in BUSHINGS:
+                if segment not in self.damping:
+                    raise InputError(f"damping of {segment} is missing")
+        for group, names in groups.items():
+            for name in (f"{group}.{n}" for n in names):
+                if name not in self.parameters or name not in self.units:
+                    raise InputError(f"{name} is missing")
+
+    def _segments(self) -> set[str]:
+        return {name.partition(".")[0] for name in self.parameters}
 
     def spheres(self) -> np.ndarray:
         """Sphere parameters (10,) in the kernel's order."""
         return np.array(
             [
-                self.values[f"{sphere}.{name}"]
+                self.parameters[f"{sphere}.{name}"]
                 for sphere in ("heel", "toe")
                 for name in SPHERE_PARAMETERS
             ]
@@ -65,7 +83,7 @@ class Calibration:
         for segment in BUSHINGS:
             for what in BUSHING_PARAMETERS:
                 name = f"{segment}.{what}"
-                value = self.values[name]
+                value = self.parameters[name]
                 parameters.append(
                     ContactParameter(
                         name,
@@ -81,11 +99,7 @@ class Calibration:
     @property
     def has_bushings(self) -> bool:
         """Whether Phase B was done."""
-        return all(
-            f"{segment}.{name}" in self.values
-            for segment in BUSHINGS
-            for name in BUSHING_PARAMETERS
-        )
+        return bool(self.damping)
 
 
 def write_parameters(
@@ -119,29 +133,12 @@ def read_calibration(folder: Path) -> Calibration:
     """
     path = Path(folder) / PARAMETERS
     try:
-        data = json.loads(path.read_text("utf-8"))
-        found = Calibration(
-            data["law"],
-            data["constants"],
-            {k: float(v) for k, v in data["parameters"].items()},
-            data["units"],
-            {k: tuple(v) for k, v in data["damping"].items()},
-        )
-        found.spheres()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        return schema.load(path, Calibration)
+    except InputError as error:
         raise InputError(
-            f"{path}: holds no calibrated parameters ({_reason(error)}); give "
-            "the --out folder of a successful 'drake-exo calibrate'"
+            f"no calibrated parameters ({error}); give the --out folder of a "
+            "successful 'drake-exo calibrate'"
         ) from error
-    return found
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, OSError):
-        return error.strerror or "cannot be read"
-    if isinstance(error, KeyError):
-        return f"{error} is missing"
-    return str(error)
 
 
 def solve_summary(solution: Solution) -> dict:
@@ -275,10 +272,28 @@ def read_trajectory(folder: Path, name: str) -> Trajectory:
         InputError: it is not there.
     """
     path = folder / f"solution_{name}.npz"
+    again = "run the phase again"
+    arrays = read_arrays(path, again)
     try:
-        with np.load(path) as data:
-            return Trajectory(name, **{k: data[k] for k in data.files})
-    except (OSError, ValueError, TypeError) as error:
+        trajectory = Trajectory(name, **arrays)
+        _check_arrays(trajectory)
+    except (TypeError, ValueError) as error:
         raise InputError(
-            f"{path}: holds no trajectory ({error}); run the phase again"
+            f"{path}: holds no trajectory ({error}); {again}"
         ) from error
+    return trajectory
+
+
+def _check_arrays(t: Trajectory) -> None:
+    """Raises ValueError unless shapes fit together and all is finite."""
+    if t.times.ndim != 1 or t.q.ndim != 2 or t.q.shape[1] <= 3:
+        raise ValueError("times or q is of the wrong shape")
+    n, nq = len(t.times), t.q.shape[1]
+    shapes = dict.fromkeys(("q", "v", "a"), (n, nq))
+    shapes |= {"torque": (n, nq - 3), "ground": (n, 3), "times": (n,)}
+    if t.interaction is not None:
+        shapes["interaction"] = (n, 3 * len(BUSHINGS))
+    for name, shape in shapes.items():
+        x = getattr(t, name)
+        if x.shape != shape or x.dtype != float or not np.isfinite(x).all():
+            raise ValueError(f"{name} is not {shape} finite numbers")

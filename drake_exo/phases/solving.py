@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.nlp.ipopt import Iterate
-from drake_exo.output import Progress
+from drake_exo.output import Progress, read_arrays
 from drake_exo.phases.problem import PhaseProblem, PhaseResult
 
 CHECKPOINT = "checkpoint.npz"
@@ -68,7 +67,8 @@ def solve(
     fingerprint = problem.compile().fingerprint()
     guess = None
     if resume and checkpoint.is_file():
-        guess = _read_checkpoint(checkpoint, fingerprint)
+        size = problem.program.prog.num_vars()
+        guess = read_checkpoint(checkpoint, fingerprint, size)
         print(f"{title}: resumed from {CHECKPOINT}")
     watch = SolveWatch(title, checkpoint, fingerprint)
     result = problem.solve(guess, on_iterate=watch)
@@ -77,18 +77,28 @@ def solve(
     return result
 
 
-def _read_checkpoint(path: Path, fingerprint: str) -> np.ndarray:
-    try:
-        with np.load(path) as data:
-            x, found = data["x"], str(data["fingerprint"])
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise InputError(
-            f"{path}: holds no checkpoint ({error}); leave out --resume"
-        ) from error
-    if found != fingerprint:
+def read_checkpoint(path: Path, fingerprint: str, size: int) -> np.ndarray:
+    """The iterate (size,) that a run with the same fingerprint left.
+
+    Raises:
+        InputError: it is damaged, or of another problem.
+    """
+    arrays = read_arrays(path, "leave out --resume to start afresh")
+    if str(arrays.get("fingerprint")) != fingerprint:
         raise InputError(
             f"{path}: is of another study or other settings; leave out "
             "--resume to start afresh"
+        )
+    x = arrays.get("x")
+    if (
+        x is None
+        or x.dtype != float
+        or x.shape != (size,)
+        or not np.isfinite(x).all()
+    ):
+        raise InputError(
+            f"{path}: holds no iterate of {size} numbers; leave out --resume "
+            "to start afresh"
         )
     return x
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from drake_exo.errors import InputError
 from drake_exo.laboratory.trial import Trial
+from drake_exo.output import read_json
 from drake_exo.phases.measured import from_trial
 from drake_exo.phases.results import read_trajectory
 
+_LARGEST = 1e30  # of a score
 _PHASES = ("foot-ground", "interaction", "prediction")
 
 
@@ -68,14 +69,9 @@ def gather(folder: Path) -> list[Results]:
     """
     found = []
     for path in sorted(Path(folder).rglob("summary.json")):
-        try:
-            summary = json.loads(path.read_text("utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"{path}: cannot be read ({error}); run the command that "
-                "wrote it again"
-            ) from error
+        summary = read_json(path, "run the command that wrote it again")
         if isinstance(summary, dict) and summary.get("phase") in _PHASES:
+            _check(path, summary)
             found.append(Results(path.parent, summary))
     if not found:
         raise InputError(
@@ -83,3 +79,36 @@ def gather(folder: Path) -> list[Results]:
             "calibrate' or 'drake-exo predict' wrote"
         )
     return found
+
+
+def _check(path: Path, summary: dict[str, Any]) -> None:
+    """Refuse a summary that is not as a phase writes it."""
+    rows = summary.get("rmsd")
+    whole = (
+        isinstance(rows, list)
+        and isinstance(summary.get("subject"), str)
+        and _is_number(summary.get("scale_interaction", 1.0))
+        and isinstance(summary.get("objective", ""), str)
+        and isinstance(summary.get("controller"), str | None)
+        and all(isinstance(r, dict) and _are_scores(r) for r in rows)
+        and all(isinstance(r.get("trial"), str) for r in rows)
+        and isinstance(summary.get("measured_sd"), dict)
+        and _are_scores(summary["measured_sd"])
+    )
+    if not whole:
+        raise InputError(
+            f"{path}: is not as a phase writes it (subject, rmsd, "
+            "measured_sd); run the command that wrote it again"
+        )
+
+
+def _are_scores(value: Any) -> bool:
+    """Numbers or nothing, by name, in groups or not."""
+    if isinstance(value, dict):
+        return all(k == "trial" or _are_scores(v) for k, v in value.items())
+    return value is None or _is_number(value)
+
+
+def _is_number(value: Any) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) < _LARGEST

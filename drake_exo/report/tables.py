@@ -93,9 +93,7 @@ def _place(name: str) -> int:
 
 
 def lookup(tree, path) -> float | None:
-    """Follow keys into nested dictionaries; None where they end."""
+    """Follow keys into nested dictionaries; None where no number is."""
     for key in path:
         tree = tree.get(key) if isinstance(tree, dict) else None
-        if tree is None:
-            return None
-    return float(tree)
+    return None if tree is None or isinstance(tree, dict) else float(tree)

@@ -6,13 +6,13 @@ foot is set down.
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
 from drake_exo.soles.rotations import rotation_z
+from drake_exo.text_tables import number_rows, read_text
 
 
 @dataclass(frozen=True)
@@ -349,13 +349,7 @@ def share_double_support(zmp, phase, mine):
 
 
 def _text(path) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path and "
-            "--data-root"
-        ) from None
+    return read_text(path, "check the path and --data-root")
 
 
 def _first_line(path) -> str:
@@ -364,18 +358,10 @@ def _first_line(path) -> str:
 
 def _table(path, columns: int, skiprows: int, delimiter) -> np.ndarray:
     """Numbers of a text file, each row checked for its number of columns."""
-    rows = []
-    for number, line in enumerate(_text(path).splitlines()[skiprows:]):
-        if not line.strip():
-            continue
-        place = f"{path}:{skiprows + number + 1}"
-        words = line.split(delimiter)
-        if len(words) != columns:
-            raise InputError(
-                f"{place}: {len(words)} values where {columns} are due"
-            )
-        try:
-            rows.append([float(w) for w in words])
-        except ValueError:
-            raise InputError(f"{place}: a value is not a number") from None
-    return np.array(rows).reshape(-1, columns)
+    lines = _text(path).splitlines()[skiprows:]
+    rows = (
+        (number, line.split(delimiter))
+        for number, line in enumerate(lines, skiprows + 1)
+        if line.strip()
+    )
+    return number_rows(path, rows, columns)

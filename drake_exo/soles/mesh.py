@@ -13,6 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from drake_exo.errors import InputError
+from drake_exo.mesh_files import read_cells
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
@@ -176,27 +177,16 @@ def read_mesh(
         InputError: Unreadable file, no tetrahedra, inverted or unconnected
             elements, no Dirichlet surface.
     """
-    import meshio
-
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: mesh file not found; check the path")
-    try:
-        raw = meshio.read(path)
-    except (Exception, SystemExit) as error:
-        reason = str(error).splitlines()[0] if str(error) else "no reader"
-        raise InputError(
-            f"{path}: not readable as a mesh ({reason}); give Gmsh .msh, "
-            ".vtk, .vtu or another format known to meshio"
-        ) from None
-    cells = [b.data for b in raw.cells if b.type == "tetra"]
-    if not cells:
+    nodes, tets = read_cells(
+        path,
+        "tetra",
+        "give Gmsh .msh, .vtk, .vtu or another format known to meshio",
+    )
+    if len(tets) == 0:
         raise InputError(
             f"{path}: no linear tetrahedra in this mesh; export 4-node tets"
         )
-    nodes, tets = np.asarray(raw.points, float), np.concatenate(cells)
-    if not np.isfinite(nodes).all():
-        raise InputError(f"{path}: node positions hold NaN or infinity")
     used, tets = np.unique(tets, return_inverse=True)
     nodes, tets = nodes[used], tets.reshape(-1, 4)
     extent = np.ptp(nodes, axis=0).max()

@@ -1,0 +1,81 @@
+"""Mesh files of any format that meshio knows, damaged ones refused."""
+
+import contextlib
+import io
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from drake_exo.errors import InputError, reason
+
+
+def read_cells(
+    path: Path,
+    cell_type: str,
+    remedy: str,
+    read: Callable[[Path], meshio.Mesh] = meshio.read,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and cells of one type.
+
+    Args:
+        path: the file.
+        cell_type: meshio's name, such as "triangle".
+        remedy: ends the message where the file cannot be understood.
+        read: meshio's reader.
+
+    Returns:
+        Nodes (n, 3) and node indices of the cells (c, k); c may be 0.
+
+    Raises:
+        InputError: unreadable or damaged, nodes that are not finite, cells
+            with nodes that are not there.
+    """
+    try:
+        # meshio would look for the end of a .ply's header for ever.
+        start = Path(path).read_bytes()
+        if start.startswith(b"ply") and b"end_header" not in start:
+            raise ValueError("its header does not end")
+        with _quiet():
+            raw = read(path)
+            cells = [b.data for b in raw.cells if b.type == cell_type]
+            nodes = np.asarray(raw.points, float)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); check the path"
+        ) from error
+    # Whatever a damaged file makes of the parser; meshio also exits.
+    except (Exception, SystemExit) as error:
+        raise InputError(
+            f"{path}: is not a readable mesh ({reason(error)}); {remedy}"
+        ) from error
+    if nodes.ndim != 2 or nodes.shape[1] != 3:
+        raise InputError(f"{path}: its nodes are not in space; {remedy}")
+    if not (np.abs(nodes) < 1e9).all():
+        raise InputError(
+            f"{path}: places of nodes are missing or out of all bounds; "
+            f"{remedy}"
+        )
+    if not cells:
+        return nodes, np.zeros((0, 0), np.int64)
+    found = np.concatenate(cells)
+    if found.size and not (0 <= found.min() and found.max() < len(nodes)):
+        raise InputError(
+            f"{path}: a {cell_type} names a node that is not there; {remedy}"
+        )
+    return nodes, found.astype(np.int64)
+
+
+@contextlib.contextmanager
+def _quiet():
+    """Silence: meshio prints what it is about to raise, and numpy warns of it."""
+    with (
+        warnings.catch_warnings(),
+        np.errstate(all="ignore"),
+        contextlib.redirect_stdout(io.StringIO()),
+        contextlib.redirect_stderr(io.StringIO()),
+    ):
+        warnings.simplefilter("ignore")
+        yield

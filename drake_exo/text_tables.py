@@ -1,0 +1,83 @@
+"""Text files of numbers, read so that every mistake is named by its line."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+
+# No measurement is larger in any unit; squares and sums stay numbers.
+_LARGEST = 1e30
+_SHOWN = 30  # characters of a cell in a message
+
+
+def read_text(path: str | Path, remedy: str = "check the path") -> str:
+    """Text of a file; bytes that are no UTF-8 become question marks.
+
+    Raises:
+        InputError: it cannot be read, or is no text.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); {remedy}"
+        ) from error
+    if b"\0" in data:
+        raise InputError(f"{path}: is a binary file, not text; check it")
+    text = data.decode("utf-8-sig", errors="replace")
+    # Names from damaged files end up in messages: one line, printable.
+    return "".join(c if c.isprintable() or c in "\t\r\n" else "?" for c in text)
+
+
+def number_rows(
+    path: str | Path, rows: Iterable[tuple[int, list[str]]], width: int
+) -> np.ndarray:
+    """Rows of text cells as numbers (len(rows), width); empty cells are NaN.
+
+    Args:
+        path: for messages.
+        rows: line number and cells of each.
+        width: cells that each row must have.
+
+    Raises:
+        InputError: naming the line: another number of cells, a cell that is
+            no number, or one that no measurement can be; or there are no
+            rows.
+    """
+    rows = list(rows)
+    if not rows:
+        raise InputError(f"{path}: holds no data rows; export it again")
+    for line, cells in rows:
+        if len(cells) != width:
+            raise InputError(
+                f"{path}:{line}: has {len(cells)} values where {width} are "
+                "named; the file is truncated or damaged"
+            )
+    texts = [[cell.strip() or "nan" for cell in cells] for _, cells in rows]
+    try:
+        values = np.array(texts, dtype=float)
+    except ValueError:
+        raise _not_a_number(path, rows, texts) from None
+    large = np.abs(values) > _LARGEST
+    if large.any():
+        i, j = np.argwhere(large)[0]
+        raise InputError(
+            f"{path}:{rows[i][0]}: {texts[i][j][:_SHOWN]!r} is larger than "
+            "any measurement; the file is damaged"
+        )
+    return values
+
+
+def _not_a_number(path, rows, texts) -> InputError:
+    for (line, _), cells in zip(rows, texts, strict=True):
+        for cell in cells:
+            try:
+                float(cell)
+            except ValueError:
+                return InputError(
+                    f"{path}:{line}: holds text among numbers "
+                    f"({cell[:_SHOWN]!r}); correct it or export it again"
+                )
+    return InputError(f"{path}: holds text among numbers; export it again")
