@@ -26,6 +26,19 @@ class Range:
     upper: float
     free: bool = True
 
+    def __post_init__(self):
+        if not self.lower < self.upper:
+            raise InputError(
+                f"lower bound {self.lower:g} is not below upper bound "
+                f"{self.upper:g}; swap them"
+            )
+        if not self.lower <= self.nominal <= self.upper:
+            raise InputError(
+                f"nominal {self.nominal:g} is not within its bounds "
+                f"{self.lower:g} to {self.upper:g}; correct the bounds or "
+                "the nominal value"
+            )
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -276,14 +289,15 @@ class InteractionNoise(TrackingNoise):
         moment_nm: joint moments, human.
         exo_moment_nm: joint moments, exoskeleton.
         normal_force_n: resultant of a pressure mat: steps of 2.5 kPa on some
-            thirty loaded cells of 2 cm^2 leave 0.8 N.
+            thirty loaded cells of 2 cm^2 are 0.8 N, of which the filter
+            leaves less than half.
         energy_j: typical contact energy of a component; what is minimised is
             the square of the energy over this.
     """
 
     moment_nm: float = _sigma(5.0, "N m")
     exo_moment_nm: float = _sigma(1.0, "N m")
-    normal_force_n: float = _sigma(1.0, "N")
+    normal_force_n: float = _sigma(0.5, "N")
     energy_j: float = _sigma(1.0, "J")
 
 
