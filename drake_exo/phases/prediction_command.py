@@ -214,6 +214,7 @@ def _write(
     trajectories = [r.trajectories[0] for _, r in good]
     write_trajectories(out, trajectories)
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
+    text += f"\nmovements start from {summary['starts_from']}"
     (out / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
     print(text)
     rows = [

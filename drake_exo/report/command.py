@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
                 _write_csv(folder / f"{name}.csv", rows)
                 text = f"{title}, RMSD\n{format_table(rows[0], rows[1:])}"
                 texts.append(text)
+        texts += _starts(_predictions(found))
         texts += _changes(_predictions(found))
         for text in texts:
             print(text)
@@ -109,6 +110,12 @@ def comparison(runs: dict[str, Results]) -> list[list]:
                 row.append(texts.get(path[-1], texts.get(path[0], "")))
         rows.append(row)
     return rows
+
+
+def _starts(runs: dict[str, Results]) -> list[str]:
+    """What stands for the chair while a predicted movement begins."""
+    starts = {label: r.summary.get("starts_from") for label, r in runs.items()}
+    return [f"{k}: movements start from {v}" for k, v in starts.items() if v]
 
 
 def _changes(runs: dict[str, Results]) -> list[str]:
