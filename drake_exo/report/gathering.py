@@ -88,7 +88,8 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
         isinstance(rows, list)
         and isinstance(summary.get("subject"), str)
         and _is_number(summary.get("scale_interaction", 1.0))
-        and isinstance(summary.get("objective", ""), str)
+        # A prediction's is a name, a calibration's the value reached.
+        and isinstance(summary.get("objective", ""), str | int | float)
         and isinstance(summary.get("controller"), str | None)
         and all(isinstance(r, dict) and _are_scores(r) for r in rows)
         and all(isinstance(r.get("trial"), str) for r in rows)
