@@ -228,6 +228,28 @@ def _relaxed(program, y, options, on_iterate, start, stop):
     return y if status in _ACCEPTED else None
 
 
+def _ipopt_options(options, strategy) -> dict:
+    return {
+        "tol": options.tolerance,
+        # On fine grids rounding ends the descent just above the tolerance.
+        "acceptable_tol": 10.0 * options.tolerance,
+        "acceptable_iter": 3,
+        "acceptable_obj_change_tol": 1e-7,
+        "max_iter": (
+            min(_EXACT_ITERATIONS, options.max_iterations)
+            if strategy == "exact"
+            else options.max_iterations
+        ),
+        "mu_strategy": ("monotone" if strategy == "monotone" else "adaptive"),
+        "print_level": 0,
+        "sb": "yes",
+        "linear_solver": "mumps",
+        "mumps_pivot_order": options.pivot_order,
+        "fixed_variable_treatment": "make_parameter",
+        **options.extra,
+    }
+
+
 def _attempt(problem, y0, options, watch):
     def gradient(y, out):
         watch.accepted(y)
@@ -242,27 +264,6 @@ def _attempt(problem, y0, options, watch):
     def hessian(y, multipliers, factor, out):
         out[:] = problem.hessian(y, multipliers, factor)
 
-    settings = {
-        "tol": options.tolerance,
-        # On fine grids rounding ends the descent just above the tolerance.
-        "acceptable_tol": 10.0 * options.tolerance,
-        "acceptable_iter": 3,
-        "acceptable_obj_change_tol": 1e-7,
-        "max_iter": (
-            min(_EXACT_ITERATIONS, options.max_iterations)
-            if watch.strategy == "exact"
-            else options.max_iterations
-        ),
-        "mu_strategy": (
-            "monotone" if watch.strategy == "monotone" else "adaptive"
-        ),
-        "print_level": 0,
-        "sb": "yes",
-        "linear_solver": "mumps",
-        "mumps_pivot_order": options.pivot_order,
-        "fixed_variable_treatment": "make_parameter",
-        **options.extra,
-    }
     problem.start_again()
     nlp = ipyopt.Problem(
         problem.num_unknowns,
@@ -279,7 +280,7 @@ def _attempt(problem, y0, options, watch):
         jacobian,
         hessian,
         intermediate_callback=watch,
-        ipopt_options=settings,
+        ipopt_options=_ipopt_options(options, watch.strategy),
     )
     # A trial step may go far off; IPOPT shortens it when it sees infinity.
     with np.errstate(all="ignore"):

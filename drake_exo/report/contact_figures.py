@@ -241,20 +241,7 @@ def draw_friction(curves: ContactCurves):
         (curves.static_friction, "$u_s$", 1.0),
         (curves.dynamic_friction, "$u_d$", 3.0),
     ):
-        axes.plot(
-            [0.0, start], [level, level], color=GREY, linewidth=0.7, zorder=1
-        )
-        axes.plot(
-            [start, start], [0.0, level], color=GREY, linewidth=0.7, zorder=1
-        )
-        axes.annotate(
-            text,
-            (0.0, level),
-            xytext=(4.0, 2.0),
-            textcoords="offset points",
-            color=GREY,
-            fontsize=8.0,
-        )
+        _mark_level(axes, level, text, start)
     axes.set_xlim(0.0, 5.0)
     axes.set_ylim(0.0, None)
     axes.set_xlabel(
@@ -269,6 +256,20 @@ def draw_friction(curves: ContactCurves):
         framealpha=1.0,
     )
     return figure
+
+
+def _mark_level(axes, level: float, text: str, start: float):
+    """A friction coefficient on the axis, and where it is reached."""
+    axes.plot([0.0, start], [level, level], color=GREY, linewidth=0.7, zorder=1)
+    axes.plot([start, start], [0.0, level], color=GREY, linewidth=0.7, zorder=1)
+    axes.annotate(
+        text,
+        (0.0, level),
+        xytext=(4.0, 2.0),
+        textcoords="offset points",
+        color=GREY,
+        fontsize=8.0,
+    )
 
 
 def write_figures(folder: Path, curves: ContactCurves) -> list[Path]:
