@@ -1,7 +1,9 @@
 """The command `drake-exo`: one subcommand per job."""
 
 import argparse
+import errno
 import importlib
+import os
 import sys
 
 from drake_exo import __version__
@@ -22,6 +24,17 @@ _COMMANDS = {
     "sole": "drake_exo.soles.command",
 }
 
+# What a full or read-only disk answers; anything else is a mistake of ours.
+_NO_ROOM = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EROFS,
+    errno.EACCES,
+    errno.EPERM,
+    errno.EIO,
+)
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run one subcommand and return its exit code (2 for bad input)."""
@@ -38,6 +51,21 @@ def main(argv: list[str] | None = None) -> int:
         return args.run(args) or 0
     except InputError as error:
         print(f"drake-exo: error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # Whoever read the output has gone, such as `head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        place = error.filename or getattr(args, "out", None) or "the results"
+        print(
+            f"drake-exo: error: {place}: cannot be written "
+            f"({error.strerror}); make room or choose another folder for "
+            "--out; what was written before is kept",
+            file=sys.stderr,
+        )
         return 2
     except KeyboardInterrupt:
         print("drake-exo: interrupted", file=sys.stderr)

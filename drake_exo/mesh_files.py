@@ -41,6 +41,7 @@ def read_cells(
         with _quiet():
             raw = read(path)
             cells = [b.data for b in raw.cells if b.type == cell_type]
+            found = np.concatenate(cells) if cells else np.zeros((0, 1))
             nodes = np.asarray(raw.points, float)
     except OSError as error:
         raise InputError(
@@ -58,9 +59,6 @@ def read_cells(
             f"{path}: places of nodes are missing or out of all bounds; "
             f"{remedy}"
         )
-    if not cells:
-        return nodes, np.zeros((0, 0), np.int64)
-    found = np.concatenate(cells)
     if found.size and not (0 <= found.min() and found.max() < len(nodes)):
         raise InputError(
             f"{path}: a {cell_type} names a node that is not there; {remedy}"

@@ -1,5 +1,6 @@
 """What a run leaves behind: its folder, its JSON files, its progress lines."""
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -46,7 +47,9 @@ class OutputFolder:
         if kind is None:
             self.commit()
         elif self.path == self.target:
-            _write_manifest(self.target, _files(self.target))
+            # What ended the run matters more than a disk too full for this.
+            with contextlib.suppress(OSError):
+                _write_manifest(self.target, _files(self.target))
 
     def commit(self) -> None:
         """Make the results final: replace old ones, note what was written."""
@@ -78,9 +81,15 @@ def prepare_output_folder(
             cannot be created.
     """
     target = Path(path)
-    if target.exists() and not target.is_dir():
-        raise InputError(f"{target}: is a file; give a folder for --out")
-    occupied = target.is_dir() and any(target.iterdir())
+    try:
+        if target.exists() and not target.is_dir():
+            raise InputError(f"{target}: is a file; give a folder for --out")
+    except OSError as error:
+        raise InputError(
+            f"{target}: cannot be written ({error.strerror}); choose "
+            "another folder for --out"
+        ) from error
+    occupied = target.is_dir() and bool(_files(target))
     if occupied and not (force or resume):
         raise InputError(
             f"{target}: already holds results; choose another folder for "
@@ -97,9 +106,10 @@ def prepare_output_folder(
             place = partial
             shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True, exist_ok=True)
+        _write_manifest(place, set())  # before hours of work, not after
     except OSError as error:
         raise InputError(
-            f"{target}: cannot be created ({error.strerror}); choose "
+            f"{target}: cannot be written ({error.strerror}); choose "
             "another folder for --out"
         ) from error
     return OutputFolder(target, place)
@@ -139,8 +149,12 @@ def write_json(path: str | Path, obj: Any) -> None:
         allow_nan=False,
     )
     draft = path.with_name(path.name + ".tmp")
-    draft.write_text(text + "\n", encoding="utf-8")
-    os.replace(draft, path)
+    try:
+        draft.write_text(text + "\n", encoding="utf-8")
+        os.replace(draft, path)
+    except OSError:
+        draft.unlink(missing_ok=True)
+        raise
 
 
 def read_json(path: str | Path, remedy: str) -> Any:

@@ -9,7 +9,7 @@ from drake_exo.errors import InputError
 
 # No measurement is larger in any unit; squares and sums stay numbers.
 _LARGEST = 1e30
-_SHOWN = 30  # characters of a cell in a message
+_SHOWN = 40  # characters of a cell in a message
 
 
 def read_text(path: str | Path, remedy: str = "check the path") -> str:
@@ -29,6 +29,12 @@ def read_text(path: str | Path, remedy: str = "check the path") -> str:
     text = data.decode("utf-8-sig", errors="replace")
     # Names from damaged files end up in messages: one line, printable.
     return "".join(c if c.isprintable() or c in "\t\r\n" else "?" for c in text)
+
+
+def shown(cell: str) -> str:
+    """A cell as it may stand in a message: not endless."""
+    cell = cell.strip()
+    return cell if len(cell) <= _SHOWN else cell[:_SHOWN] + "..."
 
 
 def number_rows(
@@ -64,7 +70,7 @@ def number_rows(
     if large.any():
         i, j = np.argwhere(large)[0]
         raise InputError(
-            f"{path}:{rows[i][0]}: {texts[i][j][:_SHOWN]!r} is larger than "
+            f"{path}:{rows[i][0]}: {shown(texts[i][j])!r} is larger than "
             "any measurement; the file is damaged"
         )
     return values
@@ -78,6 +84,6 @@ def _not_a_number(path, rows, texts) -> InputError:
             except ValueError:
                 return InputError(
                     f"{path}:{line}: holds text among numbers "
-                    f"({cell[:_SHOWN]!r}); correct it or export it again"
+                    f"({shown(cell)!r}); correct it or export it again"
                 )
     return InputError(f"{path}: holds text among numbers; export it again")

@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.laboratory.tables import Table, check_increasing
-from drake_exo.text_tables import number_rows, read_text
+from drake_exo.text_tables import number_rows, read_text, shown
 
 # Factors to s, rad, N m, N, m.
 UNITS = {
@@ -54,13 +54,14 @@ def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
         unit = match["unit"].strip().lower() if match else None
         if unit not in UNITS:
             raise InputError(
-                f"{path}:1: column {cell.strip()!r} names no unit that is "
+                f"{path}:1: column {shown(cell)!r} names no unit that is "
                 f"known; write it as 'name [unit]' with one of "
                 f"{', '.join(UNITS)}"
             )
         if match["name"] in names:
             raise InputError(
-                f"{path}:1: two columns are named {match['name']!r}; rename one"
+                f"{path}:1: two columns are named {shown(match['name'])!r}; rename "
+                "one"
             )
         names.append(match["name"])
         factors.append(UNITS[unit])

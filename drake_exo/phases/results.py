@@ -28,6 +28,7 @@ from drake_exo.plant import COUPLED_COORDINATES
 from drake_exo.report.tables import format_table
 
 PARAMETERS = "parameters.json"
+_LARGEST = 1e12  # of a parameter, in SI units
 COMPONENTS = ("tangential", "normal", "rotation")
 
 
@@ -63,6 +64,8 @@ class Calibration:
             for name in (f"{group}.{n}" for n in names):
                 if name not in self.parameters or name not in self.units:
                     raise InputError(f"{name} is missing")
+                if not abs(self.parameters[name]) < _LARGEST:
+                    raise InputError(f"{name} is out of all bounds")
 
     def _segments(self) -> set[str]:
         return {name.partition(".")[0] for name in self.parameters}

@@ -193,7 +193,7 @@ def _json_value(data, rng):
         tree = json.loads(data)
     except ValueError:
         return data
-    places = list(_places(tree))
+    places = list(_places(tree)) if isinstance(tree, dict | list) else []
     if not places:
         return data
     parent, key = places[rng.integers(len(places))]

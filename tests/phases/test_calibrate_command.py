@@ -130,7 +130,7 @@ def _run(tmp_path, text, data_root=None):
         ),
         ("rise: 3", "rise: 30", ["rise3", "30"]),
         ("STS1.trc", "STS9.trc", ["STS9.trc"]),
-        ("upper: 1.0e7", "upper: 1.0e4", ["heel.stiffness", "bound"]),
+        ("upper: 1.0e7", "upper: 1.0e4", ["heel.modulus_n_m2", "bound"]),
     ],
 )
 def test_bad_study_is_one_sentence(
