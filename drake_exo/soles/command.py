@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
-from drake_exo.soles import results
+from drake_exo.soles import results, strain_command, study_report
 from drake_exo.soles.case import read_case
 from drake_exo.soles.simulation import simulate
 from drake_exo.soles.stiffness import heel_strike_count
@@ -45,6 +45,8 @@ def add_parser(subparsers) -> None:
     )
     add_common_arguments(parser)
     parser.set_defaults(run=_run_study)
+    for job in (strain_command, study_report):
+        job.add_parser(jobs)
 
 
 def _run_optimize(args) -> int:

@@ -12,6 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.pictures import _STYLE, _save
+from drake_exo.soles.results import write_csv
 
 # Name, elevation, azimuth [°]; x is forward, y left.
 _VIEWS = (
@@ -22,6 +23,7 @@ _VIEWS = (
     ("from behind", 0, 180),
     ("from above", 90, -90),
 )
+_TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
 _LIGHT = np.array([0.4, 0.5, -0.8]) / np.linalg.norm([0.4, 0.5, 0.8])
 
 
@@ -84,6 +86,17 @@ def _box(axis, nodes) -> np.ndarray:
             if not i & bit:
                 axis.plot(*corner[[i, i | bit]].T, color="0.6", lw=0.7)
     return corner
+
+
+def write_traces(path: Path, optima) -> None:
+    """Iterations of all stages as CSV."""
+    rows = [
+        [number + 1, *row]
+        for number, best in enumerate(optima)
+        for row in best.trace
+    ]
+    columns = np.array(rows, dtype=float).reshape(-1, len(_TRACE)).T
+    write_csv(path, dict(zip(_TRACE, columns, strict=True)))
 
 
 def trace_figure(path: Path, optima) -> None:

@@ -11,6 +11,7 @@ from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
 from drake_exo.soles.case import read_case
 from drake_exo.soles.mesh import write_stl
+from drake_exo.soles.strain_command import judge_in_finite_strain
 
 
 def run_optimize(args) -> int:
@@ -43,6 +44,9 @@ def optimise_case(out: Path, case, mesh, load, start, resume=None) -> dict:
     row["seconds"] = round(time.perf_counter() - began, 2)
     row["stages_seconds"] = [round(s, 2) for s in design.seconds]
     write_design(out, case, load, design)
+    row["finite_strain"] = judge_in_finite_strain(
+        out, case, design.mesh, load, start
+    )
     write_json(out / "summary.json", row)
     return row
 
@@ -64,10 +68,12 @@ def write_design(out: Path, case, load, design) -> None:
     )
     write_stl(out / "sole.stl", design.mesh)
     _write_mesh(out / "sole.vtk", design.mesh)
+    _write_mesh(out / "initial.vtk", design.first_sole.mesh)
     columns = results.step_table(load, design.history)
     results.write_csv(out / "steps.csv", columns)
     command.draw(out, case, design.sole, load, design.history, columns)
     before = results.step_table(load, design.first_history)
+    results.write_csv(out / "initial_steps.csv", before)
     count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
     curves = {
         name: (
@@ -83,6 +89,7 @@ def write_design(out: Path, case, load, design) -> None:
     design_pictures.shape_figure(
         out / "shape.png", design.mesh, case.name, design.first_sole.mesh
     )
+    design_pictures.write_traces(out / "history.csv", design.optima)
     design_pictures.trace_figure(out / "history.png", design.optima)
 
 

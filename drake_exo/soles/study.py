@@ -21,6 +21,7 @@ from drake_exo.soles.case import (
 )
 from drake_exo.soles.design import finish_on_own_mesh
 from drake_exo.soles.optimise_command import optimise_case, print_row
+from drake_exo.soles.study_report import finish
 
 SIZE = (0.23, 0.13, 0.03)
 AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
@@ -89,6 +90,7 @@ def run_study(args) -> int:
             _write(out, rows, measured, began)
         print(table(rows))
         _draw(out, rows)
+        print(finish(out))
     print(f"results in {args.out}")
     return 1 if any(r["failed_steps"] for r in rows) else 0
 

@@ -1,0 +1,146 @@
+"""What `sole optimize` and `sole study` leave on disk, read back."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo import schema
+from drake_exo.errors import InputError
+from drake_exo.soles import loads
+from drake_exo.soles.case import Case, StartBlock, read_case
+from drake_exo.soles.contact import Start
+from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh, read_mesh
+
+CASE, MESH, STEPS, SUMMARY = (
+    "case.yaml",
+    "sole.vtk",
+    "steps.csv",
+    "summary.json",
+)
+
+
+@dataclass
+class StoredDesign:
+    """An optimised sole as its folder holds it.
+
+    Attributes:
+        folder: Where it lies.
+        case: Its case, with the start filled in.
+        mesh: The optimised mesh.
+        load: Force and ZMP of every sample.
+    """
+
+    folder: Path
+    case: Case
+    mesh: TetMesh
+    load: Load
+
+    @property
+    def name(self) -> str:
+        """The case's name."""
+        return self.case.name
+
+    @property
+    def sole(self) -> Sole:
+        """Mesh and material, not yet condensed."""
+        return self.case.sole(self.mesh)
+
+    @property
+    def start(self) -> Start:
+        """How the sole is held before contact."""
+        return self.case.start_pose(self.mesh)
+
+    def summary(self) -> dict:
+        """Its summary.json."""
+        return read_summary(self.folder)
+
+
+def write_case(folder: Path, case: Case, start: Start) -> Case:
+    """Write the case beside its design, as `sole simulate` reads it.
+
+    The start is written out: its default depends on the initial mesh, which
+    the folder does not hold.
+
+    Returns:
+        The case with its start written out.
+    """
+    block = StartBlock(
+        tuple(map(float, start.point_L)),
+        tuple(map(float, start.point_W[:2])),
+        float(start.yaw),
+    )
+    case = replace(case, start=block)
+    (folder / CASE).write_text(schema.dump_text(case), encoding="utf-8")
+    return case
+
+
+def find_designs(folder: Path) -> list[StoredDesign]:
+    """The design in a folder, or those in a study's folders, in order.
+
+    Raises:
+        InputError: There is none.
+    """
+    if (folder / CASE).is_file():
+        return [read_design(folder)]
+    names = []
+    if (folder / SUMMARY).is_file():
+        rows = read_summary(folder).get("cases", [])
+        names = [r["name"] for r in rows if (folder / r["name"]).is_dir()]
+    if not names:
+        raise InputError(
+            f"{folder}: holds no design; give a folder that 'sole optimize' "
+            "or 'sole study' has written"
+        )
+    return [read_design(folder / name) for name in names]
+
+
+def read_design(folder: Path) -> StoredDesign:
+    """Read one design.
+
+    Raises:
+        InputError: A file is missing or damaged.
+    """
+    for name in (CASE, MESH, STEPS):
+        if not (folder / name).is_file():
+            raise InputError(
+                f"{folder / name}: is missing; optimise the sole again"
+            )
+    case = read_case(folder / CASE)
+    mesh = read_mesh(folder / MESH, (0.0, 0.0, 0.0))
+    return StoredDesign(folder, case, mesh, loads.read_csv(folder / STEPS))
+
+
+def read_summary(folder: Path) -> dict:
+    """The summary.json of a folder.
+
+    Raises:
+        InputError: It is missing or no JSON.
+    """
+    path = folder / SUMMARY
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise InputError(
+            f"{path}: no summary of a run; optimise the sole again"
+        ) from None
+
+
+def read_steps(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a steps.csv by name.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        names = lines[0].split(",")
+        values = np.array([line.split(",") for line in lines[1:]], dtype=float)
+        return dict(zip(names, values.T, strict=True))
+    except (OSError, ValueError, IndexError):
+        raise InputError(
+            f"{path}: no table of a step; optimise the sole again"
+        ) from None

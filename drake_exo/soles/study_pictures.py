@@ -1,0 +1,237 @@
+"""Pictures of a study: soles (Figs. 8–12), stiffness (Fig. 13), costs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TwoSlopeNorm
+
+from drake_exo.soles import views
+from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.pictures import _STYLE, _save
+
+_COLOURS = plt.get_cmap("coolwarm")
+_GAP = 14.0  # mm between views
+_FLOOR = 1e-8  # errors below are drawn there
+_INCH = 1.0 / 62.0  # inches a millimetre of sole
+
+
+@dataclass(frozen=True)
+class DrawnSole:
+    """What the pictures need of one sole.
+
+    Attributes:
+        name: Case.
+        caption: Second line of its title.
+        initial: Mesh before optimisation, same connectivity.
+        mesh: Optimised mesh.
+    """
+
+    name: str
+    caption: str
+    initial: TetMesh
+    mesh: TetMesh
+
+    @property
+    def change(self) -> np.ndarray:
+        """Radial change of every node [%], zero at the origin, (n,)."""
+        before = np.linalg.norm(self.initial.nodes, axis=1)
+        after = np.linalg.norm(self.mesh.nodes, axis=1)
+        there = before > 1e-9
+        ratio = np.divide(after, before, out=np.ones_like(after), where=there)
+        return 100.0 * (ratio - 1.0)
+
+
+def soles_figure(path: Path, soles: list[DrawnSole]) -> None:
+    """Every sole from below, the left, the back and in perspective.
+
+    One scale for all; colour is the radial change, the initial outline is
+    dashed.
+    """
+    every = np.concatenate(
+        [m.nodes for s in soles for m in (s.mesh, s.initial)]
+    )
+    boxes = [views.extent(every, view) for view in views.VIEWS]
+    widths = np.array([np.ptp(b, axis=0)[0] + _GAP for b in boxes])
+    height = max(np.ptp(b, axis=0)[1] for b in boxes) + 24.0
+    largest = max(np.abs(s.change).max() for s in soles)
+    norm = TwoSlopeNorm(0.0, -largest, largest)
+    width_in = _INCH * widths.sum()
+    height_in = _INCH * height * len(soles)
+    foot, head = 0.75, 0.4
+    style = {**_STYLE, "figure.constrained_layout.use": False}
+    with plt.rc_context(style):
+        figure = plt.figure(figsize=(width_in, height_in + foot + head))
+        total = height_in + foot + head
+        for row, sole in enumerate(soles):
+            left = 0.0
+            shape = _coloured(sole, norm)
+            for view, box, width in zip(
+                views.VIEWS, boxes, widths, strict=True
+            ):
+                bottom = foot + height_in * (1 - (row + 1) / len(soles))
+                axis = figure.add_axes(
+                    [
+                        _INCH * left / width_in,
+                        bottom / total,
+                        _INCH * width / width_in,
+                        _INCH * height / total,
+                    ]
+                )
+                _view(axis, sole, shape, view, box, width, height)
+                _ends(axis, sole.initial.nodes, view)
+                left += width
+            top = (bottom + _INCH * height) / total
+            figure.text(
+                0.012, top, sole.name, fontsize=11, weight="bold", va="top"
+            )
+            figure.text(
+                0.10, top, sole.caption, fontsize=9, va="top", color="0.25"
+            )
+        for view, x in zip(views.VIEWS, np.cumsum(widths), strict=True):
+            middle = (x - 0.5 * widths[views.VIEWS.index(view)]) * _INCH
+            figure.text(
+                middle / width_in, 1 - 0.12 / total, view.name,
+                ha="center", va="top", fontsize=10,
+            )  # fmt: skip
+        _legend(figure, norm, total, foot, width_in)
+        _save(figure, path)
+
+
+def _coloured(sole: DrawnSole, norm) -> views.Surface:
+    colours = _COLOURS(norm(sole.change))[:, :3]
+    shape = views.surface(
+        sole.mesh.nodes, sole.mesh.boundary_faces, np.asarray(colours)
+    )
+    return shape.refined()
+
+
+def _view(axis, sole, shape, view, box, width, height) -> None:
+    views.draw(axis, shape, view)
+    views.outline(axis, sole.initial.nodes, view)
+    middle = box.mean(axis=0)
+    axis.set(
+        xlim=middle[0] + 0.5 * np.array([-width, width]),
+        ylim=middle[1] + 0.5 * np.array([-height, height]),
+        aspect="equal",
+    )
+    axis.set_axis_off()
+
+
+def _ends(axis, nodes, view) -> None:
+    """Write heel and toe, or left and right, under the initial outline."""
+    low, high = views.extent(nodes, view)
+    right = view.axes()[0]
+    words = ("heel", "toe") if abs(right[0]) > 0.9 else ("right", "left")
+    if max(np.abs(right)) < 0.9:
+        return
+    along = right[0] if abs(right[0]) > 0.9 else right[1]
+    words = words if along > 0 else words[::-1]
+    for x, word, side in zip(
+        (low[0], high[0]), words, ("left", "right"), strict=True
+    ):
+        axis.text(
+            x, low[1] - 8, word, ha=side, va="top", fontsize=8, color="0.4"
+        )
+
+
+def _legend(figure, norm, total, foot, width_in) -> None:
+    """Colour bar, scale bar and what is dashed."""
+    bar = figure.add_axes([0.06, 0.42 / total, 0.3, 0.11 / total])
+    figure.colorbar(
+        ScalarMappable(norm, _COLOURS),
+        cax=bar,
+        orientation="horizontal",
+        label="radial change of the surface [%]",
+    )
+    axis = figure.add_axes([0.4, 0.1 / total, 0.58, (foot - 0.15) / total])
+    axis.set_axis_off()
+    axis.set(xlim=(0, 0.58 * width_in / _INCH), ylim=(0, 1))
+    axis.plot([0, 50], [0.62, 0.62], color="k", lw=2, solid_capstyle="butt")
+    axis.text(25, 0.5, "50 mm", ha="center", va="top")
+    axis.plot([80, 105], [0.62, 0.62], color="0.25", lw=0.8,
+              ls=(0, (4, 3)))  # fmt: skip
+    axis.text(110, 0.62, "initial shape", va="center")
+
+
+def stiffness_figure(path: Path, curves: dict[str, dict], strike: int) -> None:
+    """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13).
+
+    Args:
+        path: PNG file.
+        curves: Case -> {"initial": steps.csv columns, "optimised": same}.
+        strike: Number of samples of heel strike.
+    """
+    keys = ("sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad")
+    with plt.rc_context(_STYLE):
+        figure, axes = plt.subplots(
+            2, len(curves), figsize=(1.2 + 2.7 * len(curves), 5.4),
+            sharex=True, sharey="row", squeeze=False,
+        )  # fmt: skip
+        for column, (name, pair) in enumerate(curves.items()):
+            for axis, key, scale in zip(
+                axes[:, column], keys, (1e-3, 1.0), strict=True
+            ):
+                for label, look in (
+                    ("initial", {"color": "0.45", "ls": "--"}),
+                    ("optimised", {"color": f"C{column}"}),
+                ):
+                    steps = pair[label]
+                    t = steps["time_s"] - steps["time_s"][0]
+                    axis.plot(t, scale * steps[key], label=label, **look)
+                axis.axvspan(t[0], t[strike - 1], color="tab:orange",
+                             alpha=0.15, lw=0, label="heel strike")  # fmt: skip
+                axis.margins(x=0.01)
+            axes[0, column].set_title(name)
+            axes[1, column].set_xlabel("time since contact [s]")
+        axes[0, 0].legend(fontsize=8)
+        for axis in axes[:, 0]:
+            axis.set_ylim(0, None)
+        axes[0, 0].set_ylabel(r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]")
+        axes[1, 0].set_ylabel(r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]")
+        _save(figure, path)
+
+
+def histories_figure(path: Path, traces: dict[str, np.ndarray]) -> None:
+    """Cost, violation and optimality error over iterations, case by case.
+
+    Args:
+        path: PNG file.
+        traces: Case -> rows (stage, iteration, cost, violation, dual
+            infeasibility).
+    """
+    with plt.rc_context(_STYLE):
+        figure, axes = plt.subplots(
+            2, len(traces), figsize=(1.2 + 2.7 * len(traces), 5.0),
+            sharex="col", squeeze=False,
+        )  # fmt: skip
+        for column, (name, trace) in enumerate(traces.items()):
+            cost, error = axes[:, column]
+            cost.set_title(name)
+            error.set_xlabel("iteration")
+            if len(trace) == 0:
+                cost.text(0.5, 0.5, "no iterations", ha="center",
+                          transform=cost.transAxes)  # fmt: skip
+                continue
+            x = np.arange(len(trace))
+            for stage in np.unique(trace[:, 0]):
+                rows = trace[:, 0] == stage
+                cost.plot(x[rows], trace[rows, 2], ".-", ms=4,
+                          label=f"stage {stage:.0f}")  # fmt: skip
+            floor = np.maximum(trace[:, 3:], _FLOOR)
+            error.semilogy(x, floor[:, 1], color="k", lw=1.2,
+                           label="dual infeasibility")  # fmt: skip
+            error.semilogy(x, floor[:, 0], color="tab:red", ls=":",
+                           label="constraint violation")  # fmt: skip
+            cost.legend(fontsize=8)
+            error.set_ylim(0.5 * _FLOOR, None)
+        axes[0, 0].set_ylabel(r"cost $c/|c_0|$ with regulariser")
+        axes[1, 0].set_ylabel("scaled error")
+        axes[1, 0].legend(fontsize=8)
+        _save(figure, path)

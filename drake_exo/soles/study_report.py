@@ -1,0 +1,118 @@
+"""Pictures and finite-strain table of a study from its folders.
+
+`drake-exo sole report` draws them again without optimising again.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.output import prepare_output_folder
+from drake_exo.soles import strain_report
+from drake_exo.soles.design_folder import (
+    StoredDesign,
+    find_designs,
+    read_steps,
+)
+from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.stiffness import heel_strike_count
+from drake_exo.soles.strain_command import KEY
+
+_FIRST = "soles.png"
+
+
+def add_parser(jobs) -> None:
+    """Add `report` to the jobs of `drake-exo sole`."""
+    parser = jobs.add_parser(
+        "report", help="draw the pictures of a study or a design again"
+    )
+    parser.add_argument("source", type=Path, metavar="DIR")
+    parser.add_argument(
+        "--out", type=Path, help="folder for the pictures (default: DIR)"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace earlier pictures"
+    )
+    parser.set_defaults(run=run_report)
+
+
+def run_report(args) -> int:
+    """Draw and print."""
+    designs = find_designs(args.source)
+    if args.out is not None:
+        place = prepare_output_folder(args.out, args.force)
+    elif (args.source / _FIRST).exists() and not args.force:
+        raise InputError(
+            f"{args.source}: already holds {_FIRST}; give --out, or replace "
+            "the pictures with --force"
+        )
+    else:
+        place = prepare_output_folder(args.source, resume=True)
+    with place as out:
+        text = write(out, designs)
+    if text:
+        print(text)
+    print(f"pictures in {args.out or args.source}")
+    return 0
+
+
+def finish(folder: Path) -> str:
+    """Report of a study into its own folder; the finite-strain table."""
+    return write(folder, find_designs(folder))
+
+
+def write(out: Path, designs: list[StoredDesign]) -> str:
+    """soles.png, stiffness.png, histories.png, finite_strain.csv and .txt.
+
+    Returns:
+        The finite-strain table, empty where no design has one.
+    """
+    from drake_exo.soles import study_pictures
+
+    study_pictures.soles_figure(out / _FIRST, [_drawn(d) for d in designs])
+    if len(designs) > 1:  # a design has a picture of its own stiffness
+        _draw_stiffness(out / "stiffness.png", designs)
+    study_pictures.histories_figure(
+        out / "histories.png", {d.name: _trace(d.folder) for d in designs}
+    )
+    found = {d.name: d.summary().get(KEY) or {} for d in designs}
+    found = {name: f for name, f in found.items() if "samples" in f}
+    return strain_report.write_table(out, found) if found else ""
+
+
+def _draw_stiffness(path: Path, designs: list[StoredDesign]) -> None:
+    from drake_exo.soles.study_pictures import stiffness_figure
+
+    curves = {
+        d.name: {
+            "initial": read_steps(d.folder / "initial_steps.csv"),
+            "optimised": read_steps(d.folder / "steps.csv"),
+        }
+        for d in designs
+    }
+    first = designs[0]
+    strike = heel_strike_count(
+        len(first.load.times), first.case.cost.heel_strike_fraction
+    )
+    stiffness_figure(path, curves, strike)
+
+
+def _trace(folder: Path) -> np.ndarray:
+    """Rows (stage, iteration, cost, violation, dual infeasibility)."""
+    columns = read_steps(folder / "history.csv")
+    return np.stack(list(columns.values()), axis=1)
+
+
+def _drawn(design: StoredDesign):
+    from drake_exo.soles.study_pictures import DrawnSole
+
+    row = design.summary()
+    caption = (
+        f"c_tr × {row['ratio_tr']:.3f}, c_rot × {row['ratio_rot']:.3f}, "
+        f"{row['volume_cm3']:.0f} cm³, "
+        f"{'stable' if row['stable'] else 'not stable'}, "
+        f"tilt up to {row['tilt_max_deg']:.0f}°"
+    )
+    initial = read_mesh(design.folder / "initial.vtk", (0.0, 0.0, 0.0))
+    return DrawnSole(design.name, caption, initial, design.mesh)

@@ -1,0 +1,68 @@
+"""Views of surfaces: what faces the viewer, what lies in front, colours."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from drake_exo.soles import views
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.study_pictures import DrawnSole
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return brick((0.2, 0.1, 0.04), (4, 2, 1))
+
+
+@pytest.mark.parametrize("view", views.VIEWS, ids=lambda v: v.name)
+def test_axes_are_right_handed(view):
+    frame = view.axes()
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+
+
+def test_the_heel_is_on_the_left_from_below():
+    below = views.VIEWS[0].axes()
+    assert below[0] @ [1, 0, 0] == pytest.approx(1.0)
+    assert below[2] @ [0, 0, -1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("view", "colour"), [(views.VIEWS[0], 0), (views.VIEWS[2], 1)]
+)
+def test_only_what_faces_the_viewer_is_painted(mesh, view, colour):
+    """Bottom red, back green: each view shows its own."""
+    centre = mesh.nodes[mesh.boundary_faces].mean(axis=1)
+    faces = mesh.boundary_faces
+    shape = views.surface(mesh.nodes, faces, np.zeros_like(mesh.nodes))
+    paint = np.full((len(faces), 3, 3), 0.0)
+    paint[centre[:, 2] < -0.0399, :, 0] = 1.0
+    paint[centre[:, 0] < -0.0999, :, 1] = 1.0
+    shape = views.Surface(shape.corners, shape.normals, paint)
+    axis = Figure().add_subplot()
+    views.draw(axis, shape.refined(), view)
+    seen = axis.collections[0].get_facecolor()[:, :3]
+    assert (seen[:, colour] > 0.3).all()
+    others = [k for k in range(3) if k != colour]
+    assert np.abs(seen[:, others]).max() == 0.0
+
+
+def test_creases_stay_sharp_and_flats_smooth(mesh):
+    shape = views.surface(
+        mesh.nodes, mesh.boundary_faces, np.zeros_like(mesh.nodes)
+    )
+    # A brick: every corner's normal is its face's.
+    across = np.cross(
+        shape.corners[:, 1] - shape.corners[:, 0],
+        shape.corners[:, 2] - shape.corners[:, 0],
+    )
+    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        shape.normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-12
+    )
+
+
+def test_change_is_radial(mesh):
+    sole = DrawnSole("", "", mesh, mesh.with_nodes(1.1 * mesh.nodes))
+    away = np.linalg.norm(mesh.nodes, axis=1) > 0
+    np.testing.assert_allclose(sole.change[away], 10.0)

@@ -1,0 +1,153 @@
+"""The commands `sole strain` and `sole report` on what an optimiser left."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from drake_exo import cli
+from drake_exo.soles import strain_report
+from drake_exo.soles.design_folder import find_designs
+
+CASE = """
+name: {name}
+mesh:
+  brick: {{size_m: [0.23, 0.13, 0.03], divisions: [5, 4, 2]}}
+  element: {element}
+material: {{name: neoprene}}
+load:
+  csv: {{file: load.csv}}
+optimize:
+  intervals: [5, 5]
+  stages:
+    - {{samples: 4, layer_m: 5.0e-5, kappa: 0.2, iterations: 2}}
+"""
+
+
+def _write_inputs(place, name="small", element="linear"):
+    text = CASE.format(name=name, element=element)
+    (place / f"{name}.yaml").write_text(text)
+    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
+    for k, s in enumerate(np.linspace(0, 1, 30)):
+        rows.append(
+            f"{0.02 * k},{20 - 40 * s},0,{300 + 300 * s * (1 - s)},"
+            f"{-0.07 + 0.12 * s},0.02"
+        )
+    (place / "load.csv").write_text("\n".join(rows))
+    return place / f"{name}.yaml"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A folder as `sole study` leaves it, with one design."""
+    place = tmp_path_factory.mktemp("strain")
+    case = _write_inputs(place)
+    folder = place / "study"
+    code = cli.main(
+        ["sole", "optimize", str(case), "--out", str(folder / "small")]
+    )
+    assert code == 0
+    row = json.loads((folder / "small" / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({"cases": [row]}))
+    return folder
+
+
+def test_an_optimised_design_is_judged_in_finite_strain(study):
+    row = json.loads((study / "small" / "summary.json").read_text())
+    found = row["finite_strain"]
+    assert found["heel_strike_samples"] == found["converged_samples"] == 3
+    assert [s["sample"] for s in found["samples"]] == [1, 2, 3]
+    for sample in found["samples"]:
+        small, finite = (
+            sample[f"sigma_max_tr_n_per_m_{k}"] for k in ("small", "finite")
+        )
+        assert finite == pytest.approx(small, rel=0.5)
+        assert finite != pytest.approx(small, rel=1e-4)
+        assert sample["largest_stretch_finite"] > 1
+        assert 0 < sample["least_stretch_finite"] < 1
+
+
+def test_the_stored_design_gives_the_same_figures(study, tmp_path):
+    """Mesh, load and start survive the folder."""
+    code = cli.main(
+        ["sole", "strain", str(study), "--out", str(tmp_path / "out")]
+    )
+    assert code == 0
+    again = json.loads((tmp_path / "out" / "summary.json").read_text())
+    row = json.loads((study / "small" / "summary.json").read_text())
+    for one, other in zip(
+        again["cases"][0]["finite_strain"]["samples"],
+        row["finite_strain"]["samples"],
+        strict=True,
+    ):
+        assert one == pytest.approx(other, rel=1e-5)
+    with open(tmp_path / "out" / "finite_strain.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [r["sole"] for r in rows] == ["small"] * 3
+    text = (tmp_path / "out" / "finite_strain.txt").read_text()
+    assert "σ_max(K_tr)" in text
+
+
+def test_results_are_not_overwritten_unasked(study, capsys):
+    assert cli.main(["sole", "strain", str(study / "small")]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_a_case_file_is_judged_without_optimising(tmp_path):
+    case = _write_inputs(tmp_path, "brick")
+    assert cli.main(["sole", "strain", str(case)]) == 2
+    out = tmp_path / "out"
+    assert cli.main(["sole", "strain", str(case), "--out", str(out)]) == 0
+    cases = json.loads((out / "summary.json").read_text())["cases"]
+    assert cases[0]["finite_strain"]["converged_samples"] == 3
+
+
+def test_other_elements_are_refused(tmp_path, capsys):
+    case = _write_inputs(tmp_path, "soft", "smoothed")
+    out = str(tmp_path / "out")
+    assert cli.main(["sole", "strain", str(case), "--out", out]) == 2
+    assert "linear" in capsys.readouterr().err
+
+
+def test_a_folder_without_designs_is_refused(tmp_path, capsys):
+    assert cli.main(["sole", "strain", str(tmp_path)]) == 2
+    assert "holds no design" in capsys.readouterr().err
+
+
+def test_pictures_are_drawn_again_from_the_folder(study, tmp_path):
+    out = tmp_path / "out"
+    assert cli.main(["sole", "report", str(study), "--out", str(out)]) == 0
+    for name in ("soles.png", "histories.png"):
+        assert (out / name).stat().st_size > 10_000
+    first = (out / "soles.png").read_bytes()
+    assert cli.main(
+        ["sole", "report", str(study), "--out", str(out), "--force"]
+    ) == 0  # fmt: skip
+    assert (out / "soles.png").read_bytes() == first
+
+
+def test_the_start_is_that_of_the_initial_shape(study):
+    (design,) = find_designs(study)
+    np.testing.assert_allclose(design.start.point_L, [-0.115, 0.0, -0.03])
+
+
+def test_a_collapse_stands_in_the_table():
+    row = {"sample": 11, "converged": False, "reached": 0.4}
+    for name in strain_report._FIGURES:
+        row |= {f"{name}_small": -0.5, f"{name}_finite": float("nan")}
+    sole = {
+        "heel_strike_samples": 21,
+        "converged_samples": 10,
+        "c_tr_small": 1.0,
+        "c_tr_finite": float("nan"),
+        "samples": [row],
+        "failures": [
+            {"sample": 11, "reached": 0.4,
+             "message": "no equilibrium found beyond 0.400 of the way"}
+        ],
+    }  # fmt: skip
+    text = strain_report.table({"1-Ref": sole})
+    assert "10 of 21 samples have an equilibrium" in text
+    assert "no equilibrium found beyond 0.400" in text
+    assert "inside out" in text
