@@ -55,6 +55,21 @@ class TurnTerm:
     by_turn: np.ndarray
 
 
+@dataclass(frozen=True)
+class ForceTerm:
+    """A functional of one sample's nodal forces.
+
+    Attributes:
+        by_force: Its derivative by the forces in the sole frame, (m, 3).
+    """
+
+    by_force: np.ndarray
+
+    def times(self, factor: float) -> "ForceTerm":
+        """The same for a multiple of the functional."""
+        return ForceTerm(factor * self.by_force)
+
+
 def singular_terms(K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray):
     """Terms of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot).
 
@@ -167,6 +182,11 @@ class _Step:
         for term in terms:
             if isinstance(term, TurnTerm):
                 b_w += term.by_turn
+                continue
+            if isinstance(term, ForceTerm):
+                pull = term.by_force[self.nodes] @ R.T
+                bF += pull
+                b_w -= np.cross(F, pull).sum(axis=0)
                 continue
             b_w += self._term(total, term, bP, bF, bQ)
         if self.first:

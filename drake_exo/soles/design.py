@@ -11,18 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.output import write_json
 from drake_exo.soles import results
 from drake_exo.soles.case import Case, Stage
+from drake_exo.soles.checkpoint import Checkpoint
 from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.limits import Limits
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.optimiser import Optimum, minimise
-from drake_exo.soles.problem import Limits, ShapeProblem
+from drake_exo.soles.problem import ShapeProblem
+from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import StepHistory, simulate
+
+_CHECKPOINT_EVERY = 3  # iterations
 
 
 @dataclass
@@ -58,6 +62,7 @@ def limits_of(case: Case) -> Limits:
         maximum_volume(case.cost.mass_limit_kg, density),
         block.stability_n_per_m,
         block.tilt_deg,
+        block.strain,
         block.c_rot_nm_per_rad,
     )
 
@@ -108,7 +113,7 @@ def optimise(
     start: Start,
     out: Path,
     say,
-    resume: dict | None = None,
+    resume: Checkpoint | None = None,
 ) -> Design:
     """Run the case's stages.
 
@@ -122,34 +127,43 @@ def optimise(
     """
     block = case.optimize
     bounds = tuple(block.bounds)
-    optima, seconds, p, done = [], [], None, 0
-    if resume is not None:
-        p, done = np.array(resume["coefficients"]), resume["stage"]
-    for number, stage in enumerate(block.stages):
-        if number < done:
-            continue
+    optima, seconds = [], []
+    at = resume or Checkpoint()
+    for number in range(at.stage, len(block.stages)):
+        stage = block.stages[number]
         began = time.perf_counter()
         problem = stage_problem(case, own, load, start, stage)
-        if p is None:
-            p = first_design(problem, bounds)
+        if at.p is None:
+            at = Checkpoint(p=first_design(problem, bounds))
+        problem.branch = at.branch(len(problem.mesh.contact))
+        learnt = QuasiNewton(problem.spline.count, at.curvature)
 
-        def note(iteration, best, number=number, problem=problem):
+        def note(
+            iteration, best, number=number, problem=problem, learnt=learnt,
+            before=at.iteration,
+        ):  # fmt: skip
             cost, violation, error = best.trace[-1][1:]
             say(
                 f"stage {number + 1}/{len(block.stages)}, iteration "
-                f"{iteration}: c/|c0| {cost:+.4f}, violation "
+                f"{before + iteration}: c/|c0| {cost:+.4f}, violation "
                 f"{violation:.1e}, error {error:.1e}, "
                 f"{problem.evaluations} simulations"
             )
-            checkpoint(out, number, best.p)
+            if iteration % _CHECKPOINT_EVERY == 0:
+                Checkpoint.of(
+                    number, before + iteration, best.p, learnt, problem
+                ).write(out)
 
+        left = max(stage.iterations - at.iteration, 0)
         best = minimise(
-            problem, p, bounds, stage.iterations, block.tolerance, note
+            problem, at.p, bounds, left, block.tolerance, note, learnt=learnt
         )
-        p = best.p
         optima.append(best)
         seconds.append(time.perf_counter() - began)
-    return _judge(case, problem, p, load, start, optima, seconds)
+        following = min(number + 1, len(block.stages) - 1)
+        at = Checkpoint.of(following, 0, best.p, learnt, problem)
+        at.write(out)
+    return _judge(case, problem, at.p, load, start, optima, seconds)
 
 
 def first_design(problem: ShapeProblem, bounds) -> np.ndarray:
@@ -162,11 +176,6 @@ def first_design(problem: ShapeProblem, bounds) -> np.ndarray:
             break
         p *= 0.99
     return np.clip(p, *bounds)
-
-
-def checkpoint(out: Path, stage: int, p: np.ndarray) -> None:
-    """Keep the best design on disk."""
-    write_json(out / "checkpoint.json", {"stage": stage, "coefficients": p})
 
 
 def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
@@ -271,8 +280,10 @@ def finish_on_own_mesh(case: Case) -> Case:
 
 
 def without_limits(case: Case) -> Case:
-    """The paper's own problem: neither stability nor tilt limited."""
+    """The paper's own problem: neither stability, tilt nor strain limited."""
     return replace(
         case,
-        optimize=replace(case.optimize, stability_n_per_m=None, tilt_deg=None),
+        optimize=replace(
+            case.optimize, stability_n_per_m=None, tilt_deg=None, strain=None
+        ),
     )

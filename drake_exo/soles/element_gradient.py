@@ -5,6 +5,8 @@ tensor. With energies of fields averaged around edges and nodes ("smoothed")
 the element's stress and energy are replaced by means over its own averages.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from drake_exo.soles.elasticity import Sole
@@ -33,8 +35,24 @@ def compliance_gradient(
     weight, Q = np.linalg.eigh(0.5 * (C_bar + C_bar.T))
     keep = np.abs(weight) > _NEGLIGIBLE * np.abs(weight).max()
     weight, Q = weight[keep], Q[:, keep]
-    mesh = sole.mesh
     N = sole.influence[:, touched]
+    return stiffness_gradient(sole, weight, lambda part: N @ Q[:, part])
+
+
+def stiffness_gradient(
+    sole: Sole, weight: np.ndarray, modes: Callable[[slice], np.ndarray]
+) -> np.ndarray:
+    """Derivative of −Σ w_k u_kᵀ K u_k by the node positions, u_k held.
+
+    Args:
+        sole: The sole.
+        weight: w (k,).
+        modes: Gives the free displacements u of a range, (3 n_f, len).
+
+    Returns:
+        (n, 3).
+    """
+    mesh = sole.mesh
     gradient = gradient_operators(mesh)
     M = np.zeros((len(mesh.tets), 9, 9))  # Σ w σ ⊗ H
     energy = np.zeros(len(mesh.tets))  # Σ w 2 ψ̄
@@ -42,7 +60,7 @@ def compliance_gradient(
         part = slice(start, start + _CHUNK)
         w = weight[part]
         U = np.zeros((len(mesh.nodes), 3 * len(w)))
-        U[sole.free] = (N @ Q[:, part]).reshape(-1, 3 * len(w))
+        U[sole.free] = modes(part).reshape(-1, 3 * len(w))
         H = np.empty((len(mesh.tets), 3, 3, len(w)))
         for j, D in enumerate(gradient):  # ∂/∂X_j of every mode at once
             H[:, :, j] = (D @ U).reshape(-1, 3, len(w))

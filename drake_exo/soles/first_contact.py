@@ -66,7 +66,10 @@ def _distance(points: np.ndarray, z: np.ndarray) -> float:
 
 
 def first_step(
-    solver: ContactSolver, target: Target, largest_force: float
+    solver: ContactSolver,
+    target: Target,
+    largest_force: float,
+    guess: State | None = None,
 ) -> tuple[State | None, Convergence]:
     """Solve the first step of a contact phase.
 
@@ -79,9 +82,20 @@ def first_step(
         target: First sample; its reference is a Start.
         largest_force: Largest |F| of the phase [N]; pressing in uses at
             least a fifth of it, so that enough nodes touch.
+        guess: First state of a neighbouring design, to stay on its branch;
+            its forces are not used where the mesh is another.
     """
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
-    candidates = candidate_poses(solver.lP, target.zmp, target.reference)
+    candidates = []
+    if guess is not None:
+        if len(guess.F) == len(solver.lP):
+            state, report = solver.solve(guess, target)
+            if report.converged:
+                return state, report
+            solver.active.refresh()
+        unloaded = State(np.zeros_like(solver.lP), guess.O.copy(), guess.R)
+        candidates = [unloaded]
+    candidates += candidate_poses(solver.lP, target.zmp, target.reference)
     total = 0
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
     for guess in candidates:

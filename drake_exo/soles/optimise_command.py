@@ -1,15 +1,12 @@
 """The command `drake-exo sole optimize`: the best shape for a case."""
 
-import json
 import time
 from pathlib import Path
 
-import numpy as np
-
-from drake_exo.errors import InputError
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
 from drake_exo.soles.case import read_case
+from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.mesh import write_stl
 from drake_exo.soles.strain_command import judge_in_finite_strain
 
@@ -54,6 +51,7 @@ def optimise_case(out: Path, case, mesh, load, start, resume=None) -> dict:
 def write_design(out: Path, case, load, design) -> None:
     """Coefficients, mesh, STL, pictures and animation of a design."""
     from drake_exo.soles import command, design_pictures, pictures, results
+    from drake_exo.soles.replay import FIRST_HISTORY, HISTORY
     from drake_exo.soles.stiffness import heel_strike_count
 
     spline = design.problem.spline
@@ -71,6 +69,11 @@ def write_design(out: Path, case, load, design) -> None:
     _write_mesh(out / "initial.vtk", design.first_sole.mesh)
     columns = results.step_table(load, design.history)
     results.write_csv(out / "steps.csv", columns)
+    for name, sole, history in (
+        (HISTORY, design.sole, design.history),
+        (FIRST_HISTORY, design.first_sole, design.first_history),
+    ):
+        results.write_history(out / name, sole.mesh, load, history)
     command.draw(out, case, design.sole, load, design.history, columns)
     before = results.step_table(load, design.first_history)
     results.write_csv(out / "initial_steps.csv", before)
@@ -97,24 +100,6 @@ def _write_mesh(path: Path, mesh) -> None:
     import meshio
 
     meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
-
-
-def read_checkpoint(path: Path) -> dict:
-    """A checkpoint of an earlier run, given as file or folder.
-
-    Raises:
-        InputError: Missing or not a checkpoint.
-    """
-    file = path / "checkpoint.json" if path.is_dir() else path
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-        p = np.array(data["coefficients"], dtype=float)
-        stage = int(data["stage"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(
-            f"{file}: not a checkpoint; give the folder of an interrupted run"
-        ) from None
-    return {"coefficients": p, "stage": stage}
 
 
 def print_row(row: dict) -> None:

@@ -1,15 +1,26 @@
 """Solve a shape problem with IPOPT, or any solver of a MathematicalProgram.
 
-IPOPT is called directly (its wheel brings MUMPS) with a limited-memory
-Hessian: second derivatives of a simulation are not worth their cost.
+IPOPT is called directly (its wheel brings MUMPS) with a Hessian learnt from
+gradients, see `quasi_newton`.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from drake_exo.soles.problem import ShapeProblem
+from drake_exo.soles.quasi_newton import QuasiNewton
+
+_FEASIBLE = 1e-4
+_OPTIONS = {
+    "acceptable_iter": 0,
+    "mu_strategy": "adaptive",
+    "nlp_scaling_method": "none",
+    "bound_relax_factor": 0.0,
+    "print_level": 0,
+    "sb": "yes",
+}
 
 _STATUS = {
     0: "optimal",
@@ -28,25 +39,112 @@ class Optimum:
     """Outcome of one solve.
 
     Attributes:
-        p: Best feasible design met (least cost with violation below 1e-4),
-            or the last where none was feasible.
+        p: IPOPT's last design where it met its tolerance, else the best
+            feasible one met (least cost with violation below 1e-4), or the
+            least infeasible where none was feasible.
         cost: Its scaled cost.
         status: IPOPT's return code in words.
         optimal: Whether IPOPT's tolerance was met.
-        error: IPOPT's last dual infeasibility.
+        error: IPOPT's scaled optimality error at its last point.
+        complementarity: Largest |multiplier × distance| of bounds and
+            constraints at its last point.
         multipliers: Of the constraints.
         violation: Largest constraint violation at p.
         trace: Rows (iteration, cost, violation, dual infeasibility).
     """
 
     p: np.ndarray
-    cost: float
-    status: str
-    optimal: bool
-    error: float
-    multipliers: np.ndarray
-    violation: float
-    trace: list
+    cost: float = np.inf
+    status: str = ""
+    optimal: bool = False
+    error: float = np.inf
+    complementarity: float = np.inf
+    multipliers: np.ndarray | None = None
+    violation: float = np.inf
+    trace: list = field(default_factory=list)
+
+    def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
+        """Keep the better of this design and the best so far."""
+        feasible = violation <= _FEASIBLE
+        better = cost < self.cost or self.violation > _FEASIBLE
+        if (feasible and better) or (
+            not feasible and violation < self.violation
+        ):
+            self.p, self.cost, self.violation = p.copy(), cost, violation
+
+
+class _Callbacks:
+    """What IPOPT calls; derivatives are asked for at accepted points only."""
+
+    def __init__(self, problem, learnt: QuasiNewton, best: Optimum, say):
+        self.problem, self.learnt, self.best = problem, learnt, best
+        self.say = say
+        self.stopped = False
+        self._point, self._derivatives = None, None
+        self._lower = np.tril_indices(problem.spline.count)
+
+    def guarded(self, function):
+        """Ctrl-C must not surface inside IPOPT's C++: stop at the next
+        iteration instead; it is raised again afterwards.
+        """
+
+        def call(*args):
+            try:
+                return function(*args)
+            except KeyboardInterrupt:
+                self.stopped = True
+                return np.nan
+
+        return call
+
+    def at(self, p):
+        """Derivatives of cost (without smoothness) and constraints."""
+        key = p.tobytes()
+        if key != self._point:
+            self._derivatives = self.problem.derivatives(p)
+            self._point = key
+            self.problem.accept(p)
+            self.best.consider(p, *_merits(self.problem, p))
+        return self._derivatives
+
+    def gradient(self, p, out):
+        """Gradient of the cost."""
+        out[()] = self.at(p)[0] + self.problem.smoothness(p)[1]
+
+    def constraints(self, p, out):
+        """Values of the constraints."""
+        out[()] = self.problem.constraints(p)
+
+    def jacobian(self, p, out):
+        """Jacobian of the constraints, row by row."""
+        out[()] = self.at(p)[1].ravel()
+
+    def hessian(self, p, multipliers, factor, out):
+        """Lower triangle; a factor of 0 is IPOPT's restoration."""
+        if factor > 0:
+            self.learnt.update(p, *self.at(p), multipliers / factor)
+        B = self.learnt.matrix + self.problem.smoothness(p)[2]
+        out[()] = max(factor, 1e-3) * B[self._lower]
+
+    def watch(self, mode, iteration, cost, inf_pr, inf_du, *_):
+        """Note the iteration; False ends the run."""
+        self.best.trace.append((iteration, cost, inf_pr, inf_du))
+        self.best.error = inf_du
+        if self.say is not None:
+            self.say(iteration, self.best)
+        return not self.stopped
+
+
+def _furthest(problem, p) -> float:
+    """IPOPT's bound on violations: far outside, a simulation says little."""
+    violation = np.maximum(-problem.constraints(p), 0.0).sum()
+    return max(0.1, 1.5 * float(violation))
+
+
+def _merits(problem, p) -> tuple[float, float]:
+    """Cost and largest violation."""
+    violation = -float(problem.constraints(p).min())
+    return problem.cost(p), max(0.0, violation)
 
 
 def minimise(
@@ -57,6 +155,7 @@ def minimise(
     tolerance: float = 1e-4,
     on_iterate: Callable[[int, "Optimum"], None] | None = None,
     options: dict | None = None,
+    learnt: QuasiNewton | None = None,
 ) -> Optimum:
     """Run IPOPT from p0.
 
@@ -68,66 +167,15 @@ def minimise(
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far.
         options: More options of IPOPT.
+        learnt: Curvature known already; learns more.
     """
     import ipyopt
 
     n, m = problem.spline.count, len(problem.names())
-    best = Optimum(
-        np.clip(p0, *bounds), np.inf, "", False, np.inf, np.zeros(m), np.inf,
-        [],
-    )  # fmt: skip
-    cache = {}
-    stopped = []
-
-    def guarded(function):
-        """Ctrl-C must not surface inside IPOPT's C++: stop at the next
-        iteration instead, and raise it again afterwards.
-        """
-
-        def call(*args):
-            try:
-                return function(*args)
-            except KeyboardInterrupt:
-                stopped.append(True)
-                return np.nan
-
-        return call
-
-    def derivatives(p):
-        key = p.tobytes()
-        if key not in cache:
-            cache.clear()
-            cache[key] = problem.derivatives(p)
-            consider(p)
-        return cache[key]
-
-    def consider(p):
-        """Keep the best: derivatives are asked for at accepted points."""
-        cost = problem.cost(p)
-        violation = max(0.0, -float(problem.constraints(p).min()))
-        feasible = violation < 1e-4
-        if (feasible and (cost < best.cost or best.violation >= 1e-4)) or (
-            not feasible and violation < best.violation
-        ):
-            best.p, best.cost, best.violation = p.copy(), cost, violation
-
-    def gradient(p, out):
-        out[()] = derivatives(p)[0]
-
-    def constraints(p, out):
-        out[()] = problem.constraints(p)
-
-    def jacobian(p, out):
-        out[()] = derivatives(p)[1].ravel()
-
-    def watch(mode, iteration, cost, inf_pr, inf_du, *_):
-        best.trace.append((iteration, cost, inf_pr, inf_du))
-        best.error = inf_du
-        if on_iterate is not None:
-            on_iterate(iteration, best)
-        return not stopped
-
-    rows, columns = np.divmod(np.arange(m * n), n)
+    best = Optimum(np.clip(p0, *bounds))
+    learnt = learnt or QuasiNewton(n)
+    learnt.forget_point()
+    calls = _Callbacks(problem, learnt, best, on_iterate)
     solver = ipyopt.Problem(
         n,
         np.full(n, bounds[0]),
@@ -135,37 +183,56 @@ def minimise(
         m,
         np.zeros(m),
         np.full(m, 1e20),
-        (rows, columns),
-        (np.arange(0), np.arange(0)),
-        guarded(problem.cost),
-        guarded(gradient),
-        guarded(constraints),
-        guarded(jacobian),
-        intermediate_callback=watch,
+        np.divmod(np.arange(m * n), n),
+        np.tril_indices(n),
+        calls.guarded(problem.cost),
+        calls.guarded(calls.gradient),
+        calls.guarded(calls.constraints),
+        calls.guarded(calls.jacobian),
+        calls.guarded(calls.hessian),
+        intermediate_callback=calls.watch,
         ipopt_options={
-            "hessian_approximation": "limited-memory",
-            "limited_memory_max_history": 20,
             "max_iter": iterations,
             "tol": tolerance,
-            "acceptable_iter": 0,
-            "mu_strategy": "adaptive",
-            # Far outside the limits a simulation says little.
-            "theta_max_fact": 0.1,
-            "nlp_scaling_method": "none",
-            "bound_relax_factor": 0.0,
-            "print_level": 0,
-            "sb": "yes",
+            "theta_max_fact": _furthest(problem, best.p),
+            **_OPTIONS,
             **(options or {}),
         },
     )
-    multipliers = np.zeros(m)
-    _, _, status = solver.solve(best.p.copy(), mult_g=multipliers)
-    if stopped:
+    multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)
+    p, _, status = solver.solve(
+        best.p.copy(), mult_g=multipliers, mult_x_L=low, mult_x_U=high
+    )
+    if calls.stopped:
         raise KeyboardInterrupt
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     best.optimal = status == 0
     best.multipliers = multipliers
+    _judge_last(problem, best, p, bounds, (low, high), calls)
     return best
+
+
+def _judge_last(problem, best, p, bounds, at_bounds, calls) -> None:
+    """Optimality at IPOPT's last point, by IPOPT's own formula (its (5))."""
+    if problem.evaluate(p) is None:
+        return
+    low, high = at_bounds
+    gradient, jacobian = calls.at(p)
+    gradient = gradient + problem.smoothness(p)[1]
+    values, lam = problem.constraints(p), best.multipliers
+    dual = gradient + jacobian.T @ lam - low + high
+    products = np.concatenate(
+        [low * (p - bounds[0]), high * (bounds[1] - p), lam * values]
+    )
+    best.complementarity = float(np.abs(products).max())
+    size = np.abs(np.concatenate([lam, low, high]))
+    s_d = max(100.0, size.mean()) / 100.0
+    cost, violation = _merits(problem, p)
+    best.error = max(
+        float(np.abs(dual).max()) / s_d, best.complementarity / s_d, violation
+    )
+    if best.optimal:
+        best.p, best.cost, best.violation = p.copy(), cost, violation
 
 
 def mathematical_program(problem: ShapeProblem, bounds: tuple[float, float]):
@@ -188,6 +255,7 @@ def mathematical_program(problem: ShapeProblem, bounds: tuple[float, float]):
                 return np.atleast_1d(function(x))
             value = ExtractValue(x).ravel()
             gradient, jacobian = problem.derivatives(value)
+            gradient = gradient + problem.smoothness(value)[1]
             J = gradient[None] if row else jacobian
             y = np.atleast_1d(function(value))
             # A linear chain: derivatives of x need not be the identity.

@@ -1,9 +1,10 @@
 """The shape problem: cost, constraints and their gradients at a design.
 
 Design variables are the free coefficients of the spline. Every evaluation
-simulates the step from its first contact (nothing is carried over from
-other designs); a failed simulation gives NaN, which the solver takes as a
-rejected step.
+simulates the whole step; only the pose at first contact is looked for near
+that of the last accepted design, so that the search stays on one branch
+(and is spared the search for it). A failed simulation gives NaN, which the
+solver takes as a rejected step.
 """
 
 from dataclasses import dataclass, field
@@ -11,52 +12,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_exo.soles import stiffness
-from drake_exo.soles.adjoint import (
-    shape_gradients,
-    singular_terms,
-    stability_terms,
-    tilt_terms,
-)
-from drake_exo.soles.contact import ContactSolver, Start
+from drake_exo.soles.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.contact import ContactSolver, Start, State
 from drake_exo.soles.elasticity import Element, Material, Sole
+from drake_exo.soles.limits import (
+    Evaluation,
+    Limits,
+    active_limits,
+    soft_minimum,
+)
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.simulation import StepHistory, simulate
+from drake_exo.soles.simulation import simulate
 
-_SHARPNESS = 60.0  # of the soft minimum over samples
 _ELEMENT_SHARPNESS = 200.0
 _LEAST_VOLUME = 0.06  # of an element's own volume in the reference mesh
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Constraints; None switches one off.
-
-    Attributes:
-        volume: v_max [m³].
-        stability: Least scaled eigenvalue [N/m], with its margin.
-        tilt_deg: Largest tilt [°].
-        c_rot: Least c_rot [N·m/rad], for the front of c_tr against c_rot.
-    """
-
-    volume: float
-    stability: float | None = None
-    tilt_deg: float | None = None
-    c_rot: float | None = None
-
-
-@dataclass
-class Evaluation:
-    """A design simulated: sole, history and measures."""
-
-    p: np.ndarray
-    sole: Sole
-    solver: ContactSolver
-    history: StepHistory
-    c_tr: float
-    c_rot: float
 
 
 @dataclass
@@ -77,6 +49,8 @@ class ShapeProblem:
             of the coefficients.
         fraction: Heel strike's part of the samples.
         samples: How many samples to simulate.
+        use_tr: Factor of c_tr in the cost.
+        branch: First state of the last accepted design.
     """
 
     mesh: TetMesh
@@ -92,6 +66,7 @@ class ShapeProblem:
     fraction: float = 0.1
     samples: int | None = None
     use_tr: float = 1.0
+    branch: State | None = None
     evaluations: int = 0
     failures: int = 0
     _cache: dict = field(default_factory=dict)
@@ -107,9 +82,7 @@ class ShapeProblem:
             raise RuntimeError("the initial shape cannot be simulated")
         self.scale = abs(self.use_tr * first.c_tr - self.weight * first.c_rot)
         self.first = first
-        self.stability_scale = float(
-            np.min(stiffness.stability(first.history.K_c))
-        )
+        self.limited = active_limits(self.limits, first, self.by_rot)
 
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""
@@ -142,6 +115,7 @@ class ShapeProblem:
             self.start,
             solver=solver,
             stop_at_failure=True,
+            first_guess=self.branch,
         )
         if history.failed_steps:
             return None
@@ -160,75 +134,45 @@ class ShapeProblem:
         if e is None:
             return np.nan
         c = self.use_tr * e.c_tr - self.weight * e.c_rot
-        return c / self.scale + self.roughness * self._roughness(p)[0]
-
-    def _roughness(self, p):
-        d, d0 = self._rough
-        bend = d @ p + d0
-        return float(bend @ bend) / len(bend), 2 * (d.T @ bend) / len(bend)
+        return c / self.scale + self.smoothness(p)[0]
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
-        names = ["volume", "elements"]
-        for name in ("stability", "tilt_deg", "c_rot"):
-            if getattr(self.limits, name) is not None:
-                names.append(name)
-        return names
+        return ["volume", "elements", *(limit.name for limit in self.limited)]
 
     def constraints(self, p: np.ndarray) -> np.ndarray:
         """Scaled constraint values, feasible where >= 0."""
         e = self.evaluate(p)
         if e is None:
             return np.full(len(self.names()), np.nan)
-        limits = self.limits
-        values = [
-            1.0 - e.sole.mesh.volume / limits.volume,
-            self._elements(e.sole.mesh)[0],
-        ]
-        if limits.stability is not None:
-            x = stiffness.stability(e.history.K_c) - limits.stability
-            values.append(
-                soft_minimum(_saturate(x / self.stability_scale)[0])[0]
-            )
-        if limits.tilt_deg is not None:
-            x = e.history.R[:, 2, 2] - np.cos(np.deg2rad(limits.tilt_deg))
-            values.append(soft_minimum(x / 0.06)[0])
-        if limits.c_rot is not None:
-            values.append(e.c_rot / limits.c_rot - 1.0)
-        return np.array(values)
+        mesh = e.sole.mesh
+        return np.array(
+            [
+                1.0 - mesh.volume / self.limits.volume,
+                self._elements(mesh)[0],
+                *(limit.value(e) for limit in self.limited),
+            ]
+        )
+
+    def accept(self, p: np.ndarray) -> None:
+        """Take a design as accepted: later ones start from its branch."""
+        self.branch = self.evaluate(p).history.state(0)
 
     def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient of the cost (P,) and Jacobian of the constraints."""
+        """Gradient of the cost (P,) and Jacobian of the constraints.
+
+        The roughness is left out: its derivatives are known exactly, see
+        `smoothness`.
+        """
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
-        K, limits = e.history.K_c, self.limits
-        functionals = [
-            singular_terms(
-                K,
-                self.use_tr * self.by_tr / self.scale,
-                -self.weight * self.by_rot / self.scale,
-            )
-        ]
-        if limits.stability is not None:
-            x = stiffness.stability(K) - limits.stability
-            y, slope = _saturate(x / self.stability_scale)
-            share = slope * soft_minimum(y)[1]
-            functionals.append(
-                stability_terms(
-                    K,
-                    share / self.stability_scale,
-                    stiffness.STABILITY_LENGTH,
-                )
-            )
-        if limits.tilt_deg is not None:
-            x = e.history.R[:, 2, 2] - np.cos(np.deg2rad(limits.tilt_deg))
-            share = soft_minimum(x / 0.06)[1]
-            functionals.append(tilt_terms(e.history.R, share / 0.06))
-        if limits.c_rot is not None:
-            functionals.append(
-                singular_terms(K, np.zeros(len(K)), self.by_rot / limits.c_rot)
-            )
+        cost = singular_terms(
+            e.history.K_c,
+            self.use_tr * self.by_tr / self.scale,
+            -self.weight * self.by_rot / self.scale,
+        )
+        parts = [(cost, 0.0), *(limit.derivative(e) for limit in self.limited)]
         X = shape_gradients(
             e.sole,
             e.solver,
@@ -236,13 +180,27 @@ class ShapeProblem:
             self.load.zmp[self.picked],
             self.start,
             e.history,
-            functionals,
+            [terms for terms, _ in parts],
         )
-        rows = [self.by_coefficients(x) for x in X]
-        gradient = rows[0] + self.roughness * self._roughness(p)[1]
+        rows = [
+            self.by_coefficients(x + direct)
+            for x, (_, direct) in zip(X, parts, strict=True)
+        ]
         volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
         elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
-        return gradient, np.array([volume / limits.volume, elements, *rows[1:]])
+        return rows[0], np.array(
+            [volume / self.limits.volume, elements, *rows[1:]]
+        )
+
+    def smoothness(self, p: np.ndarray):
+        """Roughness times its factor: value, gradient (P,), Hessian (P, P)."""
+        d, d0 = self._rough
+        bend, factor = d @ p + d0, self.roughness / len(d)
+        return (
+            factor * float(bend @ bend),
+            2 * factor * (d.T @ bend),
+            2 * factor * (d.T @ d),
+        )
 
     def _elements(self, mesh: TetMesh) -> tuple[float, np.ndarray]:
         """Least volume ratio of the elements above its floor; ∂/∂nodes.
@@ -262,21 +220,6 @@ class ShapeProblem:
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
         """Chain rule from node positions (n, 3) to coefficients (P,)."""
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
-
-
-def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give x / √(1 + x²) and its slope: no wild sample rules the search."""
-    root = np.sqrt(1 + x**2)
-    return x / root, root**-3
-
-
-def soft_minimum(
-    x: np.ndarray, sharpness: float = _SHARPNESS
-) -> tuple[float, np.ndarray]:
-    """−log Σ exp(−ρ x) / ρ, never above min x, and its derivatives."""
-    low = x.min()
-    e = np.exp(-sharpness * (x - low))
-    return float(low - np.log(e.sum()) / sharpness), e / e.sum()
 
 
 def sample_weights(total: int, samples: int | None, fraction: float):

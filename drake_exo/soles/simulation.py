@@ -68,6 +68,7 @@ def simulate(
     *,
     solver: "ContactSolver | None" = None,
     stop_at_failure: bool = False,
+    first_guess: State | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StepHistory:
     """Follow the desired force and ZMP sample by sample.
@@ -81,6 +82,7 @@ def simulate(
         start: How the sole is held just before contact.
         solver: Solver to use instead of the semismooth Newton.
         stop_at_failure: Leave the remaining samples out after a failure.
+        first_guess: First state of a neighbouring design; None starts cold.
         progress: Called with samples done and samples in all.
     """
     solver = solver or ContactSolver(C, lP, law)
@@ -98,7 +100,7 @@ def simulate(
         reference = start if good is None else good[2][:, :2]
         target = Target(force[q], zmp[q], reference)
         if good is None:
-            state, report = first_step(solver, target, largest)
+            state, report = first_step(solver, target, largest, first_guess)
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
             state, report = follow_load(solver, good[1], before, target)

@@ -6,16 +6,17 @@ import pytest
 from drake_exo.soles.adjoint import shape_gradients, singular_terms
 from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole
+from drake_exo.soles.limits import Limits, soft_minimum
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.problem import (
-    Limits,
     ShapeProblem,
     sample_weights,
     second_differences,
-    soft_minimum,
 )
+from drake_exo.soles.quasi_newton import QuasiNewton
+from drake_exo.soles.results import largest_strain
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import simulate
 
@@ -105,7 +106,9 @@ def problem():
     return ShapeProblem(
         setting.mesh, setting.spline, setting.material, setting.law,
         setting.load, START, 1.0,
-        Limits(813e-6, stability=500.0, tilt_deg=20.0, c_rot=1e4),
+        Limits(
+            813e-6, stability=500.0, tilt_deg=20.0, strain=0.5, c_rot=1e4
+        ),
         roughness=1e-2, samples=8,
     )  # fmt: skip
 
@@ -115,6 +118,7 @@ def test_cost_and_constraints_have_right_derivatives(problem):
     p = 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
     direction = rng.standard_normal(len(p))
     gradient, jacobian = problem.derivatives(p)
+    gradient = gradient + problem.smoothness(p)[1]
     assert jacobian.shape == (len(problem.names()), len(p))
     exact = np.array([gradient @ direction, *(jacobian @ direction)])
 
@@ -130,6 +134,50 @@ def test_cost_and_constraints_have_right_derivatives(problem):
         for h in (1e-6, 1e-7)
     ]
     np.testing.assert_array_less(np.min(errors, axis=0), 1e-5)
+
+
+def test_strain_gradient_without_its_adjoint_is_caught(problem):
+    p = np.full(problem.spline.count, 0.97)
+    direction = np.random.default_rng(2).standard_normal(len(p))
+    row = problem.names().index("strain")
+    slope = problem.derivatives(p)[1][row] @ direction
+    _, by_nodes = problem.evaluate(p).strain.derivatives()
+    partial = problem.by_coefficients(by_nodes) @ direction
+    h = 1e-6
+    plus, minus = (
+        problem.evaluate(p + s * h * direction).strain.value for s in (1, -1)
+    )
+    difference = (plus - minus) / (2 * h)
+    assert -0.5 * slope == pytest.approx(difference, rel=1e-5)
+    assert abs(partial / difference - 1) > 1e-3
+
+
+def test_strain_norm_is_close_above_the_largest_strain(problem):
+    e = problem.evaluate(np.full(problem.spline.count, 0.97))
+    largest = largest_strain(e.sole, e.history)
+    assert largest <= e.strain.value < 1.15 * largest
+
+
+def test_second_derivative_of_the_smoothness(problem):
+    rng = np.random.default_rng(3)
+    p, d = rng.standard_normal((2, problem.spline.count))
+    value, gradient, hessian = problem.smoothness(p)
+    exact = value + gradient @ d + 0.5 * d @ hessian @ d
+    assert problem.smoothness(p + d)[0] == pytest.approx(exact, rel=1e-12)
+
+
+def test_learnt_curvature_is_that_of_a_quadratic():
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((6, 6))
+    H = root @ root.T + np.eye(6)
+    learnt = QuasiNewton(6)
+    p, nothing = np.ones(6), np.zeros((0, 6))
+    for _ in range(9):
+        learnt.update(p, H @ p, nothing, np.zeros(0))
+        step = np.linalg.solve(learnt.matrix, H @ p)
+        p = p - (step @ H @ p) / (step @ H @ step) * step
+    np.testing.assert_allclose(p, 0.0, atol=1e-7)
+    np.testing.assert_allclose(learnt.matrix, H, rtol=1e-4, atol=1e-4)
 
 
 def test_a_shape_that_cannot_be_simulated_is_nan(problem):
@@ -151,6 +199,7 @@ def test_mathematical_program_carries_the_same_derivatives(problem):
     prog, _ = mathematical_program(problem, (0.3, 1.4))
     x = np.full(problem.spline.count, 0.97)
     gradient, jacobian = problem.derivatives(x)
+    gradient = gradient + problem.smoothness(x)[1]
     cost = prog.GetAllCosts()[0].evaluator()
     y = cost.Eval(InitializeAutoDiff(x).ravel())
     np.testing.assert_allclose(ExtractValue(y).ravel(), problem.cost(x))
