@@ -165,20 +165,23 @@ class Constant:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Own walking pattern; the defaults are the authors' 80 kg robot's."""
+    """Own walking pattern; the defaults are the authors' 80 kg robot's.
+
+    The ZMP bounds leave 15 mm to the sole's edges.
+    """
 
     mass_kg: float = _positive("kg", 80.0)
-    com_height_m: float = _positive("m", 0.9)
-    step_length_m: float = _positive("m", 0.2695)
-    step_width_m: float = _positive("m", 0.165)
-    step_time_s: float = _positive("s", 1.005)
-    double_support_s: float = _positive("s", 0.19)
+    com_height_m: float = _positive("m", 0.8085)
+    step_length_m: float = _positive("m", 0.2633)
+    step_width_m: float = _positive("m", 0.162)
+    step_time_s: float = _positive("s", 1.0)
+    double_support_s: float = _positive("s", 0.195)
     back_m: float = -0.1
-    front_m: float = 0.048
+    front_m: float = 0.1
     inner_m: float = 0.05
-    outer_m: float = -0.055
+    outer_m: float = -0.05
     ankle_m: Vector2 = (-0.017, 0.011)
-    torque_weight: float = _not_negative("", 0.7)
+    torque_weight: float = _not_negative("", 0.6)
     gravity_m_per_s2: float = _positive("m/s²", 9.81)
     period_s: float = _positive("s", 0.005)
     least_share: float = field(

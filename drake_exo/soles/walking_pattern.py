@@ -3,21 +3,28 @@
 Linear inverted pendulum, c̈ = ω² (c − z) with ω² = g / h. The CoM is a
 B-spline of degree 5 over uniform knots, so that the ZMP z = c − c̈ / ω² is a
 piecewise polynomial, twice differentiable. A quadratic programme finds its
-coefficients: least energy of the pendulum's actuation, ∫ |c̈|² dt, with the
-ZMP inside the support and cyclic boundary conditions (one step later the
-state is the same, mirrored and one step length ahead). The landing foot is
-the right one; y is to the left; sole frame of the right foot.
+coefficients: least energy of the pendulum's actuation and of the ankles,
+
+    ∫ |c̈|² + w ω⁴ |α (z_foot − a)|² + ω⁴ τ² |ż|² dt,
+
+with the ZMP inside the support and cyclic boundary conditions (one step later
+the state is the same, mirrored and one step length ahead); see docs/soles.md.
+The landing foot is the right one; y is to the left; sole frame of the right
+foot.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg import null_space
 
 from drake_exo.errors import InputError
 from drake_exo.soles.loads import Load
 
 _DEGREE, _PIECES, _GRID = 5, 16, 161
+_SPEED_TIME = 0.03  # [s]; the ZMP's speed times it counts as a distance
+_HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class Robot:
         inner: Largest y towards the other foot in single support [m].
         outer: Smallest y [m].
         ankle: Place of the ankle in the sole frame [m].
-        torque_weight: Factor of the ankle torque in the energy.
+        torque_weight: Factor w of the ankle torque in the energy.
         gravity: [m/s²].
     """
 
@@ -50,7 +57,7 @@ class Robot:
     inner: float
     outer: float
     ankle: tuple[float, float] = (-0.017, 0.011)
-    torque_weight: float = 1.0
+    torque_weight: float = 0.6
     gravity: float = 9.81
 
     def __post_init__(self):
@@ -171,69 +178,104 @@ def _mirrored(points, robot: Robot):
 
 
 def plan(robot: Robot) -> Pattern:
-    """Solve the quadratic programme.
+    """Solve the quadratic programme, one for x and one for y.
 
     Raises:
         InputError: No ZMP inside the bounds carries such a step.
     """
-    from pydrake.solvers import ClarabelSolver, MathematicalProgram
-
     T, D = robot.step_time, robot.double_support
     omega2 = robot.gravity / robot.com_height
     knots = np.concatenate(
         [np.zeros(_DEGREE), np.linspace(0, T, _PIECES + 1),
          np.full(_DEGREE, T)]
     )  # fmt: skip
-    count = _PIECES + _DEGREE
-    basis = BSpline(knots, np.eye(count), _DEGREE)
+    basis = BSpline(knots, np.eye(_PIECES + _DEGREE), _DEGREE)
     t = np.linspace(0, T, _GRID)
-    C2 = basis(t, 2)
-    Z = basis(t) - C2 / omega2
+    Z = basis(t) - basis(t, 2) / omega2
+    inside = np.concatenate([Z[t >= D], _ends(basis, omega2, T, D)])
+    hold = _HOLD * _double_support_residual(basis, omega2, t[t <= D], D)
+    own, share = _own_rows(basis, omega2, t, T, D)
+    torque = np.sqrt(robot.torque_weight) * omega2
+    speed = _SPEED_TIME * (omega2 * basis(t, 1) - basis(t, 3))
+    coefficients = []
+    for k, (sign, shift, low, high) in enumerate(
+        (
+            (1.0, robot.step_length, robot.back, robot.front),
+            (-1.0, robot.step_width, robot.outer, robot.inner),
+        )
+    ):
+        # One ankle's torque m g (z − a) times its share, over h as a force.
+        A = np.concatenate([basis(t, 2), torque * own, hold, speed])
+        b = np.zeros(len(A))
+        b[len(t) : len(t) + len(own)] = torque * share * robot.ankle[k]
+        cycle, ahead = _cycle(basis, T, sign, shift)
+        coefficients.append(
+            _least_squares(A, b, cycle, ahead, inside, low, high)
+        )
+    c = BSpline(knots, np.stack(coefficients, axis=1), _DEGREE)
+    return Pattern(robot, c, _as_spline(knots, c, omega2))
+
+
+def _cycle(basis, T, sign, shift):
+    """Rows and right-hand side of c⁽ᵒ⁾(T) = ± c⁽ᵒ⁾(0), one step ahead."""
+    rows = [basis(T, o) - sign * basis(0.0, o) for o in range(_DEGREE)]
+    value = np.zeros(_DEGREE)
+    value[0] = shift
+    size = np.linalg.norm(rows, axis=1)
+    return rows / size[:, None], value / size
+
+
+def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
+    """The p of least |A p − b|² with equal p = value, low <= rows p <= high.
+
+    The equalities are eliminated: derivatives of fourth order beside
+    positions would spoil the solver's conditioning.
+    """
+    from pydrake.solvers import ClarabelSolver, MathematicalProgram
+
+    p0 = np.linalg.lstsq(equal, value)[0]
+    free = null_space(equal)
+    H, r = A @ free, b - A @ p0
+    scale = np.linalg.norm(H)
     prog = MathematicalProgram()
-    p = prog.NewContinuousVariables(count, 2, "c")
-    weight = np.sqrt(T / _GRID)
-    sign, shift = (1.0, -1.0), (robot.step_length, robot.step_width)
-    hold = 1e2 * _double_support_residual(basis, omega2, t[t <= D], D)
-    for k in range(2):
-        A = weight * C2
-        prog.AddQuadraticCost(
-            2 * A.T @ A, np.zeros(count), p[:, k], is_convex=True
-        )
-        # Ankle torque m g (z − a), over h as a force, in single support.
-        A = weight * np.sqrt(robot.torque_weight) * omega2 * Z[t >= D]
-        a = weight * np.sqrt(robot.torque_weight) * omega2 * robot.ankle[k]
-        prog.AddQuadraticCost(
-            2 * A.T @ A, -2 * a * A.sum(axis=0), p[:, k], is_convex=True
-        )
-        A = weight * hold
-        prog.AddQuadraticCost(
-            2 * A.T @ A, np.zeros(count), p[:, k], is_convex=True
-        )
-        for order in range(_DEGREE):
-            row = basis(T, order) - sign[k] * basis(0.0, order)
-            value = shift[k] if order == 0 else 0.0
-            size = np.linalg.norm(row)
-            prog.AddLinearEqualityConstraint(
-                row[None] / size, [value / size], p[:, k]
-            )
-    single = np.concatenate([Z[t >= D], _ends(basis, omega2, T, D)])
-    prog.AddLinearConstraint(
-        single, np.full(len(single), robot.back),
-        np.full(len(single), robot.front), p[:, 0],
-    )  # fmt: skip
-    prog.AddLinearConstraint(
-        single, np.full(len(single), robot.outer),
-        np.full(len(single), robot.inner), p[:, 1],
-    )  # fmt: skip
+    y = prog.NewContinuousVariables(free.shape[1], "y")
+    prog.AddQuadraticCost(
+        2 * H.T @ H / scale**2, -2 * H.T @ r / scale**2, y, is_convex=True
+    )
+    offset = rows @ p0
+    prog.AddLinearConstraint(rows @ free, low - offset, high - offset, y)
     result = ClarabelSolver().Solve(prog)
     if not result.is_success():
         raise InputError(
             "pattern: no ZMP inside its bounds carries this step; widen "
             "back_m to front_m and outer_m to inner_m, or slow the step"
         )
-    c = BSpline(knots, result.GetSolution(p), _DEGREE)
-    z_coefficients = _as_spline(knots, c, omega2)
-    return Pattern(robot, c, z_coefficients)
+    return p0 + free @ result.GetSolution(y)
+
+
+def _own_rows(basis, omega2, t, T, D):
+    """Rows of one foot's ZMP times its share, landing to lift-off."""
+
+    def z(at, order=0):
+        return basis(at, order) - basis(at, order + 2) / omega2
+
+    landing, off = t[t < D], t[t <= D]
+    forth, back = _progress(off, D)[0], _progress(landing, D)[1]
+    rows = np.concatenate(
+        [
+            z(D)[None] + back * z(D, 1)[None],
+            np.stack([z(s) for s in t[t >= D]]),
+            z(T)[None] + forth * z(T, 1)[None],
+        ]
+    )
+    share = np.concatenate(
+        [
+            smooth_share(landing / D),
+            np.ones(np.count_nonzero(t >= D)),
+            1 - smooth_share(off / D),
+        ]
+    )
+    return share[:, None] * rows, share
 
 
 def _ends(basis, omega2, T, D):
