@@ -22,6 +22,7 @@ _COMMANDS = {
     "demo": "drake_exo.demo",
     "lab": "drake_exo.virtual_laboratory.command",
     "sole": "drake_exo.soles.command",
+    "view": "drake_exo.view",
 }
 
 # What a full or read-only disk answers; anything else is a mistake of ours.

@@ -3,8 +3,8 @@
 Writes a simulated campaign of a person who stands up in an exoskeleton, in
 the files of a gait laboratory; from them alone calibrates the contact of foot
 and ground and of person and device (Phases A and B), predicts six movements
-that were not used (C1), again with stiffer cuffs (C2), and reports it all
-beside the paper's figures.
+that were not used (C1), again with stiffer cuffs (C2), reports it all beside
+the paper's figures, and writes a page that replays every movement.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 
 from drake_exo.cli import main
 from drake_exo.output import prepare_output_folder
+from drake_exo.view import REPLAY
 
 _SEED = "1"
 
@@ -40,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
             code = main(step)
             if code:
                 return code
-    print(f"all of it is in {args.out}")
+    print(f"all of it is in {args.out}; open in a browser:")
+    print(f"  {(args.out / REPLAY).resolve()}")
     return 0
 
 
@@ -74,4 +76,5 @@ def _steps(out: Path) -> list[tuple[str, list[str]]]:
             ],
         ),
         ("report", ["report", str(out)]),
+        ("replay", ["view", str(out), "--out", str(out / REPLAY)]),
     ]

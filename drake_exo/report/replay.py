@@ -1,7 +1,7 @@
-"""A page that plays a motion with its forces, to be shared as one file.
+"""A page that replays results of calibration and prediction.
 
-The arrows are made beforehand and stretched frame by frame, so that a page
-holds the meshes once and each frame only numbers: a rise takes about 7 MB.
+The model moves as computed, beside or over a translucent one that moves as
+measured; forces of ground, chair and cuffs are arrows.
 """
 
 from collections.abc import Sequence
@@ -9,166 +9,283 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.math import RigidTransform
 
-from drake_exo.report.pictures import FROM_THE_RIGHT, View, set_stage
-from drake_exo.report.scene import Scene
+from drake_exo.errors import InputError
+from drake_exo.laboratory.trial import Trial
+from drake_exo.phases.model_file import ModelFile, read_model
+from drake_exo.phases.results import read_calibration
+from drake_exo.player.page import Arrow, Clip, Page, write_page
+from drake_exo.report.gathering import Results, gather
+from drake_exo.report.motion import Figure, Motion
+from drake_exo.report.pictures import View, set_stage
+from drake_exo.report.scene import Scene, add_floor, add_stool, quiet_drake
 
-_SHAFT_RADIUS = 0.011
-_HEAD_LENGTH, _HEAD_RADIUS = 0.06, 0.026
-_ROOT = "/forces"
+SIMULATED, MEASURED = "/simulated", "/measured"
+_SECONDS_PER_FRAME = 0.02
+_BESIDE_M = (1.35, 0.0, 0.0)
+_CHAIR = "/chair"
+_SPHERES = "/spheres"
+_GHOST = Rgba(0.30, 0.55, 0.95, 0.35)
+_FEET_Y_M = (0.1, -0.1)
+_GROUND_SCALE, _CUFF_SCALE = 1e-3, 4e-3  # m/N
+_LOADS = {
+    "ground": ("ground reaction", "#c8102e", _GROUND_SCALE, "feet"),
+    "chair": ("chair", "#8a5a1f", _GROUND_SCALE, "chair"),
+    "pelvis": ("cuff at the pelvis", "#1f5fb4", _CUFF_SCALE, "pelvis"),
+    "thigh": ("cuff at the thigh", "#7a3fb0", _CUFF_SCALE, "thigh"),
+    "shank": ("cuff at the shank", "#0f7f6b", _CUFF_SCALE, "shank"),
+}
+_WRENCHES = ("ground", "chair")
+_ORDER = ("prediction", "interaction", "foot-ground")
+_PHASES = {"interaction": "B", "foot-ground": "A"}
+_GROUPS = {
+    "prediction": "Predicted",
+    "interaction": "Calibrated, human and exoskeleton",
+    "foot-ground": "Calibrated, foot and ground",
+}
+_SCALE_TEXT = (
+    '<p class="player-quiet">Feet and chair: an arrow of 0.5 m is 500 N. '
+    "Cuffs (force on the human): 0.2 m is 50 N. Grid: 0.25 m. Both legs are "
+    "summed.</p>"
+)
+
+
+def replay_results(folder: Path, path: Path) -> None:
+    """Write the page of all results under a folder.
+
+    Args:
+        folder: that `calibrate`, `predict` or `demo` wrote.
+        path: of the page.
+
+    Raises:
+        InputError: no results, of several models, or none that succeeded.
+    """
+    found = sorted(
+        (r for r in gather(folder) if r.summary["rmsd"]),
+        key=lambda r: _ORDER.index(r.phase),
+    )
+    if not found:
+        raise InputError(
+            f"{folder}: holds no solved trial to replay; see its summary.json"
+        )
+    model = read_model(found[0].folder)
+    trials = []
+    for results in found:
+        if read_model(results.folder) != model:
+            raise InputError(
+                f"{folder}: holds results of several models; view one of "
+                f"its folders, such as {results.folder}"
+            )
+        trials += _replayed(results, model)
+    write_replay(path, model, trials, _title(found))
+
+
+def _title(found: Sequence[Results]) -> str:
+    names = {r.summary.get("subject", "") for r in found} - {""}
+    return f"Rise of {', '.join(sorted(names)) or 'a subject'}".replace(
+        "_", " "
+    )
 
 
 @dataclass(frozen=True)
-class ForceTrace:
-    """A force over time, drawn as an arrow that starts at its point.
+class Replayed:
+    """One trial to be replayed.
 
     Attributes:
-        name: unique; a name in the page's scene tree.
-        point_m: (N, 2) where it acts, world x and z [m].
-        force_n: (N, 2) world x and z [N].
-        colour: red, green, blue, 0 to 1.
-        y_m: how far left of the sagittal plane it is drawn; to the right by
-            default, where neither legs nor arms hide it.
+        title: its name.
+        group: trials of one group are listed together.
+        figure: its model, with cuffs where it has any.
+        simulated: as computed.
+        measured: as measured; None if there is nothing to compare with.
+        spheres: (2, 3) x, z in the foot and radius of heel and toe [m].
+        on_chair: whether to draw a stool.
     """
 
-    name: str
-    point_m: np.ndarray
-    force_n: np.ndarray
-    colour: tuple[float, float, float] = (0.85, 0.10, 0.10)
-    y_m: float = -0.33
+    title: str
+    group: str
+    figure: Figure
+    simulated: Motion
+    measured: Motion | None
+    spheres: np.ndarray
+    on_chair: bool = False
 
 
-def save_replay(
+def _replayed(results: Results, model: ModelFile) -> list[Replayed]:
+    """The trials of one result."""
+    contact = read_calibration(results.folder)
+    figure = Figure(model, contact)
+    curves, trials = results.curves()
+    label = _PHASES.get(results.phase) or results.label
+    group = f"{_GROUPS[results.phase]}, Phase {label}"
+    return [
+        Replayed(
+            f"{label}: {trial.name.replace('_', ' ')}",
+            group,
+            figure,
+            Motion.computed(trajectory, trial),
+            Motion.measured(trial),
+            contact.spheres().reshape(2, -1)[:, 2:],
+            # A plate under a chair says that there was one.
+            Trial.load(results.folder / f"measured_{trial.name}").chair
+            is not None,
+        )
+        for trajectory, trial in zip(curves["model"], trials, strict=True)
+    ]
+
+
+def write_replay(
     path: Path,
-    time_s: np.ndarray,
-    q: np.ndarray,
-    *,
-    kind: str = "coupled",
-    forces: Sequence[ForceTrace] = (),
-    metres_per_newton: float = 8e-4,
-    smallest_n: float = 5.0,
-    frames_per_second: float = 30.0,
-    view: View = FROM_THE_RIGHT,
-    **model,
+    model: ModelFile,
+    trials: Sequence[Replayed],
+    title: str,
 ) -> None:
-    """Write a motion as a page (static HTML) with play and pause buttons.
+    """Write a page that plays trials of one model.
 
     Args:
-        path: of the page; a motion of minutes stays under 20 MB.
-        time_s: (N,) increasing times.
-        q: (N, nq) positions in the order of the plant of this kind.
-        kind: "coupled", "rigid" or "human".
-        forces: arrows to draw; name unique, N rows each.
-        metres_per_newton: length of the arrows.
-        smallest_n: weaker forces are not drawn.
-        frames_per_second: of the page; motion and forces are interpolated.
-        view: where the camera stands at first.
-        model: `human`, `exoskeleton`, `chair_height_m`, as for `Scene`.
-
-    Raises:
-        ValueError: arrays that do not fit together, or are not finite.
+        path: of the page; some MB for the meshes, 0.2 MB for each trial.
+        model: to be drawn.
+        trials: the first one is played at first.
+        title: of the page.
     """
-    time_s, q = np.asarray(time_s, dtype=float), np.asarray(q, dtype=float)
-    _check(time_s, q, forces)
+    # The laboratory's origin need not be under the feet.
+    centre = round(4.0 * float(trials[0].simulated.q[0, 0])) / 4.0
+    view = View(
+        eye=(centre + 2.0, -4.9, 1.75),
+        target=(centre + 0.05, 0.0, 0.82),
+        field_of_view_deg=28.0,
+    )
+    compared = any(t.measured for t in trials)
+    with quiet_drake():
+        stage = _stage(model, trials, centre, view, compared)
+    clips = [_clip(trial) for trial in trials]
+    known = set().union(*(clip.arrows for clip in clips))
+    page = Page(
+        title,
+        view.eye,
+        view.target,
+        arrows=[a for a in _arrows() if a.name in known],
+        switches={
+            "forces": ("/arrows", f"{MEASURED}/arrows"),
+            "centre of pressure": ("/cop", f"{MEASURED}/cop"),
+            "contact spheres": (_SPHERES,),
+        },
+        ghost=(MEASURED, _BESIDE_M) if compared else None,
+        ghost_text="Measured (blue, translucent)",
+        legend=(_SCALE_TEXT,),
+        field_of_view_deg=view.field_of_view_deg,
+        speed=0.5,
+    )
+    write_page(path, stage, page, clips)
+
+
+def _stage(model, trials, centre: float, view: View, compared: bool) -> str:
+    """Meshcat's page with all bodies in it."""
     meshcat = Meshcat()
-    scene = Scene(kind, meshcat=meshcat, **model)
     set_stage(meshcat, view)
-    for trace in forces:
-        _make_arrow(meshcat, trace)
-    start, span = time_s[0], time_s[-1] - time_s[0]
-    count = max(2, round(span * frames_per_second) + 1)
-    meshcat.StartRecording(frames_per_second=frames_per_second)
-    for frame in np.linspace(0.0, span, count):
-        now = start + frame
-        scene.set_pose(_at(now, time_s, q), time_s=frame)
+    _draw_figures(meshcat, model, compared)
+    _draw_markers(meshcat, trials[0].spheres, compared)
+    add_floor(meshcat, centre)
+    seats = [t.figure.seat_height(t.simulated) for t in trials if t.on_chair]
+    if seats:
+        add_stool(meshcat, _CHAIR, min(seats))
+    return meshcat.StaticHtml()
+
+
+def _draw_figures(meshcat, model: ModelFile, compared: bool) -> None:
+    """Human and exoskeleton, and the ghost."""
+    for root in (SIMULATED, MEASURED)[: 1 + compared]:
+        scene = Scene(
+            model.kind,
+            model.human,
+            model.exoskeleton,
+            meshcat=meshcat,
+            prefix=root,
+            colour=_GHOST if root == MEASURED else None,
+        )
         scene.diagram.ForcedPublish(scene.context)
-        for trace in forces:
-            _set_arrow(
-                meshcat,
-                trace,
-                _at(now, time_s, trace.point_m),
-                _at(now, time_s, trace.force_n),
-                metres_per_newton,
-                smallest_n,
-                frame,
+        meshcat.Delete(f"{root}/ground")
+
+
+def _draw_markers(meshcat, spheres: np.ndarray, compared: bool) -> None:
+    """Centres of pressure and contact spheres, seen through the feet."""
+    for root, opacity in (("", 1.0), (MEASURED, 0.45))[: 1 + compared]:
+        disc = Cylinder(0.022, 0.006)
+        _overlay(meshcat, f"{root}/cop/disc", disc, "c8102e", opacity)
+    for name, sphere in zip(("heel", "toe"), spheres, strict=True):
+        for side, y in enumerate(_FEET_Y_M):
+            path = f"{_SPHERES}/{name}/{side}"
+            _overlay(meshcat, path, Sphere(float(sphere[2])), "f08a1c", 0.45)
+            meshcat.SetTransform(path, RigidTransform([0.0, y, 0.0]))
+
+
+def _overlay(meshcat, path, shape, colour: str, opacity: float) -> None:
+    """A shape that is seen through the bodies before it."""
+    rgb = (int(colour[i : i + 2], 16) / 255 for i in (0, 2, 4))
+    meshcat.SetObject(path, shape, Rgba(*rgb, opacity))
+    for name, value in (("depthTest", False), ("transparent", True)):
+        meshcat.SetProperty(f"{path}/<object>", f"material.{name}", value)
+
+
+def _arrows() -> list[Arrow]:
+    """All forces, as computed and as measured."""
+    drawn = []
+    for name, (text, colour, scale, label) in _LOADS.items():
+        radius = 0.011 if scale == _GROUND_SCALE else 0.008
+        drawn.append(
+            Arrow(name, text, colour, scale, label=label, radius_m=radius)
+        )
+        drawn.append(
+            Arrow(
+                f"{name}_measured",
+                "measured" if name in _WRENCHES else "measured, normal part",
+                colour,
+                scale,
+                root=f"{MEASURED}/arrows",
+                opacity=0.4,
+                radius_m=1.4 * radius,
             )
-    meshcat.StopRecording()
-    meshcat.PublishRecording()
-    Path(path).write_text(meshcat.StaticHtml())
+        )
+    return drawn
 
 
-def _check(
-    time_s: np.ndarray, q: np.ndarray, forces: Sequence[ForceTrace]
-) -> None:
-    n = len(time_s)
-    if n < 2 or not (np.diff(time_s) > 0.0).all():
-        raise ValueError("replay needs at least two increasing times")
-    if q.ndim != 2 or len(q) != n:
-        raise ValueError(f"replay has {n} times but positions {q.shape}")
-    if not np.isfinite(q).all():
-        raise ValueError("replay positions hold NaN or infinite values")
-    for trace in forces:
-        for part in (trace.point_m, trace.force_n):
-            if np.shape(part) != (n, 2):
-                raise ValueError(
-                    f"force '{trace.name}' needs shape ({n}, 2), "
-                    f"not {np.shape(part)}"
-                )
-            if not np.isfinite(part).all():
-                raise ValueError(
-                    f"force '{trace.name}' holds NaN or infinite values"
-                )
-    if len({trace.name for trace in forces}) < len(forces):
-        raise ValueError("names of forces must differ")
+def _clip(trial: Replayed) -> Clip:
+    """One trial as the player takes it, at even times."""
+    end = trial.simulated.times[-1]
+    times = np.linspace(0.0, end, max(2, round(end / _SECONDS_PER_FRAME) + 1))
+    bodies, arrows = {}, {}
+    halves = {SIMULATED: trial.simulated, MEASURED: trial.measured}
+    for root, motion in halves.items():
+        if motion is None:
+            continue
+        at = motion.sample(times)
+        for path, pose in trial.figure.poses(at.q).items():
+            bodies[f"{root}/{path}"] = pose
+        ghost = root == MEASURED
+        cop = trial.figure.centre_of_pressure(at)
+        bodies[f"{root}/cop" if ghost else "/cop"] = _still(cop)
+        for name, rows in trial.figure.arrows(at).items():
+            arrows[f"{name}_measured" if ghost else name] = rows
+    bodies |= _surroundings(trial, trial.simulated.sample(times))
+    return Clip(trial.title, trial.group, times, bodies, arrows)
 
 
-def _at(now: float, time_s: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Rows (N, m) interpolated at one time, (m,)."""
-    return np.array([np.interp(now, time_s, column) for column in rows.T])
+def _surroundings(trial: Replayed, motion: Motion) -> dict[str, np.ndarray]:
+    """Contact spheres in the foot, and the stool."""
+    found = {}
+    tree = trial.figure.tree
+    for name, (x, z, _) in zip(("heel", "toe"), trial.spheres, strict=True):
+        p_x, p_z = tree.point_positions(motion.q, "foot", (x, z)).T
+        place = np.column_stack([p_x, 0.0 * p_x, p_z])
+        found[f"{_SPHERES}/{name}"] = _still(place)
+    if trial.on_chair:
+        place = np.zeros((len(motion.q), 3))
+        place[:, 0] = trial.figure.hip(motion.q[:1])[0, 0]
+        found[_CHAIR] = _still(place)
+    return found
 
 
-def _make_arrow(meshcat: Meshcat, trace: ForceTrace) -> None:
-    """An arrow of 1 m along z: shaft from 0 to 1, head on top."""
-    colour = Rgba(*trace.colour, 1.0)
-    path = f"{_ROOT}/{trace.name}"
-    meshcat.SetObject(
-        f"{path}/shaft/unit", Cylinder(_SHAFT_RADIUS, 1.0), colour
-    )
-    meshcat.SetTransform(f"{path}/shaft/unit", RigidTransform([0, 0, 0.5]))
-    cone = MeshcatCone(_HEAD_LENGTH, _HEAD_RADIUS, _HEAD_RADIUS)
-    meshcat.SetObject(f"{path}/head/cone", cone, colour)
-    # Drake's cone has its tip at the origin and its base above it.
-    meshcat.SetTransform(
-        f"{path}/head/cone",
-        RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0, 0, 0]),
-    )
-
-
-def _set_arrow(
-    meshcat: Meshcat,
-    trace: ForceTrace,
-    point: np.ndarray,
-    force: np.ndarray,
-    metres_per_newton: float,
-    smallest_n: float,
-    frame_s: float,
-) -> None:
-    """Place, turn and stretch one arrow at one time of the recording."""
-    path, size = f"{_ROOT}/{trace.name}", float(np.hypot(*force))
-    meshcat.SetProperty(path, "visible", size >= smallest_n, frame_s)
-    if size < smallest_n:
-        return
-    # z to the force's direction: a turn about y from the vertical.
-    turn = RotationMatrix.MakeYRotation(float(np.arctan2(force[0], force[1])))
-    X_WA = RigidTransform(turn, [point[0], trace.y_m, point[1]])
-    meshcat.SetTransform(path, X_WA, frame_s)
-    length = size * metres_per_newton
-    shaft = max(length - _HEAD_LENGTH, 1e-3)
-    meshcat.SetProperty(f"{path}/shaft", "scale", [1.0, 1.0, shaft], frame_s)
-    meshcat.SetTransform(
-        f"{path}/head",
-        RigidTransform([0.0, 0.0, shaft + _HEAD_LENGTH]),
-        frame_s,
-    )
+def _still(p: np.ndarray) -> np.ndarray:
+    """Poses (n, 7) at places (n, 3), unturned."""
+    return np.column_stack([p, np.tile([1.0, 0.0, 0.0, 0.0], (len(p), 1))])

@@ -4,12 +4,15 @@ Kept apart from the diagrams that simulate or plan, because a viewer inside
 a diagram blocks its conversion to other scalar types.
 """
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from pydrake.geometry import (
     Box,
     Cylinder,
+    IllustrationProperties,
     LightParameter,
     MakeRenderEngineVtk,
     Meshcat,
@@ -17,6 +20,8 @@ from pydrake.geometry import (
     MeshcatVisualizerParams,
     RenderEngineVtkParams,
     Rgba,
+    Role,
+    RoleAssign,
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -27,7 +32,21 @@ from drake_exo.segments import ExoskeletonParameters, HumanParameters
 
 RENDERER = "still"
 _WOOD = np.array([0.78, 0.66, 0.50, 1.0])
+_STOOL_X_M = -0.47  # of a stool under the model standing at the origin
+_GRID_M = 0.25
 _STEEL = np.array([0.45, 0.47, 0.50, 1.0])
+
+
+@contextmanager
+def quiet_drake() -> Iterator[None]:
+    """Keep Drake's log to errors: a page is no server to be told of."""
+    log = logging.getLogger("drake")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 class Scene:
@@ -47,6 +66,8 @@ class Scene:
         *,
         chair_height_m: float | None = None,
         meshcat: Meshcat | None = None,
+        prefix: str = "model",
+        colour: Rgba | None = None,
         stills: bool = False,
     ):
         """Build the diagram.
@@ -58,6 +79,9 @@ class Scene:
             chair_height_m: height of a stool's seat under the model standing
                 at the origin; none is drawn if None.
             meshcat: where to publish to.
+            prefix: path there, under which the bodies hang.
+            colour: of everything, such as a translucent one; the model's own
+                colours if None.
             stills: prepare an off-screen renderer for still pictures.
         """
         builder = DiagramBuilder()
@@ -68,17 +92,34 @@ class Scene:
         if chair_height_m is not None:
             _draw_stool(self.plant, chair_height_m)
         self.plant.Finalize()
+        if colour is not None:
+            self._paint(colour)
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(
                 builder,
                 self._scene_graph,
                 meshcat,
-                MeshcatVisualizerParams(prefix="model"),
+                MeshcatVisualizerParams(prefix=prefix),
             )
         if stills:
             self._scene_graph.AddRenderer(RENDERER, _renderer())
         self.diagram = builder.Build()
         self.context = self.diagram.CreateDefaultContext()
+
+    def _paint(self, colour: Rgba) -> None:
+        """Give all that is drawn one colour."""
+        inspector = self._scene_graph.model_inspector()
+        for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
+            look = IllustrationProperties(
+                inspector.GetIllustrationProperties(geometry)
+            )
+            look.UpdateProperty("phong", "diffuse", colour)
+            self._scene_graph.AssignRole(
+                self.plant.get_source_id(),
+                geometry,
+                look,
+                RoleAssign.kReplace,
+            )
 
     def set_pose(self, q: Sequence[float], time_s: float = 0.0) -> None:
         """Move the model to positions q (nq,), in the plant's order."""
@@ -131,22 +172,59 @@ def _renderer():
 
 def _draw_stool(plant, height_m: float) -> None:
     """A stool behind the feet, a picture only: it bears no force."""
-    world, seat, x = plant.world_body(), 0.035, -0.47
-    plant.RegisterVisualGeometry(
-        world,
-        RigidTransform([x, 0.0, height_m - 0.5 * seat]),
-        Box(0.36, 0.42, seat),
-        "stool_seat",
-        _WOOD,
-    )
+    for name, (shape, p, colour) in _stool(height_m).items():
+        plant.RegisterVisualGeometry(
+            plant.world_body(),
+            RigidTransform(np.add(p, [_STOOL_X_M, 0.0, 0.0])),
+            shape,
+            f"stool_{name}",
+            colour,
+        )
+
+
+def _stool(height_m: float) -> dict[str, tuple]:
+    """Part -> shape, place [m] and colour; the seat's top at the height."""
+    seat = 0.035
     leg = height_m - seat
-    for number, (dx, y) in enumerate(
+    parts = {
+        "seat": (Box(0.36, 0.42, seat), [0, 0, height_m - 0.5 * seat], _WOOD)
+    }
+    for number, (x, y) in enumerate(
         [(0.15, 0.18), (0.15, -0.18), (-0.15, 0.18), (-0.15, -0.18)]
     ):
-        plant.RegisterVisualGeometry(
-            world,
-            RigidTransform([x + dx, y, 0.5 * leg]),
-            Cylinder(0.013, leg),
-            f"stool_leg_{number}",
-            _STEEL,
-        )
+        place = [x, y, 0.5 * leg]
+        parts[f"leg_{number}"] = (Cylinder(0.013, leg), place, _STEEL)
+    return parts
+
+
+def add_stool(meshcat: Meshcat, path: str, height_m: float) -> None:
+    """A stool in meshcat alone, its seat centred over the path's origin."""
+    for name, (shape, p, colour) in _stool(height_m).items():
+        meshcat.SetObject(f"{path}/{name}", shape, Rgba(*colour))
+        meshcat.SetTransform(f"{path}/{name}", RigidTransform(p))
+
+
+def add_floor(meshcat: Meshcat, centre_x_m: float) -> None:
+    """A floor with a grid of 0.25 m in meshcat alone, its top at z = 0."""
+    length, width, depth = 5.0, 2.5, 0.01
+    meshcat.SetObject(
+        "/floor/slab", Box(length, width, depth), Rgba(0.86, 0.87, 0.89)
+    )
+    meshcat.SetTransform(
+        "/floor/slab", RigidTransform([centre_x_m, 0.0, -0.5 * depth - 1e-3])
+    )
+    starts, ends = [], []
+    x, y = 0.5 * length, 0.5 * width
+    for at in np.arange(-x, x + 1e-9, _GRID_M):
+        starts.append([centre_x_m + at, -y, 0.0])
+        ends.append([centre_x_m + at, y, 0.0])
+    for at in np.arange(-y, y + 1e-9, _GRID_M):
+        starts.append([centre_x_m - x, at, 0.0])
+        ends.append([centre_x_m + x, at, 0.0])
+    meshcat.SetLineSegments(
+        "/floor/grid",
+        np.array(starts).T,
+        np.array(ends).T,
+        1.0,
+        Rgba(0.70, 0.72, 0.75),
+    )

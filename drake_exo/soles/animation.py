@@ -1,35 +1,43 @@
-"""The deforming sole as one HTML file: meshcat's viewer, nothing fetched."""
+"""The deforming sole as one HTML file: pressure in colour, force, ZMP."""
+
+from __future__ import annotations
 
 import base64
 import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import umsgpack
 from matplotlib import colormaps
+from scipy.spatial.transform import Rotation
+
+from drake_exo.errors import InputError
+from drake_exo.output import read_arrays
+from drake_exo.player.page import Arrow, Clip, Page, Surface, write_page
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.results import nodal_areas
+from drake_exo.soles.simulation import StepHistory
 
 with warnings.catch_warnings():  # its server uses a deprecated part of zmq
     warnings.simplefilter("ignore", DeprecationWarning)
     from meshcat import commands, geometry
-    from meshcat.animation import Animation
     from meshcat.path import Path as ScenePath
 
 _MAX_FRAMES = 110
-_MAX_BYTES = 14_000_000
-
+_MAP = "turbo"
+_METRES_PER_NEWTON = 2e-4
+_GRID_M = 0.05
+_AGAIN = "run the command that wrote it again"
 _PAGE = """<!DOCTYPE html>
 <html>
 <head><meta charset="utf-8"><title>{title}</title>
 <style>body {{margin: 0;}}
-#meshcat-pane {{width: 100vw; height: 100vh; overflow: hidden;}}
-#caption {{position: absolute; left: 12px; top: 10px; font: 14px sans-serif;
-color: #222; background: rgba(255,255,255,0.8); padding: 6px 10px;}}
-#bar {{width: 220px; height: 12px; background:
-linear-gradient(to right, {stops});}}</style></head>
+#meshcat-pane {{width: 100vw; height: 100vh; overflow: hidden;}}</style></head>
 <body><div id="meshcat-pane"></div>
-<div id="caption">{title}<div id="bar"></div>
-contact pressure 0 to {top:.0f} kPa; {note}</div>
 <script>{viewer}</script>
 <script>
 var viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
@@ -38,132 +46,307 @@ function show(text) {{
     Uint8Array.from(atob(text), c => c.charCodeAt(0)));
 }}
 {commands}
-viewer.controls.target.set({target});
-viewer.controls.update();
-</script>
-<script id="embedded-json"></script></body></html>
+</script></body></html>
 """
 
 
+@dataclass(frozen=True)
+class SoleMotion:
+    """A sole through one contact phase, as it is drawn.
+
+    Attributes:
+        title: by which it is chosen.
+        group: motions of one group are listed together.
+        times: (N,) increasing [s].
+        mesh: at rest, in the sole's frame.
+        origin, rotation: of that frame, world, (N, 3) [m] and (N, 3, 3).
+        places: of the contact nodes, world [m], (N, m, 3).
+        force: of the ground on them, world [N], (N, m, 3).
+    """
+
+    title: str
+    group: str
+    times: np.ndarray
+    mesh: TetMesh
+    origin: np.ndarray
+    rotation: np.ndarray
+    places: np.ndarray
+    force: np.ndarray
+
+    @staticmethod
+    def of(
+        title: str, mesh: TetMesh, load: Load, history: StepHistory
+    ) -> SoleMotion | None:
+        """The converged samples of a simulation; None if there are none."""
+        good = history.converged
+        if good.sum() < 2:
+            return None
+        parts = (load.times, history.O, history.R, history.P, history.F)
+        times, *rest = (part[good] for part in parts)
+        return SoleMotion(title, "", times, mesh, *rest)
+
+    @staticmethod
+    def read(path: Path, title: str, group: str = "") -> SoleMotion | None:
+        """The same of what `results.write_history` wrote.
+
+        Raises:
+            InputError: it is missing or damaged.
+        """
+        data = read_arrays(path, _AGAIN)
+        try:
+            good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
+            if good.sum() < 2:
+                return None
+            names = ("times", "origin_W", "rotation_WL", "place_W", "force_W")
+            times, *rest = (data[name][good] for name in names)
+            bare = TetMesh(data["nodes_L"], data["tets"], np.array([], int))
+            glued = np.setdiff1d(
+                np.unique(bare.boundary_faces), data["contact_nodes"]
+            )
+            mesh = TetMesh(bare.nodes, bare.tets, glued)
+            return SoleMotion(title, group, times, mesh, *rest)
+        except (KeyError, IndexError, ValueError) as error:
+            raise InputError(
+                f"{path}: is no history of a sole ({error}); {_AGAIN}"
+            ) from error
+
+    @property
+    def surface(self) -> np.ndarray:
+        """Sorted nodes of the surface (n,)."""
+        return np.unique(self.mesh.boundary_faces)
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Triangles of the surface, indices into `surface`, (f, 3)."""
+        return np.searchsorted(self.surface, self.mesh.boundary_faces)
+
+    def surface_places(self) -> np.ndarray:
+        """World places of the surface's nodes [m], (N, n, 3)."""
+        rest = self.mesh.nodes[self.surface]
+        turned = np.einsum("qij,nj->qni", self.rotation, rest)
+        places = self.origin[:, None, :] + turned
+        # Glued nodes move with the foot; contact nodes are already known.
+        places[:, self._touching] = self.places
+        return places
+
+    def pressure(self) -> np.ndarray:
+        """Contact pressure at the surface's nodes [kPa], (N, n)."""
+        found = np.zeros((len(self.times), len(self.surface)))
+        areas = nodal_areas(self.mesh)
+        found[:, self._touching] = 1e-3 * self.force[:, :, 2] / areas
+        return found
+
+    @property
+    def _touching(self) -> np.ndarray:
+        return np.searchsorted(self.surface, self.mesh.contact)
+
+    def zero_moment_point(self) -> np.ndarray:
+        """Of the contact forces, on the ground [m], (N, 3)."""
+        vertical = self.force[:, :, 2]
+        total = vertical.sum(axis=1, keepdims=True)
+        p = (self.places[:, :, :2] * vertical[:, :, None]).sum(axis=1) / total
+        return np.column_stack([p, np.zeros(len(p))])
+
+    def thinned(self, most: int) -> SoleMotion:
+        """At most that many samples, first and last among them."""
+        count = min(len(self.times), most)
+        picked = np.linspace(0, len(self.times) - 1, count).astype(int)
+        names = ("times", "origin", "rotation", "places", "force")
+        return replace(self, **{n: getattr(self, n)[picked] for n in names})
+
+
 def write_animation(
-    path: Path,
-    faces: np.ndarray,
-    places: np.ndarray,
-    pressure: np.ndarray,
-    times: np.ndarray,
-    title: str,
-    slow: float = 5.0,
-) -> int:
-    """Write the animation; returns the number of frames in it.
+    path: Path, motions: Sequence[SoleMotion], title: str
+) -> None:
+    """Write a page that plays motions of one or several soles.
 
     Args:
-        path: HTML file.
-        faces: Surface triangles, indices into places, (f, 3).
-        places: Surface nodes over time, world [m], (N, n, 3).
-        pressure: Contact pressure at them [kPa], (N, n).
-        times: [s], (N,).
-        title: Caption.
-        slow: Times slower than life.
+        path: HTML file; 1 MB and at most 1.5 MB for each motion.
+        motions: the first one is played at first.
+        title: of the page.
     """
-    frame_bytes = places.shape[1] * 24 + len(faces) * 12
-    limit = min(_MAX_FRAMES, int(_MAX_BYTES * 0.75 / frame_bytes))
-    count = max(2, min(len(times), limit))
-    picked = np.unique(np.linspace(0, len(times) - 1, count).astype(int))
-    top = max(float(pressure.max()), 1e-9)
-    span = max(times[-1] - times[0], 1e-3)
-    fps = len(picked) / (span * slow)
-    scene = list(_stage(places))
-    animation = Animation(default_framerate=1.0)
-    for k, q in enumerate(picked):
-        colours = colormaps["turbo"](pressure[q] / top)[:, :3]
-        colours[pressure[q] <= 0] = 0.62
-        name = ScenePath(("meshcat", "sole", f"frame{k:03d}"))
-        scene.append(_mesh(name, places[q], faces, colours, k))
-        _show_between(animation, name, k, len(picked))
-    for clip in animation.clips.values():
-        clip.fps = fps
-    scene.append(commands.SetAnimation(animation, repetitions=1000))
+    motions = [motion.thinned(_MAX_FRAMES) for motion in motions]
+    pressures = [motion.pressure() for motion in motions]
+    # The corners at heel strike would leave the rest of a step dark.
+    top = max(float(np.quantile(p[p > 0], 0.99)) for p in pressures)
+    box = _Box.of(motions)
+    scene = list(_stage(box))
+    clips = []
+    for number, (motion, pressure) in enumerate(
+        zip(motions, pressures, strict=True)
+    ):
+        scene.append(_undeformed(number, motion))
+        clips.append(_clip(number, motion, pressure / top, box))
     viewer = files("meshcat").joinpath("viewer", "dist", "main.min.js")
-    text = _PAGE.format(
+    stage = _PAGE.format(
         title=title,
-        note=f"{span:.2f} s of contact, {slow:g} times slower",
-        top=top,
-        stops=", ".join(
-            "rgb({:.0f},{:.0f},{:.0f})".format(
-                *(255 * np.array(colormaps["turbo"](x)[:3]))
-            )
-            for x in np.linspace(0, 1, 9)
-        ),
         viewer=viewer.read_text(encoding="utf-8"),
-        target=", ".join(f"{v:.4f}" for v in _turned(_middle(places))),
         commands="\n".join(
             f'show("{base64.b64encode(umsgpack.packb(c.lower())).decode()}");'
             for c in scene
         ),
     )
-    Path(path).write_text(text, encoding="utf-8")
-    return len(picked)
+    write_page(path, stage, _page(title, top, box), clips)
 
 
-def _mesh(name, vertices, faces, colours, number):
-    # Random identifiers would make equal runs differ.
-    shape = geometry.TriangularMeshGeometry(vertices, faces, colours)
-    look = geometry.MeshLambertMaterial(vertexColors=True, side=2)
-    thing = geometry.Mesh(shape, look)
-    shape.uuid, look.uuid = f"geometry-{number}", f"material-{number}"
-    thing.uuid = f"object-{number}"
-    return commands.SetObject(thing, path=name)
+@dataclass(frozen=True)
+class _Box:
+    """Around all places of all motions [m]."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @staticmethod
+    def of(motions: Sequence[SoleMotion]) -> _Box:
+        places = [motion.surface_places() for motion in motions]
+        return _Box(
+            np.min([p.min(axis=(0, 1)) for p in places], axis=0),
+            np.max([p.max(axis=(0, 1)) for p in places], axis=0),
+        )
+
+    @property
+    def mirror(self) -> np.ndarray:
+        """Matrix that shows the underside in front of the sole, (4, 4)."""
+        matrix = np.diag([1.0, 1.0, -1.0, 1.0])
+        matrix[1, 3] = -(self.high[1] - self.low[1]) - 0.08
+        matrix[2, 3] = self.high[2]
+        return matrix
 
 
-def _show_between(animation, name, k, count):
-    """Frame k is visible from its own instant to the next one."""
-    with animation.at_frame(_Named(name), 0) as frame:
-        frame.set_property("visible", "bool", k == 0)
-    if k > 0:
-        with animation.at_frame(_Named(name), k) as frame:
-            frame.set_property("visible", "bool", True)
-    with animation.at_frame(_Named(name), k + 1) as frame:
-        frame.set_property("visible", "bool", False)
-    if k + 1 < count:  # clips of unequal length would not loop together
-        with animation.at_frame(_Named(name), count) as frame:
-            frame.set_property("visible", "bool", False)
-
-
-class _Named:
-    """What meshcat's animation asks of a visualizer: its path."""
-
-    def __init__(self, path):
-        self.path = path
-
-
-def _stage(places):
-    """Ground, camera, background."""
-    low, high = places.min(axis=(0, 1)), places.max(axis=(0, 1))
-    middle = _middle(places)
-    margin = 0.04
-    corners = np.array(
-        [
-            [low[0] - margin, low[1] - margin, -5e-4],
-            [high[0] + margin, low[1] - margin, -5e-4],
-            [high[0] + margin, high[1] + margin, -5e-4],
-            [low[0] - margin, high[1] + margin, -5e-4],
-        ]
+def _page(title: str, top: float, box: _Box) -> Page:
+    middle = 0.5 * (box.low + box.high)
+    # The sole and its underside before it.
+    target = middle + np.array([0.0, 0.42 * box.mirror[1, 3], 0.03])
+    colours = colormaps[_MAP](np.linspace(0.0, 1.0, 256))[:, :3]
+    stops = ", ".join(
+        "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * c)) for c in colours[::32]
     )
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    ground = ScenePath(("meshcat", "ground"))
-    yield _mesh(ground, corners, faces, np.full((4, 3), 0.85), 10**6)
-    size = float(np.linalg.norm(high - low))
-    eye = middle + size * np.array([-1.0, -1.3, 0.35])
-    camera = ("Cameras", "default", "rotated", "<object>")
-    yield commands.SetProperty("position", _turned(eye), ScenePath(camera))
+    legend = (
+        '<div class="player-scale" style="background:linear-gradient('
+        f'to right, {stops})"></div><div class="player-ends"><span>0</span>'
+        f"<span>contact pressure</span><span>{top:.0f} kPa and more</span>"
+        '</div><p class="player-quiet">An arrow of 0.1 m is 500 N; grid: '
+        "0.05 m. In front: the underside, as in a mirror.</p>"
+    )
+    return Page(
+        title,
+        tuple(target + np.array([-0.30, -0.95, 0.62])),
+        tuple(target),
+        arrows=(
+            Arrow(
+                "ground",
+                "ground reaction at the ZMP",
+                "#c8102e",
+                _METRES_PER_NEWTON,
+                label="ground",
+                radius_m=0.0025,
+            ),
+        ),
+        switches={
+            "force": ("/arrows",),
+            "ZMP": ("/zmp",),
+            "undeformed": ("/undeformed",),
+            "underside": ("/underside",),
+        },
+        legend=(legend,),
+        colours=colours,
+        field_of_view_deg=32.0,
+        speed=0.2,
+    )
+
+
+def _clip(number: int, motion: SoleMotion, values, box: _Box) -> Clip:
+    zmp = motion.zero_moment_point()
+    turn = np.roll(Rotation.from_matrix(motion.rotation).as_quat(), 1, axis=1)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(zmp), 1))
+    span = motion.times[-1] - motion.times[0]
+    return Clip(
+        motion.title,
+        motion.group or "Step",
+        motion.times - motion.times[0],
+        {
+            "/zmp": np.column_stack([zmp, upright]),
+            f"/undeformed/{number}": np.column_stack([motion.origin, turn]),
+        },
+        {"ground": np.column_stack([zmp, motion.force.sum(axis=1)])},
+        {
+            f"/sole/{number}": Surface(
+                motion.faces,
+                motion.surface_places(),
+                values,
+                {f"/underside/{number}": box.mirror},
+            )
+        },
+        note=f"{span:.2f} s of contact",
+    )
+
+
+def _undeformed(number: int, motion: SoleMotion):
+    """The shape at rest, translucent, in the sole's frame."""
+    look = geometry.MeshLambertMaterial(
+        color=0x3A6EA5,
+        opacity=0.2,
+        transparent=True,
+        side=2,
+        depthWrite=False,
+        # Behind what it coincides with, without flicker.
+        polygonOffset=True,
+        polygonOffsetFactor=4,
+        polygonOffsetUnits=40,
+    )
+    return _mesh(
+        f"undeformed/{number}",
+        geometry.TriangularMeshGeometry(
+            motion.mesh.nodes[motion.surface], motion.faces
+        ),
+        look,
+    )
+
+
+def _mesh(path: str, shape, look, kind=geometry.Mesh):
+    """Command that sets an object, the same in equal runs."""
+    thing = kind(shape, look)
+    # Random identifiers would make equal runs differ.
+    shape.uuid, look.uuid = f"{path}-shape", f"{path}-look"
+    thing.uuid = f"{path}-thing"
+    return commands.SetObject(thing, path=ScenePath(tuple(path.split("/"))))
+
+
+def _stage(box: _Box) -> Iterator:
+    """Ground with a grid, ZMP, background."""
+    low = np.floor((box.low[:2] - np.array([0.05, 0.08])) / _GRID_M) * _GRID_M
+    high = np.ceil((box.high[:2] + np.array([0.05, 0.05])) / _GRID_M) * _GRID_M
+    low[1] += np.floor(box.mirror[1, 3] / _GRID_M) * _GRID_M
+    (x0, y0), (x1, y1) = low, high
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    yield _mesh(
+        "ground/slab",
+        geometry.TriangularMeshGeometry(
+            np.column_stack([corners, np.full(4, -8e-4)]),
+            np.array([[0, 1, 2], [0, 2, 3]]),
+        ),
+        geometry.MeshLambertMaterial(color=0xDCDDE0, side=2),
+    )
+    lines = [[[x, y0], [x, y1]] for x in np.arange(x0, x1 + 1e-9, _GRID_M)] + [
+        [[x0, y], [x1, y]] for y in np.arange(y0, y1 + 1e-9, _GRID_M)
+    ]
+    points = np.array(lines).reshape(-1, 2)
+    points = np.column_stack([points, np.full(len(points), -6e-4)])
+    yield _mesh(
+        "ground/grid",
+        geometry.PointsGeometry(points.T.astype(np.float32)),
+        geometry.LineBasicMaterial(color=0xB4B7BD),
+        geometry.LineSegments,
+    )
+    yield _mesh(
+        "zmp/ball",
+        geometry.Sphere(0.005),
+        geometry.MeshBasicMaterial(
+            color=0xC8102E, depthTest=False, transparent=True
+        ),
+    )
     for name in ("Grid", "Axes"):
         yield commands.SetProperty("visible", False, ScenePath((name,)))
-
-
-def _middle(places) -> np.ndarray:
-    return 0.5 * (places.min(axis=(0, 1)) + places.max(axis=(0, 1)))
-
-
-def _turned(point) -> list[float]:
-    """World point in the viewer's camera frame (y up)."""
-    return [float(point[0]), float(point[2]), -float(point[1])]
+    background = ScenePath(("Background",))
+    yield commands.SetProperty("top_color", [1.0, 1.0, 1.0], background)
+    yield commands.SetProperty("bottom_color", [0.93, 0.94, 0.96], background)

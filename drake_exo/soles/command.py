@@ -154,7 +154,7 @@ def draw(out: Path, case, sole, load, history, columns) -> None:
     """All pictures and the animation of one simulation."""
     # Imported here: matplotlib and meshcat are of no use to a failing case.
     from drake_exo.soles import pictures
-    from drake_exo.soles.animation import write_animation
+    from drake_exo.soles.animation import SoleMotion, write_animation
 
     mesh, areas = sole.mesh, results.nodal_areas(sole.mesh)
     count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
@@ -169,38 +169,9 @@ def draw(out: Path, case, sole, load, history, columns) -> None:
     )
     pictures.pose_figure(out / "pose.png", columns)
     pictures.pressure_figure(out / "pressure.png", mesh, load, history, areas)
-    if history.converged.any():
-        places, faces = surface_places(sole, history)
-        pressure = np.zeros(places.shape[:2])
-        pressure[:, surface_contact(mesh)] = (
-            1e-3 * history.F[history.converged][:, :, 2] / areas
-        )
-        write_animation(
-            out / "animation.html",
-            faces,
-            places,
-            pressure,
-            load.times[history.converged],
-            case.name,
-        )
-
-
-def surface_contact(mesh) -> np.ndarray:
-    """Places of the contact nodes among the surface nodes."""
-    return np.searchsorted(np.unique(mesh.boundary_faces), mesh.contact)
-
-
-def surface_places(sole, history) -> tuple[np.ndarray, np.ndarray]:
-    """World places of all surface nodes over converged samples; faces."""
-    mesh = sole.mesh
-    surface = np.unique(mesh.boundary_faces)
-    rest = mesh.nodes[surface]
-    good = history.converged
-    O, R = history.O[good], history.R[good]  # noqa: E741
-    places = O[:, None, :] + np.einsum("qij,nj->qni", R, rest)
-    # Glued nodes move with the foot; contact nodes are already known.
-    places[:, surface_contact(mesh)] = history.P[good]
-    return places, np.searchsorted(surface, mesh.boundary_faces)
+    motion = SoleMotion.of(case.name, mesh, load, history)
+    if motion is not None:
+        write_animation(out / "animation.html", [motion], case.name)
 
 
 def report(name: str, out: Path, history, case) -> int:

@@ -1,119 +1,196 @@
-import base64
-import re
-
 import numpy as np
 import pytest
-import umsgpack
+from page_reader import clip_titles, network_addresses, player_data
+from replayed_results import LEAD, STIFFNESS, TIMES, trajectory, write_results
 
-from drake_exo.report.pictures import SEATED_DEG, upright_pose
-from drake_exo.report.replay import ForceTrace, save_replay
+from drake_exo.errors import InputError
+from drake_exo.forces.bushing import BushingParameters
+from drake_exo.forces.diagram import build_diagram
+from drake_exo.output import read_json, write_json
+from drake_exo.phases.model_file import MODEL, read_model
+from drake_exo.report.motion import Figure, Motion
+from drake_exo.report.replay import replay_results
 from drake_exo.report.scene import Scene
-
-TIME = np.linspace(2.0, 3.0, 101)
 
 
 @pytest.fixture(scope="module")
-def motion():
-    seated = upright_pose(Scene("coupled"), SEATED_DEG)
-    return np.linspace(seated, np.r_[seated[:3], np.zeros(6)], len(TIME))
+def folder(tmp_path_factory):
+    return write_results(tmp_path_factory.mktemp("results") / "seated", True)
 
 
-def force(name="ground", size_n=600.0):
-    ramp = np.linspace(0.0, 1.0, len(TIME))
-    return ForceTrace(
-        name,
-        point_m=np.column_stack([0.05 + 0.1 * ramp, 0.0 * ramp]),
-        force_n=np.column_stack([0.0 * ramp, size_n * ramp]),
-    )
+@pytest.fixture(scope="module")
+def page(folder):
+    path = folder.parent / "replay.html"
+    replay_results(folder, path)
+    return path
 
 
-def recorded(page):
-    """Frames and values of each animated property, by path and name."""
-    tracks = {}
-    for blob in re.findall(r'base64,([A-Za-z0-9+/=]+)"', page.read_text()):
-        try:
-            command = umsgpack.unpackb(base64.b64decode(blob))
-        except umsgpack.UnpackException:
-            continue  # a mesh or the viewer itself
-        if isinstance(command, dict) and command["type"] == "set_animation":
-            for item in command["animations"]:
-                for track in item["clip"]["tracks"]:
-                    keys = track["keys"]
-                    tracks[item["path"], track["name"]] = (
-                        np.array([key["time"] for key in keys]),
-                        np.array([key["value"] for key in keys]),
-                    )
-    return tracks
+@pytest.fixture(scope="module")
+def clip(page):
+    (found,) = player_data(page)["clips"]
+    return found
 
 
-def test_arrow_follows_the_force(tmp_path, motion):
-    page = tmp_path / "replay.html"
-    save_replay(
-        page,
-        TIME,
-        motion,
-        forces=[force()],
-        metres_per_newton=1e-3,
-        frames_per_second=20.0,
-        smallest_n=100.0,
-    )
-    tracks = recorded(page)
-    frame, visible = tracks["/forces/ground", ".visible"]
-    np.testing.assert_array_equal(frame, np.arange(21))
-    np.testing.assert_array_equal(visible, 600.0 * frame / 20 >= 100.0)
-    frame, scale = tracks["/forces/ground/shaft", ".scale"]
-    head = tracks["/forces/ground/head", ".position"][1][:, 2]
-    # Tip of the arrow: 1 mm for each newton.
-    np.testing.assert_allclose(head, 0.6 * frame / 20, atol=1e-12)
-    np.testing.assert_allclose(scale[:, 2], head - 0.06, atol=1e-12)
-    at = tracks["/forces/ground", ".position"][1]
-    np.testing.assert_allclose(at[:, 0], 0.05 + 0.1 * frame / 20)
+def rows(array, width):
+    return array.reshape(-1, width)
 
 
-def test_model_moves_as_told(tmp_path, motion):
-    page = tmp_path / "replay.html"
-    save_replay(page, TIME, motion, frames_per_second=10.0)
-    (path,) = {
-        path for path, _ in recorded(page) if path.endswith("human/pelvis")
-    }
-    frame, position = recorded(page)[path, ".position"]
+@pytest.mark.parametrize("body", ["human/pelvis", "exoskeleton/exo_thigh"])
+@pytest.mark.parametrize("root", ["simulated", "measured"])
+def test_bodies_move_as_drake_says(clip, root, body):
     scene = Scene("coupled")
     context = scene.plant.CreateDefaultContext()
-    pelvis = scene.plant.GetBodyByName("pelvis")
-    for k, p in zip(frame, position, strict=True):
-        scene.plant.SetPositions(context, motion[10 * k])
-        expected = scene.plant.EvalBodyPoseInWorld(context, pelvis)
-        np.testing.assert_allclose(p, expected.translation(), atol=1e-9)
-    assert position[-1][2] > position[0][2] + 0.2
+    link = scene.plant.GetBodyByName(body.rpartition("/")[2])
+    q = trajectory().q
+    if root == "measured":
+        q = q + LEAD
+    found = rows(clip["bodies"][f"/{root}/{body}"], 7)
+    assert len(found) == 51  # every 0.02 s
+    for k in (0, 17, 50):
+        scene.plant.SetPositions(context, q[2 * k])
+        X_WB = scene.plant.EvalBodyPoseInWorld(context, link)
+        np.testing.assert_allclose(found[k, :3], X_WB.translation(), atol=1e-5)
+        w = X_WB.rotation().ToQuaternion().wxyz()
+        np.testing.assert_allclose(found[k, 3:] * np.sign(w[0]), w, atol=1e-5)
 
 
-def test_replay_is_small_and_repeats_itself(tmp_path, motion):
-    for name in ("a", "b"):
-        save_replay(
-            tmp_path / f"{name}.html",
-            TIME,
-            motion,
-            forces=[force("ground"), force("chair")],
-            frames_per_second=60.0,
-            chair_height_m=0.43,
+def test_ground_reaction_starts_at_the_centre_of_pressure(clip):
+    force = rows(clip["arrows"]["ground"], 6)
+    np.testing.assert_allclose(force[50], [0.35, 0, 0, 50, 0, 800], atol=1e-4)
+    assert np.isnan(force[0]).any()  # nothing bears on the ground at first
+    disc = rows(clip["bodies"]["/cop"], 7)
+    np.testing.assert_allclose(disc[50, :3], [0.35, 0.0, 0.0], atol=1e-6)
+    assert np.isnan(disc[0, 0])
+
+
+def test_chair_pushes_at_the_height_of_its_seat(clip, folder):
+    force = rows(clip["arrows"]["chair"], 6)
+    figure = Figure(read_model(folder))
+    seat = figure.hip(trajectory().q[:1])[0, 1] - 0.13
+    # M_y = z F_x - x F_z = 60 N m with F_x = 0 and F_z = 300 N.
+    np.testing.assert_allclose(force[0], [-0.2, 0, seat, 0, 0, 300], atol=1e-4)
+    assert np.isnan(force[-1]).any()
+    assert np.isfinite(clip["bodies"]["/chair"]).all()
+
+
+def test_cuffs_act_where_and_as_the_diagram_says(folder):
+    """Same deflection, hence same force: against the LeafSystem."""
+    model = read_model(folder)
+    bushing = {
+        name: BushingParameters(
+            *getattr(model.human, f"{name}_cuff_m"), **STIFFNESS
         )
-    page = (tmp_path / "a.html").read_bytes()
-    assert page == (tmp_path / "b.html").read_bytes()
-    assert len(page) < 20e6
+        for name in ("shank", "thigh", "pelvis")
+    }
+    built = build_diagram(
+        "coupled", model.human, model.exoskeleton, bushings=bushing
+    )
+    context = built.diagram.CreateDefaultContext()
+    plant = built.plant
+    q = trajectory().q[30]
+    plant.SetPositions(built.plant_context(context), q)
+    port = built.diagram.GetOutputPort("interaction_forces")
+    parts = port.Eval(context).reshape(3, 3)
+    motion = Motion(
+        np.array([0.0]),
+        q[None],
+        np.zeros((1, 3)),
+        {n: p[None, :2] for n, p in zip(bushing, parts, strict=True)},
+    )
+    found = Figure(model, _Contact(bushing)).arrows(motion)
+    applied = {
+        int(f.body_index): f
+        for f in built.bushings.GetOutputPort("spatial_forces").Eval(
+            built.bushings.GetMyContextFromRoot(context)
+        )
+    }
+    for name in bushing:
+        body = plant.GetBodyByName(name)
+        force = applied[int(body.index())]
+        X_WB = plant.EvalBodyPoseInWorld(built.plant_context(context), body)
+        F = force.F_Bq_W.translational()
+        np.testing.assert_allclose(found[name][0, 3:], F, atol=1e-9)
+        # The arrow's moment about the body's origin is that applied, but
+        # for the bushing's own couple.
+        arm = found[name][0, :3] - X_WB.translation()
+        at = X_WB @ np.array(force.p_BoBq_B) - X_WB.translation()
+        moment = force.F_Bq_W.rotational() + np.cross(at, F)
+        couple = parts[list(bushing).index(name), 2] * np.array([0, -1.0, 0])
+        np.testing.assert_allclose(np.cross(arm, F) + couple, moment, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"time_s": TIME[::-1]}, "increasing"),
-        ({"time_s": TIME[:-1]}, "100 times"),
-        ({"q": np.full((101, 9), np.nan)}, "NaN"),
-        ({"forces": [force(), force()]}, "names"),
-        ({"forces": [force(size_n=np.nan)]}, "'ground'"),
-    ],
-)
-def test_wrong_motion_is_refused(tmp_path, motion, change, words):
-    arguments = {"time_s": TIME, "q": motion, **change}
-    with pytest.raises(ValueError, match=words):
-        save_replay(tmp_path / "replay.html", **arguments)
-    assert not (tmp_path / "replay.html").exists()
+class _Contact:
+    """What a figure asks of a calibration."""
+
+    has_bushings = True
+
+    def __init__(self, bushings):
+        self._bushings = bushings
+
+    def bushings(self):
+        from drake_exo.parameters import ContactParameter
+
+        return [
+            ContactParameter(f"{s}.origin_{a}", "m", v, v - 1, v + 1)
+            for s, b in self._bushings.items()
+            for a, v in zip("xz", b.origin, strict=True)
+        ]
+
+
+def test_measured_mat_shows_the_normal_force(clip):
+    force = rows(clip["arrows"]["pelvis_measured"], 6)
+    np.testing.assert_allclose(
+        np.hypot(force[:, 3], force[:, 5]), 35.0, rtol=1e-6
+    )
+    assert "thigh_measured" not in clip["arrows"]
+    spheres = rows(clip["bodies"]["/spheres/toe"], 7)
+    q = trajectory().q[0]
+    np.testing.assert_allclose(spheres[0, 0], q[0] + 0.15, atol=1e-6)
+
+
+def test_page_is_small_needs_no_network_and_repeats_itself(folder, page):
+    again = folder.parent / "again.html"
+    replay_results(folder, again)
+    assert page.read_bytes() == again.read_bytes()
+    assert len(page.read_bytes()) < 20e6
+    assert network_addresses(page) == []
+    assert "500 N" in page.read_text()
+    assert clip_titles(page) == {
+        "Calibrated, human and exoskeleton, Phase B": ["B: rise 1"]
+    }
+
+
+def test_drake_says_nothing(folder, tmp_path, capfd):
+    replay_results(folder, tmp_path / "page.html")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_results_without_their_model_are_refused(tmp_path):
+    folder = write_results(tmp_path / "old")
+    (folder / MODEL).unlink()
+    with pytest.raises(InputError, match=r"model\.json: is missing"):
+        replay_results(folder, tmp_path / "page.html")
+
+
+def test_results_of_two_subjects_are_refused(tmp_path):
+    write_results(tmp_path / "all/a")
+    other = write_results(tmp_path / "all/b")
+    model = read_json(other / MODEL, "")
+    model["human"]["thigh"]["length_m"] += 0.01
+    write_json(other / MODEL, model)
+    with pytest.raises(InputError, match="several models"):
+        replay_results(tmp_path / "all", tmp_path / "page.html")
+
+
+def test_unsolved_results_are_refused(tmp_path):
+    folder = write_results(tmp_path / "failed")
+    summary = read_json(folder / "summary.json", "") | {"rmsd": []}
+    write_json(folder / "summary.json", summary)
+    with pytest.raises(InputError, match="no solved trial"):
+        replay_results(folder, tmp_path / "page.html")
+
+
+def test_motion_is_sampled_between_nodes():
+    motion = Motion(TIMES, trajectory().q, trajectory().ground)
+    half = motion.sample(np.array([0.005]))
+    np.testing.assert_allclose(half.ground[0], [0.25, 4.0, -1.4])

@@ -1,0 +1,1 @@
+"""A page that replays results: meshcat's viewer with a player of our own."""

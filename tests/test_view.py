@@ -1,0 +1,129 @@
+"""`drake-exo view` as a user runs it."""
+
+import http.client
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+from page_reader import clip_titles
+from replayed_results import write_results
+
+from drake_exo.cli import main
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_results(tmp_path_factory.mktemp("results") / "rise")
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    path = folder.parent / "replay.html"
+    assert main(["view", str(folder), "--out", str(path)]) == 0
+    return path
+
+
+def refused(capsys, *arguments):
+    assert main(["view", *map(str, arguments)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_page_is_written_and_named(folder, tmp_path, capsys):
+    path = tmp_path / "page.html"
+    assert main(["view", str(folder), "--out", str(path)]) == 0
+    out = capsys.readouterr()
+    assert str(path) in out.out
+    assert out.err == ""
+    assert clip_titles(path)
+
+
+def test_page_is_not_replaced_unasked(folder, tmp_path, capsys):
+    path = tmp_path / "page.html"
+    path.write_text("mine")
+    assert "--force" in refused(capsys, folder, "--out", path)
+    assert path.read_text() == "mine"
+    assert main(["view", str(folder), "--out", str(path), "--force"]) == 0
+    assert path.read_text() != "mine"
+
+
+@pytest.mark.parametrize(
+    ("results", "words"),
+    [("nowhere", "is no folder"), ("empty", "holds no results")],
+)
+def test_bad_folder_ends_in_a_sentence(tmp_path, capsys, results, words):
+    (tmp_path / "empty").mkdir()
+    out = tmp_path / "page.html"
+    assert words in refused(capsys, tmp_path / results, "--out", out)
+    assert not out.exists()
+
+
+def test_bad_target_ends_in_a_sentence(folder, tmp_path, capsys):
+    assert "folder" in refused(capsys, folder, "--out", tmp_path)
+    missing = tmp_path / "no" / "page.html"
+    assert "cannot be written" in refused(capsys, folder, "--out", missing)
+
+
+def test_damaged_model_ends_in_a_sentence(tmp_path, capsys):
+    folder = write_results(tmp_path / "rise")
+    model = json.loads((folder / "model.json").read_text())
+    del model["human"]["thigh"]
+    (folder / "model.json").write_text(json.dumps(model))
+    line = refused(capsys, folder, "--out", tmp_path / "page.html")
+    assert "model.json" in line
+    assert "thigh" in line
+
+
+def test_page_is_served_until_interrupted(folder):
+    command = [
+        *(sys.executable, "-m", "drake_exo.cli", "view", str(folder)),
+        "--no-browser",
+    ]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as server:
+        try:
+            line = server.stdout.readline()
+            port, path = re.search(r"localhost:(\d+)(/\S+);", line).groups()
+            asked = http.client.HTTPConnection("localhost", int(port))
+            asked.request("GET", path)
+            answer = asked.getresponse()
+            assert answer.status == 200
+            assert b"const PLAYER" in answer.read()
+        finally:
+            server.send_signal(signal.SIGINT)
+            _, errors = server.communicate(timeout=20)
+    assert server.returncode == 0
+    assert errors == ""
+
+
+def test_page_plays_in_a_browser_from_disk(page, tmp_path):
+    """Opened without network, the page moves its bodies."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no chromium on this machine")
+    done = subprocess.run(
+        [
+            *(browser, "--headless=new", "--no-sandbox", "--disable-gpu"),
+            *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+            *("--window-size=320,240", "--virtual-time-budget=3000"),
+            *("--host-resolver-rules=MAP * ~NOTFOUND", "--dump-dom"),
+            *(f"--user-data-dir={tmp_path}", "--enable-logging=stderr"),
+            f"{page.as_uri()}#time=0.5&ghost=beside",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert "Uncaught" not in done.stderr
+    assert ">0.50 / 1.00 s<" in done.stdout
+    # 400 N down the ramp, and the horizontal 25 N.
+    assert ">401 N<" in done.stdout
+    assert re.search(r">feet 401 N<", done.stdout)
