@@ -10,7 +10,10 @@ the paper's figures, and writes a page that replays every movement.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import sys
 from pathlib import Path
+from typing import TextIO
 
 from drake_exo.cli import main
 from drake_exo.output import prepare_output_folder
@@ -36,14 +39,33 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the steps one after the other; stops at the first that fails."""
     with prepare_output_folder(args.out, args.force) as out:
+        final = _FinalPaths(sys.stdout, str(out), str(args.out))
         for title, step in _steps(out):
             print(f"== {title}", flush=True)
-            code = main(step)
+            with contextlib.redirect_stdout(final):
+                code = main(step)
             if code:
                 return code
     print(f"all of it is in {args.out}; open in a browser:")
     print(f"  {(args.out / REPLAY).resolve()}")
     return 0
+
+
+class _FinalPaths:
+    """A stream that names files where they will be in the end.
+
+    Replaced results grow in another folder (`prepare_output_folder`), which
+    is gone when somebody follows what was printed.
+    """
+
+    def __init__(self, stream: TextIO, growing: str, final: str):
+        self._stream, self._growing, self._final = stream, growing, final
+
+    def write(self, text: str) -> int:
+        return self._stream.write(text.replace(self._growing, self._final))
+
+    def __getattr__(self, name: str):
+        return getattr(self._stream, name)
 
 
 def _steps(out: Path) -> list[tuple[str, list[str]]]:

@@ -52,7 +52,7 @@ def read_cells(
         raise InputError(
             f"{path}: is not a readable mesh ({reason(error)}); {remedy}"
         ) from error
-    if nodes.ndim != 2 or nodes.shape[1] != 3:
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) == 0:
         raise InputError(f"{path}: its nodes are not in space; {remedy}")
     if not (np.abs(nodes) < 1e9).all():
         raise InputError(
@@ -63,7 +63,7 @@ def read_cells(
         raise InputError(
             f"{path}: a {cell_type} names a node that is not there; {remedy}"
         )
-    return nodes, found.astype(np.int64)
+    return nodes, found[: found.size].astype(np.int64)
 
 
 @contextlib.contextmanager

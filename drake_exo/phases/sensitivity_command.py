@@ -62,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
                 "radius_profile": rows,
             },
         )
+    print(f"results in {args.out}")
     return 0
 
 

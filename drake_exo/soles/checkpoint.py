@@ -1,16 +1,16 @@
 """What an interrupted optimisation needs to go on as if nothing had been."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.output import write_json
+from drake_exo.output import read_json, write_json
 from drake_exo.soles.contact import State
 
 _FILE = "checkpoint.json"
+_LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,20 @@ class Checkpoint:
     curvature: np.ndarray | None = None
     origin: np.ndarray | None = None
     orientation: np.ndarray | None = None
+
+    def check(self) -> None:
+        """Raises ValueError unless all of it is what a run writes."""
+        numbers = (self.p, self.curvature, self.origin, self.orientation)
+        sound = (
+            self.stage >= 0
+            and self.iteration >= 0
+            and all((np.abs(x) < _LARGEST).all() for x in numbers)
+            and np.allclose(
+                self.orientation @ self.orientation.T, np.eye(3), atol=1e-6
+            )
+        )
+        if not sound:
+            raise ValueError("not a checkpoint")
 
     @classmethod
     def of(cls, stage, iteration, p, learnt, problem) -> "Checkpoint":
@@ -67,20 +81,21 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InputError: Missing or not a checkpoint.
     """
     file = path / _FILE if path.is_dir() else path
+    remedy = "give the folder of an interrupted run"
+    data = read_json(file, remedy)
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
         p = np.array(data["coefficients"], dtype=float)
         B = np.zeros((len(p), len(p)))
         B[np.tril_indices(len(p))] = data["curvature"]
-        return Checkpoint(
+        found = Checkpoint(
             int(data["stage"]),
             int(data["iteration"]),
             p,
             B + np.tril(B, -1).T,
-            np.array(data["origin_m"], dtype=float),
+            np.array(data["origin_m"], dtype=float).reshape(3),
             np.array(data["orientation"], dtype=float).reshape(3, 3),
         )
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(
-            f"{file}: not a checkpoint; give the folder of an interrupted run"
-        ) from None
+        found.check()
+    except (ValueError, KeyError, TypeError, OverflowError):
+        raise InputError(f"{file}: not a checkpoint; {remedy}") from None
+    return found

@@ -135,6 +135,11 @@ def optimise(
         problem = stage_problem(case, own, load, start, stage)
         if at.p is None:
             at = Checkpoint(p=first_design(problem, bounds))
+        if len(at.p) != problem.spline.count:
+            raise InputError(
+                f"--resume: the checkpoint has {len(at.p)} coefficients, the "
+                f"case {problem.spline.count}; it is of another case"
+            )
         problem.branch = at.branch(len(problem.mesh.contact))
         learnt = QuasiNewton(problem.spline.count, at.curvature)
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from drake_exo.cli import main
+from cli_runs import normal_use
 
 _CASE = """
 name: small
@@ -27,7 +26,7 @@ def campaign(tmp_path_factory) -> Path:
     """Study file of one simulated movement."""
     out = tmp_path_factory.mktemp("hardening") / "campaign"
     options = ["--seed", "1", "--trials", "1", "--without", "all"]
-    assert main(["lab", *options, "--out", str(out)]) == 0
+    assert "wrote" in normal_use("lab", *options, "--out", str(out))
     study = out / "study.yaml"
     text = study.read_text("utf-8")
     assert text.count("nodes_per_second: 100.0") == 1

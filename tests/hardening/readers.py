@@ -51,8 +51,8 @@ from drake_exo.report.command import comparison
 from drake_exo.report.gathering import gather
 from drake_exo.soles import loads
 from drake_exo.soles.case import read_case
+from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
 from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimise_command import read_checkpoint
 from drake_exo.study import Filter, load_study
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -429,10 +429,15 @@ def _results() -> dict:
         "sole checkpoint": (
             "checkpoint.json",
             "json",
-            json.dumps({"coefficients": [1.0] * 9, "stage": 1}),
+            _written(_sole_checkpoint, "checkpoint.json"),
             read_checkpoint,
         ),
     }
+
+
+def _sole_checkpoint(path):
+    state = (np.ones(9), np.eye(9), np.zeros(3), np.eye(3))
+    Checkpoint(1, 2, *state).write(path.parent)
 
 
 def _soles() -> dict:

@@ -86,7 +86,18 @@ def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):
          "--resume", str(folder), "--out", str(folder / "never")]
     )  # fmt: skip
     assert code == 2
-    assert "not a checkpoint" in capsys.readouterr().err
+    assert "checkpoint.json: cannot be read" in capsys.readouterr().err
+
+
+def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
+    text = (folder / "case.yaml").read_text().replace("[5, 5]", "[4, 4]")
+    (folder / "other.yaml").write_text(text)
+    code = cli.main(
+        ["sole", "optimize", str(folder / "other.yaml"),
+         "--resume", str(folder / "out"), "--out", str(folder / "never")]
+    )  # fmt: skip
+    assert code == 2
+    assert "of another case" in capsys.readouterr().err
 
 
 def test_case_files_are_the_studys_cases():
