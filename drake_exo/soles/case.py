@@ -144,7 +144,7 @@ class Playback:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A planar prediction of the exoskeleton half (CSV), both feet."""
+    """Ground reaction of a prediction of the exoskeleton half, both feet."""
 
     file: str
     origin_m: Vector2

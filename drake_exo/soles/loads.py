@@ -147,12 +147,7 @@ def read_csv(path) -> Load:
     """A CSV file with a header line naming `CSV_COLUMNS` in any order."""
     names = _first_line(path).split(",")
     names = [n.strip() for n in names]
-    missing = [c for c in CSV_COLUMNS if c not in names]
-    if missing:
-        raise InputError(
-            f"{path}:1: column {missing[0]!r} is missing; the header must "
-            f"name {', '.join(CSV_COLUMNS)}"
-        )
+    _check_columns(f"{path}:1", names, CSV_COLUMNS)
     table = _table(path, len(names), skiprows=1, delimiter=",")
     t, fx, fy, fz, zx, zy = (table[:, names.index(c)] for c in CSV_COLUMNS)
     return Load(t, np.stack([fx, fy, fz], 1), np.stack([zx, zy], 1), str(path))
@@ -176,25 +171,13 @@ def read_force_plate(
         least_force_n: Samples below are left out at both ends [N].
         suffixes: Letters of force, centre of pressure and moment.
     """
-    lines = _text(path).splitlines()
-    header = next(
-        (i for i, s in enumerate(lines) if s.strip() == "endheader"), None
-    )
-    if header is None or header + 1 >= len(lines):
-        raise InputError(
-            f"{path}: no 'endheader' line; give an OpenSim .mot file"
-        )
-    names = lines[header + 1].split()
     force, point, moment = (
         [f"{prefix}_{s}{axis}" for axis in "xyz"] for s in suffixes
     )
-    for name in ["time", *force, *point, *moment]:
-        if name not in names:
-            raise InputError(
-                f"{path}:{header + 2}: column {name!r} is missing; check the "
-                f"plate's prefix {prefix!r}"
-            )
-    table = _table(path, len(names), header + 2, None)
+    needed = ["time", *force, *point, *moment]
+    names, table = _opensim_table(
+        path, needed, f"check the plate's prefix {prefix!r}"
+    )
     rows = (table[:, 0] >= start_s - 1e-9) & (table[:, 0] <= end_s + 1e-9)
     table = table[rows]
 
@@ -268,6 +251,8 @@ def read_playback(
     return load.placed(ankle + np.array([ankle_to_centre[0], outward]), 0.0)
 
 
+# Ground reaction of a planar prediction: time, forward, up, CoP forward.
+STO_COLUMNS = ("time", "ground_force_vx", "ground_force_vy", "ground_force_px")
 PREDICTION_COLUMNS = ("time_s", "grf_x_n", "grf_z_n", "cop_x_m")
 
 
@@ -276,24 +261,35 @@ def read_prediction(
 ) -> Load:
     """A planar prediction of the exoskeleton half, in the sagittal plane.
 
-    A CSV file whose header names `PREDICTION_COLUMNS` in any order among
-    others: ground reaction of both feet and its centre of pressure.
+    `drake-exo predict` and `calibrate` write `NAME_ground_reaction.sto`
+    (x forward, y up; `STO_COLUMNS`); a CSV file whose header names
+    `PREDICTION_COLUMNS` in any order among others will do as well. Both hold
+    the ground reaction of both feet and its centre of pressure.
 
     Args:
-        path: CSV file.
+        path: .sto or .csv file.
         share: Part of the force on this foot.
-        least_force_n: Samples below are left out [N].
+        least_force_n: Samples with less on this foot are left out at both
+            ends [N].
     """
-    names = [n.strip() for n in _first_line(path).split(",")]
-    missing = [c for c in PREDICTION_COLUMNS if c not in names]
-    if missing:
-        raise InputError(
-            f"{path}:1: column {missing[0]!r} is missing; the header must "
-            f"name {', '.join(PREDICTION_COLUMNS)}"
+    if str(path).lower().endswith(".csv"):
+        names = [n.strip() for n in _first_line(path).split(",")]
+        _check_columns(f"{path}:1", names, PREDICTION_COLUMNS)
+        table = _table(path, len(names), skiprows=1, delimiter=",")
+        columns = PREDICTION_COLUMNS
+    else:
+        names, table = _opensim_table(
+            path, STO_COLUMNS, "give a NAME_ground_reaction.sto of 'predict'"
         )
-    table = _table(path, len(names), skiprows=1, delimiter=",")
-    t, fx, fz, x = (table[:, names.index(c)] for c in PREDICTION_COLUMNS)
-    keep = share * fz >= least_force_n
+        columns = STO_COLUMNS
+    t, fx, fz, x = (table[:, names.index(c)] for c in columns)
+    loaded = np.flatnonzero(share * fz >= least_force_n)
+    if len(loaded) == 0:
+        raise InputError(
+            f"{path}: a foot never carries {least_force_n:g} N; check the "
+            "file, share and least_force_n"
+        )
+    keep = slice(loaded[0], loaded[-1] + 1)
     zero = np.zeros_like(t)
     force = share * np.stack([fx, zero, fz], axis=1)
     return Load(
@@ -350,6 +346,34 @@ def share_double_support(zmp, phase, mine):
 
 def _text(path) -> str:
     return read_text(path, "check the path and --data-root")
+
+
+def _opensim_table(path, needed, remedy: str):
+    """Column names and numbers of an OpenSim .mot or .sto file."""
+    lines = _text(path).splitlines()
+    header = next(
+        (i for i, s in enumerate(lines) if s.strip() == "endheader"), None
+    )
+    if header is None or header + 1 >= len(lines):
+        raise InputError(
+            f"{path}: no 'endheader' line; give an OpenSim .mot or .sto file"
+        )
+    names = lines[header + 1].split()
+    for name in needed:
+        if name not in names:
+            raise InputError(
+                f"{path}:{header + 2}: column {name!r} is missing; {remedy}"
+            )
+    return names, _table(path, len(names), header + 2, None)
+
+
+def _check_columns(place: str, names: list[str], needed) -> None:
+    missing = [c for c in needed if c not in names]
+    if missing:
+        raise InputError(
+            f"{place}: column {missing[0]!r} is missing; the header must "
+            f"name {', '.join(needed)}"
+        )
 
 
 def _first_line(path) -> str:

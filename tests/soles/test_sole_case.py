@@ -78,7 +78,7 @@ BAD = {
     "no force": (("load.csv", "0,0,400", "0,0,0"), "vertical force"),
     "pull": (("load.csv", "0,0,400", "0,0,-3"), "vertical force"),
     "same time": (("load.csv", "0.2,0,0", "0.1,0,0"), "two samples at one"),
-    "not a number": (("load.csv", "400", "x"), "not a number"),
+    "not a number": (("load.csv", "400", "x"), "text among numbers"),
     "nan": (("load.csv", "400", "nan"), "NaN"),
     "nu": (
         ("case.yaml", "neoprene}", "neoprene, poissons_ratio: 0.5}"),

@@ -1,0 +1,109 @@
+"""From a prediction of the exoskeleton half to a simulated sole."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drake_exo import cli
+from drake_exo.errors import InputError
+from drake_exo.phases.problem import Trajectory
+from drake_exo.phases.results import write_trajectories
+from drake_exo.soles import loads
+
+CASE = """
+name: rise
+mesh:
+  brick: {size_m: [0.26, 0.11, 0.03], divisions: [6, 4, 2]}
+material: {name: neoprene}
+load:
+  prediction:
+    file: rise_ground_reaction.sto
+    origin_m: [0.07, 0.0]
+    least_force_n: 50.0
+"""
+COUNT = 40
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """What `drake-exo predict` leaves of a rise that ends in the air."""
+    t = np.linspace(0.0, 1.5, COUNT)
+    up = 600 + 100 * np.sin(4 * t)
+    up[-5:] = [90, 60, 20, 5, 0]  # both feet
+    forward = 0.05 * up
+    cop = 0.05 + 0.03 * t
+    nine = np.zeros((COUNT, 9))
+    write_trajectories(
+        tmp_path,
+        [
+            Trajectory(
+                "rise", t, nine, nine, nine, nine, np.zeros((COUNT, 6)),
+                np.column_stack([forward, up, -cop * up]), nine,
+            )
+        ],
+    )  # fmt: skip
+    (tmp_path / "case.yaml").write_text(CASE)
+    return tmp_path
+
+
+def test_half_the_ground_reaction_bears_on_one_foot(folder):
+    load = loads.read_prediction(folder / "rise_ground_reaction.sto")
+    assert len(load.times) == COUNT - 3  # below 20 N on one foot left out
+    np.testing.assert_allclose(load.force[0], [15.0, 0.0, 300.0], rtol=1e-6)
+    np.testing.assert_allclose(
+        load.zmp[:, 0], 0.05 + 0.03 * load.times, rtol=1e-6
+    )
+    assert np.abs(load.zmp[:, 1]).max() == 0.0
+    assert np.abs(load.force[:, 1]).max() == 0.0
+
+
+def test_a_sole_is_simulated_under_a_prediction(folder):
+    out = folder / "out"
+    code = cli.main(
+        ["sole", "simulate", str(folder / "case.yaml"), "--out", str(out)]
+    )
+    assert code == 0
+    numbers = json.loads((out / "summary.json").read_text())
+    assert numbers["steps"] == COUNT - 5  # 45 N on one foot are below 50 N
+    assert numbers["failed_steps"] == 0
+    with np.load(out / "history.npz") as history:
+        F, P = history["force_W"], history["place_W"]
+    np.testing.assert_allclose(F.sum(axis=1)[0], [15.0, 0.0, 300.0], rtol=1e-5)
+    centre = (F[:, :, 2] * P[:, :, 0]).sum(axis=1) / F[:, :, 2].sum(axis=1)
+    load = loads.read_prediction(
+        folder / "rise_ground_reaction.sto", least_force_n=50.0
+    )
+    np.testing.assert_allclose(centre, load.zmp[:, 0] - 0.07, atol=1e-7)
+
+
+def test_a_plain_csv_says_the_same(folder):
+    load = loads.read_prediction(folder / "rise_ground_reaction.sto")
+    rows = ["cop_x_m,time_s,grf_z_n,grf_x_n"]
+    for t, F, z in zip(load.times, load.force, load.zmp, strict=True):
+        rows.append(f"{z[0]:.12g},{t:.12g},{2 * F[2]:.12g},{2 * F[0]:.12g}")
+    (folder / "rise.csv").write_text("\n".join(rows))
+    other = loads.read_prediction(folder / "rise.csv")
+    np.testing.assert_allclose(other.force, load.force, rtol=1e-9)
+    np.testing.assert_allclose(other.zmp, load.zmp, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.sto", "x\ntime a\n0 1\n", "endheader"),
+        ("a.sto", "x\nendheader\ntime a\n0 1\n", "ground_force_vx"),
+        ("a.csv", "time_s,grf_x_n\n0,1\n", "grf_z_n"),
+    ],
+)
+def test_other_tables_are_refused(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=words):
+        loads.read_prediction(tmp_path / name)
+
+
+def test_an_unloaded_foot_is_refused(folder):
+    with pytest.raises(InputError, match="never carries 900"):
+        loads.read_prediction(
+            folder / "rise_ground_reaction.sto", least_force_n=900.0
+        )
