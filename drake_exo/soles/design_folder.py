@@ -138,7 +138,8 @@ def read_steps(path: Path) -> dict[str, np.ndarray]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
         names = lines[0].split(",")
-        values = np.array([line.split(",") for line in lines[1:]], dtype=float)
+        rows = [[float(v) for v in line.split(",")] for line in lines[1:]]
+        values = np.array(rows).reshape(-1, len(names))
         return dict(zip(names, values.T, strict=True))
     except (OSError, ValueError, IndexError):
         raise InputError(

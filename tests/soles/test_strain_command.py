@@ -8,7 +8,7 @@ import pytest
 
 from drake_exo import cli
 from drake_exo.soles import strain_report
-from drake_exo.soles.design_folder import find_designs
+from drake_exo.soles.design_folder import find_designs, read_steps
 
 CASE = """
 name: {name}
@@ -151,3 +151,10 @@ def test_a_collapse_stands_in_the_table():
     assert "10 of 21 samples have an equilibrium" in text
     assert "no equilibrium found beyond 0.400" in text
     assert "inside out" in text
+
+
+def test_a_table_without_rows_is_read(tmp_path):
+    """As a run leaves that had no iteration to do."""
+    (tmp_path / "history.csv").write_text("stage,cost\n")
+    columns = read_steps(tmp_path / "history.csv")
+    assert {k: len(v) for k, v in columns.items()} == {"stage": 0, "cost": 0}
