@@ -243,7 +243,13 @@ def checked_mesh(nodes, tets, dirichlet, name: str) -> TetMesh:
 
 def write_stl(path: Path | str, mesh: TetMesh) -> None:
     """Write the closed surface as binary STL in millimetres (for printing)."""
-    faces = mesh.nodes[mesh.boundary_faces] * 1000.0
+    corners = mesh.nodes[mesh.boundary_faces]
+    write_triangles(path, corners, "sole surface, millimetres")
+
+
+def write_triangles(path: Path | str, corners: np.ndarray, what: str) -> None:
+    """Write outward triangles (f, 3, 3) [m] as binary STL in millimetres."""
+    faces = 1e3 * corners
     normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     record = np.zeros(
@@ -251,8 +257,8 @@ def write_stl(path: Path | str, mesh: TetMesh) -> None:
         dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")],
     )
     record["n"], record["v"] = normal, faces
-    header = b"sole surface, millimetres".ljust(80)
     count = np.uint32(len(faces)).tobytes()
+    header = what.encode().ljust(80)
     Path(path).write_bytes(header + count + record.tobytes())
 
 

@@ -8,6 +8,7 @@ from drake_exo.soles import design as designs
 from drake_exo.soles.case import read_case
 from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.mesh import write_stl
+from drake_exo.soles.mould import write_mould
 from drake_exo.soles.strain_command import judge_in_finite_strain
 
 
@@ -65,6 +66,7 @@ def write_design(out: Path, case, load, design) -> None:
         },
     )
     write_stl(out / "sole.stl", design.mesh)
+    write_mould(out / "mould.stl", design.mesh)
     _write_mesh(out / "sole.vtk", design.mesh)
     _write_mesh(out / "initial.vtk", design.first_sole.mesh)
     columns = results.step_table(load, design.history)
