@@ -23,7 +23,7 @@ from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import simulate
 from drake_exo.soles.stiffness import heel_strike_count
-from drake_exo.soles.study import _AUTHORS_ORIGIN, AUTHORS_STEP, SIZE
+from drake_exo.soles.study_cases import AUTHORS_ORIGIN, AUTHORS_STEP, SIZE
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}
@@ -33,7 +33,7 @@ METHODS = {100: (8, 5, 3), 200: (12, 7, 3), 400: (18, 10, 4),
 
 def step(root):
     if root and (root / AUTHORS_STEP).is_file():
-        block = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, _AUTHORS_ORIGIN))
+        block = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
     else:
         block = LoadBlock(pattern=Pattern())
     return block.load(root or Path("."))

@@ -38,13 +38,28 @@ def add_parser(subparsers) -> None:
         metavar="DIR",
         help="go on from the checkpoint in this folder of an earlier run",
     )
+    add_limits_argument(parser, ("all", "none"))
     parser.set_defaults(run=_run_optimize)
     parser = jobs.add_parser("study", help="the paper's five cases (Table 2)")
     parser.add_argument(
         "--coarse", action="store_true", help="one coarse stage, two minutes"
     )
+    add_limits_argument(parser, ("all", "none", "both"))
+    parser.add_argument(
+        "--front",
+        action="store_true",
+        help="also the front of c_tr against c_rot, coarse",
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=2, help="processes at a time (default: 2)"
+    )
     add_common_arguments(parser)
     parser.set_defaults(run=_run_study)
+    parser = jobs.add_parser("front", help="front of c_tr against c_rot")
+    parser.add_argument("case", type=Path, metavar="CASE.yaml")
+    add_limits_argument(parser, ("all", "none"))
+    add_common_arguments(parser)
+    parser.set_defaults(run=_run_front)
     for job in (strain_command, study_report):
         job.add_parser(jobs)
 
@@ -59,6 +74,23 @@ def _run_study(args) -> int:
     from drake_exo.soles.study import run_study
 
     return run_study(args)
+
+
+def _run_front(args) -> int:
+    from drake_exo.soles.front import run_front
+
+    return run_front(args)
+
+
+def add_limits_argument(parser, choices) -> None:
+    """Whether stability, tilt and strain are limited."""
+    parser.add_argument(
+        "--limits",
+        choices=choices,
+        default="all",
+        help="limits on stability, tilt and strain: the case's, or none as "
+        "in the paper (default: all)",
+    )
 
 
 def add_common_arguments(parser) -> None:

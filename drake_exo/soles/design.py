@@ -53,6 +53,12 @@ class Design:
     seconds: list[float]
     problem: ShapeProblem
 
+    @property
+    def smoothed(self) -> tuple[float, float] | None:
+        """c_tr and c_rot by the last stage's smoothed law."""
+        e = self.problem.evaluate(self.p)
+        return None if e is None else (e.c_tr, e.c_rot)
+
 
 def limits_of(case: Case) -> Limits:
     """The case's constraints."""
@@ -236,6 +242,7 @@ def design_summary(case: Case, design: Design) -> dict:
         row |= {
             "status": last.status,
             "optimality_error": last.error,
+            "complementarity": last.complementarity,
             "violation": last.violation,
             "multipliers": dict(
                 zip(design.problem.names(), last.multipliers, strict=True)
@@ -243,11 +250,18 @@ def design_summary(case: Case, design: Design) -> dict:
             "iterations": [len(o.trace) - 1 for o in design.optima],
             "simulations": design.problem.evaluations,
         }
+    if design.smoothed is not None:
+        c_tr, c_rot = design.smoothed
+        c = c_tr - w * c_rot
+        row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
     return row
 
 
 def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
-    """The design on a mesh of at least twice the tets, beside the brick."""
+    """The design on a mesh of at least twice the tets, beside the brick.
+
+    `change` and `brick_change` are those of c against the last stage's mesh.
+    """
     divisions = next(
         (s.divisions for s in reversed(case.optimize.stages)
          if s.divisions is not None), None,
@@ -272,6 +286,12 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
             "c_tr": c_tr, "c_rot": c_rot, "c": c,
             "failed_steps": history.failed_steps,
         }  # fmt: skip
+    w, fraction = case.cost.weight, case.cost.heel_strike_fraction
+    for key, name, before in (
+        ("change", "design", design.history),
+        ("brick_change", "brick", design.first_history),
+    ):
+        out[key] = out[name]["c"] / before.costs(w, fraction)[2] - 1
     return out
 
 

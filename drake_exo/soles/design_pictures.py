@@ -125,13 +125,16 @@ def trace_figure(path: Path, optima) -> None:
         _save(figure, path)
 
 
-def front_figure(path: Path, rows: list[dict], paper: dict) -> None:
+def front_figure(
+    path: Path, rows: list[dict], paper: dict, points: list[dict] = ()
+) -> None:
     """c_tr against c_rot, each over its brick's, beside the paper's.
 
     Args:
         path: PNG file.
         rows: Summaries with name, ratio_tr and ratio_rot.
         paper: Name -> (ratio of c_tr, ratio of c_rot).
+        points: Of the front, with ratio_tr and ratio_rot.
     """
     with plt.rc_context(_STYLE):
         figure, axis = plt.subplots(figsize=(6.0, 4.2))
@@ -141,7 +144,14 @@ def front_figure(path: Path, rows: list[dict], paper: dict) -> None:
                       label=row["name"])  # fmt: skip
             if row["name"] in paper:
                 axis.plot(*paper[row["name"]], "x", color=colour, mew=2)
-        axis.plot([], [], "kx", mew=2, label="paper")
+        if rows:
+            axis.plot([], [], "kx", mew=2, label="paper")
+        if points:
+            axis.plot(
+                [p["ratio_tr"] for p in points],
+                [p["ratio_rot"] for p in points],
+                ".-", color="0.4", label="front",
+            )  # fmt: skip
         axis.set(
             xscale="log",
             xlabel=r"$c^{tr}$ over the brick's (less is better)",

@@ -22,6 +22,8 @@ def run_optimize(args) -> int:
     start = case.start_pose(mesh)
     if args.mesh is not None:
         case = designs.finish_on_own_mesh(case)
+    if args.limits == "none":
+        case = designs.without_limits(case)
     resume = read_checkpoint(args.resume) if args.resume else None
     with prepare_output_folder(args.out, args.force) as out:
         row = optimise_case(out, case, mesh, load, start, resume)

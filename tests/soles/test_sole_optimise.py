@@ -10,7 +10,8 @@ import pytest
 from drake_exo import cli
 from drake_exo.soles.case import LoadBlock, Pattern, read_case
 from drake_exo.soles.mesh import read_mesh
-from drake_exo.soles.study import TABLE_2, five_cases, table
+from drake_exo.soles.study_cases import TABLE_2, five_cases
+from drake_exo.soles.study_table import table
 
 CASE = """
 name: small

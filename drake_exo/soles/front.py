@@ -1,0 +1,155 @@
+"""The front of c_tr against c_rot: least c_tr for floors of c_rot.
+
+An epsilon-constraint: c_tr alone is minimised under c_rot >= floor, from the
+lowest floor to the highest, each point starting from the one before with
+what was learnt of the curvature. On the coarse mesh, judged by the exact law
+there with all samples.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from drake_exo.output import Progress, prepare_output_folder, write_json
+from drake_exo.soles import design as designs
+from drake_exo.soles.case import Case, CostBlock, Stage, read_case
+from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.optimiser import minimise
+from drake_exo.soles.quasi_newton import QuasiNewton
+from drake_exo.soles.study_cases import TABLE_2
+
+STAGE = Stage((10, 6, 3), 24, 4e-5, 0.2, 60)
+_FURTHER = 20  # iterations from the second point on
+# Floors over the brick's c_rot; the middle one is the paper's 1-Ref.
+FLOORS = (0.5, 0.7, 0.85, 0.972, 1.15, 1.3, 1.5, 1.7)
+
+
+def run_front(args) -> int:
+    """`drake-exo sole front CASE.yaml`; 0 where every point simulates."""
+    case = read_case(args.case)
+    root = args.data_root or args.case.parent
+    if args.limits == "none":
+        case = designs.without_limits(case)
+    with prepare_output_folder(args.out, args.force) as out:
+        points = front(case, root, FLOORS, args.mesh)
+        _write(out, case, points)
+    print(table(points))
+    print(f"{case.name}: results in {args.out}")
+    return 1 if any(p["failed_steps"] for p in points) else 0
+
+
+def study_front(out: Path, cases: list[Case], root: Path, args) -> dict:
+    """Front of 1-Ref; every other case at the paper's own ratio."""
+    found = {"points": [], "at_paper": []}
+    for case in cases:
+        tr0, tr, rot0, rot = TABLE_2[case.name]
+        if args.limits == "none":
+            case = designs.without_limits(case)
+        first = case.name == "1-Ref"
+        floors = FLOORS if first else (rot / rot0,)
+        points = front(case, root, floors, None)
+        for point in points:
+            point["paper_ratio_tr"] = tr / tr0
+        if first:
+            found["points"] = points
+            points = [p for p in points if p["floor"] == FLOORS[3]]
+        found["at_paper"] += points
+        print(table(points))
+    return found
+
+
+def front(case: Case, root: Path, floors, mesh_file=None) -> list[dict]:
+    """Least c_tr for every floor of c_rot (over the brick's), lowest first.
+
+    Returns:
+        For every floor: floor, c_tr, c_rot and their ratios to the brick's,
+        by the exact law; optimality_error; failed_steps.
+    """
+    load = case.load.load(root)
+    own = case.read_mesh(root, mesh_file)
+    start = case.start_pose(own)
+    base = _brick(case, own, load, start)
+    progress = Progress(f"{case.name}, front", interval_seconds=2.0)
+    p = branch = learnt = None
+    points = []
+    for k, floor in enumerate(sorted(floors)):
+        block = replace(case.optimize, c_rot_nm_per_rad=floor * base[1])
+        problem = designs.stage_problem(
+            replace(case, optimize=block, cost=replace_weight(case.cost)),
+            own, load, start, STAGE,
+        )  # fmt: skip
+        if p is None:
+            p = designs.first_design(problem, tuple(block.bounds))
+            learnt = QuasiNewton(len(p))
+        problem.branch = branch
+
+        def say(iteration, best, floor=floor):
+            progress.update(
+                f"c_rot above {floor:.3f} of the brick's, iteration "
+                f"{iteration}: c_tr {best.trace[-1][1]:.4f} of the brick's"
+            )
+
+        best = minimise(
+            problem, p, tuple(block.bounds),
+            _FURTHER if k else STAGE.iterations, block.tolerance, say,
+            learnt=learnt,
+        )  # fmt: skip
+        p, branch = best.p, problem.branch
+        points.append(_judge(case, problem, best, floor, base, load, start))
+    return points
+
+
+def replace_weight(cost: CostBlock) -> CostBlock:
+    """The cost c_tr alone."""
+    return replace(cost, weight=0.0)
+
+
+def _brick(case, own, load, start):
+    """c_tr and c_rot of the initial shape on the front's mesh, exact law."""
+    mesh = designs.stage_mesh(case, own, STAGE)
+    sole = Sole(mesh, case.material.material(), case.mesh.element)
+    history = designs.exact_history(case, sole, load, start, sole.penalty)
+    return history.costs(0.0, case.cost.heel_strike_fraction)[:2]
+
+
+def _judge(case, problem, best, floor, base, load, start) -> dict:
+    s = problem.M @ best.p + problem.s0
+    mesh = problem.mesh.with_nodes(s[:, None] * problem.mesh.nodes)
+    sole = Sole(mesh, problem.material, case.mesh.element)
+    history = designs.exact_history(
+        case, sole, load, start, problem.law.penalty
+    )
+    c_tr, c_rot, _ = history.costs(0.0, case.cost.heel_strike_fraction)
+    return {
+        "case": case.name,
+        "floor": floor,
+        "c_tr": c_tr,
+        "c_rot": c_rot,
+        "ratio_tr": c_tr / base[0],
+        "ratio_rot": c_rot / base[1],
+        "optimality_error": best.error,
+        "violation": best.violation,
+        "failed_steps": history.failed_steps,
+        "coefficients": best.p,
+    }
+
+
+def table(points: list[dict]) -> str:
+    """One line for every point."""
+    lines = [
+        f"{'case':11s} {'floor':>6s} {'c_tr':>9s} {'ratio':>6s} "
+        f"{'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
+    ]
+    lines += [
+        f"{p['case']:11s} {p['floor']:6.3f} {p['c_tr']:9.2e} "
+        f"{p['ratio_tr']:6.3f} {p['c_rot']:9.2e} {p['ratio_rot']:6.3f} "
+        f"{p['optimality_error']:8.1e}"
+        for p in points
+    ]
+    return "\n".join(lines)
+
+
+def _write(out: Path, case: Case, points: list[dict]) -> None:
+    from drake_exo.soles.design_pictures import front_figure
+
+    write_json(out / "summary.json", {"name": case.name, "front": points})
+    front_figure(out / "front.png", [], {}, points)
