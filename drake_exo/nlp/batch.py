@@ -216,7 +216,7 @@ class BatchedProgram:
         for t in range(len(variables)):
             function = _scalar_function(kernel, data, t)
             cost = self.prog.AddCost(
-                lambda x, f=function: 0.5 * np.sum(f(x) ** 2),
+                lambda x, f=function: _half_square(f(x)),
                 variables[t],
                 description=f"{name}[{t}]",
             )
@@ -269,6 +269,11 @@ def nonlinear_costs(prog):
     kept = [b.evaluator() for b in quadratic]
     skip = set(map(id, kept))
     return [b for b in prog.GetAllCosts() if id(b.evaluator()) not in skip]
+
+
+def _half_square(r):
+    # Not r ** 2: the power of some versions' AutoDiffXd warns at zero.
+    return 0.5 * np.sum(r * r)
 
 
 def _scalar_function(kernel, data, t):
