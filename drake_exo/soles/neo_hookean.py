@@ -1,7 +1,7 @@
 """Compressible neo-Hookean solid on linear tetrahedra, total Lagrangian.
 
-Energy per rest volume (Bonet and Wood, Nonlinear Continuum Mechanics for
-Finite Element Analysis, 2nd ed., (6.27), tr C written I1):
+Energy per rest volume, I1 = tr FᵀF (Bonet and Wood, Nonlinear Continuum
+Mechanics for Finite Element Analysis, 2nd ed., chapter 6):
 
     W = μ/2 (I1 − 3 − 2 ln J) + λ/2 (ln J)²
 
