@@ -10,7 +10,7 @@ import importlib.resources
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from functools import cache
-from math import cbrt, cos, sin, sqrt
+from math import cos, sin, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -280,7 +280,7 @@ def _stretch_visual(visual: ET.Element, stretch: _Stretch) -> None:
         "size": (fx, fy, fz),
         "radii": (fx, fy, fz),
         "scale": (fx, fy, fz),
-        "radius": cbrt(fx * fy * fz)
+        "radius": (fx * fy * fz) ** (1.0 / 3.0)
         if shape.tag == "sphere"
         else sqrt(fx * fy),
         "length": fz,
