@@ -9,6 +9,7 @@ from drake_exo.soles.contact import (
     ContactSolver,
     Convergence,
     Start,
+    State,
     Target,
 )
 from drake_exo.soles.elasticity import Sole
@@ -51,6 +52,7 @@ def follow(
     force: np.ndarray,
     zmp: np.ndarray,
     start: Start,
+    entry: State | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> FiniteHistory:
     """Follow force and ZMP sample by sample, with the contact's history.
@@ -66,6 +68,7 @@ def follow(
         force: Desired force of the ground, world [N], (N, 3).
         zmp: Desired ZMP on the ground, world [m], (N, 2).
         start: How the sole is held just before contact.
+        entry: Small-strain solution of the first sample, if known.
         progress: Called with samples done and samples in all.
     """
     solver = FiniteStrainSolver(NeoHookeanBody(sole.mesh, sole.material), law)
@@ -74,8 +77,10 @@ def follow(
     for q in range(len(force)):
         if good is None:
             target = Target(force[q], zmp[q], start)
+            largest = float(np.linalg.norm(force, axis=1).max())
+            known = entry if q == 0 else None
             state, report, reached = _enter(
-                sole, solver, target, np.linalg.norm(force, axis=1).max()
+                sole, solver, target, largest, known
             )
         else:
             reference = solver.places(good[1])[:, :2]
@@ -122,16 +127,18 @@ def lead(solver, state, before: Target, target: Target):
     return state, report, done
 
 
-def _enter(sole: Sole, solver: FiniteStrainSolver, target: Target, largest):
+def _enter(sole, solver, target: Target, largest: float, known: State | None):
     """First sample: small strain at a part of the load, then all of it."""
     small = ContactSolver(sole.compliance, sole.positions, solver.law)
     best = None
     for part in _ENTRIES:
         aim = replace(target, force=part * target.force)
-        guess, report = first_step(small, aim, part * largest)
-        if not report.converged:
-            best = best or (None, report, 0.0)
-            continue
+        guess = known if part == 1.0 else None
+        if guess is None:
+            guess, report = first_step(small, aim, part * largest)
+            if not report.converged:
+                best = best or (None, report, 0.0)
+                continue
         u = sole.displacement(guess.F @ guess.R)
         state = FiniteState(guess.F, u, guess.O, guess.R)
         state, report = solver.solve(state, aim)

@@ -69,6 +69,7 @@ def simulate(
     solver: "ContactSolver | None" = None,
     stop_at_failure: bool = False,
     first_guess: State | None = None,
+    largest_force: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StepHistory:
     """Follow the desired force and ZMP sample by sample.
@@ -83,6 +84,8 @@ def simulate(
         solver: Solver to use instead of the semismooth Newton.
         stop_at_failure: Leave the remaining samples out after a failure.
         first_guess: First state of a neighbouring design; None starts cold.
+        largest_force: Largest |F| of the phase [N], by which the first
+            contact is found; of the samples given where None.
         progress: Called with samples done and samples in all.
     """
     solver = solver or ContactSolver(C, lP, law)
@@ -94,7 +97,7 @@ def simulate(
         np.zeros((steps, m, 3)),
         np.full((steps, 6, 6), np.nan),
     )
-    largest = float(np.linalg.norm(force, axis=1).max())
+    largest = largest_force or float(np.linalg.norm(force, axis=1).max())
     good = None  # (sample, state, places) of the last success
     for q in range(steps):
         reference = start if good is None else good[2][:, :2]

@@ -61,8 +61,17 @@ def compare(
     count = stiffness.heel_strike_count(len(load.times), fraction)
     force, zmp = load.force[:count], load.zmp[:count]
     law = ContactLaw(friction, sole.penalty)
-    small = simulate(sole.compliance, sole.positions, law, force, zmp, start)
-    finite = follow(sole, law, force, zmp, start, progress)
+    small = simulate(
+        sole.compliance,
+        sole.positions,
+        law,
+        force,
+        zmp,
+        start,
+        largest_force=float(np.linalg.norm(load.force, axis=1).max()),
+    )
+    entry = small.state(0) if small.reports[0].converged else None
+    finite = follow(sole, law, force, zmp, start, entry, progress)
     good = finite.converged
     return {
         "heel_strike_samples": count,
