@@ -56,6 +56,7 @@ def write_design(out: Path, case, load, design) -> None:
     from drake_exo.soles import command, design_pictures, pictures, results
     from drake_exo.soles.replay import FIRST_HISTORY, HISTORY
     from drake_exo.soles.stiffness import heel_strike_count
+    from drake_exo.soles.study_pictures import DrawnSole, soles_figure
 
     spline = design.problem.spline
     write_json(
@@ -93,9 +94,9 @@ def write_design(out: Path, case, load, design) -> None:
     pictures.stiffness_figure(
         out / "stiffness.png", curves, load.times[count - 1]
     )
-    design_pictures.shape_figure(
-        out / "shape.png", design.mesh, case.name, design.first_sole.mesh
-    )
+    caption = f"{1e6 * design.mesh.volume:.0f} cm³"
+    drawn = DrawnSole(case.name, caption, design.first_sole.mesh, design.mesh)
+    soles_figure(out / "shape.png", [drawn])
     design_pictures.write_traces(out / "history.csv", design.optima)
     design_pictures.trace_figure(out / "history.png", design.optima)
 
