@@ -257,6 +257,17 @@ def design_summary(case: Case, design: Design) -> dict:
     return row
 
 
+def _at_least_twice(divisions) -> tuple[int, int, int]:
+    """Divisions with at least twice, and little more, cells."""
+    wanted = 2 * int(np.prod(divisions))
+    finer = [int(np.ceil(2 ** (1 / 3) * n)) for n in divisions]
+    for axis in range(3):
+        fewer = [n - (k == axis) for k, n in enumerate(finer)]
+        if np.prod(fewer) >= wanted:
+            finer = fewer
+    return tuple(finer)
+
+
 def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     """The design on a mesh of at least twice the tets, beside the brick.
 
@@ -268,7 +279,7 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     )  # fmt: skip
     if divisions is None:
         return None
-    finer = tuple(int(np.ceil(1.3 * n)) for n in divisions)
+    finer = _at_least_twice(divisions)
     base = brick(tuple(np.ptp(own.nodes, axis=0)), finer)
     spline = design.problem.spline
     shaped = base.with_nodes(spline.deform(base.nodes, design.p))

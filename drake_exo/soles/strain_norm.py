@@ -11,13 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_exo.soles.adjoint import ForceTerm
-from drake_exo.soles.elasticity import Sole, displacement_gradient
+from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.element_gradient import stiffness_gradient
 from drake_exo.soles.simulation import StepHistory
+from drake_exo.soles.smoothing import gradient_operators
 
 _DOUBLINGS = 5
 ORDER = 2**_DOUBLINGS  # p
 _BATCH = 32  # samples at a time
+# Strains below this part of the largest (Frobenius) add less than 1e-14.
+_FAINT = 0.2
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 
 
@@ -28,28 +31,42 @@ class StrainNorm:
     Args:
         sole: The sole.
         history: Its simulation.
-        unit: Strain that counts as one, near the largest, so that powers
-            neither over- nor underflow.
     """
 
     sole: Sole
     history: StepHistory
-    unit: float = 0.3
 
     def __post_init__(self):
         history = self.history
-        self._f = np.einsum("qmi,qij->qmj", history.F, history.R)
-        self._u = self.sole.displacement(self._f)
-        total = 0.0
-        for part in self._batches():
-            power = self.sole.strain(self._u[part]) / self.unit
-            for _ in range(_DOUBLINGS):
-                power = power @ power
-            total += np.trace(power, axis1=-2, axis2=-1).sum()
-        self.value = self.unit * float(total ** (1 / ORDER))
+        f = np.einsum("qmi,qij->qmj", history.F, history.R)
+        self._u = self.sole.displacement(f)
+        self._collect()
+        unit = np.sqrt((self._eps**2).sum(axis=(1, 2)).max())
+        power = self._eps / unit
+        for _ in range(_DOUBLINGS):
+            power = power @ power
+        total = np.trace(power, axis1=1, axis2=2).sum()
+        self.value = float(unit * total ** (1 / ORDER))
 
-    def _batches(self):
-        return [slice(k, k + _BATCH) for k in range(0, len(self._u), _BATCH)]
+    def _collect(self) -> None:
+        """Sample, element and gradient H of all strains that count."""
+        mesh = self.sole.mesh
+        operators = gradient_operators(mesh)
+        found, largest = [], 0.0
+        for first in range(0, len(self._u), _BATCH):
+            u = self._u[first : first + _BATCH]
+            flat = np.moveaxis(u, 0, -1).reshape(len(mesh.nodes), -1)
+            H = np.stack(
+                [(D @ flat).reshape(-1, 3, len(u)) for D in operators], axis=2
+            )
+            size = ((H + np.swapaxes(H, 1, 2)) ** 2).sum(axis=(1, 2)) / 4
+            largest = max(largest, size.max())
+            e, q = np.nonzero(size > _FAINT**2 * largest)
+            found.append((q + first, e, H[e, :, :, q]))
+        self._q, self._e, self._H = (
+            np.concatenate(part) for part in zip(*found, strict=True)
+        )
+        self._eps = 0.5 * (self._H + np.swapaxes(self._H, 1, 2))
 
     def derivatives(self) -> tuple[list[list[ForceTerm]], np.ndarray]:
         """By the nodal forces and, at fixed forces, by the node positions.
@@ -58,31 +75,31 @@ class StrainNorm:
             Terms for every sample, ∂Φ/∂X (n, 3).
         """
         sole, mesh = self.sole, self.sole.mesh
-        pull, by_nodes = np.zeros_like(self._u), np.zeros_like(mesh.nodes)
-        for part in self._batches():
-            H = displacement_gradient(mesh, self._u[part])
-            G = self._by_strain(0.5 * (H + np.swapaxes(H, -1, -2)))
-            local = np.einsum("qeij,eaj->qeai", G, mesh.gradients)
-            for q, row in enumerate(local):
-                _scatter(pull[part.start + q], mesh.tets, row)
-            # Gradients of the shape functions change with the nodes.
-            turned = (np.swapaxes(H, -1, -2) @ G).sum(axis=0)
-            moved = np.einsum("eij,eaj->eai", turned, mesh.gradients)
-            _scatter(by_nodes, mesh.tets, -moved)
+        G, tets = self._by_strain(), mesh.tets[self._e]
+        g = np.swapaxes(mesh.gradients[self._e], 1, 2)
+        shape = self._u.shape
+        pull = np.zeros((shape[0] * shape[1], 3))
+        place = self._q[:, None] * shape[1] + tets
+        _scatter(pull, place, np.swapaxes(G @ g, 1, 2))
+        pull = pull.reshape(shape)
+        # Gradients of the shape functions change with the nodes.
+        by_nodes = np.zeros_like(mesh.nodes)
+        moved = np.swapaxes(self._H, 1, 2) @ G @ g
+        _scatter(by_nodes, tets, -np.swapaxes(moved, 1, 2))
         size = np.abs(pull).max(axis=(1, 2))
         heavy = np.flatnonzero(size > _NEGLIGIBLE * size.max())
         free = sole.free
         u = self._u[heavy][:, free].reshape(len(heavy), -1).T
         v = sole.solve(pull[heavy][:, free].reshape(len(heavy), -1).T)
         by_nodes += _bilinear_gradient(sole, u, v)
-        terms = [[] for _ in self._f]
+        terms = [[] for _ in self._u]
         for q, column in zip(heavy, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
         return terms, by_nodes
 
-    def _by_strain(self, eps: np.ndarray) -> np.ndarray:
-        """∂Φ/∂ε = (ε/Φ)^(p−1), (..., 3, 3)."""
-        square = eps / self.value
+    def _by_strain(self) -> np.ndarray:
+        """∂Φ/∂ε = (ε/Φ)^(p−1), (k, 3, 3)."""
+        square = self._eps / self.value
         out = square
         for _ in range(_DOUBLINGS - 1):
             square = square @ square
@@ -98,9 +115,9 @@ def _bilinear_gradient(sole: Sole, u: np.ndarray, v: np.ndarray):
     return stiffness_gradient(sole, weight, lambda part: fields[:, part])
 
 
-def _scatter(out: np.ndarray, tets: np.ndarray, local: np.ndarray) -> None:
-    """Add element rows (e, 4, 3) to node rows (n, 3)."""
+def _scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:
+    """Add rows (k, 4, 3) to out (n, 3) at places (k, 4)."""
     for axis in range(3):
         out[:, axis] += np.bincount(
-            tets.ravel(), local[:, :, axis].ravel(), minlength=len(out)
+            place.ravel(), rows[:, :, axis].ravel(), minlength=len(out)
         )
