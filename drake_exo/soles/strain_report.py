@@ -72,25 +72,28 @@ def compare(
     )
     entry = small.state(0) if small.reports[0].converged else None
     finite = follow(sole, law, force, zmp, start, entry, progress)
-    good = finite.converged
     return {
         "heel_strike_samples": count,
-        "converged_samples": int(good.sum()),
+        "converged_samples": int(finite.converged.sum()),
         "c_tr_small": _sum(small.K_c),
         "c_tr_finite": _sum(finite.K_c),
         "samples": [
             _sample(sole, small, finite, q)
             for q in np.unique([0, count // 2, count - 1])
         ],
-        "failures": [
-            {
-                "sample": int(q + 1),
-                "reached": finite.reached[q],
-                "message": finite.reports[q].message,
-            }
-            for q in np.flatnonzero(~good)
-        ],
+        "failures": _failures(finite),
     }
+
+
+def _failures(finite: FiniteHistory) -> list[dict]:
+    return [
+        {
+            "sample": int(q + 1),
+            "reached": finite.reached[q],
+            "message": finite.reports[q].message,
+        }
+        for q in np.flatnonzero(~finite.converged)
+    ]
 
 
 def _sum(K_c: np.ndarray) -> float:

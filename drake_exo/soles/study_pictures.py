@@ -18,6 +18,7 @@ from drake_exo.soles.pictures import _STYLE, _save
 
 _COLOURS = plt.get_cmap("coolwarm")
 _GAP = 14.0  # mm between views
+_HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
 _FLOOR = 1e-8  # errors below are drawn there
 _INCH = 1.0 / 62.0  # inches a millimetre of sole
 
@@ -48,6 +49,42 @@ class DrawnSole:
         return 100.0 * (ratio - 1.0)
 
 
+@dataclass(frozen=True)
+class _Sheet:
+    """Where each view goes: a row a sole, a column a view, one scale.
+
+    Attributes:
+        boxes: Extent of all soles in each view [mm], (2, 2) each.
+        rows: Number of soles.
+    """
+
+    boxes: list[np.ndarray]
+    rows: int
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Of the columns [mm]."""
+        return np.array([np.ptp(b, axis=0)[0] + _GAP for b in self.boxes])
+
+    @property
+    def height(self) -> float:
+        """Of a row [mm]."""
+        return max(np.ptp(b, axis=0)[1] for b in self.boxes) + 24.0
+
+    @property
+    def size(self) -> np.ndarray:
+        """Width and height of the figure [inches]."""
+        tall = _INCH * self.height * self.rows + _FOOT + _HEAD
+        return np.array([_INCH * self.widths.sum(), tall])
+
+    def place(self, row: int, column: int) -> np.ndarray:
+        """Left, bottom, width and height in parts of the figure."""
+        left = _INCH * self.widths[:column].sum()
+        bottom = _FOOT + _INCH * self.height * (self.rows - row - 1)
+        width, height = _INCH * self.widths[column], _INCH * self.height
+        return np.array([left, bottom, width, height]) / np.tile(self.size, 2)
+
+
 def soles_figure(path: Path, soles: list[DrawnSole]) -> None:
     """Every sole from below, the left, the back and in perspective.
 
@@ -58,49 +95,28 @@ def soles_figure(path: Path, soles: list[DrawnSole]) -> None:
         [m.nodes for s in soles for m in (s.mesh, s.initial)]
     )
     boxes = [views.extent(every, view) for view in views.VIEWS]
-    widths = np.array([np.ptp(b, axis=0)[0] + _GAP for b in boxes])
-    height = max(np.ptp(b, axis=0)[1] for b in boxes) + 24.0
+    sheet = _Sheet(boxes, len(soles))
     largest = max(np.abs(s.change).max() for s in soles)
     norm = TwoSlopeNorm(0.0, -largest, largest)
-    width_in = _INCH * widths.sum()
-    height_in = _INCH * height * len(soles)
-    foot, head = 0.75, 0.4
     style = {**_STYLE, "figure.constrained_layout.use": False}
     with plt.rc_context(style):
-        figure = plt.figure(figsize=(width_in, height_in + foot + head))
-        total = height_in + foot + head
+        figure = plt.figure(figsize=sheet.size)
         for row, sole in enumerate(soles):
-            left = 0.0
             shape = _coloured(sole, norm)
-            for view, box, width in zip(
-                views.VIEWS, boxes, widths, strict=True
-            ):
-                bottom = foot + height_in * (1 - (row + 1) / len(soles))
-                axis = figure.add_axes(
-                    [
-                        _INCH * left / width_in,
-                        bottom / total,
-                        _INCH * width / width_in,
-                        _INCH * height / total,
-                    ]
-                )
-                _view(axis, sole, shape, view, box, width, height)
+            for column, view in enumerate(views.VIEWS):
+                axis = figure.add_axes(sheet.place(row, column))
+                _view(axis, sole, shape, view, boxes[column], sheet)
                 _ends(axis, sole.initial.nodes, view)
-                left += width
-            top = (bottom + _INCH * height) / total
-            figure.text(
-                0.012, top, sole.name, fontsize=11, weight="bold", va="top"
-            )
-            figure.text(
-                0.10, top, sole.caption, fontsize=9, va="top", color="0.25"
-            )
-        for view, x in zip(views.VIEWS, np.cumsum(widths), strict=True):
-            middle = (x - 0.5 * widths[views.VIEWS.index(view)]) * _INCH
-            figure.text(
-                middle / width_in, 1 - 0.12 / total, view.name,
-                ha="center", va="top", fontsize=10,
-            )  # fmt: skip
-        _legend(figure, norm, total, foot, width_in)
+            _, bottom, _, height = sheet.place(row, 0)
+            look = {"y": bottom + height, "va": "top"}
+            figure.text(0.012, s=sole.name, size=11, weight="bold", **look)
+            figure.text(0.10, s=sole.caption, size=9, color="0.25", **look)
+        top = 1 - 0.12 / sheet.size[1]
+        for column, view in enumerate(views.VIEWS):
+            left, _, width, _ = sheet.place(0, column)
+            figure.text(left + 0.5 * width, top, view.name, size=10,
+                        ha="center", va="top")  # fmt: skip
+        _legend(figure, norm, sheet.size)
         _save(figure, path)
 
 
@@ -112,13 +128,14 @@ def _coloured(sole: DrawnSole, norm) -> views.Surface:
     return shape.refined()
 
 
-def _view(axis, sole, shape, view, box, width, height) -> None:
+def _view(axis, sole, shape, view, box, sheet) -> None:
     views.draw(axis, shape, view)
     views.outline(axis, sole.initial.nodes, view)
     middle = box.mean(axis=0)
+    width = np.ptp(box, axis=0)[0] + _GAP
     axis.set(
         xlim=middle[0] + 0.5 * np.array([-width, width]),
-        ylim=middle[1] + 0.5 * np.array([-height, height]),
+        ylim=middle[1] + 0.5 * sheet.height * np.array([-1, 1]),
         aspect="equal",
     )
     axis.set_axis_off()
@@ -141,8 +158,9 @@ def _ends(axis, nodes, view) -> None:
         )
 
 
-def _legend(figure, norm, total, foot, width_in) -> None:
+def _legend(figure, norm, size) -> None:
     """Colour bar, scale bar and what is dashed."""
+    wide, total = size
     bar = figure.add_axes([0.06, 0.42 / total, 0.3, 0.11 / total])
     figure.colorbar(
         ScalarMappable(norm, _COLOURS),
@@ -150,9 +168,9 @@ def _legend(figure, norm, total, foot, width_in) -> None:
         orientation="horizontal",
         label="radial change of the surface [%]",
     )
-    axis = figure.add_axes([0.4, 0.1 / total, 0.58, (foot - 0.15) / total])
+    axis = figure.add_axes([0.4, 0.1 / total, 0.58, (_FOOT - 0.15) / total])
     axis.set_axis_off()
-    axis.set(xlim=(0, 0.58 * width_in / _INCH), ylim=(0, 1))
+    axis.set(xlim=(0, 0.58 * wide / _INCH), ylim=(0, 1))
     axis.plot([0, 50], [0.62, 0.62], color="k", lw=2, solid_capstyle="butt")
     axis.text(25, 0.5, "50 mm", ha="center", va="top")
     axis.plot([80, 105], [0.62, 0.62], color="0.25", lw=0.8,
