@@ -248,7 +248,6 @@ def histories_figure(path: Path, traces: dict[str, np.ndarray]) -> None:
             error.semilogy(x, floor[:, 0], color="tab:red", ls=":",
                            label="constraint violation")  # fmt: skip
             cost.legend(fontsize=8)
-            error.set_ylim(0.5 * _FLOOR, None)
         axes[0, 0].set_ylabel(r"cost $c/|c_0|$ with regulariser")
         axes[1, 0].set_ylabel("scaled error")
         axes[1, 0].legend(fontsize=8)
