@@ -59,8 +59,8 @@ def follow(
 
     The first sample is entered from the small-strain solution, at a part of
     its load where need be; the others from the sample before. Where Newton
-    fails the load's way is bisected. After a failure the history goes on
-    from the last equilibrium.
+    fails the load's way is bisected. Without an equilibrium the contact's
+    history ends: the samples that follow are left out.
 
     Args:
         sole: Mesh and material.
@@ -73,29 +73,35 @@ def follow(
     """
     solver = FiniteStrainSolver(NeoHookeanBody(sole.mesh, sole.material), law)
     history = FiniteHistory(K_c=np.full((len(force), 6, 6), np.nan))
-    good = None  # (sample, state) of the last success
     for q in range(len(force)):
-        if good is None:
+        if q == 0:
             target = Target(force[q], zmp[q], start)
             largest = float(np.linalg.norm(force, axis=1).max())
-            known = entry if q == 0 else None
             state, report, reached = _enter(
-                sole, solver, target, largest, known
+                sole, solver, target, largest, entry
             )
         else:
-            reference = solver.places(good[1])[:, :2]
+            reference = solver.places(state)[:, :2]
             target = Target(force[q], zmp[q], reference)
-            before = Target(force[good[0]], zmp[good[0]], reference)
-            state, report, reached = lead(solver, good[1], before, target)
+            before = Target(force[q - 1], zmp[q - 1], reference)
+            state, report, reached = lead(solver, state, before, target)
         history.states.append(state)
         history.reports.append(report)
         history.reached.append(reached)
-        if report.converged:
-            history.K_c[q] = solver.cartesian_stiffness(state, target)
-            good = (q, state)
+        if not report.converged:
+            _leave_out(history, len(force) - q - 1)
+            break
+        history.K_c[q] = solver.cartesian_stiffness(state, target)
         if progress is not None:
             progress(q + 1, len(force))
     return history
+
+
+def _leave_out(history: FiniteHistory, count: int) -> None:
+    rest = Convergence(False, 0, np.inf, "left out after a failure")
+    history.states += [None] * count
+    history.reports += [rest] * count
+    history.reached += [0.0] * count
 
 
 def lead(solver, state, before: Target, target: Target):

@@ -188,3 +188,20 @@ def test_a_collapse_is_said_plainly():
     assert not report.converged
     assert 0.69 < reached <= 0.7
     assert "no equilibrium found beyond 0.69" in report.message
+
+
+def test_samples_after_a_collapse_are_left_out(sole, law):
+    """A force outside friction's cone has no equilibrium."""
+    force, zmp = _load()
+    force[2] = [400.0, 0.0, 100.0]
+    history = follow(sole, law, force, zmp, START)
+    assert history.converged.tolist() == [True, True, False, False, False]
+    assert len(history.states) == len(history.reached) == 5
+    assert 0 < history.reached[2] < 1
+    assert "no equilibrium" in history.reports[2].message
+    assert "left out" in history.reports[3].message
+    assert np.isnan(history.K_c[2:]).all()
+    # The way to it ends where the cone does.
+    way = history.reached[2]
+    F = force[1] + way * (force[2] - force[1])
+    assert np.hypot(F[0], F[1]) == pytest.approx(0.8 * F[2], rel=0.02)
