@@ -198,6 +198,15 @@ def _remarks(sole: dict) -> list[str]:
             f"{sole['heel_strike_samples']} samples have an equilibrium; "
             f"sample {first['sample']}: {first['message']}"
         ]
+    loose = [
+        str(row["sample"])
+        for row in sole["samples"]
+        if row["stability_n_per_m_finite"] <= 0
+    ]
+    if loose:
+        lines.append(
+            f"{'':11s} finite strain: not stable at sample {', '.join(loose)}"
+        )
     turned_over = any(r["least_stretch_small"] <= 0 for r in sole["samples"])
     if turned_over:
         lines.append(

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -115,16 +116,27 @@ def test_a_folder_without_designs_is_refused(tmp_path, capsys):
     assert "holds no design" in capsys.readouterr().err
 
 
-def test_pictures_are_drawn_again_from_the_folder(study, tmp_path):
+def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
+    """Of two designs, the same bytes each time."""
+    pair = tmp_path / "pair"
+    for name in ("small", "twin"):
+        shutil.copytree(study / "small", pair / name)
+        text = (study / "small" / "case.yaml").read_text()
+        (pair / name / "case.yaml").write_text(
+            text.replace("name: small", f"name: {name}", 1)
+        )
+    rows = [{"name": "small"}, {"name": "twin"}]
+    (pair / "summary.json").write_text(json.dumps({"cases": rows}))
     out = tmp_path / "out"
-    assert cli.main(["sole", "report", str(study), "--out", str(out)]) == 0
-    for name in ("soles.png", "histories.png"):
-        assert (out / name).stat().st_size > 10_000
-    first = (out / "soles.png").read_bytes()
-    assert cli.main(
-        ["sole", "report", str(study), "--out", str(out), "--force"]
-    ) == 0  # fmt: skip
-    assert (out / "soles.png").read_bytes() == first
+    assert cli.main(["sole", "report", str(pair), "--out", str(out)]) == 0
+    pictures = ("soles.png", "stiffness.png", "histories.png")
+    first = [(out / name).read_bytes() for name in pictures]
+    assert min(map(len, first)) > 10_000
+    again = ["sole", "report", str(pair), "--out", str(out), "--force"]
+    assert cli.main(again) == 0
+    assert [(out / name).read_bytes() for name in pictures] == first
+    text = (out / "finite_strain.txt").read_text()
+    assert text.count("twin ") == 3
 
 
 def test_the_start_is_that_of_the_initial_shape(study):
@@ -151,6 +163,9 @@ def test_a_collapse_stands_in_the_table():
     assert "10 of 21 samples have an equilibrium" in text
     assert "no equilibrium found beyond 0.400" in text
     assert "inside out" in text
+    assert "not stable" not in text
+    row["stability_n_per_m_finite"] = -1.0
+    assert "not stable at sample 11" in strain_report.table({"1-Ref": sole})
 
 
 def test_a_table_without_rows_is_read(tmp_path):
