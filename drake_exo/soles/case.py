@@ -304,12 +304,13 @@ class OptimizeBlock:
     strain: float | None = _positive("", 0.3)
     c_rot_nm_per_rad: float | None = _positive("N·m/rad")
     use_tr: float = _not_negative("", 1.0)
-    roughness: float = _not_negative("", 10.0)
+    roughness: float = _not_negative("", 3.0)
     tolerance: float = _positive("", 1e-4)
     stages: tuple[Stage, ...] = (
-        Stage((10, 6, 3), 24, 4e-5, 0.2, 80),
-        Stage((14, 8, 4), 60, 1e-5, 0.1, 40),
-        Stage((18, 12, 4), None, 5e-6, 0.1, 12),
+        Stage((10, 6, 3), 24, 1e-3, 0.2, 60),
+        Stage((10, 6, 3), 24, 2e-4, 0.2, 40),
+        Stage((14, 8, 4), 60, 5e-5, 0.2, 30),
+        Stage((18, 12, 4), None, 5e-6, 0.2, 10),
     )
 
     def __post_init__(self):

@@ -8,6 +8,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.output import read_json, write_json
 from drake_exo.soles.contact import State
+from drake_exo.soles.optimiser import WarmStart
 
 _FILE = "checkpoint.json"
 _LARGEST = 1e30
@@ -20,6 +21,9 @@ class Checkpoint:
     Attributes:
         stage, iteration: Stage to go on with, its iterations done.
         p: Best design so far (P,); None before the first.
+        latest: Point the optimiser stood at (P,).
+        multipliers: Of the constraints there.
+        barrier: IPOPT's μ there; None between stages.
         curvature: Learnt Hessian (P, P).
         origin, orientation: Foot pose at its first sample, O (3,), R (3, 3).
     """
@@ -27,6 +31,9 @@ class Checkpoint:
     stage: int = 0
     iteration: int = 0
     p: np.ndarray | None = None
+    latest: np.ndarray | None = None
+    multipliers: np.ndarray | None = None
+    barrier: float | None = None
     curvature: np.ndarray | None = None
     origin: np.ndarray | None = None
     orientation: np.ndarray | None = None
@@ -46,10 +53,22 @@ class Checkpoint:
             raise ValueError("not a checkpoint")
 
     @classmethod
-    def of(cls, stage, iteration, p, learnt, problem) -> "Checkpoint":
+    def of(cls, stage, iteration, best, learnt, problem) -> "Checkpoint":
         """Of a running stage."""
         first = problem.branch
-        return cls(stage, iteration, p, learnt.matrix, first.O, first.R)
+        latest, multipliers, barrier = best.latest or (best.p, None, None)
+        return cls(
+            stage, iteration, best.p, latest, multipliers, barrier,
+            learnt.matrix, first.O, first.R,
+        )  # fmt: skip
+
+    def warm_start(self, bounds) -> WarmStart | None:
+        """Where to go on within a stage."""
+        if self.barrier is None:
+            return None
+        return WarmStart.interrupted(
+            self.latest, bounds, self.multipliers, self.barrier, self.p
+        )
 
     def branch(self, nodes: int) -> State | None:
         """Pose to look for the first contact at, on a mesh of this stage."""
@@ -67,6 +86,9 @@ class Checkpoint:
                 "stage": self.stage,
                 "iteration": self.iteration,
                 "coefficients": self.p,
+                "latest": self.latest,
+                "multipliers": self.multipliers,
+                "barrier": self.barrier,
                 "curvature": self.curvature[lower],
                 "origin_m": self.origin,
                 "orientation": self.orientation,
@@ -91,6 +113,9 @@ def read_checkpoint(path: Path) -> Checkpoint:
             int(data["stage"]),
             int(data["iteration"]),
             p,
+            np.array(data["latest"], dtype=float),
+            _optional(data["multipliers"], np.array),
+            _optional(data["barrier"], float),
             B + np.tril(B, -1).T,
             np.array(data["origin_m"], dtype=float).reshape(3),
             np.array(data["orientation"], dtype=float).reshape(3, 3),
@@ -99,3 +124,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{file}: not a checkpoint; {remedy}") from None
     return found
+
+
+def _optional(value, convert):
+    return None if value is None else convert(value)

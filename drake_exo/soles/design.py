@@ -20,7 +20,7 @@ from drake_exo.soles.limits import Limits
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import Optimum, minimise
+from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.shape import SphericalSpline
@@ -133,14 +133,15 @@ def optimise(
     """
     block = case.optimize
     bounds = tuple(block.bounds)
-    optima, seconds = [], []
+    optima, seconds, warm = [], [], None
     at = resume or Checkpoint()
     for number in range(at.stage, len(block.stages)):
         stage = block.stages[number]
         began = time.perf_counter()
         problem = stage_problem(case, own, load, start, stage)
         if at.p is None:
-            at = Checkpoint(p=first_design(problem, bounds))
+            first = first_design(problem, bounds)
+            at = Checkpoint(p=first, latest=first)
         if len(at.p) != problem.spline.count:
             raise InputError(
                 f"--resume: the checkpoint has {len(at.p)} coefficients, the "
@@ -162,17 +163,20 @@ def optimise(
             )
             if iteration % _CHECKPOINT_EVERY == 0:
                 Checkpoint.of(
-                    number, before + iteration, best.p, learnt, problem
+                    number, before + iteration, best, learnt, problem
                 ).write(out)
 
-        left = max(stage.iterations - at.iteration, 0)
         best = minimise(
-            problem, at.p, bounds, left, block.tolerance, note, learnt=learnt
-        )
+            problem, at.latest, bounds, max(stage.iterations - at.iteration, 0),
+            block.tolerance, note, learnt=learnt,
+            warm=warm or at.warm_start(bounds),
+        )  # fmt: skip
         optima.append(best)
         seconds.append(time.perf_counter() - began)
+        warm = WarmStart(best.multipliers, *best.at_bounds)
+        best.latest = ()
         following = min(number + 1, len(block.stages) - 1)
-        at = Checkpoint.of(following, 0, best.p, learnt, problem)
+        at = Checkpoint.of(following, 0, best, learnt, problem)
         at.write(out)
     return _judge(case, problem, at.p, load, start, optima, seconds)
 

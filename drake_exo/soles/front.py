@@ -17,7 +17,7 @@ from drake_exo.soles.optimiser import minimise
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.study_cases import TABLE_2
 
-STAGE = Stage((10, 6, 3), 24, 4e-5, 0.2, 60)
+STAGE = Stage((10, 6, 3), 24, 2e-4, 0.2, 60)
 _FURTHER = 20  # iterations from the second point on
 # Floors over the brick's c_rot; the middle one is the paper's 1-Ref.
 FLOORS = (0.5, 0.7, 0.85, 0.972, 1.15, 1.3, 1.5, 1.7)

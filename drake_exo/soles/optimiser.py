@@ -15,11 +15,23 @@ from drake_exo.soles.quasi_newton import QuasiNewton
 _FEASIBLE = 1e-4
 _OPTIONS = {
     "acceptable_iter": 0,
-    "mu_strategy": "adaptive",
+    # Adaptive barriers leap about where costs are not quadratic.
+    "mu_strategy": "monotone",
+    "mu_init": 1e-3,
+    "theta_max_fact": 0.1,  # far outside, a simulation says little
     "nlp_scaling_method": "none",
     "bound_relax_factor": 0.0,
     "print_level": 0,
     "sb": "yes",
+}
+# From the optimum of a neighbouring problem: stay close to it.
+_WARM = {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": 1e-6,
+    "warm_start_bound_frac": 1e-6,
+    "warm_start_slack_bound_push": 1e-6,
+    "warm_start_slack_bound_frac": 1e-6,
+    "warm_start_mult_bound_push": 1e-6,
 }
 
 _STATUS = {
@@ -32,6 +44,31 @@ _STATUS = {
     5: "stopped by the user",
     -13: "invalid number",
 }
+
+
+@dataclass
+class WarmStart:
+    """Multipliers and barrier to begin with, from a neighbouring problem.
+
+    Attributes:
+        multipliers: Of the constraints, (m,).
+        low, high: Of the bounds, (P,) each.
+        barrier: IPOPT's μ.
+        best: Best design of an interrupted run.
+    """
+
+    multipliers: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    barrier: float = 1e-5
+    best: np.ndarray | None = None
+
+    @classmethod
+    def interrupted(cls, p, bounds, multipliers, barrier, best):
+        """In the middle of a run: bounds' multipliers from the barrier."""
+        low = barrier / np.maximum(p - bounds[0], 1e-9)
+        high = barrier / np.maximum(bounds[1] - p, 1e-9)
+        return cls(multipliers, low, high, barrier, best)
 
 
 @dataclass
@@ -49,7 +86,9 @@ class Optimum:
         complementarity: Largest |multiplier × distance| of bounds and
             constraints at its last point.
         multipliers: Of the constraints.
+        at_bounds: Multipliers of lower and upper bounds, (P,) each.
         violation: Largest constraint violation at p.
+        latest: IPOPT's latest point, multipliers and barrier.
         trace: Rows (iteration, cost, violation, dual infeasibility).
     """
 
@@ -60,6 +99,8 @@ class Optimum:
     error: float = np.inf
     complementarity: float = np.inf
     multipliers: np.ndarray | None = None
+    at_bounds: tuple = ()
+    latest: tuple = ()
     violation: float = np.inf
     trace: list = field(default_factory=list)
 
@@ -81,6 +122,7 @@ class _Callbacks:
         self.say = say
         self.stopped = False
         self._point, self._derivatives = None, None
+        self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
 
     def guarded(self, function):
@@ -123,22 +165,17 @@ class _Callbacks:
         """Lower triangle; a factor of 0 is IPOPT's restoration."""
         if factor > 0:
             self.learnt.update(p, *self.at(p), multipliers / factor)
+            self.best.latest = (p.copy(), multipliers / factor, self._barrier)
         B = self.learnt.matrix + self.problem.smoothness(p)[2]
         out[()] = max(factor, 1e-3) * B[self._lower]
 
-    def watch(self, mode, iteration, cost, inf_pr, inf_du, *_):
+    def watch(self, mode, iteration, cost, inf_pr, inf_du, barrier, *_):
         """Note the iteration; False ends the run."""
         self.best.trace.append((iteration, cost, inf_pr, inf_du))
-        self.best.error = inf_du
+        self.best.error, self._barrier = inf_du, barrier
         if self.say is not None:
             self.say(iteration, self.best)
         return not self.stopped
-
-
-def _furthest(problem, p) -> float:
-    """IPOPT's bound on violations: far outside, a simulation says little."""
-    violation = np.maximum(-problem.constraints(p), 0.0).sum()
-    return max(0.1, 1.5 * float(violation))
 
 
 def _merits(problem, p) -> tuple[float, float]:
@@ -156,6 +193,7 @@ def minimise(
     on_iterate: Callable[[int, "Optimum"], None] | None = None,
     options: dict | None = None,
     learnt: QuasiNewton | None = None,
+    warm: WarmStart | None = None,
 ) -> Optimum:
     """Run IPOPT from p0.
 
@@ -168,11 +206,14 @@ def minimise(
         on_iterate: Called with the iteration and the best so far.
         options: More options of IPOPT.
         learnt: Curvature known already; learns more.
+        warm: Multipliers of a neighbouring problem, or of this one before
+            an interruption.
     """
     import ipyopt
 
     n, m = problem.spline.count, len(problem.names())
-    best = Optimum(np.clip(p0, *bounds))
+    p0 = np.clip(p0, *bounds)
+    best = Optimum(p0.copy())
     learnt = learnt or QuasiNewton(n)
     learnt.forget_point()
     calls = _Callbacks(problem, learnt, best, on_iterate)
@@ -194,29 +235,33 @@ def minimise(
         ipopt_options={
             "max_iter": iterations,
             "tol": tolerance,
-            "theta_max_fact": _furthest(problem, best.p),
             **_OPTIONS,
+            **({**_WARM, "mu_init": warm.barrier} if warm else {}),
             **(options or {}),
         },
     )
     multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)
+    if warm is not None:
+        multipliers[:], low[:], high[:] = warm.multipliers, warm.low, warm.high
+        if warm.best is not None and problem.evaluate(warm.best) is not None:
+            best.consider(warm.best, *_merits(problem, warm.best))
     p, _, status = solver.solve(
-        best.p.copy(), mult_g=multipliers, mult_x_L=low, mult_x_U=high
+        p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
     )
     if calls.stopped:
         raise KeyboardInterrupt
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     best.optimal = status == 0
-    best.multipliers = multipliers
-    _judge_last(problem, best, p, bounds, (low, high), calls)
+    best.multipliers, best.at_bounds = multipliers, (low, high)
+    _judge_last(problem, best, p, bounds, calls)
     return best
 
 
-def _judge_last(problem, best, p, bounds, at_bounds, calls) -> None:
+def _judge_last(problem, best, p, bounds, calls) -> None:
     """Optimality at IPOPT's last point, by IPOPT's own formula (its (5))."""
     if problem.evaluate(p) is None:
         return
-    low, high = at_bounds
+    low, high = best.at_bounds
     gradient, jacobian = calls.at(p)
     gradient = gradient + problem.smoothness(p)[1]
     values, lam = problem.constraints(p), best.multipliers

@@ -29,7 +29,10 @@ TABLE_2 = {
     "5-Fixed": (3.88e6, 1.21e6, 1.79e5, 1.16e5),
 }
 
-COARSE = (Stage((10, 6, 3), 24, 4e-5, 0.2, 25),)
+COARSE = (
+    Stage((10, 6, 3), 24, 1e-3, 0.2, 20),
+    Stage((10, 6, 3), 24, 1e-4, 0.2, 10),
+)
 FULL = OptimizeBlock().stages
 
 

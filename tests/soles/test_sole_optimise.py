@@ -9,7 +9,12 @@ import pytest
 
 from drake_exo import cli
 from drake_exo.soles.case import LoadBlock, Pattern, read_case
-from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.checkpoint import read_checkpoint
+from drake_exo.soles.design import first_design, optimise, stage_problem
+from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.optimiser import minimise
+from drake_exo.soles.problem import ShapeProblem
+from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.study_cases import TABLE_2, five_cases
 from drake_exo.soles.study_table import table
 
@@ -79,6 +84,81 @@ def test_a_run_goes_on_from_its_checkpoint(folder):
         for name in ("out", "more")
     )
     assert then <= first * 1.01
+
+
+def test_interrupted_three_times_the_optimum_is_the_same(
+    folder, tmp_path, monkeypatch
+):
+    text = CASE.replace("[5, 5]", "[3, 3]").replace("5.0e-5", "1.0e-3")
+    text = text.replace("iterations: 3}", "iterations: 200}")
+    (tmp_path / "case.yaml").write_text(text + "  roughness: 10.0\n")
+    case = read_case(tmp_path / "case.yaml")
+    load, mesh = case.load.load(folder), case.read_mesh(folder)
+    simulate = ShapeProblem._simulate
+    rng = np.random.default_rng(0)
+    left = [0]
+
+    def impatient(problem, p):
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        return simulate(problem, p)
+
+    def run(resume, patience):
+        left[0] = patience
+        return optimise(
+            case, mesh, load, case.start_pose(mesh), tmp_path,
+            lambda text: None, resume,
+        )  # fmt: skip
+
+    monkeypatch.setattr(ShapeProblem, "_simulate", impatient)
+    whole = run(None, -1)
+    resume = None
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            run(resume, int(rng.integers(12, 25)))
+        resume = read_checkpoint(tmp_path)
+        assert resume.iteration > 0
+    after = run(resume, -1)
+    assert whole.optima[-1].optimal
+    assert after.optima[-1].optimal
+    assert after.optima[-1].cost == pytest.approx(
+        whole.optima[-1].cost, rel=5e-3
+    )
+
+
+def test_multipliers_and_complementarity_are_those_of_an_optimum(
+    folder, tmp_path
+):
+    text = CASE.replace("[5, 5]", "[3, 3]").replace("5.0e-5", "1.0e-3")
+    text = text.replace("iterations: 3}", "iterations: 200}")
+    (tmp_path / "case.yaml").write_text(text + "  roughness: 10.0\n")
+    case = read_case(tmp_path / "case.yaml")
+    load, mesh = case.load.load(folder), case.read_mesh(folder)
+    problem = stage_problem(
+        case, mesh, load, case.start_pose(mesh), case.optimize.stages[0]
+    )
+    p = first_design(problem, (0.3, 1.4))
+    best = minimise(problem, p, (0.3, 1.4), 200)
+    assert best.optimal
+    assert best.error <= 1e-4
+    gradient, jacobian = problem.derivatives(best.p)
+    low, high = best.at_bounds
+    gradient = gradient + problem.smoothness(best.p)[1]
+    dual = gradient + jacobian.T @ best.multipliers - low + high
+    assert np.abs(dual).max() <= 1e-4
+    # IPOPT's sign: constraints at least 0 have multipliers at most 0.
+    assert (best.multipliers <= 1e-9).all()
+    assert best.multipliers.min() < -1e-3
+
+
+def test_elements_stay_above_their_floor(folder):
+    design = json.loads((folder / "out" / "design.json").read_text())
+    mesh = brick((0.23, 0.13, 0.03), (5, 4, 2))
+    spline = SphericalSpline(tuple(design["intervals"]))
+    p = np.array(design["coefficients"])
+    ratio = mesh.with_nodes(spline.deform(mesh.nodes, p)).volumes / mesh.volumes
+    assert ratio.min() > 0.06
 
 
 def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):
