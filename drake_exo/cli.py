@@ -39,7 +39,11 @@ _NO_ROOM = (
 
 def main(argv: list[str] | None = None) -> int:
     """Run one subcommand and return its exit code (2 for bad input)."""
-    argv = sys.argv[1:] if argv is None else argv
+    return _run(parse(sys.argv[1:] if argv is None else argv))
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """Arguments of one subcommand, and its function as `run`."""
     parser = argparse.ArgumentParser(prog="drake-exo", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     subparsers = parser.add_subparsers(dest="command", required=True)
@@ -47,7 +51,11 @@ def main(argv: list[str] | None = None) -> int:
     names = [wanted] if wanted in _COMMANDS else list(_COMMANDS)
     for name in names:
         importlib.import_module(_COMMANDS[name]).add_parser(subparsers)
-    args = parser.parse_args(argv)
+    return parser.parse_args(argv)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run what was parsed; say in a sentence what a user can act upon."""
     try:
         return args.run(args) or 0
     except InputError as error:

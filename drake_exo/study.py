@@ -32,6 +32,8 @@ class Subject:
     """Who was measured.
 
     Attributes:
+        height_m: stature.
+        sex: which of de Leva's tables.
         mass_kg: body mass without the exoskeleton; left out, it is taken
             from the forces of quiet standing.
         segments: values that replace those scaled from mass and height, as
@@ -145,6 +147,8 @@ class Plates:
     """Numbers of the force plates, from 1: under each foot, or under both.
 
     Attributes:
+        left, right: under that foot; one of them alone counts twice.
+        both: under both feet.
         chair: under the chair, whose weight is tared.
     """
 
@@ -280,6 +284,8 @@ class Study:
     """A study; see the attributes' own classes.
 
     Attributes:
+        model: with the exoskeleton, or the human alone.
+        gravity_m_s2: acceleration of gravity.
         device: how the exoskeleton was measured and what its drives do; left
             out, joint moments are known only where they were recorded.
         mats: pressure matrices by name.

@@ -14,7 +14,11 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Axes:
-    """Which axes of a file point forward and up; OpenSim's are x and y."""
+    """Which axes of a file point forward and up; OpenSim's are x and y.
+
+    Attributes:
+        forward, up: an axis, with a minus where it points the other way.
+    """
 
     forward: Axis = "x"
     up: Axis = "y"

@@ -19,7 +19,13 @@ _NEWTON_PER_M2 = "N/m^2"
 
 @dataclass(frozen=True)
 class Range:
-    """A parameter: nominal value, bounds, and whether it is calibrated."""
+    """A parameter, in the unit of its key.
+
+    Attributes:
+        nominal: guess and prior mean; the value itself where not free.
+        lower, upper: bounds.
+        free: whether it is calibrated.
+    """
 
     nominal: float
     lower: float
@@ -47,6 +53,7 @@ class Spread:
     Attributes:
         below, above: how far the bounds lie from it.
         shift: added to the model's value.
+        free: whether it is calibrated.
     """
 
     below: float = field(metadata={"unit": "m", "above": 0.0})
@@ -112,7 +119,10 @@ class TrackingNoise:
 class EndTolerance:
     """How far the foot may be from what was measured at both ends.
 
-    Its velocity is free where None: there it is tracked.
+    Attributes:
+        x_m, z_m, pitch_deg: place and pitch of the foot.
+        velocity_m_s, pitch_rate_deg_s: its motion; null leaves it free, but
+            for being tracked.
     """
 
     x_m: float = _sigma(0.01, "m")
@@ -143,6 +153,8 @@ class Solver:
         hessian: "gauss_newton" or "exact".
         solver: "ipopt" (sparse derivatives) or "drake" (Drake's own
             IpoptSolver: slow, for small cases).
+        tolerance: of optimality and feasibility, scaled.
+        max_iterations: of one attempt.
     """
 
     nodes_per_second: float = field(
@@ -251,6 +263,10 @@ def _sphere(name, settings, place, law):
     ]
 
 
+def _damping(default: float, unit: str):
+    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
+
+
 @dataclass(frozen=True)
 class BushingSettings:
     """One human-exoskeleton bushing.
@@ -258,8 +274,8 @@ class BushingSettings:
     Attributes:
         origin_x_m, origin_z_m: about the model's cuff, in the human segment.
         tangential_n_m, normal_n_m, rotational_nm_rad: stiffness.
-        tangential_damping, normal_damping [N s/m], rotational_damping
-            [N m s/rad]: constant (paper, II-C).
+        tangential_damping, normal_damping, rotational_damping: constant
+            (paper, II-C).
     """
 
     origin_x_m: Spread = Spread(0.05, 0.05)
@@ -267,9 +283,9 @@ class BushingSettings:
     tangential_n_m: Range = Range(2000.0, 100.0, 20000.0)
     normal_n_m: Range = Range(5000.0, 100.0, 50000.0)
     rotational_nm_rad: Range = Range(50.0, 1.0, 500.0)
-    tangential_damping: float = field(default=10.0, metadata={"minimum": 0.0})
-    normal_damping: float = field(default=10.0, metadata={"minimum": 0.0})
-    rotational_damping: float = field(default=0.1, metadata={"minimum": 0.0})
+    tangential_damping: float = _damping(10.0, "N s/m")
+    normal_damping: float = _damping(10.0, "N s/m")
+    rotational_damping: float = _damping(0.1, "N m s/rad")
 
     @property
     def damping(self) -> tuple[float, float, float]:
@@ -303,7 +319,11 @@ class InteractionNoise(TrackingNoise):
 
 @dataclass(frozen=True)
 class InteractionSettings:
-    """Phase B, and the models of Phase C."""
+    """Phase B, and the models of Phase C.
+
+    Attributes:
+        prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+    """
 
     shank: BushingSettings = BushingSettings()
     thigh: BushingSettings = BushingSettings()

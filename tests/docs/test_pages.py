@@ -1,0 +1,217 @@
+"""Documentation that stays true: links, commands, messages, keys, the map."""
+
+import ast
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from drake_exo import cli
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("tutorials/*.md")]
+)
+SOURCES = sorted((ROOT / "drake_exo").rglob("*.py"))
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def prose(path: Path) -> str:
+    """Text of a page without its blocks of code."""
+    return _FENCE.sub("", path.read_text("utf-8"))
+
+
+def anchors(path: Path) -> set[str]:
+    """What links may point to, made as GitHub and its like do."""
+    found = set()
+    for title in re.findall(r"^#+ (.+)$", prose(path), re.MULTILINE):
+        title = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title).lower()
+        found.add(re.sub(r"[^\w\- ]", "", title).replace(" ", "-"))
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page):
+    for link in _LINK.findall(prose(page)):
+        if link.startswith(("http://", "https://")):
+            continue
+        place, _, anchor = link.partition("#")
+        target = (page.parent / place).resolve() if place else page
+        assert target.exists(), f"{name(page)}: {link}"
+        if anchor:
+            assert anchor in anchors(target), f"{name(page)}: {link}"
+
+
+def test_every_page_is_linked():
+    """From the index, or from the README."""
+    linked = set()
+    for page in (ROOT / "README.md", ROOT / "docs" / "README.md"):
+        for link in _LINK.findall(prose(page)):
+            linked.add((page.parent / link.partition("#")[0]).resolve())
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page in linked or page.name == "README.md", name(page)
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    """(page, words) of every `drake-exo` line in the pages' blocks."""
+    found = []
+    for page in PAGES:
+        for language, block in _FENCE.findall(page.read_text("utf-8")):
+            if language not in ("", "sh", "console"):
+                continue
+            for line in block.replace("\\\n", " ").splitlines():
+                # Square brackets stand around what may be left out.
+                line = line.split(" #")[0].replace("[", "").replace("]", "")
+                words = shlex.split(line)
+                if words and words[0].split("/")[-1] == "drake-exo":
+                    found.append((name(page), words[1:]))
+    for page in PAGES:
+        for line in re.findall(r"`drake-exo ([^`]+)`", prose(page)):
+            line = line.replace("[", "").replace("]", "")
+            words = shlex.split(" ".join(line.split()))
+            if {"--out", "STUDY.yaml", "DIR"} & set(words):
+                found.append((name(page), words))
+    return found
+
+
+COMMANDS = commands()
+
+
+def test_there_are_commands():
+    seen = {words[0] for _, words in COMMANDS}
+    assert seen >= {"check", "calibrate", "predict", "report", "lab", "sole"}
+
+
+@pytest.mark.parametrize(
+    ("page", "words"), COMMANDS, ids=lambda v: v if isinstance(v, str) else ""
+)
+def test_commands_are_understood(page, words):
+    """Parsed by the program's own parser; nothing is run."""
+    words = [{"N": "1", "FACTOR": "1.4"}.get(word, word) for word in words]
+    required = {"predict": ["--calibration", "--out"], "calibrate": ["--out"],
+                "sensitivity": ["--out"], "contact": ["--out"]}  # fmt: skip
+    inline = [w for w in required.get(words[0], []) if w not in words]
+    for option in inline:  # quoted in a sentence, where it may be left out
+        words = [*words, option, "x"]
+    assert cli.parse(words).command == words[0]
+
+
+_LIGHT = ("contact",)
+
+
+@pytest.mark.parametrize("command", _LIGHT)
+def test_light_commands_run(command, tmp_path, monkeypatch):
+    words = next(w for _, w in COMMANDS if w[0] == command)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == 0
+    assert any(tmp_path.iterdir())
+
+
+def test_studies_in_the_pages_are_read():
+    """Each block that is a whole study; fragments as a part of one."""
+    from drake_exo import schema
+    from drake_exo.study import Study
+
+    page = (ROOT / "docs" / "your_data.md").read_text("utf-8")
+    whole = [b for k, b in _FENCE.findall(page) if "subject:" in b]
+    assert len(whole) == 1
+    schema.load_text(whole[0], Study, "docs/your_data.md")
+    count = 0
+    for path in ("your_data.md", "your_exoskeleton.md"):
+        text = (ROOT / "docs" / path).read_text("utf-8")
+        for language, block in _FENCE.findall(text):
+            if language != "yaml" or "subject:" in block or "..." in block:
+                continue
+            base = whole[0].replace("model: human # or coupled", "#")
+            base += block if "model:" in block else f"model: coupled\n{block}"
+            schema.load_text(base, Study, f"docs/{path}")
+            count += 1
+    assert count >= 3
+
+
+def test_python_in_the_pages_runs():
+    """The device of the models, read as one's own would be."""
+    from drake_exo.description import models_path, nominal_exoskeleton
+
+    page = (ROOT / "docs" / "your_exoskeleton.md").read_text("utf-8")
+    (block,) = [b for k, b in _FENCE.findall(page) if k == "python"]
+    space: dict = {}
+    exec(block, space)
+    # Without its pictures, whose package this parser does not know.
+    text = (models_path() / "exoskeleton.sdf").read_text("utf-8")
+    text = re.sub(r"<visual.*?</visual>", "", text, flags=re.DOTALL)
+    path = ROOT / "tests" / "docs" / "device.sdf"
+    try:
+        path.write_text(text, encoding="utf-8")
+        mass, com, inertia = space["lumped"](path, ["exo_shank"])
+    finally:
+        path.unlink()
+    known = nominal_exoskeleton().shank
+    assert mass == pytest.approx(known.mass_kg)
+    assert com == pytest.approx(known.com_m)
+    assert inertia == pytest.approx(known.inertia_kg_m2)
+
+
+def said() -> list[str]:
+    """Every string of the program; "…" where a value is put in."""
+    found = []
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = (
+                    str(v.value) if isinstance(v, ast.Constant) else "…"
+                    for v in node.values
+                )
+                found.append("".join(parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+    return found
+
+
+def test_quoted_messages_exist():
+    page = prose(ROOT / "docs" / "troubleshooting.md")
+    quoted = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
+    assert len(quoted) > 35
+    strings = said()
+    for message in quoted:
+        assert any(message in s for s in strings), message
+
+
+def test_keys_are_those_of_the_program(monkeypatch):
+    """If this fails: python docs/make_study_keys.py"""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import make_study_keys
+
+    assert make_study_keys.PAGE.read_text("utf-8") == make_study_keys.page()
+    sys.modules.pop("make_study_keys")
+
+
+def test_the_map_is_true():
+    """Every place that is named exists, and every place is named."""
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    named = re.findall(r"`((?:drake_exo|tests|models|docs)/[\w./]*)`", text)
+    for place in named:
+        assert (ROOT / place).exists(), place
+    for path in (ROOT / "drake_exo").iterdir():
+        if path.name.startswith("__"):
+            continue
+        place = name(path) + ("/" if path.is_dir() else "")
+        assert place in named, place
+    for place in re.findall(r"`phases/\w+\.py`", text):
+        assert (ROOT / "drake_exo" / place.strip("`")).exists(), place
+
+
+def test_files_named_in_the_pages_exist():
+    for page in PAGES:
+        for place in re.findall(
+            r"`((?:drake_exo|tests|benchmarks|docs|models)/[\w./]+\.\w+)`",
+            prose(page),
+        ):
+            assert (ROOT / place).exists(), f"{name(page)}: {place}"
