@@ -5,6 +5,24 @@ from dataclasses import dataclass
 from drake_exo.errors import InputError
 
 
+def check_range(nominal: float, lower: float, upper: float) -> None:
+    """Refuse bounds that are none, and a value that is not within them.
+
+    Raises:
+        InputError: saying which.
+    """
+    if not lower < upper:
+        raise InputError(
+            f"lower bound {lower:g} is not below upper bound {upper:g}; swap "
+            "them"
+        )
+    if not lower <= nominal <= upper:
+        raise InputError(
+            f"nominal {nominal:g} is not within its bounds {lower:g} to "
+            f"{upper:g}; correct the bounds or the nominal value"
+        )
+
+
 @dataclass(frozen=True)
 class ContactParameter:
     """A scalar of a contact model.
@@ -25,17 +43,10 @@ class ContactParameter:
     free: bool = True
 
     def __post_init__(self):
-        if not self.lower < self.upper:
-            raise InputError(
-                f"{self.name}: lower bound {self.lower:g} {self.unit} is not "
-                f"below upper bound {self.upper:g} {self.unit}; swap them"
-            )
-        if not self.lower <= self.nominal <= self.upper:
-            raise InputError(
-                f"{self.name}: nominal {self.nominal:g} {self.unit} is not "
-                f"within its bounds {self.lower:g} to {self.upper:g}; "
-                "correct the bounds or the nominal value"
-            )
+        try:
+            check_range(self.nominal, self.lower, self.upper)
+        except InputError as error:
+            raise InputError(f"{self.name} [{self.unit}]: {error}") from error
 
     @property
     def span(self) -> float:

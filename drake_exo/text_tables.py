@@ -76,6 +76,24 @@ def number_rows(
     return values
 
 
+def frame_rate(path: str | Path, text: str | None, key: str) -> float:
+    """Frames per second that a header names under `key`.
+
+    Raises:
+        InputError: it does not, or no camera is that slow or fast.
+    """
+    try:
+        rate = float(text)
+    except (TypeError, ValueError):
+        rate = 0.0
+    if not 0.0 < rate < 1e6:
+        raise InputError(
+            f"{path}: {key} in the header is {text and shown(text)!r}; write "
+            "frames per second"
+        )
+    return rate
+
+
 def _not_a_number(path, rows, texts) -> InputError:
     for (line, _), cells in zip(rows, texts, strict=True):
         for cell in cells:

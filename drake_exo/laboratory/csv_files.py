@@ -60,8 +60,8 @@ def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
             )
         if match["name"] in names:
             raise InputError(
-                f"{path}:1: two columns are named {shown(match['name'])!r}; rename "
-                "one"
+                f"{path}:1: two columns are named "
+                f"{shown(match['name'])!r}; rename one"
             )
         names.append(match["name"])
         factors.append(UNITS[unit])

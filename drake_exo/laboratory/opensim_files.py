@@ -18,7 +18,7 @@ from drake_exo.laboratory.tables import (
     check_gaps,
     check_increasing,
 )
-from drake_exo.text_tables import number_rows, read_text
+from drake_exo.text_tables import frame_rate, number_rows, read_text
 
 _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
@@ -134,7 +134,7 @@ def read_trc(path: str | Path) -> MarkerData:
         time=values[:, 1],
         names=tuple(names),
         positions=scale * values[:, 2:].reshape(len(rows), -1, 3),
-        rate_hz=_rate(path, header.get("datarate")),
+        rate_hz=frame_rate(path, header.get("datarate"), "DataRate"),
         source=str(path),
     )
 
@@ -275,19 +275,6 @@ def _length_unit(path, unit: str | None) -> float:
             f"{path}: Units in the header is {unit!r}; write m, cm or mm"
         )
     return _LENGTH_UNITS[unit.lower()]
-
-
-def _rate(path, text: str | None) -> float:
-    try:
-        rate = float(text)
-    except (TypeError, ValueError):
-        rate = 0.0
-    if not 0.0 < rate < 1e6:
-        raise InputError(
-            f"{path}: DataRate in the header is {text!r}; write frames per "
-            "second"
-        )
-    return rate
 
 
 def _check_names(path, line: int, names: list[str]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.laboratory.opensim_files import PlateRecording
 from drake_exo.laboratory.tables import MarkerData, check_increasing
-from drake_exo.text_tables import number_rows, read_text
+from drake_exo.text_tables import frame_rate, number_rows, read_text
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
@@ -58,7 +58,9 @@ def read_markers_csv(path: str | Path) -> MarkerData:
         time=values[:, 1],
         names=tuple(columns),
         positions=scale * positions,
-        rate_hz=_rate(path, head.get("Export Frame Rate")),
+        rate_hz=frame_rate(
+            path, head.get("Export Frame Rate"), "Export Frame Rate"
+        ),
         source=str(path),
     )
 
@@ -156,16 +158,6 @@ def _check_total(path, text: str | None, count: int) -> None:
             f"{path}: says {int(text)} exported frames, but holds {count}; "
             "the file is truncated"
         )
-
-
-def _rate(path, text: str | None) -> float:
-    try:
-        rate = float(text)
-    except (TypeError, ValueError):
-        rate = 0.0
-    if not 0.0 < rate < 1e6:
-        raise InputError(f"{path}: Export Frame Rate is {text!r}; correct it")
-    return rate
 
 
 def _corners(path, head) -> np.ndarray:

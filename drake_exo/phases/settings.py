@@ -11,7 +11,7 @@ from drake_exo.forces.contact_constants import (
 )
 from drake_exo.forces.hunt_crossley import paper_stiffness
 from drake_exo.nlp.ipopt import SolverOptions
-from drake_exo.parameters import ContactParameter
+from drake_exo.parameters import ContactParameter, check_range
 from drake_exo.schema import check_bounds
 
 _NEWTON_PER_M2 = "N/m^2"
@@ -33,17 +33,7 @@ class Range:
     free: bool = True
 
     def __post_init__(self):
-        if not self.lower < self.upper:
-            raise InputError(
-                f"lower bound {self.lower:g} is not below upper bound "
-                f"{self.upper:g}; swap them"
-            )
-        if not self.lower <= self.nominal <= self.upper:
-            raise InputError(
-                f"nominal {self.nominal:g} is not within its bounds "
-                f"{self.lower:g} to {self.upper:g}; correct the bounds or "
-                "the nominal value"
-            )
+        check_range(self.nominal, self.lower, self.upper)
 
 
 @dataclass(frozen=True)
