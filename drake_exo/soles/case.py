@@ -307,9 +307,9 @@ class OptimizeBlock:
     roughness: float = _not_negative("", 3.0)
     tolerance: float = _positive("", 1e-4)
     stages: tuple[Stage, ...] = (
-        Stage((10, 6, 3), 24, 1e-3, 0.2, 60),
-        Stage((10, 6, 3), 24, 2e-4, 0.2, 40),
-        Stage((14, 8, 4), 60, 5e-5, 0.2, 30),
+        Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
+        Stage((10, 6, 3), 24, 1e-4, 0.2, 40),
+        Stage((14, 8, 4), 60, 3e-5, 0.2, 30),
         Stage((18, 12, 4), None, 5e-6, 0.2, 10),
     )
 

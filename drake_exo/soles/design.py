@@ -181,15 +181,15 @@ def optimise(
     return _judge(case, problem, at.p, load, start, optima, seconds)
 
 
-def first_design(problem: ShapeProblem, bounds) -> np.ndarray:
-    """All coefficients one, shrunk until the volume limit is met."""
-    p = np.ones(problem.spline.count)
+def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
+    """All coefficients one, or p, shrunk until the volume limit is met."""
+    p = np.ones(problem.spline.count) if p is None else p
     for _ in range(60):
         s = problem.M @ p + problem.s0
         mesh = problem.mesh.with_nodes(s[:, None] * problem.mesh.nodes)
         if mesh.volume <= 0.99 * problem.limits.volume:
             break
-        p *= 0.99
+        p = 0.99 * p
     return np.clip(p, *bounds)
 
 

@@ -18,7 +18,6 @@ _OPTIONS = {
     # Adaptive barriers leap about where costs are not quadratic.
     "mu_strategy": "monotone",
     "mu_init": 1e-3,
-    "theta_max_fact": 0.1,  # far outside, a simulation says little
     "nlp_scaling_method": "none",
     "bound_relax_factor": 0.0,
     "print_level": 0,
@@ -178,6 +177,12 @@ class _Callbacks:
         return not self.stopped
 
 
+def _furthest(problem, p) -> float:
+    """IPOPT's bound on violations: far outside, a simulation says little."""
+    violation = np.maximum(-problem.constraints(p), 0.0).sum()
+    return max(0.1, 1.5 * float(violation))
+
+
 def _merits(problem, p) -> tuple[float, float]:
     """Cost and largest violation."""
     violation = -float(problem.constraints(p).min())
@@ -235,6 +240,7 @@ def minimise(
         ipopt_options={
             "max_iter": iterations,
             "tol": tolerance,
+            "theta_max_fact": _furthest(problem, p0),
             **_OPTIONS,
             **({**_WARM, "mu_init": warm.barrier} if warm else {}),
             **(options or {}),

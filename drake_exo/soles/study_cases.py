@@ -30,7 +30,7 @@ TABLE_2 = {
 }
 
 COARSE = (
-    Stage((10, 6, 3), 24, 1e-3, 0.2, 20),
+    Stage((10, 6, 3), 24, 3e-4, 0.2, 20),
     Stage((10, 6, 3), 24, 1e-4, 0.2, 10),
 )
 FULL = OptimizeBlock().stages

@@ -1,0 +1,109 @@
+"""How far the optimum of a sole depends on where the search starts.
+
+Random feasible shapes (smooth, within bounds and volume), case 1-Ref without
+limits as in the paper, coarse mesh, thick layer then thinner. Prints the
+spread of the optima.
+
+python benchmarks/sole_starts.py [--json] [--data-root DIR] [--starts 10]
+"""
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from drake_exo.soles import design as designs
+from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
+from drake_exo.soles.optimiser import WarmStart, minimise
+from drake_exo.soles.quasi_newton import QuasiNewton
+from drake_exo.soles.study_cases import (
+    AUTHORS_ORIGIN,
+    AUTHORS_STEP,
+    five_cases,
+)
+
+STAGES = (
+    Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
+    Stage((10, 6, 3), 24, 1e-4, 0.2, 30),
+)
+
+
+def random_shape(problem, bounds, rng):
+    """A smooth random shape that is feasible and can be simulated."""
+    while True:
+        low = rng.standard_normal((4, 4))
+        grid = np.linspace(0, np.pi, 12)
+        waves = np.cos(np.outer(np.arange(4), grid))
+        T, p0 = problem.spline.free_map()
+        full = 1 + 0.03 * (waves.T @ low @ waves).ravel()
+        p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
+        p = designs.first_design(problem, bounds, np.clip(p, *bounds))
+        values = problem.constraints(p)
+        if np.isfinite(values).all() and values.min() >= 0:
+            return p
+
+
+def optimum(case, load, own, rng):
+    """Cost, errors and ratios from one random start."""
+    bounds = tuple(case.optimize.bounds)
+    p = branch = learnt = warm = None
+    for stage in STAGES:
+        problem = designs.stage_problem(
+            case, own, load, case.start_pose(own), stage
+        )
+        if p is None:
+            p = random_shape(problem, bounds, rng)
+            learnt = QuasiNewton(len(p))
+            begun = problem.cost(p)
+        problem.branch = branch
+        best = minimise(
+            problem, p, bounds, stage.iterations, learnt=learnt, warm=warm
+        )
+        p, branch = best.p, problem.branch
+        warm = WarmStart(best.multipliers, *best.at_bounds)
+    e = problem.evaluate(p)
+    return {
+        "start_cost": begun,
+        "cost": best.cost,
+        "optimality_error": best.error,
+        "ratio_tr": e.c_tr / problem.first.c_tr,
+        "ratio_rot": e.c_rot / problem.first.c_rot,
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--data-root", type=Path)
+    parser.add_argument("--starts", type=int, default=10)
+    args = parser.parse_args()
+    root = args.data_root or Path(".")
+    block = LoadBlock(pattern=Pattern())
+    if (root / AUTHORS_STEP).is_file():
+        block = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
+    case = designs.without_limits(five_cases(block, coarse=True)[0])
+    load, own = case.load.load(root), case.read_mesh(root)
+    rng = np.random.default_rng(0)
+    rows = []
+    for k in range(args.starts):
+        rows.append(optimum(case, load, own, rng))
+        if not args.json:
+            text = ", ".join(f"{n} {v:.4g}" for n, v in rows[-1].items())
+            print(f"start {k + 1}: {text}", flush=True)
+    costs = np.array([row["cost"] for row in rows])
+    spread = {
+        "least": costs.min(), "median": np.median(costs),
+        "largest": costs.max(), "deviation": costs.std(),
+    }  # fmt: skip
+    if args.json:
+        print(json.dumps({"starts": rows, "cost": spread}, indent=2))
+        return
+    print("cost: " + ", ".join(f"{n} {v:.4g}" for n, v in spread.items()))
+
+
+if __name__ == "__main__":
+    main()
