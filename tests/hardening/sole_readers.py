@@ -1,0 +1,107 @@
+"""Sound meshes, loads and checkpoints of soles, and the readers of each."""
+
+import meshio
+import numpy as np
+from laboratory_readers import plates_table
+from sound_files import written
+
+from drake_exo.laboratory.opensim_files import write_table
+from drake_exo.soles import loads
+from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
+from drake_exo.soles.mesh import brick, read_mesh
+
+
+def _sole_checkpoint(path):
+    Checkpoint(
+        stage=1,
+        iteration=2,
+        p=np.ones(9),
+        latest=np.ones(9),
+        multipliers=np.zeros(4),
+        barrier=1e-3,
+        curvature=np.eye(9),
+        origin=np.zeros(3),
+        orientation=np.eye(3),
+    ).write(path.parent)
+
+
+def soles() -> dict:
+    sole = brick((0.2, 0.12, 0.03), (2, 2, 1))
+    mesh = meshio.Mesh(sole.nodes, [("tetra", sole.tets)])
+
+    def meshed(name, **options):
+        return written(lambda p: mesh.write(p, **options), name)
+
+    def numbers(shape, seed=5):
+        return np.random.default_rng(seed).uniform(1.0, 2.0, shape)
+
+    def text(table, head="", separator=" "):
+        rows = (separator.join(f"{x:.6g}" for x in row) for row in table)
+        return head + "\n".join(rows) + "\n"
+
+    def timed(columns, rows=30, column=0):
+        table = numbers((rows, columns))
+        table[:, column] = np.arange(rows) / 200.0
+        return table
+
+    playback = numbers((60, 37))
+    phases = np.repeat([0, 2, 0, 1, 0, 2, 0, 1, 0, 2, 0], 6)[:60]
+    playback[:, 0] = phases
+    plates = plates_table()
+    plates.values[:, [1, 7]] += 300.0
+    found = {
+        f"mesh {name}": (file, kind, meshed(file, **options), read_mesh)
+        for name, file, kind, options in (
+            ("msh 2.2", "a.msh", "text",
+             {"file_format": "gmsh22", "binary": False}),
+            ("msh 4.1", "a.msh", "binary", {"file_format": "gmsh"}),
+            ("vtk", "a.vtk", "binary", {}),
+            ("vtk, text", "a.vtk", "text",
+             {"file_format": "vtk42", "binary": False}),
+            ("vtu", "a.vtu", "text", {"binary": False}),
+        )
+    }  # fmt: skip
+    return found | {
+        "sole checkpoint": (
+            "checkpoint.json",
+            "json",
+            written(_sole_checkpoint, "checkpoint.json"),
+            read_checkpoint,
+        ),
+        "load one foot": (
+            "a.txt",
+            "text",
+            text(timed(8), "t zx zy cx cy fx fy fz\n"),
+            lambda p: loads.read_one_foot(p, 2, 2),
+        ),
+        "load csv": (
+            "a.csv",
+            "text",
+            text(timed(6), ",".join(loads.CSV_COLUMNS) + "\n", ","),
+            loads.read_csv,
+        ),
+        "load force plate": (
+            "a.mot",
+            "text",
+            written(lambda p: write_table(p, plates)),
+            lambda p: loads.read_force_plate(
+                p, "ground_force_1", 0.0, 0.2, suffixes=("v", "p", "p")
+            ),
+        ),
+        "load playback": (
+            "a.txt",
+            "text",
+            text(playback),
+            lambda p: loads.read_playback(p, "left", 0, 43.0),
+        ),
+        "load prediction": (
+            "a.csv",
+            "text",
+            text(
+                timed(4) * [1.0, 1.0, 100.0, 1.0],
+                ",".join(loads.PREDICTION_COLUMNS) + "\n",
+                ",",
+            ),
+            loads.read_prediction,
+        ),
+    }
