@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.systems.framework import System
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, reason
 from drake_exo.optimal_control.kernels import MOMENT_UNIT
 
 STATE_PORT = "exoskeleton_state"
@@ -42,18 +42,38 @@ class ControllerKernel:
             )
         try:
             derivative = controller.ToAutoDiffXd()
-        except RuntimeError as error:
+        except Exception as error:  # it is the user's own code
             raise InputError(
                 "the controller does not convert to AutoDiffXd; define it "
-                f"with TemplateSystem ({error})"
+                f"with TemplateSystem ({reason(error)})"
             ) from error
         self._systems = {
             False: (controller, controller.CreateDefaultContext()),
             True: (derivative, derivative.CreateDefaultContext()),
         }
+        self._try()
         self.sparsity = np.hstack(
             [np.ones((3, 6), bool), np.eye(3, dtype=bool)]
         )
+
+    def _try(self) -> None:
+        """Ask for torques at rest, with and without derivatives.
+
+        Raises:
+            InputError: ports of other sizes, or it cannot say.
+        """
+        try:
+            at_rest = self._torque(np.zeros(6), 0.0, False)
+            self._torque(InitializeAutoDiff(np.zeros(6)).ravel(), 0.0, True)
+        except Exception as error:  # it is the user's own code
+            raise InputError(
+                f"the controller gives no torques at rest ({reason(error)}); "
+                f"{STATE_PORT} must have 6 values, and all it needs"
+            ) from error
+        if at_rest.shape != (3,) or not np.isfinite(at_rest).all():
+            raise InputError(
+                f"the controller's {TORQUE_PORT} must be 3 finite numbers"
+            )
 
     def _torque(self, state, time, derivatives):
         system, context = self._systems[derivatives]

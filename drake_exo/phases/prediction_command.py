@@ -11,10 +11,11 @@ import importlib
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import FunctionType
 
 from pydrake.systems.framework import System
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, reason
 from drake_exo.output import prepare_output_folder, write_json
 from drake_exo.phases.audit_table import audit_trials
 from drake_exo.phases.calibration_inputs import load_inputs
@@ -146,16 +147,24 @@ def load_controller(name: str | None) -> System | None:
     if name is None:
         return None
     if not re.fullmatch(r"[\w.]+:\w+", name):
-        raise InputError(f"--controller is '{name}'; write it as MODULE:NAME")
+        raise InputError(f"--controller is {name!r}; write it as MODULE:NAME")
     module, _, attribute = name.partition(":")
+    remedy = (
+        "give the name of a class or function without arguments, in a module "
+        "that Python finds, that makes a LeafSystem"
+    )
     try:
-        return getattr(importlib.import_module(module), attribute)()
-    except (ImportError, AttributeError, TypeError) as error:
+        make = getattr(importlib.import_module(module), attribute)
+        if not isinstance(make, type | FunctionType):
+            raise TypeError("no class or function")
+        found = make()
+    except (Exception, SystemExit) as error:  # it is the user's own code
         raise InputError(
-            f"--controller {name}: cannot be made ({error}); give the name "
-            "of a class or function without arguments in a module that "
-            "Python finds"
+            f"--controller {name}: cannot be made ({reason(error)}); {remedy}"
         ) from error
+    if not isinstance(found, System):
+        raise InputError(f"--controller {name}: is no Drake system; {remedy}")
+    return found
 
 
 def _summary(args, settings, solved, inputs) -> dict:

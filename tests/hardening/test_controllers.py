@@ -1,0 +1,87 @@
+"""--controller with names and code that make no sense: one sentence."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import BasicVector, LeafSystem
+
+from drake_exo.errors import InputError
+from drake_exo.optimal_control.controller_kernel import ControllerKernel
+from drake_exo.phases.prediction_command import load_controller
+
+_MODULE = """
+import sys
+from pydrake.systems.framework import LeafSystem
+class Wants:
+    def __init__(self, gain): pass
+class Fails:
+    def __init__(self): raise RuntimeError("no\\nluck")
+def leaves(): sys.exit(3)
+def nothing(): return None
+number = 3
+class Bare(LeafSystem): pass
+"""
+
+
+def test_names_at_random():
+    rng = np.random.default_rng(0)
+    letters = [*"abcos:._-/ \n\0é1", "sys", "drake_exo", "abort", "numpy"]
+    for _ in range(2000):
+        name = "".join(rng.choice(letters, size=rng.integers(0, 8)))
+        with pytest.raises(InputError) as error:
+            load_controller(name)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Wants", "cannot be made"),
+        ("Fails", r"cannot be made \(no\)"),
+        ("leaves", r"cannot be made \(3\)"),
+        ("nothing", "is no Drake system"),
+        ("number", "no class or function"),
+        ("absent", "cannot be made"),
+    ],
+)
+def test_code_that_makes_no_controller(name, words, tmp_path, monkeypatch):
+    (tmp_path / "my_controllers.py").write_text(_MODULE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(InputError, match=words):
+        load_controller(f"my_controllers:{name}")
+
+
+@pytest.mark.parametrize("text", ["def (", "raise OSError('x')", "1/0", "\0"])
+def test_modules_that_do_not_import(text, tmp_path, monkeypatch):
+    (tmp_path / "broken_module.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(InputError, match="cannot be made"):
+        load_controller("broken_module:Thing")
+
+
+class Sized(LeafSystem):
+    """The right names, the wrong sizes, or an error of its own."""
+
+    def __init__(self, inputs=6, outputs=3, fails=False):
+        super().__init__()
+        self._fails = fails
+        self.DeclareVectorInputPort("exoskeleton_state", inputs)
+        self.DeclareVectorOutputPort(
+            "exoskeleton_torques", BasicVector(outputs), self._calc
+        )
+
+    def _calc(self, context, output):
+        if self._fails:
+            raise RuntimeError("as planned")
+
+    def ToAutoDiffXd(self):
+        return self
+
+
+def test_ports_of_other_sizes():
+    for system, words in (
+        (LeafSystem(), "has no input port"),
+        (Sized(inputs=4), "gives no torques at rest"),
+        (Sized(fails=True), "as planned"),
+    ):
+        with pytest.raises(InputError, match=words):
+            ControllerKernel(system)
