@@ -14,16 +14,24 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from drake_exo.soles.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.case import LoadBlock, OneFoot, Pattern
+from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
 from drake_exo.soles.contact import ContactSolver, Start
+from drake_exo.soles.design import first_design, stage_problem
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.optimiser import minimise
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import simulate
 from drake_exo.soles.stiffness import heel_strike_count
-from drake_exo.soles.study_cases import AUTHORS_ORIGIN, AUTHORS_STEP, SIZE
+from drake_exo.soles.strain_norm import StrainNorm
+from drake_exo.soles.study_cases import (
+    AUTHORS_ORIGIN,
+    AUTHORS_STEP,
+    SIZE,
+    five_cases,
+)
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}
@@ -116,13 +124,44 @@ def gradient(load):
         def back(f, s=sole, v=solver, h=history):
             return shape_gradients(s, v, load.force, load.zmp, START, h, f)
 
+        def strain(s=sole, h=history):
+            return StrainNorm(s, h).derivatives()[0]
+
         _, one = timed(lambda t=terms: back([t]))
         _, two = timed(lambda t=terms, o=other: back([t, o]))
+        limit, norm = timed(strain)
+        _, with_strain = timed(lambda t=terms, o=limit: back([t, o]))
         out[f"{len(mesh.tets)} tets"] = {
             "coefficients": spline.count,
             "forward_seconds": there,
             "gradient_over_forward": one / there,
             "further_over_forward": (two - one) / there,
+            "strain_over_forward": (with_strain - one + norm) / there,
+        }
+    return out
+
+
+def optimisation(load):
+    """Case 1-Ref with all limits: ten iterations on two meshes."""
+    out = {}
+    case = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    own = case.read_mesh(Path("."))
+    start = case.start_pose(own)
+    for stage in (Stage((10, 6, 3), 24, 3e-4, 0.2, 10),
+                  Stage((14, 8, 4), 60, 3e-5, 0.2, 5)):  # fmt: skip
+        problem = stage_problem(case, own, load, start, stage)
+        p = first_design(problem, tuple(case.optimize.bounds))
+        best, seconds = timed(
+            lambda q=problem, x=p, n=stage.iterations: minimise(
+                q, x, tuple(case.optimize.bounds), n
+            )
+        )
+        count = len(best.trace) - 1
+        out[f"{len(problem.mesh.tets)} tets, {stage.samples} samples"] = {
+            "iterations": count,
+            "simulations": problem.evaluations,
+            "seconds_per_iteration": seconds / max(count, 1),
+            "cost": best.cost,
         }
     return out
 
@@ -139,6 +178,7 @@ def main():
         "simulation": simulation(load),
         "methods": methods(load, args.full),
         "gradient": gradient(load),
+        "optimisation": optimisation(load),
     }
     if args.json:
         print(json.dumps(numbers, indent=2))

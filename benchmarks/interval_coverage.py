@@ -3,7 +3,7 @@
 Phase B on a twin (truth = model) with noise alone, many seeds. Noise is made
 by filtering white noise; the intervals come from the optimum's conditions.
 
-    python benchmarks/coverage.py --seeds 200 [--json]
+    python benchmarks/interval_coverage.py --seeds 200 [--json]
 """
 
 import argparse
