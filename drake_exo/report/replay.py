@@ -243,7 +243,7 @@ def _arrows() -> list[Arrow]:
                 colour,
                 scale,
                 root=f"{MEASURED}/arrows",
-                opacity=0.4,
+                opacity=0.55,
                 radius_m=1.4 * radius,
             )
         )
