@@ -180,8 +180,8 @@
             show(shown, other === clip);
       }
     state.clip = clip;
-    state.time = 0;
     const end = clip.times[clip.times.length - 1];
+    state.time = Math.min(state.time, end); // to compare the same instant
     $("player-slider").max = end;
     $("player-slider").step = end / 1000;
     $("player-note").textContent = clip.note;

@@ -45,11 +45,11 @@ _GROUPS = {
     "interaction": "Calibrated, human and exoskeleton",
     "foot-ground": "Calibrated, foot and ground",
 }
-_SCALE_TEXT = (
-    '<p class="player-quiet">Feet and chair: an arrow of 0.5 m is 500 N. '
-    "Cuffs (force on the human): 0.2 m is 50 N. Grid: 0.25 m. Both legs are "
-    "summed.</p>"
-)
+_SCALES = {
+    _GROUND_SCALE: "Feet and chair: an arrow of 0.5 m is 500 N.",
+    _CUFF_SCALE: "Cuffs (force on the human): 0.2 m is 50 N.",
+}
+_AROUND = "Grid: 0.25 m. Both legs are summed."
 
 
 def replay_results(folder: Path, path: Path) -> None:
@@ -161,11 +161,14 @@ def write_replay(
         stage = _stage(model, trials, centre, view, compared)
     clips = [_clip(trial) for trial in trials]
     known = set().union(*(clip.arrows for clip in clips))
+    arrows = [a for a in _arrows() if a.name in known]
+    drawn = {a.metres_per_newton for a in arrows}
+    scales = [text for scale, text in _SCALES.items() if scale in drawn]
     page = Page(
         title,
         view.eye,
         view.target,
-        arrows=[a for a in _arrows() if a.name in known],
+        arrows=arrows,
         switches={
             "forces": ("/arrows", f"{MEASURED}/arrows"),
             "centre of pressure": ("/cop", f"{MEASURED}/cop"),
@@ -173,7 +176,7 @@ def write_replay(
         },
         ghost=(MEASURED, _BESIDE_M) if compared else None,
         ghost_text="Measured (blue, translucent)",
-        legend=(_SCALE_TEXT,),
+        legend=(f'<p class="player-quiet">{" ".join(scales)} {_AROUND}</p>',),
         field_of_view_deg=view.field_of_view_deg,
         speed=0.5,
     )
