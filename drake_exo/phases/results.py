@@ -18,7 +18,7 @@ from drake_exo.optimal_control.interaction_kernels import (
     BUSHINGS,
 )
 from drake_exo.optimal_control.kernels import SPHERE_PARAMETERS
-from drake_exo.output import read_arrays, write_json
+from drake_exo.output import check_arrays, read_arrays, write_json
 from drake_exo.parameters import ContactParameter
 from drake_exo.phases.measured import MeasuredMovement
 from drake_exo.phases.problem import PhaseProblem, PhaseResult, Trajectory
@@ -29,6 +29,16 @@ from drake_exo.report.tables import format_table
 
 PARAMETERS = "parameters.json"
 _LARGEST = 1e12  # of a parameter, in SI units
+# Arrays of a trajectory: n nodes, q coordinates, c controls, t torques.
+_TRAJECTORY = {
+    "times": ("n",),
+    "q": ("n", "q"),
+    "v": ("n", "q"),
+    "a": ("n", "q"),
+    "jerk": ("c", "q"),
+    "torque": ("n", "t"),
+    "ground": ("n", 3),
+}
 COMPONENTS = ("tangential", "normal", "rotation")
 
 
@@ -277,26 +287,13 @@ def read_trajectory(folder: Path, name: str) -> Trajectory:
     path = folder / f"solution_{name}.npz"
     again = "run the phase again"
     arrays = read_arrays(path, again)
-    try:
-        trajectory = Trajectory(name, **arrays)
-        _check_arrays(trajectory)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}: holds no trajectory ({error}); {again}"
-        ) from error
-    return trajectory
-
-
-def _check_arrays(t: Trajectory) -> None:
-    """Raises ValueError unless shapes fit together and all is finite."""
-    if t.times.ndim != 1 or t.q.ndim != 2 or t.q.shape[1] <= 3:
-        raise ValueError("times or q is of the wrong shape")
-    n, nq = len(t.times), t.q.shape[1]
-    shapes = dict.fromkeys(("q", "v", "a"), (n, nq))
-    shapes |= {"torque": (n, nq - 3), "ground": (n, 3), "times": (n,)}
-    if t.interaction is not None:
-        shapes["interaction"] = (n, 3 * len(BUSHINGS))
-    for name, shape in shapes.items():
-        x = getattr(t, name)
-        if x.shape != shape or x.dtype != float or not np.isfinite(x).all():
-            raise ValueError(f"{name} is not {shape} finite numbers")
+    shapes = dict(_TRAJECTORY)
+    if "interaction" in arrays:
+        shapes["interaction"] = ("n", 3 * len(BUSHINGS))
+    check_arrays(path, arrays, shapes, again)
+    if not all(np.isfinite(arrays[name]).all() for name in shapes):
+        raise InputError(f"{path}: holds gaps; {again}")
+    nq = arrays["q"].shape[1]
+    if arrays["torque"].shape[1] != nq - 3 or set(arrays) != set(shapes):
+        raise InputError(f"{path}: holds no trajectory; {again}")
+    return Trajectory(name, **arrays)

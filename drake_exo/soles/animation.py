@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
-from drake_exo.output import read_arrays
+from drake_exo.output import check_arrays, read_arrays
 from drake_exo.player.page import Arrow, Clip, Page, Surface, write_page
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
@@ -31,6 +31,19 @@ _MAX_FRAMES = 110
 _MAP = "turbo"
 _METRES_PER_NEWTON = 2e-4
 _GRID_M = 0.05
+_LARGEST = 1e30
+# What `results.write_history` writes: N samples, c contact nodes.
+_HISTORY = {
+    "times": ("N",),
+    "stiffness": ("N", 6, 6),
+    "origin_W": ("N", 3),
+    "rotation_WL": ("N", 3, 3),
+    "place_W": ("N", "c", 3),
+    "force_W": ("N", "c", 3),
+    "contact_nodes:int": ("c",),
+    "nodes_L": ("n", 3),
+    "tets:int": ("e", 4),
+}
 _AGAIN = "run the command that wrote it again"
 _PAGE = """<!DOCTYPE html>
 <html>
@@ -93,22 +106,27 @@ class SoleMotion:
             InputError: it is missing or damaged.
         """
         data = read_arrays(path, _AGAIN)
-        try:
-            good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
-            if good.sum() < 2:
-                return None
-            names = ("times", "origin_W", "rotation_WL", "place_W", "force_W")
-            times, *rest = (data[name][good] for name in names)
-            bare = TetMesh(data["nodes_L"], data["tets"], np.array([], int))
-            glued = np.setdiff1d(
-                np.unique(bare.boundary_faces), data["contact_nodes"]
-            )
-            mesh = TetMesh(bare.nodes, bare.tets, glued)
-            return SoleMotion(title, group, times, mesh, *rest)
-        except (KeyError, IndexError, ValueError) as error:
-            raise InputError(
-                f"{path}: is no history of a sole ({error}); {_AGAIN}"
-            ) from error
+        check_arrays(path, data, _HISTORY, _AGAIN)
+        good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
+        if good.sum() < 2:
+            return None
+        names = ("times", "origin_W", "rotation_WL", "place_W", "force_W")
+        times, *rest = (data[name][good] for name in names)
+        nodes, tets, touching = (
+            data[name] for name in ("nodes_L", "tets", "contact_nodes")
+        )
+        numbers = (times, nodes, *rest)
+        if not all((np.abs(x) < _LARGEST).all() for x in numbers):
+            raise InputError(f"{path}: holds gaps; {_AGAIN}")
+        if not (tets.size and tets.min() >= 0 and tets.max() < len(nodes)):
+            raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
+        bare = TetMesh(nodes, tets, np.array([], int))
+        surface = np.unique(bare.boundary_faces)
+        glued = np.setdiff1d(surface, touching)
+        if len(glued) + len(touching) != len(surface):
+            raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
+        mesh = TetMesh(bare.nodes, bare.tets, glued)
+        return SoleMotion(title, group, times, mesh, *rest)
 
     @property
     def surface(self) -> np.ndarray:

@@ -7,7 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from sound_files import written
 
+from drake_exo.description import nominal_exoskeleton, nominal_human
 from drake_exo.forces.contact_constants import SimbodyConstants
 from drake_exo.laboratory.trial import Trial
 from drake_exo.optimal_control.interaction_kernels import (
@@ -15,6 +17,7 @@ from drake_exo.optimal_control.interaction_kernels import (
     BUSHINGS,
 )
 from drake_exo.optimal_control.kernels import SPHERE_PARAMETERS
+from drake_exo.phases.model_file import read_model, write_model
 from drake_exo.phases.problem import Trajectory
 from drake_exo.phases.results import (
     read_calibration,
@@ -142,6 +145,18 @@ def results() -> dict:
         return comparison({one.label: one for one in found})
 
     return {
+        "model": (
+            "model.json",
+            "json",
+            written(
+                lambda p: write_model(
+                    p.parent,
+                    ("coupled", nominal_human(), nominal_exoskeleton()),
+                ),
+                "model.json",
+            ),
+            lambda p: read_model(p.parent),
+        ),
         "parameters": ("parameters.json", "json", parameters, calibration),
         "summary": ("summary.json", "json", json.dumps(_summary()), report),
         "checkpoint": (

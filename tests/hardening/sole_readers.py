@@ -1,5 +1,7 @@
 """Sound meshes, loads and checkpoints of soles, and the readers of each."""
 
+from types import SimpleNamespace
+
 import meshio
 import numpy as np
 from laboratory_readers import plates_table
@@ -7,8 +9,11 @@ from sound_files import written
 
 from drake_exo.laboratory.opensim_files import write_table
 from drake_exo.soles import loads
+from drake_exo.soles.animation import SoleMotion
 from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
+from drake_exo.soles.design_folder import read_steps
 from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.results import write_history
 
 
 def _sole_checkpoint(path):
@@ -23,6 +28,26 @@ def _sole_checkpoint(path):
         origin=np.zeros(3),
         orientation=np.eye(3),
     ).write(path.parent)
+
+
+def _history(path, mesh):
+    """Three samples of a sole that hangs in the air."""
+    n, touching = 3, len(mesh.contact)
+    samples = SimpleNamespace(
+        F=np.zeros((n, touching, 3)),
+        O=np.zeros((n, 3)),
+        R=np.tile(np.eye(3), (n, 1, 1)),
+        P=np.tile(mesh.nodes[mesh.contact], (n, 1, 1)),
+        K_c=np.tile(np.eye(6), (n, 1, 1)),
+    )
+    write_history(
+        path, mesh, SimpleNamespace(times=np.arange(n) / 100.0), samples
+    )
+
+
+def _motion(path):
+    found = SoleMotion.read(path, "a sole")
+    return None if found is None else (found.faces, found.surface_places())
 
 
 def soles() -> dict:
@@ -62,6 +87,18 @@ def soles() -> dict:
         )
     }  # fmt: skip
     return found | {
+        "sole history": (
+            "history.npz",
+            "npz",
+            written(lambda p: _history(p, sole), "history.npz"),
+            _motion,
+        ),
+        "sole steps": (
+            "steps.csv",
+            "text",
+            text(timed(4), "time_s,a,b,c\n", ","),
+            read_steps,
+        ),
         "sole checkpoint": (
             "checkpoint.json",
             "json",
