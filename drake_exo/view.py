@@ -75,7 +75,7 @@ def write_view(results: Path, path: Path) -> None:
             f"{results}: is no folder; give the --out folder of a command"
         )
     # A half never loads the other one.
-    if any(_is_sole(p) for p in sorted(results.rglob("summary.json"))):
+    if _holds_soles(results):
         from drake_exo.soles.replay import replay_soles as replay
     else:
         from drake_exo.report.replay import replay_results as replay
@@ -88,9 +88,25 @@ def write_view(results: Path, path: Path) -> None:
         ) from error
 
 
-def _is_sole(summary: Path) -> bool:
-    found = read_json(summary, "run the command that wrote it again")
-    return isinstance(found, dict) and ("c_rot" in found or "cases" in found)
+def _holds_soles(results: Path) -> bool:
+    """Whether the results under a folder are of soles, or of movements.
+
+    Raises:
+        InputError: they are of both, or a summary cannot be read.
+    """
+    halves: dict[bool, Path] = {}
+    for path in sorted(results.rglob("summary.json")):
+        found = read_json(path, "run the command that wrote it again")
+        if isinstance(found, dict) and "phase" in found:
+            halves[False] = path.parent
+        elif isinstance(found, dict) and ("c_rot" in found or "cases" in found):
+            halves[True] = path.parent
+    if len(halves) > 1:
+        raise InputError(
+            f"{results}: holds movements and soles; view one of its folders, "
+            f"such as {halves[False]} or {halves[True]}"
+        )
+    return True in halves
 
 
 def _check_target(path: Path, force: bool) -> None:

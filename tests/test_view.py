@@ -68,6 +68,27 @@ def test_bad_target_ends_in_a_sentence(folder, tmp_path, capsys):
     assert "cannot be written" in refused(capsys, folder, "--out", missing)
 
 
+def test_movements_and_soles_are_not_mixed(tmp_path, capsys):
+    write_results(tmp_path / "rise")
+    (tmp_path / "sole").mkdir()
+    (tmp_path / "sole/summary.json").write_text('{"c_rot": 1.0}')
+    line = refused(capsys, tmp_path, "--out", tmp_path / "page.html")
+    assert str(tmp_path / "rise") in line
+    assert str(tmp_path / "sole") in line
+
+
+def test_a_trial_costs_little(folder, page, tmp_path):
+    """Meshes are in a page once: dozens of trials stay under 20 MB."""
+    for name in "abcdef":
+        write_results(tmp_path / name)
+    path = tmp_path / "page.html"
+    assert main(["view", str(tmp_path), "--out", str(path)]) == 0
+    (titles,) = clip_titles(path).values()
+    assert len(titles) == 6
+    more = path.stat().st_size - page.stat().st_size
+    assert more < 5 * 0.2e6
+
+
 def test_damaged_model_ends_in_a_sentence(tmp_path, capsys):
     folder = write_results(tmp_path / "rise")
     model = json.loads((folder / "model.json").read_text())
