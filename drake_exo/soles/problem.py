@@ -18,6 +18,7 @@ from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.limits import (
     Evaluation,
     Limits,
+    RotationLimit,
     active_limits,
     soft_minimum,
 )
@@ -83,6 +84,10 @@ class ShapeProblem:
         self.scale = abs(self.use_tr * first.c_tr - self.weight * first.c_rot)
         self.first = first
         self.limited = active_limits(self.limits, first, self.by_rot)
+
+    def add_rotation_floor(self, least: float) -> None:
+        """Limit c_rot from below [N·m/rad]."""
+        self.limited.append(RotationLimit(least, self.by_rot))
 
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""

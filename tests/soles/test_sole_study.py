@@ -1,0 +1,89 @@
+"""Processes, tables and the front of the study, on tiny cases."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_exo.soles import front, workers
+from drake_exo.soles.case import Stage, read_case
+from drake_exo.soles.study_cases import TABLE_2
+from drake_exo.soles.study_table import certainty_table, paper_cost
+
+CASE = """
+name: 1-Ref
+mesh:
+  brick: {size_m: [0.23, 0.13, 0.03], divisions: [4, 3, 2]}
+material: {name: neoprene}
+start: {point_in_sole_m: [-0.115, 0.0, -0.03]}
+load:
+  csv: {file: load.csv}
+optimize: {intervals: [3, 3], roughness: 10.0, strain: null}
+"""
+
+
+def _write(path: Path, number: int) -> None:
+    path.write_text(json.dumps(number), encoding="utf-8")
+
+
+def _fail() -> None:
+    sys.exit(1)
+
+
+def test_every_job_runs_and_failures_are_counted(tmp_path):
+    jobs = [(_write, tmp_path / f"{k}.json", k) for k in range(3)]
+    ends = []
+    failed = workers.run([*jobs, (_fail,)], 2, lambda: ends.append(1))
+    assert failed == 1
+    assert len(ends) == 4
+    assert [workers.read_json(tmp_path / f"{k}.json") for k in range(3)] == [
+        0,
+        1,
+        2,
+    ]
+
+
+def test_the_papers_optimum_is_rescaled_to_our_brick():
+    row = {"name": "2-Rot", "weight": 1000.0, "c_tr_initial": 2.0e6,
+           "c_rot_initial": 1.0e5}  # fmt: skip
+    tr0, tr, rot0, rot = TABLE_2["2-Rot"]
+    expected = 2.0e6 * tr / tr0 - 1000 * 1.0e5 * rot / rot0
+    assert paper_cost(row) == pytest.approx(expected)
+
+
+def test_certainty_table_marks_what_is_unknown():
+    row = {
+        "name": "1-Ref", "c": 5.0e5, "weight": 1.0, "c_tr_initial": 3.5e6,
+        "c_rot_initial": 1.5e5, "optimality_error": 2.5e-3,
+        "exact_change": 0.004, "finer": {"change": 0.03}, "max_strain": 0.3,
+        "tilt_max_deg": 19.0, "stable": True, "seconds": 12.0,
+    }  # fmt: skip
+    line = certainty_table([row]).splitlines()[-1]
+    assert "2.5e-03" in line
+    assert "+0.40%" in line
+    assert "+3.00%" in line
+    assert " - " in line
+
+
+def test_front_rises_and_keeps_its_floors(tmp_path, monkeypatch):
+    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
+    for k, s in enumerate(np.linspace(0, 1, 10)):
+        rows.append(
+            f"{0.1 * k},{20 - 40 * s},0,{200 + 300 * s * (1 - s)},"
+            f"{-0.07 + 0.12 * s},0.02"
+        )
+    (tmp_path / "load.csv").write_text("\n".join(rows))
+    (tmp_path / "case.yaml").write_text(CASE)
+    case = read_case(tmp_path / "case.yaml")
+    tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
+    monkeypatch.setattr(front, "STAGES", tiny)
+    low, high = front.front(case, tmp_path, (0.9, 0.6))
+    assert low["floor"] == 0.6
+    assert low["ratio_tr"] < high["ratio_tr"] < 1.0
+    for point in (low, high):
+        assert point["violation"] < 1e-3
+        assert point["ratio_rot"] > 0.99 * point["floor"]
+        assert point["failed_steps"] == 0
+    assert "0.900" in front.table([low, high])
