@@ -6,6 +6,8 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 
+from drake_exo.errors import InputError
+from drake_exo.laboratory.c3d_decoding import decode
 from drake_exo.laboratory.opensim_files import PlateRecording
 from drake_exo.laboratory.tables import MarkerData
 
@@ -94,6 +96,9 @@ def write_c3d(
             rate, one recording for each design.
         designs: how the plates are built in.
         samples_per_frame: analog samples of one marker frame.
+
+    Raises:
+        InputError: there is no room for it.
     """
     file = ezc3d.c3d()
     point, analog = file["parameters"]["POINT"], file["parameters"]["ANALOG"]
@@ -116,6 +121,18 @@ def write_c3d(
         file["data"]["analogs"] = np.hstack(signals).T[None]
         _add_platforms(file, designs, used)
     file.write(str(path))
+    _check_written(Path(path))
+
+
+def _check_written(path: Path) -> None:
+    """The library that writes does not say when a disk is full."""
+    try:
+        decode(path)
+    except InputError as error:
+        raise InputError(
+            f"{path}: cannot be written; make room or choose another folder "
+            "for --out"
+        ) from error
 
 
 def _add_platforms(file, designs, used) -> None:

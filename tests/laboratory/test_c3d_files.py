@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import ezc3d
 import numpy as np
@@ -94,6 +95,20 @@ def test_writing_twice_gives_the_same_bytes(tmp_path, markers, plate):
         write_c3d(path, markers, [plate], [design(2)], 10)
     first, second = (tmp_path / f"{n}.c3d" for n in "ab")
     assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_full_disk_is_told(tmp_path, markers, monkeypatch):
+    """The library writes as much as there is room for, and is silent."""
+    whole = ezc3d.c3d.write
+
+    def cut(file, path):
+        whole(file, path)
+        data = Path(path).read_bytes()
+        Path(path).write_bytes(data[: len(data) // 2])
+
+    monkeypatch.setattr(ezc3d.c3d, "write", cut)
+    with pytest.raises(InputError, match="cannot be written; make room"):
+        write_c3d(tmp_path / "a.c3d", markers)
 
 
 def test_two_plates_keep_their_numbers(tmp_path, markers, plate):

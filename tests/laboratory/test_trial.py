@@ -43,11 +43,11 @@ def test_survives_saving_without_loss(trial, tmp_path):
 
 def test_damaged_files_are_refused(trial, tmp_path):
     trial.save(tmp_path / "rise1")
-    with pytest.raises(InputError, match="rise2.npz: cannot be read"):
+    with pytest.raises(InputError, match=r"rise2\.npz: cannot be read"):
         Trial.load(tmp_path / "rise2")
     place = tmp_path / "rise1.npz"
     place.write_bytes(place.read_bytes()[:200])
-    with pytest.raises(InputError, match="rise1.npz: is damaged; save it"):
+    with pytest.raises(InputError, match=r"rise1\.npz: is damaged; save it"):
         Trial.load(tmp_path / "rise1")
     trial.save(tmp_path / "rise1")
     place = tmp_path / "rise1.json"
