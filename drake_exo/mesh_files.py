@@ -59,16 +59,18 @@ def read_cells(
             f"{path}: places of nodes are missing or out of all bounds; "
             f"{remedy}"
         )
-    if found.size and not (0 <= found.min() and found.max() < len(nodes)):
+    if found.size and (found.min() < 0 or found.max() >= len(nodes)):
         raise InputError(
             f"{path}: a {cell_type} names a node that is not there; {remedy}"
         )
-    return nodes, found[: found.size].astype(np.int64)
+    if not found.size:
+        found = found[:0]
+    return nodes, found.astype(np.int64)
 
 
 @contextlib.contextmanager
 def _quiet():
-    """Silence: meshio prints what it is about to raise, and numpy warns of it."""
+    """Silence: meshio prints what it will raise, and numpy warns of it."""
     with (
         warnings.catch_warnings(),
         np.errstate(all="ignore"),

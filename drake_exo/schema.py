@@ -118,8 +118,9 @@ def check_bounds(
     unit = f" {meta['unit']}" if meta.get("unit") else ""
     for key, holds, words in _BOUNDS:
         if key in meta and not holds(value, meta[key]):
+            found = text or format(value, "g")
             raise InputError(
-                f"{where} is {text or format(value, 'g')}, but must be {words} {meta[key]:g}{unit}"
+                f"{where} is {found}, but must be {words} {meta[key]:g}{unit}"
             )
 
 
