@@ -1,9 +1,11 @@
 """Documentation that stays true: links, commands, messages, keys, the map."""
 
 import ast
+import dataclasses
 import re
 import shlex
 import sys
+import typing
 from pathlib import Path
 
 import pytest
@@ -215,3 +217,22 @@ def test_files_named_in_the_pages_exist():
             prose(page),
         ):
             assert (ROOT / place).exists(), f"{name(page)}: {place}"
+
+
+def test_every_key_of_a_case_is_in_the_soles_page():
+    from drake_exo.soles import case
+
+    page = (ROOT / "docs" / "soles.md").read_text("utf-8")
+    quoted = " ".join(re.findall(r"`([^`\n]+)`", page))
+    words = set(re.findall(r"\w+", quoted))
+    todo, seen = [case.Case], set()
+    while todo:
+        cls = todo.pop()
+        seen.add(cls)
+        for field in dataclasses.fields(cls):
+            assert field.name in words, f"{cls.__name__}.{field.name}"
+        for hint in typing.get_type_hints(cls).values():
+            for inner in (hint, *typing.get_args(hint)):
+                if dataclasses.is_dataclass(inner) and inner not in seen:
+                    todo.append(inner)
+    assert len(seen) > 12
