@@ -70,6 +70,25 @@ class Checkpoint:
             self.latest, bounds, self.multipliers, self.barrier, self.p
         )
 
+    def check_fits(self, problem) -> None:
+        """Whether it is of this problem.
+
+        Raises:
+            InputError: Another number of coefficients or other limits.
+        """
+        count, names = problem.spline.count, problem.names()
+        if len(self.p) != count:
+            raise InputError(
+                f"--resume: the checkpoint has {len(self.p)} coefficients, "
+                f"the case {count}; it is of another case"
+            )
+        if self.multipliers is not None and len(self.multipliers) != len(names):
+            raise InputError(
+                f"--resume: the checkpoint has {len(self.multipliers)} "
+                f"limits, the case {len(names)} ({', '.join(names)}); give "
+                "the same case and --limits"
+            )
+
     def branch(self, nodes: int) -> State | None:
         """Pose to look for the first contact at, on a mesh of this stage."""
         if self.origin is None:

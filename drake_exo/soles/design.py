@@ -131,54 +131,54 @@ def optimise(
         say: Called with one line of progress now and then.
         resume: An earlier checkpoint to go on from.
     """
-    block = case.optimize
-    bounds = tuple(block.bounds)
+    stages = case.optimize.stages
     optima, seconds, warm = [], [], None
     at = resume or Checkpoint()
-    for number in range(at.stage, len(block.stages)):
-        stage = block.stages[number]
+    for number in range(at.stage, len(stages)):
         began = time.perf_counter()
-        problem = stage_problem(case, own, load, start, stage)
+        problem = stage_problem(case, own, load, start, stages[number])
         if at.p is None:
-            first = first_design(problem, bounds)
+            first = first_design(problem, tuple(case.optimize.bounds))
             at = Checkpoint(p=first, latest=first)
-        if len(at.p) != problem.spline.count:
-            raise InputError(
-                f"--resume: the checkpoint has {len(at.p)} coefficients, the "
-                f"case {problem.spline.count}; it is of another case"
-            )
-        problem.branch = at.branch(len(problem.mesh.contact))
-        learnt = QuasiNewton(problem.spline.count, at.curvature)
-
-        def note(
-            iteration, best, number=number, problem=problem, learnt=learnt,
-            before=at.iteration,
-        ):  # fmt: skip
-            cost, violation, error = best.trace[-1][1:]
-            say(
-                f"stage {number + 1}/{len(block.stages)}, iteration "
-                f"{before + iteration}: c/|c0| {cost:+.4f}, violation "
-                f"{violation:.1e}, error {error:.1e}, "
-                f"{problem.evaluations} simulations"
-            )
-            if iteration % _CHECKPOINT_EVERY == 0:
-                Checkpoint.of(
-                    number, before + iteration, best, learnt, problem
-                ).write(out)
-
-        best = minimise(
-            problem, at.latest, bounds, max(stage.iterations - at.iteration, 0),
-            block.tolerance, note, learnt=learnt,
-            warm=warm or at.warm_start(bounds),
-        )  # fmt: skip
+        at.check_fits(problem)
+        best, learnt = _run_stage(
+            problem, case.optimize, number, at, warm, out, say
+        )
         optima.append(best)
         seconds.append(time.perf_counter() - began)
         warm = WarmStart(best.multipliers, *best.at_bounds)
         best.latest = ()
-        following = min(number + 1, len(block.stages) - 1)
+        following = min(number + 1, len(stages) - 1)
         at = Checkpoint.of(following, 0, best, learnt, problem)
         at.write(out)
     return _judge(case, problem, at.p, load, start, optima, seconds)
+
+
+def _run_stage(problem, block, number, at: Checkpoint, warm, out: Path, say):
+    """One stage from where it stands; its optimum, what it learnt."""
+    stage, bounds = block.stages[number], tuple(block.bounds)
+    problem.branch = at.branch(len(problem.mesh.contact))
+    learnt = QuasiNewton(problem.spline.count, at.curvature)
+
+    def note(iteration, best):
+        cost, violation, error = best.trace[-1][1:]
+        say(
+            f"stage {number + 1}/{len(block.stages)}, iteration "
+            f"{at.iteration + iteration}: c/|c0| {cost:+.4f}, violation "
+            f"{violation:.1e}, error {error:.1e}, "
+            f"{problem.evaluations} simulations"
+        )
+        if iteration % _CHECKPOINT_EVERY == 0:
+            Checkpoint.of(
+                number, at.iteration + iteration, best, learnt, problem
+            ).write(out)
+
+    left = max(stage.iterations - at.iteration, 0)
+    best = minimise(
+        problem, at.latest, bounds, left, block.tolerance, note,
+        learnt=learnt, warm=warm or at.warm_start(bounds),
+    )  # fmt: skip
+    return best, learnt
 
 
 def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:

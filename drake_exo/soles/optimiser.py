@@ -214,30 +214,17 @@ def minimise(
         warm: Multipliers of a neighbouring problem, or of this one before
             an interruption.
     """
-    import ipyopt
-
     n, m = problem.spline.count, len(problem.names())
     p0 = np.clip(p0, *bounds)
     best = Optimum(p0.copy())
     learnt = learnt or QuasiNewton(n)
     learnt.forget_point()
     calls = _Callbacks(problem, learnt, best, on_iterate)
-    solver = ipyopt.Problem(
-        n,
-        np.full(n, bounds[0]),
-        np.full(n, bounds[1]),
-        m,
-        np.zeros(m),
-        np.full(m, 1e20),
-        np.divmod(np.arange(m * n), n),
-        np.tril_indices(n),
-        calls.guarded(problem.cost),
-        calls.guarded(calls.gradient),
-        calls.guarded(calls.constraints),
-        calls.guarded(calls.jacobian),
-        calls.guarded(calls.hessian),
-        intermediate_callback=calls.watch,
-        ipopt_options={
+    solver = _ipopt(
+        problem,
+        calls,
+        bounds,
+        {
             "max_iter": iterations,
             "tol": tolerance,
             "theta_max_fact": _furthest(problem, p0),
@@ -261,6 +248,30 @@ def minimise(
     best.multipliers, best.at_bounds = multipliers, (low, high)
     _judge_last(problem, best, p, bounds, calls)
     return best
+
+
+def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
+    """IPOPT's problem: constraints at least 0, dense derivatives."""
+    import ipyopt
+
+    n, m = problem.spline.count, len(problem.names())
+    return ipyopt.Problem(
+        n,
+        np.full(n, bounds[0]),
+        np.full(n, bounds[1]),
+        m,
+        np.zeros(m),
+        np.full(m, 1e20),
+        np.divmod(np.arange(m * n), n),
+        np.tril_indices(n),
+        calls.guarded(problem.cost),
+        calls.guarded(calls.gradient),
+        calls.guarded(calls.constraints),
+        calls.guarded(calls.jacobian),
+        calls.guarded(calls.hessian),
+        intermediate_callback=calls.watch,
+        ipopt_options=options,
+    )
 
 
 def _judge_last(problem, best, p, bounds, calls) -> None:
