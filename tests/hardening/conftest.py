@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from cli_runs import normal_use
+from small_step import write_step
 
 _CASE = """
 name: small
@@ -40,11 +40,5 @@ def sole_case(tmp_path_factory) -> Path:
     """Case file of a small sole."""
     place = tmp_path_factory.mktemp("hardening_sole")
     (place / "case.yaml").write_text(_CASE)
-    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
-    for k, s in enumerate(np.linspace(0, 1, 8)):
-        rows.append(
-            f"{0.1 * k},{20 - 40 * s},0,{200 + 300 * s * (1 - s)},"
-            f"{-0.07 + 0.12 * s},0.02"
-        )
-    (place / "load.csv").write_text("\n".join(rows))
+    write_step(place / "load.csv", 8)
     return place / "case.yaml"

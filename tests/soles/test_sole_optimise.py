@@ -6,6 +6,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from small_step import write_step
 
 from drake_exo import cli
 from drake_exo.soles.case import LoadBlock, Pattern, read_case
@@ -37,13 +38,7 @@ optimize:
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("optimise")
     (place / "case.yaml").write_text(CASE)
-    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
-    for k, s in enumerate(np.linspace(0, 1, 10)):
-        rows.append(
-            f"{0.1 * k},{20 - 40 * s},0,{200 + 300 * s * (1 - s)},"
-            f"{-0.07 + 0.12 * s},0.02"
-        )
-    (place / "load.csv").write_text("\n".join(rows))
+    write_step(place / "load.csv", 10)
     code = cli.main(
         ["sole", "optimize", str(place / "case.yaml"),
          "--out", str(place / "out")]

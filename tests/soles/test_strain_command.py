@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from small_step import write_step
 
 from drake_exo import cli
 from drake_exo.soles import strain_report
@@ -29,13 +30,7 @@ optimize:
 def _write_inputs(place, name="small", element="linear"):
     text = CASE.format(name=name, element=element)
     (place / f"{name}.yaml").write_text(text)
-    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
-    for k, s in enumerate(np.linspace(0, 1, 30)):
-        rows.append(
-            f"{0.02 * k},{20 - 40 * s},0,{300 + 300 * s * (1 - s)},"
-            f"{-0.07 + 0.12 * s},0.02"
-        )
-    (place / "load.csv").write_text("\n".join(rows))
+    write_step(place / "load.csv", 30, 0.02, 300.0)
     return place / f"{name}.yaml"
 
 
