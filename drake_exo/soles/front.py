@@ -1,13 +1,16 @@
 """The front of c_tr against c_rot: least c_tr for floors of c_rot.
 
 An epsilon-constraint: c_tr alone is minimised under c_rot >= floor, from the
-lowest floor to the highest, each point starting from the one before with
-what was learnt of the curvature. On the coarse mesh with a few samples,
-judged by the exact law there with all samples.
+lowest floor to the highest. The first point starts from the case's own
+optimum, each further one from the point before, with what was learnt of the
+curvature. On the coarse mesh with a few samples, judged by the exact law there
+with all samples.
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
@@ -18,15 +21,16 @@ from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.study_cases import TABLE_2
 
-# A thick layer for the first point, then a thin one for all.
+# A thick layer for the case's own optimum, then a thin one for all points.
 STAGES = (
-    Stage((10, 6, 3), 24, 3e-4, 0.2, 50),
+    Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
     Stage((10, 6, 3), 24, 5e-5, 0.2, 20),
 )
 _CORRECTIONS = 2  # of a floor that the exact law misses
 _AIM = 1.002  # above the floor
-# Floors over the brick's c_rot; the middle one is the paper's 1-Ref.
-FLOORS = (0.5, 0.7, 0.85, 0.972, 1.15, 1.3, 1.5, 1.7)
+_LEAP = 0.25  # of the brick's c_rot at a time
+# Floors over the brick's c_rot; the first is the paper's 1-Ref.
+FLOORS = (0.972, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95, 2.1)
 
 
 def run_front(args) -> int:
@@ -57,7 +61,7 @@ def study_front(out: Path, cases: list[Case], root: Path, args) -> dict:
             point["paper_ratio_tr"] = tr / tr0
         if first:
             found["points"] = points
-            points = [p for p in points if p["floor"] == FLOORS[3]]
+            points = points[:1]
         found["at_paper"] += points
         print(table(points))
     return found
@@ -75,8 +79,18 @@ def front(case: Case, root: Path, floors, mesh_file=None) -> list[dict]:
     start = case.start_pose(own)
     base = _brick(case, own, load, start)
     progress = Progress(f"{case.name}, front", interval_seconds=2.0)
-    at = None
-    points, margin = [], _AIM
+    at = _solve(
+        designs.stage_problem(
+            _without_floor(case), own, load, start, STAGES[0]
+        ),
+        None, case.optimize, STAGES[0].iterations,
+        lambda iteration, best: progress.update(
+            f"own optimum, iteration {iteration}: c/|c0| "
+            f"{best.trace[-1][1]:+.4f}"
+        ),
+    )  # fmt: skip
+    stage, points, margin = STAGES[1], [], _AIM
+    reached = at.ratio
     for floor in sorted(floors):
 
         def say(iteration, best, floor=floor):
@@ -85,8 +99,8 @@ def front(case: Case, root: Path, floors, mesh_file=None) -> list[dict]:
                 f"{iteration}: c_tr {best.trace[-1][1]:.4f} of the brick's"
             )
 
-        for stage in STAGES[1:] if points else STAGES:
-            problem = _problem(case, own, load, start, stage, floor * margin)
+        for aim in _steps(reached, floor * margin):
+            problem = _problem(case, own, load, start, stage, aim)
             at = _solve(problem, at, case.optimize, stage.iterations, say)
         point = _judge(case, problem, at.best, floor, base, load, start)
         for _ in range(_CORRECTIONS):
@@ -98,6 +112,7 @@ def front(case: Case, root: Path, floors, mesh_file=None) -> list[dict]:
             at = _solve(problem, at, case.optimize, stage.iterations // 2, say)
             point = _judge(case, problem, at.best, floor, base, load, start)
         points.append(point)
+        reached = floor
     return points
 
 
@@ -106,14 +121,21 @@ def _problem(case, own, load, start, stage, floor):
 
     The floor is in the smoothed measures of this very problem.
     """
-    alone = replace(
-        case,
-        cost=replace(case.cost, weight=0.0),
-        optimize=replace(case.optimize, c_rot_nm_per_rad=None),
-    )
+    alone = replace(_without_floor(case), cost=replace(case.cost, weight=0.0))
     problem = designs.stage_problem(alone, own, load, start, stage)
     problem.add_rotation_floor(floor * problem.first.c_rot)
     return problem
+
+
+def _without_floor(case: Case) -> Case:
+    block = replace(case.optimize, c_rot_nm_per_rad=None)
+    return replace(case, optimize=block)
+
+
+def _steps(reached: float, floor: float) -> np.ndarray:
+    """Floors on the way up, none a long leap."""
+    count = max(1, int(np.ceil((floor - reached) / _LEAP)))
+    return np.linspace(min(reached, floor), floor, count + 1)[1:]
 
 
 @dataclass
@@ -123,6 +145,7 @@ class _At:
     best: Optimum
     learnt: QuasiNewton
     branch: State
+    ratio: float  # c_rot over the brick's, smoothed law
 
 
 def _solve(problem, at: _At | None, block, iterations, say) -> _At:
@@ -132,12 +155,15 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
         learnt = QuasiNewton(len(p))
     else:
         p, learnt, problem.branch = at.best.p, at.learnt, at.branch
-        warm = WarmStart(at.best.multipliers, *at.best.at_bounds)
+        warm = None
+        if len(at.best.multipliers) == len(problem.names()):
+            warm = WarmStart(at.best.multipliers, *at.best.at_bounds)
     best = minimise(
         problem, p, bounds, iterations, block.tolerance, say,
         learnt=learnt, warm=warm,
     )  # fmt: skip
-    return _At(best, learnt, problem.branch)
+    ratio = problem.evaluate(best.p).c_rot / problem.first.c_rot
+    return _At(best, learnt, problem.branch, ratio)
 
 
 def _brick(case, own, load, start):

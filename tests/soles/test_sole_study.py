@@ -67,7 +67,7 @@ def test_certainty_table_marks_what_is_unknown():
     assert " - " in line
 
 
-def test_front_rises_and_keeps_its_floors(tmp_path, monkeypatch):
+def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
     rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
     for k, s in enumerate(np.linspace(0, 1, 10)):
         rows.append(
@@ -77,13 +77,18 @@ def test_front_rises_and_keeps_its_floors(tmp_path, monkeypatch):
     (tmp_path / "load.csv").write_text("\n".join(rows))
     (tmp_path / "case.yaml").write_text(CASE)
     case = read_case(tmp_path / "case.yaml")
-    tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
+    tiny = [Stage((4, 3, 2), 10, layer, 0.2, 12) for layer in (3e-4, 5e-5)]
     monkeypatch.setattr(front, "STAGES", tiny)
-    low, high = front.front(case, tmp_path, (0.7, 0.6))
-    assert low["floor"] == 0.6
-    assert low["ratio_tr"] < high["ratio_tr"] < 1.0
-    for point in (low, high):
-        assert point["violation"] < 1e-3
-        assert point["ratio_rot"] > 0.99 * point["floor"]
-        assert point["failed_steps"] == 0
-    assert "0.700" in front.table([low, high])
+    (point,) = front.front(case, tmp_path, (0.7,))
+    assert point["violation"] < 1e-3
+    assert point["ratio_rot"] > 0.69
+    assert point["ratio_tr"] < 0.5
+    assert point["failed_steps"] == 0
+    assert "0.700" in front.table([point])
+
+
+def test_no_long_leaps_between_floors():
+    steps = front._steps(0.4, 1.0)
+    assert steps[-1] == pytest.approx(1.0)
+    assert np.diff([0.4, *steps]).max() <= 0.25
+    np.testing.assert_allclose(front._steps(1.2, 1.0), [1.0])
