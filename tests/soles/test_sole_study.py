@@ -77,7 +77,7 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
     (tmp_path / "load.csv").write_text("\n".join(rows))
     (tmp_path / "case.yaml").write_text(CASE)
     case = read_case(tmp_path / "case.yaml")
-    tiny = [Stage((4, 3, 2), 10, layer, 0.2, 12) for layer in (3e-4, 5e-5)]
+    tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
     monkeypatch.setattr(front, "STAGES", tiny)
     (point,) = front.front(case, tmp_path, (0.7,))
     assert point["violation"] < 1e-3
