@@ -141,7 +141,7 @@ def test_page_plays_in_a_browser_from_disk(page, tmp_path):
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=400,
     )
     assert "Uncaught" not in done.stderr
     assert ">0.50 / 1.00 s<" in done.stdout

@@ -15,6 +15,8 @@ _ROOT = Path(__file__).resolve().parents[2]
 _FOLDER = _ROOT / "tutorials"
 _NOTEBOOKS = sorted(_FOLDER.glob("*.ipynb"))
 _NUM_TUTORIALS = 10
+# Seconds for a cell and for a kernel to start: a busy machine is no failure.
+_PATIENCE = ("--timeout=600", "--startup_timeout=300")
 # Meshcat tells where it listens; nothing else may be said on stderr but what
 # tutorial 8 provokes.
 _ALLOWED = ("INFO:drake:Meshcat listening", "drake-exo: error: ")
@@ -59,7 +61,7 @@ def _run(folder, *command):
 @pytest.mark.parametrize("name", [path.name for path in _NOTEBOOKS])
 def test_runs(name, folder):
     execute = Path(sys.executable).with_name("jupyter-execute")
-    _run(folder, execute, "--inplace", "--timeout=120", name)
+    _run(folder, execute, "--inplace", *_PATIENCE, name)
     notebook = nbformat.read(folder / name, as_version=4)
     outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
     said = [o.text for o in outputs if o.get("name") == "stderr"]
