@@ -44,8 +44,9 @@ class Results:
         parts = ["C1" if self.scale == 1.0 else "C2"]
         if self.scale not in (1.0, 1.4):
             parts.append(f"x{self.scale:g}")
-        if self.summary.get("objective", "tracking") != "tracking":
-            parts.append(self.summary["objective"])
+        objective = self.summary.get("objective") or "tracking"
+        if objective != "tracking":
+            parts.append(objective)
         if self.summary.get("controller"):
             parts.append(self.summary["controller"].rpartition(":")[2])
         return " ".join(parts)
@@ -88,8 +89,7 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
         isinstance(rows, list)
         and isinstance(summary.get("subject"), str)
         and _is_number(summary.get("scale_interaction", 1.0))
-        # A prediction's is a name, a calibration's the value reached.
-        and isinstance(summary.get("objective", ""), str | int | float)
+        and _is_objective(summary)
         and isinstance(summary.get("controller"), str | None)
         and all(isinstance(r, dict) and _are_scores(r) for r in rows)
         and all(isinstance(r.get("trial"), str) for r in rows)
@@ -101,6 +101,14 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
             f"{path}: is not as a phase writes it (subject, rmsd, "
             "measured_sd); run the command that wrote it again"
         )
+
+
+def _is_objective(summary: dict[str, Any]) -> bool:
+    """A prediction's is a name, a calibration's the value reached."""
+    found = summary.get("objective")
+    if summary["phase"] == "prediction":
+        return isinstance(found, str | None)
+    return found is None or _is_number(found)
 
 
 def _are_scores(value: Any) -> bool:
