@@ -159,6 +159,7 @@ def _run_stage(problem, block, number, at: Checkpoint, warm, out: Path, say):
     stage, bounds = block.stages[number], tuple(block.bounds)
     problem.branch = at.branch(len(problem.mesh.contact))
     learnt = QuasiNewton(problem.spline.count, at.curvature)
+    begin = settle(problem, at.latest)
 
     def note(iteration, best):
         cost, violation, error = best.trace[-1][1:]
@@ -175,10 +176,30 @@ def _run_stage(problem, block, number, at: Checkpoint, warm, out: Path, say):
 
     left = max(stage.iterations - at.iteration, 0)
     best = minimise(
-        problem, at.latest, bounds, left, block.tolerance, note,
+        problem, begin, bounds, left, block.tolerance, note,
         learnt=learnt, warm=warm or at.warm_start(bounds),
     )  # fmt: skip
     return best, learnt
+
+
+def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
+    """The design, smoothed until this mesh can carry it.
+
+    Elements that another mesh resolved may be inverted in this one; the
+    least smoothing that leaves them room and lets the step be simulated is
+    taken (a heat equation on the coefficients).
+    """
+    H = problem.smoothness(p)[2]
+    eye = np.eye(len(p)) * np.abs(H).max()
+    if not H.any():
+        return p
+    for amount in (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0):
+        # Curvature about the undeformed shape, all ones.
+        trial = 1.0 + np.linalg.solve(eye + amount * H, eye @ (p - 1.0))
+        values = problem.constraints(trial)
+        if np.isfinite(values).all() and values[1] >= 0:
+            return trial
+    return p
 
 
 def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:

@@ -13,6 +13,8 @@ from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
 
 _FEASIBLE = 1e-4
+# A stage ends after so many simulations that changed the cost by less.
+_PATIENCE, _PROGRESS = 60, 1e-4
 _OPTIONS = {
     "acceptable_iter": 0,
     # Adaptive barriers leap about where costs are not quadratic.
@@ -119,7 +121,8 @@ class _Callbacks:
     def __init__(self, problem, learnt: QuasiNewton, best: Optimum, say):
         self.problem, self.learnt, self.best = problem, learnt, best
         self.say = say
-        self.stopped = False
+        self.stopped = self.stalled = False
+        self._mark = (np.inf, 0)  # cost and simulations at the last change
         self._point, self._derivatives = None, None
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
@@ -169,12 +172,16 @@ class _Callbacks:
         out[()] = max(factor, 1e-3) * B[self._lower]
 
     def watch(self, mode, iteration, cost, inf_pr, inf_du, barrier, *_):
-        """Note the iteration; False ends the run."""
+        """Note the iteration; False ends the run, where it leads nowhere."""
         self.best.trace.append((iteration, cost, inf_pr, inf_du))
         self.best.error, self._barrier = inf_du, barrier
         if self.say is not None:
             self.say(iteration, self.best)
-        return not self.stopped
+        simulations, mark = self.problem.evaluations, self._mark
+        if inf_pr > 1e-3 or not abs(cost - mark[0]) < _PROGRESS * abs(cost):
+            self._mark = (cost, simulations)
+        self.stalled = simulations - self._mark[1] > _PATIENCE
+        return not (self.stopped or self.stalled)
 
 
 def _furthest(problem, p) -> float:
@@ -244,6 +251,8 @@ def minimise(
     if calls.stopped:
         raise KeyboardInterrupt
     best.status = _STATUS.get(status, f"IPOPT code {status}")
+    if calls.stalled:
+        best.status = f"no progress in {_PATIENCE} simulations"
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
     _judge_last(problem, best, p, bounds, calls)

@@ -5,11 +5,13 @@ import pytest
 
 from drake_exo.soles.adjoint import shape_gradients, singular_terms
 from drake_exo.soles.contact import ContactSolver, Start
+from drake_exo.soles.design import settle
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.limits import Limits, soft_minimum
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.optimiser import Optimum, _Callbacks
 from drake_exo.soles.problem import (
     ShapeProblem,
     sample_weights,
@@ -218,6 +220,35 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
     assert best.cost < 0.8 * problem.cost(p0)
     assert (best.p >= 0.5).all()
     assert (best.p <= 1.25).all()
+
+
+def test_a_search_without_progress_ends():
+    class Counted:
+        evaluations = 0
+        spline = SphericalSpline((2, 2))
+
+    problem, best = Counted(), Optimum(np.ones(2))
+    calls = _Callbacks(problem, None, best, None)
+    for iteration in range(4):  # each with progress
+        problem.evaluations += 50
+        assert calls.watch(0, iteration, 1.0 - 0.1 * iteration, 0.0, 1.0, 0.1)
+    problem.evaluations += 50
+    assert calls.watch(0, 4, 0.7, 0.0, 1.0, 0.1)
+    problem.evaluations += 50
+    assert not calls.watch(0, 5, 0.7, 0.0, 1.0, 0.1)
+    assert calls.stalled
+    assert not calls.stopped
+
+
+def test_a_design_that_inverts_elements_is_smoothed(problem):
+    rng = np.random.default_rng(5)
+    p = 0.97 + 0.6 * rng.standard_normal(problem.spline.count)
+    p = np.clip(p, 0.3, 1.4)
+    assert problem.evaluate(p) is None
+    q = settle(problem, p)
+    assert problem.constraints(q)[1] >= 0
+    assert np.corrcoef(p, q)[0, 1] > 0.3
+    np.testing.assert_array_equal(settle(problem, q), q)
 
 
 def test_sample_weights_stand_for_all_samples():
