@@ -113,7 +113,9 @@ def test_page_is_served_until_interrupted(folder):
         try:
             line = server.stdout.readline()
             port, path = re.search(r"localhost:(\d+)(/\S+);", line).groups()
-            asked = http.client.HTTPConnection("localhost", int(port))
+            asked = http.client.HTTPConnection(
+                "localhost", int(port), timeout=60
+            )
             asked.request("GET", path)
             answer = asked.getresponse()
             assert answer.status == 200
