@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from drake_exo.output import prepare_output_folder, write_json
+from drake_exo.output import prepare_output_folder, read_json, write_json
 from drake_exo.soles import workers
 from drake_exo.soles.case import Case, LoadBlock, OneFoot, Pattern
 from drake_exo.soles.design import finish_on_own_mesh, without_limits
@@ -55,6 +55,10 @@ def run_study(args) -> int:
             write_json(out / "summary.json", summary)
 
         failed = workers.run(jobs, args.jobs, note)
+        for _, folder, rows in variants:
+            for place in _missing(folder, rows):
+                name = place.relative_to(out)
+                print(f"{name}: ended without a result; its last lines say why")
         if args.front:
             summary["front"] = study_front(out, cases, root, args)
             note()
@@ -88,7 +92,14 @@ def _one(folder: Path, case: Case, root: Path, mesh_file) -> None:
 def _finished(folder: Path, cases: list[Case]) -> list[dict]:
     """Summaries on disk, in the table's order."""
     files = [folder / case.name / "summary.json" for case in cases]
-    return [workers.read_json(file) for file in files if file.is_file()]
+    remedy = "run the study again"
+    return [read_json(file, remedy) for file in files if file.is_file()]
+
+
+def _missing(folder: Path, cases: list[Case]) -> list[Path]:
+    """Folders of cases that ended without a result."""
+    places = [folder / case.name for case in cases]
+    return [p for p in places if not (p / "summary.json").is_file()]
 
 
 def _report(out: Path, summary: dict) -> str:

@@ -1,12 +1,10 @@
 """Several jobs in processes of their own, a few at a time."""
 
-import json
 import multiprocessing
 import os
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 _POLL_SECONDS = 0.2
 
@@ -54,8 +52,3 @@ def _call(function, *arguments) -> None:
         function(*arguments)
     except KeyboardInterrupt:
         sys.exit(130)  # the parent says so
-
-
-def read_json(path: Path):
-    """A JSON file's content."""
-    return json.loads(path.read_text(encoding="utf-8"))

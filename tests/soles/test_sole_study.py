@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drake_exo.output import read_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Stage, read_case
 from drake_exo.soles.study_cases import TABLE_2
@@ -38,7 +39,7 @@ def test_every_job_runs_and_failures_are_counted(tmp_path):
     failed = workers.run([*jobs, (_fail,)], 2, lambda: ends.append(1))
     assert failed == 1
     assert len(ends) == 4
-    assert [workers.read_json(tmp_path / f"{k}.json") for k in range(3)] == [
+    assert [read_json(tmp_path / f"{k}.json", "") for k in range(3)] == [
         0,
         1,
         2,
