@@ -30,7 +30,7 @@ _CORRECTIONS = 2  # of a floor that the exact law misses
 _AIM = 1.002  # above the floor
 _LEAP = 0.25  # of the brick's c_rot at a time
 # Floors over the brick's c_rot; the first is the paper's 1-Ref.
-FLOORS = (0.972, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95, 2.1)
+FLOORS = (0.972, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
 
 
 def run_front(args) -> int:
