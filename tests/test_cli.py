@@ -1,0 +1,69 @@
+"""How commands end: exit codes, and one sentence where a user can act."""
+
+import argparse
+import errno
+import os
+
+import pytest
+
+from drake_exo import cli
+from drake_exo.errors import InputError, reason
+
+
+def ending(error, **arguments):
+    def run(args):
+        raise error
+
+    return cli._run(argparse.Namespace(run=run, **arguments))
+
+
+def test_what_a_command_returns():
+    assert cli._run(argparse.Namespace(run=lambda args: None)) == 0
+    assert cli._run(argparse.Namespace(run=lambda args: 1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (InputError("a.yaml: wrong; mend it"), 2, "a.yaml: wrong; mend it"),
+        (OSError(errno.ENOSPC, "No space"), 2, "results: cannot be written"),
+        (OSError(errno.EROFS, "Read-only", "x/y"), 2, "x/y: cannot be written"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_one_sentence(error, code, words, capsys):
+    assert ending(error, out="results") == code
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
+
+
+def test_mistakes_of_ours_are_not_hidden():
+    with pytest.raises(FileNotFoundError):
+        ending(FileNotFoundError(errno.ENOENT, "No such file", "x"))
+    with pytest.raises(ValueError, match="ours"):
+        ending(ValueError("ours"))
+
+
+def test_nobody_listens(monkeypatch):
+    replaced = []
+    monkeypatch.setattr(os, "dup2", lambda *fds: replaced.append(fds))
+    assert ending(BrokenPipeError()) == 141
+    assert len(replaced) == 1
+
+
+def test_only_the_wanted_half_is_offered(capsys):
+    """`sole` must not load the exoskeleton's commands."""
+    with pytest.raises(SystemExit):
+        cli.parse(["sole", "--help"])
+    assert "optimize" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as end:
+        cli.parse(["nothing"])
+    assert end.value.code == 2
+    assert "calibrate" in capsys.readouterr().err
+
+
+def test_reasons_are_short():
+    assert reason(ValueError("one\ntwo")) == "one"
+    assert reason(KeyError()) == "KeyError"
+    assert len(reason(ValueError("x" * 1000))) < 130
+    assert "\x1b" not in reason(ValueError("a\x1b[31mb"))
