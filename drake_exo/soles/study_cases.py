@@ -30,8 +30,8 @@ TABLE_2 = {
 }
 
 COARSE = (
-    Stage((10, 6, 3), 24, 3e-4, 0.2, 12),
-    Stage((10, 6, 3), 24, 1e-4, 0.2, 5),
+    Stage((10, 6, 3), 24, 3e-4, 0.2, 16),
+    Stage((10, 6, 3), 24, 1e-4, 0.2, 8),
 )
 FULL = OptimizeBlock().stages
 
