@@ -170,9 +170,15 @@ def table(found: dict[str, dict]) -> str:
     return "\n".join(lines).rstrip()
 
 
+def _number(value: float | None) -> float:
+    """NaN where a file says null: a sample that was not reached."""
+    return float("nan") if value is None else value
+
+
 def _line(name: str, row: dict) -> str:
     def pair(key, text):
-        return " ".join(text.format(row[f"{key}_{k}"]) for k in _KINDS)
+        values = (_number(row[f"{key}_{k}"]) for k in _KINDS)
+        return " ".join(text.format(value) for value in values)
 
     return " ".join(
         [
@@ -188,8 +194,8 @@ def _line(name: str, row: dict) -> str:
 
 def _remarks(sole: dict) -> list[str]:
     lines = [
-        f"{'':11s} c_tr {sole['c_tr_small']:.3g} in small, "
-        f"{sole['c_tr_finite']:.3g} in finite strain"
+        f"{'':11s} c_tr {_number(sole['c_tr_small']):.3g} in small, "
+        f"{_number(sole['c_tr_finite']):.3g} in finite strain"
     ]
     if sole["failures"]:
         first = sole["failures"][0]
@@ -201,13 +207,15 @@ def _remarks(sole: dict) -> list[str]:
     loose = [
         str(row["sample"])
         for row in sole["samples"]
-        if row["stability_n_per_m_finite"] <= 0
+        if _number(row["stability_n_per_m_finite"]) <= 0
     ]
     if loose:
         lines.append(
             f"{'':11s} finite strain: not stable at sample {', '.join(loose)}"
         )
-    turned_over = any(r["least_stretch_small"] <= 0 for r in sole["samples"])
+    turned_over = any(
+        _number(r["least_stretch_small"]) <= 0 for r in sole["samples"]
+    )
     if turned_over:
         lines.append(
             f"{'':11s} small strain turns elements inside out (least "
