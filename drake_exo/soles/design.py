@@ -206,9 +206,7 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
     """All coefficients one, or p, shrunk until the volume limit is met."""
     p = np.ones(problem.spline.count) if p is None else p
     for _ in range(60):
-        s = problem.M @ p + problem.s0
-        mesh = problem.mesh.with_nodes(s[:, None] * problem.mesh.nodes)
-        if mesh.volume <= 0.99 * problem.limits.volume:
+        if problem.deformed(p).volume <= 0.99 * problem.limits.volume:
             break
         p = 0.99 * p
     return np.clip(p, *bounds)
@@ -223,8 +221,7 @@ def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
 
 
 def _judge(case, problem, p, load, start, optima, seconds) -> Design:
-    s = problem.M @ p + problem.s0
-    mesh = problem.mesh.with_nodes(s[:, None] * problem.mesh.nodes)
+    mesh = problem.deformed(p)
     sole = Sole(mesh, problem.material, case.mesh.element)
     first = Sole(problem.mesh, problem.material, case.mesh.element)
     r = problem.law.penalty

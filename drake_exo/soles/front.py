@@ -175,9 +175,7 @@ def _brick(case, own, load, start):
 
 
 def _judge(case, problem, best, floor, base, load, start) -> dict:
-    s = problem.M @ best.p + problem.s0
-    mesh = problem.mesh.with_nodes(s[:, None] * problem.mesh.nodes)
-    sole = Sole(mesh, problem.material, case.mesh.element)
+    sole = Sole(problem.deformed(best.p), problem.material, case.mesh.element)
     history = designs.exact_history(
         case, sole, load, start, problem.law.penalty
     )

@@ -89,6 +89,14 @@ class ShapeProblem:
         """Limit c_rot from below [N·m/rad]."""
         self.limited.append(RotationLimit(least, self.by_rot))
 
+    def stretch(self, p: np.ndarray) -> np.ndarray:
+        """Factor s at every node of the reference mesh (n,)."""
+        return self.M @ p + self.s0
+
+    def deformed(self, p: np.ndarray) -> TetMesh:
+        """The mesh of a design; elements may be inverted."""
+        return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
+
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""
         key = p.tobytes()
@@ -102,9 +110,8 @@ class ShapeProblem:
         return self._cache[key]
 
     def _simulate(self, p):
-        s = self.M @ p + self.s0
-        mesh = self.mesh.with_nodes(s[:, None] * self.mesh.nodes)
-        if s.min() <= 0 or mesh.volumes.min() <= 0:
+        mesh = self.deformed(p)
+        if self.stretch(p).min() <= 0 or mesh.volumes.min() <= 0:
             return None
         sole = Sole(mesh, self.material, self.element)
         solver = ContactSolver(
