@@ -176,14 +176,19 @@ def write_results(
     results.write_csv(out / "steps.csv", columns)
     results.write_history(out / "history.npz", sole.mesh, load, history)
     clock.lap("tables")
-    draw(out, case, sole, load, history, columns)
+    draw(out, case, sole, load, history, {case.name: columns})
     clock.lap("pictures")
     numbers.update(clock.seconds)
     write_json(out / "summary.json", numbers)
 
 
-def draw(out: Path, case, sole, load, history, columns) -> None:
-    """All pictures and the animation of one simulation."""
+def draw(out: Path, case, sole, load, history, tables: dict) -> None:
+    """All pictures and the animation of one simulation.
+
+    Args:
+        tables: Label -> step table of the soles whose stiffness is drawn;
+            the last is this simulation's.
+    """
     # Imported here: matplotlib and meshcat are of no use to a failing case.
     from drake_exo.soles import pictures
     from drake_exo.soles.animation import SoleMotion, write_animation
@@ -191,15 +196,18 @@ def draw(out: Path, case, sole, load, history, columns) -> None:
     mesh, areas = sole.mesh, results.nodal_areas(sole.mesh)
     count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
     pictures.load_figure(out / "load.png", load, mesh)
-    curve = (
-        load.times,
-        columns["sigma_max_tr_n_per_m"],
-        columns["sigma_min_rot_nm_per_rad"],
-    )
+    curves = {
+        label: (
+            load.times,
+            table["sigma_max_tr_n_per_m"],
+            table["sigma_min_rot_nm_per_rad"],
+        )
+        for label, table in tables.items()
+    }
     pictures.stiffness_figure(
-        out / "stiffness.png", {case.name: curve}, load.times[count - 1]
+        out / "stiffness.png", curves, load.times[count - 1]
     )
-    pictures.pose_figure(out / "pose.png", columns)
+    pictures.pose_figure(out / "pose.png", list(tables.values())[-1])
     pictures.pressure_figure(out / "pressure.png", mesh, load, history, areas)
     motion = SoleMotion.of(case.name, mesh, load, history)
     if motion is not None:

@@ -53,9 +53,8 @@ def optimise_case(out: Path, case, mesh, load, start, resume=None) -> dict:
 
 def write_design(out: Path, case, load, design) -> None:
     """Coefficients, mesh, STL, pictures and animation of a design."""
-    from drake_exo.soles import command, design_pictures, pictures, results
+    from drake_exo.soles import command, design_pictures, results
     from drake_exo.soles.replay import FIRST_HISTORY, HISTORY
-    from drake_exo.soles.stiffness import heel_strike_count
     from drake_exo.soles.study_pictures import DrawnSole, soles_figure
 
     spline = design.problem.spline
@@ -79,21 +78,10 @@ def write_design(out: Path, case, load, design) -> None:
         (FIRST_HISTORY, design.first_sole, design.first_history),
     ):
         results.write_history(out / name, sole.mesh, load, history)
-    command.draw(out, case, design.sole, load, design.history, columns)
     before = results.step_table(load, design.first_history)
     results.write_csv(out / "initial_steps.csv", before)
-    count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
-    curves = {
-        name: (
-            load.times,
-            table["sigma_max_tr_n_per_m"],
-            table["sigma_min_rot_nm_per_rad"],
-        )
-        for name, table in (("initial", before), ("optimised", columns))
-    }
-    pictures.stiffness_figure(
-        out / "stiffness.png", curves, load.times[count - 1]
-    )
+    tables = {"initial": before, "optimised": columns}
+    command.draw(out, case, design.sole, load, design.history, tables)
     caption = f"{1e6 * design.mesh.volume:.0f} cm³"
     drawn = DrawnSole(case.name, caption, design.first_sole.mesh, design.mesh)
     soles_figure(out / "shape.png", [drawn])
