@@ -14,11 +14,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from drake_exo.soles.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
+from drake_exo.soles.case import Stage
 from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.design import first_design, stage_problem
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.optimiser import minimise

@@ -17,7 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from drake_exo.soles import design as designs
-from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
+from drake_exo.soles.case import Stage
+from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.optimiser import WarmStart, minimise
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.study_cases import (

@@ -12,22 +12,19 @@ import numpy as np
 
 from drake_exo import schema
 from drake_exo.errors import InputError
-from drake_exo.soles import loads, mesh
+from drake_exo.soles import mesh
+from drake_exo.soles.case_fields import (
+    Vector2,
+    Vector3,
+    exactly_one,
+    not_negative,
+    positive,
+)
 from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
+from drake_exo.soles.load_blocks import LoadBlock
+from drake_exo.soles.loads import Load
 from drake_exo.soles.node_law import ContactLaw
-
-Vector3 = tuple[float, float, float]
-Vector2 = tuple[float, float]
-
-
-def _positive(unit: str, default=None):
-    meta = {"unit": unit, "above": 0.0}
-    return field(default=default, metadata=meta)
-
-
-def _not_negative(unit: str, default: float):
-    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class MeshBlock:
     element: Literal["linear", "smoothed"] = "linear"
 
     def __post_init__(self):
-        _exactly_one(self, ("file", "brick"))
+        exactly_one(self, ("file", "brick"))
 
 
 @dataclass(frozen=True)
@@ -56,9 +53,9 @@ class MaterialBlock:
     """A named material; numbers given replace the named one's."""
 
     name: str
-    youngs_modulus_pa: float | None = _positive("Pa")
+    youngs_modulus_pa: float | None = positive("Pa")
     poissons_ratio: float | None = None
-    density_kg_per_m3: float | None = _positive("kg/m³")
+    density_kg_per_m3: float | None = positive("kg/m³")
 
     def material(self) -> Material:
         """The material with its numbers filled in."""
@@ -80,10 +77,10 @@ class MaterialBlock:
 class ContactBlock:
     """Contact law and solver."""
 
-    friction: float = _not_negative("", 0.8)
+    friction: float = not_negative("", 0.8)
     law: Literal["exact", "smoothed"] = "exact"
-    layer_m: float = _not_negative("m", 1e-5)
-    kappa: float = _not_negative("", 0.1)
+    layer_m: float = not_negative("m", 1e-5)
+    kappa: float = not_negative("", 0.1)
     method: Literal["newton", "gauss_seidel"] = "newton"
 
 
@@ -97,188 +94,14 @@ class StartBlock:
 
 
 @dataclass(frozen=True)
-class OneFoot:
-    """The soft-sole authors' file of one foot."""
-
-    file: str
-    origin_m: Vector2
-    skip_first: int = 10
-    skip_last: int = 11
-
-
-@dataclass(frozen=True)
-class Csv:
-    """A plain CSV of force and ZMP."""
-
-    file: str
-    origin_m: Vector2 = (0.0, 0.0)
-    yaw_rad: float = 0.0
-
-
-@dataclass(frozen=True)
-class ForcePlate:
-    """One foot's force plate in an OpenSim .mot file."""
-
-    file: str
-    prefix: str
-    start_s: float
-    end_s: float
-    origin_m: Vector2
-    yaw_rad: float = 0.0
-    least_force_n: float = _positive("N", 20.0)
-
-
-@dataclass(frozen=True)
-class Playback:
-    """One stance of an HRP-4 playback file."""
-
-    file: str
-    foot: Literal["left", "right"]
-    step: int
-    mass_kg: float = _positive("kg", 43.0)
-    period_s: float = _positive("s", 0.005)
-    gravity_m_per_s2: float = _positive("m/s²", 9.81)
-    ankle_to_centre_m: Vector2 = (0.015, 0.011)
-    least_force_n: float = _positive("N", 20.0)
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Ground reaction of a prediction of the exoskeleton half, both feet."""
-
-    file: str
-    origin_m: Vector2
-    share: float = field(
-        default=0.5, metadata={"above": 0.0, "maximum": 1.0}
-    )  # fmt: skip
-    least_force_n: float = _positive("N", 20.0)
-
-
-@dataclass(frozen=True)
-class Constant:
-    """The same force and ZMP at every sample."""
-
-    force_n: Vector3
-    zmp_m: Vector2
-    samples: int = field(default=1, metadata={"minimum": 1})
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Own walking pattern; the defaults are the authors' 80 kg robot's.
-
-    The ZMP bounds leave 15 mm to the sole's edges.
-    """
-
-    mass_kg: float = _positive("kg", 80.0)
-    com_height_m: float = _positive("m", 0.8085)
-    step_length_m: float = _positive("m", 0.2633)
-    step_width_m: float = _positive("m", 0.162)
-    step_time_s: float = _positive("s", 1.0)
-    double_support_s: float = _positive("s", 0.195)
-    back_m: float = -0.1
-    front_m: float = 0.1
-    inner_m: float = 0.05
-    outer_m: float = -0.05
-    ankle_m: Vector2 = (-0.017, 0.011)
-    torque_weight: float = _not_negative("", 0.6)
-    gravity_m_per_s2: float = _positive("m/s²", 9.81)
-    period_s: float = _positive("s", 0.005)
-    least_share: float = field(
-        default=0.13, metadata={"above": 0.0, "below": 1.0}
-    )
-
-    def load(self) -> loads.Load:
-        """Plan the step; the right foot's load."""
-        from drake_exo.soles.walking_pattern import Robot, plan
-
-        robot = Robot(
-            self.mass_kg,
-            self.com_height_m,
-            self.step_length_m,
-            self.step_width_m,
-            self.step_time_s,
-            self.double_support_s,
-            self.back_m,
-            self.front_m,
-            self.inner_m,
-            self.outer_m,
-            self.ankle_m,
-            self.torque_weight,
-            self.gravity_m_per_s2,
-        )
-        return plan(robot).foot_load(self.period_s, self.least_share)
-
-
-_KINDS = (
-    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
-    "constant",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class LoadBlock:
-    """Where force and ZMP come from: exactly one kind."""
-
-    pattern: Pattern | None = None
-    one_foot: OneFoot | None = None
-    csv: Csv | None = None
-    force_plate: ForcePlate | None = None
-    playback: Playback | None = None
-    prediction: Prediction | None = None
-    constant: Constant | None = None
-    straight: bool = False
-
-    def __post_init__(self):
-        _exactly_one(self, _KINDS)
-
-    def load(self, root: Path) -> loads.Load:
-        """Read the load; files are relative to `root`."""
-        load = self._read(root)
-        return load.straight() if self.straight else load
-
-    def _read(self, root: Path) -> loads.Load:
-        if self.pattern is not None:
-            return self.pattern.load()
-        if (c := self.one_foot) is not None:
-            load = loads.read_one_foot(root / c.file, c.skip_first, c.skip_last)
-            return load.placed(c.origin_m, 0.0)
-        if (c := self.csv) is not None:
-            return loads.read_csv(root / c.file).placed(c.origin_m, c.yaw_rad)
-        if (c := self.force_plate) is not None:
-            load = loads.read_force_plate(
-                root / c.file, c.prefix, c.start_s, c.end_s, c.least_force_n
-            )
-            return load.placed(c.origin_m, c.yaw_rad)
-        if (c := self.playback) is not None:
-            return loads.read_playback(
-                root / c.file,
-                c.foot,
-                c.step,
-                c.mass_kg,
-                c.period_s,
-                c.gravity_m_per_s2,
-                c.ankle_to_centre_m,
-                c.least_force_n,
-            )
-        if (c := self.prediction) is not None:
-            load = loads.read_prediction(
-                root / c.file, c.share, c.least_force_n
-            )
-            return load.placed(c.origin_m, 0.0)
-        c = self.constant
-        return loads.constant(c.force_n, c.zmp_m, c.samples)
-
-
-@dataclass(frozen=True)
 class CostBlock:
     """The paper's cost c = c_tr − w c_rot."""
 
-    weight: float = _not_negative("", 1.0)
+    weight: float = not_negative("", 1.0)
     heel_strike_fraction: float = field(
         default=0.1, metadata={"above": 0.0, "maximum": 1.0}
     )
-    mass_limit_kg: float = _positive("kg", 1.0)
+    mass_limit_kg: float = positive("kg", 1.0)
 
 
 @dataclass(frozen=True)
@@ -287,8 +110,8 @@ class Stage:
 
     divisions: tuple[int, int, int] | None = None
     samples: int | None = None
-    layer_m: float = _positive("m", 1e-5)
-    kappa: float = _not_negative("", 0.1)
+    layer_m: float = positive("m", 1e-5)
+    kappa: float = not_negative("", 0.1)
     iterations: int = field(default=40, metadata={"minimum": 0})
 
 
@@ -299,13 +122,13 @@ class OptimizeBlock:
     intervals: tuple[int, int] = (10, 10)
     fixed_top: bool = False
     bounds: Vector2 = (0.3, 1.4)
-    stability_n_per_m: float | None = _positive("N/m", 1000.0)
-    tilt_deg: float | None = _positive("°", 20.0)
-    strain: float | None = _positive("", 0.3)
-    c_rot_nm_per_rad: float | None = _positive("N·m/rad")
-    use_tr: float = _not_negative("", 1.0)
-    roughness: float = _not_negative("", 3.0)
-    tolerance: float = _positive("", 1e-4)
+    stability_n_per_m: float | None = positive("N/m", 1000.0)
+    tilt_deg: float | None = positive("°", 20.0)
+    strain: float | None = positive("", 0.3)
+    c_rot_nm_per_rad: float | None = positive("N·m/rad")
+    use_tr: float = not_negative("", 1.0)
+    roughness: float = not_negative("", 3.0)
+    tolerance: float = positive("", 1e-4)
     stages: tuple[Stage, ...] = (
         Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
         Stage((10, 6, 3), 24, 1e-4, 0.2, 40),
@@ -355,6 +178,22 @@ class Case:
             return mesh.brick(self.mesh.brick.size_m, self.mesh.brick.divisions)
         return mesh.read_mesh(root / self.mesh.file, self.mesh.origin_m)
 
+    def open(
+        self, root: Path, mesh_file: Path | None = None
+    ) -> tuple[Load, mesh.TetMesh, Start]:
+        """Load, mesh and start, the ZMP inside the sole.
+
+        Args:
+            root: Folder that the paths are relative to.
+            mesh_file: Used instead of the case's mesh.
+
+        Raises:
+            InputError: A file cannot be read, or the ZMP leaves the sole.
+        """
+        load, tets = self.load.load(root), self.read_mesh(root, mesh_file)
+        load.check_inside(tets.nodes[tets.contact])
+        return load, tets, self.start_pose(tets)
+
     def sole(self, tets: mesh.TetMesh) -> Sole:
         """The meshed sole with its material."""
         return Sole(tets, self.material.material(), self.mesh.element)
@@ -395,10 +234,15 @@ def read_case(path: Path | str) -> Case:
     return schema.load(path, Case)
 
 
-def _exactly_one(block, names) -> None:
-    given = [n for n in names if getattr(block, n) is not None]
-    if len(given) != 1:
-        raise InputError(
-            f"give exactly one of {', '.join(names)}, not "
-            f"{' and '.join(given) or 'none'}"
-        )
+def open_case(
+    path: Path, data_root: Path | None = None, mesh_file: Path | None = None
+) -> tuple[Case, Load, mesh.TetMesh, Start]:
+    """Read a case file and what it names; see `Case.open`.
+
+    Args:
+        path: Of the case file.
+        data_root: Folder of its paths; by default the file's own.
+        mesh_file: Used instead of the case's mesh.
+    """
+    case = read_case(path)
+    return case, *case.open(data_root or path.parent, mesh_file)

@@ -12,7 +12,7 @@ import numpy as np
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import results, strain_command, study_report
-from drake_exo.soles.case import read_case
+from drake_exo.soles.case import open_case
 from drake_exo.soles.simulation import simulate
 from drake_exo.soles.stiffness import heel_strike_count
 
@@ -112,24 +112,15 @@ def add_common_arguments(parser) -> None:
     )
 
 
-def case_root(args) -> Path:
-    """Folder that the paths in a case are relative to."""
-    return args.data_root or args.case.parent
-
-
 def run_simulate(args) -> int:
     """Simulate one case; 0 if every step converged, else 1."""
     clock = _Clock()
-    case = read_case(args.case)
-    root = case_root(args)
-    load = case.load.load(root)
-    mesh = case.read_mesh(root, args.mesh)
-    load.check_inside(mesh.nodes[mesh.contact])
+    case, load, mesh, start = open_case(args.case, args.data_root, args.mesh)
     clock.lap("mesh")
     folder = prepare_output_folder(args.out, args.force)
     sole = case.sole(mesh)
     sole.compliance  # noqa: B018 - computed here, so that it is timed apart
-    law, start = case.law(sole), case.start_pose(mesh)
+    law = case.law(sole)
     clock.lap("condensation")
     with folder as out:
         history = run_history(case, sole, law, start, load)

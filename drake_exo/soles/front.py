@@ -14,9 +14,11 @@ import numpy as np
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
-from drake_exo.soles.case import Case, Stage, read_case
-from drake_exo.soles.contact import State
+from drake_exo.soles.case import Case, Stage, open_case
+from drake_exo.soles.contact import Start, State
 from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.study_cases import TABLE_2
@@ -35,12 +37,11 @@ FLOORS = (0.972, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
 
 def run_front(args) -> int:
     """`drake-exo sole front CASE.yaml`; 0 where every point simulates."""
-    case = read_case(args.case)
-    root = args.data_root or args.case.parent
+    case, load, own, start = open_case(args.case, args.data_root, args.mesh)
     if args.limits == "none":
         case = designs.without_limits(case)
     with prepare_output_folder(args.out, args.force) as out:
-        points = front(case, root, FLOORS, args.mesh)
+        points = front(case, load, own, start, FLOORS)
         _write(out, case, points)
     print(table(points))
     print(f"{case.name}: results in {args.out}")
@@ -56,7 +57,7 @@ def study_front(out: Path, cases: list[Case], root: Path, args) -> dict:
             case = designs.without_limits(case)
         first = case.name == "1-Ref"
         floors = FLOORS if first else (rot / rot0,)
-        points = front(case, root, floors, None)
+        points = front(case, *case.open(root), floors)
         for point in points:
             point["paper_ratio_tr"] = tr / tr0
         if first:
@@ -67,16 +68,15 @@ def study_front(out: Path, cases: list[Case], root: Path, args) -> dict:
     return found
 
 
-def front(case: Case, root: Path, floors, mesh_file=None) -> list[dict]:
+def front(
+    case: Case, load: Load, own: TetMesh, start: Start, floors
+) -> list[dict]:
     """Least c_tr for every floor of c_rot (over the brick's), lowest first.
 
     Returns:
         For every floor: floor, c_tr, c_rot and their ratios to the brick's,
         by the exact law; optimality_error; failed_steps.
     """
-    load = case.load.load(root)
-    own = case.read_mesh(root, mesh_file)
-    start = case.start_pose(own)
     base = _brick(case, own, load, start)
     progress = Progress(f"{case.name}, front", interval_seconds=2.0)
     at = _solve(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
-from drake_exo.soles.case import read_case
+from drake_exo.soles.case import open_case
 from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.mesh import write_stl
 from drake_exo.soles.mould import write_mould
@@ -14,12 +14,7 @@ from drake_exo.soles.strain_command import judge_in_finite_strain
 
 def run_optimize(args) -> int:
     """Optimise one case; 0 where the final design simulates throughout."""
-    case = read_case(args.case)
-    root = args.data_root or args.case.parent
-    load = case.load.load(root)
-    mesh = case.read_mesh(root, args.mesh)
-    load.check_inside(mesh.nodes[mesh.contact])
-    start = case.start_pose(mesh)
+    case, load, mesh, start = open_case(args.case, args.data_root, args.mesh)
     if args.mesh is not None:
         case = designs.finish_on_own_mesh(case)
     if args.limits == "none":

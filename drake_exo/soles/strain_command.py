@@ -6,7 +6,7 @@ from pathlib import Path
 from drake_exo.errors import InputError
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import strain_report
-from drake_exo.soles.case import Case, read_case
+from drake_exo.soles.case import Case, open_case
 from drake_exo.soles.contact import Start
 from drake_exo.soles.design_folder import (
     SUMMARY,
@@ -108,11 +108,7 @@ def judge_in_finite_strain(
 
 
 def _from_case(args) -> StoredDesign:
-    case = read_case(args.source)
-    root = args.data_root or args.source.parent
-    load = case.load.load(root)
-    mesh = case.read_mesh(root, args.mesh)
-    load.check_inside(mesh.nodes[mesh.contact])
+    case, load, mesh, _ = open_case(args.source, args.data_root, args.mesh)
     return StoredDesign(args.source.parent, case, mesh, load)
 
 

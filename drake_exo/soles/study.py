@@ -5,9 +5,10 @@ from pathlib import Path
 
 from drake_exo.output import prepare_output_folder, read_json, write_json
 from drake_exo.soles import workers
-from drake_exo.soles.case import Case, LoadBlock, OneFoot, Pattern
+from drake_exo.soles.case import Case
 from drake_exo.soles.design import finish_on_own_mesh, without_limits
 from drake_exo.soles.front import study_front
+from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.optimise_command import optimise_case, print_row
 from drake_exo.soles.study_cases import (
     AUTHORS_ORIGIN,
@@ -33,8 +34,7 @@ def run_study(args) -> int:
     print(f"load: {source}")
     cases = five_cases(load, args.coarse)
     for case in cases:
-        step, mesh = case.load.load(root), case.read_mesh(root, args.mesh)
-        step.check_inside(mesh.nodes[mesh.contact])
+        case.open(root, args.mesh)  # refused before any work
     if args.mesh is not None:
         cases = [finish_on_own_mesh(case) for case in cases]
     began = time.perf_counter()
@@ -84,9 +84,8 @@ def _variants(out: Path, cases: list[Case], limits: str):
 def _one(folder: Path, case: Case, root: Path, mesh_file) -> None:
     """One design, in a process of its own."""
     folder.mkdir(parents=True, exist_ok=True)
-    step = case.load.load(root)
-    mesh = case.read_mesh(root, mesh_file)
-    print_row(optimise_case(folder, case, mesh, step, case.start_pose(mesh)))
+    load, mesh, start = case.open(root, mesh_file)
+    print_row(optimise_case(folder, case, mesh, load, start))
 
 
 def _finished(folder: Path, cases: list[Case]) -> list[dict]:

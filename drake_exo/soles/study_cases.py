@@ -7,13 +7,13 @@ from drake_exo.soles.case import (
     Case,
     ContactBlock,
     CostBlock,
-    LoadBlock,
     MaterialBlock,
     MeshBlock,
     OptimizeBlock,
     Stage,
     StartBlock,
 )
+from drake_exo.soles.load_blocks import LoadBlock
 
 SIZE = (0.23, 0.13, 0.03)
 AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"

@@ -9,9 +9,10 @@ import pytest
 from small_step import write_step
 
 from drake_exo import cli
-from drake_exo.soles.case import LoadBlock, Pattern, read_case
+from drake_exo.soles.case import read_case
 from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.design import first_design, optimise, stage_problem
+from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimiser import minimise
 from drake_exo.soles.problem import ShapeProblem

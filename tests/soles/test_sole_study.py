@@ -80,7 +80,7 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
     case = read_case(tmp_path / "case.yaml")
     tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
     monkeypatch.setattr(front, "STAGES", tiny)
-    (point,) = front.front(case, tmp_path, (0.7,))
+    (point,) = front.front(case, *case.open(tmp_path), (0.7,))
     assert point["violation"] < 1e-3
     assert point["ratio_rot"] > 0.69
     assert point["ratio_tr"] < 0.5
