@@ -1,6 +1,5 @@
 """What `sole optimize` and `sole study` leave on disk, read back."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from drake_exo import schema
 from drake_exo.errors import InputError
+from drake_exo.output import read_json
 from drake_exo.soles import loads
 from drake_exo.soles.case import Case, StartBlock, read_case
 from drake_exo.soles.contact import Start
@@ -118,15 +118,9 @@ def read_summary(folder: Path) -> dict:
     """The summary.json of a folder.
 
     Raises:
-        InputError: It is missing or no JSON.
+        InputError: It cannot be read, or is no JSON.
     """
-    path = folder / SUMMARY
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InputError(
-            f"{path}: no summary of a run; optimise the sole again"
-        ) from None
+    return read_json(folder / SUMMARY, "optimise the sole again")
 
 
 def read_steps(path: Path) -> dict[str, np.ndarray]:
