@@ -1,17 +1,11 @@
 """Several jobs in processes of their own, a few at a time."""
 
 import multiprocessing
-import os
 import sys
 import time
 from collections.abc import Callable
 
 _POLL_SECONDS = 0.2
-
-
-def cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def run(jobs: list[tuple], at_once: int, on_end: Callable[[], None]) -> int:
