@@ -85,6 +85,15 @@ def compare(
     }
 
 
+def from_json(found: dict) -> dict:
+    """What `compare` returned, out of a file: its null is NaN again."""
+
+    def numbers(row: dict) -> dict:
+        return {k: np.nan if v is None else v for k, v in row.items()}
+
+    return numbers(found) | {"samples": [numbers(r) for r in found["samples"]]}
+
+
 def _failures(finite: FiniteHistory) -> list[dict]:
     return [
         {
@@ -170,15 +179,9 @@ def table(found: dict[str, dict]) -> str:
     return "\n".join(lines).rstrip()
 
 
-def _number(value: float | None) -> float:
-    """NaN where a file says null: a sample that was not reached."""
-    return float("nan") if value is None else value
-
-
 def _line(name: str, row: dict) -> str:
     def pair(key, text):
-        values = (_number(row[f"{key}_{k}"]) for k in _KINDS)
-        return " ".join(text.format(value) for value in values)
+        return " ".join(text.format(row[f"{key}_{k}"]) for k in _KINDS)
 
     return " ".join(
         [
@@ -194,8 +197,8 @@ def _line(name: str, row: dict) -> str:
 
 def _remarks(sole: dict) -> list[str]:
     lines = [
-        f"{'':11s} c_tr {_number(sole['c_tr_small']):.3g} in small, "
-        f"{_number(sole['c_tr_finite']):.3g} in finite strain"
+        f"{'':11s} c_tr {sole['c_tr_small']:.3g} in small, "
+        f"{sole['c_tr_finite']:.3g} in finite strain"
     ]
     if sole["failures"]:
         first = sole["failures"][0]
@@ -207,15 +210,13 @@ def _remarks(sole: dict) -> list[str]:
     loose = [
         str(row["sample"])
         for row in sole["samples"]
-        if _number(row["stability_n_per_m_finite"]) <= 0
+        if row["stability_n_per_m_finite"] <= 0
     ]
     if loose:
         lines.append(
             f"{'':11s} finite strain: not stable at sample {', '.join(loose)}"
         )
-    turned_over = any(
-        _number(r["least_stretch_small"]) <= 0 for r in sole["samples"]
-    )
+    turned_over = any(r["least_stretch_small"] <= 0 for r in sole["samples"])
     if turned_over:
         lines.append(
             f"{'':11s} small strain turns elements inside out (least "

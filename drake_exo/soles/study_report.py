@@ -77,7 +77,11 @@ def write(out: Path, designs: list[StoredDesign]) -> str:
         out / "histories.png", {d.name: _trace(d.folder) for d in designs}
     )
     found = {d.name: d.summary().get(KEY) or {} for d in designs}
-    found = {name: f for name, f in found.items() if "samples" in f}
+    found = {
+        name: strain_report.from_json(f)
+        for name, f in found.items()
+        if "samples" in f
+    }
     return strain_report.write_table(out, found) if found else ""
 
 

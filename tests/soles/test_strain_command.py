@@ -134,6 +134,22 @@ def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
     assert text.count("twin ") == 3
 
 
+def test_a_sample_not_reached_is_nan_in_table_and_csv(study, tmp_path):
+    """The summary says null there."""
+    folder = tmp_path / "small"
+    shutil.copytree(study / "small", folder)
+    row = json.loads((folder / "summary.json").read_text())
+    row["finite_strain"]["c_tr_finite"] = None
+    row["finite_strain"]["samples"][0]["tilt_deg_finite"] = None
+    (folder / "summary.json").write_text(json.dumps(row))
+    out = tmp_path / "out"
+    assert cli.main(["sole", "report", str(folder), "--out", str(out)]) == 0
+    with open(out / "finite_strain.csv", newline="") as file:
+        assert next(csv.DictReader(file))["tilt_deg_finite"] == "nan"
+    text = (out / "finite_strain.txt").read_text()
+    assert text.count("nan") == 2
+
+
 def test_the_start_is_that_of_the_initial_shape(study):
     (design,) = find_designs(study)
     np.testing.assert_allclose(design.start.point_L, [-0.115, 0.0, -0.03])
