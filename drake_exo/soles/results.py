@@ -11,7 +11,7 @@ from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.rotations import angles_xyz
+from drake_exo.soles.rotations import angles_xyz, tilt_deg
 from drake_exo.soles.simulation import StepHistory
 
 
@@ -110,7 +110,7 @@ def step_table(load: Load, history: StepHistory) -> dict[str, np.ndarray]:
         columns[f"origin_{axis}_m"] = history.O[:, k]
     for k, name in enumerate(("roll", "pitch", "yaw")):
         columns[f"{name}_deg"] = angles[:, k]
-    columns["tilt_deg"] = tilts_deg(history)
+    columns["tilt_deg"] = tilt_deg(history.R)
     columns["sigma_max_tr_n_per_m"] = stiffness.sigma_max_translation(
         history.K_c
     )
@@ -125,11 +125,6 @@ def step_table(load: Load, history: StepHistory) -> dict[str, np.ndarray]:
     columns["residual"] = np.array([r.residual for r in history.reports])
     columns["converged"] = history.converged.astype(int)
     return columns
-
-
-def tilts_deg(history: StepHistory) -> np.ndarray:
-    """Angle between the sole's normal and the vertical [°], (N,)."""
-    return np.rad2deg(np.arccos(np.clip(history.R[:, 2, 2], -1.0, 1.0)))
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
@@ -187,7 +182,7 @@ def summary(case, sole: Sole, history: StepHistory) -> dict:
         "least_quality": float(mesh.quality().min()),
         "stable": bool(history.failed_steps == 0 and margin.min() > 0),
         "stability_min_n_per_m": float(np.min(margin)),
-        "tilt_max_deg": float(tilts_deg(history).max()),
+        "tilt_max_deg": float(tilt_deg(history.R).max()),
         "max_strain": largest_strain(sole, history),
         "newton_iterations_mean": float(np.mean(iterations)),
         "newton_iterations_max": int(np.max(iterations)),

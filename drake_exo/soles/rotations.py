@@ -85,3 +85,8 @@ def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         axis = np.cross(a, other)
         return exp_rotation(np.pi * axis / np.linalg.norm(axis))
     return exp_rotation(np.arctan2(sine, cosine) * axis / sine)
+
+
+def tilt_deg(R: np.ndarray) -> np.ndarray:
+    """Angle between the sole's normal and the vertical [°], (...)."""
+    return np.rad2deg(np.arccos(np.clip(R[..., 2, 2], -1.0, 1.0)))

@@ -14,6 +14,7 @@ from drake_exo.soles.finite_history import FiniteHistory, follow
 from drake_exo.soles.loads import Load
 from drake_exo.soles.neo_hookean import NeoHookeanBody
 from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.rotations import tilt_deg
 from drake_exo.soles.simulation import StepHistory, simulate
 
 _FIGURES = (
@@ -126,7 +127,7 @@ def _sample(
     if finite.reports[q].converged:
         state = finite.states[q]
         body = NeoHookeanBody(sole.mesh, sole.material)
-        numbers["finite"] += [_tilt(state.R), *body.stretches(state.u)]
+        numbers["finite"] += [tilt_deg(state.R), *body.stretches(state.u)]
     for kind in _KINDS:
         values = numbers[kind] + [np.nan] * (len(_FIGURES) - len(numbers[kind]))
         row |= {
@@ -148,11 +149,7 @@ def _small_shape(sole: Sole, history: StepHistory, q: int) -> list[float]:
     """Tilt, and one plus the largest and the least principal strain."""
     u = sole.displacement(history.F[q] @ history.R[q])
     eps = results.principal_strains(sole.strain(u))
-    return [_tilt(history.R[q]), 1 + eps.max(), 1 + eps.min()]
-
-
-def _tilt(R: np.ndarray) -> float:
-    return float(np.rad2deg(np.arccos(np.clip(R[2, 2], -1.0, 1.0))))
+    return [tilt_deg(history.R[q]), 1 + eps.max(), 1 + eps.min()]
 
 
 def table(found: dict[str, dict]) -> str:
