@@ -72,6 +72,14 @@ class Target:
     zmp: np.ndarray
     reference: "np.ndarray | Start"
 
+    def partway(self, before: "Target", part: float) -> "Target":
+        """A part of the way from `before` to here, at this reference."""
+        return Target(
+            before.force + part * (self.force - before.force),
+            before.zmp + part * (self.zmp - before.zmp),
+            self.reference,
+        )
+
 
 @dataclass
 class Convergence:

@@ -113,12 +113,7 @@ def lead(solver, state, before: Target, target: Target):
     done, step, total = 0.0, 1.0, 0
     while True:
         aim = min(1.0, done + step)
-        between = Target(
-            before.force + aim * (target.force - before.force),
-            before.zmp + aim * (target.zmp - before.zmp),
-            target.reference,
-        )
-        trial, report = solver.solve(state, between)
+        trial, report = solver.solve(state, target.partway(before, aim))
         total += report.iterations
         if report.converged:
             state, done, step = trial, aim, 2.0 * step

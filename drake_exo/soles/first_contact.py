@@ -177,12 +177,7 @@ def follow_load(
     done, step, total = 0.0, 0.5, report.iterations
     for _ in range(_MAX_SUBSTEPS):
         aim = min(1.0, done + step)
-        between = Target(
-            before.force + aim * (target.force - before.force),
-            before.zmp + aim * (target.zmp - before.zmp),
-            target.reference,
-        )
-        trial, sub = solver.solve(state, between)
+        trial, sub = solver.solve(state, target.partway(before, aim))
         total += sub.iterations
         if sub.converged:
             state, done, step = trial, aim, 1.5 * step
