@@ -10,11 +10,18 @@ class InputError(Exception):
     """
 
 
+def printable(text: str, keep: str = "") -> str:
+    """The text with question marks for what cannot be printed."""
+    return "".join(c if c.isprintable() or c in keep else "?" for c in text)
+
+
+def first_line(text: str) -> str:
+    """The first line, short enough to stand in a sentence."""
+    lines = text.strip().splitlines()
+    line = printable(lines[0].strip()) if lines else ""
+    return line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
+
+
 def reason(error: BaseException) -> str:
     """What an exception says, short enough to stand in a sentence."""
-    lines = str(error).strip().splitlines()
-    text = lines[0].strip() if lines else ""
-    text = "".join(c if c.isprintable() else "?" for c in text)
-    if len(text) > _LONGEST:
-        text = text[:_LONGEST] + "..."
-    return text or type(error).__name__
+    return first_line(str(error)) or type(error).__name__

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, printable
 
 # No measurement is larger in any unit; squares and sums stay numbers.
 _LARGEST = 1e30
@@ -28,7 +28,7 @@ def read_text(path: str | Path, remedy: str = "check the path") -> str:
         raise InputError(f"{path}: is a binary file, not text; check it")
     text = data.decode("utf-8-sig", errors="replace")
     # Names from damaged files end up in messages: one line, printable.
-    return "".join(c if c.isprintable() or c in "\t\r\n" else "?" for c in text)
+    return printable(text, keep="\t\r\n")
 
 
 def shown(cell: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError, reason
+from drake_exo.errors import InputError, first_line, printable
 
 _CHILD = Path(__file__).with_name("c3d_child.py")
 _BLOCK = 512
@@ -73,7 +73,7 @@ def decode(path: Path) -> C3dContents:
     for i, (group, name) in enumerate(json.loads(str(arrays["names"]))):
         value = arrays[f"parameter_{i}"]
         if value.dtype.kind == "U":
-            value = [_printable(text) for text in value.ravel()]
+            value = [printable(text.strip()) for text in value.ravel()]
         parameters.setdefault(group, {})[name] = value
     return C3dContents(
         parameters, points, float(rate), arrays["analogs"], float(analog_rate)
@@ -89,9 +89,8 @@ def _arrays(path: Path) -> bytes:
     )
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace")
-        crashed = "its parts contradict each other"
-        text = said if done.returncode == 1 else crashed
-        raise _damaged(path, reason(ValueError(text)))
+        what = first_line(said) if done.returncode == 1 else ""
+        raise _damaged(path, what or "its parts contradict each other")
     return done.stdout
 
 
@@ -131,7 +130,3 @@ def _truncated(path) -> InputError:
 
 def _damaged(path, what: str) -> InputError:
     return InputError(f"{path}: is damaged ({what}); copy or export it again")
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text.strip())
