@@ -82,37 +82,33 @@ def prepare_output_folder(
     """
     target = Path(path)
     try:
-        if target.exists() and not target.is_dir():
-            raise InputError(f"{target}: is a file; give a folder for --out")
+        return OutputFolder(target, _place(target, force, resume))
     except OSError as error:
         raise InputError(
             f"{target}: cannot be written ({error.strerror}); choose "
             "another folder for --out"
         ) from error
+
+
+def _place(target: Path, force: bool, resume: bool) -> Path:
+    """Where to write what ends up in `target`, ready for it."""
+    if target.exists() and not target.is_dir():
+        raise InputError(f"{target}: is a file; give a folder for --out")
     occupied = target.is_dir() and bool(_files(target))
     if occupied and not (force or resume):
         raise InputError(
             f"{target}: already holds results; choose another folder for "
             "--out, or replace them with --force"
         )
-    place = target
     partial = target.with_name(target.resolve().name + ".partial")
     if resume and occupied:
-        return OutputFolder(
-            target, partial if force and partial.is_dir() else target
-        )
-    try:
-        if occupied:
-            place = partial
-            shutil.rmtree(place, ignore_errors=True)
-        place.mkdir(parents=True, exist_ok=True)
-        _write_manifest(place, set())  # before hours of work, not after
-    except OSError as error:
-        raise InputError(
-            f"{target}: cannot be written ({error.strerror}); choose "
-            "another folder for --out"
-        ) from error
-    return OutputFolder(target, place)
+        return partial if force and partial.is_dir() else target
+    if occupied:
+        shutil.rmtree(partial, ignore_errors=True)
+    place = partial if occupied else target
+    place.mkdir(parents=True, exist_ok=True)
+    _write_manifest(place, set())  # before hours of work, not after
+    return place
 
 
 def _files(folder: Path) -> set[str]:
