@@ -42,7 +42,7 @@ def add_parser(subparsers) -> None:
     parser.set_defaults(run=_run_optimize)
     parser = jobs.add_parser("study", help="the paper's five cases (Table 2)")
     parser.add_argument(
-        "--coarse", action="store_true", help="one coarse stage, two minutes"
+        "--coarse", action="store_true", help="two coarse stages, two minutes"
     )
     add_limits_argument(parser, ("all", "none", "both"))
     parser.add_argument(

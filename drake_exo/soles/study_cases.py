@@ -41,7 +41,7 @@ def five_cases(load: LoadBlock, coarse: bool) -> list[Case]:
 
     Args:
         load: The step.
-        coarse: One coarse stage, for a first look.
+        coarse: Two coarse stages, for a first look.
     """
     stages = COARSE if coarse else FULL
     reference = Case(
