@@ -53,9 +53,12 @@ class ActiveSet:
 
     def update(self, wanted: np.ndarray) -> None:
         """Make `wanted` (contact nodes, any order) the active set."""
-        keep = np.isin(self.nodes, wanted, assume_unique=True)
+        is_wanted = np.zeros(len(self._C) // 3, dtype=bool)
+        is_wanted[wanted] = True
+        keep = is_wanted[self.nodes]
         drop = np.flatnonzero(~keep)
-        add = np.setdiff1d(wanted, self.nodes, assume_unique=True)
+        is_wanted[self.nodes] = False
+        add = np.flatnonzero(is_wanted)
         change = len(drop) + len(add)
         if change == 0:
             return

@@ -11,6 +11,7 @@ import numpy as np
 from drake_exo.soles.contact import ContactSolver, Start, State, Target
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.element_gradient import compliance_gradient
+from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.simulation import StepHistory
 
 
@@ -186,7 +187,7 @@ class _Step:
             if isinstance(term, ForceTerm):
                 pull = term.by_force[self.nodes] @ R.T
                 bF += pull
-                b_w -= np.cross(F, pull).sum(axis=0)
+                b_w -= cross(F, pull).sum(axis=0)
                 continue
             b_w += self._term(total, term, bP, bF, bQ)
         if self.first:
@@ -195,7 +196,7 @@ class _Step:
         bP_all = total.mu.copy()
         bP_all[self.nodes] += bP
         b_O = bP_all.sum(axis=0)
-        b_w += np.cross(self.Y, bP_all).sum(axis=0)
+        b_w += cross(self.Y, bP_all).sum(axis=0)
         by = bP_all @ R
         f = self.state.F @ R
         total.lP += by
@@ -203,9 +204,9 @@ class _Step:
         dofs = (3 * self.nodes[:, None] + np.arange(3)).ravel()
         lift = (self.solver.C[dofs] @ by.ravel()).reshape(k, 3) @ R.T
         bF += lift
-        b_w -= np.cross(F, lift).sum(axis=0)
+        b_w -= cross(F, lift).sum(axis=0)
         y, l_m = self._adjoint(bF, b_O, b_w)
-        bP = y + np.cross(F, l_m)
+        bP = y + cross(F, l_m)
         bQ -= y
         local = np.zeros((m, 3))
         local[self.nodes] = bP @ R
@@ -229,26 +230,26 @@ class _Step:
         shift, turn = term.v[:3], term.v[3:]
         dF, dP = self.dF @ term.v, self.dP @ term.v
         # J_Fᵀ z = w_Fᵀ u with S w_Fᵀ u = S (u_f − arm × u_m) + F × u_m.
-        plain = u_f - np.cross(arm, u_m)
+        plain = u_f - cross(arm, u_m)
         Sb = lin.times_S(plain[:, :, None])
-        Sb += np.cross(F, u_m)[:, :, None]
+        Sb += cross(F, u_m)[:, :, None]
         z, y, e = (a[:, :, 0] for a in lin.solve_transposed(Sb))
         r = lin.r
         change = lin.law_derivative_change(dF - r * dP)
         p = np.einsum("kij,ki->kj", change, z)
-        gg = dF - np.cross(turn, F)
-        R_du = dP - shift - np.cross(turn, arm)
-        b_dP = np.cross(F, u_m) - y
-        bP += np.cross(dF, u_m) - r * p + np.cross(b_dP, turn)
-        bF += np.cross(u_m, dP) + p
+        gg = dF - cross(turn, F)
+        R_du = dP - shift - cross(turn, arm)
+        b_dP = cross(F, u_m) - y
+        bP += cross(dF, u_m) - r * p + cross(b_dP, turn)
+        bF += cross(u_m, dP) + p
         bQ += r * p
         # h = R C Rᵀ b_dP without a product with C.
         h = e - plain
-        bF -= np.cross(h, turn)
+        bF -= cross(h, turn)
         left, right = np.zeros((2, *total.lP.shape))
         left[self.nodes], right[self.nodes] = b_dP @ R, gg @ R
         total.add(left, right)
-        return np.cross(R_du, b_dP).sum(axis=0) - np.cross(gg, h).sum(axis=0)
+        return cross(R_du, b_dP).sum(axis=0) - cross(gg, h).sum(axis=0)
 
     def _adjoint(self, bF, b_O, b_w):
         """Solve the transposed Newton system; Bᵀ λ (k, 3) and l_w's moment."""
@@ -261,21 +262,19 @@ class _Step:
         J_pT = np.concatenate(
             [
                 y0.sum(axis=0),
-                np.cross(arm, y0).sum(axis=0) - np.cross(F, W_y0).sum(axis=0),
+                cross(arm, y0).sum(axis=0) - cross(F, W_y0).sum(axis=0),
             ]
         )
         if self.dQ is not None:
             J_pT[3:] -= np.einsum("kij,ki->j", self.dQ, y0)
         l_w = np.linalg.solve(self.G.T, -b_p - J_pT)
-        plain = l_w[:3] - np.cross(arm, l_w[3:])
+        plain = l_w[:3] - cross(arm, l_w[3:])
         Sb = Sb0 - lin.times_S(plain[:, :, None])
-        Sb -= np.cross(F, l_w[3:])[:, :, None]
+        Sb -= cross(F, l_w[3:])[:, :, None]
         _, y, _ = lin.solve_transposed(Sb)
         return y[:, :, 0], l_w[3:]
 
 
 def _reference_by_position(start: Start, R, lP) -> np.ndarray:
     """Matrix A with bar(lP) = bar(Q) A: R_ini itself."""
-    from drake_exo.soles.rotations import rotation_z, yaw_of
-
     return R @ rotation_z(start.yaw - yaw_of(R))

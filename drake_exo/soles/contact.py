@@ -10,9 +10,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_exo.soles.active_set import ActiveSet
+from drake_exo.soles.contact_residual import deformed, law_residual
 from drake_exo.soles.linearisation import Linearisation
-from drake_exo.soles.node_law import ContactLaw, project
-from drake_exo.soles.rotations import exp_rotation, hat, rotation_z, yaw_of
+from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.rotations import (
+    cross,
+    exp_rotation,
+    hat,
+    rotation_z,
+    yaw_of,
+)
 
 MOMENT_SCALE = 0.05  # metres; moments are divided by it in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
@@ -117,14 +124,7 @@ class ContactSolver:
 
     def deformed(self, F: np.ndarray, R: np.ndarray) -> np.ndarray:
         """Y = R (lP + C Rᵀ F): places relative to O, world, (m, 3)."""
-        f = F @ R
-        on = np.flatnonzero(np.any(F != 0.0, axis=1))
-        if 3 * len(on) < len(F):
-            dofs = (3 * on[:, None] + np.arange(3)).ravel()
-            u = f[on].ravel() @ self.C[dofs]
-        else:
-            u = self.C @ f.ravel()
-        return (self.lP + u.reshape(-1, 3)) @ R.T
+        return deformed(self.C, self.lP, R, F)
 
     def solve(
         self, state: State, target: Target, fixed_pose: bool = False
@@ -179,17 +179,16 @@ class ContactSolver:
             Q_t = target.reference.reference(state.R, self.lP)
         else:
             Q_t = target.reference
-        delta = P.copy()
-        delta[:, :2] -= Q_t
-        tau = F - law.penalty * delta
-        phi = F - project(tau, law)
+        tau, phi = law_residual(
+            P, F, Q_t, law.penalty, law.friction, law.epsilon, law.kappa
+        )
         arm = P.copy()
         arm[:, :2] -= target.zmp
         merit = float(np.abs(phi).max()) / scale
         wrench = np.zeros(6)
         if not fixed_pose:
             wrench[:3] = F.sum(axis=0) - target.force
-            wrench[3:] = np.cross(arm, F).sum(axis=0)
+            wrench[3:] = cross(arm, F).sum(axis=0)
             merit = max(
                 merit,
                 float(np.abs(wrench[:3]).max()) / scale,

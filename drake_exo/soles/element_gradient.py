@@ -1,19 +1,15 @@
 """From the compliance's derivative to the node positions', element by element.
 
-dC = −Nᵀ dK N, and an element's share of uᵀ dK u follows from Eshelby's
+dC = −Nᵀ dK N, and an element's share of vᵀ dK u follows from Eshelby's
 tensor. With energies of fields averaged around edges and nodes ("smoothed")
 the element's stress and energy are replaced by means over its own averages.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
-from drake_exo.soles.elasticity import Sole
-from drake_exo.soles.smoothing import gradient_operators
+from drake_exo.soles.elasticity import Sole, displacement_gradient
 
-_CHUNK = 64
-_NEGLIGIBLE = 1e-10
+_ELEMENTS, _FIELDS = 256, 64  # at a time
 
 
 def compliance_gradient(
@@ -31,45 +27,26 @@ def compliance_gradient(
     touched = np.flatnonzero(
         np.any(left != 0, axis=1) | np.any(right != 0, axis=1)
     )
-    C_bar = left[touched] @ right[touched].T
-    weight, Q = np.linalg.eigh(0.5 * (C_bar + C_bar.T))
-    keep = np.abs(weight) > _NEGLIGIBLE * np.abs(weight).max()
-    weight, Q = weight[keep], Q[:, keep]
     N = sole.influence[:, touched]
-    return stiffness_gradient(sole, weight, lambda part: N @ Q[:, part])
+    return stiffness_gradient(sole, N @ (left[touched] @ right[touched].T), N)
 
 
-def stiffness_gradient(
-    sole: Sole, weight: np.ndarray, modes: Callable[[slice], np.ndarray]
-) -> np.ndarray:
-    """Derivative of −Σ w_k u_kᵀ K u_k by the node positions, u_k held.
+def stiffness_gradient(sole: Sole, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Derivative of −Σ v_kᵀ K u_k by the node positions, fields held.
 
     Args:
         sole: The sole.
-        weight: w (k,).
-        modes: Gives the free displacements u of a range, (3 n_f, len).
+        v, u: Free displacements, (3 n_f, k) each.
 
     Returns:
         (n, 3).
     """
     mesh = sole.mesh
-    gradient = gradient_operators(mesh)
-    M = np.zeros((len(mesh.tets), 9, 9))  # Σ w σ ⊗ H
-    energy = np.zeros(len(mesh.tets))  # Σ w 2 ψ̄
-    for start in range(0, len(weight), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        w = weight[part]
-        U = np.zeros((len(mesh.nodes), 3 * len(w)))
-        U[sole.free] = modes(part).reshape(-1, 3 * len(w))
-        H = np.empty((len(mesh.tets), 3, 3, len(w)))
-        for j, D in enumerate(gradient):  # ∂/∂X_j of every mode at once
-            H[:, :, j] = (D @ U).reshape(-1, 3, len(w))
-        sigma, density = _stress_and_energy(sole, H)
-        energy += 2 * density @ w
-        M += (sigma * w).reshape(-1, 9, len(w)) @ H.reshape(
-            -1, 9, len(w)
-        ).transpose(0, 2, 1)
-    M = M.reshape(-1, 3, 3, 3, 3)
+    if sole.element == "linear":
+        M = _work_linear(sole, v, u)
+        energy = np.einsum("eijij->e", M)
+    else:
+        M, energy = _work_smoothed(sole, v, u)
     work = np.einsum("eijij->e", M)
     turned = np.einsum("eibia->eab", M)  # Hᵀ σ
     S = -(2 * work - energy)[:, None, None] * np.eye(3) + 2 * turned
@@ -81,14 +58,57 @@ def stiffness_gradient(
     return out
 
 
-def _stress_and_energy(sole: Sole, H: np.ndarray):
-    """As `Sole.stress_and_energy`, modes last: (e, 3, 3, k), (e, k)."""
-    if sole.element != "linear":
-        sigma, energy = sole.stress_and_energy(np.moveaxis(H, -1, 0))
-        return np.moveaxis(sigma, 0, -1), energy.T
-    material = sole.material
-    sigma = material.shear_modulus * (H + H.transpose(0, 2, 1, 3))
-    trace = material.lame_lambda * (H[:, 0, 0] + H[:, 1, 1] + H[:, 2, 2])
-    for i in range(3):
-        sigma[:, i, i] += trace
-    return sigma, 0.5 * np.einsum("eijk,eijk->ek", sigma, H)
+def _at_nodes(sole: Sole, fields: np.ndarray) -> np.ndarray:
+    """Fields at all nodes, (n, 3, k)."""
+    out = np.zeros((len(sole.mesh.nodes), 3, fields.shape[1]))
+    out[sole.free] = fields.reshape(-1, 3, fields.shape[1])
+    return out
+
+
+def _work_linear(sole: Sole, v, u) -> np.ndarray:
+    """Σ_k of σ(v) ⊗ H(u), made symmetric in v and u, (e, 3, 3, 3, 3).
+
+    By way of Σ_k v uᵀ between the four nodes of an element, which is
+    cheaper than the gradients of every field.
+    """
+    tets, g = sole.mesh.tets, sole.mesh.gradients
+    v, u = _at_nodes(sole, v), _at_nodes(sole, u)
+    M = np.empty((len(tets), 3, 3, 3, 3))
+    shear, lame = sole.material.shear_modulus, sole.material.lame_lambda
+    for first in range(0, len(tets), _ELEMENTS):
+        part = slice(first, first + _ELEMENTS)
+        count = len(tets[part])
+        pairs = v[tets[part]].reshape(count, 12, -1) @ u[tets[part]].reshape(
+            count, 12, -1
+        ).transpose(0, 2, 1)
+        pairs = 0.5 * (pairs + pairs.transpose(0, 2, 1))
+        pairs = pairs.reshape(count, 4, 3, 4, 3)
+        half = np.einsum("eaibk,ebl->eaikl", pairs, g[part])
+        H = np.einsum("eaj,eaikl->eijkl", g[part], half)
+        M[part] = shear * (H + H.transpose(0, 2, 1, 3, 4))
+        trace = lame * (H[:, 0, 0] + H[:, 1, 1] + H[:, 2, 2])
+        for i in range(3):
+            M[part, i, i] += trace
+    return M
+
+
+def _work_smoothed(sole: Sole, v, u):
+    """As `_work_linear`, and Σ_k of twice the energy: v and u ± each other.
+
+    Only the energy of one field is known here, hence the two squares.
+    """
+    v, u = _at_nodes(sole, v), _at_nodes(sole, u)
+    size = np.linalg.norm(u, axis=(0, 1)) / np.linalg.norm(v, axis=(0, 1))
+    M = np.zeros((len(sole.mesh.tets), 9, 9))
+    energy = np.zeros(len(M))
+    for sign in (1.0, -1.0):
+        for first in range(0, len(size), _FIELDS):
+            part = slice(first, first + _FIELDS)
+            field = u[:, :, part] + sign * size[part] * v[:, :, part]
+            H = displacement_gradient(sole.mesh, np.moveaxis(field, -1, 0))
+            sigma, density = sole.stress_and_energy(H)
+            w = sign * 0.25 / size[part]
+            energy += 2 * w @ density
+            flat = sigma.reshape(len(w), -1, 9).transpose(1, 2, 0)
+            M += (flat * w) @ H.reshape(len(w), -1, 9).transpose(1, 0, 2)
+    return M.reshape(-1, 3, 3, 3, 3), energy

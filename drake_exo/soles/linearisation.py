@@ -7,7 +7,7 @@ unknowns remain. All matrices are in the sole frame here.
 """
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg.lapack import dgetrf, dgetrs
 
 from drake_exo.soles.active_set import ActiveSet, node_dofs
 from drake_exo.soles.node_law import (
@@ -35,6 +35,7 @@ class Linearisation:
         self.R, self.arm, self.F = R, arm, F
         self.law, self.tau = law, tau
         self.r = law.penalty
+        self._arm_cross, self._F_cross = hat(arm), hat(F)
         self.loose = np.flatnonzero(~firmly_sticking(tau, law))
         _, D = project_with_derivative(tau[self.loose], law)
         self.D = R.T @ D @ R
@@ -52,7 +53,10 @@ class Linearisation:
         blocks = M.reshape(k, 3, k, 3)
         place = np.arange(k)
         blocks[place, :, place, :] += self.r * self.D
-        return lu_factor(M, overwrite_a=True, check_finite=False)
+        factor, pivots, info = dgetrf(M)
+        if info:
+            raise np.linalg.LinAlgError("singular law at the loose nodes")
+        return factor, pivots
 
     def _times_D(self, X: np.ndarray) -> np.ndarray:
         """D X for stacked rows X (3g, c)."""
@@ -77,7 +81,7 @@ class Linearisation:
         rhs = self._times_D(T_g) - T_g
         if phi_g is not None:
             rhs -= phi_g
-        x = lu_solve(self._lu, rhs, overwrite_b=True, check_finite=False)
+        x = dgetrs(*self._lu, rhs)[0]
         d_delta[self._g] = x
         return T + self._S_g @ x, d_delta
 
@@ -91,12 +95,12 @@ class Linearisation:
         k = len(self.nodes)
         right = np.zeros((k, 3, 6))
         right[:, :, :3] = -np.eye(3)
-        right[:, :, 3:] = hat(self.arm)
+        right[:, :, 3:] = self._arm_cross
         if dQ is not None:
             right[:, :, 3:] += dQ
         right = (self.R.T @ right).reshape(3 * k, 6)
         out = self.S @ right
-        out.reshape(k, 3, 6)[:, :, 3:] -= self.R.T @ hat(self.F)
+        out.reshape(k, 3, 6)[:, :, 3:] -= self.R.T @ self._F_cross
         return out
 
     def _to_world(self, x: np.ndarray) -> np.ndarray:
@@ -119,8 +123,9 @@ class Linearisation:
     def wrench_change(self, dF, dP) -> np.ndarray:
         """[ΣdF; Σ(P−Z)×dF + dP×F] for fields (k, 3, c) -> (6, c)."""
         force = dF.sum(axis=0)
-        moment = np.einsum("kij,kjc->ic", hat(self.arm), dF)
-        moment -= np.einsum("kij,kjc->ic", hat(self.F), dP)
+        columns = dF.shape[2]
+        moment = _side_by_side(self._arm_cross) @ dF.reshape(-1, columns)
+        moment -= _side_by_side(self._F_cross) @ dP.reshape(-1, columns)
         return np.concatenate([force, moment])
 
     def solve(self, phi, wrench, dQ=None):
@@ -160,9 +165,7 @@ class Linearisation:
         e = np.zeros_like(local)
         z_g = None
         if self._lu is not None:
-            z_g = lu_solve(
-                self._lu, local[self._g], trans=1, check_finite=False
-            )
+            z_g = dgetrs(*self._lu, local[self._g], trans=1)[0]
             blocks = z_g.reshape(-1, 3, c)
             e_g = blocks - np.swapaxes(self.D, 1, 2) @ blocks
             e[self._g] = e_g.reshape(z_g.shape)
@@ -188,3 +191,8 @@ class Linearisation:
             _, D = project_with_derivative(tau, self.law)
             out[self.loose] = D.imag / 1e-30
         return out
+
+
+def _side_by_side(A: np.ndarray) -> np.ndarray:
+    """Blocks (k, 3, 3) in one row, (3, 3k)."""
+    return A.transpose(1, 0, 2).reshape(3, -1)

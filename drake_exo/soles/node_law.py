@@ -13,6 +13,7 @@ Alart–Curnier's. With D = ∂T/∂τ the derivatives are ∂φ/∂F = I − D 
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from drake_exo.errors import InputError
@@ -51,69 +52,77 @@ class ContactLaw:
         return self.penalty * self.layer
 
 
-def smooth_plus(x, width: float):
+@numba.njit(cache=True)
+def smooth_plus(x, width):
     """max(x, 0) with a twice differentiable corner on [-width, width].
 
     Returns:
         Value and slope; x may be complex (complex-step derivatives).
     """
-    real = np.real(x)
-    if width == 0.0:
-        on = (real > 0).astype(float)
-        return x * on, on + 0.0 * x
+    if x.real <= -width:
+        return 0.0 * x, 0.0 * x
+    if x.real >= width:
+        return x, 1.0 + 0.0 * x
     t = x / width
-    value = width * (t / 2 + 3 / 8 * t**2 - t**4 / 16 + 3 / 16)
-    slope = 1 / 2 + 3 / 4 * t - t**3 / 4
-    value = np.where(real > width, x, np.where(real < -width, 0.0, value))
-    slope = np.where(real > width, 1.0, np.where(real < -width, 0.0, slope))
-    return value, slope
+    square = t * t  # a power of a complex number would lose the tiny step
+    value = width * (t / 2 + 3 / 8 * square - square * square / 16 + 3 / 16)
+    return value, 1 / 2 + 3 / 4 * t - square * t / 4
 
 
 def project(tau: np.ndarray, law: ContactLaw) -> np.ndarray:
     """T(τ) at nodes, (k, 3) -> (k, 3)."""
-    return _project(tau, law, derivative=False)[0]
+    return project_with_derivative(tau, law)[0]
 
 
 def project_with_derivative(
     tau: np.ndarray, law: ContactLaw
 ) -> tuple[np.ndarray, np.ndarray]:
     """T(τ) and D = ∂T/∂τ at nodes: (k, 3), (k, 3, 3)."""
-    return _project(tau, law, derivative=True)
+    tau = np.ascontiguousarray(tau)
+    return _project(tau, law.friction, law.epsilon, law.kappa)
 
 
-def _project(tau, law, derivative):
-    p, dp = smooth_plus(tau[:, 2], law.epsilon)
-    g = law.friction * p
-    t = tau[:, :2]
-    rho = np.sqrt(t[:, 0] ** 2 + t[:, 1] ** 2)
-    # Where g or rho vanish the branches below do not use the quotient.
-    g_safe = np.where(np.real(g) > 0, g, 1.0)
-    rho_safe = np.where(np.real(rho) > 0, rho, 1.0)
-    ratio = np.real(rho) / np.real(g_safe)
-    stick = (ratio <= 1 - law.kappa) & (np.real(g) > 0)
-    slip = ~stick & (ratio >= 1 + law.kappa) | (np.real(g) <= 0)
-    plus, slope = smooth_plus(
-        np.where(stick | slip, 0.0, rho / g_safe - 1), law.kappa
-    )
-    s = np.where(stick, 1.0, np.where(slip, rho_safe / g_safe, 1 + plus))
-    scale = np.where(slip, g / rho_safe, 1 / s)
-    T = np.concatenate([t * scale[:, None], p[:, None]], axis=1)
-    if not derivative:
-        return T, None
-    # ds = a dρ + b dg over the three branches (slip handled by limits).
-    a = np.where(stick | slip, 0.0, slope / g_safe)
-    b = np.where(stick | slip, 0.0, -slope * rho / g_safe**2)
-    n = t / rho_safe[:, None]
-    # T_t = scale τ_t: radial derivative and derivative by g.
-    radial = np.where(stick, 0.0, np.where(slip, -scale, -rho * a / s**2))
-    by_g = np.where(stick, 0.0, np.where(slip, 1.0, -rho * b / s**2))
-    D = np.zeros((len(tau), 3, 3), dtype=T.dtype)
-    D[:, :2, :2] = radial[:, None, None] * n[:, :, None] * n[:, None, :]
-    D[:, 0, 0] += scale
-    D[:, 1, 1] += scale
-    D[:, :2, 2] = n * (by_g * law.friction * dp)[:, None]
-    D[:, 2, 2] = dp
+@numba.njit(cache=True)
+def _project(tau, mu, epsilon, kappa):
+    T = np.empty_like(tau)
+    D = np.empty((len(tau), 3, 3), tau.dtype)
+    for i in range(len(tau)):
+        project_node(tau[i], mu, epsilon, kappa, T[i], D[i])
     return T, D
+
+
+@numba.njit(cache=True)
+def project_node(tau, mu, epsilon, kappa, T, D):
+    """T(τ) and D at one node, into T (3,) and D (3, 3)."""
+    p, dp = smooth_plus(tau[2], epsilon)
+    g = mu * p
+    T[:] = 0.0
+    T[2] = p
+    D[:, :] = 0.0
+    D[2, 2] = dp
+    if g.real <= 0.0:
+        return
+    rho = np.sqrt(tau[0] * tau[0] + tau[1] * tau[1])
+    if rho.real <= (1.0 - kappa) * g.real:  # sticks
+        T[0], T[1] = tau[0], tau[1]
+        D[0, 0] = D[1, 1] = 1.0
+        return
+    # T_t = scale τ_t: derivatives along τ_t beyond scale, and by g.
+    if rho.real >= (1.0 + kappa) * g.real:  # slips
+        scale = g / rho
+        radial, by_g = -scale, 1.0 + 0.0 * scale
+    else:
+        plus, slope = smooth_plus(rho / g - 1.0, kappa)
+        s = 1.0 + plus
+        scale = 1.0 / s
+        share = rho / (g * s)
+        radial, by_g = -slope * share / s, slope * share * share
+    for a in range(2):
+        T[a] = scale * tau[a]
+        for b in range(2):
+            D[a, b] = radial * (tau[a] / rho) * (tau[b] / rho)
+        D[a, a] += scale
+        D[a, 2] = by_g * mu * dp * tau[a] / rho
 
 
 def firmly_sticking(tau: np.ndarray, law: ContactLaw) -> np.ndarray:

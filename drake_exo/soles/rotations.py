@@ -1,5 +1,6 @@
 """Rotation helpers: hat operator, exponential map, Rx·Ry·Rz angles."""
 
+import numba
 import numpy as np
 
 
@@ -20,6 +21,23 @@ def hat(v: np.ndarray) -> np.ndarray:
     out[..., 1, 2] = -v[..., 0]
     out[..., 2, 0] = -v[..., 1]
     out[..., 2, 1] = v[..., 0]
+    return out
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products row by row, (k, 3); either may be one vector (3,)."""
+    return _cross(a.reshape(-1, 3), b.reshape(-1, 3))
+
+
+@numba.njit(cache=True)
+def _cross(a, b):
+    k = max(len(a), len(b))
+    out = np.empty((k, 3))
+    for row in range(k):
+        i, j = min(row, len(a) - 1), min(row, len(b) - 1)
+        out[row, 0] = a[i, 1] * b[j, 2] - a[i, 2] * b[j, 1]
+        out[row, 1] = a[i, 2] * b[j, 0] - a[i, 0] * b[j, 2]
+        out[row, 2] = a[i, 0] * b[j, 1] - a[i, 1] * b[j, 0]
     return out
 
 

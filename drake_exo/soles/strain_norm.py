@@ -91,7 +91,7 @@ class StrainNorm:
         free = sole.free
         u = self._u[heavy][:, free].reshape(len(heavy), -1).T
         v = sole.solve(pull[heavy][:, free].reshape(len(heavy), -1).T)
-        by_nodes += _bilinear_gradient(sole, u, v)
+        by_nodes += stiffness_gradient(sole, v, u)
         terms = [[] for _ in self._u]
         for q, column in zip(heavy, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
@@ -105,14 +105,6 @@ class StrainNorm:
             square = square @ square
             out = out @ square
         return out
-
-
-def _bilinear_gradient(sole: Sole, u: np.ndarray, v: np.ndarray):
-    """∂/∂X of −Σ vᵀ K u at fixed fields (3 n_f, k), as two quadratic forms."""
-    ratio = np.linalg.norm(u, axis=0) / np.linalg.norm(v, axis=0)
-    weight = np.concatenate([0.25 / ratio, -0.25 / ratio])
-    fields = np.concatenate([u + ratio * v, u - ratio * v], axis=1)
-    return stiffness_gradient(sole, weight, lambda part: fields[:, part])
 
 
 def _scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:

@@ -64,12 +64,10 @@ def test_second_derivative_by_complex_step_is_finite_everywhere():
 def test_smoothed_plus_is_twice_differentiable_at_its_ends():
     for end, value, slope in [(-1.0, 0.0, 0.0), (1.0, 1.0, 1.0)]:
         inside = end * (1 - 1e-9)
-        v, s = smooth_plus(np.array([inside]), 1.0)
-        assert v[0] == pytest.approx(value, abs=1e-8)
-        assert s[0] == pytest.approx(slope, abs=1e-8)
-        curvature = (
-            smooth_plus(np.array([end * (1 - 1e-5)]), 1.0)[1][0] - slope
-        ) / 1e-5
+        v, s = smooth_plus(inside, 1.0)
+        assert v == pytest.approx(value, abs=1e-8)
+        assert s == pytest.approx(slope, abs=1e-8)
+        curvature = (smooth_plus(end * (1 - 1e-5), 1.0)[1] - slope) / 1e-5
         assert abs(curvature) < 1e-3
 
 

@@ -1,0 +1,64 @@
+"""Places of the contact nodes and the node law's residual, compiled."""
+
+import numba
+import numpy as np
+
+from drake_exo.soles.node_law import project_node
+
+
+@numba.njit(cache=True)
+def deformed(C, lP, R, F):
+    """Y = R (lP + C Rᵀ F): places relative to O, world [m], (m, 3).
+
+    Args:
+        C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
+        lP: Their rest positions, sole frame [m], (m, 3).
+        R: Orientation, (3, 3).
+        F: Forces on them, world [N], (m, 3); most are zero.
+    """
+    m = len(lP)
+    u = np.zeros(3 * m)
+    for i in range(m):
+        x, y, z = F[i, 0], F[i, 1], F[i, 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            continue
+        f0 = R[0, 0] * x + R[1, 0] * y + R[2, 0] * z
+        f1 = R[0, 1] * x + R[1, 1] * y + R[2, 1] * z
+        f2 = R[0, 2] * x + R[1, 2] * y + R[2, 2] * z
+        # C is symmetric: its rows lie together in memory.
+        c0, c1, c2 = C[3 * i], C[3 * i + 1], C[3 * i + 2]
+        for j in range(3 * m):
+            u[j] += f0 * c0[j] + f1 * c1[j] + f2 * c2[j]
+    Y = np.empty((m, 3))
+    for i in range(m):
+        # Added last: rest positions are large against displacements.
+        x, y, z = lP[i] + u[3 * i : 3 * i + 3]
+        for k in range(3):
+            Y[i, k] = R[k, 0] * x + R[k, 1] * y + R[k, 2] * z
+    return Y
+
+
+@numba.njit(cache=True)
+def law_residual(P, F, Q_t, r, mu, epsilon, kappa):
+    """τ = F − r δ and φ = F − T(τ) at places P with references Q_t.
+
+    Args:
+        P: World places [m], (m, 3).
+        F: World forces [N], (m, 3).
+        Q_t: Tangential references [m], (m, 2).
+        r: Penalty [N/m].
+        mu, epsilon, kappa: The contact law's, see `node_law`.
+
+    Returns:
+        τ (m, 3), φ (m, 3) [N].
+    """
+    m = len(P)
+    tau, phi = np.empty((m, 3)), np.empty((m, 3))
+    T, D = np.empty(3), np.empty((3, 3))
+    for i in range(m):
+        tau[i, 0] = F[i, 0] - r * (P[i, 0] - Q_t[i, 0])
+        tau[i, 1] = F[i, 1] - r * (P[i, 1] - Q_t[i, 1])
+        tau[i, 2] = F[i, 2] - r * P[i, 2]
+        project_node(tau[i], mu, epsilon, kappa, T, D)
+        phi[i] = F[i] - T
+    return tau, phi
