@@ -1,8 +1,9 @@
-"""A short step from heel to toe, as the file that holds a sole's load."""
+"""A short step from heel to toe and a small sole that takes it, as files."""
 
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 
 def write_step(
@@ -16,3 +17,38 @@ def write_step(
             f"{-0.07 + 0.12 * s},0.02"
         )
     path.write_text("\n".join(rows))
+
+
+def write_case(
+    path: Path,
+    name: str = "small",
+    divisions: tuple = (4, 3, 2),
+    element: str = "linear",
+    **optimize,
+) -> None:
+    """Write the case of a neoprene brick; `load.csv` beside it is its step.
+
+    `optimize` are the keys of the case's block of that name.
+    """
+    size = [0.23, 0.13, 0.03]
+    case = {
+        "name": name,
+        "mesh": {
+            "brick": {"size_m": size, "divisions": divisions},
+            "element": element,
+        },
+        "material": {"name": "neoprene"},
+        "load": {"csv": {"file": "load.csv"}},
+        "optimize": optimize,
+    }
+    path.write_text(yaml.safe_dump(case, sort_keys=False))
+
+
+def stage(samples: int, layer_m: float, iterations: int) -> dict:
+    """One stage of an optimisation, as `write_case` takes it."""
+    return {
+        "samples": samples,
+        "layer_m": layer_m,
+        "kappa": 0.2,
+        "iterations": iterations,
+    }

@@ -4,21 +4,7 @@ from pathlib import Path
 
 import pytest
 from cli_runs import normal_use
-from small_step import write_step
-
-_CASE = """
-name: small
-mesh:
-  brick: {size_m: [0.23, 0.13, 0.03], divisions: [4, 3, 2]}
-material: {name: neoprene}
-start: {point_in_sole_m: [-0.115, 0.0, -0.03]}
-load:
-  csv: {file: load.csv}
-optimize:
-  intervals: [5, 5]
-  stages:
-    - {samples: 4, layer_m: 5.0e-5, kappa: 0.2, iterations: 4}
-"""
+from small_step import stage, write_case, write_step
 
 
 @pytest.fixture(scope="session")
@@ -39,6 +25,8 @@ def campaign(tmp_path_factory) -> Path:
 def sole_case(tmp_path_factory) -> Path:
     """Case file of a small sole."""
     place = tmp_path_factory.mktemp("hardening_sole")
-    (place / "case.yaml").write_text(_CASE)
+    write_case(
+        place / "case.yaml", intervals=[5, 5], stages=[stage(4, 5e-5, 4)]
+    )
     write_step(place / "load.csv", 8)
     return place / "case.yaml"

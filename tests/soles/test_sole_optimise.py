@@ -6,7 +6,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from small_step import write_step
+from small_step import stage, write_case, write_step
 
 from drake_exo import cli
 from drake_exo.soles.case import read_case
@@ -20,25 +20,25 @@ from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.study_cases import TABLE_2, five_cases
 from drake_exo.soles.study_table import table
 
-CASE = """
-name: small
-mesh:
-  brick: {size_m: [0.23, 0.13, 0.03], divisions: [5, 4, 2]}
-material: {name: neoprene}
-start: {point_in_sole_m: [-0.115, 0.0, -0.03]}
-load:
-  csv: {file: load.csv}
-optimize:
-  intervals: [5, 5]
-  stages:
-    - {samples: 6, layer_m: 5.0e-5, kappa: 0.2, iterations: 3}
-"""
+
+def _write_case(path, intervals=5, layer_m=5e-5, iterations=3, **optimize):
+    write_case(
+        path, divisions=(5, 4, 2), intervals=[intervals, intervals],
+        stages=[stage(6, layer_m, iterations)], **optimize,
+    )  # fmt: skip
+
+
+def _smooth_case(folder, place):
+    """A case whose optimum is reached: it, load, mesh and start."""
+    _write_case(place / "case.yaml", 3, 1e-3, 200, roughness=10.0)
+    case = read_case(place / "case.yaml")
+    return case, *case.open(folder)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("optimise")
-    (place / "case.yaml").write_text(CASE)
+    _write_case(place / "case.yaml")
     write_step(place / "load.csv", 10)
     code = cli.main(
         ["sole", "optimize", str(place / "case.yaml"),
@@ -85,11 +85,7 @@ def test_a_run_goes_on_from_its_checkpoint(folder):
 def test_interrupted_three_times_the_optimum_is_the_same(
     folder, tmp_path, monkeypatch
 ):
-    text = CASE.replace("[5, 5]", "[3, 3]").replace("5.0e-5", "1.0e-3")
-    text = text.replace("iterations: 3}", "iterations: 200}")
-    (tmp_path / "case.yaml").write_text(text + "  roughness: 10.0\n")
-    case = read_case(tmp_path / "case.yaml")
-    load, mesh = case.load.load(folder), case.read_mesh(folder)
+    case, load, mesh, start = _smooth_case(folder, tmp_path)
     simulate = ShapeProblem._simulate
     rng = np.random.default_rng(0)
     left = [0]
@@ -103,9 +99,8 @@ def test_interrupted_three_times_the_optimum_is_the_same(
     def run(resume, patience):
         left[0] = patience
         return optimise(
-            case, mesh, load, case.start_pose(mesh), tmp_path,
-            lambda text: None, resume,
-        )  # fmt: skip
+            case, mesh, load, start, tmp_path, lambda text: None, resume
+        )
 
     monkeypatch.setattr(ShapeProblem, "_simulate", impatient)
     whole = run(None, -1)
@@ -126,14 +121,9 @@ def test_interrupted_three_times_the_optimum_is_the_same(
 def test_multipliers_and_complementarity_are_those_of_an_optimum(
     folder, tmp_path
 ):
-    text = CASE.replace("[5, 5]", "[3, 3]").replace("5.0e-5", "1.0e-3")
-    text = text.replace("iterations: 3}", "iterations: 200}")
-    (tmp_path / "case.yaml").write_text(text + "  roughness: 10.0\n")
-    case = read_case(tmp_path / "case.yaml")
-    load, mesh = case.load.load(folder), case.read_mesh(folder)
-    problem = stage_problem(
-        case, mesh, load, case.start_pose(mesh), case.optimize.stages[0]
-    )
+    case, load, mesh, start = _smooth_case(folder, tmp_path)
+    stages = case.optimize.stages
+    problem = stage_problem(case, mesh, load, start, stages[0])
     p = first_design(problem, (0.3, 1.4))
     best = minimise(problem, p, (0.3, 1.4), 200)
     assert best.optimal
@@ -167,8 +157,7 @@ def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):
 
 
 def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
-    text = (folder / "case.yaml").read_text().replace("[5, 5]", "[4, 4]")
-    (folder / "other.yaml").write_text(text)
+    _write_case(folder / "other.yaml", intervals=4)
     code = cli.main(
         ["sole", "optimize", str(folder / "other.yaml"),
          "--resume", str(folder / "out"), "--out", str(folder / "never")]

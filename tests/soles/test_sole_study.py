@@ -6,23 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_step import write_case, write_step
 
 from drake_exo.output import read_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Stage, read_case
 from drake_exo.soles.study_cases import TABLE_2
 from drake_exo.soles.study_table import certainty_table, paper_cost
-
-CASE = """
-name: 1-Ref
-mesh:
-  brick: {size_m: [0.23, 0.13, 0.03], divisions: [4, 3, 2]}
-material: {name: neoprene}
-start: {point_in_sole_m: [-0.115, 0.0, -0.03]}
-load:
-  csv: {file: load.csv}
-optimize: {intervals: [3, 3], roughness: 10.0, strain: null}
-"""
 
 
 def _write(path: Path, number: int) -> None:
@@ -69,14 +59,11 @@ def test_certainty_table_marks_what_is_unknown():
 
 
 def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
-    rows = ["time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"]
-    for k, s in enumerate(np.linspace(0, 1, 10)):
-        rows.append(
-            f"{0.1 * k},{20 - 40 * s},0,{200 + 300 * s * (1 - s)},"
-            f"{-0.07 + 0.12 * s},0.02"
-        )
-    (tmp_path / "load.csv").write_text("\n".join(rows))
-    (tmp_path / "case.yaml").write_text(CASE)
+    write_step(tmp_path / "load.csv", 10)
+    write_case(
+        tmp_path / "case.yaml", "1-Ref", intervals=[3, 3], roughness=10.0,
+        strain=None,
+    )  # fmt: skip
     case = read_case(tmp_path / "case.yaml")
     tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
     monkeypatch.setattr(front, "STAGES", tiny)

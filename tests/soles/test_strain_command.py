@@ -6,32 +6,19 @@ import shutil
 
 import numpy as np
 import pytest
-from small_step import write_step
+from small_step import stage, write_case, write_step
 
 from drake_exo import cli
 from drake_exo.soles import strain_report
 from drake_exo.soles.design_folder import find_designs, read_steps
 
-CASE = """
-name: {name}
-mesh:
-  brick: {{size_m: [0.23, 0.13, 0.03], divisions: [5, 4, 2]}}
-  element: {element}
-material: {{name: neoprene}}
-load:
-  csv: {{file: load.csv}}
-optimize:
-  intervals: [5, 5]
-  stages:
-    - {{samples: 4, layer_m: 5.0e-5, kappa: 0.2, iterations: 2}}
-"""
-
 
 def _write_inputs(place, name="small", element="linear"):
-    text = CASE.format(name=name, element=element)
-    (place / f"{name}.yaml").write_text(text)
+    case = place / f"{name}.yaml"
+    stages = [stage(4, 5e-5, 2)]
+    write_case(case, name, (5, 4, 2), element, intervals=[5, 5], stages=stages)
     write_step(place / "load.csv", 30, 0.02, 300.0)
-    return place / f"{name}.yaml"
+    return case
 
 
 @pytest.fixture(scope="module")
