@@ -2,12 +2,12 @@
 
 import argparse
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from drake_exo.description import nominal_human
 from drake_exo.optimal_control.kernels import (
     FORCE_UNIT,
     GROUND_MOMENT_UNIT,
@@ -17,39 +17,21 @@ from drake_exo.phases import sensitivity_command, twin
 from drake_exo.phases.foot_ground import FootGroundProblem
 from drake_exo.phases.front import pareto_front
 from drake_exo.phases.identifiability import analyse, contact_sensitivity
-from drake_exo.phases.settings import (
-    FootGroundSettings,
-    Range,
-    Solver,
-    SphereSettings,
-)
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
-
-_SPHERE = SphereSettings(
-    modulus_n_m2=Range(4e6, 5e5, 2e7), dissipation_s_m=Range(1.0, 0.0, 5.0)
-)
-_SETTINGS = FootGroundSettings(
-    heel=_SPHERE,
-    toe=_SPHERE,
-    front=(0.5,),
-    solver=Solver(nodes_per_second=30.0),
-)
+from drake_exo.phases.settings import Solver
 
 
 @pytest.fixture(scope="module")
-def inputs():
+def inputs(tree, nominal, defaults):
     """One exact trial of the human, as the commands hold it."""
-    tree = PlanarTree.from_plant(build_plant("human"))
-    human = nominal_human()
-    parameters = _SETTINGS.parameters(human.heel_m, human.toe_m)
-    trials = twin.consistent(tree, twin.rises(1, 1.0), parameters, _SETTINGS)
+    solver = Solver(nodes_per_second=30.0)
+    settings = replace(defaults, front=(0.5,), solver=solver)
+    trials = twin.consistent(tree, twin.rises(1, 1.0), nominal, settings)
     return SimpleNamespace(
         tree=tree,
         trials=trials,
-        parameters=parameters,
-        settings=_SETTINGS,
-        problem=lambda: FootGroundProblem(tree, trials, parameters, _SETTINGS),
+        parameters=nominal,
+        settings=settings,
+        problem=lambda: FootGroundProblem(tree, trials, nominal, settings),
     )
 
 
@@ -74,11 +56,12 @@ def test_coupled_parameters_are_found():
     np.testing.assert_allclose(found.singular_values, expected, atol=1e-12)
 
 
-def test_sensitivity_is_that_of_the_forces(result):
+def test_sensitivity_is_that_of_the_forces(inputs, result):
     """A parameter's influence, by differences of the law itself."""
     found = contact_sensitivity(result)
     (t,) = result.trajectories
-    kernel = FootGroundKernel(_SETTINGS.law, _SETTINGS.law_constants())
+    settings = inputs.settings
+    kernel = FootGroundKernel(settings.law, settings.law_constants())
     loaded = t.ground[:, 1] > 20.0
 
     def scaled(values):
@@ -89,7 +72,7 @@ def test_sensitivity_is_that_of_the_forces(result):
         missing = kernel.evaluate(x, None)
         F = missing[:, :2] * FORCE_UNIT + t.ground[:, :2]
         M = missing[:, 2] * GROUND_MOMENT_UNIT + t.ground[:, 2]
-        noise = _SETTINGS.noise
+        noise = settings.noise
         cop = -M / F[:, 1]
         return np.column_stack([F / noise.force_n, cop / noise.cop_m])[loaded]
 

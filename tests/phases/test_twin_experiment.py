@@ -5,39 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.description import nominal_human
 from drake_exo.phases import twin
 from drake_exo.phases.foot_ground import FootGroundProblem
-from drake_exo.phases.settings import (
-    FootGroundSettings,
-    Range,
-    Solver,
-    SphereSettings,
-)
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.phases.settings import Solver
 
-_SPHERE = SphereSettings(
-    modulus_n_m2=Range(4e6, 5e5, 2e7), dissipation_s_m=Range(1.0, 0.0, 5.0)
-)
-_DEFAULTS = FootGroundSettings(
-    heel=_SPHERE, toe=_SPHERE, solver=Solver(nodes_per_second=40.0)
-)
 # What the truth adds to, or multiplies, at heel and toe.
 _SHIFT = {"x": (0.01, -0.012), "z": (-0.004, 0.005)}
 _FACTOR = {"stiffness": (1.3, 0.8), "dissipation": (1.4, 0.7)}
 _STARTS = 6
-
-
-@pytest.fixture(scope="module")
-def tree():
-    return PlanarTree.from_plant(build_plant("human"))
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    human = nominal_human()
-    return _DEFAULTS.parameters(human.heel_m, human.toe_m)
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +28,14 @@ def truth(nominal):
 
 
 @pytest.fixture(scope="module")
-def exact_data(tree, truth):
-    return twin.consistent(tree, twin.rises(3, 1.0), truth, _DEFAULTS)
+def exact_data(tree, truth, defaults):
+    return twin.consistent(tree, twin.rises(3, 1.0), truth, defaults)
 
 
 @pytest.fixture(scope="module")
-def noisy_data(exact_data):
+def noisy_data(exact_data, defaults):
     noise = replace(
-        _DEFAULTS.noise,
+        defaults.noise,
         angle_deg=0.3,
         foot_m=0.0005,
         foot_pitch_deg=0.1,
@@ -95,9 +70,9 @@ def test_data_load_heel_and_toe(exact_data, truth):
         assert np.ptp(share) > 0.2
 
 
-def test_every_parameter_comes_back(tree, exact_data, nominal, truth):
-    noise = replace(_DEFAULTS.noise, torque_nm=1e9, jerk=1e9)
-    settings = replace(_DEFAULTS, noise=noise, prior_weight=1e-9)
+def test_every_parameter_comes_back(tree, exact_data, nominal, truth, defaults):
+    noise = replace(defaults.noise, torque_nm=1e9, jerk=1e9)
+    settings = replace(defaults, noise=noise, prior_weight=1e-9)
     problem = FootGroundProblem(tree, exact_data, nominal, settings)
     result = problem.solve()
     assert result.solution.success, result.solution.explain()
@@ -105,7 +80,7 @@ def test_every_parameter_comes_back(tree, exact_data, nominal, truth):
     print("twin, regularisers towards zero:", listed(found))
     assert len(found) == 8
     assert max(map(abs, found.values())) < 0.01, listed(found)
-    biased = FootGroundProblem(tree, exact_data, nominal, _DEFAULTS).solve()
+    biased = FootGroundProblem(tree, exact_data, nominal, defaults).solve()
     assert biased.solution.success
     bias = errors(biased, truth)
     print("bias at default weights:", listed(bias))
@@ -113,11 +88,13 @@ def test_every_parameter_comes_back(tree, exact_data, nominal, truth):
     assert max(map(abs, bias.values())) > max(map(abs, found.values()))
 
 
-def test_every_parameter_comes_back_on_the_papers_grid(tree, nominal, truth):
+def test_every_parameter_comes_back_on_the_papers_grid(
+    tree, nominal, truth, defaults
+):
     solver = Solver(nodes_per_second=20.0, transcription="pseudospectral")
-    settings = replace(_DEFAULTS, solver=solver)
+    settings = replace(defaults, solver=solver)
     data = twin.consistent(tree, twin.rises(2, 1.0), truth, settings)
-    noise = replace(_DEFAULTS.noise, torque_nm=1e9, jerk=1e9)
+    noise = replace(defaults.noise, torque_nm=1e9, jerk=1e9)
     settings = replace(settings, noise=noise, prior_weight=1e-9)
     result = FootGroundProblem(tree, data, nominal, settings).solve()
     assert result.solution.success, result.solution.explain()
@@ -126,8 +103,8 @@ def test_every_parameter_comes_back_on_the_papers_grid(tree, nominal, truth):
     assert max(map(abs, found.values())) < 0.01, listed(found)
 
 
-def test_random_starts_reach_one_optimum(tree, noisy_data, nominal):
-    problem = FootGroundProblem(tree, noisy_data, nominal, _DEFAULTS)
+def test_random_starts_reach_one_optimum(tree, noisy_data, nominal, defaults):
+    problem = FootGroundProblem(tree, noisy_data, nominal, defaults)
     objectives = []
     for values in twin.random_values(nominal, _STARTS, seed=0):
         result = problem.solve(problem.guess(values))
@@ -148,15 +125,15 @@ def test_random_starts_fill_the_bounds(nominal):
             assert np.ptp(column) == 0.0
 
 
-def test_reduced_and_full_problems_agree(tree, noisy_data, nominal):
+def test_reduced_and_full_problems_agree(tree, noisy_data, nominal, defaults):
     results = [
         FootGroundProblem(
             tree,
             noisy_data[:1],
             nominal,
             replace(
-                _DEFAULTS,
-                solver=replace(_DEFAULTS.solver, reduce=reduce, tolerance=1e-8),
+                defaults,
+                solver=replace(defaults.solver, reduce=reduce, tolerance=1e-8),
             ),
         ).solve()
         for reduce in (True, False)
@@ -170,9 +147,11 @@ def test_reduced_and_full_problems_agree(tree, noisy_data, nominal):
     np.testing.assert_allclose(reduced.values(), full.values(), rtol=1e-4)
 
 
-def test_drakes_own_solver_reaches_the_same_optimum(tree, nominal, truth):
+def test_drakes_own_solver_reaches_the_same_optimum(
+    tree, nominal, truth, defaults
+):
     solver = Solver(nodes_per_second=10.0, tolerance=1e-4)
-    settings = replace(_DEFAULTS, solver=solver, prior_weight=1.0)
+    settings = replace(defaults, solver=solver, prior_weight=1.0)
     data = twin.consistent(tree, twin.rises(1, 0.7), truth, settings)
     free = [replace(p, free=p.name.endswith(".z")) for p in nominal]
     ours = FootGroundProblem(tree, data, free, settings).solve()
