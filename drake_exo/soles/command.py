@@ -12,6 +12,10 @@ import numpy as np
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import results, strain_command, study_report
+from drake_exo.soles.arguments import (
+    add_common_arguments,
+    add_limits_argument,
+)
 from drake_exo.soles.case import open_case
 from drake_exo.soles.simulation import simulate
 from drake_exo.soles.stiffness import heel_strike_count
@@ -80,36 +84,6 @@ def _run_front(args) -> int:
     from drake_exo.soles.front import run_front
 
     return run_front(args)
-
-
-def add_limits_argument(parser, choices) -> None:
-    """Whether stability, tilt and strain are limited."""
-    parser.add_argument(
-        "--limits",
-        choices=choices,
-        default="all",
-        help="limits on stability, tilt and strain: the case's, or none as "
-        "in the paper (default: all)",
-    )
-
-
-def add_common_arguments(parser) -> None:
-    """Arguments that every job on a case file has."""
-    parser.add_argument(
-        "--mesh", type=Path, help="mesh file used instead of the case's"
-    )
-    parser.add_argument(
-        "--data-root",
-        type=Path,
-        help="folder that the case's paths are relative to "
-        "(default: the case file's)",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder for the results"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace earlier results"
-    )
 
 
 def run_simulate(args) -> int:

@@ -4,8 +4,13 @@ import time
 from pathlib import Path
 
 from drake_exo.errors import InputError
-from drake_exo.output import Progress, prepare_output_folder, write_json
+from drake_exo.output import Progress, write_json
 from drake_exo.soles import strain_report
+from drake_exo.soles.arguments import (
+    add_case_arguments,
+    add_source_arguments,
+    prepare_out_or_source,
+)
 from drake_exo.soles.case import Case, open_case
 from drake_exo.soles.contact import Start
 from drake_exo.soles.design_folder import (
@@ -27,26 +32,10 @@ def add_parser(jobs) -> None:
         "strain",
         help="heel strike of designs in finite strain, beside small strain",
     )
-    parser.add_argument(
-        "source",
-        type=Path,
-        metavar="DIR",
-        help="folder of 'sole optimize' or 'sole study', or a case file",
+    add_source_arguments(
+        parser, "folder of 'sole optimize' or 'sole study', or a case file"
     )
-    parser.add_argument(
-        "--mesh", type=Path, help="mesh file used instead of the case's"
-    )
-    parser.add_argument(
-        "--data-root",
-        type=Path,
-        help="folder that a case's paths are relative to",
-    )
-    parser.add_argument(
-        "--out", type=Path, help="folder for the results (default: DIR)"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace earlier results"
-    )
+    add_case_arguments(parser)
     parser.set_defaults(run=run_strain)
 
 
@@ -56,17 +45,9 @@ def run_strain(args) -> int:
         designs = find_designs(args.source)
     else:
         designs = [_from_case(args)]
-    if args.out is not None:
-        place = prepare_output_folder(args.out, args.force)
-    elif not args.source.is_dir():
-        raise InputError("sole strain: give --out with a case file")
-    elif (args.source / "finite_strain.csv").exists() and not args.force:
-        raise InputError(
-            f"{args.source}: already holds finite_strain.csv; give --out, or "
-            "replace it with --force"
-        )
-    else:
-        place = prepare_output_folder(args.source, resume=True)
+        if args.out is None:
+            raise InputError("sole strain: give --out with a case file")
+    place = prepare_out_or_source(args, strain_report.TABLE)
     with place as out:
         found = {design.name: of_design(design) for design in designs}
         print(strain_report.write_table(out, found))

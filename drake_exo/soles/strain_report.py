@@ -26,6 +26,7 @@ _FIGURES = (
     "least_stretch",
 )
 _KINDS = ("small", "finite")
+TABLE = "finite_strain.csv"
 
 
 def compare(
@@ -231,7 +232,7 @@ def write_table(folder: Path, found: dict[str, dict]) -> str:
         for name, sole in found.items()
         for row in sole["samples"]
     ]
-    path = folder / "finite_strain.csv"
+    path = folder / TABLE
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()

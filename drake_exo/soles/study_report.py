@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError
-from drake_exo.output import prepare_output_folder
 from drake_exo.soles import strain_report
+from drake_exo.soles.arguments import (
+    add_source_arguments,
+    prepare_out_or_source,
+)
 from drake_exo.soles.design_folder import (
     StoredDesign,
     find_designs,
@@ -27,29 +29,14 @@ def add_parser(jobs) -> None:
     parser = jobs.add_parser(
         "report", help="draw the pictures of a study or a design again"
     )
-    parser.add_argument("source", type=Path, metavar="DIR")
-    parser.add_argument(
-        "--out", type=Path, help="folder for the pictures (default: DIR)"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace earlier pictures"
-    )
+    add_source_arguments(parser, "folder of 'sole optimize' or 'sole study'")
     parser.set_defaults(run=run_report)
 
 
 def run_report(args) -> int:
     """Draw and print."""
     designs = find_designs(args.source)
-    if args.out is not None:
-        place = prepare_output_folder(args.out, args.force)
-    elif (args.source / _FIRST).exists() and not args.force:
-        raise InputError(
-            f"{args.source}: already holds {_FIRST}; give --out, or replace "
-            "the pictures with --force"
-        )
-    else:
-        place = prepare_output_folder(args.source, resume=True)
-    with place as out:
+    with prepare_out_or_source(args, _FIRST) as out:
         text = write(out, designs)
     if text:
         print(text)
