@@ -194,31 +194,21 @@ def scans() -> dict:
     def scanned(name, **options):
         return written(lambda p: surface.write(p, **options), name)
 
-    triangles = sole.boundary_faces
-    found = body_surface.Surface(sole.nodes, triangles, "a.stl")
+    whole = body_surface.Surface(sole.nodes, sole.boundary_faces, "a.stl")
+
+    def read_cells(path):
+        scan = _scan("a.stl", path.name)
+        return body_surface.place_cells(whole, scan, 1, 2, path.parent)
+
     cells = "row,column,x,y,z\n1,1,-0.02,0.06,0\n1,2,-0.02,-0.06,0\n"
-    return {
-        "scan stl": ("a.stl", "text", scanned("a.stl"), read),
-        "scan stl, binary": (
-            "a.stl",
-            "binary",
-            scanned("a.stl", binary=True),
-            read,
-        ),
-        "scan ply": ("a.ply", "binary", scanned("a.ply"), read),
-        "scan ply, text": (
-            "a.ply",
-            "text",
-            scanned("a.ply", binary=False),
-            read,
-        ),
-        "scan obj": ("a.obj", "text", scanned("a.obj"), read),
-        "cells": (
-            "cells.csv",
-            "text",
-            cells,
-            lambda p: body_surface.place_cells(
-                found, _scan("a.stl", p.name), 1, 2, p.parent
-            ),
-        ),
+    found = {
+        f"scan {name}": (file, kind, scanned(file, **options), read)
+        for name, file, kind, options in (
+            ("stl", "a.stl", "text", {}),
+            ("stl, binary", "a.stl", "binary", {"binary": True}),
+            ("ply", "a.ply", "binary", {}),
+            ("ply, text", "a.ply", "text", {"binary": False}),
+            ("obj", "a.obj", "text", {}),
+        )
     }
+    return found | {"cells": ("cells.csv", "text", cells, read_cells)}

@@ -11,47 +11,37 @@ from drake_exo.cli import main
 
 # Ends the process, as `kill -9` does, half-way through writing a checkpoint:
 # the draft is there, the checkpoint still that of the iteration before.
-_CALIBRATE = """
+_CUT = """
 import os, signal, sys
 from drake_exo import cli
+
+def cut_short(module, name, last, half):
+    whole, count = getattr(module, name), 0
+
+    def write(file, *rest, **more):
+        nonlocal count
+        if "checkpoint" in str(file):
+            count += 1
+            if count == last:
+                open(file, "wb").write(half)
+                os.kill(os.getpid(), signal.SIGKILL)
+        whole(file, *rest, **more)
+
+    setattr(module, name, write)
+"""
+_CALIBRATE = """
 from drake_exo.phases import solving
 
 solving._CHECKPOINT_SECONDS = 0.0
-savez, count = solving.np.savez, 0
-
-def cut(file, **arrays):
-    global count
-    if "checkpoint" in str(file):
-        count += 1
-        if count == 6:
-            open(file, "wb").write(b"PK half a file")
-            os.kill(os.getpid(), signal.SIGKILL)
-    savez(file, **arrays)
-
-solving.np.savez = cut
-cli.main(sys.argv[1:])
+cut_short(solving.np, "savez", 6, b"PK half a file")
 """
 _OPTIMISE = """
-import os, signal, sys
-from drake_exo import cli, output
-
-replace, count = os.replace, 0
-
-def cut(draft, path):
-    global count
-    if "checkpoint" in str(path):
-        count += 1
-        if count == 3:
-            open(draft, "wb").write(b"{half")
-            os.kill(os.getpid(), signal.SIGKILL)
-    replace(draft, path)
-
-output.os.replace = cut
-cli.main(sys.argv[1:])
+cut_short(os, "replace", 3, b"{half")
 """
 
 
-def kill(script, command) -> None:
+def kill(where, command) -> None:
+    script = _CUT + where + "cli.main(sys.argv[1:])"
     killed = subprocess.run(
         [sys.executable, "-c", script, *command],
         capture_output=True,
