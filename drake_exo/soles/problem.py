@@ -7,7 +7,7 @@ that of the last accepted design, so that the search stays on one branch
 solver takes as a rejected step.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import simulate
 
 _ELEMENT_SHARPNESS = 200.0
-_LEAST_VOLUME = 0.06  # of an element's own volume in the reference mesh
+_LEAST_VOLUME = 0.06  # of an element's own volume at rest
 
 
 @dataclass
@@ -52,6 +52,10 @@ class ShapeProblem:
         samples: How many samples to simulate.
         use_tr: Factor of c_tr in the cost.
         branch: First state of the last accepted design.
+        rest: Element volumes [m³] that the element floor is relative to
+            (e,); by default those of the mesh.
+        first: The initial shape, for the scales; by default simulated on
+            the mesh.
     """
 
     mesh: TetMesh
@@ -68,6 +72,8 @@ class ShapeProblem:
     samples: int | None = None
     use_tr: float = 1.0
     branch: State | None = None
+    rest: np.ndarray | None = None
+    first: Evaluation | None = None
     evaluations: int = 0
     failures: int = 0
     _cache: dict = field(default_factory=dict)
@@ -78,12 +84,26 @@ class ShapeProblem:
             len(self.load.times), self.samples, self.fraction
         )
         self._rough = second_differences(self.spline)
-        first = self.evaluate(np.ones(self.spline.count))
-        if first is None:
+        if self.rest is None:
+            self.rest = self.mesh.volumes
+        if self.first is None:
+            self.first = self.evaluate(np.ones(self.spline.count))
+        if self.first is None:
             raise RuntimeError("the initial shape cannot be simulated")
-        self.scale = abs(self.use_tr * first.c_tr - self.weight * first.c_rot)
-        self.first = first
-        self.limited = active_limits(self.limits, first, self.by_rot)
+        c_tr, c_rot = self.first.c_tr, self.first.c_rot
+        self.scale = abs(self.use_tr * c_tr - self.weight * c_rot)
+        self.limited = active_limits(self.limits, self.first, self.by_rot)
+
+    def with_mesh(self, mesh: TetMesh, p: np.ndarray) -> "ShapeProblem":
+        """The problem on another mesh of the same undeformed sole.
+
+        Scales and limits stay; the element floor is relative to the mesh
+        deformed by p.
+        """
+        rest = mesh.with_nodes(self.spline.deform(mesh.nodes, p)).volumes
+        other = replace(self, mesh=mesh, rest=rest, _cache={})
+        other.limited = self.limited
+        return other
 
     def add_rotation_floor(self, least: float) -> None:
         """Limit c_rot from below [N·m/rad]."""
@@ -220,7 +240,7 @@ class ShapeProblem:
         The continuous map never inverts; discretised, an element does once
         s varies within it. The search stays away from there.
         """
-        rest = self.mesh.volumes
+        rest = self.rest
         value, share = soft_minimum(
             mesh.volumes / rest - _LEAST_VOLUME, _ELEMENT_SHARPNESS
         )

@@ -1,0 +1,231 @@
+"""New elements for a sole whose elements a design has worn out.
+
+X' = s(p, θ, φ) X is radial and s depends on the direction alone, so that any
+mesh of the deformed sole comes from one of the undeformed: X = X'/s. The
+deformed sole is meshed anew by Mmg (Dapogny, Dobrzynski, Frey, J. Comput.
+Phys. 262, 2014), pulled back, and the same coefficients go on with it.
+
+The surface is kept where that gives sound elements; the volume is then the
+same to rounding. Else the surface is meshed anew, too, with all corners and
+sharp edges. Its nodes are put back on the undeformed surface along their
+rays, so that they lie on the true shape s X and the glued plane stays plane.
+"""
+
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drake_exo.errors import InputError, first_line
+from drake_exo.soles.mesh import TetMesh, checked_mesh
+from drake_exo.soles.radial import onto_edges, pull_back, reach
+from drake_exo.soles.shape import SphericalSpline
+
+_CHILD = Path(__file__).with_name("mmg_child.py")
+_MOST_SECONDS = 20  # of processor time; five thousand tets take one
+_SOUND = 0.3  # least mean-ratio quality at which the surface is kept
+_UPRIGHT = 0.2  # least volume of a half, of that of plain halves
+_SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
+_GLUED, _BARE = 1, 2  # references of triangles in Mmg
+_DISTANCE = 0.02  # from the surface, of the sole's length
+_EDGES = np.stack(np.triu_indices(4, 1), axis=-1)  # of a tetrahedron
+# A tetrahedron's corners 0-3 and middles 4-9 (of _EDGES) into eight.
+_HALVES = np.array(
+    [[0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3],
+     [4, 9, 5, 6], [4, 9, 6, 8], [4, 9, 8, 7], [4, 9, 7, 5]]
+)  # fmt: skip
+
+
+class RemeshError(InputError):
+    """The sole could not be meshed anew."""
+
+
+def remesh(
+    mesh: TetMesh,
+    spline: SphericalSpline,
+    p: np.ndarray,
+    usable: Callable[[TetMesh], bool] = lambda mesh: True,
+) -> TetMesh:
+    """Mesh the sole of a design anew and pull the mesh back.
+
+    Args:
+        mesh: Undeformed sole whose elements are positive at p.
+        spline, p: The design.
+        usable: Asked of each mesh that would do.
+
+    Returns:
+        The undeformed sole in other elements. Deformed by p they are sound;
+        undeformed, some may be flat or inverted.
+
+    Raises:
+        RemeshError: The elements are inverted already, Mmg fails or is not
+            installed, or what it gives is no better.
+    """
+    before = float(_at(mesh, spline, p).quality().min())
+    if before <= 0:
+        raise RemeshError("the sole's elements are inverted already")
+    best, found, reason = before, None, "no element is better for it"
+    for build in (_with_surface, _with_halves, _with_sharp_edges):
+        try:
+            new = build(mesh, spline, p)
+            shaped = _at(new, spline, p)
+            checked_mesh(shaped.nodes, shaped.tets, shaped.dirichlet, "Mmg")
+        except InputError as error:
+            reason = str(error)
+            continue
+        quality = float(shaped.quality().min())
+        if quality > best and usable(new):
+            best, found = quality, new
+        if best >= _SOUND:
+            break
+    if found is None:
+        raise RemeshError(reason)
+    return found
+
+
+def _at(mesh: TetMesh, spline, p) -> TetMesh:
+    return mesh.with_nodes(spline.deform(mesh.nodes, p))
+
+
+def _with_surface(mesh: TetMesh, spline, p) -> TetMesh:
+    """Other elements inside, the surface as it is."""
+    deformed = _at(mesh, spline, p)
+    got = _mmg(deformed, sharp_edges(mesh), keep_surface=True)
+    nodes, tets = got["nodes"], got["tets"]
+    X = pull_back(nodes, spline, p)
+    old = np.unique(mesh.boundary_faces)
+    new = np.unique(TetMesh(nodes, tets, old).boundary_faces)
+    away, which = cKDTree(deformed.nodes[old]).query(nodes[new])
+    same = len(old) == len(new) == len(np.unique(which))
+    if not same or away.max() > 1e-9 * np.ptp(nodes, axis=0).max():
+        raise RemeshError("Mmg has moved nodes of a surface to be kept")
+    X[new] = mesh.nodes[old[which]]
+    glued = new[np.isin(old[which], mesh.dirichlet)]
+    return TetMesh(X, tets, np.sort(glued))
+
+
+def _with_halves(mesh: TetMesh, spline, p) -> TetMesh:
+    """Another surface, too, from elements that see more of the shape."""
+    deformed = _at(mesh, spline, p)
+    fine, sizes = halved(mesh, edge_lengths(deformed))
+    chords, _ = halved(deformed, sizes[: len(mesh.nodes)])
+    nodes, least = spline.deform(fine.nodes, p), _UPRIGHT * chords.volumes
+    # Middles that turn elements over stay on the chord: upright at last.
+    for _ in range(len(nodes)):
+        shaped = fine.with_nodes(nodes)
+        bad = np.unique(fine.tets[shaped.volumes < least])
+        if (nodes[bad] == chords.nodes[bad]).all():
+            break
+        nodes = nodes.copy()
+        nodes[bad] = chords.nodes[bad]
+    got = _mmg(shaped, sharp_edges(fine), sizes=sizes)
+    return _put_back(mesh, spline, p, got)
+
+
+def _with_sharp_edges(mesh: TetMesh, spline, p) -> TetMesh:
+    """Another surface, too, from the elements there are."""
+    got = _mmg(_at(mesh, spline, p), sharp_edges(mesh))
+    return _put_back(mesh, spline, p, got)
+
+
+def _put_back(mesh: TetMesh, spline, p, got) -> TetMesh:
+    """Pull back; the surface's nodes onto its own faces, edges and plane."""
+    nodes, of = got["nodes"], got["references"]
+    glued = np.unique(got["triangles"][of == _GLUED])
+    nodes[glued, 2] = 0.0
+    X = pull_back(nodes, spline, p)
+    # Nodes inside follow those of the surface, by how far out they are.
+    out = reach(X, X[got["triangles"][of == _BARE]])
+    wanted = reach(X, mesh.nodes[mesh.contact_faces])
+    there = np.isfinite(out) & np.isfinite(wanted)
+    out, wanted = out[there], wanted[there]
+    X[there] *= 1.0 + ((wanted / out - 1.0) / out)[:, None]
+    sharp = got["sharp"]
+    X[sharp] = onto_edges(X[sharp], mesh.nodes[sharp_edges(mesh)])
+    X[glued, 2] = 0.0
+    return TetMesh(X, got["tets"], glued)
+
+
+def sharp_edges(mesh: TetMesh) -> np.ndarray:
+    """Edges (k, 2) where the undeformed surface bends, and the glued rim."""
+    faces = mesh.boundary_faces
+    a, b, c = mesh.nodes[faces].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    glued = np.isin(faces, mesh.dirichlet).all(axis=1)
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    # On a closed surface every edge belongs to two faces.
+    pair = np.lexsort(edges.T[::-1]).reshape(-1, 2)
+    i, j = pair.T // 3
+    bent = (normal[i] * normal[j]).sum(axis=1) < np.cos(np.deg2rad(_SHARP_DEG))
+    return edges[pair[bent | (glued[i] != glued[j]), 0]]
+
+
+def edge_lengths(mesh: TetMesh) -> np.ndarray:
+    """Mean length of the edges at every node [m], (n,)."""
+    ends = mesh.tets[:, _EDGES].reshape(-1, 2)
+    length = np.linalg.norm(np.diff(mesh.nodes[ends], axis=1)[:, 0], axis=1)
+    total = np.bincount(ends.ravel(), np.repeat(length, 2))
+    return total / np.bincount(ends.ravel())
+
+
+def halved(mesh: TetMesh, values: np.ndarray) -> tuple[TetMesh, np.ndarray]:
+    """Every tetrahedron cut into eight; nodal values (n,) interpolated."""
+    ends, middle = np.unique(
+        np.sort(mesh.tets[:, _EDGES].reshape(-1, 2), axis=1),
+        axis=0,
+        return_inverse=True,
+    )
+    n = len(mesh.nodes)
+    local = np.concatenate([mesh.tets, n + middle.reshape(-1, 6)], axis=1)
+    glued = np.isin(ends, mesh.dirichlet).all(axis=1)
+    fine = TetMesh(
+        np.concatenate([mesh.nodes, mesh.nodes[ends].mean(axis=1)]),
+        local[:, _HALVES].reshape(-1, 4),
+        np.concatenate([mesh.dirichlet, n + np.flatnonzero(glued)]),
+    )
+    return fine, np.concatenate([values, values[ends].mean(axis=1)])
+
+
+def _mmg(
+    mesh: TetMesh, edges: np.ndarray, keep_surface: bool = False, sizes=()
+) -> dict[str, np.ndarray]:
+    """What mmg_child.py makes of a deformed mesh."""
+    faces = mesh.boundary_faces
+    glued = np.isin(faces, mesh.dirichlet).all(axis=1)
+    node, count = np.unique(edges, return_counts=True)
+    whole = io.BytesIO()
+    np.savez(
+        whole,
+        nodes=mesh.nodes,
+        tets=mesh.tets,
+        triangles=faces,
+        references=np.where(glued, _GLUED, _BARE),
+        edges=edges,
+        corners=node[count != 2],
+        sizes=np.asarray(sizes, float),
+        keep_surface=keep_surface,
+        distance=_DISTANCE * np.ptp(mesh.nodes, axis=0).max(),
+    )
+    run = subprocess.run(
+        [sys.executable, str(_CHILD), str(_MOST_SECONDS)],
+        input=whole.getvalue(),
+        capture_output=True,
+        check=False,
+    )
+    if run.returncode != 0:
+        said = first_line(run.stderr.decode(errors="replace"))
+        raise RemeshError(
+            said if run.returncode == 1 and said
+            else f"Mmg ended with code {run.returncode}"
+        )  # fmt: skip
+    try:
+        with np.load(io.BytesIO(run.stdout)) as got:
+            return {key: got[key] for key in got.files}
+    except (BadZipFile, ValueError, OSError, EOFError):
+        raise RemeshError("Mmg gave no mesh") from None
