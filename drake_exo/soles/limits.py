@@ -45,7 +45,10 @@ class Limits:
 
 @dataclass
 class Evaluation:
-    """A design simulated: sole, history and measures."""
+    """A design simulated: sole, history and measures.
+
+    `counts` says how many samples each simulated one stands for.
+    """
 
     p: np.ndarray
     sole: Sole
@@ -53,11 +56,12 @@ class Evaluation:
     history: StepHistory
     c_tr: float
     c_rot: float
+    counts: np.ndarray
 
     @cached_property
     def strain(self) -> StrainNorm:
         """The p-norm of its principal strains."""
-        return StrainNorm(self.sole, self.history)
+        return StrainNorm(self.sole, self.history, self.counts)
 
 
 @dataclass(frozen=True)

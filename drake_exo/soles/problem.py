@@ -158,6 +158,7 @@ class ShapeProblem:
             history,
             float(self.by_tr @ stiffness.sigma_max_translation(history.K_c)),
             float(self.by_rot @ stiffness.sigma_min_rotation(history.K_c)),
+            self.by_rot,
         )
 
     def cost(self, p: np.ndarray) -> float:
