@@ -8,7 +8,9 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.output import read_json, write_json
 from drake_exo.soles.contact import State
+from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import WarmStart
+from drake_exo.soles.problem import ShapeProblem
 
 _FILE = "checkpoint.json"
 _LARGEST = 1e30
@@ -26,6 +28,9 @@ class Checkpoint:
         barrier: IPOPT's μ there; None between stages.
         curvature: Learnt Hessian (P, P).
         origin, orientation: Foot pose at its first sample, O (3,), R (3, 3).
+        mesh, meshed_at: Where the elements were made anew, the undeformed
+            sole and the design at which; else None.
+        remeshed: What summary.json says of it, one after the other.
     """
 
     stage: int = 0
@@ -37,6 +42,9 @@ class Checkpoint:
     curvature: np.ndarray | None = None
     origin: np.ndarray | None = None
     orientation: np.ndarray | None = None
+    mesh: TetMesh | None = None
+    meshed_at: np.ndarray | None = None
+    remeshed: tuple[dict, ...] = ()
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
@@ -49,17 +57,34 @@ class Checkpoint:
                 self.orientation @ self.orientation.T, np.eye(3), atol=1e-6
             )
         )
-        if not sound:
+        if self.mesh is not None:
+            sound = (
+                sound
+                and len(self.meshed_at) == len(self.p)
+                and (np.abs(self.meshed_at) < _LARGEST).all()
+                and (np.abs(self.mesh.nodes) < _LARGEST).all()
+                and is_whole(self.mesh)
+            )
+        counted = all(
+            isinstance(row[key], int)
+            for row in self.remeshed
+            for key in ("stage", "iteration")
+        )
+        if not (sound and counted):
             raise ValueError("not a checkpoint")
 
     @classmethod
-    def of(cls, stage, iteration, best, learnt, problem) -> "Checkpoint":
+    def of(
+        cls, stage, iteration, best, learnt, problem, remeshed=()
+    ) -> "Checkpoint":
         """Of a running stage."""
         first = problem.branch
+        mesh = None if problem.meshed_at is None else problem.mesh
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
-            learnt.matrix, first.O, first.R,
+            learnt.matrix, first.O, first.R, mesh, problem.meshed_at,
+            tuple(remeshed),
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -89,6 +114,12 @@ class Checkpoint:
                 "the same case and --limits"
             )
 
+    def on_its_mesh(self, problem: ShapeProblem) -> ShapeProblem:
+        """The stage's problem on the elements the run had made anew."""
+        if self.mesh is None:
+            return problem
+        return problem.with_mesh(self.mesh, self.meshed_at)
+
     def branch(self, nodes: int) -> State | None:
         """Pose to look for the first contact at, on a mesh of this stage."""
         if self.origin is None:
@@ -111,6 +142,15 @@ class Checkpoint:
                 "curvature": self.curvature[lower],
                 "origin_m": self.origin,
                 "orientation": self.orientation,
+                "mesh": None
+                if self.mesh is None
+                else {
+                    "nodes_m": self.mesh.nodes,
+                    "tets": self.mesh.tets,
+                    "glued": self.mesh.dirichlet,
+                    "coefficients": self.meshed_at,
+                },
+                "remeshed": self.remeshed,
             },
         )
 
@@ -138,11 +178,32 @@ def read_checkpoint(path: Path) -> Checkpoint:
             B + np.tril(B, -1).T,
             np.array(data["origin_m"], dtype=float).reshape(3),
             np.array(data["orientation"], dtype=float).reshape(3, 3),
+            *_mesh(data.get("mesh")),
+            tuple(data.get("remeshed") or ()),
         )
         found.check()
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{file}: not a checkpoint; {remedy}") from None
     return found
+
+
+def _mesh(data) -> tuple[TetMesh | None, np.ndarray | None]:
+    if data is None:
+        return None, None
+    mesh = TetMesh(
+        np.array(data["nodes_m"], dtype=float).reshape(-1, 3),
+        np.array(data["tets"], dtype=np.int64).reshape(-1, 4),
+        np.array(data["glued"], dtype=np.int64).reshape(-1),
+    )
+    return mesh, np.array(data["coefficients"], dtype=float)
+
+
+def is_whole(mesh: TetMesh) -> bool:
+    """Whether its elements and glued nodes are of nodes that it has."""
+    return all(
+        x.size > 0 and x.min() >= 0 and x.max() < len(mesh.nodes)
+        for x in (mesh.tets, mesh.dirichlet)
+    )
 
 
 def _optional(value, convert):

@@ -1,7 +1,8 @@
 """Stages of an optimisation: coarse to fine, fewer to all samples.
 
 The smoothing layer comes down from stage to stage; every stage starts from
-the best design of the one before. Ctrl-C leaves the best so far on disk.
+the best design of the one before. A stage whose elements are worn out goes on
+with new ones. Ctrl-C leaves the best so far on disk.
 """
 
 import time
@@ -12,7 +13,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.soles import results
-from drake_exo.soles.case import Case, Stage
+from drake_exo.soles.case import FREE_STAGES, LIMITED_STAGES, Case, Stage
 from drake_exo.soles.checkpoint import Checkpoint
 from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
@@ -23,10 +24,22 @@ from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
+from drake_exo.soles.remesh import RemeshError
+from drake_exo.soles.renewal import (
+    CARRIED,
+    carried,
+    carrier,
+    is_worn,
+    record,
+    renewed,
+)
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import StepHistory, simulate
 
 _CHECKPOINT_EVERY = 3  # iterations
+_LEAST_ROUND = 5  # iterations before elements are made anew
+_WORN_OUT = "elements worn out"
+_BARRIER = 1e-4  # IPOPT's μ on new elements
 
 
 @dataclass
@@ -41,6 +54,7 @@ class Design:
         optima: Outcome of every stage.
         seconds: Of every stage.
         problem: The last stage's problem.
+        remeshed: When elements were made anew, see `renewal.record`.
     """
 
     p: np.ndarray
@@ -52,6 +66,7 @@ class Design:
     optima: list[Optimum]
     seconds: list[float]
     problem: ShapeProblem
+    remeshed: tuple[dict, ...] = ()
 
     @property
     def smoothed(self) -> tuple[float, float] | None:
@@ -141,7 +156,8 @@ def optimise(
             first = first_design(problem, tuple(case.optimize.bounds))
             at = Checkpoint(p=first, latest=first)
         at.check_fits(problem)
-        best, learnt = _run_stage(
+        problem, at = _on_mesh(problem, case.optimize, number, at, say)
+        best, learnt, problem, at = _run_rounds(
             problem, case.optimize, number, at, warm, out, say
         )
         optima.append(best)
@@ -149,13 +165,96 @@ def optimise(
         warm = WarmStart(best.multipliers, *best.at_bounds)
         best.latest = ()
         following = min(number + 1, len(stages) - 1)
-        at = Checkpoint.of(following, 0, best, learnt, problem)
+        same = stages[following].divisions == stages[number].divisions
+        at = Checkpoint.of(following, 0, best, learnt, problem, at.remeshed)
+        at = at if same else replace(at, mesh=None, meshed_at=None)
         at.write(out)
-    return _judge(case, problem, at.p, load, start, optima, seconds)
+    return _judge(case, problem, at, load, start, optima, seconds)
 
 
-def _run_stage(problem, block, number, at: Checkpoint, warm, out: Path, say):
-    """One stage from where it stands; its optimum, what it learnt."""
+def _on_mesh(problem, block, number, at: Checkpoint, say):
+    """The stage's problem on elements that carry the design it starts from."""
+    problem = at.on_its_mesh(problem)
+    fresh = at.mesh is None and at.iteration == 0
+    if not (fresh and block.remeshes and is_worn(problem, at.latest)):
+        return problem, at
+    problem.branch = at.branch(len(problem.mesh.contact))
+    try:
+        new = carried(problem, at.latest)
+    except RemeshError as error:
+        say(f"stage {number + 1}: design smoothed, not meshed anew: {error}")
+        return problem, at
+    row = record(number + 1, 0, problem, new, at.latest)
+    say(_remeshed_line(row))
+    return new, replace(at, remeshed=(*at.remeshed, row))
+
+
+def _run_rounds(problem, block, number, at: Checkpoint, warm, out, say):
+    """One stage, on new elements whenever a design has worn them out.
+
+    Returns:
+        Its optimum, what was learnt, the last problem and where it stands.
+    """
+    trace = []
+    rounds = block.remeshes - sum(
+        row["stage"] == number + 1 and row["iteration"] > 0
+        for row in at.remeshed
+    )
+    while True:
+        best, learnt = _run_stage(
+            problem, block, number, at, warm, out, say, rounds > 0
+        )
+        done = at.iteration + (best.trace[-1][0] if best.trace else 0)
+        trace += [(at.iteration + row[0], *row[1:]) for row in best.trace]
+        worn = rounds > 0 and is_worn(problem, best.p)
+        if not worn or done >= block.stages[number].iterations:
+            best.trace = trace
+            return best, learnt, problem, at
+        try:
+            new = renewed(problem, best.p)
+        except RemeshError as error:
+            say(f"stage {number + 1}: elements stay as they are: {error}")
+            if best.status != _WORN_OUT:
+                best.trace = trace
+                return best, learnt, problem, at
+            rounds, new, rows = 0, problem, at.remeshed
+        else:
+            row = record(number + 1, done, problem, new, best.p)
+            say(_remeshed_line(row))
+            rounds, rows = rounds - 1, (*at.remeshed, row)
+            new.accept(best.p)
+        best.latest = (best.p, _without_floor(best.multipliers), _BARRIER)
+        at = Checkpoint.of(number, done, best, learnt, new, rows)
+        at.write(out)
+        # As after an interruption: a resumed run goes the same way.
+        problem, warm = at.on_its_mesh(new), None
+
+
+def _without_floor(multipliers: np.ndarray) -> np.ndarray:
+    """That of the element floor (after the volume's) is none on new ones."""
+    out = multipliers.copy()
+    out[1] = 0.0
+    return out
+
+
+def _remeshed_line(row: dict) -> str:
+    before, after = row["before"], row["after"]
+    tr = [x["c_tr"] or np.nan for x in (before, after)]
+    return (
+        f"stage {row['stage']}, iteration {row['iteration']}: elements made "
+        f"anew, {row['tets']} tets, least quality "
+        f"{before['least_quality']:.2f} -> {after['least_quality']:.2f}, "
+        f"c_tr {tr[0]:.3g} -> {tr[1]:.3g}"
+    )
+
+
+def _run_stage(
+    problem, block, number, at: Checkpoint, warm, out: Path, say, renewable
+):
+    """One stage from where it stands; its optimum, what it learnt.
+
+    Where elements can be made anew it ends once they are worn out.
+    """
     stage, bounds = block.stages[number], tuple(block.bounds)
     problem.branch = at.branch(len(problem.mesh.contact))
     learnt = QuasiNewton(problem.spline.count, at.curvature)
@@ -171,8 +270,12 @@ def _run_stage(problem, block, number, at: Checkpoint, warm, out: Path, say):
         )
         if iteration % _CHECKPOINT_EVERY == 0:
             Checkpoint.of(
-                number, at.iteration + iteration, best, learnt, problem
-            ).write(out)
+                number, at.iteration + iteration, best, learnt, problem,
+                at.remeshed,
+            ).write(out)  # fmt: skip
+        if renewable and iteration >= _LEAST_ROUND and is_worn(problem, best.p):
+            return _WORN_OUT
+        return None
 
     left = max(stage.iterations - at.iteration, 0)
     best = minimise(
@@ -220,10 +323,11 @@ def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
     )
 
 
-def _judge(case, problem, p, load, start, optima, seconds) -> Design:
+def _judge(case, problem, at, load, start, optima, seconds) -> Design:
+    p = at.p
     mesh = problem.deformed(p)
     sole = Sole(mesh, problem.material, case.mesh.element)
-    first = Sole(problem.mesh, problem.material, case.mesh.element)
+    first = problem.first.sole
     r = problem.law.penalty
     return Design(
         p,
@@ -235,6 +339,7 @@ def _judge(case, problem, p, load, start, optima, seconds) -> Design:
         optima,
         seconds,
         problem,
+        at.remeshed,
     )
 
 
@@ -259,6 +364,7 @@ def design_summary(case: Case, design: Design) -> dict:
         "ratio_tr": now["c_tr"] / tr0,
         "ratio_rot": now["c_rot"] / rot0,
         "optimal": bool(last and last.optimal),
+        "remeshed": design.remeshed,
     }
     if last is not None:
         row |= {
@@ -305,9 +411,13 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     base = brick(tuple(np.ptp(own.nodes, axis=0)), finer)
     spline = design.problem.spline
     shaped = base.with_nodes(spline.deform(base.nodes, design.p))
-    if shaped.volumes.min() <= 0:
-        return {"tets": len(base.tets), "message": "inverted elements"}
-    out = {"tets": len(base.tets)}
+    if shaped.quality().min() < CARRIED:
+        try:
+            other = carrier(base, spline, design.p)
+        except RemeshError as error:
+            return {"tets": len(base.tets), "message": str(error)}
+        shaped = other.with_nodes(spline.deform(other.nodes, design.p))
+    out = {"tets": len(shaped.tets)}
     r = Sole(base, design.problem.material, case.mesh.element).penalty
     for name, mesh in (("brick", base), ("design", shaped)):
         sole = Sole(mesh, design.problem.material, case.mesh.element)
@@ -338,10 +448,17 @@ def finish_on_own_mesh(case: Case) -> Case:
 
 
 def without_limits(case: Case) -> Case:
-    """The paper's own problem: neither stability, tilt nor strain limited."""
-    return replace(
-        case,
-        optimize=replace(
-            case.optimize, stability_n_per_m=None, tilt_deg=None, strain=None
-        ),
+    """The paper's own problem: neither stability, tilt nor strain limited.
+
+    Default stages give way to those that suit it.
+    """
+    block = case.optimize
+    default = block.stages == LIMITED_STAGES
+    block = replace(
+        block,
+        stability_n_per_m=None,
+        tilt_deg=None,
+        strain=None,
+        stages=FREE_STAGES if default else block.stages,
     )
+    return replace(case, optimize=block)

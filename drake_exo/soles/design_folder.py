@@ -14,12 +14,14 @@ from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, read_mesh
+from drake_exo.soles.shape import SphericalSpline
 
-CASE, MESH, STEPS, SUMMARY = (
+CASE, MESH, STEPS, SUMMARY, DESIGN = (
     "case.yaml",
     "sole.vtk",
     "steps.csv",
     "summary.json",
+    "design.json",
 )
 
 
@@ -57,6 +59,24 @@ class StoredDesign:
     def summary(self) -> dict:
         """Its summary.json."""
         return read_summary(self.folder)
+
+    def shape(self) -> tuple[SphericalSpline, np.ndarray]:
+        """Its spline and free coefficients.
+
+        Raises:
+            InputError: design.json is missing or damaged.
+        """
+        path, remedy = self.folder / DESIGN, "optimise the sole again"
+        data = read_json(path, remedy)
+        try:
+            n_theta, n_phi = map(int, data["intervals"])
+            spline = SphericalSpline((n_theta, n_phi), bool(data["fixed_top"]))
+            p = np.array(data["coefficients"], dtype=float)
+        except (ValueError, KeyError, TypeError, OverflowError):
+            raise InputError(f"{path}: holds no design; {remedy}") from None
+        if p.shape != (spline.count,):
+            raise InputError(f"{path}: coefficients do not fit; {remedy}")
+        return spline, p
 
 
 def write_case(folder: Path, case: Case, start: Start) -> Case:

@@ -7,6 +7,7 @@ from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
 from drake_exo.soles.case import open_case
 from drake_exo.soles.checkpoint import read_checkpoint
+from drake_exo.soles.design_folder import DESIGN
 from drake_exo.soles.mesh import write_stl
 from drake_exo.soles.mould import write_mould
 from drake_exo.soles.strain_command import judge_in_finite_strain
@@ -50,11 +51,15 @@ def write_design(out: Path, case, load, design) -> None:
     """Coefficients, mesh, STL, pictures and animation of a design."""
     from drake_exo.soles import command, design_pictures, results
     from drake_exo.soles.replay import FIRST_HISTORY, HISTORY
-    from drake_exo.soles.study_pictures import DrawnSole, soles_figure
+    from drake_exo.soles.study_pictures import (
+        DrawnSole,
+        radial_change,
+        soles_figure,
+    )
 
     spline = design.problem.spline
     write_json(
-        out / "design.json",
+        out / DESIGN,
         {
             "intervals": spline.intervals,
             "fixed_top": spline.fixed_top,
@@ -78,7 +83,10 @@ def write_design(out: Path, case, load, design) -> None:
     tables = {"initial": before, "optimised": columns}
     command.draw(out, case, design.sole, load, design.history, tables)
     caption = f"{1e6 * design.mesh.volume:.0f} cm³"
-    drawn = DrawnSole(case.name, caption, design.first_sole.mesh, design.mesh)
+    drawn = DrawnSole(
+        case.name, caption, design.first_sole.mesh, design.mesh,
+        radial_change(design.mesh, spline, design.p),
+    )  # fmt: skip
     soles_figure(out / "shape.png", [drawn])
     design_pictures.write_traces(out / "history.csv", design.optima)
     design_pictures.trace_figure(out / "history.png", design.optima)

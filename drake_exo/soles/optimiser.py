@@ -27,6 +27,8 @@ _OPTIONS = {
 }
 # From the optimum of a neighbouring problem: stay close to it.
 _WARM = {
+    # A correction costs a simulation, and close to a design wins little.
+    "max_soc": 0,
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-6,
     "warm_start_bound_frac": 1e-6,
@@ -61,7 +63,7 @@ class WarmStart:
     multipliers: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    barrier: float = 1e-5
+    barrier: float = 1e-7
     best: np.ndarray | None = None
 
     @classmethod
@@ -122,6 +124,7 @@ class _Callbacks:
         self.problem, self.learnt, self.best = problem, learnt, best
         self.say = say
         self.stopped = self.stalled = False
+        self.ended = ""  # why it was told to
         self._mark = (np.inf, 0)  # cost and simulations at the last change
         self._point, self._derivatives = None, None
         self._barrier = _OPTIONS["mu_init"]
@@ -176,12 +179,13 @@ class _Callbacks:
         self.best.trace.append((iteration, cost, inf_pr, inf_du))
         self.best.error, self._barrier = inf_du, barrier
         if self.say is not None:
-            self.say(iteration, self.best)
+            said = self.say(iteration, self.best)
+            self.ended = said if isinstance(said, str) else ""
         simulations, mark = self.problem.evaluations, self._mark
         if inf_pr > 1e-3 or not abs(cost - mark[0]) < _PROGRESS * abs(cost):
             self._mark = (cost, simulations)
         self.stalled = simulations - self._mark[1] > _PATIENCE
-        return not (self.stopped or self.stalled)
+        return not (self.stopped or self.stalled or self.ended)
 
 
 def _furthest(problem, p) -> float:
@@ -202,7 +206,7 @@ def minimise(
     bounds: tuple[float, float],
     iterations: int = 60,
     tolerance: float = 1e-4,
-    on_iterate: Callable[[int, "Optimum"], None] | None = None,
+    on_iterate: Callable[[int, "Optimum"], object] | None = None,
     options: dict | None = None,
     learnt: QuasiNewton | None = None,
     warm: WarmStart | None = None,
@@ -215,7 +219,8 @@ def minimise(
         bounds: Lower and upper bound of every coefficient.
         iterations: IPOPT iterations.
         tolerance: IPOPT's scaled optimality error.
-        on_iterate: Called with the iteration and the best so far.
+        on_iterate: Called with the iteration and the best so far; a text
+            ends the run, as its status.
         options: More options of IPOPT.
         learnt: Curvature known already; learns more.
         warm: Multipliers of a neighbouring problem, or of this one before
@@ -253,6 +258,7 @@ def minimise(
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     if calls.stalled:
         best.status = f"no progress in {_PATIENCE} simulations"
+    best.status = calls.ended or best.status
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
     _judge_last(problem, best, p, bounds, calls)

@@ -52,8 +52,8 @@ class ShapeProblem:
         samples: How many samples to simulate.
         use_tr: Factor of c_tr in the cost.
         branch: First state of the last accepted design.
-        rest: Element volumes [m³] that the element floor is relative to
-            (e,); by default those of the mesh.
+        meshed_at: Design (P,) whose deformed mesh was made anew; None for a
+            mesh of the undeformed sole. The element floor is relative to it.
         first: The initial shape, for the scales; by default simulated on
             the mesh.
     """
@@ -72,7 +72,7 @@ class ShapeProblem:
     samples: int | None = None
     use_tr: float = 1.0
     branch: State | None = None
-    rest: np.ndarray | None = None
+    meshed_at: np.ndarray | None = None
     first: Evaluation | None = None
     evaluations: int = 0
     failures: int = 0
@@ -84,8 +84,9 @@ class ShapeProblem:
             len(self.load.times), self.samples, self.fraction
         )
         self._rough = second_differences(self.spline)
-        if self.rest is None:
-            self.rest = self.mesh.volumes
+        self._rest = self.mesh.volumes
+        if self.meshed_at is not None:
+            self._rest = self.deformed(self.meshed_at).volumes
         if self.first is None:
             self.first = self.evaluate(np.ones(self.spline.count))
         if self.first is None:
@@ -100,8 +101,13 @@ class ShapeProblem:
         Scales and limits stay; the element floor is relative to the mesh
         deformed by p.
         """
-        rest = mesh.with_nodes(self.spline.deform(mesh.nodes, p)).volumes
-        other = replace(self, mesh=mesh, rest=rest, _cache={})
+        branch = self.branch
+        if branch is not None:  # of another number of nodes
+            unloaded = np.zeros((len(mesh.contact), 3))
+            branch = State(unloaded, branch.O, branch.R)
+        other = replace(
+            self, mesh=mesh, meshed_at=p, branch=branch, _cache={}
+        )  # fmt: skip
         other.limited = self.limited
         return other
 
@@ -116,6 +122,10 @@ class ShapeProblem:
     def deformed(self, p: np.ndarray) -> TetMesh:
         """The mesh of a design; elements may be inverted."""
         return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
+
+    def room(self, p: np.ndarray) -> float:
+        """How far the least volume ratio is above its floor."""
+        return self._elements(self.deformed(p))[0]
 
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""
@@ -241,7 +251,7 @@ class ShapeProblem:
         The continuous map never inverts; discretised, an element does once
         s varies within it. The search stays away from there.
         """
-        rest = self.rest
+        rest = self._rest
         value, share = soft_minimum(
             mesh.volumes / rest - _LEAST_VOLUME, _ELEMENT_SHARPNESS
         )

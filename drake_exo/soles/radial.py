@@ -14,8 +14,7 @@ def pull_back(
 
     s depends on the direction alone; the origin stays where it is.
     """
-    M, s0 = spline.basis(nodes)
-    return nodes / (M @ p + s0)[:, None]
+    return nodes / spline.stretch(nodes, p)[:, None]
 
 
 def reach(X: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -49,14 +49,14 @@ def remesh(
     mesh: TetMesh,
     spline: SphericalSpline,
     p: np.ndarray,
-    usable: Callable[[TetMesh], bool] = lambda mesh: True,
+    usable: Callable[[TetMesh], bool] | None = None,
 ) -> TetMesh:
     """Mesh the sole of a design anew and pull the mesh back.
 
     Args:
         mesh: Undeformed sole whose elements are positive at p.
         spline, p: The design.
-        usable: Asked of each mesh that would do.
+        usable: Asked of each mesh that would do; by default all are.
 
     Returns:
         The undeformed sole in other elements. Deformed by p they are sound;
@@ -79,7 +79,7 @@ def remesh(
             reason = str(error)
             continue
         quality = float(shaped.quality().min())
-        if quality > best and usable(new):
+        if quality > best and (usable is None or usable(new)):
             best, found = quality, new
         if best >= _SOUND:
             break

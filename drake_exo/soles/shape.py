@@ -85,10 +85,14 @@ class SphericalSpline:
         T, p0 = self.free_map()
         return full @ T, full @ p0
 
+    def stretch(self, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Factor s in the directions of points, deformed or not (n,)."""
+        M, s0 = self.basis(nodes)
+        return M @ p + s0
+
     def deform(self, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Node positions X' of the shape with free coefficients p."""
-        M, s0 = self.basis(nodes)
-        return (M @ p + s0)[:, None] * nodes
+        return self.stretch(nodes, p)[:, None] * nodes
 
 
 def _basis_matrix(angle: np.ndarray, intervals: int) -> np.ndarray:

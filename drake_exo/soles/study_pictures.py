@@ -15,6 +15,7 @@ from matplotlib.colors import TwoSlopeNorm
 from drake_exo.soles import views
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.pictures import _STYLE, _save
+from drake_exo.soles.shape import SphericalSpline
 
 _COLOURS = plt.get_cmap("coolwarm")
 _GAP = 14.0  # mm between views
@@ -30,23 +31,16 @@ class DrawnSole:
     Attributes:
         name: Case.
         caption: Second line of its title.
-        initial: Mesh before optimisation, same connectivity.
+        initial: Mesh before optimisation.
         mesh: Optimised mesh.
+        change: Radial change of its every node [%], (n,).
     """
 
     name: str
     caption: str
     initial: TetMesh
     mesh: TetMesh
-
-    @property
-    def change(self) -> np.ndarray:
-        """Radial change of every node [%], zero at the origin, (n,)."""
-        before = np.linalg.norm(self.initial.nodes, axis=1)
-        after = np.linalg.norm(self.mesh.nodes, axis=1)
-        there = before > 1e-9
-        ratio = np.divide(after, before, out=np.ones_like(after), where=there)
-        return 100.0 * (ratio - 1.0)
+    change: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -83,6 +77,14 @@ class _Sheet:
         bottom = _FOOT + _INCH * self.height * (self.rows - row - 1)
         width, height = _INCH * self.widths[column], _INCH * self.height
         return np.array([left, bottom, width, height]) / np.tile(self.size, 2)
+
+
+def radial_change(
+    mesh: TetMesh, spline: SphericalSpline, p: np.ndarray
+) -> np.ndarray:
+    """Radial change of a design's nodes [%], zero at the origin, (n,)."""
+    there = np.linalg.norm(mesh.nodes, axis=1) > 1e-9
+    return np.where(there, 100 * (spline.stretch(mesh.nodes, p) - 1), 0.0)
 
 
 def soles_figure(path: Path, soles: list[DrawnSole]) -> None:

@@ -96,7 +96,7 @@ def _trace(folder: Path) -> np.ndarray:
 
 
 def _drawn(design: StoredDesign):
-    from drake_exo.soles.study_pictures import DrawnSole
+    from drake_exo.soles.study_pictures import DrawnSole, radial_change
 
     row = design.summary()
     caption = (
@@ -106,4 +106,5 @@ def _drawn(design: StoredDesign):
         f"tilt up to {row['tilt_max_deg']:.0f}°"
     )
     initial = read_mesh(design.folder / "initial.vtk", (0.0, 0.0, 0.0))
-    return DrawnSole(design.name, caption, initial, design.mesh)
+    change = radial_change(design.mesh, *design.shape())
+    return DrawnSole(design.name, caption, initial, design.mesh, change)

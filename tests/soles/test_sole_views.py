@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 
 from drake_exo.soles import views
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.study_pictures import DrawnSole
+from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.study_pictures import radial_change
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +64,13 @@ def test_creases_stay_sharp_and_flats_smooth(mesh):
 
 
 def test_change_is_radial(mesh):
-    sole = DrawnSole("", "", mesh, mesh.with_nodes(1.1 * mesh.nodes))
+    spline = SphericalSpline((4, 4))
+    p = np.linspace(0.8, 1.2, spline.count)
     away = np.linalg.norm(mesh.nodes, axis=1) > 0
-    np.testing.assert_allclose(sole.change[away], 10.0)
+    shaped = mesh.with_nodes(spline.deform(mesh.nodes, p))
+    before, after = (np.linalg.norm(m.nodes, axis=1) for m in (mesh, shaped))
+    change = radial_change(shaped, spline, p)
+    np.testing.assert_allclose(
+        change[away], 100 * (after[away] / before[away] - 1), atol=1e-10
+    )
+    assert (change[~away] == 0).all()

@@ -1,0 +1,197 @@
+"""An optimisation whose elements wear out goes on with new ones."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_step import stage, write_case, write_step
+
+from drake_exo import cli
+from drake_exo.soles import design as designs
+from drake_exo.soles import renewal
+from drake_exo.soles.case import read_case
+from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
+from drake_exo.soles.design import first_design, optimise, stage_problem
+from drake_exo.soles.design_folder import find_designs
+from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.remesh import RemeshError
+from drake_exo.soles.renewal import carried, renewed
+
+
+def _case(folder, remeshes=3, iterations=40):
+    case = read_case(folder / "case.yaml")
+    stages = tuple(
+        replace(s, iterations=iterations) for s in case.optimize.stages
+    )
+    block = replace(case.optimize, remeshes=remeshes, stages=stages)
+    return replace(case, optimize=block)
+
+
+def _optimise(folder, out, resume=None, **kinds):
+    case, lines = _case(folder, **kinds), []
+    out.mkdir(exist_ok=True)
+    load, mesh, start = case.open(folder)
+    design = optimise(case, mesh, load, start, out, lines.append, resume)
+    return design, lines
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run by the command line; its first checkpoint on new elements."""
+    place = tmp_path_factory.mktemp("renewal")
+    write_step(place / "load.csv", 10)
+    write_case(
+        place / "case.yaml", divisions=(6, 4, 2), intervals=[6, 6],
+        stages=[stage(6, 1e-4, 40)], roughness=0.3,
+        stability_n_per_m=None, tilt_deg=None, strain=None,
+    )  # fmt: skip
+    write = Checkpoint.write
+
+    def spy(self, out):
+        write(self, out)
+        if self.mesh is not None and not (place / "first").exists():
+            (place / "first").mkdir()
+            shutil.copy(out / "checkpoint.json", place / "first")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Checkpoint, "write", spy)
+        code = cli.main(
+            ["sole", "optimize", str(place / "case.yaml"),
+             "--out", str(place / "out")]
+        )  # fmt: skip
+    assert code == 0
+    return place
+
+
+@pytest.fixture(scope="module")
+def row(folder):
+    return json.loads((folder / "out" / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def without(folder):
+    return _optimise(folder, folder / "without", remeshes=0)[0]
+
+
+def test_the_floor_stops_the_search_without_new_elements(without):
+    assert renewal.is_worn(without.problem, without.p)
+    assert without.optima[-1].multipliers[1] < -0.05
+    assert without.remeshed == ()
+
+
+def test_with_new_elements_it_comes_to_a_lower_cost(folder, row, without):
+    assert row["c_smoothed"] < sum(
+        w * c for w, c in zip((1, -1), without.smoothed, strict=True)
+    )
+    # On sound elements the design without is dearer still.
+    problem = renewed(without.problem, without.p)
+    e = problem.evaluate(without.p)
+    assert row["c_smoothed"] < 0.95 * (e.c_tr - e.c_rot)
+    assert abs(row["multipliers"]["elements"]) < 0.02
+
+
+def test_the_summary_says_when_and_what_it_did(row):
+    (entry,) = row["remeshed"]
+    assert entry["stage"] == 1
+    assert 5 <= entry["iteration"] < 40
+    assert entry["tets"] == row["tets"]
+    before, after = entry["before"], entry["after"]
+    assert after["least_quality"] > 1.5 * before["least_quality"]
+    assert after["c_tr"] == pytest.approx(before["c_tr"], rel=0.3)
+    assert after["c_tr"] != before["c_tr"]
+
+
+def test_a_resumed_run_goes_the_same_way(folder):
+    at = read_checkpoint(folder / "first")
+    assert at.iteration > 0
+    design, _ = _optimise(folder, folder / "resumed", at)
+    first = json.loads((folder / "out" / "design.json").read_text())
+    np.testing.assert_array_equal(design.p, first["coefficients"])
+    mesh = read_mesh(folder / "out" / "sole.vtk")
+    np.testing.assert_array_equal(design.mesh.nodes, mesh.nodes)
+    np.testing.assert_array_equal(design.mesh.tets, mesh.tets)
+    assert len(design.remeshed) == 1
+
+
+def test_the_folder_is_that_of_any_design(folder, row):
+    (stored,) = find_designs(folder / "out")
+    assert len(stored.mesh.tets) == row["tets"] != 6 * 6 * 4 * 2
+    brick = read_mesh(folder / "out" / "initial.vtk")
+    assert len(brick.tets) == 6 * 6 * 4 * 2
+    spline, p = stored.shape()
+    np.testing.assert_allclose(
+        spline.stretch(stored.mesh.nodes[stored.mesh.contact], p),
+        spline.stretch(0.5 * stored.mesh.nodes[stored.mesh.contact], p),
+    )
+    code = cli.main(["sole", "report", str(folder / "out"), "--force"])
+    assert code == 0
+
+
+def test_interrupted_on_new_elements_the_best_is_on_disk(
+    folder, tmp_path, monkeypatch
+):
+    at = read_checkpoint(folder / "first")
+    simulate, left = designs.ShapeProblem._simulate, [12]
+
+    def impatient(problem, p):
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        return simulate(problem, p)
+
+    monkeypatch.setattr(designs.ShapeProblem, "_simulate", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        _optimise(folder, tmp_path, at)
+    monkeypatch.undo()
+    after = read_checkpoint(tmp_path)
+    assert after.iteration > at.iteration
+    np.testing.assert_array_equal(after.mesh.nodes, at.mesh.nodes)
+    np.testing.assert_array_equal(after.meshed_at, at.meshed_at)
+    design, _ = _optimise(
+        folder, tmp_path, after, iterations=after.iteration + 1
+    )
+    assert len(design.remeshed) == 1
+    assert np.isfinite(design.smoothed).all()
+
+
+def test_where_the_remesher_fails_the_search_goes_on(folder, monkeypatch):
+    def fail(problem, p):
+        raise RemeshError("no memory")
+
+    monkeypatch.setattr(designs, "renewed", fail)
+    design, lines = _optimise(folder, folder / "failed", iterations=20)
+    told = [line for line in lines if "no memory" in line]
+    assert told == ["stage 1: elements stay as they are: no memory"]
+    assert design.optima[-1].trace[-1][0] == 20
+    assert design.remeshed == ()
+
+
+def test_a_brick_of_other_elements_is_made_to_carry_a_design(folder):
+    case = _case(folder)
+    load, mesh, start = case.open(folder)
+    other = replace(case.optimize.stages[0], divisions=(8, 4, 2))
+    problem = stage_problem(case, mesh, load, start, other)
+    rng = np.random.default_rng(1)
+    p = first_design(problem, (0.3, 1.4))
+    way = rng.normal(size=len(p))
+    amount = next(
+        t for t in np.linspace(0.05, 0.5, 50)
+        if problem.deformed(p + t * way).volumes.min() < 0
+    )  # fmt: skip
+    p = p + amount * way
+    new = carried(problem, p)
+    assert problem.evaluate(p) is None
+    assert new.evaluate(p) is not None
+    assert new.deformed(p).quality().min() > 0.05
+    assert new.mesh.volume == pytest.approx(problem.mesh.volume, rel=1e-12)
+
+
+def test_a_damaged_mesh_in_a_checkpoint_is_refused(folder, tmp_path):
+    text = (folder / "first" / "checkpoint.json").read_text()
+    data = json.loads(text)
+    data["mesh"]["tets"][0][0] = 10**6
+    (tmp_path / "checkpoint.json").write_text(json.dumps(data))
+    with pytest.raises(designs.InputError, match="not a checkpoint"):
+        read_checkpoint(tmp_path)
