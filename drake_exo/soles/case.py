@@ -145,6 +145,7 @@ class OptimizeBlock:
     use_tr: float = not_negative("", 1.0)
     roughness: float = not_negative("", 3.0)
     tolerance: float = positive("", 1e-4)
+    solver: Literal["ipopt", "snopt"] = "ipopt"
     remeshes: int = field(default=3, metadata={"minimum": 0})
     stages: tuple[Stage, ...] = LIMITED_STAGES
 

@@ -23,10 +23,10 @@ from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
 from drake_exo.soles.problem import ShapeProblem
+from drake_exo.soles.program import minimise_by_snopt
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.remesh import RemeshError
 from drake_exo.soles.renewal import (
-    CARRIED,
     carried,
     carrier,
     is_worn,
@@ -38,6 +38,7 @@ from drake_exo.soles.simulation import StepHistory, simulate
 
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
+_SOUND = 0.15  # least quality at which a finer brick judges a design
 _WORN_OUT = "elements worn out"
 _BARRIER = 1e-4  # IPOPT's μ on new elements
 
@@ -278,6 +279,11 @@ def _run_stage(
         return None
 
     left = max(stage.iterations - at.iteration, 0)
+    if block.solver == "snopt":
+        found = minimise_by_snopt(
+            problem, begin, bounds, left, block.tolerance, note
+        )
+        return found, learnt
     best = minimise(
         problem, begin, bounds, left, block.tolerance, note,
         learnt=learnt, warm=warm or at.warm_start(bounds),
@@ -375,7 +381,10 @@ def design_summary(case: Case, design: Design) -> dict:
             "multipliers": dict(
                 zip(design.problem.names(), last.multipliers, strict=True)
             ),
-            "iterations": [len(o.trace) - 1 for o in design.optima],
+            "iterations": [
+                int(o.trace[-1][0] - o.trace[0][0]) if o.trace else 0
+                for o in design.optima
+            ],
             "simulations": design.problem.evaluations,
         }
     if design.smoothed is not None:
@@ -399,6 +408,8 @@ def _at_least_twice(divisions) -> tuple[int, int, int]:
 def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     """The design on a mesh of at least twice the tets, beside the brick.
 
+    Where the finer brick's elements are poor at the design, on new ones.
+
     `change` and `brick_change` are those of c against the last stage's mesh.
     """
     divisions = next(
@@ -411,12 +422,13 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     base = brick(tuple(np.ptp(own.nodes, axis=0)), finer)
     spline = design.problem.spline
     shaped = base.with_nodes(spline.deform(base.nodes, design.p))
-    if shaped.quality().min() < CARRIED:
+    if shaped.quality().min() < _SOUND:
         try:
             other = carrier(base, spline, design.p)
+            shaped = other.with_nodes(spline.deform(other.nodes, design.p))
         except RemeshError as error:
-            return {"tets": len(base.tets), "message": str(error)}
-        shaped = other.with_nodes(spline.deform(other.nodes, design.p))
+            if shaped.volumes.min() <= 0:
+                return {"tets": len(base.tets), "message": str(error)}
     out = {"tets": len(shaped.tets)}
     r = Sole(base, design.problem.material, case.mesh.element).penalty
     for name, mesh in (("brick", base), ("design", shaped)):

@@ -1,4 +1,4 @@
-"""Solve a shape problem with IPOPT, or any solver of a MathematicalProgram.
+"""Solve a shape problem with IPOPT.
 
 IPOPT is called directly (its wheel brings MUMPS) with a Hessian learnt from
 gradients, see `quasi_newton`.
@@ -151,7 +151,7 @@ class _Callbacks:
             self._derivatives = self.problem.derivatives(p)
             self._point = key
             self.problem.accept(p)
-            self.best.consider(p, *_merits(self.problem, p))
+            self.best.consider(p, *merits(self.problem, p))
         return self._derivatives
 
     def gradient(self, p, out):
@@ -194,7 +194,7 @@ def _furthest(problem, p) -> float:
     return max(0.1, 1.5 * float(violation))
 
 
-def _merits(problem, p) -> tuple[float, float]:
+def merits(problem, p) -> tuple[float, float]:
     """Cost and largest violation."""
     violation = -float(problem.constraints(p).min())
     return problem.cost(p), max(0.0, violation)
@@ -249,7 +249,7 @@ def minimise(
     if warm is not None:
         multipliers[:], low[:], high[:] = warm.multipliers, warm.low, warm.high
         if warm.best is not None and problem.evaluate(warm.best) is not None:
-            best.consider(warm.best, *_merits(problem, warm.best))
+            best.consider(warm.best, *merits(problem, warm.best))
     p, _, status = solver.solve(
         p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
     )
@@ -261,7 +261,7 @@ def minimise(
     best.status = calls.ended or best.status
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
-    _judge_last(problem, best, p, bounds, calls)
+    judge_last(problem, best, p, bounds, calls.at)
     return best
 
 
@@ -289,12 +289,21 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
     )
 
 
-def _judge_last(problem, best, p, bounds, calls) -> None:
-    """Optimality at IPOPT's last point, by IPOPT's own formula (its (5))."""
+def judge_last(problem, best, p, bounds, derivatives) -> None:
+    """Optimality at a solver's last point p, by IPOPT's own formula, (5).
+
+    Args:
+        problem: The problem.
+        best: With multipliers and at_bounds; gets error and complementarity,
+            and p itself where it is optimal.
+        p: The last point.
+        bounds: Of every coefficient.
+        derivatives: Gives gradient, without smoothness, and Jacobian at p.
+    """
     if problem.evaluate(p) is None:
         return
     low, high = best.at_bounds
-    gradient, jacobian = calls.at(p)
+    gradient, jacobian = derivatives(p)
     gradient = gradient + problem.smoothness(p)[1]
     values, lam = problem.constraints(p), best.multipliers
     dual = gradient + jacobian.T @ lam - low + high
@@ -304,51 +313,9 @@ def _judge_last(problem, best, p, bounds, calls) -> None:
     best.complementarity = float(np.abs(products).max())
     size = np.abs(np.concatenate([lam, low, high]))
     s_d = max(100.0, size.mean()) / 100.0
-    cost, violation = _merits(problem, p)
+    cost, violation = merits(problem, p)
     best.error = max(
         float(np.abs(dual).max()) / s_d, best.complementarity / s_d, violation
     )
     if best.optimal:
         best.p, best.cost, best.violation = p.copy(), cost, violation
-
-
-def mathematical_program(problem: ShapeProblem, bounds: tuple[float, float]):
-    """The same problem as a MathematicalProgram, for SNOPT and others.
-
-    Returns:
-        The program and its decision variables.
-    """
-    from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
-    from pydrake.solvers import MathematicalProgram
-
-    prog = MathematicalProgram()
-    n = problem.spline.count
-    p = prog.NewContinuousVariables(n, "p")
-    prog.AddBoundingBoxConstraint(*bounds, p)
-
-    def with_gradient(function, row):
-        def evaluate(x):
-            if x.dtype == float:
-                return np.atleast_1d(function(x))
-            value = ExtractValue(x).ravel()
-            gradient, jacobian = problem.derivatives(value)
-            gradient = gradient + problem.smoothness(value)[1]
-            J = gradient[None] if row else jacobian
-            y = np.atleast_1d(function(value))
-            # A linear chain: derivatives of x need not be the identity.
-            dx = np.array([xi.derivatives() for xi in x])
-            return InitializeAutoDiff(y, gradient=J @ dx).ravel()
-
-        return evaluate
-
-    cost = with_gradient(problem.cost, True)
-    prog.AddCost(lambda x: cost(x)[0], vars=p, description="c")
-    m = len(problem.names())
-    prog.AddConstraint(
-        with_gradient(problem.constraints, False),
-        np.zeros(m),
-        np.full(m, np.inf),
-        vars=p,
-        description=", ".join(problem.names()),
-    )
-    return prog, p

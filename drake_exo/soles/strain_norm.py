@@ -3,8 +3,8 @@
 Φ = (Σ_q n_q Σ_e tr ε_qe^p)^(1/p) with even p: the p-norm of all principal
 strains, never below the largest |principal strain| and smooth without
 eigenvalues. A sample that stands for n_q counts so often: thinned samples
-then give about the norm of all. Small strain ε of u = N f, with f the nodal forces in the sole
-frame.
+then give about the norm of all. Small strain ε of u = N f, with f the nodal
+forces in the sole frame.
 """
 
 from dataclasses import dataclass

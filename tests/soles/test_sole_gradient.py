@@ -196,9 +196,9 @@ def test_mathematical_program_carries_the_same_derivatives(problem):
         InitializeAutoDiff,
     )
 
-    from drake_exo.soles.optimiser import mathematical_program
+    from drake_exo.soles.program import Program
 
-    prog, _ = mathematical_program(problem, (0.3, 1.4))
+    prog = Program(problem, (0.3, 1.4)).prog
     x = np.full(problem.spline.count, 0.97)
     gradient, jacobian = problem.derivatives(x)
     gradient = gradient + problem.smoothness(x)[1]
@@ -220,6 +220,42 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
     assert best.cost < 0.8 * problem.cost(p0)
     assert (best.p >= 0.5).all()
     assert (best.p <= 1.25).all()
+
+
+def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
+    problem, monkeypatch
+):
+    from drake_exo.soles.program import minimise_by_snopt
+
+    asked, real = [], problem._simulate
+
+    def sometimes(p):
+        asked.append(p)
+        return None if len(asked) in (4, 9) else real(p)
+
+    monkeypatch.setattr(problem, "_simulate", sometimes)
+    monkeypatch.setattr(problem, "limited", [])
+    p0 = np.full(problem.spline.count, 0.96)
+    before, seen = problem.cost(p0), []
+    best = minimise_by_snopt(
+        problem, p0, (0.5, 1.25), 10, 1e-4, lambda k, best: seen.append(k)
+    )
+    assert len(asked) > 9
+    assert best.violation < 1e-4
+    assert best.cost < before
+    assert seen == list(range(len(best.trace)))
+    assert len(best.multipliers) == len(problem.names())
+
+
+def test_ctrl_c_ends_snopt(problem):
+    from drake_exo.soles.program import minimise_by_snopt
+
+    def interrupt(iteration, best):
+        raise KeyboardInterrupt
+
+    p0 = np.full(problem.spline.count, 0.96)
+    with pytest.raises(KeyboardInterrupt):
+        minimise_by_snopt(problem, p0, (0.5, 1.25), 8, 1e-4, interrupt)
 
 
 def test_a_search_without_progress_ends():
