@@ -15,7 +15,7 @@ from drake_exo.soles.shape import SphericalSpline
 _WORN = 0.02  # least volume ratio above the element floor
 _PARTS = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3)
 _MOST_STEPS = 4  # of the way from a brick to a design
-CARRIED = 0.05  # least quality to mesh anew from
+_CARRIED = 0.05  # least quality to mesh anew from
 
 
 def is_worn(problem: ShapeProblem, p: np.ndarray) -> bool:
@@ -58,7 +58,7 @@ def carrier(
     for _ in range(_MOST_STEPS):
         further = (
             t for t in _PARTS
-            if t > done and _quality(mesh, spline, _part(p, t)) > CARRIED
+            if t > done and _quality(mesh, spline, _part(p, t)) > _CARRIED
         )  # fmt: skip
         done = next(further, done)
         if done == 1.0:
