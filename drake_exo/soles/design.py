@@ -21,7 +21,12 @@ from drake_exo.soles.limits import Limits
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
+from drake_exo.soles.optimiser import (
+    NO_CORRECTIONS,
+    Optimum,
+    WarmStart,
+    minimise,
+)
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.program import minimise_by_snopt
 from drake_exo.soles.quasi_newton import QuasiNewton
@@ -286,6 +291,7 @@ def _run_stage(
         return found, learnt
     best = minimise(
         problem, begin, bounds, left, block.tolerance, note,
+        options=NO_CORRECTIONS if number else None,
         learnt=learnt, warm=warm or at.warm_start(bounds),
     )  # fmt: skip
     return best, learnt

@@ -19,7 +19,12 @@ from drake_exo.soles.contact import Start, State
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.optimiser import Optimum, WarmStart, minimise
+from drake_exo.soles.optimiser import (
+    NO_CORRECTIONS,
+    Optimum,
+    WarmStart,
+    minimise,
+)
 from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.study_cases import TABLE_2
 
@@ -160,6 +165,7 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
             warm = WarmStart(at.best.multipliers, *at.best.at_bounds)
     best = minimise(
         problem, p, bounds, iterations, block.tolerance, say,
+        options=None if at is None else NO_CORRECTIONS,
         learnt=learnt, warm=warm,
     )  # fmt: skip
     ratio = problem.evaluate(best.p).c_rot / problem.first.c_rot

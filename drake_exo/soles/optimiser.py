@@ -25,10 +25,11 @@ _OPTIONS = {
     "print_level": 0,
     "sb": "yes",
 }
+# Corrections are of second order: one costs a simulation, and near a design
+# that is good already it wins little.
+NO_CORRECTIONS = {"max_soc": 0}
 # From the optimum of a neighbouring problem: stay close to it.
 _WARM = {
-    # A correction costs a simulation, and close to a design wins little.
-    "max_soc": 0,
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-6,
     "warm_start_bound_frac": 1e-6,

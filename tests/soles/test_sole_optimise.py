@@ -117,10 +117,11 @@ def test_interrupted_three_times_the_optimum_is_the_same(
 
     monkeypatch.setattr(ShapeProblem, "_simulate", impatient)
     whole = run(None, -1)
+    third = whole.problem.evaluations // 3
     resume = None
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
-            run(resume, int(rng.integers(12, 25)))
+            run(resume, int(rng.integers(2 * third // 3, third)))
         resume = read_checkpoint(tmp_path)
         assert resume.iteration > 0
     after = run(resume, -1)
