@@ -235,6 +235,7 @@ def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
 
     monkeypatch.setattr(problem, "_simulate", sometimes)
     monkeypatch.setattr(problem, "limited", [])
+    monkeypatch.setattr(problem, "branch", None)  # put back after the test
     p0 = np.full(problem.spline.count, 0.96)
     before, seen = problem.cost(p0), []
     best = minimise_by_snopt(
@@ -247,12 +248,13 @@ def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
     assert len(best.multipliers) == len(problem.names())
 
 
-def test_ctrl_c_ends_snopt(problem):
+def test_ctrl_c_ends_snopt(problem, monkeypatch):
     from drake_exo.soles.program import minimise_by_snopt
 
     def interrupt(iteration, best):
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(problem, "branch", None)
     p0 = np.full(problem.spline.count, 0.96)
     with pytest.raises(KeyboardInterrupt):
         minimise_by_snopt(problem, p0, (0.5, 1.25), 8, 1e-4, interrupt)
