@@ -17,6 +17,7 @@ from drake_exo.soles import design as designs
 from drake_exo.soles.case import Case, Stage, open_case
 from drake_exo.soles.contact import Start, State
 from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.judgement import exact_history
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import (
@@ -176,15 +177,13 @@ def _brick(case, own, load, start):
     """c_tr and c_rot of the initial shape on the front's mesh, exact law."""
     mesh = designs.stage_mesh(case, own, STAGES[-1])
     sole = Sole(mesh, case.material.material(), case.mesh.element)
-    history = designs.exact_history(case, sole, load, start, sole.penalty)
+    history = exact_history(case, sole, load, start, sole.penalty)
     return history.costs(0.0, case.cost.heel_strike_fraction)[:2]
 
 
 def _judge(case, problem, best, floor, base, load, start) -> dict:
     sole = Sole(problem.deformed(best.p), problem.material, case.mesh.element)
-    history = designs.exact_history(
-        case, sole, load, start, problem.law.penalty
-    )
+    history = exact_history(case, sole, load, start, problem.law.penalty)
     c_tr, c_rot, _ = history.costs(0.0, case.cost.heel_strike_fraction)
     return {
         "case": case.name,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
+from drake_exo.soles import judgement
 from drake_exo.soles.case import open_case
 from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.design_folder import DESIGN
@@ -35,8 +36,8 @@ def optimise_case(out: Path, case, mesh, load, start, resume=None) -> dict:
     design = designs.optimise(
         case, mesh, load, start, out, progress.update, resume
     )
-    row = designs.design_summary(case, design)
-    row["finer"] = designs.finer_check(case, mesh, load, start, design)
+    row = judgement.design_summary(case, design)
+    row["finer"] = judgement.finer_check(case, mesh, load, start, design)
     row["seconds"] = round(time.perf_counter() - began, 2)
     row["stages_seconds"] = [round(s, 2) for s in design.seconds]
     write_design(out, case, load, design)

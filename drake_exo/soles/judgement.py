@@ -1,0 +1,189 @@
+"""A design judged: exact law, cold start, all samples, and a finer mesh."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.soles import results
+from drake_exo.soles.case import Case
+from drake_exo.soles.contact import Start
+from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh, brick
+from drake_exo.soles.node_law import ContactLaw
+from drake_exo.soles.optimiser import Optimum
+from drake_exo.soles.problem import ShapeProblem
+from drake_exo.soles.remesh import RemeshError
+from drake_exo.soles.renewal import carrier
+from drake_exo.soles.simulation import StepHistory, simulate
+
+_SOUND = 0.15  # least quality at which a finer brick judges a design
+
+
+@dataclass
+class Design:
+    """An optimised sole beside its brick, both with the exact law.
+
+    Attributes:
+        p: Free coefficients.
+        mesh: Optimised mesh (that of the last stage).
+        sole, history: Simulated with the exact law from a cold start.
+        first_sole, first_history: The initial shape likewise.
+        optima: Outcome of every stage.
+        seconds: Of every stage.
+        problem: The last stage's problem.
+        remeshed: When elements were made anew, see `renewal.record`.
+    """
+
+    p: np.ndarray
+    mesh: TetMesh
+    sole: Sole
+    history: StepHistory
+    first_sole: Sole
+    first_history: StepHistory
+    optima: list[Optimum]
+    seconds: list[float]
+    problem: ShapeProblem
+    remeshed: tuple[dict, ...] = ()
+
+    @property
+    def smoothed(self) -> tuple[float, float] | None:
+        """c_tr and c_rot by the last stage's smoothed law."""
+        e = self.problem.evaluate(self.p)
+        return None if e is None else (e.c_tr, e.c_rot)
+
+
+def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
+    """Cold start, all samples, exact law."""
+    law = ContactLaw(case.contact.friction, r)
+    return simulate(
+        sole.compliance, sole.positions, law, load.force, load.zmp, start
+    )
+
+
+def judged(case, problem, at, load, start, optima, seconds) -> Design:
+    """The design where a search stands, by the exact law.
+
+    Args:
+        case, load, start: As for a simulation.
+        problem: The last stage's problem.
+        at: The last checkpoint.
+        optima, seconds: Of every stage.
+    """
+    p = at.p
+    mesh = problem.deformed(p)
+    sole = Sole(mesh, problem.material, case.mesh.element)
+    first = problem.first.sole
+    r = problem.law.penalty
+    return Design(
+        p,
+        mesh,
+        sole,
+        exact_history(case, sole, load, start, r),
+        first,
+        exact_history(case, first, load, start, r),
+        optima,
+        seconds,
+        problem,
+        at.remeshed,
+    )
+
+
+def design_summary(case: Case, design: Design) -> dict:
+    """The row of a study's table for one case (no seconds)."""
+    w, fraction = case.cost.weight, case.cost.heel_strike_fraction
+    now = results.summary(case, design.sole, design.history)
+    tr0, rot0, c0 = design.first_history.costs(w, fraction)
+    last = design.optima[-1] if design.optima else None
+    row = {
+        key: now[key]
+        for key in (
+            "name", "c_tr", "c_rot", "c", "failed_steps", "failures",
+            "volume_cm3", "stable", "stability_min_n_per_m", "tilt_max_deg",
+            "max_strain", "tets", "contact_nodes", "least_quality", "weight",
+        )
+    }  # fmt: skip
+    row |= {
+        "c_tr_initial": tr0,
+        "c_rot_initial": rot0,
+        "c_initial": c0,
+        "ratio_tr": now["c_tr"] / tr0,
+        "ratio_rot": now["c_rot"] / rot0,
+        "optimal": bool(last and last.optimal),
+        "remeshed": design.remeshed,
+    }
+    if last is not None:
+        row |= {
+            "status": last.status,
+            "optimality_error": last.error,
+            "complementarity": last.complementarity,
+            "violation": last.violation,
+            "multipliers": dict(
+                zip(design.problem.names(), last.multipliers, strict=True)
+            ),
+            "iterations": [
+                int(o.trace[-1][0] - o.trace[0][0]) if o.trace else 0
+                for o in design.optima
+            ],
+            "simulations": design.problem.evaluations,
+        }
+    if design.smoothed is not None:
+        c_tr, c_rot = design.smoothed
+        c = c_tr - w * c_rot
+        row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
+    return row
+
+
+def _at_least_twice(divisions) -> tuple[int, int, int]:
+    """Divisions with at least twice, and little more, cells."""
+    wanted = 2 * int(np.prod(divisions))
+    finer = [int(np.ceil(2 ** (1 / 3) * n)) for n in divisions]
+    for axis in range(3):
+        fewer = [n - (k == axis) for k, n in enumerate(finer)]
+        if np.prod(fewer) >= wanted:
+            finer = fewer
+    return tuple(finer)
+
+
+def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
+    """The design on a mesh of at least twice the tets, beside the brick.
+
+    Where the finer brick's elements are poor at the design, on new ones.
+    `change` and `brick_change` are those of c against the last stage's mesh.
+    """
+    divisions = next(
+        (s.divisions for s in reversed(case.optimize.stages)
+         if s.divisions is not None), None,
+    )  # fmt: skip
+    if divisions is None:
+        return None
+    finer = _at_least_twice(divisions)
+    base = brick(tuple(np.ptp(own.nodes, axis=0)), finer)
+    spline = design.problem.spline
+    shaped = base.with_nodes(spline.deform(base.nodes, design.p))
+    if shaped.quality().min() < _SOUND:
+        try:
+            other = carrier(base, spline, design.p)
+            shaped = other.with_nodes(spline.deform(other.nodes, design.p))
+        except RemeshError as error:
+            if shaped.volumes.min() <= 0:
+                return {"tets": len(base.tets), "message": str(error)}
+    out = {"tets": len(shaped.tets)}
+    r = Sole(base, design.problem.material, case.mesh.element).penalty
+    for name, mesh in (("brick", base), ("design", shaped)):
+        sole = Sole(mesh, design.problem.material, case.mesh.element)
+        history = exact_history(case, sole, load, start, r)
+        c_tr, c_rot, c = history.costs(
+            case.cost.weight, case.cost.heel_strike_fraction
+        )
+        out[name] = {
+            "c_tr": c_tr, "c_rot": c_rot, "c": c,
+            "failed_steps": history.failed_steps,
+        }  # fmt: skip
+    w, fraction = case.cost.weight, case.cost.heel_strike_fraction
+    for key, name, before in (
+        ("change", "design", design.history),
+        ("brick_change", "brick", design.first_history),
+    ):
+        out[key] = out[name]["c"] / before.costs(w, fraction)[2] - 1
+    return out
