@@ -66,13 +66,14 @@ def optimum(case, load, own, rng):
         )
         p, branch = best.p, problem.branch
         warm = WarmStart(best.multipliers, *best.at_bounds)
-    e = problem.evaluate(p)
+    e, first = problem.evaluate(p), problem.first
+    # None: not to be simulated from the branch of the last accepted design.
     return {
         "start_cost": begun,
         "cost": best.cost,
         "optimality_error": best.error,
-        "ratio_tr": e.c_tr / problem.first.c_tr,
-        "ratio_rot": e.c_rot / problem.first.c_rot,
+        "ratio_tr": None if e is None else e.c_tr / first.c_tr,
+        "ratio_rot": None if e is None else e.c_rot / first.c_rot,
     }
 
 
@@ -93,7 +94,10 @@ def main():
     for k in range(args.starts):
         rows.append(optimum(case, load, own, rng))
         if not args.json:
-            text = ", ".join(f"{n} {v:.4g}" for n, v in rows[-1].items())
+            text = ", ".join(
+                f"{n} {'-' if v is None else format(v, '.4g')}"
+                for n, v in rows[-1].items()
+            )
             print(f"start {k + 1}: {text}", flush=True)
     costs = np.array([row["cost"] for row in rows])
     spread = {

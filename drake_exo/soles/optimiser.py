@@ -13,7 +13,8 @@ from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
 
 _FEASIBLE = 1e-4
-# A stage ends after so many simulations that changed the cost by less.
+# A stage ends after so many simulations that changed cost and violation by
+# less.
 _PATIENCE, _PROGRESS = 60, 1e-4
 _OPTIONS = {
     "acceptable_iter": 0,
@@ -126,7 +127,8 @@ class _Callbacks:
         self.say = say
         self.stopped = self.stalled = False
         self.ended = ""  # why it was told to
-        self._mark = (np.inf, 0)  # cost and simulations at the last change
+        # Cost, violation and simulations at the last change.
+        self._mark = (np.inf, np.inf, 0)
         self._point, self._derivatives = None, None
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
@@ -183,9 +185,10 @@ class _Callbacks:
             said = self.say(iteration, self.best)
             self.ended = said if isinstance(said, str) else ""
         simulations, mark = self.problem.evaluations, self._mark
-        if inf_pr > 1e-3 or not abs(cost - mark[0]) < _PROGRESS * abs(cost):
-            self._mark = (cost, simulations)
-        self.stalled = simulations - self._mark[1] > _PATIENCE
+        still = abs(cost - mark[0]) < _PROGRESS * abs(cost)
+        if not still or abs(inf_pr - mark[1]) > _PROGRESS:
+            self._mark = (cost, inf_pr, simulations)
+        self.stalled = simulations - self._mark[2] > _PATIENCE
         return not (self.stopped or self.stalled or self.ended)
 
 
