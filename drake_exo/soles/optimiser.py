@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drake_exo.soles.contact import State
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
 
@@ -95,6 +96,8 @@ class Optimum:
         violation: Largest constraint violation at p.
         latest: IPOPT's latest point, multipliers and barrier.
         trace: Rows (iteration, cost, violation, dual infeasibility).
+        branch: First state of p's simulation, where derivatives were asked
+            for there.
     """
 
     p: np.ndarray
@@ -108,8 +111,15 @@ class Optimum:
     latest: tuple = ()
     violation: float = np.inf
     trace: list = field(default_factory=list)
+    branch: State | None = None
 
-    def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
+    def consider(
+        self,
+        p: np.ndarray,
+        cost: float,
+        violation: float,
+        branch: State | None = None,
+    ) -> None:
         """Keep the better of this design and the best so far."""
         feasible = violation <= _FEASIBLE
         better = cost < self.cost or self.violation > _FEASIBLE
@@ -117,6 +127,7 @@ class Optimum:
             not feasible and violation < self.violation
         ):
             self.p, self.cost, self.violation = p.copy(), cost, violation
+            self.branch = branch
 
 
 class _Callbacks:
@@ -154,7 +165,8 @@ class _Callbacks:
             self._derivatives = self.problem.derivatives(p)
             self._point = key
             self.problem.accept(p)
-            self.best.consider(p, *merits(self.problem, p))
+            found = merits(self.problem, p)
+            self.best.consider(p, *found, self.problem.branch)
         return self._derivatives
 
     def gradient(self, p, out):
@@ -266,6 +278,8 @@ def minimise(
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
     judge_last(problem, best, p, bounds, calls.at)
+    if best.branch is not None:
+        problem.take_branch(best.branch)
     return best
 
 
@@ -323,3 +337,4 @@ def judge_last(problem, best, p, bounds, derivatives) -> None:
     )
     if best.optimal:
         best.p, best.cost, best.violation = p.copy(), cost, violation
+        best.branch = problem.branch

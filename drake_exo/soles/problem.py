@@ -201,6 +201,10 @@ class ShapeProblem:
         """Take a design as accepted: later ones start from its branch."""
         self.branch = self.evaluate(p).history.state(0)
 
+    def take_branch(self, branch: State) -> None:
+        """Look for first contact near this state from now on."""
+        self.branch, self._cache = branch, {}
+
     def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient of the cost (P,) and Jacobian of the constraints.
 

@@ -119,7 +119,7 @@ def minimise_by_snopt(
 
     def note(design):
         cost, violation = merits(problem, design)
-        best.consider(design, cost, violation)
+        best.consider(design, cost, violation, problem.branch)
         best.trace.append((len(best.trace), cost, violation, np.nan))
         if on_iterate is not None:
             on_iterate(len(best.trace) - 1, best)
@@ -143,4 +143,6 @@ def minimise_by_snopt(
     best.at_bounds = np.maximum(details.xmul, 0), np.maximum(-details.xmul, 0)
     last = result.get_x_val()
     judge_last(problem, best, last, bounds, program.derivatives)
+    if best.branch is not None:
+        problem.take_branch(best.branch)
     return best
