@@ -20,8 +20,8 @@ from drake_exo.soles.smoothing import gradient_operators
 _DOUBLINGS = 6
 ORDER = 2**_DOUBLINGS  # p
 _BATCH = 32  # samples at a time
-# Strains below this part of the largest (Frobenius) add less than 1e-13.
-_FAINT = 0.3
+# Strains (Frobenius) below this part of a principal one add less than 1e-13.
+_FAINT = 0.5
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 
 
@@ -64,12 +64,16 @@ class StrainNorm:
             )
             size = ((H + np.swapaxes(H, 1, 2)) ** 2).sum(axis=(1, 2)) / 4
             largest = max(largest, size.max())
-            e, q = np.nonzero(size > _FAINT**2 * largest)
+            # The largest principal strain is at least largest / √3.
+            e, q = np.nonzero(size > _FAINT**2 * largest / 3)
             found.append((q + first, e, H[e, :, :, q]))
-        self._q, self._e, self._H = (
-            np.concatenate(part) for part in zip(*found, strict=True)
-        )
-        self._eps = 0.5 * (self._H + np.swapaxes(self._H, 1, 2))
+        q, e, H = (np.concatenate(part) for part in zip(*found, strict=True))
+        eps = 0.5 * (H + np.swapaxes(H, 1, 2))
+        size = (eps**2).sum(axis=(1, 2))
+        principal = np.abs(np.linalg.eigvalsh(eps[size.argmax()])).max()
+        keep = size > (_FAINT * principal) ** 2
+        self._q, self._e = q[keep], e[keep]
+        self._H, self._eps = H[keep], eps[keep]
 
     def derivatives(self) -> tuple[list[list[ForceTerm]], np.ndarray]:
         """By the nodal forces and, at fixed forces, by the node positions.
