@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.errors import InputError
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
 from drake_exo.soles.case import Case, Stage, open_case
@@ -169,7 +170,15 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
         options=None if at is None else NO_CORRECTIONS,
         learnt=learnt, warm=warm,
     )  # fmt: skip
-    ratio = problem.evaluate(best.p).c_rot / problem.first.c_rot
+    found = problem.evaluate(best.p)
+    if found is None:
+        if at is None:
+            raise InputError(
+                "the front's first design cannot be simulated; simulate the "
+                "case first, or change its load or its bounds"
+            )
+        return at  # what stands stays
+    ratio = found.c_rot / problem.first.c_rot
     return _At(best, learnt, problem.branch, ratio)
 
 

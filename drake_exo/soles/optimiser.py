@@ -130,6 +130,33 @@ class Optimum:
             self.branch = branch
 
 
+class AcceptedDesigns:
+    """Designs whose derivatives a solver asks for, each computed once.
+
+    Args:
+        problem: What is minimised; it follows their branch.
+        best: Keeps the best of them.
+        on_new: Called with each.
+    """
+
+    def __init__(self, problem: ShapeProblem, best: Optimum, on_new=None):
+        self.problem, self.best, self.on_new = problem, best, on_new
+        self._point, self._derivatives = None, None
+
+    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of cost (without smoothness) and constraints."""
+        key = p.tobytes()
+        if key != self._point:
+            self._derivatives = self.problem.derivatives(p)
+            self._point = key
+            self.problem.accept(p)
+            found = merits(self.problem, p)
+            self.best.consider(p, *found, self.problem.branch)
+            if self.on_new is not None:
+                self.on_new(p, *found)
+        return self._derivatives
+
+
 class _Callbacks:
     """What IPOPT calls; derivatives are asked for at accepted points only."""
 
@@ -140,7 +167,7 @@ class _Callbacks:
         self.ended = ""  # why it was told to
         # Cost, violation and simulations at the last change.
         self._mark = (np.inf, np.inf, 0)
-        self._point, self._derivatives = None, None
+        self.at = AcceptedDesigns(problem, best).at
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
 
@@ -157,17 +184,6 @@ class _Callbacks:
                 return np.nan
 
         return call
-
-    def at(self, p):
-        """Derivatives of cost (without smoothness) and constraints."""
-        key = p.tobytes()
-        if key != self._point:
-            self._derivatives = self.problem.derivatives(p)
-            self._point = key
-            self.problem.accept(p)
-            found = merits(self.problem, p)
-            self.best.consider(p, *found, self.problem.branch)
-        return self._derivatives
 
     def gradient(self, p, out):
         """Gradient of the cost."""
@@ -277,9 +293,7 @@ def minimise(
     best.status = calls.ended or best.status
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
-    judge_last(problem, best, p, bounds, calls.at)
-    if best.branch is not None:
-        problem.take_branch(best.branch)
+    conclude(problem, best, p, bounds, calls.at)
     return best
 
 
@@ -307,8 +321,8 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
     )
 
 
-def judge_last(problem, best, p, bounds, derivatives) -> None:
-    """Optimality at a solver's last point p, by IPOPT's own formula, (5).
+def conclude(problem, best, p, bounds, derivatives) -> None:
+    """Judge the solver's last point; leave the problem where the best is.
 
     Args:
         problem: The problem.
@@ -318,8 +332,14 @@ def judge_last(problem, best, p, bounds, derivatives) -> None:
         bounds: Of every coefficient.
         derivatives: Gives gradient, without smoothness, and Jacobian at p.
     """
-    if problem.evaluate(p) is None:
-        return
+    if problem.evaluate(p) is not None:
+        _judge(problem, best, p, bounds, derivatives)
+    if best.branch is not None:
+        problem.take_branch(best.branch)
+
+
+def _judge(problem, best, p, bounds, derivatives) -> None:
+    """Optimality at p, by IPOPT's own formula, (5)."""
     low, high = best.at_bounds
     gradient, jacobian = derivatives(p)
     gradient = gradient + problem.smoothness(p)[1]

@@ -6,7 +6,7 @@ this one is there to compare with.
 
 import numpy as np
 
-from drake_exo.soles.optimiser import Optimum, judge_last, merits
+from drake_exo.soles.optimiser import AcceptedDesigns, Optimum, conclude
 from drake_exo.soles.problem import ShapeProblem
 
 _STATUS = {
@@ -27,7 +27,8 @@ class Program:
     Args:
         problem: What to minimise.
         bounds: Lower and upper bound of every coefficient.
-        on_design: Called with every design whose derivatives are asked for.
+        derivatives: Gives gradient, without smoothness, and Jacobian at a
+            design.
 
     Attributes:
         prog: The program.
@@ -36,11 +37,10 @@ class Program:
             all is NaN from then on, so that it ends.
     """
 
-    def __init__(self, problem: ShapeProblem, bounds, on_design=None):
+    def __init__(self, problem: ShapeProblem, bounds, derivatives):
         from pydrake.solvers import MathematicalProgram
 
-        self.problem, self.on_design = problem, on_design
-        self._at, self._derivatives = None, None
+        self.problem, self.derivatives = problem, derivatives
         self.stopped = False
         self.prog = prog = MathematicalProgram()
         self.p = prog.NewContinuousVariables(problem.spline.count, "p")
@@ -55,16 +55,6 @@ class Program:
             vars=self.p,
             description=", ".join(problem.names()),
         )
-
-    def derivatives(self, p: np.ndarray):
-        """Gradient of the cost without smoothness, constraints' Jacobian."""
-        key = p.tobytes()
-        if key != self._at:
-            self._at, self._derivatives = key, self.problem.derivatives(p)
-            self.problem.accept(p)
-            if self.on_design is not None:
-                self.on_design(p)
-        return self._derivatives
 
     def _with_gradient(self, function, count: int, which: int):
         from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
@@ -117,9 +107,7 @@ def minimise_by_snopt(
     best = Optimum(np.clip(p0, *bounds))
     p = best.p
 
-    def note(design):
-        cost, violation = merits(problem, design)
-        best.consider(design, cost, violation, problem.branch)
+    def note(design, cost, violation):
         best.trace.append((len(best.trace), cost, violation, np.nan))
         if on_iterate is not None:
             on_iterate(len(best.trace) - 1, best)
@@ -131,7 +119,8 @@ def minimise_by_snopt(
         ("Verify level", -1),
     ):
         options.SetOption(SnoptSolver.id(), name, value)
-    program = Program(problem, bounds, note)
+    derivatives = AcceptedDesigns(problem, best, note).at
+    program = Program(problem, bounds, derivatives)
     result = SnoptSolver().Solve(program.prog, p, options)
     if program.stopped:
         raise KeyboardInterrupt
@@ -141,8 +130,5 @@ def minimise_by_snopt(
     # Its multipliers are derivatives of the cost by the bounds.
     best.multipliers = -details.Fmul[1:]
     best.at_bounds = np.maximum(details.xmul, 0), np.maximum(-details.xmul, 0)
-    last = result.get_x_val()
-    judge_last(problem, best, last, bounds, program.derivatives)
-    if best.branch is not None:
-        problem.take_branch(best.branch)
+    conclude(problem, best, result.get_x_val(), bounds, derivatives)
     return best

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from drake_exo.soles.case import (
+    LIMITED_STAGES,
     Brick,
     Case,
     ContactBlock,
@@ -33,7 +34,6 @@ COARSE = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 16),
     Stage((10, 6, 3), 24, 1e-4, 0.2, 8),
 )
-FULL = OptimizeBlock().stages
 
 
 def five_cases(load: LoadBlock, coarse: bool) -> list[Case]:
@@ -43,7 +43,7 @@ def five_cases(load: LoadBlock, coarse: bool) -> list[Case]:
         load: The step.
         coarse: Two coarse stages, for a first look.
     """
-    stages = COARSE if coarse else FULL
+    stages = COARSE if coarse else LIMITED_STAGES
     reference = Case(
         "1-Ref",
         MeshBlock(brick=Brick(SIZE, stages[-1].divisions)),

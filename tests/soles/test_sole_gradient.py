@@ -198,7 +198,7 @@ def test_mathematical_program_carries_the_same_derivatives(problem):
 
     from drake_exo.soles.program import Program
 
-    prog = Program(problem, (0.3, 1.4)).prog
+    prog = Program(problem, (0.3, 1.4), problem.derivatives).prog
     x = np.full(problem.spline.count, 0.97)
     gradient, jacobian = problem.derivatives(x)
     gradient = gradient + problem.smoothness(x)[1]
