@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from drake_exo import cli
+
 
 def write_step(
     path: Path, samples: int, step_s: float = 0.1, least_n: float = 200.0
@@ -52,3 +54,10 @@ def stage(samples: int, layer_m: float, iterations: int) -> dict:
         "kappa": 0.2,
         "iterations": iterations,
     }
+
+
+def optimize(case: Path, out: Path, *more) -> int:
+    """`drake-exo sole optimize` with more arguments; its exit code."""
+    return cli.main(
+        ["sole", "optimize", str(case), "--out", str(out), *map(str, more)]
+    )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_step import stage, write_case, write_step
+from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
 from drake_exo.soles import design as designs
@@ -57,11 +57,7 @@ def folder(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Checkpoint, "write", spy)
-        code = cli.main(
-            ["sole", "optimize", str(place / "case.yaml"),
-             "--out", str(place / "out")]
-        )  # fmt: skip
-    assert code == 0
+        assert optimize(place / "case.yaml", place / "out") == 0
     return place
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from small_step import stage, write_case, write_step
+from small_step import optimize, stage, write_case, write_step
 
-from drake_exo import cli
 from drake_exo.soles.case import read_case
 from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.design import first_design, optimise, stage_problem
@@ -40,11 +39,7 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("optimise")
     _write_case(place / "case.yaml")
     write_step(place / "load.csv", 10)
-    code = cli.main(
-        ["sole", "optimize", str(place / "case.yaml"),
-         "--out", str(place / "out")]
-    )  # fmt: skip
-    assert code == 0
+    assert optimize(place / "case.yaml", place / "out") == 0
     return place
 
 
@@ -62,10 +57,7 @@ def test_a_better_sole_comes_out(folder):
 def test_snopt_can_be_chosen(folder):
     _write_case(folder / "snopt.yaml", iterations=2, solver="snopt")
     out = folder / "snopt"
-    code = cli.main(
-        ["sole", "optimize", str(folder / "snopt.yaml"), "--out", str(out)]
-    )
-    assert code == 0
+    assert optimize(folder / "snopt.yaml", out) == 0
     row = json.loads((out / "summary.json").read_text())
     assert row["c"] < row["c_initial"]
     assert row["status"] == "iteration limit"
@@ -83,11 +75,8 @@ def test_the_mesh_written_is_the_design(folder):
 
 
 def test_a_run_goes_on_from_its_checkpoint(folder):
-    code = cli.main(
-        ["sole", "optimize", str(folder / "case.yaml"),
-         "--resume", str(folder / "out"), "--out", str(folder / "more")]
-    )  # fmt: skip
-    assert code == 0
+    more = folder / "more"
+    assert optimize(folder / "case.yaml", more, "--resume", folder / "out") == 0
     first, then = (
         json.loads((folder / name / "summary.json").read_text())["c"]
         for name in ("out", "more")
@@ -162,21 +151,15 @@ def test_elements_stay_above_their_floor(folder):
 
 
 def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):
-    code = cli.main(
-        ["sole", "optimize", str(folder / "case.yaml"),
-         "--resume", str(folder), "--out", str(folder / "never")]
-    )  # fmt: skip
-    assert code == 2
+    never = folder / "never"
+    assert optimize(folder / "case.yaml", never, "--resume", folder) == 2
     assert "checkpoint.json: cannot be read" in capsys.readouterr().err
 
 
 def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     _write_case(folder / "other.yaml", intervals=4)
-    code = cli.main(
-        ["sole", "optimize", str(folder / "other.yaml"),
-         "--resume", str(folder / "out"), "--out", str(folder / "never")]
-    )  # fmt: skip
-    assert code == 2
+    out, never = folder / "out", folder / "never"
+    assert optimize(folder / "other.yaml", never, "--resume", out) == 2
     assert "of another case" in capsys.readouterr().err
 
 

@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from small_step import stage, write_case, write_step
+from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
 from drake_exo.soles import strain_report
@@ -27,10 +27,7 @@ def study(tmp_path_factory):
     place = tmp_path_factory.mktemp("strain")
     case = _write_inputs(place)
     folder = place / "study"
-    code = cli.main(
-        ["sole", "optimize", str(case), "--out", str(folder / "small")]
-    )
-    assert code == 0
+    assert optimize(case, folder / "small") == 0
     row = json.loads((folder / "small" / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps({"cases": [row]}))
     return folder
