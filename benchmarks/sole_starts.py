@@ -51,7 +51,7 @@ def random_shape(problem, bounds, rng):
 def optimum(case, load, own, rng):
     """Cost, errors and ratios from one random start."""
     bounds = tuple(case.optimize.bounds)
-    p = branch = learnt = warm = None
+    p = learnt = warm = None
     for stage in STAGES:
         problem = designs.stage_problem(
             case, own, load, case.start_pose(own), stage
@@ -60,20 +60,18 @@ def optimum(case, load, own, rng):
             p = random_shape(problem, bounds, rng)
             learnt = QuasiNewton(len(p))
             begun = problem.cost(p)
-        problem.branch = branch
         best = minimise(
             problem, p, bounds, stage.iterations, learnt=learnt, warm=warm
         )
-        p, branch = best.p, problem.branch
+        p = best.p
         warm = WarmStart(best.multipliers, *best.at_bounds)
     e, first = problem.evaluate(p), problem.first
-    # None: not to be simulated from the branch of the last accepted design.
     return {
         "start_cost": begun,
         "cost": best.cost,
         "optimality_error": best.error,
-        "ratio_tr": None if e is None else e.c_tr / first.c_tr,
-        "ratio_rot": None if e is None else e.c_rot / first.c_rot,
+        "ratio_tr": e.c_tr / first.c_tr,
+        "ratio_rot": e.c_rot / first.c_rot,
     }
 
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.output import read_json, write_json
-from drake_exo.soles.contact import State
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import WarmStart
 from drake_exo.soles.problem import ShapeProblem
@@ -27,7 +26,6 @@ class Checkpoint:
         multipliers: Of the constraints there.
         barrier: IPOPT's μ there; None between stages.
         curvature: Learnt Hessian (P, P).
-        origin, orientation: Foot pose at its first sample, O (3,), R (3, 3).
         mesh, meshed_at: Where the elements were made anew, the undeformed
             sole and the design at which; else None.
         remeshed: What summary.json says of it, one after the other.
@@ -40,22 +38,17 @@ class Checkpoint:
     multipliers: np.ndarray | None = None
     barrier: float | None = None
     curvature: np.ndarray | None = None
-    origin: np.ndarray | None = None
-    orientation: np.ndarray | None = None
     mesh: TetMesh | None = None
     meshed_at: np.ndarray | None = None
     remeshed: tuple[dict, ...] = ()
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
-        numbers = (self.p, self.curvature, self.origin, self.orientation)
+        numbers = (self.p, self.curvature)
         sound = (
             self.stage >= 0
             and self.iteration >= 0
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
-            and np.allclose(
-                self.orientation @ self.orientation.T, np.eye(3), atol=1e-6
-            )
         )
         if self.mesh is not None:
             sound = (
@@ -78,13 +71,11 @@ class Checkpoint:
         cls, stage, iteration, best, learnt, problem, remeshed=()
     ) -> "Checkpoint":
         """Of a running stage."""
-        first = problem.branch
         mesh = None if problem.meshed_at is None else problem.mesh
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
-            learnt.matrix, first.O, first.R, mesh, problem.meshed_at,
-            tuple(remeshed),
+            learnt.matrix, mesh, problem.meshed_at, tuple(remeshed),
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -120,13 +111,6 @@ class Checkpoint:
             return problem
         return problem.with_mesh(self.mesh, self.meshed_at)
 
-    def branch(self, nodes: int) -> State | None:
-        """Pose to look for the first contact at, on a mesh of this stage."""
-        if self.origin is None:
-            return None
-        unloaded = np.zeros((nodes, 3))
-        return State(unloaded, self.origin.copy(), self.orientation)
-
     def write(self, folder: Path) -> None:
         """Write checkpoint.json, whole or not at all."""
         lower = np.tril_indices(len(self.p))
@@ -140,8 +124,6 @@ class Checkpoint:
                 "multipliers": self.multipliers,
                 "barrier": self.barrier,
                 "curvature": self.curvature[lower],
-                "origin_m": self.origin,
-                "orientation": self.orientation,
                 "mesh": None
                 if self.mesh is None
                 else {
@@ -176,8 +158,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
             _optional(data["multipliers"], np.array),
             _optional(data["barrier"], float),
             B + np.tril(B, -1).T,
-            np.array(data["origin_m"], dtype=float).reshape(3),
-            np.array(data["orientation"], dtype=float).reshape(3, 3),
             *_mesh(data.get("mesh")),
             tuple(data.get("remeshed") or ()),
         )

@@ -147,7 +147,6 @@ def _on_mesh(problem, block, number, at: Checkpoint, say):
     fresh = at.mesh is None and at.iteration == 0
     if not (fresh and block.remeshes and is_worn(problem, at.latest)):
         return problem, at
-    problem.branch = at.branch(len(problem.mesh.contact))
     try:
         new = carried(problem, at.latest)
     except RemeshError as error:
@@ -191,7 +190,6 @@ def _run_rounds(problem, block, number, at: Checkpoint, warm, out, say):
             row = record(number + 1, done, problem, new, best.p)
             say(_remeshed_line(row))
             rounds, rows = rounds - 1, (*at.remeshed, row)
-            new.accept(best.p)
         best.latest = (best.p, _without_floor(best.multipliers), _BARRIER)
         at = Checkpoint.of(number, done, best, learnt, new, rows)
         at.write(out)
@@ -225,7 +223,6 @@ def _run_stage(
     Where elements can be made anew it ends once they are worn out.
     """
     stage, bounds = block.stages[number], tuple(block.bounds)
-    problem.branch = at.branch(len(problem.mesh.contact))
     learnt = QuasiNewton(problem.spline.count, at.curvature)
     begin = settle(problem, at.latest)
 

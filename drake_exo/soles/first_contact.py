@@ -28,6 +28,7 @@ _MAX_TILT = np.deg2rad(80.0)
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
 _MAX_SUBSTEPS = 60
+_SAME = 1e-6  # of poses; solutions are far closer than branches
 
 
 def candidate_poses(lP: np.ndarray, zmp, start: Start) -> list[State]:
@@ -69,9 +70,9 @@ def first_step(
     solver: ContactSolver,
     target: Target,
     largest_force: float,
-    guess: State | None = None,
+    near: State | None = None,
 ) -> tuple[State | None, Convergence]:
-    """Solve the first step of a contact phase.
+    """Solve the first step of a contact phase, from a cold start.
 
     Every candidate is pressed into the ground at its own pose, then force
     and ZMP are led to the wanted ones: with the wanted law, else with a
@@ -82,22 +83,40 @@ def first_step(
         target: First sample; its reference is a Start.
         largest_force: Largest |F| of the phase [N]; pressing in uses at
             least a fifth of it, so that enough nodes touch.
-        guess: First state of a neighbouring design, to stay on its branch;
-            its forces are not used where the mesh is another.
+        near: First state of a neighbouring design. A start that the same
+            solution does not follow from is a leap to another branch, and
+            fails.
     """
-    report = Convergence(False, 0, np.inf, "no hull facet to stand on")
-    candidates = []
-    if guess is not None:
-        if len(guess.F) == len(solver.lP):
-            state, report = solver.solve(guess, target)
-            if report.converged:
-                return state, report
-            solver.active.refresh()
-        unloaded = State(np.zeros_like(solver.lP), guess.O.copy(), guess.R)
-        candidates = [unloaded]
-    candidates += candidate_poses(solver.lP, target.zmp, target.reference)
-    total = 0
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
+    followed = None
+    if near is not None:
+        followed, report = _follow_design(solver, target, near, press)
+        if not report.converged:
+            report.message = f"another branch ({report.message})"
+            return None, report
+    state, report = _cold_start(solver, target, press)
+    if followed is None or not report.converged or _same(state, followed):
+        return state, report
+    return None, replace(report, converged=False, message="another branch")
+
+
+def _same(a: State, b: State) -> bool:
+    return np.abs(a.R - b.R).max() < _SAME and np.abs(a.O - b.O).max() < _SAME
+
+
+def _follow_design(solver, target, near, press):
+    state, report = solver.solve(near, target)
+    if not report.converged:
+        solver.active.refresh()
+        unloaded = State(np.zeros_like(solver.lP), near.O.copy(), near.R)
+        state, report = _lead(solver, target, unloaded, press, False)
+    return state, report
+
+
+def _cold_start(solver, target, press):
+    report = Convergence(False, 0, np.inf, "no hull facet to stand on")
+    candidates = candidate_poses(solver.lP, target.zmp, target.reference)
+    total = 0
     for guess in candidates:
         for smooth in (False, True):
             state, report = _lead(solver, target, guess, press, smooth)

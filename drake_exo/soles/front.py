@@ -16,7 +16,7 @@ from drake_exo.errors import InputError
 from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import design as designs
 from drake_exo.soles.case import Case, Stage, open_case
-from drake_exo.soles.contact import Start, State
+from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.judgement import exact_history
 from drake_exo.soles.loads import Load
@@ -151,7 +151,6 @@ class _At:
 
     best: Optimum
     learnt: QuasiNewton
-    branch: State
     ratio: float  # c_rot over the brick's, smoothed law
 
 
@@ -161,7 +160,7 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
         p, warm = designs.first_design(problem, bounds), None
         learnt = QuasiNewton(len(p))
     else:
-        p, learnt, problem.branch = at.best.p, at.learnt, at.branch
+        p, learnt = at.best.p, at.learnt
         warm = None
         if len(at.best.multipliers) == len(problem.names()):
             warm = WarmStart(at.best.multipliers, *at.best.at_bounds)
@@ -179,7 +178,7 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
             )
         return at  # what stands stays
     ratio = found.c_rot / problem.first.c_rot
-    return _At(best, learnt, problem.branch, ratio)
+    return _At(best, learnt, ratio)
 
 
 def _brick(case, own, load, start):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_exo.soles.contact import State
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
 
@@ -96,8 +95,6 @@ class Optimum:
         violation: Largest constraint violation at p.
         latest: IPOPT's latest point, multipliers and barrier.
         trace: Rows (iteration, cost, violation, dual infeasibility).
-        branch: First state of p's simulation, where derivatives were asked
-            for there.
     """
 
     p: np.ndarray
@@ -111,15 +108,8 @@ class Optimum:
     latest: tuple = ()
     violation: float = np.inf
     trace: list = field(default_factory=list)
-    branch: State | None = None
 
-    def consider(
-        self,
-        p: np.ndarray,
-        cost: float,
-        violation: float,
-        branch: State | None = None,
-    ) -> None:
+    def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
         """Keep the better of this design and the best so far."""
         feasible = violation <= _FEASIBLE
         better = cost < self.cost or self.violation > _FEASIBLE
@@ -127,14 +117,13 @@ class Optimum:
             not feasible and violation < self.violation
         ):
             self.p, self.cost, self.violation = p.copy(), cost, violation
-            self.branch = branch
 
 
 class AcceptedDesigns:
     """Designs whose derivatives a solver asks for, each computed once.
 
     Args:
-        problem: What is minimised; it follows their branch.
+        problem: What is minimised; it stays on their branch.
         best: Keeps the best of them.
         on_new: Called with each.
     """
@@ -151,7 +140,7 @@ class AcceptedDesigns:
             self._point = key
             self.problem.accept(p)
             found = merits(self.problem, p)
-            self.best.consider(p, *found, self.problem.branch)
+            self.best.consider(p, *found)
             if self.on_new is not None:
                 self.on_new(p, *found)
         return self._derivatives
@@ -322,7 +311,7 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
 
 
 def conclude(problem, best, p, bounds, derivatives) -> None:
-    """Judge the solver's last point; leave the problem where the best is.
+    """Judge the solver's last point.
 
     Args:
         problem: The problem.
@@ -334,8 +323,7 @@ def conclude(problem, best, p, bounds, derivatives) -> None:
     """
     if problem.evaluate(p) is not None:
         _judge(problem, best, p, bounds, derivatives)
-    if best.branch is not None:
-        problem.take_branch(best.branch)
+    problem.leave_branch()
 
 
 def _judge(problem, best, p, bounds, derivatives) -> None:
@@ -357,4 +345,3 @@ def _judge(problem, best, p, bounds, derivatives) -> None:
     )
     if best.optimal:
         best.p, best.cost, best.violation = p.copy(), cost, violation
-        best.branch = problem.branch

@@ -1,10 +1,9 @@
 """The shape problem: cost, constraints and their gradients at a design.
 
 Design variables are the free coefficients of the spline. Every evaluation
-simulates the whole step; only the pose at first contact is looked for near
-that of the last accepted design, so that the search stays on one branch
-(and is spared the search for it). A failed simulation gives NaN, which the
-solver takes as a rejected step.
+simulates the whole step from a cold start. A failed simulation gives NaN,
+which the solver takes as a rejected step; so does a first contact on another
+branch of poses than the last accepted design's, where the cost would leap.
 """
 
 from dataclasses import dataclass, field, replace
@@ -101,13 +100,7 @@ class ShapeProblem:
         Scales and limits stay; the element floor is relative to the mesh
         deformed by p.
         """
-        branch = self.branch
-        if branch is not None:  # of another number of nodes
-            unloaded = np.zeros((len(mesh.contact), 3))
-            branch = State(unloaded, branch.O, branch.R)
-        other = replace(
-            self, mesh=mesh, meshed_at=p, branch=branch, _cache={}
-        )  # fmt: skip
+        other = replace(self, mesh=mesh, meshed_at=p, branch=None, _cache={})
         other.limited = self.limited
         return other
 
@@ -157,7 +150,7 @@ class ShapeProblem:
             self.start,
             solver=solver,
             stop_at_failure=True,
-            first_guess=self.branch,
+            near=self.branch,
         )
         if history.failed_steps:
             return None
@@ -198,12 +191,12 @@ class ShapeProblem:
         )
 
     def accept(self, p: np.ndarray) -> None:
-        """Take a design as accepted: later ones start from its branch."""
+        """Take a design as accepted: later ones stay on its branch."""
         self.branch = self.evaluate(p).history.state(0)
 
-    def take_branch(self, branch: State) -> None:
-        """Look for first contact near this state from now on."""
-        self.branch, self._cache = branch, {}
+    def leave_branch(self) -> None:
+        """The next design may stand on any."""
+        self.branch, self._cache = None, {}
 
     def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient of the cost (P,) and Jacobian of the constraints.

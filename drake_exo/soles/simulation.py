@@ -68,7 +68,7 @@ def simulate(
     *,
     solver: "ContactSolver | None" = None,
     stop_at_failure: bool = False,
-    first_guess: State | None = None,
+    near: State | None = None,
     largest_force: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StepHistory:
@@ -83,7 +83,8 @@ def simulate(
         start: How the sole is held just before contact.
         solver: Solver to use instead of the semismooth Newton.
         stop_at_failure: Leave the remaining samples out after a failure.
-        first_guess: First state of a neighbouring design; None starts cold.
+        near: First state of a neighbouring design; a start on another
+            branch fails. None: any branch will do.
         largest_force: Largest |F| of the phase [N], by which the first
             contact is found; of the samples given where None.
         progress: Called with samples done and samples in all.
@@ -103,7 +104,7 @@ def simulate(
         reference = start if good is None else good[2][:, :2]
         target = Target(force[q], zmp[q], reference)
         if good is None:
-            state, report = first_step(solver, target, largest, first_guess)
+            state, report = first_step(solver, target, largest, near)
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
             state, report = follow_load(solver, good[1], before, target)

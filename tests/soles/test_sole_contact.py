@@ -8,10 +8,11 @@ import pytest
 from drake_exo.soles import results
 from drake_exo.soles.contact import ContactSolver, Start, State, Target
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
+from drake_exo.soles.first_contact import _follow_design, first_step
 from drake_exo.soles.gauss_seidel import GaussSeidelSolver, contact_at_pose
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.rotations import exp_rotation
+from drake_exo.soles.rotations import exp_rotation, tilt_deg
 from drake_exo.soles.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)
@@ -298,3 +299,27 @@ def test_state_copy_is_deep():
     other = state.copy()
     other.F[0, 0] = other.O[0] = other.R[0, 1] = 1.0
     assert state.F[0, 0] == state.O[0] == state.R[0, 1] == 0.0
+
+
+def test_a_first_contact_on_another_branch_is_refused(sole):
+    """Standing on a side face the brick is in balance, too."""
+    law = ContactLaw(0.8, sole.penalty, 1e-5, 0.2)
+    solver = ContactSolver(sole.compliance, sole.positions, law)
+    target = Target(np.array([0.0, 0.0, 300.0]), np.zeros(2), START)
+    flat, report = first_step(solver, target, 300.0)
+    assert report.converged
+    again, report = first_step(solver, target, 300.0, near=flat)
+    assert report.converged
+    np.testing.assert_array_equal(again.F, flat.F)  # the cold start's own
+
+    upright = exp_rotation(np.array([np.deg2rad(80), 0.0, 0.0]))
+    below = np.array([0.0, -0.065, -0.02])
+    O = np.append(target.zmp, 0.0) - upright @ below  # noqa: E741
+    unloaded = State(np.zeros_like(sole.positions), O, upright)
+    tipped, report = _follow_design(solver, target, unloaded, 300.0)
+    assert report.converged
+    assert tilt_deg(tipped.R) > 80
+    state, report = first_step(solver, target, 300.0, near=tipped)
+    assert state is None
+    assert not report.converged
+    assert "another branch" in report.message
