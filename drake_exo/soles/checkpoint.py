@@ -24,7 +24,7 @@ class Checkpoint:
         p: Best design so far (P,); None before the first.
         latest: Point the optimiser stood at (P,).
         multipliers: Of the constraints there.
-        barrier: IPOPT's μ there; None between stages.
+        barrier: IPOPT's μ to go on with.
         curvature: Learnt Hessian (P, P).
         mesh, meshed_at: Where the elements were made anew, the undeformed
             sole and the design at which; else None.
@@ -79,7 +79,7 @@ class Checkpoint:
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
-        """Where to go on within a stage."""
+        """Multipliers and barrier to go on with; None before the first."""
         if self.barrier is None:
             return None
         return WarmStart.interrupted(

@@ -21,11 +21,7 @@ from drake_exo.soles.limits import Limits
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import (
-    NO_CORRECTIONS,
-    WarmStart,
-    minimise,
-)
+from drake_exo.soles.optimiser import NO_CORRECTIONS, minimise
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.program import minimise_by_snopt
 from drake_exo.soles.quasi_newton import QuasiNewton
@@ -41,7 +37,8 @@ from drake_exo.soles.shape import SphericalSpline
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
 _WORN_OUT = "elements worn out"
-_BARRIER = 1e-4  # IPOPT's μ on new elements
+# IPOPT's μ on new elements, and from the optimum of the stage before.
+_BARRIER, _SETTLED = 1e-4, 1e-7
 
 
 def limits_of(case: Case) -> Limits:
@@ -116,7 +113,7 @@ def optimise(
         resume: An earlier checkpoint to go on from.
     """
     stages = case.optimize.stages
-    optima, seconds, warm = [], [], None
+    optima, seconds = [], []
     at = resume or Checkpoint()
     for number in range(at.stage, len(stages)):
         began = time.perf_counter()
@@ -127,12 +124,11 @@ def optimise(
         at.check_fits(problem)
         problem, at = _on_mesh(problem, case.optimize, number, at, say)
         best, learnt, problem, at = _run_rounds(
-            problem, case.optimize, number, at, warm, out, say
+            problem, case.optimize, number, at, out, say
         )
         optima.append(best)
         seconds.append(time.perf_counter() - began)
-        warm = WarmStart(best.multipliers, *best.at_bounds)
-        best.latest = ()
+        best.latest = (best.p, best.multipliers, _SETTLED)
         following = min(number + 1, len(stages) - 1)
         same = stages[following].divisions == stages[number].divisions
         at = Checkpoint.of(following, 0, best, learnt, problem, at.remeshed)
@@ -157,7 +153,7 @@ def _on_mesh(problem, block, number, at: Checkpoint, say):
     return new, replace(at, remeshed=(*at.remeshed, row))
 
 
-def _run_rounds(problem, block, number, at: Checkpoint, warm, out, say):
+def _run_rounds(problem, block, number, at: Checkpoint, out, say):
     """One stage, on new elements whenever a design has worn them out.
 
     Returns:
@@ -170,7 +166,7 @@ def _run_rounds(problem, block, number, at: Checkpoint, warm, out, say):
     )
     while True:
         best, learnt = _run_stage(
-            problem, block, number, at, warm, out, say, rounds > 0
+            problem, block, number, at, out, say, rounds > 0
         )
         done = at.iteration + (best.trace[-1][0] if best.trace else 0)
         trace += [(at.iteration + row[0], *row[1:]) for row in best.trace]
@@ -194,7 +190,7 @@ def _run_rounds(problem, block, number, at: Checkpoint, warm, out, say):
         at = Checkpoint.of(number, done, best, learnt, new, rows)
         at.write(out)
         # As after an interruption: a resumed run goes the same way.
-        problem, warm = at.on_its_mesh(new), None
+        problem = at.on_its_mesh(new)
 
 
 def _without_floor(multipliers: np.ndarray) -> np.ndarray:
@@ -216,7 +212,7 @@ def _remeshed_line(row: dict) -> str:
 
 
 def _run_stage(
-    problem, block, number, at: Checkpoint, warm, out: Path, say, renewable
+    problem, block, number, at: Checkpoint, out: Path, say, renewable
 ):
     """One stage from where it stands; its optimum, what it learnt.
 
@@ -252,7 +248,7 @@ def _run_stage(
     best = minimise(
         problem, begin, bounds, left, block.tolerance, note,
         options=NO_CORRECTIONS if number else None,
-        learnt=learnt, warm=warm or at.warm_start(bounds),
+        learnt=learnt, warm=at.warm_start(bounds),
     )  # fmt: skip
     return best, learnt
 

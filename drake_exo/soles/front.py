@@ -33,9 +33,11 @@ from drake_exo.soles.study_cases import TABLE_2
 # A thick layer for the case's own optimum, then a thin one for all points.
 STAGES = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
-    Stage((10, 6, 3), 24, 5e-5, 0.2, 20),
+    Stage((10, 6, 3), 72, 5e-5, 0.2, 40),
 )
-_CORRECTIONS = 2  # of a floor that the exact law misses
+# Of a floor that the exact law misses or overshoots, and by how much it may.
+_CORRECTIONS, _OVERSHOOT = 2, 1.005
+_FEASIBLE = 1e-3  # a point is worked on until its violation is below
 _AIM = 1.002  # above the floor
 _LEAP = 0.25  # of the brick's c_rot at a time
 # Floors over the brick's c_rot; the first is the paper's 1-Ref.
@@ -96,8 +98,7 @@ def front(
             f"{best.trace[-1][1]:+.4f}"
         ),
     )  # fmt: skip
-    stage, points, margin = STAGES[1], [], _AIM
-    reached = at.ratio
+    points, margin = [], _AIM
     for floor in sorted(floors):
 
         def say(iteration, best, floor=floor):
@@ -106,30 +107,41 @@ def front(
                 f"{iteration}: c_tr {best.trace[-1][1]:.4f} of the brick's"
             )
 
-        for aim in _steps(reached, floor * margin):
-            problem = _problem(case, own, load, start, stage, aim)
-            at = _solve(problem, at, case.optimize, stage.iterations, say)
-        point = _judge(case, problem, at.best, floor, base, load, start)
-        for _ in range(_CORRECTIONS):
-            if point["ratio_rot"] >= floor or point["failed_steps"]:
+        tried, iterations = [], STAGES[1].iterations
+        for _ in range(_CORRECTIONS + 1):
+            for aim in _steps(at.ratio, floor * margin):
+                problem = _problem(case, own, load, start, aim)
+                at = _solve(problem, at, case.optimize, iterations, say)
+            tried.append(
+                _judge(case, problem, at.best, floor, base, load, start)
+            )
+            ratio = tried[-1]["ratio_rot"]
+            held = at.ratio < _OVERSHOOT * floor * margin
+            over = held and ratio > _OVERSHOOT * floor
+            if over or ratio < floor:
+                # The smoothed law on fewer samples takes c_rot for another.
+                margin *= _AIM * floor / ratio
+            elif tried[-1]["violation"] < _FEASIBLE or np.isnan(ratio):
                 break
-            # The smoothed law on fewer samples overrates c_rot: aim higher.
-            margin *= _AIM * floor / point["ratio_rot"]
-            problem = _problem(case, own, load, start, stage, floor * margin)
-            at = _solve(problem, at, case.optimize, stage.iterations // 2, say)
-            point = _judge(case, problem, at.best, floor, base, load, start)
-        points.append(point)
-        reached = floor
+            iterations = STAGES[1].iterations // 2
+        points.append(min(tried, key=_rank))
     return points
 
 
-def _problem(case, own, load, start, stage, floor):
+def _rank(point: dict) -> tuple:
+    """Within all limits and above its floor first, then by c_tr."""
+    outside = point["violation"] > _FEASIBLE
+    below = not point["ratio_rot"] >= point["floor"]
+    return below, outside, point["ratio_tr"]
+
+
+def _problem(case, own, load, start, floor):
     """c_tr alone with c_rot at least `floor` times the brick's.
 
     The floor is in the smoothed measures of this very problem.
     """
     alone = replace(_without_floor(case), cost=replace(case.cost, weight=0.0))
-    problem = designs.stage_problem(alone, own, load, start, stage)
+    problem = designs.stage_problem(alone, own, load, start, STAGES[1])
     problem.add_rotation_floor(floor * problem.first.c_rot)
     return problem
 

@@ -3,6 +3,7 @@
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from small_step import write_case, write_step
 from drake_exo.output import read_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Stage, read_case
+from drake_exo.soles.optimiser import Optimum
 from drake_exo.soles.study_cases import TABLE_2
 from drake_exo.soles.study_table import certainty_table, paper_cost
 
@@ -80,3 +82,60 @@ def test_no_long_leaps_between_floors():
     assert steps[-1] == pytest.approx(1.0)
     assert np.diff([0.4, *steps]).max() <= 0.25
     np.testing.assert_allclose(front._steps(1.2, 1.0), [1.0])
+
+
+@pytest.mark.parametrize(
+    ("judged", "floors", "kept"),
+    [
+        ([0.98, 1.001], [1.002, 1.002**2 / 0.98], 1.001),  # missed
+        ([1.05, 0.99, 1.001], [1.002, 1.002**2 / 1.05,
+                               1.002**3 / 1.05 / 0.99], 1.001),
+        ([1.05, 0.99, 0.98], None, 1.05),  # the only one above
+        ([np.nan], [1.002], np.nan),
+    ],
+)  # fmt: skip
+def test_floors_are_corrected_by_the_exact_law(
+    monkeypatch, judged, floors, kept
+):
+    asked, left = [], list(judged)
+
+    def problem(case, own, load, start, floor):
+        asked.append(floor)
+        return floor
+
+    def judge(case, problem, best, floor, *_):
+        ratio = left.pop(0)
+        return {
+            "ratio_rot": ratio, "floor": floor, "ratio_tr": ratio,
+            "violation": 0.0,
+        }  # fmt: skip
+
+    for name, stub in (
+        ("_brick", lambda *_: None),
+        ("_without_floor", lambda case: case),
+        ("_problem", problem),
+        ("_judge", judge),
+        ("_solve", lambda p, at, *_: front._At(None, None, p or 1.0)),
+    ):
+        monkeypatch.setattr(front, name, stub)
+    monkeypatch.setattr(front.designs, "stage_problem", lambda *_: None)
+    case = SimpleNamespace(name="x", optimize=None)
+    (point,) = front.front(case, None, None, None, (1.0,))
+    assert point["ratio_rot"] == pytest.approx(kept, nan_ok=True)
+    assert not left
+    if floors is not None:
+        np.testing.assert_allclose(asked, floors)
+
+
+def test_a_front_goes_on_from_what_stands(monkeypatch):
+    """Where a step's best design cannot be simulated again."""
+
+    class Problem:
+        evaluate = staticmethod(lambda p: None)
+        names = staticmethod(lambda: ["volume"])
+
+    block = SimpleNamespace(bounds=(0.5, 1.2), tolerance=1e-4)
+    best = Optimum(np.ones(3), multipliers=np.zeros(2))
+    at = front._At(best, None, 1.0)
+    monkeypatch.setattr(front, "minimise", lambda *_, **__: best)
+    assert front._solve(Problem(), at, block, 1, None) is at
