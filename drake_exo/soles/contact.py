@@ -24,6 +24,7 @@ from drake_exo.soles.rotations import (
 MOMENT_SCALE = 0.05  # metres; moments are divided by it in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
 _HALVINGS = 6
+_ALIKE = 0.15  # merits of steps that go in circles
 
 
 @dataclass(frozen=True)
@@ -139,9 +140,8 @@ class ContactSolver:
         """
         state = state.copy()
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
-        history = []
+        history, message = [], ""
         point = self._evaluate(state, target, fixed_pose, scale)
-        message = f"no convergence in {self.max_iterations} Newton steps"
         for iteration in range(self.max_iterations + 1):
             history.append(point.merit)
             if point.merit <= self.tolerance:
@@ -149,7 +149,7 @@ class ContactSolver:
                 return state, Convergence(
                     True, iteration, point.merit, "", history
                 )
-            if iteration == self.max_iterations:
+            if iteration == self.max_iterations or _goes_in_circles(history):
                 break
             try:
                 direction = self._direction(point, target, fixed_pose)
@@ -163,9 +163,9 @@ class ContactSolver:
                 point, direction, target, fixed_pose, scale
             )
             state = point.state
-        return state, Convergence(
-            False, len(history) - 1, history[-1], message, history
-        )
+        steps = len(history) - 1
+        message = message or f"no convergence in {steps} Newton steps"
+        return state, Convergence(False, steps, history[-1], message, history)
 
     def linearise(self, state: State, target: Target) -> Linearisation:
         """Derivatives at a state; references count as frozen."""
@@ -257,6 +257,14 @@ class ContactSolver:
                 break
             step *= 0.5
         return best
+
+
+def _goes_in_circles(merits: list[float]) -> bool:
+    """Whether the last three steps were much the same as those before."""
+    if len(merits) < 6:
+        return False
+    before, last = np.array(merits[-6:-3]), np.array(merits[-3:])
+    return bool((np.abs(last - before) < _ALIKE * before).all())
 
 
 @dataclass

@@ -28,7 +28,8 @@ _MAX_TILT = np.deg2rad(80.0)
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
 _MAX_SUBSTEPS = 60
-_SAME = 1e-6  # of poses; solutions are far closer than branches
+_LEAP = 0.1  # rad between designs
+_SAME = 1e-6  # rad; solutions are far closer than branches
 
 
 def candidate_poses(lP: np.ndarray, zmp, start: Start) -> list[State]:
@@ -83,25 +84,23 @@ def first_step(
         target: First sample; its reference is a Start.
         largest_force: Largest |F| of the phase [N]; pressing in uses at
             least a fifth of it, so that enough nodes touch.
-        near: First state of a neighbouring design. A start that the same
-            solution does not follow from is a leap to another branch, and
-            fails.
+        near: First state of a neighbouring design. A pose turned far from
+            it that does not follow from it either is a leap to another
+            branch, and fails.
     """
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
-    followed = None
-    if near is not None:
-        followed, report = _follow_design(solver, target, near, press)
-        if not report.converged:
-            report.message = f"another branch ({report.message})"
-            return None, report
     state, report = _cold_start(solver, target, press)
-    if followed is None or not report.converged or _same(state, followed):
+    if near is None or not report.converged or _turn(state, near) < _LEAP:
+        return state, report
+    followed, _ = _follow_design(solver, target, near, press)
+    if _turn(state, followed) < _SAME:
         return state, report
     return None, replace(report, converged=False, message="another branch")
 
 
-def _same(a: State, b: State) -> bool:
-    return np.abs(a.R - b.R).max() < _SAME and np.abs(a.O - b.O).max() < _SAME
+def _turn(a: State, b: State) -> float:
+    """Largest difference of two orientations' entries, about radians."""
+    return float(np.abs(a.R - b.R).max())
 
 
 def _follow_design(solver, target, near, press):
@@ -193,7 +192,7 @@ def follow_load(
     if report.converged:
         return new, report
     solver.active.refresh()
-    done, step, total = 0.0, 0.5, report.iterations
+    done, step, total = 0.0, 0.25, report.iterations
     for _ in range(_MAX_SUBSTEPS):
         aim = min(1.0, done + step)
         trial, sub = solver.solve(state, target.partway(before, aim))
