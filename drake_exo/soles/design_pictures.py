@@ -53,7 +53,7 @@ def trace_figure(path: Path, optima) -> None:
 
 
 def front_figure(
-    path: Path, rows: list[dict], paper: dict, points: list[dict] = ()
+    path: Path, rows: list[dict], paper: dict, fronts: dict[str, list[dict]]
 ) -> None:
     """c_tr against c_rot, each over its brick's, beside the paper's.
 
@@ -61,7 +61,7 @@ def front_figure(
         path: PNG file.
         rows: Summaries with name, ratio_tr and ratio_rot.
         paper: Name -> (ratio of c_tr, ratio of c_rot).
-        points: Of the front, with ratio_tr and ratio_rot.
+        fronts: Label -> points with ratio_tr and ratio_rot.
     """
     with plt.rc_context(_STYLE):
         figure, axis = plt.subplots(figsize=(6.0, 4.2))
@@ -73,11 +73,13 @@ def front_figure(
                 axis.plot(*paper[row["name"]], "x", color=colour, mew=2)
         if rows:
             axis.plot([], [], "kx", mew=2, label="paper")
-        if points:
+        for (label, points), style in zip(
+            fronts.items(), (".-", ".--"), strict=False
+        ):
             axis.plot(
                 [p["ratio_tr"] for p in points],
                 [p["ratio_rot"] for p in points],
-                ".-", color="0.4", label="front",
+                style, color="0.4", label=label,
             )  # fmt: skip
         axis.set(
             xscale="log",

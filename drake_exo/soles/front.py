@@ -13,7 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.output import Progress, prepare_output_folder, write_json
+from drake_exo.output import (
+    Progress,
+    prepare_output_folder,
+    read_json,
+    write_json,
+)
 from drake_exo.soles import design as designs
 from drake_exo.soles.case import Case, Stage, open_case
 from drake_exo.soles.contact import Start
@@ -40,8 +45,10 @@ _CORRECTIONS, _OVERSHOOT = 2, 1.005
 _FEASIBLE = 1e-3  # a point is worked on until its violation is below
 _AIM = 1.002  # above the floor
 _LEAP = 0.25  # of the brick's c_rot at a time
+# Of a study: where a case's points are, and the case with the whole front.
+_FILE, _WHOLE = "front.json", "1-Ref"
 # Floors over the brick's c_rot; the first is the paper's 1-Ref.
-FLOORS = (0.972, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
+FLOORS = (0.9721, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
 
 
 def run_front(args) -> int:
@@ -57,23 +64,30 @@ def run_front(args) -> int:
     return 1 if any(p["failed_steps"] for p in points) else 0
 
 
-def study_front(out: Path, cases: list[Case], root: Path, args) -> dict:
-    """Front of 1-Ref; every other case at the paper's own ratio."""
+def study_job(folder: Path, case: Case, root: Path, mesh_file) -> None:
+    """Write a case's part of a study: front.json.
+
+    The front of 1-Ref; of every other case the paper's own ratio.
+    """
+    tr0, tr, rot0, rot = TABLE_2[case.name]
+    floors = FLOORS if case.name == _WHOLE else (rot / rot0,)
+    points = front(case, *case.open(root, mesh_file), floors)
+    points[0]["paper_ratio_tr"] = tr / tr0
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / _FILE, points)
+
+
+def study_front(folder: Path, cases: list[Case]) -> dict:
+    """The points on disk: those of 1-Ref, the first of every case."""
     found = {"points": [], "at_paper": []}
     for case in cases:
-        tr0, tr, rot0, rot = TABLE_2[case.name]
-        if args.limits == "none":
-            case = designs.without_limits(case)
-        first = case.name == "1-Ref"
-        floors = FLOORS if first else (rot / rot0,)
-        points = front(case, *case.open(root), floors)
-        for point in points:
-            point["paper_ratio_tr"] = tr / tr0
-        if first:
+        file = folder / case.name / _FILE
+        if not file.is_file():
+            continue
+        points = read_json(file, "run the study again")
+        if case.name == _WHOLE:
             found["points"] = points
-            points = points[:1]
-        found["at_paper"] += points
-        print(table(points))
+        found["at_paper"] += points[:1]
     return found
 
 
@@ -223,19 +237,24 @@ def table(points: list[dict]) -> str:
     """One line for every point."""
     lines = [
         f"{'case':11s} {'floor':>6s} {'c_tr':>9s} {'ratio':>6s} "
-        f"{'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
+        f"{'paper':>6s} {'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
     ]
     lines += [
         f"{p['case']:11s} {p['floor']:6.3f} {p['c_tr']:9.2e} "
-        f"{p['ratio_tr']:6.3f} {p['c_rot']:9.2e} {p['ratio_rot']:6.3f} "
-        f"{p['optimality_error']:8.1e}"
+        f"{p['ratio_tr']:6.3f} {_paper(p):6s} {p['c_rot']:9.2e} "
+        f"{p['ratio_rot']:6.3f} {p['optimality_error']:8.1e}"
         for p in points
     ]
     return "\n".join(lines)
+
+
+def _paper(point: dict) -> str:
+    ratio = point.get("paper_ratio_tr")
+    return "" if ratio is None else f"{ratio:6.3f}"
 
 
 def _write(out: Path, case: Case, points: list[dict]) -> None:
     from drake_exo.soles.design_pictures import front_figure
 
     write_json(out / "summary.json", {"name": case.name, "front": points})
-    front_figure(out / "front.png", [], {}, points)
+    front_figure(out / "front.png", [], {}, {"front": points})

@@ -4,10 +4,9 @@ import time
 from pathlib import Path
 
 from drake_exo.output import prepare_output_folder, read_json, write_json
-from drake_exo.soles import workers
+from drake_exo.soles import front, workers
 from drake_exo.soles.case import Case
 from drake_exo.soles.design import finish_on_own_mesh, without_limits
-from drake_exo.soles.front import study_front
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.optimise_command import optimise_case, print_row
 from drake_exo.soles.study_cases import (
@@ -20,6 +19,7 @@ from drake_exo.soles.study_report import finish
 from drake_exo.soles.study_table import certainty_table, table
 
 UNLIMITED = "unlimited"  # folder and key of the cases without limits
+_FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
 
 
 def run_study(args) -> int:
@@ -45,12 +45,16 @@ def run_study(args) -> int:
             for _, folder, rows in variants
             for case in rows
         ]
+        if args.front:
+            jobs += [(front.study_job, *job[1:]) for job in jobs]
         summary = {"load": source, "limits": args.limits}
 
         def note() -> None:
             """After every case: an interrupted study keeps its cases."""
             for key, folder, rows in variants:
                 summary[key] = _finished(folder, rows)
+                if args.front:
+                    summary[_FRONTS[key]] = front.study_front(folder, rows)
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / "summary.json", summary)
 
@@ -59,9 +63,6 @@ def run_study(args) -> int:
             for place in _missing(folder, rows):
                 name = place.relative_to(out)
                 print(f"{name}: ended without a result; its last lines say why")
-        if args.front:
-            summary["front"] = study_front(out, cases, root, args)
-            note()
         text = _report(out, summary)
         print(text)
         (out / "table.txt").write_text(text + "\n", encoding="utf-8")
@@ -109,11 +110,15 @@ def _report(out: Path, summary: dict) -> str:
         name: (tr / tr0, rot / rot0)
         for name, (tr0, tr, rot0, rot) in TABLE_2.items()
     }
-    parts = []
+    parts, fronts = [], {}
     for key, title in (("cases", ""), (UNLIMITED, "without limits\n")):
         rows = summary.get(key)
         if rows:
             parts.append(title + table(rows) + "\n\n" + certainty_table(rows))
-    points = (summary.get("front") or {}).get("points", [])
-    front_figure(out / "front.png", summary["cases"], paper, points)
+        found = summary.get(_FRONTS[key])
+        if found:
+            others = [p for p in found["at_paper"] if p not in found["points"]]
+            fronts[_FRONTS[key].replace("_", " ")] = found["points"]
+            parts.append(front.table(found["points"] + others))
+    front_figure(out / "front.png", summary["cases"], paper, fronts)
     return "\n\n".join(parts)

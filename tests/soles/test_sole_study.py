@@ -77,6 +77,30 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
     assert "0.700" in front.table([point])
 
 
+def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
+    def points(case, load, own, start, floors):
+        return [
+            {"case": case.name, "floor": f, "ratio_tr": 0.1} for f in floors
+        ]
+
+    monkeypatch.setattr(front, "front", points)
+    cases = [
+        SimpleNamespace(name=name, open=lambda *_: (None, None, None))
+        for name in ("1-Ref", "2-Rot", "3-Rubber")
+    ]
+    for case in cases[:2]:  # the third ended without
+        front.study_job(tmp_path / case.name, case, tmp_path, None)
+    found = front.study_front(tmp_path, cases)
+    assert [p["floor"] for p in found["points"]] == list(front.FLOORS)
+    assert len(front.FLOORS) >= 7
+    tr0, tr, rot0, rot = TABLE_2["2-Rot"]
+    first, other = found["at_paper"]
+    assert first["floor"] >= TABLE_2["1-Ref"][3] / TABLE_2["1-Ref"][2]
+    assert other["floor"] == rot / rot0
+    assert other["paper_ratio_tr"] == tr / tr0
+    assert "paper_ratio_tr" not in found["points"][1]
+
+
 def test_no_long_leaps_between_floors():
     steps = front._steps(0.4, 1.0)
     assert steps[-1] == pytest.approx(1.0)
