@@ -122,7 +122,7 @@ def optimise(
             first = first_design(problem, tuple(case.optimize.bounds))
             at = Checkpoint(p=first, latest=first)
         at.check_fits(problem)
-        problem, at = _on_mesh(problem, case.optimize, number, at, say)
+        problem, at = _on_mesh(problem, case, own, number, at, say)
         best, learnt, problem, at = _run_rounds(
             problem, case.optimize, number, at, out, say
         )
@@ -130,25 +130,36 @@ def optimise(
         seconds.append(time.perf_counter() - began)
         best.latest = (best.p, best.multipliers, _SETTLED)
         following = min(number + 1, len(stages) - 1)
-        same = stages[following].divisions == stages[number].divisions
         at = Checkpoint.of(following, 0, best, learnt, problem, at.remeshed)
-        at = at if same else replace(at, mesh=None, meshed_at=None)
         at.write(out)
     return judged(case, problem, at, load, start, optima, seconds)
 
 
-def _on_mesh(problem, block, number, at: Checkpoint, say):
-    """The stage's problem on elements that carry the design it starts from."""
-    problem = at.on_its_mesh(problem)
-    fresh = at.mesh is None and at.iteration == 0
-    if not (fresh and block.remeshes and is_worn(problem, at.latest)):
+def _on_mesh(problem, case, own, number, at: Checkpoint, say):
+    """The stage's problem on elements that carry the design it starts from.
+
+    Its own brick's where they do, else new ones made from those of the stage
+    before, else those of the stage before.
+    """
+    stages = case.optimize.stages
+    last = stages[max(number - 1, 0)]
+    same = stages[number].divisions == last.divisions
+    if at.iteration > 0 or same:
+        return at.on_its_mesh(problem), at
+    before = at.mesh or stage_mesh(case, own, last)
+    at = replace(at, mesh=None, meshed_at=None)
+    p, new = at.latest, None
+    if not is_worn(problem, p):
         return problem, at
     try:
-        new = carried(problem, at.latest)
+        if case.optimize.remeshes:
+            new = carried(problem, before, p)
+        elif problem.evaluate(settle(problem, p)) is not None:
+            return problem, at
     except RemeshError as error:
-        say(f"stage {number + 1}: design smoothed, not meshed anew: {error}")
-        return problem, at
-    row = record(number + 1, 0, problem, new, at.latest)
+        say(f"stage {number + 1}: elements stay as they are: {error}")
+    new = new or problem.with_mesh(before, p)
+    row = record(number + 1, 0, problem, new, p)
     say(_remeshed_line(row))
     return new, replace(at, remeshed=(*at.remeshed, row))
 
@@ -230,7 +241,7 @@ def _run_stage(
             f"{violation:.1e}, error {error:.1e}, "
             f"{problem.evaluations} simulations"
         )
-        if iteration % _CHECKPOINT_EVERY == 0:
+        if iteration and iteration % _CHECKPOINT_EVERY == 0:
             Checkpoint.of(
                 number, at.iteration + iteration, best, learnt, problem,
                 at.remeshed,

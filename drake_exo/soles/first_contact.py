@@ -24,7 +24,7 @@ from drake_exo.soles.rotations import (
     yaw_of,
 )
 
-_MAX_TILT = np.deg2rad(80.0)
+_MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
 _MAX_SUBSTEPS = 60
@@ -121,8 +121,9 @@ def _cold_start(solver, target, press):
             state, report = _lead(solver, target, guess, press, smooth)
             total += report.iterations
             report.iterations = total
-            if report.converged:
+            if report.converged and state.R[2, 2] > np.cos(_MAX_TILT):
                 return state, report
+    report.converged = False
     report.message = (
         f"no start from {len(candidates)} hull facets ({report.message})"
     )

@@ -13,8 +13,7 @@ from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.optimiser import Optimum
 from drake_exo.soles.problem import ShapeProblem
-from drake_exo.soles.remesh import RemeshError
-from drake_exo.soles.renewal import carrier
+from drake_exo.soles.remesh import RemeshError, remesh_with
 from drake_exo.soles.simulation import StepHistory, simulate
 
 _SOUND = 0.15  # least quality at which a finer brick judges a design
@@ -163,7 +162,9 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     shaped = base.with_nodes(spline.deform(base.nodes, design.p))
     if shaped.quality().min() < _SOUND:
         try:
-            other = carrier(base, spline, design.p)
+            other = remesh_with(
+                design.problem.mesh, spline, design.p, 2 * len(design.mesh.tets)
+            )
             shaped = other.with_nodes(spline.deform(other.nodes, design.p))
         except RemeshError as error:
             if shaped.volumes.min() <= 0:

@@ -25,10 +25,13 @@ from drake_exo.errors import InputError, first_line
 from drake_exo.soles.mesh import TetMesh, checked_mesh
 from drake_exo.soles.radial import onto_edges, pull_back, reach
 from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.untangle import untangled
 
 _CHILD = Path(__file__).with_name("mmg_child.py")
 _MOST_SECONDS = 20  # of processor time; five thousand tets take one
 _SOUND = 0.3  # least mean-ratio quality at which the surface is kept
+_CARRIES = 0.1  # least quality of elements of another number
+_SMALLER = (1.0, 0.97, 0.94, 0.91, 0.88, 0.85)  # edges, until there are enough
 _UPRIGHT = 0.2  # least volume of a half, of that of plain halves
 _SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
 _GLUED, _BARE = 1, 2  # references of triangles in Mmg
@@ -69,10 +72,47 @@ def remesh(
     before = float(_at(mesh, spline, p).quality().min())
     if before <= 0:
         raise RemeshError("the sole's elements are inverted already")
-    best, found, reason = before, None, "no element is better for it"
-    for build in (_with_surface, _with_halves, _with_sharp_edges):
+    builds = (
+        lambda: _with_surface(mesh, spline, p),
+        lambda: _with_halves(mesh, spline, p),
+        lambda: _with_sharp_edges(mesh, spline, p),
+    )
+    return _best(builds, spline, p, usable, before)
+
+
+def remesh_with(
+    mesh: TetMesh,
+    spline: SphericalSpline,
+    p: np.ndarray,
+    tets: int,
+    usable: Callable[[TetMesh], bool] | None = None,
+) -> TetMesh:
+    """As `remesh`, with at least `tets` elements and little more.
+
+    A mesh of another number of elements may not carry the design; made from
+    one that does, this one will.
+
+    Raises:
+        RemeshError: As there.
+    """
+
+    def enough(new: TetMesh) -> bool:
+        return len(new.tets) >= tets and (usable is None or usable(new))
+
+    size = (len(mesh.tets) / tets) ** (1 / 3)
+    builds = (
+        lambda smaller=smaller: _with_halves(mesh, spline, p, smaller * size)
+        for smaller in _SMALLER
+    )
+    return _best(builds, spline, p, enough, _CARRIES)
+
+
+def _best(builds, spline, p, usable, least: float) -> TetMesh:
+    """The first that is sound, else the best above a least quality."""
+    best, found, reason = least, None, "no element is better for it"
+    for build in builds:
         try:
-            new = build(mesh, spline, p)
+            new = build()
             shaped = _at(new, spline, p)
             checked_mesh(shaped.nodes, shaped.tets, shaped.dirichlet, "Mmg")
         except InputError as error:
@@ -109,7 +149,7 @@ def _with_surface(mesh: TetMesh, spline, p) -> TetMesh:
     return TetMesh(X, tets, np.sort(glued))
 
 
-def _with_halves(mesh: TetMesh, spline, p) -> TetMesh:
+def _with_halves(mesh: TetMesh, spline, p, size: float = 1.0) -> TetMesh:
     """Another surface, too, from elements that see more of the shape."""
     deformed = _at(mesh, spline, p)
     fine, sizes = halved(mesh, edge_lengths(deformed))
@@ -123,7 +163,7 @@ def _with_halves(mesh: TetMesh, spline, p) -> TetMesh:
             break
         nodes = nodes.copy()
         nodes[bad] = chords.nodes[bad]
-    got = _mmg(shaped, sharp_edges(fine), sizes=sizes)
+    got = _mmg(shaped, sharp_edges(fine), sizes=size * sizes)
     return _put_back(mesh, spline, p, got)
 
 
@@ -148,7 +188,14 @@ def _put_back(mesh: TetMesh, spline, p, got) -> TetMesh:
     sharp = got["sharp"]
     X[sharp] = onto_edges(X[sharp], mesh.nodes[sharp_edges(mesh)])
     X[glued, 2] = 0.0
-    return TetMesh(X, got["tets"], glued)
+    new = TetMesh(X, got["tets"], glued)
+    # The surface has moved: some of the elements under it are poor now.
+    shaped = _at(new, spline, p)
+    better = untangled(shaped, _SOUND).nodes
+    moved = (better != shaped.nodes).any(axis=1)
+    if moved.any():
+        X[moved] = pull_back(better[moved], spline, p)
+    return new.with_nodes(X)
 
 
 def sharp_edges(mesh: TetMesh) -> np.ndarray:

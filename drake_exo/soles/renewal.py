@@ -9,13 +9,9 @@ import numpy as np
 
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.problem import ShapeProblem
-from drake_exo.soles.remesh import RemeshError, remesh
-from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.remesh import remesh, remesh_with
 
 _WORN = 0.02  # least volume ratio above the element floor
-_PARTS = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3)
-_MOST_STEPS = 4  # of the way from a brick to a design
-_CARRIED = 0.05  # least quality to mesh anew from
 
 
 def is_worn(problem: ShapeProblem, p: np.ndarray) -> bool:
@@ -33,38 +29,21 @@ def renewed(problem: ShapeProblem, p: np.ndarray) -> ShapeProblem:
     return problem.with_mesh(mesh, p)
 
 
-def carried(problem: ShapeProblem, p: np.ndarray) -> ShapeProblem:
-    """The problem on elements that carry a design of another mesh.
+def carried(problem: ShapeProblem, before: TetMesh, p) -> ShapeProblem:
+    """The problem on as many elements, made from others that carry a design.
+
+    Args:
+        problem: On elements that do not.
+        before: Elements that do.
+        p: The design.
 
     Raises:
         RemeshError: There are none.
     """
-    mesh = carrier(problem.mesh, problem.spline, p, _simulates(problem, p))
+    usable = _simulates(problem, p)
+    tets = len(problem.mesh.tets)
+    mesh = remesh_with(before, problem.spline, p, tets, usable)
     return problem.with_mesh(mesh, p)
-
-
-def carrier(
-    mesh: TetMesh, spline: SphericalSpline, p: np.ndarray, usable=None
-) -> TetMesh:
-    """Elements of the undeformed sole that carry a design, made anew.
-
-    From the undeformed sole towards the design as far as the elements go,
-    which are then made anew; and so on. Arguments as for `remesh`.
-
-    Raises:
-        RemeshError: The design is not reached.
-    """
-    done = 0.0
-    for _ in range(_MOST_STEPS):
-        further = (
-            t for t in _PARTS
-            if t > done and _quality(mesh, spline, _part(p, t)) > _CARRIED
-        )  # fmt: skip
-        done = next(further, done)
-        if done == 1.0:
-            return remesh(mesh, spline, p, usable)
-        mesh = remesh(mesh, spline, _part(p, done))
-    raise RemeshError("the design is out of reach")
 
 
 def _simulates(problem: ShapeProblem, p):
@@ -97,7 +76,3 @@ def record(stage: int, iteration: int, before, after, p) -> dict:
 def _quality(mesh: TetMesh, spline, p) -> float:
     shaped = mesh.with_nodes(spline.deform(mesh.nodes, p))
     return float(shaped.quality().min())
-
-
-def _part(p: np.ndarray, t: float) -> np.ndarray:
-    return 1.0 + t * (p - 1.0)

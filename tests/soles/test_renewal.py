@@ -13,11 +13,11 @@ from drake_exo.soles import design as designs
 from drake_exo.soles import renewal
 from drake_exo.soles.case import read_case
 from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
-from drake_exo.soles.design import first_design, optimise, stage_problem
+from drake_exo.soles.design import optimise, stage_problem
 from drake_exo.soles.design_folder import find_designs
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.remesh import RemeshError
-from drake_exo.soles.renewal import carried, renewed
+from drake_exo.soles.renewal import renewed
 
 
 def _case(folder, remeshes=3, iterations=40):
@@ -164,24 +164,51 @@ def test_where_the_remesher_fails_the_search_goes_on(folder, monkeypatch):
     assert design.remeshed == ()
 
 
-def test_a_brick_of_other_elements_is_made_to_carry_a_design(folder):
+@pytest.fixture
+def refining(folder, without, monkeypatch):
+    """Begins a stage of more elements, none of which count as sound."""
     case = _case(folder)
     load, mesh, start = case.open(folder)
-    other = replace(case.optimize.stages[0], divisions=(8, 4, 2))
-    problem = stage_problem(case, mesh, load, start, other)
-    rng = np.random.default_rng(1)
-    p = first_design(problem, (0.3, 1.4))
-    way = rng.normal(size=len(p))
-    amount = next(
-        t for t in np.linspace(0.05, 0.5, 50)
-        if problem.deformed(p + t * way).volumes.min() < 0
-    )  # fmt: skip
-    p = p + amount * way
-    new = carried(problem, p)
-    assert problem.evaluate(p) is None
+    coarse = case.optimize.stages[0]
+    stages = (coarse, replace(coarse, divisions=(8, 5, 2)))
+    at = Checkpoint(1, 0, without.p, without.p)
+    monkeypatch.setattr(designs, "is_worn", lambda *_: True)
+
+    def begin(say, **block):
+        block = replace(case.optimize, stages=stages, **block)
+        problem = stage_problem(case, mesh, load, start, stages[1])
+        changed = replace(case, optimize=block)
+        return designs._on_mesh(problem, changed, mesh, 1, at, say)
+
+    return begin
+
+
+def test_a_finer_stage_gets_elements_made_from_the_coarser(refining, without):
+    lines = []
+    new, at = refining(lines.append)
+    tets, p = 6 * 8 * 5 * 2, without.p
+    assert tets <= len(new.mesh.tets) < 1.5 * tets
+    assert new.deformed(p).quality().min() > 0.2
     assert new.evaluate(p) is not None
-    assert new.deformed(p).quality().min() > 0.05
-    assert new.mesh.volume == pytest.approx(problem.mesh.volume, rel=1e-12)
+    size = np.prod(np.ptp(new.mesh.nodes, axis=0))
+    assert new.mesh.volume == pytest.approx(size, rel=1e-3)
+    assert [row["stage"] for row in at.remeshed] == [2]
+    assert "stage 2, iteration 0: elements made anew" in lines[0]
+
+
+def test_where_none_carry_the_design_those_there_are_go_on(
+    refining, without, monkeypatch
+):
+    def fail(*_):
+        raise RemeshError("no memory")
+
+    monkeypatch.setattr(designs, "carried", fail)
+    lines = []
+    new, at = refining(lines.append)
+    assert len(new.mesh.tets) == len(without.mesh.tets)
+    assert new.evaluate(without.p) is not None
+    assert lines[0] == "stage 2: elements stay as they are: no memory"
+    assert len(at.remeshed) == 1
 
 
 def test_a_damaged_mesh_in_a_checkpoint_is_refused(folder, tmp_path):

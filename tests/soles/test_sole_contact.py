@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.soles import results
+from drake_exo.soles import first_contact, results
 from drake_exo.soles.contact import ContactSolver, Start, State, Target
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.first_contact import _follow_design, first_step
@@ -323,3 +323,25 @@ def test_a_first_contact_on_another_branch_is_refused(sole):
     assert state is None
     assert not report.converged
     assert "another branch" in report.message
+
+
+def test_a_foot_that_has_tipped_over_does_not_stand(sole, monkeypatch):
+    law = ContactLaw(0.8, sole.penalty)
+    solver = ContactSolver(sole.compliance, sole.positions, law)
+    target = Target(np.array([0.0, 0.0, 300.0]), np.zeros(2), START)
+    stands, report = first_step(solver, target, 300.0)
+    tipped = replace(stands, R=exp_rotation(np.array([1.45, 0.0, 0.0])))
+    found = [tipped, tipped, stands]
+    monkeypatch.setattr(
+        first_contact, "_lead", lambda *_: (found.pop(0), replace(report))
+    )
+    monkeypatch.setattr(
+        first_contact, "candidate_poses", lambda *_: [stands, stands]
+    )
+    state, again = first_step(solver, target, 300.0)
+    assert again.converged
+    assert state is stands
+    found[:] = [tipped] * 4
+    state, again = first_step(solver, target, 300.0)
+    assert state is None
+    assert not again.converged
