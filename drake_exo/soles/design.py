@@ -138,8 +138,9 @@ def optimise(
 def _on_mesh(problem, case, own, number, at: Checkpoint, say):
     """The stage's problem on elements that carry the design it starts from.
 
-    Its own brick's where they do, else new ones made from those of the stage
-    before, else those of the stage before.
+    Its own brick's where they are sound, else new ones made from those of the
+    stage before, else the brick's where they do at all, else those of the
+    stage before.
     """
     stages = case.optimize.stages
     last = stages[max(number - 1, 0)]
@@ -148,16 +149,18 @@ def _on_mesh(problem, case, own, number, at: Checkpoint, say):
         return at.on_its_mesh(problem), at
     before = at.mesh or stage_mesh(case, own, last)
     at = replace(at, mesh=None, meshed_at=None)
-    p, new = at.latest, None
+    p, renewable = at.latest, case.optimize.remeshes > 0
     if not is_worn(problem, p):
         return problem, at
-    try:
-        if case.optimize.remeshes:
+    new = None
+    if renewable:
+        try:
             new = carried(problem, before, p)
-        elif problem.evaluate(settle(problem, p)) is not None:
-            return problem, at
-    except RemeshError as error:
-        say(f"stage {number + 1}: elements stay as they are: {error}")
+        except RemeshError as error:
+            say(f"stage {number + 1}: elements stay as they are: {error}")
+    begin = p if renewable else settle(problem, p)
+    if new is None and problem.evaluate(begin) is not None:
+        return problem, at
     new = new or problem.with_mesh(before, p)
     row = record(number + 1, 0, problem, new, p)
     say(_remeshed_line(row))

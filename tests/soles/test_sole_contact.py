@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.soles import first_contact, results
+from drake_exo.soles import contact, first_contact, results
 from drake_exo.soles.contact import ContactSolver, Start, State, Target
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.first_contact import _follow_design, first_step
@@ -345,3 +345,11 @@ def test_a_foot_that_has_tipped_over_does_not_stand(sole, monkeypatch):
     state, again = first_step(solver, target, 300.0)
     assert state is None
     assert not again.converged
+
+
+def test_newton_that_goes_in_circles_is_told_from_one_that_gains():
+    circles = contact._goes_in_circles
+    assert circles([0.5, 0.11, 0.011, 0.0064, 0.11, 0.011, 0.0064])
+    assert not circles([0.11, 0.011, 0.0064, 0.11, 0.011])  # too early
+    assert not circles([0.24, 0.16, 0.16, 0.12, 0.11, 0.07])
+    assert not circles([1.0, 0.9, 0.8, 1.2, 0.6, 0.3])
