@@ -108,7 +108,7 @@ def soles_figure(path: Path, soles: list[DrawnSole]) -> None:
             for column, view in enumerate(views.VIEWS):
                 axis = figure.add_axes(sheet.place(row, column))
                 _view(axis, sole, shape, view, boxes[column], sheet)
-                _ends(axis, sole.initial.nodes, view)
+                _ends(axis, sole, view)
             _, bottom, _, height = sheet.place(row, 0)
             look = {"y": bottom + height, "va": "top"}
             figure.text(0.012, s=sole.name, size=11, weight="bold", **look)
@@ -143,9 +143,10 @@ def _view(axis, sole, shape, view, box, sheet) -> None:
     axis.set_axis_off()
 
 
-def _ends(axis, nodes, view) -> None:
-    """Write heel and toe, or left and right, under the initial outline."""
-    low, high = views.extent(nodes, view)
+def _ends(axis, sole, view) -> None:
+    """Write heel and toe, or left and right, under either shape."""
+    low, high = views.extent(sole.initial.nodes, view)
+    below = min(low[1], views.extent(sole.mesh.nodes, view)[0][1])
     right = view.axes()[0]
     words = ("heel", "toe") if abs(right[0]) > 0.9 else ("right", "left")
     if max(np.abs(right)) < 0.9:
@@ -156,7 +157,7 @@ def _ends(axis, nodes, view) -> None:
         (low[0], high[0]), words, ("left", "right"), strict=True
     ):
         axis.text(
-            x, low[1] - 8, word, ha=side, va="top", fontsize=8, color="0.4"
+            x, below - 3, word, ha=side, va="top", fontsize=8, color="0.4"
         )
 
 
