@@ -108,17 +108,20 @@ def _follow_design(solver, target, near, press):
     if not report.converged:
         solver.active.refresh()
         unloaded = State(np.zeros_like(solver.lP), near.O.copy(), near.R)
-        state, report = _lead(solver, target, unloaded, press, False)
+        laws = [solver.law]
+        state, report = _lead(solver, target, unloaded, press, laws)
     return state, report
 
 
 def _cold_start(solver, target, press):
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
     candidates = candidate_poses(solver.lP, target.zmp, target.reference)
-    total = 0
+    total, smoother = 0, _smoother(solver.law)
+    # Where the law itself is as smooth, they would fail alike.
+    ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
     for guess in candidates:
-        for smooth in (False, True):
-            state, report = _lead(solver, target, guess, press, smooth)
+        for laws in ways:
+            state, report = _lead(solver, target, guess, press, laws)
             total += report.iterations
             report.iterations = total
             if report.converged and state.R[2, 2] > np.cos(_MAX_TILT):
@@ -130,23 +133,25 @@ def _cold_start(solver, target, press):
     return None, report
 
 
-def _lead(solver, target, guess, press, smooth):
-    law = solver.law
-    stages = [law]
-    if smooth:
-        stages = [
-            replace(
-                law,
-                layer=max(law.layer, shrink * _SMOOTHING_LAYER),
-                kappa=max(law.kappa, shrink * _SMOOTHING_KAPPA),
-            )
-            for shrink in (1.0, 0.2, 0.04)
-        ] + [law]
-    total = 0
+def _smoother(law) -> list:
+    """A smoother law, brought down to the wanted one."""
+    return [
+        replace(
+            law,
+            layer=max(law.layer, shrink * _SMOOTHING_LAYER),
+            kappa=max(law.kappa, shrink * _SMOOTHING_KAPPA),
+        )
+        for shrink in (1.0, 0.2, 0.04)
+    ] + [law]
+
+
+def _lead(solver, target, guess, press, laws):
+    """From a pose to the target, with one law after the other."""
+    law, total = solver.law, 0
     try:
-        solver.law = stages[0]
+        solver.law = laws[0]
         state, before = _press_in(solver, target, guess, press)
-        for stage in stages:
+        for stage in laws:
             solver.law = stage
             state, report = follow_load(solver, state, before, target)
             before = target
