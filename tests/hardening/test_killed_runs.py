@@ -36,7 +36,7 @@ solving._CHECKPOINT_SECONDS = 0.0
 cut_short(solving.np, "savez", 6, b"PK half a file")
 """
 _OPTIMISE = """
-cut_short(os, "replace", 3, b"{half")
+cut_short(os, "replace", 2, b"{half")
 """
 
 
