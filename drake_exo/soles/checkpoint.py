@@ -27,7 +27,8 @@ class Checkpoint:
         barrier: IPOPT's μ to go on with.
         curvature: Learnt Hessian (P, P).
         mesh, meshed_at: Where the elements were made anew, the undeformed
-            sole and the design at which; else None.
+            sole and the design at which; else None. At the beginning of a
+            stage they are of the stage before.
         remeshed: What summary.json says of it, one after the other.
     """
 

@@ -21,7 +21,7 @@ from drake_exo.soles.limits import Limits
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import NO_CORRECTIONS, minimise
+from drake_exo.soles.optimiser import NO_CORRECTIONS, WarmStart, minimise
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.program import minimise_by_snopt
 from drake_exo.soles.quasi_newton import QuasiNewton
@@ -37,8 +37,7 @@ from drake_exo.soles.shape import SphericalSpline
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
 _WORN_OUT = "elements worn out"
-# IPOPT's μ on new elements, and from the optimum of the stage before.
-_BARRIER, _SETTLED = 1e-4, 1e-7
+_BARRIER = 1e-4  # IPOPT's μ on new elements
 
 
 def limits_of(case: Case) -> Limits:
@@ -128,7 +127,7 @@ def optimise(
         )
         optima.append(best)
         seconds.append(time.perf_counter() - began)
-        best.latest = (best.p, best.multipliers, _SETTLED)
+        best.latest = (best.p, best.multipliers, WarmStart.barrier)
         following = min(number + 1, len(stages) - 1)
         at = Checkpoint.of(following, 0, best, learnt, problem, at.remeshed)
         at.write(out)

@@ -311,7 +311,7 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
 
 
 def conclude(problem, best, p, bounds, derivatives) -> None:
-    """Judge the solver's last point.
+    """Judge the solver's last point; what comes next may be on any branch.
 
     Args:
         problem: The problem.

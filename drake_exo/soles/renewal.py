@@ -66,13 +66,8 @@ def record(stage: int, iteration: int, before, after, p) -> dict:
     for name, problem in (("before", before), ("after", after)):
         e = problem.evaluate(p)
         row[name] = {
-            "least_quality": _quality(problem.mesh, problem.spline, p),
+            "least_quality": float(problem.deformed(p).quality().min()),
             "c_tr": None if e is None else e.c_tr,
             "c_rot": None if e is None else e.c_rot,
         }
     return row
-
-
-def _quality(mesh: TetMesh, spline, p) -> float:
-    shaped = mesh.with_nodes(spline.deform(mesh.nodes, p))
-    return float(shaped.quality().min())
