@@ -3,6 +3,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Tests see the font list of their own matplotlib, not the one a home holds.
+TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+    MPLCONFIGDIR="$(CURDIR)/$(VENV)/matplotlib"
 
 .PHONY: demo test coverage lint clean
 
@@ -10,6 +13,7 @@ $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	$(TEST_ENV) $(BIN)/python -c "import matplotlib.font_manager"
 	touch $@
 
 demo: $(VENV)/installed
@@ -18,12 +22,10 @@ demo: $(VENV)/installed
 test: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-	    $(BIN)/python -m pytest -n 2 --dist worksteal
+	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal
 
 coverage: $(VENV)/installed
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-	    $(BIN)/python -m pytest -n 2 --dist worksteal \
+	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal \
 	    --cov=drake_exo --cov-branch --cov-report=term-missing:skip-covered
 
 lint: $(VENV)/installed
