@@ -99,6 +99,9 @@ def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
     scale = np.array([1.0] * 3 + [1.0 / length] * 3)
     terms = []
     for K, factor in zip(K_c, factors, strict=True):
+        if factor == 0:
+            terms.append([])
+            continue
         sym = -0.5 * (K + K.T) * np.outer(scale, scale)
         v = scale * np.linalg.eigh(sym)[1][:, 0]
         terms.append([Term(-factor, v, v)])
@@ -109,7 +112,7 @@ def tilt_terms(R: np.ndarray, factors: np.ndarray):
     """Terms of Σ factor · R_zz (the cosine of the tilt)."""
     up = np.array([0.0, 0.0, 1.0])
     return [
-        [TurnTerm(f * np.cross(r[:, 2], up))]
+        [TurnTerm(f * np.cross(r[:, 2], up))] if f else []
         for r, f in zip(R, factors, strict=True)
     ]
 
@@ -139,14 +142,18 @@ def shape_gradients(
         functionals: For each functional and sample a list of terms.
     """
     sums = [Sensitivity.zero(len(sole.positions)) for _ in functionals]
+    needed = [(s, f) for s, f in zip(sums, functionals, strict=True) if any(f)]
     for q in reversed(range(len(force))):
         reference = start if q == 0 else history.P[q - 1][:, :2]
         target = Target(force[q], zmp[q], reference)
         step = _Step(solver, history.state(q), target, history.K_c[q])
-        for total, functional in zip(sums, functionals, strict=True):
+        for total, functional in needed:
             step.reverse(total, functional[q])
     out = []
     for total in sums:
+        if not total.left:
+            out.append(np.zeros_like(sole.mesh.nodes))
+            continue
         X = compliance_gradient(
             sole, np.array(total.left).T, np.array(total.right).T
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_exo.soles.elasticity import Sole, displacement_gradient
 
-_ELEMENTS, _FIELDS = 256, 64  # at a time
+_FIELDS = 64  # at a time
 
 
 def compliance_gradient(
@@ -68,28 +68,45 @@ def _at_nodes(sole: Sole, fields: np.ndarray) -> np.ndarray:
 def _work_linear(sole: Sole, v, u) -> np.ndarray:
     """Σ_k of σ(v) ⊗ H(u), made symmetric in v and u, (e, 3, 3, 3, 3).
 
-    By way of Σ_k v uᵀ between the four nodes of an element, which is
+    By way of Σ_k v uᵀ between neighbouring nodes, which elements share: far
     cheaper than the gradients of every field.
     """
-    tets, g = sole.mesh.tets, sole.mesh.gradients
-    v, u = _at_nodes(sole, v), _at_nodes(sole, u)
-    M = np.empty((len(tets), 3, 3, 3, 3))
-    shear, lame = sole.material.shear_modulus, sole.material.lame_lambda
-    for first in range(0, len(tets), _ELEMENTS):
-        part = slice(first, first + _ELEMENTS)
-        count = len(tets[part])
-        pairs = v[tets[part]].reshape(count, 12, -1) @ u[tets[part]].reshape(
-            count, 12, -1
-        ).transpose(0, 2, 1)
-        pairs = 0.5 * (pairs + pairs.transpose(0, 2, 1))
-        pairs = pairs.reshape(count, 4, 3, 4, 3)
-        half = np.einsum("eaibk,ebl->eaikl", pairs, g[part])
-        H = np.einsum("eaj,eaikl->eijkl", g[part], half)
-        M[part] = shear * (H + H.transpose(0, 2, 1, 3, 4))
-        trace = lame * (H[:, 0, 0] + H[:, 1, 1] + H[:, 2, 2])
-        for i in range(3):
-            M[part, i, i] += trace
+    mesh, g = sole.mesh, sole.mesh.gradients
+    between, place = _between_nodes(
+        mesh.tets, _at_nodes(sole, v), _at_nodes(sole, u)
+    )
+    pairs = between[place]  # (e, 4, 4, 3, 3)
+    pairs = 0.5 * (pairs + pairs.transpose(0, 2, 1, 4, 3))
+    half = np.einsum("eabik,ebl->eaikl", pairs, g)
+    H = np.einsum("eaj,eaikl->eijkl", g, half)
+    M = sole.material.shear_modulus * (H + H.transpose(0, 2, 1, 3, 4))
+    trace = sole.material.lame_lambda * (H[:, 0, 0] + H[:, 1, 1] + H[:, 2, 2])
+    for i in range(3):
+        M[:, i, i] += trace
     return M
+
+
+def _between_nodes(tets, v, u):
+    """Σ_k v_a u_bᵀ for all nodes a, b with an element in common.
+
+    Args:
+        tets: (e, 4).
+        v, u: Fields at all nodes, (n, 3, k).
+
+    Returns:
+        Products (pairs, 3, 3), and where each element's are, (e, 4, 4).
+    """
+    n = len(v)
+    codes = tets[:, :, None] * n + tets[:, None, :]
+    pairs, place = np.unique(codes, return_inverse=True)
+    ends = np.searchsorted(pairs, n * np.arange(n + 1))
+    out = np.empty((len(pairs), 3, 3))
+    for a in range(n):
+        part = slice(ends[a], ends[a + 1])
+        around = u[pairs[part] - a * n]
+        product = v[a] @ around.reshape(-1, u.shape[2]).T
+        out[part] = product.reshape(3, -1, 3).swapaxes(0, 1)
+    return out, place.reshape(codes.shape)
 
 
 def _work_smoothed(sole: Sole, v, u):

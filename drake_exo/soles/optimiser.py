@@ -14,8 +14,8 @@ from drake_exo.soles.quasi_newton import QuasiNewton
 
 _FEASIBLE = 1e-4
 # A stage ends after so many simulations that changed cost and violation by
-# less.
-_PATIENCE, _PROGRESS = 60, 1e-4
+# less and did not bring the optimality error down by this factor.
+_PATIENCE, _PROGRESS, _NEARER = 100, 1e-4, 0.7
 _OPTIONS = {
     "acceptable_iter": 0,
     # Adaptive barriers leap about where costs are not quadratic.
@@ -154,8 +154,8 @@ class _Callbacks:
         self.say = say
         self.stopped = self.stalled = False
         self.ended = ""  # why it was told to
-        # Cost, violation and simulations at the last change.
-        self._mark = (np.inf, np.inf, 0)
+        # Cost, violation, error and simulations at the last change.
+        self._mark = (np.inf, np.inf, np.inf, 0)
         self.at = AcceptedDesigns(problem, best).at
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
@@ -202,10 +202,11 @@ class _Callbacks:
             said = self.say(iteration, self.best)
             self.ended = said if isinstance(said, str) else ""
         simulations, mark = self.problem.evaluations, self._mark
-        still = abs(cost - mark[0]) < _PROGRESS * abs(cost)
-        if not still or abs(inf_pr - mark[1]) > _PROGRESS:
-            self._mark = (cost, inf_pr, simulations)
-        self.stalled = simulations - self._mark[2] > _PATIENCE
+        changed = abs(cost - mark[0]) >= _PROGRESS * abs(cost)
+        changed = changed or abs(inf_pr - mark[1]) > _PROGRESS
+        if changed or inf_du < _NEARER * mark[2]:
+            self._mark = (cost, inf_pr, inf_du, simulations)
+        self.stalled = simulations - self._mark[3] > _PATIENCE
         return not (self.stopped or self.stalled or self.ended)
 
 

@@ -1,5 +1,7 @@
 """Gradients of the simulation by shape against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from drake_exo.soles.adjoint import shape_gradients, singular_terms
 from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.design import settle
 from drake_exo.soles.elasticity import MATERIALS, Sole
-from drake_exo.soles.limits import Limits, soft_minimum
+from drake_exo.soles.limits import Limits, level, soft_minimum
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.node_law import ContactLaw
@@ -115,8 +117,15 @@ def problem():
     )  # fmt: skip
 
 
-def test_cost_and_constraints_have_right_derivatives(problem):
-    rng = np.random.default_rng(1)
+@pytest.fixture(scope="module")
+def tight(problem):
+    """Stability and tilt near their limits."""
+    limits = replace(problem.limits, stability=4e4, tilt_deg=9.0)
+    return replace(problem, limits=limits, _cache={})
+
+
+def test_cost_and_constraints_have_right_derivatives(tight):
+    problem, rng = tight, np.random.default_rng(1)
     p = 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
     direction = rng.standard_normal(len(p))
     gradient, jacobian = problem.derivatives(p)
@@ -136,6 +145,24 @@ def test_cost_and_constraints_have_right_derivatives(problem):
         for h in (1e-6, 1e-7)
     ]
     np.testing.assert_array_less(np.min(errors, axis=0), 1e-5)
+
+
+def test_limits_far_away_are_level_and_need_no_adjoint(problem, tight):
+    e = problem.evaluate(np.full(problem.spline.count, 0.97))
+    for far in problem.limited[:2]:
+        assert far.value(e) == pytest.approx(0.2)
+        assert not any(far.derivative(e)[0])
+    for near in tight.limited[:2]:
+        assert near.value(e) < 0.2
+        assert all(near.derivative(e)[0])
+
+
+def test_level_bends_smoothly():
+    assert level(-3.0) == (-3.0, 1.0)
+    for x in (0.05, 0.1, 0.17, 0.3, 0.5):
+        step = 1e-6
+        slope = (level(x + step)[0] - level(x - step)[0]) / (2 * step)
+        assert level(x)[1] == pytest.approx(slope, abs=1e-5)
 
 
 def test_strain_gradient_without_its_adjoint_is_caught(problem):
@@ -270,13 +297,14 @@ def test_a_search_without_progress_ends():
 
     problem, best = Counted(), Optimum(np.ones(2))
     calls = _Callbacks(problem, None, best, None)
-    for iteration in range(4):  # each with progress
-        problem.evaluations += 50
-        assert calls.watch(0, iteration, 1.0 - 0.1 * iteration, 0.0, 1.0, 0.1)
-    problem.evaluations += 50
-    assert calls.watch(0, 4, 0.7, 0.0, 1.0, 0.1)
-    problem.evaluations += 50
-    assert not calls.watch(0, 5, 0.7, 0.0, 1.0, 0.1)
+    # Cost, then violation, then error get on; the last two not.
+    rows = [(1.0, 0.1, 1.0), (0.9, 0.1, 1.0), (0.9, 0.0, 1.0),
+            (0.9, 0.0, 0.5), (0.9, 0.0, 0.5)]  # fmt: skip
+    for iteration, row in enumerate(rows):
+        problem.evaluations += 80
+        assert calls.watch(0, iteration, *row, 0.1)
+    problem.evaluations += 80
+    assert not calls.watch(0, len(rows), *rows[-1], 0.1)
     assert calls.stalled
     assert not calls.stopped
 
