@@ -31,7 +31,8 @@ _CHILD = Path(__file__).with_name("mmg_child.py")
 _MOST_SECONDS = 20  # of processor time; five thousand tets take one
 _SOUND = 0.3  # least mean-ratio quality at which the surface is kept
 _CARRIES = 0.1  # least quality of elements of another number
-_SMALLER = (1.0, 0.97, 0.94, 0.91, 0.88, 0.85)  # edges, until there are enough
+# Edges, from longer ones, until there are enough elements.
+_SIZES = (1.18, 1.12, 1.06, 1.0, 0.97, 0.94, 0.91, 0.88, 0.85)
 _UPRIGHT = 0.2  # least volume of a half, of that of plain halves
 _SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
 _GLUED, _BARE = 1, 2  # references of triangles in Mmg
@@ -101,8 +102,8 @@ def remesh_with(
 
     size = (len(mesh.tets) / tets) ** (1 / 3)
     builds = (
-        lambda smaller=smaller: _with_halves(mesh, spline, p, smaller * size)
-        for smaller in _SMALLER
+        lambda part=part: _with_halves(mesh, spline, p, part * size)
+        for part in _SIZES
     )
     return _best(builds, spline, p, enough, _CARRIES)
 
