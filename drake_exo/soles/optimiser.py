@@ -14,7 +14,7 @@ from drake_exo.soles.quasi_newton import QuasiNewton
 
 _FEASIBLE = 1e-4
 # A stage ends after so many simulations that changed cost and violation by
-# less and did not bring the optimality error down by this factor.
+# less and did not bring the optimality error, once below 1, down by a factor.
 _PATIENCE, _PROGRESS, _NEARER = 100, 1e-4, 0.7
 _OPTIONS = {
     "acceptable_iter": 0,
@@ -204,7 +204,7 @@ class _Callbacks:
         simulations, mark = self.problem.evaluations, self._mark
         changed = abs(cost - mark[0]) >= _PROGRESS * abs(cost)
         changed = changed or abs(inf_pr - mark[1]) > _PROGRESS
-        if changed or inf_du < _NEARER * mark[2]:
+        if changed or inf_du < min(1.0, _NEARER * mark[2]):
             self._mark = (cost, inf_pr, inf_du, simulations)
         self.stalled = simulations - self._mark[3] > _PATIENCE
         return not (self.stopped or self.stalled or self.ended)

@@ -290,22 +290,29 @@ def test_ctrl_c_ends_snopt(problem, monkeypatch):
         minimise_by_snopt(problem, p0, (0.5, 1.25), 8, 1e-4, interrupt)
 
 
-def test_a_search_without_progress_ends():
+@pytest.mark.parametrize(
+    ("errors", "ends"),
+    [((9.0, 0.9, 0.5), False), ((9.0, 9.0, 9.0), True),
+     ((0.9, 0.9, 0.8), True), ((9e3, 9e2, 9e1), True)],
+)  # fmt: skip
+def test_a_search_without_progress_ends(errors, ends):
     class Counted:
         evaluations = 0
         spline = SphericalSpline((2, 2))
 
     problem, best = Counted(), Optimum(np.ones(2))
     calls = _Callbacks(problem, None, best, None)
-    # Cost, then violation, then error get on; the last two not.
-    rows = [(1.0, 0.1, 1.0), (0.9, 0.1, 1.0), (0.9, 0.0, 1.0),
-            (0.9, 0.0, 0.5), (0.9, 0.0, 0.5)]  # fmt: skip
+    # Cost, then violation get on; after that, if any, the error alone.
+    rows = [(1.0, 0.1), (0.9, 0.1), (0.9, 0.0)]
     for iteration, row in enumerate(rows):
         problem.evaluations += 80
-        assert calls.watch(0, iteration, *row, 0.1)
-    problem.evaluations += 80
-    assert not calls.watch(0, len(rows), *rows[-1], 0.1)
-    assert calls.stalled
+        assert calls.watch(0, iteration, *row, errors[0], 0.1)
+    goes_on = True
+    for iteration, error in enumerate(errors[1:], len(rows)):
+        problem.evaluations += 80
+        goes_on = calls.watch(0, iteration, *rows[-1], error, 0.1)
+    assert calls.stalled == ends
+    assert goes_on != ends
     assert not calls.stopped
 
 
