@@ -1,5 +1,6 @@
 """Arguments that several jobs of `drake-exo sole` share."""
 
+from argparse import ArgumentTypeError
 from pathlib import Path
 
 from drake_exo.errors import InputError
@@ -47,6 +48,23 @@ def add_limits_argument(parser, choices) -> None:
         help="limits on stability, tilt and strain: the case's, or none as "
         "in the paper (default: all)",
     )
+
+
+def add_iterations_argument(parser) -> None:
+    """How long the last stage may go on."""
+    parser.add_argument(
+        "--iterations",
+        type=_count,
+        metavar="N",
+        help="at most so many in the last stage (default: the case's; most "
+        "cases are at an optimum after 400)",
+    )
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit()):
+        raise ArgumentTypeError(f"{text!r} is no whole number from 0 on")
+    return int(text)
 
 
 def prepare_out_or_source(args, name: str) -> OutputFolder:

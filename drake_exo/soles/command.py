@@ -14,6 +14,7 @@ from drake_exo.output import Progress, prepare_output_folder, write_json
 from drake_exo.soles import results, strain_command, study_report
 from drake_exo.soles.arguments import (
     add_common_arguments,
+    add_iterations_argument,
     add_limits_argument,
 )
 from drake_exo.soles.case import open_case
@@ -43,12 +44,14 @@ def add_parser(subparsers) -> None:
         help="go on from the checkpoint in this folder of an earlier run",
     )
     add_limits_argument(parser, ("all", "none"))
+    add_iterations_argument(parser)
     parser.set_defaults(run=_run_optimize)
     parser = jobs.add_parser("study", help="the paper's five cases (Table 2)")
     parser.add_argument(
         "--coarse", action="store_true", help="two coarse stages, two minutes"
     )
     add_limits_argument(parser, ("all", "none", "both"))
+    add_iterations_argument(parser)
     parser.add_argument(
         "--front",
         action="store_true",

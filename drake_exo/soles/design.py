@@ -298,8 +298,19 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
 
 def finish_on_own_mesh(case: Case) -> Case:
     """The last stage on the case's own mesh, such as one given by --mesh."""
+    return _with_last_stage(case, divisions=None)
+
+
+def with_iterations(case: Case, iterations: int | None) -> Case:
+    """So many iterations in the last stage; None: the case's."""
+    if iterations is None:
+        return case
+    return _with_last_stage(case, iterations=iterations)
+
+
+def _with_last_stage(case: Case, **changes) -> Case:
     stages = case.optimize.stages
-    last = replace(stages[-1], divisions=None)
+    last = replace(stages[-1], **changes)
     return replace(
         case, optimize=replace(case.optimize, stages=(*stages[:-1], last))
     )

@@ -21,6 +21,7 @@ def run_optimize(args) -> int:
         case = designs.finish_on_own_mesh(case)
     if args.limits == "none":
         case = designs.without_limits(case)
+    case = designs.with_iterations(case, args.iterations)
     resume = read_checkpoint(args.resume) if args.resume else None
     with prepare_output_folder(args.out, args.force) as out:
         row = optimise_case(out, case, mesh, load, start, resume)

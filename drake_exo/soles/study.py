@@ -6,7 +6,11 @@ from pathlib import Path
 from drake_exo.output import prepare_output_folder, read_json, write_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Case
-from drake_exo.soles.design import finish_on_own_mesh, without_limits
+from drake_exo.soles.design import (
+    finish_on_own_mesh,
+    with_iterations,
+    without_limits,
+)
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.optimise_command import optimise_case, print_row
 from drake_exo.soles.study_cases import (
@@ -39,7 +43,7 @@ def run_study(args) -> int:
         cases = [finish_on_own_mesh(case) for case in cases]
     began = time.perf_counter()
     with prepare_output_folder(args.out, args.force) as out:
-        variants = _variants(out, cases, args.limits)
+        variants = _variants(out, cases, args.limits, args.iterations)
         jobs = [
             (_one, folder / case.name, case, root, args.mesh)
             for _, folder, rows in variants
@@ -72,9 +76,12 @@ def run_study(args) -> int:
     return 1 if failed or any(r["failed_steps"] for r in rows) else 0
 
 
-def _variants(out: Path, cases: list[Case], limits: str):
+def _variants(out: Path, cases: list[Case], limits: str, iterations):
     """Key of the summary, folder and cases, with limits and without."""
     free = [without_limits(case) for case in cases]
+    # After that: it tells default stages from others.
+    free = [with_iterations(case, iterations) for case in free]
+    cases = [with_iterations(case, iterations) for case in cases]
     if limits == "all":
         return [("cases", out, cases)]
     if limits == "none":

@@ -76,12 +76,23 @@ def test_the_mesh_written_is_the_design(folder):
 
 def test_a_run_goes_on_from_its_checkpoint(folder):
     more = folder / "more"
-    assert optimize(folder / "case.yaml", more, "--resume", folder / "out") == 0
+    options = ("--resume", folder / "out", "--iterations", 6)
+    assert optimize(folder / "case.yaml", more, *options) == 0
     first, then = (
-        json.loads((folder / name / "summary.json").read_text())["c"]
+        json.loads((folder / name / "summary.json").read_text())
         for name in ("out", "more")
     )
-    assert then <= first * 1.01
+    assert then["c"] <= first["c"] * 1.01
+    assert first["iterations"] == [3]
+    assert then["iterations"] == [6]
+
+
+def test_a_number_of_iterations_that_is_none_is_refused(folder, capsys):
+    never = folder / "never"
+    with pytest.raises(SystemExit) as ended:
+        optimize(folder / "case.yaml", never, "--iterations", "-3")
+    assert ended.value.code == 2
+    assert "'-3' is no whole number from 0 on" in capsys.readouterr().err
 
 
 def test_interrupted_three_times_the_optimum_is_the_same(
