@@ -14,6 +14,8 @@ from drake_exo.soles.element_gradient import compliance_gradient
 from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.simulation import StepHistory
 
+_NEGLIGIBLE = 1e-12  # of the largest factor
+
 
 @dataclass(frozen=True)
 class Term:
@@ -97,24 +99,28 @@ def singular_terms(K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray):
 def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
     """Terms of Σ factor · min eig(S sym(−K_c) S)."""
     scale = np.array([1.0] * 3 + [1.0 / length] * 3)
-    terms = []
-    for K, factor in zip(K_c, factors, strict=True):
-        if factor == 0:
-            terms.append([])
-            continue
+    terms = [[] for _ in K_c]
+    for q in _heavy(factors):
+        K, factor = K_c[q], factors[q]
         sym = -0.5 * (K + K.T) * np.outer(scale, scale)
         v = scale * np.linalg.eigh(sym)[1][:, 0]
-        terms.append([Term(-factor, v, v)])
+        terms[q].append(Term(-factor, v, v))
     return terms
 
 
 def tilt_terms(R: np.ndarray, factors: np.ndarray):
     """Terms of Σ factor · R_zz (the cosine of the tilt)."""
     up = np.array([0.0, 0.0, 1.0])
-    return [
-        [TurnTerm(f * np.cross(r[:, 2], up))] if f else []
-        for r, f in zip(R, factors, strict=True)
-    ]
+    terms = [[] for _ in R]
+    for q in _heavy(factors):
+        terms[q].append(TurnTerm(factors[q] * np.cross(R[q, :, 2], up)))
+    return terms
+
+
+def _heavy(factors: np.ndarray) -> np.ndarray:
+    """Samples whose factor counts; soft minima give most next to none."""
+    size = np.abs(factors)
+    return np.flatnonzero(size > _NEGLIGIBLE * size.max())
 
 
 def _padded(alpha, u, v, part) -> Term:
@@ -142,18 +148,15 @@ def shape_gradients(
         functionals: For each functional and sample a list of terms.
     """
     sums = [Sensitivity.zero(len(sole.positions)) for _ in functionals]
-    needed = [(s, f) for s, f in zip(sums, functionals, strict=True) if any(f)]
     for q in reversed(range(len(force))):
         reference = start if q == 0 else history.P[q - 1][:, :2]
         target = Target(force[q], zmp[q], reference)
         step = _Step(solver, history.state(q), target, history.K_c[q])
-        for total, functional in needed:
-            step.reverse(total, functional[q])
+        for total, functional in zip(sums, functionals, strict=True):
+            if functional[q] or total.mu.any():
+                step.reverse(total, functional[q])
     out = []
     for total in sums:
-        if not total.left:
-            out.append(np.zeros_like(sole.mesh.nodes))
-            continue
         X = compliance_gradient(
             sole, np.array(total.left).T, np.array(total.right).T
         )

@@ -119,7 +119,7 @@ _FINE = (18, 12, 4)
 # Strains depend on the mesh: with a limit on them the fine one from the start.
 LIMITED_STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 50),
-    Stage(_FINE, 72, 3e-5, 0.2, 40),
+    Stage(_FINE, None, 3e-5, 0.2, 20),
     Stage(_FINE, None, 5e-6, 0.2, 25),
 )
 # Without limits coarse elements let the search go far at little cost.

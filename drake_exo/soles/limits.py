@@ -1,8 +1,7 @@
 """Limits on a design that take a simulation: value and what the adjoint needs.
 
 Every limit is scaled and at least 0 where met. Minima over samples are soft
-and err on the safe side. Stability and tilt are level where far from their
-limits: there they need no adjoint.
+and err on the safe side.
 """
 
 from dataclasses import dataclass
@@ -23,7 +22,6 @@ from drake_exo.soles.strain_norm import StrainNorm
 
 _SHARPNESS = 60.0  # of the soft minimum over samples
 _TILT_SCALE = 0.06  # 1 − cos 20°
-_NEAR, _FAR = 0.1, 0.3  # scaled limits bend here, are level from here
 
 
 @dataclass(frozen=True)
@@ -79,16 +77,15 @@ class StabilityLimit:
         return _saturate(x / self.scale)
 
     def value(self, e: Evaluation) -> float:
-        """Scaled excess, soft minimum over samples, level where far."""
-        return level(soft_minimum(self._excess(e)[0])[0])[0]
+        """Scaled excess, soft minimum over samples."""
+        return soft_minimum(self._excess(e)[0])[0]
 
     def derivative(self, e: Evaluation):
         """Terms for the adjoint, direct derivative by the nodes."""
         y, slope = self._excess(e)
-        least, share = soft_minimum(y)
-        factors = level(least)[1] * slope * share / self.scale
+        share = slope * soft_minimum(y)[1] / self.scale
         return stability_terms(
-            e.history.K_c, factors, stiffness.STABILITY_LENGTH
+            e.history.K_c, share, stiffness.STABILITY_LENGTH
         ), 0.0
 
 
@@ -104,14 +101,13 @@ class TiltLimit:
         return soft_minimum(room / _TILT_SCALE)
 
     def value(self, e: Evaluation) -> float:
-        """Scaled difference of cosines, soft minimum, level where far."""
-        return level(self._excess(e)[0])[0]
+        """Scaled difference of cosines, soft minimum over samples."""
+        return self._excess(e)[0]
 
     def derivative(self, e: Evaluation):
         """Terms for the adjoint, direct derivative by the nodes."""
-        least, share = self._excess(e)
-        factors = level(least)[1] * share / _TILT_SCALE
-        return tilt_terms(e.history.R, factors), 0.0
+        share = self._excess(e)[1] / _TILT_SCALE
+        return tilt_terms(e.history.R, share), 0.0
 
 
 @dataclass(frozen=True)
@@ -176,13 +172,6 @@ def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Give x / √(1 + x²) and its slope: no wild sample rules the search."""
     root = np.sqrt(1 + x**2)
     return x / root, root**-3
-
-
-def level(x: float) -> tuple[float, float]:
-    """Value and slope: x up to _NEAR, level from _FAR on, bent between."""
-    t = min(max((x - _NEAR) / (_FAR - _NEAR), 0.0), 1.0)
-    bent = (_FAR - _NEAR) * (t - 0.5 * t * t)
-    return min(x, _NEAR) + bent, 1.0 - t
 
 
 def soft_minimum(
