@@ -13,9 +13,10 @@ from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.quasi_newton import QuasiNewton
 
 _FEASIBLE = 1e-4
-# A stage ends after so many simulations that changed cost and violation by
-# less and did not bring the optimality error, once below 1, down by a factor.
-_PATIENCE, _PROGRESS, _NEARER = 100, 1e-4, 0.7
+# A stage ends after so many iterations, or rejected simulations, that changed
+# cost and violation by less and did not bring the optimality error, once below
+# 1, down by a factor.
+_PATIENCE, _REJECTED, _PROGRESS, _NEARER = 150, 60, 1e-4, 0.7
 _OPTIONS = {
     "acceptable_iter": 0,
     # Adaptive barriers leap about where costs are not quadratic.
@@ -154,8 +155,8 @@ class _Callbacks:
         self.say = say
         self.stopped = self.stalled = False
         self.ended = ""  # why it was told to
-        # Cost, violation, error and simulations at the last change.
-        self._mark = (np.inf, np.inf, np.inf, 0)
+        # Cost, violation, error, iteration, rejections at the last change.
+        self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self.at = AcceptedDesigns(problem, best).at
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
@@ -201,12 +202,14 @@ class _Callbacks:
         if self.say is not None:
             said = self.say(iteration, self.best)
             self.ended = said if isinstance(said, str) else ""
-        simulations, mark = self.problem.evaluations, self._mark
+        rejected, mark = self.problem.evaluations - iteration, self._mark
         changed = abs(cost - mark[0]) >= _PROGRESS * abs(cost)
         changed = changed or abs(inf_pr - mark[1]) > _PROGRESS
         if changed or inf_du < min(1.0, _NEARER * mark[2]):
-            self._mark = (cost, inf_pr, inf_du, simulations)
-        self.stalled = simulations - self._mark[3] > _PATIENCE
+            self._mark = mark = (cost, inf_pr, inf_du, iteration, rejected)
+        self.stalled = (
+            iteration - mark[3] > _PATIENCE or rejected - mark[4] > _REJECTED
+        )
         return not (self.stopped or self.stalled or self.ended)
 
 
@@ -279,7 +282,7 @@ def minimise(
         raise KeyboardInterrupt
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     if calls.stalled:
-        best.status = f"no progress in {_PATIENCE} simulations"
+        best.status = "no more progress"
     best.status = calls.ended or best.status
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)

@@ -264,11 +264,12 @@ def test_ctrl_c_ends_snopt(problem, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("errors", "ends"),
-    [((9.0, 0.9, 0.5), False), ((9.0, 9.0, 9.0), True),
-     ((0.9, 0.9, 0.8), True), ((9e3, 9e2, 9e1), True)],
+    ("errors", "simulations", "ends"),
+    [((9.0, 0.9, 0.5), 40, False), ((9.0, 9.0, 9.0), 40, True),
+     ((0.9, 0.9, 0.8), 40, True), ((9e3, 9e2, 9e1), 40, True),
+     ((0.9,) * 152, 1, True), ((0.9,) * 151, 1, False)],
 )  # fmt: skip
-def test_a_search_without_progress_ends(errors, ends):
+def test_a_search_without_progress_ends(errors, simulations, ends):
     class Counted:
         evaluations = 0
         spline = SphericalSpline((2, 2))
@@ -278,11 +279,11 @@ def test_a_search_without_progress_ends(errors, ends):
     # Cost, then violation get on; after that, if any, the error alone.
     rows = [(1.0, 0.1), (0.9, 0.1), (0.9, 0.0)]
     for iteration, row in enumerate(rows):
-        problem.evaluations += 80
+        problem.evaluations += simulations
         assert calls.watch(0, iteration, *row, errors[0], 0.1)
     goes_on = True
     for iteration, error in enumerate(errors[1:], len(rows)):
-        problem.evaluations += 80
+        problem.evaluations += simulations
         goes_on = calls.watch(0, iteration, *rows[-1], error, 0.1)
     assert calls.stalled == ends
     assert goes_on != ends
