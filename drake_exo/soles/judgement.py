@@ -13,7 +13,7 @@ from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.optimiser import Optimum
 from drake_exo.soles.problem import ShapeProblem
-from drake_exo.soles.remesh import RemeshError, remesh_with
+from drake_exo.soles.remesh import RemeshError, in_eighths, remesh_with
 from drake_exo.soles.simulation import StepHistory, simulate
 
 _SOUND = 0.15  # least quality at which a finer brick judges a design
@@ -147,7 +147,8 @@ def _at_least_twice(divisions) -> tuple[int, int, int]:
 def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     """The design on a mesh of at least twice the tets, beside the brick.
 
-    Where the finer brick's elements are poor at the design, on new ones.
+    Where the finer brick's elements are poor at the design, on new ones; where
+    there are none and the brick's are inverted, on eighths of the design's own.
     `change` and `brick_change` are those of c against the last stage's mesh.
     """
     divisions = next(
@@ -166,9 +167,9 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
                 design.problem.mesh, spline, design.p, 2 * len(design.mesh.tets)
             )
             shaped = other.with_nodes(spline.deform(other.nodes, design.p))
-        except RemeshError as error:
+        except RemeshError:
             if shaped.volumes.min() <= 0:
-                return {"tets": len(base.tets), "message": str(error)}
+                shaped = in_eighths(design.problem.mesh, spline, design.p)[0]
     out = {"tets": len(shaped.tets)}
     r = Sole(base, design.problem.material, case.mesh.element).penalty
     for name, mesh in (("brick", base), ("design", shaped)):

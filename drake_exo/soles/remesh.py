@@ -150,8 +150,17 @@ def _with_surface(mesh: TetMesh, spline, p) -> TetMesh:
     return TetMesh(X, tets, np.sort(glued))
 
 
-def _with_halves(mesh: TetMesh, spline, p, size: float = 1.0) -> TetMesh:
-    """Another surface, too, from elements that see more of the shape."""
+def in_eighths(mesh: TetMesh, spline: SphericalSpline, p: np.ndarray):
+    """The sole of a design with every element cut into eight, by itself.
+
+    Args:
+        mesh: Undeformed sole whose elements are positive at p.
+        spline, p: The design.
+
+    Returns:
+        The deformed sole in upright elements, new nodes on the shape where
+        that leaves them so; the undeformed one in as many; edge lengths.
+    """
     deformed = _at(mesh, spline, p)
     fine, sizes = halved(mesh, edge_lengths(deformed))
     chords, _ = halved(deformed, sizes[: len(mesh.nodes)])
@@ -164,6 +173,12 @@ def _with_halves(mesh: TetMesh, spline, p, size: float = 1.0) -> TetMesh:
             break
         nodes = nodes.copy()
         nodes[bad] = chords.nodes[bad]
+    return shaped, fine, sizes
+
+
+def _with_halves(mesh: TetMesh, spline, p, size: float = 1.0) -> TetMesh:
+    """Another surface, too, from elements that see more of the shape."""
+    shaped, fine, sizes = in_eighths(mesh, spline, p)
     got = _mmg(shaped, sharp_edges(fine), sizes=size * sizes)
     return _put_back(mesh, spline, p, got)
 

@@ -6,7 +6,13 @@ import pytest
 from drake_exo.soles import remesh as remeshing
 from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.radial import onto_edges, pull_back, reach
-from drake_exo.soles.remesh import RemeshError, halved, remesh, sharp_edges
+from drake_exo.soles.remesh import (
+    RemeshError,
+    halved,
+    in_eighths,
+    remesh,
+    sharp_edges,
+)
 from drake_exo.soles.shape import SphericalSpline
 
 SIZE = (0.23, 0.13, 0.03)
@@ -187,6 +193,22 @@ def test_halves_fill_the_same_body():
     np.testing.assert_allclose(values, fine.nodes[:, 0], atol=1e-16)
     top = np.flatnonzero(fine.nodes[:, 2] == 0.0)
     np.testing.assert_array_equal(np.sort(fine.dirichlet), top)
+
+
+def test_eighths_of_a_worn_design_are_upright_and_see_more_of_it(design):
+    mesh, spline, p = design
+    coarse = _at(mesh, spline, p)
+    shaped, fine, _ = in_eighths(mesh, spline, p)
+    assert len(shaped.tets) == 8 * len(mesh.tets)
+    assert (shaped.volumes > 0).all()
+    assert np.ptp(shaped.nodes[shaped.dirichlet, 2]) == 0
+    new = np.setdiff1d(shaped.contact, np.arange(len(mesh.nodes)))
+    exact = spline.deform(fine.nodes, p)
+    chord, _ = halved(coarse, np.zeros(len(mesh.nodes)))
+    on = (shaped.nodes[new] == exact[new]).all(axis=1)
+    off = (shaped.nodes[new] == chord.nodes[new]).all(axis=1)
+    assert (on | off).all()
+    assert on.mean() > 0.8
 
 
 def test_points_move_along_their_rays():
