@@ -4,7 +4,7 @@ Case 1-Ref with all limits on the coarse mesh, by the command itself: once in
 one go, then killed three times (SIGKILL) at random moments and resumed each
 time. Prints c of both.
 
-python benchmarks/sole_interruptions.py [--json] [--data-root DIR]
+python benchmarks/sole_interruptions.py [--json] --data-root DIR
     [--divisions 10 6 3] [--samples 24] [--kills 3] [--seed 0]
 """
 
@@ -22,6 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
+from drake_exo.soles.study_cases import SIZE
+
 LAYERS = ((3e-4, 60), (1e-4, 60), (3e-5, 300))  # m, iterations
 CASE = Path(__file__).parents[1] / "tests" / "cases" / "hrp4_neoprene.yaml"
 
@@ -29,8 +31,8 @@ CASE = Path(__file__).parents[1] / "tests" / "cases" / "hrp4_neoprene.yaml"
 def write_case(folder, args):
     """The case of the tests, on a brick, with stages to an optimum."""
     case = yaml.safe_load(CASE.read_text())
-    size = [0.23, 0.13, 0.03]
-    case["mesh"] = {"brick": {"size_m": size, "divisions": args.divisions}}
+    brick = {"size_m": list(SIZE), "divisions": args.divisions}
+    case["mesh"] = {"brick": brick}
     case["optimize"] = {
         "stages": [
             {"divisions": args.divisions, "samples": args.samples,

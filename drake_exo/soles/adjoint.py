@@ -14,7 +14,7 @@ from drake_exo.soles.element_gradient import compliance_gradient
 from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.simulation import StepHistory
 
-_NEGLIGIBLE = 1e-12  # of the largest factor
+_NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
     """Terms of Σ factor · min eig(S sym(−K_c) S)."""
     scale = np.array([1.0] * 3 + [1.0 / length] * 3)
     terms = [[] for _ in K_c]
-    for q in _heavy(factors):
+    for q in heavy(factors):
         K, factor = K_c[q], factors[q]
         sym = -0.5 * (K + K.T) * np.outer(scale, scale)
         v = scale * np.linalg.eigh(sym)[1][:, 0]
@@ -112,14 +112,18 @@ def tilt_terms(R: np.ndarray, factors: np.ndarray):
     """Terms of Σ factor · R_zz (the cosine of the tilt)."""
     up = np.array([0.0, 0.0, 1.0])
     terms = [[] for _ in R]
-    for q in _heavy(factors):
+    for q in heavy(factors):
         terms[q].append(TurnTerm(factors[q] * np.cross(R[q, :, 2], up)))
     return terms
 
 
-def _heavy(factors: np.ndarray) -> np.ndarray:
-    """Samples whose factor counts; soft minima give most next to none."""
-    size = np.abs(factors)
+def heavy(derivatives: np.ndarray) -> np.ndarray:
+    """Samples that count: soft extremes give most of them next to nothing.
+
+    Args:
+        derivatives: By something of each sample, (N, ...).
+    """
+    size = np.abs(derivatives).reshape(len(derivatives), -1).max(axis=1)
     return np.flatnonzero(size > _NEGLIGIBLE * size.max())
 
 

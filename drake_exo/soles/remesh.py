@@ -101,8 +101,9 @@ def remesh_with(
         return len(new.tets) >= tets and (usable is None or usable(new))
 
     size = (len(mesh.tets) / tets) ** (1 / 3)
+    cut = in_eighths(mesh, spline, p)
     builds = (
-        lambda part=part: _with_halves(mesh, spline, p, part * size)
+        lambda part=part: _from_eighths(mesh, spline, p, cut, part * size)
         for part in _SIZES
     )
     return _best(builds, spline, p, enough, _CARRIES)
@@ -176,9 +177,14 @@ def in_eighths(mesh: TetMesh, spline: SphericalSpline, p: np.ndarray):
     return shaped, fine, sizes
 
 
-def _with_halves(mesh: TetMesh, spline, p, size: float = 1.0) -> TetMesh:
+def _with_halves(mesh: TetMesh, spline, p) -> TetMesh:
     """Another surface, too, from elements that see more of the shape."""
-    shaped, fine, sizes = in_eighths(mesh, spline, p)
+    return _from_eighths(mesh, spline, p, in_eighths(mesh, spline, p), 1.0)
+
+
+def _from_eighths(mesh: TetMesh, spline, p, cut, size: float) -> TetMesh:
+    """Elements of `size` times the edges, from what `in_eighths` gave."""
+    shaped, fine, sizes = cut
     got = _mmg(shaped, sharp_edges(fine), sizes=size * sizes)
     return _put_back(mesh, spline, p, got)
 

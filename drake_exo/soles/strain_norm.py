@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_exo.soles.adjoint import ForceTerm
+from drake_exo.soles.adjoint import ForceTerm, heavy
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.element_gradient import stiffness_gradient
 from drake_exo.soles.simulation import StepHistory
@@ -22,7 +22,6 @@ ORDER = 2**_DOUBLINGS  # p
 _BATCH = 32  # samples at a time
 # Strains (Frobenius) below this part of a principal one add less than 1e-13.
 _FAINT = 0.5
-_NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 
 
 @dataclass
@@ -93,14 +92,13 @@ class StrainNorm:
         by_nodes = np.zeros_like(mesh.nodes)
         moved = np.swapaxes(self._H, 1, 2) @ G @ g
         _scatter(by_nodes, tets, -np.swapaxes(moved, 1, 2))
-        size = np.abs(pull).max(axis=(1, 2))
-        heavy = np.flatnonzero(size > _NEGLIGIBLE * size.max())
+        kept = heavy(pull)
         free = sole.free
-        u = self._u[heavy][:, free].reshape(len(heavy), -1).T
-        v = sole.solve(pull[heavy][:, free].reshape(len(heavy), -1).T)
+        u = self._u[kept][:, free].reshape(len(kept), -1).T
+        v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
         by_nodes += stiffness_gradient(sole, v, u)
         terms = [[] for _ in self._u]
-        for q, column in zip(heavy, v[sole.contact_rows].T, strict=True):
+        for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
         return terms, by_nodes
 
