@@ -55,10 +55,8 @@ def timed(function):
 
 
 def run(sole, law, load, rows, solver=None, **more):
-    return simulate(
-        sole.compliance, sole.positions, law, load.force[rows],
-        load.zmp[rows], START, solver=solver, **more,
-    )  # fmt: skip
+    solver = solver or ContactSolver(sole.compliance, sole.positions, law)
+    return simulate(solver, load.force[rows], load.zmp[rows], START, **more)
 
 
 def simulation(load):

@@ -5,6 +5,7 @@ inverse S = C_AA⁻¹ is bordered or deflated (O(n²) a node) instead of being
 factorised anew. It lives in the sole frame and hence outlasts pose changes.
 """
 
+import numba
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
@@ -42,7 +43,7 @@ class ActiveSet:
         self._updates = 0
         if n == 0:
             return
-        A = self._C[np.ix_(self.dofs, self.dofs)]
+        A = blocks(self._C, self.nodes, self.nodes)
         potrf, potri = get_lapack_funcs(("potrf", "potri"), (A,))
         factor, info = potrf(A, lower=True, clean=False)
         inverse, info2 = potri(factor, lower=True)
@@ -101,9 +102,9 @@ class ActiveSet:
     def _append(self, new: np.ndarray) -> None:
         """Border: the inverse of [[C_AA, B], [Bᵀ, C_aa]]."""
         n, k = 3 * len(self.nodes), 3 * len(new)
-        B = self._C[np.ix_(self.dofs, node_dofs(new))]
+        B = blocks(self._C, self.nodes, new)
         V = self.S @ B
-        corner = self._C[np.ix_(node_dofs(new), node_dofs(new))] - B.T @ V
+        corner = blocks(self._C, new, new) - B.T @ V
         T = np.linalg.inv(0.5 * (corner + corner.T))
         self.nodes = np.concatenate([self.nodes, new])
         self._reserve(n + k)
@@ -113,6 +114,19 @@ class ActiveSet:
         S[:n, n:] = -VT
         S[n:, :n] = -VT.T
         S[n:, n:] = T
+
+
+@numba.njit(cache=True)
+def blocks(A, rows, columns):
+    """The 3 × 3 blocks of A at some nodes, (3 rows, 3 columns)."""
+    out = np.empty((3 * len(rows), 3 * len(columns)))
+    for a in range(len(rows)):
+        for i in range(3):
+            row, to = A[3 * rows[a] + i], out[3 * a + i]
+            for b in range(len(columns)):
+                for j in range(3):
+                    to[3 * b + j] = row[3 * columns[b] + j]
+    return out
 
 
 def node_dofs(nodes: np.ndarray) -> np.ndarray:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_exo.soles.contact import ContactSolver, Start, State, Target
+from drake_exo.soles.active_set import blocks
+from drake_exo.soles.contact import ContactSolver, Start, Target
 from drake_exo.soles.elasticity import Sole
-from drake_exo.soles.element_gradient import compliance_gradient
+from drake_exo.soles.element_gradient import compliance_gradients
 from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.simulation import StepHistory
 
@@ -33,12 +34,13 @@ class Sensitivity:
     Attributes:
         lP: By the rest positions of the contact nodes, (m, 3).
         left, right: Columns with ∂/∂C = Σ left rightᵀ, lists of (3m,).
+        mu: By the tangential places of the sample before, (m, 3).
     """
 
     lP: np.ndarray  # noqa: N815
     left: list
     right: list
-    mu: np.ndarray  # by the tangential places of the sample before
+    mu: np.ndarray
 
     @classmethod
     def zero(cls, m: int) -> "Sensitivity":
@@ -141,8 +143,8 @@ def shape_gradients(
     start: Start,
     history: StepHistory,
     functionals: list[list[list[Term]]],
-) -> list[np.ndarray]:
-    """Derivative of each functional by all node positions, (n, 3) each.
+) -> np.ndarray:
+    """Derivative of each functional by all node positions, (f, n, 3).
 
     Args:
         sole: The condensed sole.
@@ -153,32 +155,37 @@ def shape_gradients(
     """
     sums = [Sensitivity.zero(len(sole.positions)) for _ in functionals]
     for q in reversed(range(len(force))):
+        live = [
+            (total, functional[q])
+            for total, functional in zip(sums, functionals, strict=True)
+            if functional[q] or total.mu.any()
+        ]
+        if not live:
+            continue
         reference = start if q == 0 else history.P[q - 1][:, :2]
         target = Target(force[q], zmp[q], reference)
-        step = _Step(solver, history.state(q), target, history.K_c[q])
-        for total, functional in zip(sums, functionals, strict=True):
-            if functional[q] or total.mu.any():
-                step.reverse(total, functional[q])
-    out = []
-    for total in sums:
-        X = compliance_gradient(
-            sole, np.array(total.left).T, np.array(total.right).T
-        )
+        step = _Step(solver, history, q, target)
+        step.reverse(*zip(*live, strict=True))
+    out = compliance_gradients(
+        sole,
+        [(np.array(x.left).T, np.array(x.right).T) for x in sums],
+    )
+    for X, total in zip(out, sums, strict=True):
         X[sole.mesh.contact] += total.lP
-        out.append(X)
     return out
 
 
 class _Step:
-    """One sample, linearised once and reversed for every functional."""
+    """One sample, linearised once and reversed for all functionals."""
 
-    def __init__(self, solver, state: State, target: Target, K_c):
-        self.solver, self.state, self.target = solver, state, target
+    def __init__(self, solver, history: StepHistory, q: int, target: Target):
+        self.solver, self.target = solver, target
+        self.state = state = history.state(q)
         self.lin = solver.linearise(state, target)
         self.nodes = self.lin.nodes
         self.dF, self.dP = self.lin.pose_response()
         self.first = isinstance(target.reference, Start)
-        self.G, self.dQ = K_c, None
+        self.G, self.dQ = history.K_c[q], None
         if self.first:
             lP = solver.lP[self.nodes]
             self.dQ = target.reference.reference_derivative(state.R, lP)
@@ -186,109 +193,117 @@ class _Step:
             dP = dP.copy()
             dP[:, :, 3:] += self.dQ
             self.G = self.lin.wrench_change(dF, dP)
-        self.Y = solver.deformed(state.F, state.R)  # relative to O
+        self.Y = history.P[q] - state.O
 
-    def reverse(self, total: Sensitivity, terms: list[Term]) -> None:
-        """Add this sample's share; leaves total.mu for the one before."""
+    def reverse(self, sums: list[Sensitivity], terms: list[list]) -> None:
+        """Add this sample's share; leaves every mu for the one before."""
         R, F = self.state.R, self.lin.F
-        k, m = len(self.nodes), len(total.lP)
-        bP, bF, bQ = np.zeros((3, k, 3))
-        b_w = np.zeros(3)
-        for term in terms:
-            if isinstance(term, TurnTerm):
-                b_w += term.by_turn
-                continue
-            if isinstance(term, ForceTerm):
-                pull = term.by_force[self.nodes] @ R.T
-                bF += pull
-                b_w -= cross(F, pull).sum(axis=0)
-                continue
-            b_w += self._term(total, term, bP, bF, bQ)
+        c, k, m = len(sums), len(self.nodes), len(self.solver.lP)
+        bP, bF, bQ = np.zeros((3, c, k, 3))
+        b_w = np.zeros((c, 3))
+        of_stiffness = []
+        for i, own in enumerate(terms):
+            for term in own:
+                if isinstance(term, TurnTerm):
+                    b_w[i] += term.by_turn
+                elif isinstance(term, ForceTerm):
+                    pull = term.by_force[self.nodes] @ R.T
+                    bF[i] += pull
+                    b_w[i] -= cross(F, pull).sum(axis=0)
+                else:
+                    of_stiffness.append((i, term))
+        if of_stiffness:
+            self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, b_w)
         if self.first:
-            b_w += np.einsum("kij,ki->j", self.dQ, bQ)
+            b_w += np.einsum("kij,cki->cj", self.dQ, bQ)
         # Reverse P = O + R (lP + C Rᵀ F), with what the next sample asks.
-        bP_all = total.mu.copy()
-        bP_all[self.nodes] += bP
-        b_O = bP_all.sum(axis=0)
-        b_w += cross(self.Y, bP_all).sum(axis=0)
+        bP_all = np.array([total.mu for total in sums])
+        bP_all[:, self.nodes] += bP
+        b_O = bP_all.sum(axis=1)
+        b_w += cross(self.Y, bP_all).sum(axis=1)
         by = bP_all @ R
-        f = self.state.F @ R
-        total.lP += by
-        total.add(by, f)
-        dofs = (3 * self.nodes[:, None] + np.arange(3)).ravel()
-        lift = (self.solver.C[dofs] @ by.ravel()).reshape(k, 3) @ R.T
+        asked = np.flatnonzero(by.any(axis=(0, 2)))
+        C = blocks(self.solver.C, asked, self.nodes)
+        lift = (by[:, asked].reshape(c, -1) @ C).reshape(c, k, 3) @ R.T
         bF += lift
-        b_w -= cross(F, lift).sum(axis=0)
+        b_w -= cross(F, lift).sum(axis=1)
         y, l_m = self._adjoint(bF, b_O, b_w)
-        bP = y + cross(F, l_m)
+        by[:, self.nodes] += (y + cross(F, l_m[:, None])) @ R
         bQ -= y
-        local = np.zeros((m, 3))
-        local[self.nodes] = bP @ R
-        total.lP += local
-        total.add(local, f)
-        bQ[:, 2] = 0.0
-        total.mu = np.zeros((m, 3))
-        if self.first:
-            # Q_t = t (O_a + R_ini (lP − l_a)).
-            start = self.target.reference
-            lP = self.solver.lP
-            slope = _reference_by_position(start, R, lP)
-            total.lP[self.nodes] += bQ @ slope
-        else:
-            total.mu[self.nodes] = bQ
+        bQ[:, :, 2] = 0.0
+        f = self.state.F @ R
+        for i, total in enumerate(sums):
+            total.lP += by[i]
+            total.add(by[i], f)
+            total.mu = np.zeros((m, 3))
+            if self.first:
+                # Q_t = t (O_a + R_ini (lP − l_a)).
+                slope = _reference_by_position(self.target.reference, R)
+                total.lP[self.nodes] += bQ[i] @ slope
+            else:
+                total.mu[self.nodes] = bQ[i]
 
-    def _term(self, total, term: Term, bP, bF, bQ) -> np.ndarray:
-        """Direct derivatives of one α uᵀ K_c v; returns its b_ω."""
+    def _stiffness_terms(self, sums, terms, bP, bF, bQ, b_w) -> None:
+        """Add direct derivatives of α uᵀ K_c v.
+
+        Args:
+            sums: Of the functionals.
+            terms: Pairs of functional and term.
+            bP, bF, bQ: By places, forces and references, (c, k, 3) each.
+            b_w: By the turn, (c, 3).
+        """
         lin, R, F, arm = self.lin, self.state.R, self.lin.F, self.lin.arm
-        u_f, u_m = term.alpha * term.u[:3], term.alpha * term.u[3:]
-        shift, turn = term.v[:3], term.v[3:]
-        dF, dP = self.dF @ term.v, self.dP @ term.v
+        u = np.array([term.alpha * term.u for _, term in terms])
+        v = np.array([term.v for _, term in terms])
+        u_f, u_m = u[:, None, :3], u[:, None, 3:]
+        shift, turn = v[:, None, :3], v[:, None, 3:]
+        dF, dP = ((x @ v.T).transpose(2, 0, 1) for x in (self.dF, self.dP))
         # J_Fᵀ z = w_Fᵀ u with S w_Fᵀ u = S (u_f − arm × u_m) + F × u_m.
         plain = u_f - cross(arm, u_m)
-        Sb = lin.times_S(plain[:, :, None])
-        Sb += cross(F, u_m)[:, :, None]
-        z, y, e = (a[:, :, 0] for a in lin.solve_transposed(Sb))
+        z, y, e = lin.solve_transposed(lin.times_S(plain) + cross(F, u_m))
         r = lin.r
-        change = lin.law_derivative_change(dF - r * dP)
-        p = np.einsum("kij,ki->kj", change, z)
+        p = lin.second_order(dF - r * dP, z)
         gg = dF - cross(turn, F)
         R_du = dP - shift - cross(turn, arm)
         b_dP = cross(F, u_m) - y
-        bP += cross(dF, u_m) - r * p + cross(b_dP, turn)
-        bF += cross(u_m, dP) + p
-        bQ += r * p
         # h = R C Rᵀ b_dP without a product with C.
         h = e - plain
-        bF -= cross(h, turn)
-        left, right = np.zeros((2, *total.lP.shape))
-        left[self.nodes], right[self.nodes] = b_dP @ R, gg @ R
-        total.add(left, right)
-        return cross(R_du, b_dP).sum(axis=0) - cross(gg, h).sum(axis=0)
+        by_P = cross(dF, u_m) - r * p + cross(b_dP, turn)
+        by_F = cross(u_m, dP) + p - cross(h, turn)
+        by_turn = (cross(R_du, b_dP) - cross(gg, h)).sum(axis=1)
+        for i, (functional, _) in enumerate(terms):
+            bP[functional] += by_P[i]
+            bF[functional] += by_F[i]
+            bQ[functional] += r * p[i]
+            b_w[functional] += by_turn[i]
+            left, right = np.zeros((2, len(self.solver.lP), 3))
+            left[self.nodes], right[self.nodes] = b_dP[i] @ R, gg[i] @ R
+            sums[functional].add(left, right)
 
     def _adjoint(self, bF, b_O, b_w):
-        """Solve the transposed Newton system; Bᵀ λ (k, 3) and l_w's moment."""
+        """Solve the transposed Newton system for all functionals.
+
+        Returns:
+            Bᵀ λ (c, k, 3) and l_w's moment (c, 3).
+        """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
         Z = np.array([*self.target.zmp, 0.0])
-        b_p = np.concatenate([b_O, b_w + np.cross(self.state.O - Z, b_O)])
-        Sb0 = -lin.times_S(bF[:, :, None])
-        _, y0, e0 = (a[:, :, 0] for a in lin.solve_transposed(Sb0))
+        shifted = np.cross(self.state.O - Z, b_O)
+        b_p = np.concatenate([b_O, b_w + shifted], axis=1)
+        Sb0 = -lin.times_S(bF)
+        _, y0, e0 = lin.solve_transposed(Sb0)
         W_y0 = -bF - e0
-        J_pT = np.concatenate(
-            [
-                y0.sum(axis=0),
-                cross(arm, y0).sum(axis=0) - cross(F, W_y0).sum(axis=0),
-            ]
-        )
+        turned = cross(arm, y0) - cross(F, W_y0)
+        J_pT = np.concatenate([y0.sum(axis=1), turned.sum(axis=1)], axis=1)
         if self.dQ is not None:
-            J_pT[3:] -= np.einsum("kij,ki->j", self.dQ, y0)
-        l_w = np.linalg.solve(self.G.T, -b_p - J_pT)
-        plain = l_w[:3] - cross(arm, l_w[3:])
-        Sb = Sb0 - lin.times_S(plain[:, :, None])
-        Sb -= cross(F, l_w[3:])[:, :, None]
-        _, y, _ = lin.solve_transposed(Sb)
-        return y[:, :, 0], l_w[3:]
+            J_pT[:, 3:] -= np.einsum("kij,cki->cj", self.dQ, y0)
+        l_w = np.linalg.solve(self.G.T, -(b_p + J_pT).T).T
+        l_f, l_m = l_w[:, None, :3], l_w[:, None, 3:]
+        plain = l_f - cross(arm, l_m)
+        Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
+        return lin.solve_transposed(Sb)[1], l_w[:, 3:]
 
 
-def _reference_by_position(start: Start, R, lP) -> np.ndarray:
+def _reference_by_position(start: Start, R) -> np.ndarray:
     """Matrix A with bar(lP) = bar(Q) A: R_ini itself."""
     return R @ rotation_z(start.yaw - yaw_of(R))

@@ -18,6 +18,7 @@ from drake_exo.soles.arguments import (
     add_limits_argument,
 )
 from drake_exo.soles.case import open_case
+from drake_exo.soles.contact import ContactSolver
 from drake_exo.soles.simulation import simulate
 from drake_exo.soles.stiffness import heel_strike_count
 
@@ -108,20 +109,17 @@ def run_simulate(args) -> int:
 
 def run_history(case, sole, law, start, load):
     """Simulate with progress on the terminal."""
-    solver = None
+    solver = ContactSolver(sole.compliance, sole.positions, law)
     if case.contact.method == "gauss_seidel":
         from drake_exo.soles.gauss_seidel import GaussSeidelSolver
 
         solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
     progress = Progress(case.name, len(load.times), interval_seconds=2.0)
     return simulate(
-        sole.compliance,
-        sole.positions,
-        law,
+        solver,
         load.force,
         load.zmp,
         start,
-        solver=solver,
         progress=lambda done, _: progress.update("samples", done),
     )
 

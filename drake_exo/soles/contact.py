@@ -5,12 +5,14 @@ pose (O, R). Equations: the node law at every contact node, and force and
 moment about the desired ZMP. Symbols as in docs/soles.md.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from drake_exo.soles.active_set import ActiveSet
 from drake_exo.soles.contact_residual import deformed, law_residual
+from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.linearisation import Linearisation
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.rotations import (
@@ -109,6 +111,8 @@ class ContactSolver:
         law: The contact law.
         tolerance: On the scaled residual's largest entry.
         max_iterations: Newton steps before giving up.
+        need: Called with nodes before their rows of C are used; None where
+            all are there.
     """
 
     def __init__(
@@ -118,13 +122,23 @@ class ContactSolver:
         law: ContactLaw,
         tolerance: float = 1e-11,
         max_iterations: int = 20,
+        need: Callable[[np.ndarray], None] | None = None,
     ):
         self.C, self.lP, self.law = C, lP, law
         self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.need = need or (lambda nodes: None)
         self.active = ActiveSet(C)
+
+    @classmethod
+    def of(cls, sole: Sole, law: ContactLaw, **options) -> "ContactSolver":
+        """Of a sole whose compliance is computed where it is touched."""
+        return cls(
+            sole.flexibility, sole.positions, law, need=sole.need, **options
+        )
 
     def deformed(self, F: np.ndarray, R: np.ndarray) -> np.ndarray:
         """Y = R (lP + C Rᵀ F): places relative to O, world, (m, 3)."""
+        self.need(np.flatnonzero(F.any(axis=1)))
         return deformed(self.C, self.lP, R, F)
 
     def solve(
@@ -200,7 +214,9 @@ class ContactSolver:
     def _linearisation(self, point, target) -> Linearisation:
         if not point.active.any():
             raise np.linalg.LinAlgError("no node in contact")
-        self.active.update(np.flatnonzero(point.active))
+        touching = np.flatnonzero(point.active)
+        self.need(touching)
+        self.active.update(touching)
         nodes = self.active.nodes
         return Linearisation(
             self.active,

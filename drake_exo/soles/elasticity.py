@@ -5,7 +5,7 @@ glued nodes do not move; K_ff N = E gives the compliance C = Eᵀ N of the
 nodes that may touch, in the sole frame (paper, (7)-(9)).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -135,7 +135,6 @@ class Sole:
     mesh: TetMesh
     material: Material
     element: Element = "linear"
-    _factor: object = field(default=None, init=False, repr=False)
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -155,18 +154,54 @@ class Sole:
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Displacements of the free dofs under forces, both (3 n_f, k)."""
-        if self._factor is None:
-            dofs = _dofs(self.free)
-            K = self.stiffness[dofs][:, dofs]
-            self._factor = _Factor(K)
         return self._factor.solve(forces)
 
     @cached_property
-    def influence(self) -> np.ndarray:
-        """N = K_ff⁻¹ E: free displacements per contact force, (3n_f, 3m)."""
-        E = np.zeros((3 * len(self.free), 3 * len(self.mesh.contact)))
-        E[self.contact_rows, np.arange(E.shape[1])] = 1.0
-        return self.solve(E)
+    def _factor(self) -> "_Factor":
+        dofs = _dofs(self.free)
+        return _Factor(self.stiffness[dofs][:, dofs])
+
+    def influence(self, nodes: np.ndarray) -> np.ndarray:
+        """Columns of N = K_ff⁻¹ E: free displacements per contact force.
+
+        Args:
+            nodes: Contact nodes, (k,).
+
+        Returns:
+            (3n_f, 3k).
+        """
+        self.need(nodes)
+        return np.take(self._influence, _dofs(nodes), axis=1)
+
+    def need(self, nodes: np.ndarray) -> None:
+        """See to it that `flexibility` has the rows of these contact nodes."""
+        new = nodes[~self._known[nodes]]
+        if not len(new):
+            return
+        new = np.unique(new)
+        dofs = _dofs(new)
+        E = np.zeros((len(self._influence), len(dofs)))
+        E[self.contact_rows[dofs], np.arange(len(dofs))] = 1.0
+        N = self.solve(E)
+        self._influence[:, dofs] = N
+        self.flexibility[dofs] = N[self.contact_rows].T
+        self._known[new] = True
+
+    @cached_property
+    def _known(self) -> np.ndarray:
+        return np.zeros(len(self.mesh.contact), dtype=bool)
+
+    @cached_property
+    def _influence(self) -> np.ndarray:
+        return np.zeros((3 * len(self.free), 3 * len(self.mesh.contact)))
+
+    @cached_property
+    def flexibility(self) -> np.ndarray:
+        """C with the rows that were needed so far, zero elsewhere.
+
+        Only some of the nodes that may touch ever do.
+        """
+        return np.zeros((3 * len(self.mesh.contact),) * 2)
 
     @cached_property
     def contact_rows(self) -> np.ndarray:
@@ -176,8 +211,8 @@ class Sole:
     @cached_property
     def compliance(self) -> np.ndarray:
         """C = Eᵀ N in the sole frame [m/N], (3m, 3m), symmetric."""
-        C = self.influence[self.contact_rows]
-        return 0.5 * (C + C.T)
+        self.need(np.arange(len(self.mesh.contact)))
+        return 0.5 * (self.flexibility + self.flexibility.T)
 
     @cached_property
     def penalty(self) -> float:
@@ -194,9 +229,12 @@ class Sole:
             Displacements [m], sole frame, (..., n, 3).
         """
         lead = f_L.shape[:-2]
-        flat = f_L.reshape(-1, 3 * len(self.mesh.contact))
-        u = np.zeros((len(flat), len(self.mesh.nodes), 3))
-        u[:, self.free] = (flat @ self.influence.T).reshape(len(flat), -1, 3)
+        f_L = f_L.reshape(-1, len(self.mesh.contact), 3)
+        u = np.zeros((len(f_L), len(self.mesh.nodes), 3))
+        loaded = np.flatnonzero(f_L.any(axis=(0, 2)))
+        flat = f_L[:, loaded].reshape(len(u), -1)
+        moved = flat @ self.influence(loaded).T
+        u[:, self.free] = moved.reshape(len(u), -1, 3)
         return u.reshape(*lead, -1, 3)
 
     def strain(self, u: np.ndarray) -> np.ndarray:

@@ -130,7 +130,7 @@ def lead(solver, state, before: Target, target: Target):
 
 def _enter(sole, solver, target: Target, largest: float, known: State | None):
     """First sample: small strain at a part of the load, then all of it."""
-    small = ContactSolver(sole.compliance, sole.positions, solver.law)
+    small = ContactSolver.of(sole, solver.law)
     best = None
     for part in _ENTRIES:
         aim = replace(target, force=part * target.force)

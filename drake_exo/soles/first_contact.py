@@ -184,7 +184,11 @@ def _press_in(solver, target, guess, press) -> tuple[State, Target]:
 
 
 def follow_load(
-    solver: ContactSolver, state: State, before: Target, target: Target
+    solver: ContactSolver,
+    state: State,
+    before: Target,
+    target: Target,
+    guess: State | None = None,
 ) -> tuple[State, Convergence]:
     """Newton at the target, else continuation in force and ZMP.
 
@@ -193,12 +197,19 @@ def follow_load(
         state: Solution for `before`.
         before: Load that `state` carries.
         target: Load wanted; its references hold all along.
+        guess: Tried first, before `state` itself.
     """
-    new, report = solver.solve(state, target)
-    if report.converged:
-        return new, report
-    solver.active.refresh()
-    done, step, total = 0.0, 0.25, report.iterations
+    total = 0
+    for begin in (guess, state):
+        if begin is None:
+            continue
+        new, report = solver.solve(begin, target)
+        total += report.iterations
+        if report.converged:
+            report.iterations = total
+            return new, report
+        solver.active.refresh()
+    done, step = 0.0, 0.25
     for _ in range(_MAX_SUBSTEPS):
         aim = min(1.0, done + step)
         trial, sub = solver.solve(state, target.partway(before, aim))

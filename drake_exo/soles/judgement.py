@@ -6,7 +6,7 @@ import numpy as np
 
 from drake_exo.soles import results
 from drake_exo.soles.case import Case
-from drake_exo.soles.contact import Start
+from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick
@@ -55,9 +55,8 @@ class Design:
 def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
     """Cold start, all samples, exact law."""
     law = ContactLaw(case.contact.friction, r)
-    return simulate(
-        sole.compliance, sole.positions, law, load.force, load.zmp, start
-    )
+    solver = ContactSolver.of(sole, law)
+    return simulate(solver, load.force, load.zmp, start)
 
 
 def judged(case, problem, at, load, start, optima, seconds) -> Design:

@@ -153,43 +153,42 @@ class Linearisation:
         """Solve J_Fᵀ z = b for b given as S b.
 
         Args:
-            Sb: S times the right-hand sides, world, (k, 3, c).
+            Sb: S times the right-hand sides, world, (c, k, 3).
 
         Returns:
             z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e;
-            world, (k, 3, c) each.
+            world, (c, k, 3) each.
         """
-        k, c = len(self.nodes), Sb.shape[2]
-        local = (self.R.T @ Sb).reshape(3 * k, c)
-        y = local
-        e = np.zeros_like(local)
-        z_g = None
+        local = (Sb @ self.R).reshape(len(Sb), -1)
+        y, e, z_g = local, np.zeros_like(local), None
         if self._lu is not None:
-            z_g = dgetrs(*self._lu, local[self._g], trans=1)[0]
-            blocks = z_g.reshape(-1, 3, c)
-            e_g = blocks - np.swapaxes(self.D, 1, 2) @ blocks
-            e[self._g] = e_g.reshape(z_g.shape)
-            y = local - self._S_g @ e[self._g]
+            z_g = dgetrs(*self._lu, local[:, self._g].T, trans=1)[0].T
+            blocks = z_g.reshape(len(Sb), -1, 1, 3)
+            e[:, self._g] = z_g - (blocks @ self.D).reshape(z_g.shape)
+            y = local - e[:, self._g] @ self._S_g.T
         z = y / self.r
         if z_g is not None:
-            z[self._g] = z_g
-        return self._to_world(z), self._to_world(y), self._to_world(e)
+            z[:, self._g] = z_g
+        return tuple(x.reshape(Sb.shape) @ self.R.T for x in (z, y, e))
 
     def times_S(self, x: np.ndarray) -> np.ndarray:
-        """W_AA⁻¹ times fields, world, (k, 3, c)."""
-        local = (self.R.T @ x).reshape(3 * len(self.nodes), -1)
-        return self._to_world(self.S @ local)
+        """W_AA⁻¹ times fields, world, (c, k, 3)."""
+        local = (x @ self.R).reshape(len(x), -1) @ self.S
+        return local.reshape(x.shape) @ self.R.T
 
-    def law_derivative_change(self, d_tau: np.ndarray) -> np.ndarray:
-        """Directional derivative of D along dτ, world, (k, 3, 3).
+    def second_order(self, d_tau: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """(∂D/∂τ · dτ)ᵀ z at every node, world, all (c, k, 3).
 
         By a complex step, hence exact; zero at firmly sticking nodes.
         """
-        out = np.zeros((len(self.nodes), 3, 3))
+        out = np.zeros(d_tau.shape)
         if len(self.loose):
-            tau = self.tau[self.loose] + 1e-30j * d_tau[self.loose]
-            _, D = project_with_derivative(tau, self.law)
-            out[self.loose] = D.imag / 1e-30
+            tau = self.tau[self.loose] + 1e-30j * d_tau[:, self.loose]
+            _, D = project_with_derivative(tau.reshape(-1, 3), self.law)
+            change = D.imag.reshape(*tau.shape, 3) / 1e-30
+            out[:, self.loose] = np.einsum(
+                "ckij,cki->ckj", change, z[:, self.loose]
+            )
         return out
 
 

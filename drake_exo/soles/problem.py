@@ -1,9 +1,11 @@
 """The shape problem: cost, constraints and their gradients at a design.
 
 Design variables are the free coefficients of the spline. Every evaluation
-simulates the whole step from a cold start. A failed simulation gives NaN,
-which the solver takes as a rejected step; so does a first contact on another
-branch of poses than the last accepted design's, where the cost would leap.
+simulates the whole step from a cold start; the last accepted design's history
+only gives first guesses for the samples after the first. A failed simulation
+gives NaN, which the solver takes as a rejected step; so does a first contact
+on another branch of poses than the last accepted design's, where the cost
+would leap.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,7 +14,7 @@ import numpy as np
 
 from drake_exo.soles import stiffness
 from drake_exo.soles.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.contact import ContactSolver, Start, State
+from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.limits import (
     Evaluation,
@@ -25,7 +27,7 @@ from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.simulation import simulate
+from drake_exo.soles.simulation import StepHistory, simulate
 
 _ELEMENT_SHARPNESS = 200.0
 _LEAST_VOLUME = 0.06  # of an element's own volume at rest
@@ -50,7 +52,7 @@ class ShapeProblem:
         fraction: Heel strike's part of the samples.
         samples: How many samples to simulate.
         use_tr: Factor of c_tr in the cost.
-        branch: First state of the last accepted design.
+        branch: History of the last accepted design.
         meshed_at: Design (P,) whose deformed mesh was made anew; None for a
             mesh of the undeformed sole. The element floor is relative to it.
         first: The initial shape, for the scales; by default simulated on
@@ -70,7 +72,7 @@ class ShapeProblem:
     fraction: float = 0.1
     samples: int | None = None
     use_tr: float = 1.0
-    branch: State | None = None
+    branch: StepHistory | None = None
     meshed_at: np.ndarray | None = None
     first: Evaluation | None = None
     evaluations: int = 0
@@ -137,18 +139,16 @@ class ShapeProblem:
         if self.stretch(p).min() <= 0 or mesh.volumes.min() <= 0:
             return None
         sole = Sole(mesh, self.material, self.element)
-        solver = ContactSolver(
-            sole.compliance, sole.positions, self.law, tolerance=1e-12
-        )
+        if self.branch is not None:
+            touched = self.branch.F.any(axis=(0, 2))
+            sole.need(np.flatnonzero(touched))
+        solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
         force, zmp = self.load.force[self.picked], self.load.zmp[self.picked]
         history = simulate(
-            sole.compliance,
-            sole.positions,
-            self.law,
+            solver,
             force,
             zmp,
             self.start,
-            solver=solver,
             stop_at_failure=True,
             near=self.branch,
         )
@@ -192,7 +192,7 @@ class ShapeProblem:
 
     def accept(self, p: np.ndarray) -> None:
         """Take a design as accepted: later ones stay on its branch."""
-        self.branch = self.evaluate(p).history.state(0)
+        self.branch = self.evaluate(p).history
 
     def leave_branch(self) -> None:
         """The next design may stand on any."""

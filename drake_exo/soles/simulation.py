@@ -14,7 +14,6 @@ from drake_exo.soles.contact import (
     Target,
 )
 from drake_exo.soles.first_contact import first_step, follow_load
-from drake_exo.soles.node_law import ContactLaw
 
 
 @dataclass
@@ -59,38 +58,32 @@ class StepHistory:
 
 
 def simulate(
-    C: np.ndarray,
-    lP: np.ndarray,
-    law: ContactLaw,
+    solver: ContactSolver,
     force: np.ndarray,
     zmp: np.ndarray,
     start: Start,
     *,
-    solver: "ContactSolver | None" = None,
     stop_at_failure: bool = False,
-    near: State | None = None,
+    near: StepHistory | None = None,
     largest_force: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StepHistory:
     """Follow the desired force and ZMP sample by sample.
 
     Args:
-        C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
-        lP: Their rest positions, sole frame [m], (m, 3).
-        law: Contact law.
+        solver: Of the sole and its contact law.
         force: Desired force of the ground, world [N], (N, 3).
         zmp: Desired ZMP on the ground, world [m], (N, 2).
         start: How the sole is held just before contact.
-        solver: Solver to use instead of the semismooth Newton.
         stop_at_failure: Leave the remaining samples out after a failure.
-        near: First state of a neighbouring design; a start on another
-            branch fails. None: any branch will do.
+        near: History of a neighbouring design: a start on another branch
+            fails, and its increments from sample to sample are the first
+            guess of this one's. None: any branch will do.
         largest_force: Largest |F| of the phase [N], by which the first
             contact is found; of the samples given where None.
         progress: Called with samples done and samples in all.
     """
-    solver = solver or ContactSolver(C, lP, law)
-    steps, m = len(force), len(lP)
+    steps, m = len(force), len(solver.lP)
     history = StepHistory(
         np.zeros((steps, m, 3)),
         np.zeros((steps, 3)),
@@ -104,10 +97,12 @@ def simulate(
         reference = start if good is None else good[2][:, :2]
         target = Target(force[q], zmp[q], reference)
         if good is None:
-            state, report = first_step(solver, target, largest, near)
+            first = near.state(0) if near else None
+            state, report = first_step(solver, target, largest, first)
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
-            state, report = follow_load(solver, good[1], before, target)
+            guess = _alike(near, good[0], q, good[1]) if near else None
+            state, report = follow_load(solver, good[1], before, target, guess)
         if state is not None:
             history.F[q], history.O[q], history.R[q] = (
                 state.F,
@@ -127,3 +122,13 @@ def simulate(
         if progress is not None:
             progress(q + 1, steps)
     return history
+
+
+def _alike(near: StepHistory, before: int, now: int, state: State) -> State:
+    """The state changed as a neighbour's is from one sample to another."""
+    old, new = near.state(before), near.state(now)
+    return State(
+        state.F + new.F - old.F,
+        state.O + new.O - old.O,
+        new.R @ old.R.T @ state.R,
+    )

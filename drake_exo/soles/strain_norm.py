@@ -9,16 +9,16 @@ forces in the sole frame.
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from drake_exo.soles.adjoint import ForceTerm, heavy
 from drake_exo.soles.elasticity import Sole
-from drake_exo.soles.element_gradient import stiffness_gradient
+from drake_exo.soles.element_gradient import stiffness_gradients
 from drake_exo.soles.simulation import StepHistory
 from drake_exo.soles.smoothing import gradient_operators
 
-_DOUBLINGS = 6
-ORDER = 2**_DOUBLINGS  # p
+ORDER = 64  # p
 _BATCH = 32  # samples at a time
 # Strains (Frobenius) below this part of a principal one add less than 1e-13.
 _FAINT = 0.5
@@ -44,9 +44,7 @@ class StrainNorm:
         self._u = self.sole.displacement(f)
         self._collect()
         unit = np.sqrt((self._eps**2).sum(axis=(1, 2)).max())
-        power = self._eps / unit
-        for _ in range(_DOUBLINGS):
-            power = power @ power
+        power = _powers(self._eps / unit, ORDER)
         total = np.trace(power, axis1=1, axis2=2) @ self.counts[self._q]
         self.value = float(unit * total ** (1 / ORDER))
 
@@ -96,7 +94,7 @@ class StrainNorm:
         free = sole.free
         u = self._u[kept][:, free].reshape(len(kept), -1).T
         v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
-        by_nodes += stiffness_gradient(sole, v, u)
+        by_nodes += stiffness_gradients(sole, v[None], u)[0]
         terms = [[] for _ in self._u]
         for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
@@ -104,12 +102,36 @@ class StrainNorm:
 
     def _by_strain(self) -> np.ndarray:
         """∂Φ/∂ε = n (ε/Φ)^(p−1), (k, 3, 3)."""
-        square = self._eps / self.value
-        out = square
-        for _ in range(_DOUBLINGS - 1):
-            square = square @ square
-            out = out @ square
+        out = _powers(self._eps / self.value, ORDER - 1)
         return out * self.counts[self._q][:, None, None]
+
+
+@numba.njit(cache=True)
+def _powers(matrices, order):
+    """Powers of 3 × 3 matrices, by squaring."""
+    out = np.empty_like(matrices)
+    square, product = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(len(matrices)):
+        square[:] = matrices[k]
+        out[k] = np.eye(3)
+        left = order
+        while left:
+            if left % 2:
+                _multiply(out[k], square, product)
+                out[k] = product
+            _multiply(square, square, product)
+            square[:] = product
+            left //= 2
+    return out
+
+
+@numba.njit(cache=True)
+def _multiply(a, b, out):
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = 0.0
+            for k in range(3):
+                out[i, j] += a[i, k] * b[k, j]
 
 
 def _scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.soles import results, stiffness
-from drake_exo.soles.contact import Start
+from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.finite_history import FiniteHistory, follow
 from drake_exo.soles.loads import Load
@@ -64,9 +64,7 @@ def compare(
     force, zmp = load.force[:count], load.zmp[:count]
     law = ContactLaw(friction, sole.penalty)
     small = simulate(
-        sole.compliance,
-        sole.positions,
-        law,
+        ContactSolver.of(sole, law),
         force,
         zmp,
         start,

@@ -7,7 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drake_exo.soles import results
-from drake_exo.soles.contact import Convergence, Start, Target
+from drake_exo.soles.contact import (
+    ContactSolver,
+    Convergence,
+    Start,
+    Target,
+)
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.finite_history import FiniteHistory, follow, lead
 from drake_exo.soles.finite_strain import FiniteStrainSolver
@@ -84,9 +89,7 @@ def test_tends_to_small_strain_as_the_load_does(sole, law):
     force, zmp = _load(3)
     differences = []
     for scale in (0.1, 0.01, 0.001):
-        small = simulate(
-            sole.compliance, sole.positions, law, scale * force, zmp, START
-        )
+        small = simulate(ContactSolver.of(sole, law), scale * force, zmp, START)
         large = follow(sole, law, scale * force, zmp, START)
         assert large.converged.all()
         K0 = small.K_c[-1]

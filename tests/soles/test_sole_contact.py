@@ -38,7 +38,7 @@ def sole():
 @pytest.fixture(scope="module")
 def history(sole):
     law = ContactLaw(0.8, sole.penalty)
-    return simulate(sole.compliance, sole.positions, law, *_load(), START)
+    return simulate(ContactSolver.of(sole, law), *_load(), START)
 
 
 def test_force_and_zmp_are_reached(history):
@@ -67,14 +67,7 @@ def test_complementarity_is_met_in_exact_mode(sole, history):
 def test_gauss_seidel_and_newton_agree(sole, history):
     law = ContactLaw(0.8, sole.penalty)
     solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
-    other = simulate(
-        sole.compliance,
-        sole.positions,
-        law,
-        *_load(),
-        START,
-        solver=solver,
-    )
+    other = simulate(solver, *_load(), START)
     assert other.failed_steps == 0
     assert np.abs(other.O - history.O).max() < 1e-8
     assert np.abs(other.R - history.R).max() < 1e-8
@@ -86,9 +79,7 @@ def test_first_jacobian_includes_the_moving_reference(sole):
     law = ContactLaw(0.8, sole.penalty)
     force, zmp = _load()
     solver = ContactSolver(sole.compliance, sole.positions, law)
-    history = simulate(
-        sole.compliance, sole.positions, law, force[:1], zmp[:1], START
-    )
+    history = simulate(solver, force[:1], zmp[:1], START)
     target = Target(force[0] * 1.0001, zmp[0], START)
     _, report = solver.solve(history.state(0), target)
     assert report.converged
@@ -262,9 +253,7 @@ def test_authors_outputs_are_reproduced(data_root, name, weight):
     sole = Sole(mesh, Material("foam", 320e3, 0.3, 1230.0))
     point = np.array([-0.115, 0.0, -0.021])
     history = simulate(
-        sole.compliance,
-        sole.positions,
-        ContactLaw(0.65, sole.penalty),
+        ContactSolver.of(sole, ContactLaw(0.65, sole.penalty)),
         force,
         zmp,
         Start(point, np.array([-0.115, 0.0, 0.0])),
@@ -288,7 +277,7 @@ def test_an_impossible_load_says_why(sole):
     law = ContactLaw(0.3, sole.penalty)
     force = np.array([[0.0, 0, 300], [60.0, 0, 300], [150.0, 0, 300]])
     zmp = np.zeros((3, 2))
-    history = simulate(sole.compliance, sole.positions, law, force, zmp, START)
+    history = simulate(ContactSolver.of(sole, law), force, zmp, START)
     assert list(history.converged) == [True, True, False]
     assert "continuation in the load stopped at" in history.reports[2].message
     assert np.isnan(history.K_c[2]).all()

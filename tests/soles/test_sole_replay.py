@@ -8,7 +8,7 @@ from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.soles.animation import SoleMotion
 from drake_exo.soles.case import MaterialBlock
-from drake_exo.soles.contact import Start
+from drake_exo.soles.contact import ContactSolver, Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
@@ -32,7 +32,7 @@ def step():
         np.array([-0.115, 0.0, -0.03]), np.array([-0.115, 0.0, 0.0]), 0.0
     )
     law = ContactLaw(0.8, sole.penalty)
-    history = simulate(sole.compliance, sole.positions, law, force, zmp, start)
+    history = simulate(ContactSolver.of(sole, law), force, zmp, start)
     assert history.failed_steps == 0
     return mesh, load, history
 
