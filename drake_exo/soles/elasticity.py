@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
+from drake_exo.soles.active_set import node_dofs
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.smoothing import (
     edge_average,
@@ -21,6 +22,7 @@ from drake_exo.soles.smoothing import (
 )
 
 Element = Literal["linear", "smoothed"]
+_BATCH = 32  # contact nodes whose compliance is computed at a time
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ class Sole:
 
     @cached_property
     def _factor(self) -> "_Factor":
-        dofs = _dofs(self.free)
+        dofs = node_dofs(self.free)
         return _Factor(self.stiffness[dofs][:, dofs])
 
     def influence(self, nodes: np.ndarray) -> np.ndarray:
@@ -171,7 +173,7 @@ class Sole:
             (3n_f, 3k).
         """
         self.need(nodes)
-        return np.take(self._influence, _dofs(nodes), axis=1)
+        return self._influence[node_dofs(nodes)].T
 
     def need(self, nodes: np.ndarray) -> None:
         """See to it that `flexibility` has the rows of these contact nodes."""
@@ -179,13 +181,24 @@ class Sole:
         if not len(new):
             return
         new = np.unique(new)
-        dofs = _dofs(new)
-        E = np.zeros((len(self._influence), len(dofs)))
+        if len(new) < _BATCH:
+            new = self._with_neighbours(new)
+        dofs = node_dofs(new)
+        E = np.zeros((3 * len(self.free), len(dofs)))
         E[self.contact_rows[dofs], np.arange(len(dofs))] = 1.0
-        N = self.solve(E)
-        self._influence[:, dofs] = N
-        self.flexibility[dofs] = N[self.contact_rows].T
+        rows = self.solve(E).T
+        self._influence[dofs] = rows
+        self.flexibility[dofs] = rows[:, self.contact_rows]
         self._known[new] = True
+
+    def _with_neighbours(self, new: np.ndarray) -> np.ndarray:
+        """A whole batch: it costs little more, and they touch next."""
+        x = self.positions
+        away = np.linalg.norm(x - x[new].mean(axis=0), axis=1)
+        away[self._known] = np.inf
+        away[new] = 0.0
+        near = np.argsort(away, kind="stable")[:_BATCH]
+        return np.sort(near[np.isfinite(away[near])])
 
     @cached_property
     def _known(self) -> np.ndarray:
@@ -193,7 +206,7 @@ class Sole:
 
     @cached_property
     def _influence(self) -> np.ndarray:
-        return np.zeros((3 * len(self.free), 3 * len(self.mesh.contact)))
+        return np.zeros((3 * len(self.mesh.contact), 3 * len(self.free)))
 
     @cached_property
     def flexibility(self) -> np.ndarray:
@@ -206,7 +219,7 @@ class Sole:
     @cached_property
     def contact_rows(self) -> np.ndarray:
         """Rows of the contact dofs among the free dofs, (3m,)."""
-        return _dofs(np.searchsorted(self.free, self.mesh.contact))
+        return node_dofs(np.searchsorted(self.free, self.mesh.contact))
 
     @cached_property
     def compliance(self) -> np.ndarray:
@@ -297,10 +310,6 @@ class Sole:
 def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:
     """H_ij = ∂u_i/∂X_j in every element, (..., e, 3, 3)."""
     return np.einsum("...eai,eaj->...eij", u[..., mesh.tets, :], mesh.gradients)
-
-
-def _dofs(nodes: np.ndarray) -> np.ndarray:
-    return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
 class _Factor:

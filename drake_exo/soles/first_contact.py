@@ -72,6 +72,7 @@ def first_step(
     target: Target,
     largest_force: float,
     near: State | None = None,
+    patience: int | None = None,
 ) -> tuple[State | None, Convergence]:
     """Solve the first step of a contact phase, from a cold start.
 
@@ -87,9 +88,10 @@ def first_step(
         near: First state of a neighbouring design. A pose turned far from
             it that does not follow from it either is a leap to another
             branch, and fails.
+        patience: Newton steps after which no other facet is tried.
     """
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
-    state, report = _cold_start(solver, target, press)
+    state, report = _cold_start(solver, target, press, patience or np.inf)
     if near is None or not report.converged or _turn(state, near) < _LEAP:
         return state, report
     followed, _ = _follow_design(solver, target, near, press)
@@ -113,13 +115,17 @@ def _follow_design(solver, target, near, press):
     return state, report
 
 
-def _cold_start(solver, target, press):
+def _cold_start(solver, target, press, patience):
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
     candidates = candidate_poses(solver.lP, target.zmp, target.reference)
     total, smoother = 0, _smoother(solver.law)
     # Where the law itself is as smooth, they would fail alike.
     ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
+    tried = 0
     for guess in candidates:
+        if total > patience:
+            break
+        tried += 1
         for laws in ways:
             state, report = _lead(solver, target, guess, press, laws)
             total += report.iterations
@@ -127,9 +133,7 @@ def _cold_start(solver, target, press):
             if report.converged and state.R[2, 2] > np.cos(_MAX_TILT):
                 return state, report
     report.converged = False
-    report.message = (
-        f"no start from {len(candidates)} hull facets ({report.message})"
-    )
+    report.message = f"no start from {tried} hull facets ({report.message})"
     return None, report
 
 
@@ -147,10 +151,10 @@ def _smoother(law) -> list:
 
 def _lead(solver, target, guess, press, laws):
     """From a pose to the target, with one law after the other."""
-    law, total = solver.law, 0
+    law = solver.law
     try:
         solver.law = laws[0]
-        state, before = _press_in(solver, target, guess, press)
+        state, before, total = _press_in(solver, target, guess, press)
         for stage in laws:
             solver.law = stage
             state, report = follow_load(solver, state, before, target)
@@ -164,14 +168,19 @@ def _lead(solver, target, guess, press, laws):
     return state, report
 
 
-def _press_in(solver, target, guess, press) -> tuple[State, Target]:
-    """Lower the sole at fixed orientation until it carries about `press`."""
-    state, depth = guess.copy(), 1e-4
+def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
+    """Lower the sole at fixed orientation until it carries about `press`.
+
+    Returns:
+        State, load that it carries, Newton steps taken.
+    """
+    state, depth, total = guess.copy(), 1e-4, 0
     aim = replace(target, force=np.array([0.0, 0.0, press]))
     for _ in range(6):
         state.O[2] = guess.O[2] - depth
         # The references follow the held pose, as for the first sample.
-        trial, _ = solver.solve(state, aim, fixed_pose=True)
+        trial, report = solver.solve(state, aim, fixed_pose=True)
+        total += report.iterations
         carried = trial.F[:, 2].sum()
         state = trial
         if carried > 0.5 * press and carried < 2 * press:
@@ -180,7 +189,7 @@ def _press_in(solver, target, guess, press) -> tuple[State, Target]:
     resultant = state.F.sum(axis=0)
     P = solver.deformed(state.F, state.R) + state.O
     zmp = (P[:, :2] * state.F[:, 2:]).sum(axis=0) / max(resultant[2], 1e-9)
-    return state, replace(target, force=resultant, zmp=zmp)
+    return state, replace(target, force=resultant, zmp=zmp), total
 
 
 def follow_load(

@@ -15,6 +15,8 @@ from drake_exo.soles.contact import (
 )
 from drake_exo.soles.first_contact import first_step, follow_load
 
+_PATIENCE = 3  # times what a neighbouring design's first contact took
+
 
 @dataclass
 class StepHistory:
@@ -97,8 +99,7 @@ def simulate(
         reference = start if good is None else good[2][:, :2]
         target = Target(force[q], zmp[q], reference)
         if good is None:
-            first = near.state(0) if near else None
-            state, report = first_step(solver, target, largest, first)
+            state, report = _begin(solver, target, largest, near)
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
             guess = _alike(near, good[0], q, good[1]) if near else None
@@ -122,6 +123,14 @@ def simulate(
         if progress is not None:
             progress(q + 1, steps)
     return history
+
+
+def _begin(solver, target, largest, near: StepHistory | None):
+    """The first contact; near another design's it is not sought for long."""
+    if near is None:
+        return first_step(solver, target, largest)
+    patience = _PATIENCE * (10 + near.reports[0].iterations)
+    return first_step(solver, target, largest, near.state(0), patience)
 
 
 def _alike(near: StepHistory, before: int, now: int, state: State) -> State:

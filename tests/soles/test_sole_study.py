@@ -69,13 +69,13 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
     case = read_case(tmp_path / "case.yaml")
     tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
     monkeypatch.setattr(front, "STAGES", tiny)
-    (point,) = front.front(case, *case.open(tmp_path), (0.7,))
+    # Far above its own optimum so few elements make the search erratic.
+    (point,) = front.front(case, *case.open(tmp_path), (0.4,))
     assert point["violation"] < 1e-3
-    assert point["ratio_rot"] > 0.69
-    # Twenty iterations on so few elements end anywhere from 0.2 to 0.7.
-    assert point["ratio_tr"] < 0.8
+    assert point["ratio_rot"] > 0.39
+    assert point["ratio_tr"] < 0.6
     assert point["failed_steps"] == 0
-    assert "0.700" in front.table([point])
+    assert "0.400" in front.table([point])
 
 
 def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
