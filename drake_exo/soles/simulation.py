@@ -136,8 +136,6 @@ def _begin(solver, target, largest, near: StepHistory | None):
 def _alike(near: StepHistory, before: int, now: int, state: State) -> State:
     """The state changed as a neighbour's is from one sample to another."""
     old, new = near.state(before), near.state(now)
-    return State(
-        state.F + new.F - old.F,
-        state.O + new.O - old.O,
-        new.R @ old.R.T @ state.R,
-    )
+    # Rounding would grow from design to design without the projection.
+    U, _, Vt = np.linalg.svd(new.R @ old.R.T @ state.R)
+    return State(state.F + new.F - old.F, state.O + new.O - old.O, U @ Vt)

@@ -220,6 +220,28 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
     assert (best.p <= 1.25).all()
 
 
+def test_first_guesses_from_a_neighbour_change_nothing(problem, monkeypatch):
+    monkeypatch.setattr(problem, "branch", None)
+    monkeypatch.setattr(problem, "_cache", {})
+    rng, p = np.random.default_rng(3), np.full(problem.spline.count, 0.96)
+    cold = problem.evaluate(p)
+    for _ in range(25):  # rounding must not grow from design to design
+        problem.accept(p)
+        p = p + 2e-3 * rng.standard_normal(len(p))
+        near = problem.evaluate(p)
+    turned = near.history.R @ near.history.R.swapaxes(1, 2)
+    assert np.abs(turned - np.eye(3)).max() < 1e-13
+    problem.leave_branch()
+    again = problem.evaluate(p)
+    scale = np.abs(again.history.K_c).max()
+    assert np.abs(near.history.K_c - again.history.K_c).max() < 1e-9 * scale
+    assert np.abs(near.history.K_c - cold.history.K_c).max() > 1e-3 * scale
+    steps = [
+        sum(r.iterations for r in e.history.reports[1:]) for e in (near, again)
+    ]
+    assert steps[0] < steps[1]
+
+
 def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
     problem, monkeypatch
 ):
