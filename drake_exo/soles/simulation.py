@@ -15,7 +15,7 @@ from drake_exo.soles.contact import (
 )
 from drake_exo.soles.first_contact import first_step, follow_load
 
-_PATIENCE = 3  # times what a neighbouring design's first contact took
+_PATIENCE = 3  # times the Newton steps of a neighbouring design
 
 
 @dataclass
@@ -79,8 +79,9 @@ def simulate(
         start: How the sole is held just before contact.
         stop_at_failure: Leave the remaining samples out after a failure.
         near: History of a neighbouring design: a start on another branch
-            fails, and its increments from sample to sample are the first
-            guess of this one's. None: any branch will do.
+            fails, so does a step that takes far more Newton steps, and its
+            increments from sample to sample are the first guess of this
+            one's. None: any branch will do.
         largest_force: Largest |F| of the phase [N], by which the first
             contact is found; of the samples given where None.
         progress: Called with samples done and samples in all.
@@ -95,11 +96,17 @@ def simulate(
     )
     largest = largest_force or float(np.linalg.norm(force, axis=1).max())
     good = None  # (sample, state, places) of the last success
+    left = 0  # Newton steps that near another design may still be taken
     for q in range(steps):
         reference = start if good is None else good[2][:, :2]
         target = Target(force[q], zmp[q], reference)
+        if near is not None:
+            left += _PATIENCE * (10 + near.reports[q].iterations)
         if good is None:
-            state, report = _begin(solver, target, largest, near)
+            first = near.state(0) if near else None
+            state, report = first_step(
+                solver, target, largest, first, left or None
+            )
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
             guess = _alike(near, good[0], q, good[1]) if near else None
@@ -111,6 +118,10 @@ def simulate(
                 state.R,
             )
             history.P[q] = solver.deformed(state.F, state.R) + state.O
+        left -= report.iterations
+        if near is not None and left < 0:
+            report.converged = False
+            report.message = "takes far longer than a neighbouring design"
         history.reports.append(report)
         if report.converged:
             K = solver.linearise(state, target).cartesian_stiffness()
@@ -123,14 +134,6 @@ def simulate(
         if progress is not None:
             progress(q + 1, steps)
     return history
-
-
-def _begin(solver, target, largest, near: StepHistory | None):
-    """The first contact; near another design's it is not sought for long."""
-    if near is None:
-        return first_step(solver, target, largest)
-    patience = _PATIENCE * (10 + near.reports[0].iterations)
-    return first_step(solver, target, largest, near.state(0), patience)
 
 
 def _alike(near: StepHistory, before: int, now: int, state: State) -> State:

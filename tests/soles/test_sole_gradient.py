@@ -242,6 +242,18 @@ def test_first_guesses_from_a_neighbour_change_nothing(problem, monkeypatch):
     assert steps[0] < steps[1]
 
 
+def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
+    monkeypatch.setattr(problem, "branch", None)
+    monkeypatch.setattr(problem, "_cache", {})
+    p = np.full(problem.spline.count, 0.96)
+    problem.accept(p)
+    assert problem.evaluate(0.99 * p) is not None
+    monkeypatch.setattr("drake_exo.soles.simulation._PATIENCE", 0.1)
+    assert problem.evaluate(0.98 * p) is None
+    problem.leave_branch()
+    assert problem.evaluate(0.98 * p) is not None
+
+
 def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
     problem, monkeypatch
 ):
