@@ -15,8 +15,10 @@ from drake_exo.soles.optimiser import Optimum
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.remesh import RemeshError, in_eighths, remesh_with
 from drake_exo.soles.simulation import StepHistory, simulate
+from drake_exo.soles.untangle import untangled
 
 _SOUND = 0.15  # least quality at which a finer brick judges a design
+_NEEDLE = 0.02  # quality below which inner nodes are moved
 
 
 @dataclass
@@ -143,11 +145,43 @@ def _at_least_twice(divisions) -> tuple[int, int, int]:
     return tuple(finer)
 
 
+def _finer(size, divisions, design: Design) -> tuple[TetMesh, TetMesh]:
+    """A finer brick and the design on a mesh as fine.
+
+    The brick's own elements where they are sound at the design, else new ones,
+    else the brick's, where inverted of one finer in plan with inner nodes
+    moved, else eighths of the design's own.
+    """
+    mesh, spline, p = design.problem.mesh, design.problem.spline, design.p
+
+    def shape(finer):
+        base = brick(size, finer)
+        return base, base.with_nodes(spline.deform(base.nodes, p))
+
+    base, shaped = shape(_at_least_twice(divisions))
+    if shaped.quality().min() >= _SOUND:
+        return base, shaped
+    try:
+        other = remesh_with(mesh, spline, p, 2 * len(design.mesh.tets))
+        return base, other.with_nodes(spline.deform(other.nodes, p))
+    except RemeshError:
+        if shaped.volumes.min() > 0:
+            return base, shaped
+    nx, ny, nz = divisions
+    flat, shaped = shape((_times_root_two(nx), _times_root_two(ny), nz))
+    shaped = untangled(shaped, _NEEDLE)
+    if shaped.volumes.min() > 0:
+        return flat, shaped
+    return base, in_eighths(mesh, spline, p)[0]
+
+
+def _times_root_two(cells: int) -> int:
+    return int(np.ceil(np.sqrt(2) * cells))
+
+
 def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     """The design on a mesh of at least twice the tets, beside the brick.
 
-    Where the finer brick's elements are poor at the design, on new ones; where
-    there are none and the brick's are inverted, on eighths of the design's own.
     `change` and `brick_change` are those of c against the last stage's mesh.
     """
     divisions = next(
@@ -156,19 +190,7 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
     )  # fmt: skip
     if divisions is None:
         return None
-    finer = _at_least_twice(divisions)
-    base = brick(tuple(np.ptp(own.nodes, axis=0)), finer)
-    spline = design.problem.spline
-    shaped = base.with_nodes(spline.deform(base.nodes, design.p))
-    if shaped.quality().min() < _SOUND:
-        try:
-            other = remesh_with(
-                design.problem.mesh, spline, design.p, 2 * len(design.mesh.tets)
-            )
-            shaped = other.with_nodes(spline.deform(other.nodes, design.p))
-        except RemeshError:
-            if shaped.volumes.min() <= 0:
-                shaped = in_eighths(design.problem.mesh, spline, design.p)[0]
+    base, shaped = _finer(tuple(np.ptp(own.nodes, axis=0)), divisions, design)
     out = {"tets": len(shaped.tets)}
     r = Sole(base, design.problem.material, case.mesh.element).penalty
     for name, mesh in (("brick", base), ("design", shaped)):

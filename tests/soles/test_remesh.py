@@ -1,8 +1,11 @@
 """New elements for a worn-out design, pulled back to the undeformed sole."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from drake_exo.soles import judgement
 from drake_exo.soles import remesh as remeshing
 from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.radial import onto_edges, pull_back, reach
@@ -22,9 +25,10 @@ def _at(mesh, spline, p):
     return mesh.with_nodes(spline.deform(mesh.nodes, p))
 
 
-def _worn(divisions, least=0.04, seed=6):
+def _worn(divisions, least=0.04, seed=6, intervals=3):
     """Brick, spline and a design with elements close to inversion."""
-    mesh, spline = brick(SIZE, divisions), SphericalSpline((3, 3))
+    spline = SphericalSpline((intervals, intervals))
+    mesh = brick(SIZE, divisions)
     way = np.random.default_rng(seed).normal(size=spline.count)
     low, high = 0.0, 1.0
     for _ in range(40):
@@ -209,6 +213,29 @@ def test_eighths_of_a_worn_design_are_upright_and_see_more_of_it(design):
     off = (shaped.nodes[new] == chord.nodes[new]).all(axis=1)
     assert (on | off).all()
     assert on.mean() > 0.8
+
+
+def test_a_finer_check_where_mmg_fails(monkeypatch):
+    def fails(*_):
+        raise RemeshError("no elements")
+
+    monkeypatch.setattr(judgement, "remesh_with", fails)
+    kinds = set()
+    for seed in (6, 7, 8):
+        mesh, spline, p = _worn((6, 4, 2), seed=seed, intervals=6)
+        problem = SimpleNamespace(mesh=mesh, spline=spline)
+        worn = SimpleNamespace(problem=problem, p=p, mesh=mesh)
+        base, shaped = judgement._finer(SIZE, (6, 4, 2), worn)
+        assert shaped.volumes.min() > 0
+        assert len(shaped.tets) >= 2 * len(mesh.tets)
+        if len(shaped.tets) == 8 * len(mesh.tets):
+            kinds.add("eighths")
+            continue
+        exact = spline.deform(base.nodes, p)
+        moved = np.flatnonzero((shaped.nodes != exact).any(axis=1))
+        assert not np.isin(moved, np.unique(shaped.boundary_faces)).any()
+        kinds.add("moved" if len(moved) else "brick")
+    assert kinds == {"brick", "moved", "eighths"}
 
 
 def test_points_move_along_their_rays():
