@@ -57,7 +57,7 @@ def add_iterations_argument(parser) -> None:
         type=_count,
         metavar="N",
         help="at most so many in the last stage (default: the case's; an "
-        "optimum takes some 250 to more than 400)",
+        "optimum takes some 190 to 540)",
     )
 
 
