@@ -96,6 +96,7 @@ class Optimum:
         violation: Largest constraint violation at p.
         latest: IPOPT's latest point, multipliers and barrier.
         trace: Rows (iteration, cost, violation, dual infeasibility).
+        former: Those that were the best before.
     """
 
     p: np.ndarray
@@ -109,6 +110,7 @@ class Optimum:
     latest: tuple = ()
     violation: float = np.inf
     trace: list = field(default_factory=list)
+    former: list = field(default_factory=list)
 
     def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
         """Keep the better of this design and the best so far."""
@@ -117,7 +119,17 @@ class Optimum:
         if (feasible and better) or (
             not feasible and violation < self.violation
         ):
+            self.former.append(self.p)
             self.p, self.cost, self.violation = p.copy(), cost, violation
+
+    def fall_back(self, problem: ShapeProblem) -> None:
+        """To the last best that can be simulated without a neighbour."""
+        if problem.evaluate(self.p) is not None:
+            return
+        self.status, self.optimal = "only followed from a neighbour", False
+        while problem.evaluate(self.p) is None and self.former:
+            self.p = self.former.pop()
+        self.cost, self.violation = merits(problem, self.p)
 
 
 class AcceptedDesigns:
@@ -328,6 +340,7 @@ def conclude(problem, best, p, bounds, derivatives) -> None:
     if problem.evaluate(p) is not None:
         _judge(problem, best, p, bounds, derivatives)
     problem.leave_branch()
+    best.fall_back(problem)
 
 
 def _judge(problem, best, p, bounds, derivatives) -> None:

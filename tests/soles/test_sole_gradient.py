@@ -220,6 +220,25 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
     assert (best.p <= 1.25).all()
 
 
+def test_a_design_without_a_cold_start_gives_way(problem, monkeypatch):
+    from drake_exo.soles.optimiser import minimise
+
+    p0, real = np.full(problem.spline.count, 0.96), problem._simulate
+    lost = minimise(problem, p0, (0.5, 1.25), iterations=6).p
+    problem.leave_branch()
+
+    def simulate(p):
+        cold = problem.branch is None and np.allclose(p, lost, atol=1e-9)
+        return None if cold else real(p)
+
+    monkeypatch.setattr(problem, "_simulate", simulate)
+    best = minimise(problem, p0, (0.5, 1.25), iterations=6)
+    assert np.abs(best.p - lost).max() > 1e-4
+    assert best.cost == pytest.approx(problem.cost(best.p), rel=1e-9)
+    assert best.status == "only followed from a neighbour"
+    problem.leave_branch()
+
+
 def test_first_guesses_from_a_neighbour_change_nothing(problem, monkeypatch):
     monkeypatch.setattr(problem, "branch", None)
     monkeypatch.setattr(problem, "_cache", {})
