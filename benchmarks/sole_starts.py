@@ -60,19 +60,20 @@ def optimum(case, load, own, rng):
             p = random_shape(problem, bounds, rng)
             learnt = QuasiNewton(len(p))
             begun = problem.cost(p)
-        best = minimise(
+        found = minimise(
             problem, p, bounds, stage.iterations, learnt=learnt, warm=warm
         )
-        p = best.p
+        if not np.isfinite(found.cost):  # the thinner law does not carry it
+            break
+        best, p = found, found.p
         warm = WarmStart(best.multipliers, *best.at_bounds)
-    # Some can be followed from their neighbours, but not from a cold start.
-    e, first = problem.evaluate(p), problem.first
+        e, first = problem.evaluate(p), problem.first
     return {
         "start_cost": begun,
         "cost": best.cost,
         "optimality_error": best.error,
-        "ratio_tr": e and e.c_tr / first.c_tr,
-        "ratio_rot": e and e.c_rot / first.c_rot,
+        "ratio_tr": e.c_tr / first.c_tr,
+        "ratio_rot": e.c_rot / first.c_rot,
     }
 
 

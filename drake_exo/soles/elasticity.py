@@ -327,9 +327,12 @@ class _Factor:
 
             self._lu = splu(csc_matrix(K))
             return
-        self._cholesky = CholeskySolverD(
-            K.shape[0], K.indptr, K.indices, K.data, MatrixType.CSC
-        )
+        try:
+            self._cholesky = CholeskySolverD(
+                K.shape[0], K.indptr, K.indices, K.data, MatrixType.CSC
+            )
+        except ValueError as error:
+            raise np.linalg.LinAlgError(str(error)) from None
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         flat = np.ascontiguousarray(b.reshape(b.shape[0], -1))
