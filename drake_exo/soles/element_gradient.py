@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_exo.soles.active_set import node_dofs
 from drake_exo.soles.elasticity import Sole, displacement_gradient
+from drake_exo.soles.mesh import scatter
 
 _FIELDS = 64  # at a time
 
@@ -63,12 +64,9 @@ def stiffness_gradients(sole: Sole, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     S = -(2 * work - energy)[..., None, None] * np.eye(3) + 2 * turned
     local = mesh.gradients @ S.swapaxes(2, 3)
     local *= mesh.volumes[:, None, None]
-    out = np.empty((len(v), *mesh.nodes.shape))
-    for f in range(len(v)):
-        for axis in range(3):
-            out[f, :, axis] = np.bincount(
-                mesh.tets.ravel(), local[f, :, :, axis].ravel(), len(mesh.nodes)
-            )
+    out = np.zeros((len(v), *mesh.nodes.shape))
+    for own, rows in zip(out, local, strict=True):
+        scatter(own, mesh.tets, rows)
     return out
 
 

@@ -72,7 +72,7 @@ def first_step(
     target: Target,
     largest_force: float,
     near: State | None = None,
-    patience: int | None = None,
+    patience: float = np.inf,
 ) -> tuple[State | None, Convergence]:
     """Solve the first step of a contact phase, from a cold start.
 
@@ -91,7 +91,7 @@ def first_step(
         patience: Newton steps after which no other facet is tried.
     """
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
-    state, report = _cold_start(solver, target, press, patience or np.inf)
+    state, report = _cold_start(solver, target, press, patience)
     if near is None or not report.converged or _turn(state, near) < _LEAP:
         return state, report
     followed, _ = _follow_design(solver, target, near, press)

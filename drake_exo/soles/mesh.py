@@ -87,8 +87,7 @@ class TetMesh:
     def volume_gradient(self) -> np.ndarray:
         """∂volume/∂nodes [m²], (n, 3): Σ_e V_e g_a."""
         out = np.zeros_like(self.nodes)
-        local = self.volumes[:, None, None] * self.gradients
-        np.add.at(out, self.tets.ravel(), local.reshape(-1, 3))
+        scatter(out, self.tets, self.volumes[:, None, None] * self.gradients)
         return out
 
     def quality(self) -> np.ndarray:
@@ -106,6 +105,14 @@ class TetMesh:
         """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
         x = self.nodes[self.tets]
         return x[:, 1:] - x[:, :1]
+
+
+def scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:
+    """Add rows (k, 4, 3) to out (n, 3) at places (k, 4)."""
+    for axis in range(3):
+        out[:, axis] += np.bincount(
+            place.ravel(), rows[:, :, axis].ravel(), minlength=len(out)
+        )
 
 
 def brick(

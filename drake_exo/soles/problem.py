@@ -24,7 +24,7 @@ from drake_exo.soles.limits import (
     soft_minimum,
 )
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.mesh import TetMesh, scatter
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.simulation import StepHistory, simulate
@@ -254,7 +254,7 @@ class ShapeProblem:
         )
         out = np.zeros_like(mesh.nodes)
         local = (share * mesh.volumes / rest)[:, None, None] * mesh.gradients
-        np.add.at(out, mesh.tets.ravel(), local.reshape(-1, 3))
+        scatter(out, mesh.tets, local)
         return value, out
 
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ def simulate(
     )
     largest = largest_force or float(np.linalg.norm(force, axis=1).max())
     good = None  # (sample, state, places) of the last success
-    left = 0  # Newton steps that near another design may still be taken
+    left = 0 if near else np.inf  # Newton steps that may still be taken
     for q in range(steps):
         reference = start if good is None else good[2][:, :2]
         target = Target(force[q], zmp[q], reference)
@@ -104,9 +104,7 @@ def simulate(
             left += _PATIENCE * (10 + near.reports[q].iterations)
         if good is None:
             first = near.state(0) if near else None
-            state, report = first_step(
-                solver, target, largest, first, left or None
-            )
+            state, report = first_step(solver, target, largest, first, left)
         else:
             before = Target(force[good[0]], zmp[good[0]], reference)
             guess = _alike(near, good[0], q, good[1]) if near else None
@@ -119,7 +117,7 @@ def simulate(
             )
             history.P[q] = solver.deformed(state.F, state.R) + state.O
         left -= report.iterations
-        if near is not None and left < 0:
+        if left < 0:
             report.converged = False
             report.message = "takes far longer than a neighbouring design"
         history.reports.append(report)

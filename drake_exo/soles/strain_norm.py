@@ -15,6 +15,7 @@ import numpy as np
 from drake_exo.soles.adjoint import ForceTerm, heavy
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.element_gradient import stiffness_gradients
+from drake_exo.soles.mesh import scatter
 from drake_exo.soles.simulation import StepHistory
 from drake_exo.soles.smoothing import gradient_operators
 
@@ -84,12 +85,12 @@ class StrainNorm:
         shape = self._u.shape
         pull = np.zeros((shape[0] * shape[1], 3))
         place = self._q[:, None] * shape[1] + tets
-        _scatter(pull, place, np.swapaxes(G @ g, 1, 2))
+        scatter(pull, place, np.swapaxes(G @ g, 1, 2))
         pull = pull.reshape(shape)
         # Gradients of the shape functions change with the nodes.
         by_nodes = np.zeros_like(mesh.nodes)
         moved = np.swapaxes(self._H, 1, 2) @ G @ g
-        _scatter(by_nodes, tets, -np.swapaxes(moved, 1, 2))
+        scatter(by_nodes, tets, -np.swapaxes(moved, 1, 2))
         kept = heavy(pull)
         free = sole.free
         u = self._u[kept][:, free].reshape(len(kept), -1).T
@@ -132,11 +133,3 @@ def _multiply(a, b, out):
             out[i, j] = 0.0
             for k in range(3):
                 out[i, j] += a[i, k] * b[k, j]
-
-
-def _scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:
-    """Add rows (k, 4, 3) to out (n, 3) at places (k, 4)."""
-    for axis in range(3):
-        out[:, axis] += np.bincount(
-            place.ravel(), rows[:, :, axis].ravel(), minlength=len(out)
-        )
