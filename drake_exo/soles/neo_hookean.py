@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from drake_exo.soles.elasticity import Material
-from drake_exo.soles.mesh import TetMesh, scatter
+from drake_exo.soles.mesh import TetMesh
 
 
 def energy(F: np.ndarray, material: Material) -> np.ndarray:
@@ -86,7 +86,7 @@ class NeoHookeanBody:
             mesh.gradients @ np.swapaxes(P, 1, 2)
         )
         out = np.zeros((len(mesh.nodes), 3), dtype=local.dtype)
-        scatter(out, mesh.tets, local)
+        np.add.at(out, mesh.tets.ravel(), local.reshape(-1, 3))
         return out
 
     def element_tangents(self, u: np.ndarray) -> np.ndarray:
