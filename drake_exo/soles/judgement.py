@@ -17,7 +17,7 @@ from drake_exo.soles.remesh import RemeshError, in_eighths, remesh_with
 from drake_exo.soles.simulation import StepHistory, simulate
 from drake_exo.soles.untangle import untangled
 
-_SOUND = 0.15  # least quality at which a finer brick judges a design
+_SOUND = 0.15  # least quality of finer elements that judge a design
 _NEEDLE = 0.02  # quality below which inner nodes are moved
 
 
@@ -162,7 +162,8 @@ def _finer(size, divisions, design: Design) -> tuple[TetMesh, TetMesh]:
     if shaped.quality().min() >= _SOUND:
         return base, shaped
     try:
-        other = remesh_with(mesh, spline, p, 2 * len(design.mesh.tets))
+        tets = 2 * len(design.mesh.tets)
+        other = remesh_with(mesh, spline, p, tets, sound=_SOUND)
         return base, other.with_nodes(spline.deform(other.nodes, p))
     except RemeshError:
         if shaped.volumes.min() > 0:
@@ -192,9 +193,9 @@ def finer_check(case: Case, own, load, start, design: Design) -> dict | None:
         return None
     base, shaped = _finer(tuple(np.ptp(own.nodes, axis=0)), divisions, design)
     out = {"tets": len(shaped.tets)}
-    r = Sole(base, design.problem.material, case.mesh.element).penalty
-    for name, mesh in (("brick", base), ("design", shaped)):
-        sole = Sole(mesh, design.problem.material, case.mesh.element)
+    undeformed, deformed = (case.sole(mesh) for mesh in (base, shaped))
+    r = undeformed.penalty
+    for name, sole in (("brick", undeformed), ("design", deformed)):
         history = exact_history(case, sole, load, start, r)
         c_tr, c_rot, c = history.costs(
             case.cost.weight, case.cost.heel_strike_fraction

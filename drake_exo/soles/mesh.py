@@ -16,7 +16,7 @@ from drake_exo.errors import InputError
 from drake_exo.mesh_files import read_cells
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class TetMesh:
     @cached_property
     def boundary_faces(self) -> np.ndarray:
         """Outward triangles of the whole surface, (f, 3)."""
-        faces = self.tets[:, _FACES].reshape(-1, 3)
+        faces = self.tets[:, FACES].reshape(-1, 3)
         _, index, count = np.unique(
             np.sort(faces, axis=1),
             axis=0,

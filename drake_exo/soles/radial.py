@@ -1,5 +1,6 @@
 """Moves along rays from the sole frame's origin."""
 
+import numba
 import numpy as np
 
 from drake_exo.soles.shape import SphericalSpline
@@ -26,14 +27,30 @@ def reach(X: np.ndarray, corners: np.ndarray) -> np.ndarray:
     A = corners.transpose(0, 2, 1)  # columns are a triangle's corners
     size = np.linalg.norm(corners, axis=2).prod(axis=1)
     A = A[np.abs(np.linalg.det(A)) > 1e-9 * size]
-    w = np.einsum("fij,nj->nfi", np.linalg.inv(A), X)
-    total = w.sum(axis=2)
-    factor = 1.0 / np.where(total > 0, total, np.nan)
-    outside = np.maximum(-(w * factor[..., None]).min(axis=2), 1e-9)
-    merit = outside + 1e-6 * np.abs(np.log(factor))
-    merit[np.isnan(merit)] = np.inf
-    found = factor[np.arange(len(X)), merit.argmin(axis=1)]
-    return np.where(np.isnan(found), np.inf, found)
+    return _nearest(np.ascontiguousarray(X), np.linalg.inv(A))
+
+
+@numba.njit(cache=True)
+def _nearest(X, inverses):
+    factors = np.full(len(X), np.inf)
+    for n in range(len(X)):
+        x, y, z = X[n]
+        least = np.inf
+        for f in range(len(inverses)):
+            B = inverses[f]
+            u = B[0, 0] * x + B[0, 1] * y + B[0, 2] * z
+            v = B[1, 0] * x + B[1, 1] * y + B[1, 2] * z
+            w = B[2, 0] * x + B[2, 1] * y + B[2, 2] * z
+            total = u + v + w
+            if total <= 0.0:
+                continue
+            outside = max(-min(u, v, w) / total, 1e-9)
+            if outside >= least:
+                continue
+            merit = outside + 1e-6 * abs(np.log(total))
+            if merit < least:
+                least, factors[n] = merit, 1.0 / total
+    return factors
 
 
 def onto_edges(X: np.ndarray, ends: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import io
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -31,8 +32,7 @@ _CHILD = Path(__file__).with_name("mmg_child.py")
 _MOST_SECONDS = 20  # of processor time; five thousand tets take one
 _SOUND = 0.3  # least mean-ratio quality at which the surface is kept
 _CARRIES = 0.1  # least quality of elements of another number
-# Edges, from longer ones, until there are enough elements.
-_SIZES = (1.18, 1.12, 1.06, 1.0, 0.97, 0.94, 0.91, 0.88, 0.85)
+_TRIES, _SHORTER = 4, 0.97  # elements of another number: edges of the next
 _UPRIGHT = 0.2  # least volume of a half, of that of plain halves
 _SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
 _GLUED, _BARE = 1, 2  # references of triangles in Mmg
@@ -87,29 +87,46 @@ def remesh_with(
     p: np.ndarray,
     tets: int,
     usable: Callable[[TetMesh], bool] | None = None,
+    sound: float = _SOUND,
 ) -> TetMesh:
     """As `remesh`, with at least `tets` elements and little more.
 
     A mesh of another number of elements may not carry the design; made from
     one that does, this one will.
 
+    Args:
+        mesh, spline, p, usable: As there.
+        tets: Least number of elements.
+        sound: Least quality that does; else the best of a few is taken.
+
     Raises:
         RemeshError: As there.
     """
+    cut = in_eighths(mesh, spline, p)
+    counts = []
+
+    def build(size: float) -> TetMesh:
+        new = _from_eighths(mesh, spline, p, cut, size)
+        counts.append(len(new.tets))
+        return new
+
+    def builds():
+        """From edges of the wanted length on, shorter where it takes that."""
+        size = (len(mesh.tets) / tets) ** (1 / 3)
+        for _ in range(_TRIES):
+            yield partial(build, size)
+            share = counts[-1] / tets if counts else 1.0
+            size *= min(_SHORTER, share ** (1 / 3))
 
     def enough(new: TetMesh) -> bool:
         return len(new.tets) >= tets and (usable is None or usable(new))
 
-    size = (len(mesh.tets) / tets) ** (1 / 3)
-    cut = in_eighths(mesh, spline, p)
-    builds = (
-        lambda part=part: _from_eighths(mesh, spline, p, cut, part * size)
-        for part in _SIZES
-    )
-    return _best(builds, spline, p, enough, _CARRIES)
+    return _best(builds(), spline, p, enough, _CARRIES, sound)
 
 
-def _best(builds, spline, p, usable, least: float) -> TetMesh:
+def _best(
+    builds, spline, p, usable, least: float, sound: float = _SOUND
+) -> TetMesh:
     """The first that is sound, else the best above a least quality."""
     best, found, reason = least, None, "no element is better for it"
     for build in builds:
@@ -123,7 +140,7 @@ def _best(builds, spline, p, usable, least: float) -> TetMesh:
         quality = float(shaped.quality().min())
         if quality > best and (usable is None or usable(new)):
             best, found = quality, new
-        if best >= _SOUND:
+        if best >= sound:
             break
     if found is None:
         raise RemeshError(reason)

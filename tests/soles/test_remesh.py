@@ -216,7 +216,7 @@ def test_eighths_of_a_worn_design_are_upright_and_see_more_of_it(design):
 
 
 def test_a_finer_check_where_mmg_fails(monkeypatch):
-    def fails(*_):
+    def fails(*_, **__):
         raise RemeshError("no elements")
 
     monkeypatch.setattr(judgement, "remesh_with", fails)
