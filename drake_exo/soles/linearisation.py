@@ -6,16 +6,17 @@ only slipping nodes, those inside the smoothed layer, and the six pose
 unknowns remain. All matrices are in the sole frame here.
 """
 
+import numba
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from drake_exo.soles.active_set import ActiveSet, node_dofs
+from drake_exo.soles.active_set import ActiveSet, blocks, node_dofs
 from drake_exo.soles.node_law import (
     ContactLaw,
     firmly_sticking,
+    project_node,
     project_with_derivative,
 )
-from drake_exo.soles.rotations import hat
 
 
 class Linearisation:
@@ -35,98 +36,81 @@ class Linearisation:
         self.R, self.arm, self.F = R, arm, F
         self.law, self.tau = law, tau
         self.r = law.penalty
-        self._arm_cross, self._F_cross = hat(arm), hat(F)
         self.loose = np.flatnonzero(~firmly_sticking(tau, law))
-        _, D = project_with_derivative(tau[self.loose], law)
-        self.D = R.T @ D @ R
         self._g = node_dofs(self.loose)
-        self._lu = self._factorise()
-        self._S_g = self.S[:, self._g]
+        self.D, M = _law_matrix(
+            self.S, self.loose, tau, R, law.penalty,
+            law.friction, law.epsilon, law.kappa,
+        )  # fmt: skip
+        self._lu = None
+        if len(self.loose):
+            factor, pivots, info = dgetrf(M, overwrite_a=1)
+            if info:
+                raise np.linalg.LinAlgError("singular law at the loose nodes")
+            self._lu = factor, pivots
+        self._S_g = blocks(self.S, np.arange(len(self.nodes)), self.loose)
 
-    def _factorise(self):
-        """LU of M = (I − D) S_gg + r D."""
-        n, k = len(self._g), len(self.loose)
-        if n == 0:
-            return None
-        S_gg = self.S[np.ix_(self._g, self._g)]
-        M = S_gg - self._times_D(S_gg)
-        blocks = M.reshape(k, 3, k, 3)
-        place = np.arange(k)
-        blocks[place, :, place, :] += self.r * self.D
-        factor, pivots, info = dgetrf(M)
-        if info:
-            raise np.linalg.LinAlgError("singular law at the loose nodes")
-        return factor, pivots
-
-    def _times_D(self, X: np.ndarray) -> np.ndarray:
-        """D X for stacked rows X (3g, c)."""
-        return (self.D @ X.reshape(len(self.loose), 3, -1)).reshape(X.shape)
-
-    def _respond(self, offset: np.ndarray, S_rhs: np.ndarray, phi_g):
-        """Solve dF = S dδ + S_rhs with firm dδ = offset.
+    def _respond(self, T: np.ndarray, known: np.ndarray, phi_g=None):
+        """Solve dF = S dδ + S rhs, the sole frame throughout.
 
         Args:
-            offset: dδ of firm nodes, zero elsewhere (3k, c), or None.
-            S_rhs: S times what is added to dδ, sole frame, (3k, c).
-            phi_g: Law residual of the loose nodes, (3g, c) or None.
+            T: S times both rhs and the dδ that are known, (3k, c).
+            known: These dδ, zero elsewhere, (3k, c); filled.
+            phi_g: Law residual of the loose nodes, (3g,), in the first
+                column.
 
         Returns:
-            dF and dδ, sole frame, (3k, c) each.
+            dF and dδ, (3k, c) each.
         """
-        T = S_rhs if offset is None else S_rhs + self.S @ offset
-        d_delta = np.zeros_like(T) if offset is None else offset.copy()
         if self._lu is None:
-            return T, d_delta
-        T_g = T[self._g]
-        rhs = self._times_D(T_g) - T_g
+            return T, known
+        rhs = _loose_rhs(self.D, T, self.loose)
         if phi_g is not None:
-            rhs -= phi_g
+            rhs[:, 0] -= phi_g
         x = dgetrs(*self._lu, rhs)[0]
-        d_delta[self._g] = x
-        return T + self._S_g @ x, d_delta
+        known[self._g] = x
+        return T + self._S_g @ x, known
 
     def pose_response(self, dQ: np.ndarray | None = None):
         """Changes dF and dδ for unit pose increments (dzO, dω), (k, 3, 6)."""
-        dF, d_delta = self._respond(None, self._minus_S_pose(dQ), None)
-        return self._to_world(dF), self._to_world(d_delta)
+        return tuple(self._to_world(x) for x in self._pose_response(dQ))
 
-    def _minus_S_pose(self, dQ) -> np.ndarray:
-        """−S D_p (3k, 6): S W hat(F) = hat(F) spares the product with C."""
-        k = len(self.nodes)
-        right = np.zeros((k, 3, 6))
-        right[:, :, :3] = -np.eye(3)
-        right[:, :, 3:] = self._arm_cross
+    def _pose_response(self, dQ=None):
+        T = self.S @ self._against_pose(dQ)
+        _less_turned(T, self.R, self.F)
+        return self._respond(T, np.zeros_like(T))
+
+    def _against_pose(self, dQ) -> np.ndarray:
+        """−D_p but for its part in F, (3k, 6): S W hat(F) = hat(F)."""
+        out = _against_rigid(self.R, self.arm)
         if dQ is not None:
-            right[:, :, 3:] += dQ
-        right = (self.R.T @ right).reshape(3 * k, 6)
-        out = self.S @ right
-        out.reshape(k, 3, 6)[:, :, 3:] -= self.R.T @ self._F_cross
+            out[:, 3:] += self._to_sole(dQ)
         return out
 
     def _to_world(self, x: np.ndarray) -> np.ndarray:
         return self.R @ x.reshape(len(self.nodes), 3, -1)
 
-    def law_response(self, phi: np.ndarray):
-        """Newton step dF, dδ at fixed pose, world, (k, 3)."""
-        local = (phi @ self.R).reshape(-1, 1)
-        offset = -local / self.r
-        offset[self._g] = 0.0
-        dF, d_delta = self._respond(
-            offset, np.zeros_like(offset), local[self._g]
-        )
-        return self._to_world(dF)[:, :, 0], self._to_world(d_delta)[:, :, 0]
+    def _to_sole(self, x: np.ndarray) -> np.ndarray:
+        return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
 
     def solve_forces(self, phi: np.ndarray) -> np.ndarray:
         """Newton step of the forces at fixed pose, world [N], (k, 3)."""
-        return self.law_response(phi)[0]
+        offset, phi_g = self._offset(phi)
+        dF, _ = self._respond(self.S @ offset, offset, phi_g)
+        return dF.reshape(-1, 3) @ self.R.T
+
+    def _offset(self, phi):
+        """dδ of firm nodes (3k, 1), residual of the loose ones (3g,)."""
+        local = (phi @ self.R).reshape(-1, 1)
+        offset = -local / self.r
+        offset[self._g] = 0.0
+        return offset, local[self._g, 0]
 
     def wrench_change(self, dF, dP) -> np.ndarray:
         """[ΣdF; Σ(P−Z)×dF + dP×F] for fields (k, 3, c) -> (6, c)."""
-        force = dF.sum(axis=0)
-        columns = dF.shape[2]
-        moment = _side_by_side(self._arm_cross) @ dF.reshape(-1, columns)
-        moment -= _side_by_side(self._F_cross) @ dP.reshape(-1, columns)
-        return np.concatenate([force, moment])
+        c = dF.shape[2]
+        fields = (x.reshape(-1, c) for x in (dF, dP))
+        return _wrench_change(np.eye(3), self.arm, self.F, *fields)
 
     def solve(self, phi, wrench, dQ=None):
         """Newton step for law residual phi (k, 3) and wrench residual (6,).
@@ -134,20 +118,25 @@ class Linearisation:
         Returns:
             dF (k, 3) world, dp = (dzO, dω) (6,).
         """
-        F0, x0 = self.law_response(phi)
-        F1, x1 = self.pose_response(dQ)
+        offset, phi_g = self._offset(phi)
+        pose = self._against_pose(dQ)
+        # One product with S, one solution for offset and pose together.
+        T = self.S @ np.concatenate((offset, pose), axis=1)
+        _less_turned(T, self.R, self.F)
+        known = np.zeros_like(T)
+        known[:, :1] = offset
+        dF, dP = self._respond(T, known, phi_g)
         if dQ is not None:
-            x1 = x1.copy()
-            x1[:, :, 3:] += dQ
-        G0 = self.wrench_change(F0[:, :, None], x0[:, :, None])[:, 0]
-        G1 = self.wrench_change(F1, x1)
-        dp = np.linalg.solve(G1, -(wrench + G0))
-        return F0 + F1 @ dp, dp
+            dP[:, 4:] += self._to_sole(dQ)
+        G = _wrench_change(self.R, self.arm, self.F, dF, dP)
+        dp = np.linalg.solve(G[:, 1:], -(wrench + G[:, 0]))
+        step = dF[:, 0] + dF[:, 1:] @ dp
+        return step.reshape(-1, 3) @ self.R.T, dp
 
     def cartesian_stiffness(self) -> np.ndarray:
         """K_c (6, 6): [dF; dΓ_Z] = K_c [dzO; dω], references frozen."""
-        dF, d_delta = self.pose_response()
-        return self.wrench_change(dF, d_delta)
+        fields = self._pose_response()
+        return _wrench_change(self.R, self.arm, self.F, *fields)
 
     def solve_transposed(self, Sb: np.ndarray):
         """Solve J_Fᵀ z = b for b given as S b.
@@ -163,8 +152,8 @@ class Linearisation:
         y, e, z_g = local, np.zeros_like(local), None
         if self._lu is not None:
             z_g = dgetrs(*self._lu, local[:, self._g].T, trans=1)[0].T
-            blocks = z_g.reshape(len(Sb), -1, 1, 3)
-            e[:, self._g] = z_g - (blocks @ self.D).reshape(z_g.shape)
+            rows = z_g.reshape(len(Sb), -1, 1, 3)
+            e[:, self._g] = z_g - (rows @ self.D).reshape(z_g.shape)
             y = local - e[:, self._g] @ self._S_g.T
         z = y / self.r
         if z_g is not None:
@@ -192,6 +181,100 @@ class Linearisation:
         return out
 
 
-def _side_by_side(A: np.ndarray) -> np.ndarray:
-    """Blocks (k, 3, 3) in one row, (3, 3k)."""
-    return A.transpose(1, 0, 2).reshape(3, -1)
+@numba.njit(cache=True)
+def _law_matrix(S, loose, tau, R, r, mu, epsilon, kappa):
+    """D of the loose nodes, sole frame (g, 3, 3), and (I − D) S_gg + r D."""
+    g = len(loose)
+    D = np.empty((g, 3, 3))
+    M = np.empty((3 * g, 3 * g)).T  # columns lie together, as LAPACK's do
+    T, world, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for a in range(g):
+        project_node(tau[loose[a]], mu, epsilon, kappa, T, world)
+        for i in range(3):
+            for j in range(3):
+                half[i, j] = 0.0
+                for k in range(3):
+                    half[i, j] += world[i, k] * R[k, j]
+        for i in range(3):
+            for j in range(3):
+                D[a, i, j] = 0.0
+                for k in range(3):
+                    D[a, i, j] += R[k, i] * half[k, j]
+    for b in range(g):
+        for j in range(3):
+            column = 3 * loose[b] + j
+            for a in range(g):
+                # S is symmetric: its rows lie together in memory.
+                x = S[column, 3 * loose[a] : 3 * loose[a] + 3]
+                for i in range(3):
+                    d = D[a, i]
+                    turned = d[0] * x[0] + d[1] * x[1] + d[2] * x[2]
+                    M[3 * a + i, 3 * b + j] = x[i] - turned
+                    if a == b:
+                        M[3 * a + i, 3 * b + j] += r * d[j]
+    return D, M
+
+
+@numba.njit(cache=True)
+def _loose_rhs(D, T, loose):
+    """(D − I) T of the loose nodes, (3g, c)."""
+    out = np.empty((T.shape[1], 3 * len(loose))).T
+    for a in range(len(loose)):
+        x = T[3 * loose[a] : 3 * loose[a] + 3]
+        for i in range(3):
+            for c in range(T.shape[1]):
+                out[3 * a + i, c] = (
+                    D[a, i, 0] * x[0, c]
+                    + D[a, i, 1] * x[1, c]
+                    + D[a, i, 2] * x[2, c]
+                    - x[i, c]
+                )
+    return out
+
+
+@numba.njit(cache=True)
+def _against_rigid(R, arm):
+    """Rᵀ [−I, hat(arm)] of every node, (3k, 6)."""
+    out = np.empty((3 * len(arm), 6))
+    for n in range(len(arm)):
+        x, y, z = arm[n]
+        for i in range(3):
+            row = out[3 * n + i]
+            a, b, c = R[0, i], R[1, i], R[2, i]
+            row[0], row[1], row[2] = -a, -b, -c
+            row[3], row[4], row[5] = b * z - c * y, c * x - a * z, a * y - b * x
+    return out
+
+
+@numba.njit(cache=True)
+def _less_turned(T, R, F):
+    """Subtract Rᵀ hat(F) from the last three columns of T (3k, c)."""
+    last = T.shape[1] - 3
+    for n in range(len(F)):
+        x, y, z = F[n]
+        for i in range(3):
+            row = T[3 * n + i, last:]
+            a, b, c = R[0, i], R[1, i], R[2, i]
+            row[0] -= b * z - c * y
+            row[1] -= c * x - a * z
+            row[2] -= a * y - b * x
+
+
+@numba.njit(cache=True)
+def _wrench_change(R, arm, F, dF, dP):
+    """As `Linearisation.wrench_change` for fields that R turns, (3k, c)."""
+    out = np.zeros((6, dF.shape[1]))
+    f, x = np.empty(3), np.empty(3)
+    for n in range(len(arm)):
+        for c in range(dF.shape[1]):
+            for i in range(3):
+                f[i] = x[i] = 0.0
+                for j in range(3):
+                    f[i] += R[i, j] * dF[3 * n + j, c]
+                    x[i] += R[i, j] * dP[3 * n + j, c]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                out[i, c] += f[i]
+                out[3 + i, c] += arm[n, j] * f[k] - arm[n, k] * f[j]
+                out[3 + i, c] += x[j] * F[n, k] - x[k] * F[n, j]
+    return out
