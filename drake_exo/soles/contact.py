@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_exo.soles.active_set import ActiveSet
-from drake_exo.soles.contact_residual import deformed, law_residual
+from drake_exo.soles.contact_residual import deformed, residual
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.linearisation import Linearisation
 from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.rotations import (
-    cross,
     exp_rotation,
     hat,
     rotation_z,
@@ -193,21 +192,18 @@ class ContactSolver:
             Q_t = target.reference.reference(state.R, self.lP)
         else:
             Q_t = target.reference
-        tau, phi = law_residual(
-            P, F, Q_t, law.penalty, law.friction, law.epsilon, law.kappa
-        )
-        arm = P.copy()
-        arm[:, :2] -= target.zmp
-        merit = float(np.abs(phi).max()) / scale
-        wrench = np.zeros(6)
-        if not fixed_pose:
-            wrench[:3] = F.sum(axis=0) - target.force
-            wrench[3:] = cross(arm, F).sum(axis=0)
-            merit = max(
-                merit,
-                float(np.abs(wrench[:3]).max()) / scale,
-                float(np.abs(wrench[3:]).max()) / (scale * MOMENT_SCALE),
-            )
+        tau, phi, arm, wrench, largest = residual(
+            P, F, Q_t, target.zmp,
+            law.penalty, law.friction, law.epsilon, law.kappa,
+        )  # fmt: skip
+        merit = largest / scale
+        if fixed_pose:
+            wrench = np.zeros(6)
+        else:
+            wrench[:3] -= target.force
+            off = np.abs(wrench)
+            off[3:] /= MOMENT_SCALE
+            merit = max(merit, float(off.max()) / scale)
         active = tau[:, 2] > -law.epsilon
         return _Point(state, P, arm, tau, phi, wrench, active, merit)
 

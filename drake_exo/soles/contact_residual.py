@@ -39,26 +39,36 @@ def deformed(C, lP, R, F):
 
 
 @numba.njit(cache=True)
-def law_residual(P, F, Q_t, r, mu, epsilon, kappa):
-    """τ = F − r δ and φ = F − T(τ) at places P with references Q_t.
+def residual(P, F, Q_t, zmp, r, mu, epsilon, kappa):
+    """Residuals of the node law and of the wrench at places P.
 
     Args:
         P: World places [m], (m, 3).
         F: World forces [N], (m, 3).
         Q_t: Tangential references [m], (m, 2).
+        zmp: Desired ZMP on the ground [m], (2,).
         r: Penalty [N/m].
         mu, epsilon, kappa: The contact law's, see `node_law`.
 
     Returns:
-        τ (m, 3), φ (m, 3) [N].
+        τ = F − r δ and φ = F − T(τ) (m, 3) [N], arms P − ZMP (m, 3) [m],
+        force and moment about the ZMP (6,), largest |φ|.
     """
     m = len(P)
-    tau, phi = np.empty((m, 3)), np.empty((m, 3))
+    tau, phi, arm = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
+    wrench, largest = np.zeros(6), 0.0
     T, D = np.empty(3), np.empty((3, 3))
     for i in range(m):
         tau[i, 0] = F[i, 0] - r * (P[i, 0] - Q_t[i, 0])
         tau[i, 1] = F[i, 1] - r * (P[i, 1] - Q_t[i, 1])
         tau[i, 2] = F[i, 2] - r * P[i, 2]
         project_node(tau[i], mu, epsilon, kappa, T, D)
-        phi[i] = F[i] - T
-    return tau, phi
+        arm[i, 0], arm[i, 1] = P[i, 0] - zmp[0], P[i, 1] - zmp[1]
+        arm[i, 2] = P[i, 2]
+        for j in range(3):
+            k, h = (j + 1) % 3, (j + 2) % 3
+            phi[i, j] = F[i, j] - T[j]
+            largest = max(largest, abs(phi[i, j]))
+            wrench[j] += F[i, j]
+            wrench[3 + j] += arm[i, k] * F[i, h] - arm[i, h] * F[i, k]
+    return tau, phi, arm, wrench, largest

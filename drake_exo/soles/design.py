@@ -21,7 +21,7 @@ from drake_exo.soles.limits import Limits
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import NO_CORRECTIONS, WarmStart, minimise
+from drake_exo.soles.optimiser import WarmStart, minimise
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.program import minimise_by_snopt
 from drake_exo.soles.quasi_newton import QuasiNewton
@@ -260,8 +260,7 @@ def _run_stage(
         return found, learnt
     best = minimise(
         problem, begin, bounds, left, block.tolerance, note,
-        options=NO_CORRECTIONS if number else None,
-        learnt=learnt, warm=at.warm_start(bounds),
+        refining=number > 0, learnt=learnt, warm=at.warm_start(bounds),
     )  # fmt: skip
     return best, learnt
 

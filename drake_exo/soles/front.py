@@ -27,7 +27,6 @@ from drake_exo.soles.judgement import exact_history
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import (
-    NO_CORRECTIONS,
     Optimum,
     WarmStart,
     minimise,
@@ -192,8 +191,7 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
             warm = WarmStart(at.best.multipliers, *at.best.at_bounds)
     best = minimise(
         problem, p, bounds, iterations, block.tolerance, say,
-        options=None if at is None else NO_CORRECTIONS,
-        learnt=learnt, warm=warm,
+        refining=at is not None, learnt=learnt, warm=warm,
     )  # fmt: skip
     found = problem.evaluate(best.p)
     if found is None:

@@ -27,9 +27,13 @@ _OPTIONS = {
     "print_level": 0,
     "sb": "yes",
 }
-# Corrections are of second order: one costs a simulation, and near a design
-# that is good already it wins little.
-NO_CORRECTIONS = {"max_soc": 0}
+# Second-order corrections cost a simulation each: near a design that is good
+# already they win little.
+_REFINING = {"max_soc": 0}
+# There a step is cut since contacts open and close along it: the next ones are
+# as short at once. Factors on the curvature for a rejected trial (two count at
+# most), for none, and the largest.
+_SHORTER, _LONGER, _SHORTEST = 2.0, 1.5, 64.0
 # From the optimum of a neighbouring problem: stay close to it.
 _WARM = {
     "warm_start_init_point": "yes",
@@ -162,7 +166,9 @@ class AcceptedDesigns:
 class _Callbacks:
     """What IPOPT calls; derivatives are asked for at accepted points only."""
 
-    def __init__(self, problem, learnt: QuasiNewton, best: Optimum, say):
+    def __init__(
+        self, problem, learnt: QuasiNewton, best: Optimum, say, refining=False
+    ):
         self.problem, self.learnt, self.best = problem, learnt, best
         self.say = say
         self.stopped = self.stalled = False
@@ -172,6 +178,8 @@ class _Callbacks:
         self.at = AcceptedDesigns(problem, best).at
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
+        # What the curvature is multiplied by, and simulations before that.
+        self._refining, self._caution, self._before = refining, 1.0, None
 
     def guarded(self, function):
         """Ctrl-C must not surface inside IPOPT's C++: stop at the next
@@ -204,8 +212,20 @@ class _Callbacks:
         if factor > 0:
             self.learnt.update(p, *self.at(p), multipliers / factor)
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
+            self._adapt()
         B = self.learnt.matrix + self.problem.smoothness(p)[2]
+        B *= self._caution
         out[()] = max(factor, 1e-3) * B[self._lower]
+
+    def _adapt(self) -> None:
+        """Shorter steps after rejected ones, longer ones else."""
+        done, before = self.problem.evaluations, self._before
+        self._before = done
+        if not self._refining or before is None:
+            return
+        rejected = min(max(done - before - 1, 0), 2)
+        factor = _SHORTER**rejected if rejected else 1 / _LONGER
+        self._caution = np.clip(factor * self._caution, 1.0, _SHORTEST)
 
     def watch(self, mode, iteration, cost, inf_pr, inf_du, barrier, *_):
         """Note the iteration; False ends the run, where it leads nowhere."""
@@ -244,7 +264,7 @@ def minimise(
     iterations: int = 60,
     tolerance: float = 1e-4,
     on_iterate: Callable[[int, "Optimum"], object] | None = None,
-    options: dict | None = None,
+    refining: bool = False,
     learnt: QuasiNewton | None = None,
     warm: WarmStart | None = None,
 ) -> Optimum:
@@ -258,7 +278,8 @@ def minimise(
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far; a text
             ends the run, as its status.
-        options: More options of IPOPT.
+        refining: p0 is good already: no second-order corrections, and
+            rejected trials shorten the steps that follow.
         learnt: Curvature known already; learns more.
         warm: Multipliers of a neighbouring problem, or of this one before
             an interruption.
@@ -268,7 +289,7 @@ def minimise(
     best = Optimum(p0.copy())
     learnt = learnt or QuasiNewton(n)
     learnt.forget_point()
-    calls = _Callbacks(problem, learnt, best, on_iterate)
+    calls = _Callbacks(problem, learnt, best, on_iterate, refining)
     solver = _ipopt(
         problem,
         calls,
@@ -279,7 +300,7 @@ def minimise(
             "theta_max_fact": _furthest(problem, p0),
             **_OPTIONS,
             **({**_WARM, "mu_init": warm.barrier} if warm else {}),
-            **(options or {}),
+            **(_REFINING if refining else {}),
         },
     )
     multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)

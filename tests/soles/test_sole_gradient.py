@@ -369,3 +369,20 @@ def test_roughness_of_a_constant_scale_vanishes():
     D, d0 = second_differences(SphericalSpline((5, 5)))
     bend = D @ np.ones(SphericalSpline((5, 5)).count) + d0
     assert np.abs(bend).max() < 1e-14
+
+
+@pytest.mark.parametrize("refining", [True, False])
+def test_rejected_trials_shorten_the_steps_that_follow(refining):
+    class Counted:
+        evaluations = 5
+        spline = SphericalSpline((2, 2))
+
+    calls = _Callbacks(Counted, None, None, None, refining)
+    found = []
+    for simulations in (1, 2, 5, 1, 1, 9, 9, 9, 9, 1):
+        Counted.evaluations += simulations
+        calls._adapt()
+        found.append(calls._caution)
+    wanted = [1.0, 2.0, 8.0, 8 / 1.5, 8 / 1.5**2]
+    wanted += [4 * 8 / 1.5**2, 16 * 8 / 1.5**2, 64.0, 64.0, 64 / 1.5]
+    np.testing.assert_allclose(found, wanted if refining else np.ones(10))
