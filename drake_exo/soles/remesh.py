@@ -32,7 +32,9 @@ _CHILD = Path(__file__).with_name("mmg_child.py")
 _MOST_SECONDS = 20  # of processor time; five thousand tets take one
 _SOUND = 0.3  # least mean-ratio quality at which the surface is kept
 _CARRIES = 0.1  # least quality of elements of another number
-_TRIES, _SHORTER = 4, 0.97  # elements of another number: edges of the next
+# Elements of another number: edges of the first try and of the next, elements
+# aimed at and too many, over those wanted.
+_TRIES, _FIRST, _SHORTER, _AIM, _PLENTY = 5, 1.06, 0.97, 1.05, 1.2
 _UPRIGHT = 0.2  # least volume of a half, of that of plain halves
 _SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
 _GLUED, _BARE = 1, 2  # references of triangles in Mmg
@@ -111,12 +113,13 @@ def remesh_with(
         return new
 
     def builds():
-        """From edges of the wanted length on, shorter where it takes that."""
-        size = (len(mesh.tets) / tets) ** (1 / 3)
+        """Edges that give a few more elements than wanted, then shorter."""
+        size = _FIRST * (len(mesh.tets) / tets) ** (1 / 3)
         for _ in range(_TRIES):
             yield partial(build, size)
             share = counts[-1] / tets if counts else 1.0
-            size *= min(_SHORTER, share ** (1 / 3))
+            near = 1.0 <= share < _PLENTY
+            size *= _SHORTER if near else (share / _AIM) ** (1 / 3)
 
     def enough(new: TetMesh) -> bool:
         return len(new.tets) >= tets and (usable is None or usable(new))
