@@ -203,7 +203,7 @@ class ContactSolver:
             wrench[:3] -= target.force
             off = np.abs(wrench)
             off[3:] /= MOMENT_SCALE
-            merit = max(merit, float(off.max()) / scale)
+            merit = float(np.maximum(merit, off.max() / scale))  # NaN stays
         active = tau[:, 2] > -law.epsilon
         return _Point(state, P, arm, tau, phi, wrench, active, merit)
 

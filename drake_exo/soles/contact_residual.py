@@ -1,4 +1,4 @@
-"""Places of the contact nodes and the node law's residual, compiled."""
+"""Places of the contact nodes, residuals of node law and wrench, compiled."""
 
 import numba
 import numpy as np
@@ -68,7 +68,9 @@ def residual(P, F, Q_t, zmp, r, mu, epsilon, kappa):
         for j in range(3):
             k, h = (j + 1) % 3, (j + 2) % 3
             phi[i, j] = F[i, j] - T[j]
-            largest = max(largest, abs(phi[i, j]))
+            size = abs(phi[i, j])
+            if size > largest or size != size:  # once NaN, always NaN
+                largest = size
             wrench[j] += F[i, j]
             wrench[3 + j] += arm[i, k] * F[i, h] - arm[i, h] * F[i, k]
     return tau, phi, arm, wrench, largest

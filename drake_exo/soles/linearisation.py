@@ -108,9 +108,8 @@ class Linearisation:
 
     def wrench_change(self, dF, dP) -> np.ndarray:
         """[ΣdF; Σ(P−Z)×dF + dP×F] for fields (k, 3, c) -> (6, c)."""
-        c = dF.shape[2]
-        fields = (x.reshape(-1, c) for x in (dF, dP))
-        return _wrench_change(np.eye(3), self.arm, self.F, *fields)
+        dF, dP = dF.reshape(-1, dF.shape[2]), dP.reshape(-1, dP.shape[2])
+        return _wrench_change(np.eye(3), self.arm, self.F, dF, dP)
 
     def solve(self, phi, wrench, dQ=None):
         """Newton step for law residual phi (k, 3) and wrench residual (6,).

@@ -61,7 +61,7 @@ def smooth_plus(x, width):
     """
     if x.real <= -width:
         return 0.0 * x, 0.0 * x
-    if x.real >= width:
+    if not x.real < width:  # NaN, too
         return x, 1.0 + 0.0 * x
     t = x / width
     square = t * t  # a power of a complex number would lose the tiny step

@@ -30,10 +30,10 @@ _OPTIONS = {
 # Second-order corrections cost a simulation each: near a design that is good
 # already they win little.
 _REFINING = {"max_soc": 0}
-# There a step is cut since contacts open and close along it: the next ones are
-# as short at once. Factors on the curvature for a rejected trial (two count at
-# most), for none, and the largest.
-_SHORTER, _LONGER, _SHORTEST = 2.0, 1.5, 64.0
+# Steps there are cut since contacts open and close along them: the next ones
+# are as short at once. Factors on the curvature for a rejected trial (two count
+# at most), for none, and the largest.
+_STIFFER, _SOFTER, _STIFFEST = 2.0, 1 / 1.5, 64.0
 # From the optimum of a neighbouring problem: stay close to it.
 _WARM = {
     "warm_start_init_point": "yes",
@@ -213,8 +213,10 @@ class _Callbacks:
             self.learnt.update(p, *self.at(p), multipliers / factor)
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
             self._adapt()
+            factor *= self._caution
+        else:
+            self._before = None  # what it simulates says nothing of steps
         B = self.learnt.matrix + self.problem.smoothness(p)[2]
-        B *= self._caution
         out[()] = max(factor, 1e-3) * B[self._lower]
 
     def _adapt(self) -> None:
@@ -224,8 +226,8 @@ class _Callbacks:
         if not self._refining or before is None:
             return
         rejected = min(max(done - before - 1, 0), 2)
-        factor = _SHORTER**rejected if rejected else 1 / _LONGER
-        self._caution = np.clip(factor * self._caution, 1.0, _SHORTEST)
+        factor = _STIFFER**rejected if rejected else _SOFTER
+        self._caution = np.clip(factor * self._caution, 1.0, _STIFFEST)
 
     def watch(self, mode, iteration, cost, inf_pr, inf_du, barrier, *_):
         """Note the iteration; False ends the run, where it leads nowhere."""

@@ -80,7 +80,12 @@ def remesh(
         lambda: _with_halves(mesh, spline, p),
         lambda: _with_sharp_edges(mesh, spline, p),
     )
-    return _best(builds, spline, p, usable, before)
+    choice = _Choice(spline, p, before, usable)
+    for build in builds:
+        choice.take(build)
+        if choice.sound:
+            break
+    return choice.best()
 
 
 def remesh_with(
@@ -104,50 +109,68 @@ def remesh_with(
     Raises:
         RemeshError: As there.
     """
-    cut = in_eighths(mesh, spline, p)
-    counts = []
-
-    def build(size: float) -> TetMesh:
-        new = _from_eighths(mesh, spline, p, cut, size)
-        counts.append(len(new.tets))
-        return new
-
-    def builds():
-        """Edges that give a few more elements than wanted, then shorter."""
-        size = _FIRST * (len(mesh.tets) / tets) ** (1 / 3)
-        for _ in range(_TRIES):
-            yield partial(build, size)
-            share = counts[-1] / tets if counts else 1.0
-            near = 1.0 <= share < _PLENTY
-            size *= _SHORTER if near else (share / _AIM) ** (1 / 3)
 
     def enough(new: TetMesh) -> bool:
         return len(new.tets) >= tets and (usable is None or usable(new))
 
-    return _best(builds(), spline, p, enough, _CARRIES, sound)
+    choice = _Choice(spline, p, _CARRIES, enough, sound)
+    cut = in_eighths(mesh, spline, p)
+    size = _FIRST * (len(mesh.tets) / tets) ** (1 / 3)
+    for _ in range(_TRIES):
+        new = choice.take(partial(_from_eighths, mesh, spline, p, cut, size))
+        if choice.sound:
+            break
+        share = 1.0 if new is None else len(new.tets) / tets
+        near = 1.0 <= share < _PLENTY
+        size *= _SHORTER if near else (share / _AIM) ** (1 / 3)
+    return choice.best()
 
 
-def _best(
-    builds, spline, p, usable, least: float, sound: float = _SOUND
-) -> TetMesh:
-    """The first that is sound, else the best above a least quality."""
-    best, found, reason = least, None, "no element is better for it"
-    for build in builds:
+class _Choice:
+    """The best of several meshes for a design.
+
+    Args:
+        spline, p: The design.
+        least: Quality that a mesh must be above.
+        usable: Asked of each that is; by default all are.
+        sound: Quality from which on no other need be made.
+    """
+
+    def __init__(self, spline, p, least: float, usable=None, sound=_SOUND):
+        self._spline, self._p = spline, p
+        self._quality, self._usable, self._sound = least, usable, sound
+        self._found, self._reason = None, "no element is better for it"
+
+    @property
+    def sound(self) -> bool:
+        """Whether the best is sound."""
+        return self._found is not None and self._quality >= self._sound
+
+    def take(self, build: Callable[[], TetMesh]) -> TetMesh | None:
+        """Build another; what came of it, whether kept or not."""
         try:
             new = build()
-            shaped = _at(new, spline, p)
+        except InputError as error:
+            self._reason = str(error)
+            return None
+        shaped = _at(new, self._spline, self._p)
+        try:
             checked_mesh(shaped.nodes, shaped.tets, shaped.dirichlet, "Mmg")
         except InputError as error:
-            reason = str(error)
-            continue
+            self._reason = str(error)
+            return new
         quality = float(shaped.quality().min())
-        if quality > best and (usable is None or usable(new)):
-            best, found = quality, new
-        if best >= sound:
-            break
-    if found is None:
-        raise RemeshError(reason)
-    return found
+        if quality > self._quality and (
+            self._usable is None or self._usable(new)
+        ):
+            self._quality, self._found = quality, new
+        return new
+
+    def best(self) -> TetMesh:
+        """The best of them; RemeshError where none is."""
+        if self._found is None:
+            raise RemeshError(self._reason)
+        return self._found
 
 
 def _at(mesh: TetMesh, spline, p) -> TetMesh:

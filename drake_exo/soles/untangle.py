@@ -90,7 +90,7 @@ def _least_quality(nodes, star):
             up = nodes[tet[3], axis] - nodes[tet[0], axis]
             v += normal[axis] * up / 3.0
         quality = 12.0 * np.sign(v) * (3.0 * abs(v)) ** (2 / 3) / l2
-        if quality < least:
+        if quality < least or quality != quality:  # once NaN, always NaN
             least, worst = quality, k
     return least, worst
 

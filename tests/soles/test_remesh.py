@@ -215,6 +215,27 @@ def test_eighths_of_a_worn_design_are_upright_and_see_more_of_it(design):
     assert on.mean() > 0.8
 
 
+def test_edges_of_a_try_follow_the_count_of_the_one_before(monkeypatch):
+    mesh, spline = brick(SIZE, (4, 3, 2)), SphericalSpline((6, 6))
+    cells = iter([(6, 4, 3), None, (6, 4, 2), (5, 5, 2), (7, 4, 2)])
+    sizes = []
+
+    def built(mesh, spline, p, cut, size):
+        sizes.append(size)
+        n = next(cells)
+        if n is None:
+            raise RemeshError("no elements")
+        return brick(SIZE, n)
+
+    monkeypatch.setattr(remeshing, "_from_eighths", built)
+    p = np.ones(spline.count)
+    new = remeshing.remesh_with(mesh, spline, p, 300, sound=2.0)
+    assert len(new.tets) >= 300
+    shares = np.array([432, 300 * 1.05 * 0.97**3, 288, 300 * 1.05 * 0.97**3])
+    ratio = (shares / 300 / 1.05) ** (1 / 3)
+    np.testing.assert_allclose(np.divide(sizes[1:], sizes[:-1]), ratio)
+
+
 def test_a_finer_check_where_mmg_fails(monkeypatch):
     def fails(*_, **__):
         raise RemeshError("no elements")

@@ -43,3 +43,16 @@ def test_what_inner_nodes_cannot_mend_stays_without_harm():
     better = untangled(folded, 0.3)
     np.testing.assert_array_equal(better.nodes[corner], nodes[corner])
     assert better.quality().min() >= folded.quality().min()
+
+
+def test_a_face_without_area_moves_nothing_to_nowhere():
+    mesh = brick((0.2, 0.1, 0.06), (4, 4, 4))
+    inner = np.setdiff1d(
+        np.arange(len(mesh.nodes)), np.unique(mesh.boundary_faces)
+    )
+    nodes = mesh.nodes.copy()
+    nodes[inner[0]] = nodes[inner[1]]
+    flat = mesh.with_nodes(nodes)
+    better = untangled(flat, 0.3)
+    assert np.isfinite(better.nodes).all()
+    assert better.quality().min() > flat.quality().min()
