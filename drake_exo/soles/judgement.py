@@ -17,7 +17,7 @@ from drake_exo.soles.remesh import RemeshError, in_eighths, remesh_with
 from drake_exo.soles.simulation import StepHistory, simulate
 from drake_exo.soles.untangle import untangled
 
-_SOUND = 0.15  # least quality of finer elements that judge a design
+_SOUND = 0.15  # least quality at which a finer brick judges a design
 _NEEDLE = 0.02  # quality below which inner nodes are moved
 
 
@@ -163,7 +163,7 @@ def _finer(size, divisions, design: Design) -> tuple[TetMesh, TetMesh]:
         return base, shaped
     try:
         tets = 2 * len(design.mesh.tets)
-        other = remesh_with(mesh, spline, p, tets, sound=_SOUND)
+        other = remesh_with(mesh, spline, p, tets)
         return base, other.with_nodes(spline.deform(other.nodes, p))
     except RemeshError:
         if shaped.volumes.min() > 0:

@@ -31,10 +31,10 @@ from drake_exo.soles.untangle import untangled
 _CHILD = Path(__file__).with_name("mmg_child.py")
 _MOST_SECONDS = 20  # of processor time; five thousand tets take one
 _SOUND = 0.3  # least mean-ratio quality at which the surface is kept
-_CARRIES = 0.1  # least quality of elements of another number
-# Elements of another number: edges of the first try and of the next, elements
-# aimed at and too many, over those wanted.
-_TRIES, _FIRST, _SHORTER, _AIM, _PLENTY = 5, 1.06, 0.97, 1.05, 1.2
+_CARRIES = 0.1  # quality from which on elements of another number do
+# Elements of another number: edges of the first try, of the next where those
+# are poor, and elements aimed at where they are too few.
+_TRIES, _FIRST, _SHORTER, _AIM = 6, 1.1, 0.94, 1.05
 _UPRIGHT = 0.2  # least volume of a half, of that of plain halves
 _SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
 _GLUED, _BARE = 1, 2  # references of triangles in Mmg
@@ -94,9 +94,8 @@ def remesh_with(
     p: np.ndarray,
     tets: int,
     usable: Callable[[TetMesh], bool] | None = None,
-    sound: float = _SOUND,
 ) -> TetMesh:
-    """As `remesh`, with at least `tets` elements and little more.
+    """As `remesh`, with at least `tets` elements and as few more as will do.
 
     A mesh of another number of elements may not carry the design; made from
     one that does, this one will.
@@ -104,7 +103,6 @@ def remesh_with(
     Args:
         mesh, spline, p, usable: As there.
         tets: Least number of elements.
-        sound: Least quality that does; else the best of a few is taken.
 
     Raises:
         RemeshError: As there.
@@ -113,7 +111,7 @@ def remesh_with(
     def enough(new: TetMesh) -> bool:
         return len(new.tets) >= tets and (usable is None or usable(new))
 
-    choice = _Choice(spline, p, _CARRIES, enough, sound)
+    choice = _Choice(spline, p, _CARRIES, enough, sound=_CARRIES)
     cut = in_eighths(mesh, spline, p)
     size = _FIRST * (len(mesh.tets) / tets) ** (1 / 3)
     for _ in range(_TRIES):
@@ -121,8 +119,7 @@ def remesh_with(
         if choice.sound:
             break
         share = 1.0 if new is None else len(new.tets) / tets
-        near = 1.0 <= share < _PLENTY
-        size *= _SHORTER if near else (share / _AIM) ** (1 / 3)
+        size *= _SHORTER if share >= 1.0 else (share / _AIM) ** (1 / 3)
     return choice.best()
 
 
