@@ -23,6 +23,7 @@ CASE, MESH, STEPS, SUMMARY, DESIGN = (
     "summary.json",
     "design.json",
 )
+_COSTS = ("c_tr", "c_rot", "c", "ratio_tr", "ratio_rot")
 
 
 @dataclass
@@ -135,12 +136,14 @@ def read_design(folder: Path) -> StoredDesign:
 
 
 def read_summary(folder: Path) -> dict:
-    """The summary.json of a folder.
+    """The summary.json of a folder; costs not found are NaN.
 
     Raises:
         InputError: It cannot be read, or is no JSON.
     """
-    return read_json(folder / SUMMARY, "optimise the sole again")
+    data = read_json(folder / SUMMARY, "optimise the sole again")
+    missing = [key for key in _COSTS if key in data and data[key] is None]
+    return data | dict.fromkeys(missing, np.nan)
 
 
 def read_steps(path: Path) -> dict[str, np.ndarray]:

@@ -18,6 +18,7 @@ from drake_exo.soles.simulation import StepHistory, simulate
 from drake_exo.soles.untangle import untangled
 
 _SOUND = 0.15  # least quality at which a finer brick judges a design
+_FORMER = 5  # earlier designs to fall back on
 _NEEDLE = 0.02  # quality below which inner nodes are moved
 
 
@@ -64,22 +65,33 @@ def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
 def judged(case, problem, at, load, start, optima, seconds) -> Design:
     """The design where a search stands, by the exact law.
 
+    Where that finds no start, one of the last that were the best before.
+
     Args:
         case, load, start: As for a simulation.
         problem: The last stage's problem.
         at: The last checkpoint.
         optima, seconds: Of every stage.
     """
-    p = at.p
-    mesh = problem.deformed(p)
-    sole = Sole(mesh, problem.material, case.mesh.element)
-    first = problem.first.sole
     r = problem.law.penalty
+
+    def judge(p):
+        sole = case.sole(problem.deformed(p))
+        return p, sole, exact_history(case, sole, load, start, r)
+
+    former = optima[-1].former[-_FORMER:] if optima else []
+    found = last = judge(at.p)
+    while found[2].failed_steps and former:
+        found = judge(former.pop())
+    p, sole, history = last if found[2].failed_steps else found
+    if p is not at.p:
+        optima[-1].status += ", an earlier design by the exact law"
+    first = problem.first.sole
     return Design(
         p,
-        mesh,
+        sole.mesh,
         sole,
-        exact_history(case, sole, load, start, r),
+        history,
         first,
         exact_history(case, first, load, start, r),
         optima,

@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from drake_exo.output import prepare_output_folder, read_json, write_json
+from drake_exo.output import prepare_output_folder, write_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Case
 from drake_exo.soles.design import (
@@ -11,6 +11,7 @@ from drake_exo.soles.design import (
     with_iterations,
     without_limits,
 )
+from drake_exo.soles.design_folder import SUMMARY, read_summary
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.optimise_command import optimise_case, print_row
 from drake_exo.soles.study_cases import (
@@ -98,9 +99,8 @@ def _one(folder: Path, case: Case, root: Path, mesh_file) -> None:
 
 def _finished(folder: Path, cases: list[Case]) -> list[dict]:
     """Summaries on disk, in the table's order."""
-    files = [folder / case.name / "summary.json" for case in cases]
-    remedy = "run the study again"
-    return [read_json(file, remedy) for file in files if file.is_file()]
+    places = [folder / case.name for case in cases]
+    return [read_summary(p) for p in places if (p / SUMMARY).is_file()]
 
 
 def _missing(folder: Path, cases: list[Case]) -> list[Path]:

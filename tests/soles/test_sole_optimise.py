@@ -2,18 +2,20 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
 import pytest
 from small_step import optimize, stage, write_case, write_step
 
+from drake_exo.soles import judgement
 from drake_exo.soles.case import read_case
 from drake_exo.soles.checkpoint import read_checkpoint
 from drake_exo.soles.design import first_design, optimise, stage_problem
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimiser import minimise
+from drake_exo.soles.optimiser import Optimum, minimise
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.study_cases import TABLE_2, five_cases
@@ -150,6 +152,27 @@ def test_multipliers_and_complementarity_are_those_of_an_optimum(
     # IPOPT's sign: constraints at least 0 have multipliers at most 0.
     assert (best.multipliers <= 1e-9).all()
     assert best.multipliers.min() < -1e-3
+
+
+@pytest.mark.parametrize(("failing", "judged"), [(0, 0), (1, 1), (3, 0)])
+def test_a_design_the_exact_law_cannot_carry_gives_way(
+    folder, tmp_path, monkeypatch, failing, judged
+):
+    case, load, mesh, start = _smooth_case(folder, tmp_path)
+    problem = stage_problem(case, mesh, load, start, case.optimize.stages[0])
+    designs = [np.full(problem.spline.count, x) for x in (0.9, 0.91, 0.92)]
+    volumes = [problem.deformed(p).volume for p in designs]
+
+    def history(case, sole, *_):
+        failed = sole.mesh.volume in volumes[:failing]
+        return SimpleNamespace(failed_steps=int(failed))
+
+    monkeypatch.setattr(judgement, "exact_history", history)
+    last = Optimum(designs[0], status="iteration limit", former=designs[:0:-1])
+    at = SimpleNamespace(p=designs[0], remeshed=())
+    found = judgement.judged(case, problem, at, load, start, [last], [])
+    np.testing.assert_array_equal(found.p, designs[judged])
+    assert ("earlier" in last.status) == (judged > 0)
 
 
 def test_elements_stay_above_their_floor(folder):

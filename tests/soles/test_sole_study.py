@@ -12,9 +12,10 @@ from small_step import write_case, write_step
 from drake_exo.output import read_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Stage, read_case
+from drake_exo.soles.design_folder import read_summary
 from drake_exo.soles.optimiser import Optimum
 from drake_exo.soles.study_cases import TABLE_2
-from drake_exo.soles.study_table import certainty_table, paper_cost
+from drake_exo.soles.study_table import certainty_table, paper_cost, table
 
 
 def _write(path: Path, number: int) -> None:
@@ -58,6 +59,22 @@ def test_certainty_table_marks_what_is_unknown():
     assert "+0.40%" in line
     assert "+3.00%" in line
     assert " - " in line
+
+
+def test_a_design_without_costs_has_its_line(tmp_path):
+    row = {
+        "name": "3-Rubber", "c": None, "c_tr": None, "c_rot": None,
+        "ratio_tr": None, "ratio_rot": None, "weight": 1.0,
+        "c_tr_initial": 3.5e6, "c_rot_initial": 1.5e5, "exact_change": None,
+        "max_strain": 0.3, "tilt_max_deg": 19.0, "stable": False,
+        "seconds": 12.0,
+    }  # fmt: skip
+    (tmp_path / "summary.json").write_text(json.dumps(row), encoding="utf-8")
+    read = read_summary(tmp_path)
+    assert np.isnan(read["ratio_rot"])
+    assert read["exact_change"] is None
+    for text in (table([read]), certainty_table([read])):
+        assert " nan " in text.splitlines()[-1]
 
 
 def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
