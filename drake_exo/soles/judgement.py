@@ -174,8 +174,7 @@ def _finer(size, divisions, design: Design) -> tuple[TetMesh, TetMesh]:
     if shaped.quality().min() >= _SOUND:
         return base, shaped
     try:
-        tets = 2 * len(design.mesh.tets)
-        other = remesh_with(mesh, spline, p, tets)
+        other = remesh_with(mesh, spline, p, 2 * len(design.mesh.tets))
         return base, other.with_nodes(spline.deform(other.nodes, p))
     except RemeshError:
         if shaped.volumes.min() > 0:

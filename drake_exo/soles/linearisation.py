@@ -17,6 +17,7 @@ from drake_exo.soles.node_law import (
     project_node,
     project_with_derivative,
 )
+from drake_exo.soles.rotations import multiply
 
 
 class Linearisation:
@@ -76,16 +77,25 @@ class Linearisation:
         return tuple(self._to_world(x) for x in self._pose_response(dQ))
 
     def _pose_response(self, dQ=None):
-        T = self.S @ self._against_pose(dQ)
-        _less_turned(T, self.R, self.F)
+        T = self._S_times(self._against_pose(dQ))
         return self._respond(T, np.zeros_like(T))
 
     def _against_pose(self, dQ) -> np.ndarray:
-        """−D_p but for its part in F, (3k, 6): S W hat(F) = hat(F)."""
-        out = _against_rigid(self.R, self.arm)
+        """−D_p but for its part in F, (3k, 6)."""
+        shift = np.tile(-self.R.T, (len(self.nodes), 1))
+        turn = _turned_hats(self.R, self.arm)
         if dQ is not None:
-            out[:, 3:] += self._to_sole(dQ)
-        return out
+            turn += self._to_sole(dQ)
+        return np.concatenate((shift, turn), axis=1)
+
+    def _S_times(self, columns: np.ndarray) -> np.ndarray:
+        """S times columns that end with those of `_against_pose`, whole.
+
+        Their part in F needs no product: S W hat(F) = hat(F).
+        """
+        T = self.S @ columns
+        T[:, -3:] -= _turned_hats(self.R, self.F)
+        return T
 
     def _to_world(self, x: np.ndarray) -> np.ndarray:
         return self.R @ x.reshape(len(self.nodes), 3, -1)
@@ -120,8 +130,7 @@ class Linearisation:
         offset, phi_g = self._offset(phi)
         pose = self._against_pose(dQ)
         # One product with S, one solution for offset and pose together.
-        T = self.S @ np.concatenate((offset, pose), axis=1)
-        _less_turned(T, self.R, self.F)
+        T = self._S_times(np.concatenate((offset, pose), axis=1))
         known = np.zeros_like(T)
         known[:, :1] = offset
         dF, dP = self._respond(T, known, phi_g)
@@ -189,16 +198,8 @@ def _law_matrix(S, loose, tau, R, r, mu, epsilon, kappa):
     T, world, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for a in range(g):
         project_node(tau[loose[a]], mu, epsilon, kappa, T, world)
-        for i in range(3):
-            for j in range(3):
-                half[i, j] = 0.0
-                for k in range(3):
-                    half[i, j] += world[i, k] * R[k, j]
-        for i in range(3):
-            for j in range(3):
-                D[a, i, j] = 0.0
-                for k in range(3):
-                    D[a, i, j] += R[k, i] * half[k, j]
+        multiply(world, R, half)
+        multiply(R.T, half, D[a])
     for b in range(g):
         for j in range(3):
             column = 3 * loose[b] + j
@@ -232,31 +233,16 @@ def _loose_rhs(D, T, loose):
 
 
 @numba.njit(cache=True)
-def _against_rigid(R, arm):
-    """Rᵀ [−I, hat(arm)] of every node, (3k, 6)."""
-    out = np.empty((3 * len(arm), 6))
-    for n in range(len(arm)):
-        x, y, z = arm[n]
+def _turned_hats(R, v):
+    """Rᵀ hat(v) of vectors v (k, 3), (3k, 3)."""
+    out = np.empty((3 * len(v), 3))
+    for n in range(len(v)):
+        x, y, z = v[n]
         for i in range(3):
+            a, b, c = R[0, i], R[1, i], R[2, i]
             row = out[3 * n + i]
-            a, b, c = R[0, i], R[1, i], R[2, i]
-            row[0], row[1], row[2] = -a, -b, -c
-            row[3], row[4], row[5] = b * z - c * y, c * x - a * z, a * y - b * x
+            row[0], row[1], row[2] = b * z - c * y, c * x - a * z, a * y - b * x
     return out
-
-
-@numba.njit(cache=True)
-def _less_turned(T, R, F):
-    """Subtract Rᵀ hat(F) from the last three columns of T (3k, c)."""
-    last = T.shape[1] - 3
-    for n in range(len(F)):
-        x, y, z = F[n]
-        for i in range(3):
-            row = T[3 * n + i, last:]
-            a, b, c = R[0, i], R[1, i], R[2, i]
-            row[0] -= b * z - c * y
-            row[1] -= c * x - a * z
-            row[2] -= a * y - b * x
 
 
 @numba.njit(cache=True)

@@ -48,6 +48,16 @@ def _cross(a, b):
     return out
 
 
+@numba.njit(cache=True)
+def multiply(a, b, out):
+    """Product of 3 × 3 matrices, into out, for compiled code."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = 0.0
+            for k in range(3):
+                out[i, j] += a[i, k] * b[k, j]
+
+
 def exp_rotation(w: np.ndarray) -> np.ndarray:
     """Rotation matrix exp(hat(w)) of a rotation vector w [rad]."""
     angle = float(np.linalg.norm(w))

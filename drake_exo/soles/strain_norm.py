@@ -16,6 +16,7 @@ from drake_exo.soles.adjoint import ForceTerm, heavy
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.element_gradient import stiffness_gradients
 from drake_exo.soles.mesh import scatter
+from drake_exo.soles.rotations import multiply
 from drake_exo.soles.simulation import StepHistory
 from drake_exo.soles.smoothing import gradient_operators
 
@@ -118,18 +119,9 @@ def _powers(matrices, order):
         left = order
         while left:
             if left % 2:
-                _multiply(out[k], square, product)
+                multiply(out[k], square, product)
                 out[k] = product
-            _multiply(square, square, product)
+            multiply(square, square, product)
             square[:] = product
             left //= 2
     return out
-
-
-@numba.njit(cache=True)
-def _multiply(a, b, out):
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = 0.0
-            for k in range(3):
-                out[i, j] += a[i, k] * b[k, j]

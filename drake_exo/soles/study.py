@@ -61,7 +61,7 @@ def run_study(args) -> int:
                 if args.front:
                     summary[_FRONTS[key]] = front.study_front(folder, rows)
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
-            write_json(out / "summary.json", summary)
+            write_json(out / SUMMARY, summary)
 
         failed = workers.run(jobs, args.jobs, note)
         for _, folder, rows in variants:
@@ -106,7 +106,7 @@ def _finished(folder: Path, cases: list[Case]) -> list[dict]:
 def _missing(folder: Path, cases: list[Case]) -> list[Path]:
     """Folders of cases that ended without a result."""
     places = [folder / case.name for case in cases]
-    return [p for p in places if not (p / "summary.json").is_file()]
+    return [p for p in places if not (p / SUMMARY).is_file()]
 
 
 def _report(out: Path, summary: dict) -> str:
