@@ -116,18 +116,11 @@ class Stage:
 
 
 _FINE = (18, 12, 4)
-# Strains depend on the mesh: with a limit on them the fine one from the start.
-LIMITED_STAGES = (
+# Strains and poses depend on the mesh: the fine one from the start.
+STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 50),
     Stage(_FINE, None, 3e-5, 0.2, 20),
     Stage(_FINE, None, 5e-6, 0.2, 25),
-)
-# Without limits coarse elements let the search go far at little cost.
-FREE_STAGES = (
-    Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
-    Stage((10, 6, 3), 24, 1e-4, 0.2, 40),
-    Stage((14, 8, 4), 60, 3e-5, 0.2, 40),
-    Stage(_FINE, None, 5e-6, 0.2, 40),
 )
 
 
@@ -143,11 +136,11 @@ class OptimizeBlock:
     strain: float | None = positive("", 0.3)
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
     use_tr: float = not_negative("", 1.0)
-    roughness: float = not_negative("", 3.0)
+    roughness: float = not_negative("", 5.0)
     tolerance: float = positive("", 1e-4)
     solver: Literal["ipopt", "snopt"] = "ipopt"
     remeshes: int = field(default=3, metadata={"minimum": 0})
-    stages: tuple[Stage, ...] = LIMITED_STAGES
+    stages: tuple[Stage, ...] = STAGES
 
     def __post_init__(self):
         if not 0 < self.bounds[0] < 1 < self.bounds[1]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.soles.case import FREE_STAGES, LIMITED_STAGES, Case, Stage
+from drake_exo.soles.case import Case, Stage
 from drake_exo.soles.checkpoint import Checkpoint
 from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
@@ -316,17 +316,8 @@ def _with_last_stage(case: Case, **changes) -> Case:
 
 
 def without_limits(case: Case) -> Case:
-    """The paper's own problem: neither stability, tilt nor strain limited.
-
-    Default stages give way to those that suit it.
-    """
-    block = case.optimize
-    default = block.stages == LIMITED_STAGES
+    """The paper's own problem: neither stability, tilt nor strain limited."""
     block = replace(
-        block,
-        stability_n_per_m=None,
-        tilt_deg=None,
-        strain=None,
-        stages=FREE_STAGES if default else block.stages,
+        case.optimize, stability_n_per_m=None, tilt_deg=None, strain=None
     )
     return replace(case, optimize=block)

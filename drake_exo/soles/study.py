@@ -79,10 +79,8 @@ def run_study(args) -> int:
 
 def _variants(out: Path, cases: list[Case], limits: str, iterations):
     """Key of the summary, folder and cases, with limits and without."""
-    free = [without_limits(case) for case in cases]
-    # After that: it tells default stages from others.
-    free = [with_iterations(case, iterations) for case in free]
     cases = [with_iterations(case, iterations) for case in cases]
+    free = [without_limits(case) for case in cases]
     if limits == "all":
         return [("cases", out, cases)]
     if limits == "none":
