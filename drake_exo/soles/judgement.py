@@ -11,7 +11,7 @@ from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import Optimum
+from drake_exo.soles.optimiser import Optimum, merits
 from drake_exo.soles.problem import ShapeProblem
 from drake_exo.soles.remesh import RemeshError, in_eighths, remesh_with
 from drake_exo.soles.simulation import StepHistory, simulate
@@ -86,6 +86,8 @@ def judged(case, problem, at, load, start, optima, seconds) -> Design:
     p, sole, history = last if found[2].failed_steps else found
     if p is not at.p:
         optima[-1].status += ", an earlier design by the exact law"
+        optima[-1].optimal = False
+        optima[-1].cost, optima[-1].violation = merits(problem, p)
     first = problem.first.sole
     return Design(
         p,

@@ -168,11 +168,16 @@ def test_a_design_the_exact_law_cannot_carry_gives_way(
         return SimpleNamespace(failed_steps=int(failed))
 
     monkeypatch.setattr(judgement, "exact_history", history)
-    last = Optimum(designs[0], status="iteration limit", former=designs[:0:-1])
+    last = Optimum(
+        designs[0], status="optimal", optimal=True, former=designs[:0:-1]
+    )
     at = SimpleNamespace(p=designs[0], remeshed=())
     found = judgement.judged(case, problem, at, load, start, [last], [])
     np.testing.assert_array_equal(found.p, designs[judged])
     assert ("earlier" in last.status) == (judged > 0)
+    assert last.optimal == (judged == 0)
+    if judged:
+        assert last.cost == problem.cost(designs[judged])
 
 
 def test_elements_stay_above_their_floor(folder):
