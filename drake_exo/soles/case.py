@@ -106,13 +106,14 @@ class CostBlock:
 
 @dataclass(frozen=True)
 class Stage:
-    """One run of the optimiser."""
+    """One run of the optimiser; roughness left out: that of the block."""
 
     divisions: tuple[int, int, int] | None = None
     samples: int | None = None
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
     iterations: int = field(default=40, metadata={"minimum": 0})
+    roughness: float | None = not_negative("", None)
 
 
 _FINE = (18, 12, 4)

@@ -14,7 +14,7 @@ def positive(unit: str, default=None):
     return field(default=default, metadata=meta)
 
 
-def not_negative(unit: str, default: float):
+def not_negative(unit: str, default: float | None):
     """A field of at least 0."""
     return field(default=default, metadata={"unit": unit, "minimum": 0.0})
 

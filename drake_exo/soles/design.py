@@ -85,7 +85,7 @@ def stage_problem(
         case.cost.weight,
         limits_of(case),
         case.mesh.element,
-        block.roughness,
+        block.roughness if stage.roughness is None else stage.roughness,
         case.cost.heel_strike_fraction,
         stage.samples,
         use_tr=block.use_tr,
@@ -316,8 +316,16 @@ def _with_last_stage(case: Case, **changes) -> Case:
 
 
 def without_limits(case: Case) -> Case:
-    """The paper's own problem: neither stability, tilt nor strain limited."""
+    """The paper's own problem: neither stability, tilt nor strain limited.
+
+    Every stage has the block's roughness: it alone holds the shape there.
+    """
+    block = case.optimize
     block = replace(
-        case.optimize, stability_n_per_m=None, tilt_deg=None, strain=None
+        block,
+        stability_n_per_m=None,
+        tilt_deg=None,
+        strain=None,
+        stages=tuple(replace(s, roughness=None) for s in block.stages),
     )
     return replace(case, optimize=block)

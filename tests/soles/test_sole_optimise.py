@@ -12,7 +12,12 @@ from small_step import optimize, stage, write_case, write_step
 from drake_exo.soles import judgement
 from drake_exo.soles.case import read_case
 from drake_exo.soles.checkpoint import read_checkpoint
-from drake_exo.soles.design import first_design, optimise, stage_problem
+from drake_exo.soles.design import (
+    first_design,
+    optimise,
+    stage_problem,
+    without_limits,
+)
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimiser import Optimum, minimise
@@ -200,6 +205,19 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     out, never = folder / "out", folder / "never"
     assert optimize(folder / "other.yaml", never, "--resume", out) == 2
     assert "of another case" in capsys.readouterr().err
+
+
+def test_a_stage_has_its_own_roughness_or_the_cases(folder):
+    case = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    load, mesh, start = case.open(folder)
+    own = [
+        stage_problem(case, mesh, load, start, s).roughness
+        for s in case.optimize.stages
+    ]
+    assert own == [3.0, case.optimize.roughness]
+    free = without_limits(case).optimize
+    assert (free.strain, free.tilt_deg, free.stability_n_per_m) == (None,) * 3
+    assert [s.roughness for s in free.stages] == [None, None]
 
 
 def test_case_files_are_the_studys_cases():
