@@ -36,8 +36,8 @@ from drake_exo.soles.study_cases import TABLE_2
 
 # A thick layer for the case's own optimum, then a thin one for all points.
 STAGES = (
-    Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
-    Stage((10, 6, 3), 72, 5e-5, 0.2, 40),
+    Stage((10, 6, 3), 24, 3e-4, 0.2, 60, roughness=3.0),
+    Stage((10, 6, 3), 72, 5e-5, 0.2, 40, roughness=3.0),
 )
 # Of a floor that the exact law misses or overshoots, and by how much it may.
 _CORRECTIONS, _OVERSHOOT = 2, 1.005
