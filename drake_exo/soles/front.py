@@ -23,12 +23,13 @@ from drake_exo.soles import design as designs
 from drake_exo.soles.case import Case, Stage, open_case
 from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
-from drake_exo.soles.judgement import exact_history
+from drake_exo.soles.judgement import carried, exact_history
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import (
     Optimum,
     WarmStart,
+    merits,
     minimise,
 )
 from drake_exo.soles.quasi_newton import QuasiNewton
@@ -143,7 +144,7 @@ def front(
 
 def _rank(point: dict) -> tuple:
     """Within all limits and above its floor first, then by c_tr."""
-    outside = point["violation"] > _FEASIBLE
+    outside = not point["violation"] <= _FEASIBLE
     below = not point["ratio_rot"] >= point["floor"]
     return below, outside, point["ratio_tr"]
 
@@ -214,8 +215,13 @@ def _brick(case, own, load, start):
 
 
 def _judge(case, problem, best, floor, base, load, start) -> dict:
-    sole = Sole(problem.deformed(best.p), problem.material, case.mesh.element)
-    history = exact_history(case, sole, load, start, problem.law.penalty)
+    def judge(p):
+        sole = Sole(problem.deformed(p), problem.material, case.mesh.element)
+        r = problem.law.penalty
+        return p, sole, exact_history(case, sole, load, start, r)
+
+    p, _, history = carried(judge, best.p, best.former)
+    violation = best.violation if p is best.p else merits(problem, p)[1]
     c_tr, c_rot, _ = history.costs(0.0, case.cost.heel_strike_fraction)
     return {
         "case": case.name,
@@ -225,9 +231,9 @@ def _judge(case, problem, best, floor, base, load, start) -> dict:
         "ratio_tr": c_tr / base[0],
         "ratio_rot": c_rot / base[1],
         "optimality_error": best.error,
-        "violation": best.violation,
+        "violation": violation,
         "failed_steps": history.failed_steps,
-        "coefficients": best.p,
+        "coefficients": p,
     }
 
 

@@ -62,10 +62,26 @@ def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
     return simulate(solver, load.force, load.zmp, start)
 
 
-def judged(case, problem, at, load, start, optima, seconds) -> Design:
-    """The design where a search stands, by the exact law.
+def carried(judge, p: np.ndarray, former: list):
+    """A design by the exact law; where that fails, one of the last before.
 
-    Where that finds no start, one of the last that were the best before.
+    Args:
+        judge: Gives p, the sole and its history by the exact law.
+        p: The design.
+        former: Those before it, the last one last.
+
+    Returns:
+        judge(p), or that of the last former design without failed steps.
+    """
+    last = judge(p)
+    if last[2].failed_steps == 0:
+        return last
+    others = map(judge, former[: -_FORMER - 1 : -1])
+    return next((x for x in others if x[2].failed_steps == 0), last)
+
+
+def judged(case, problem, at, load, start, optima, seconds) -> Design:
+    """The design where a search stands, by the exact law; see `carried`.
 
     Args:
         case, load, start: As for a simulation.
@@ -79,11 +95,7 @@ def judged(case, problem, at, load, start, optima, seconds) -> Design:
         sole = case.sole(problem.deformed(p))
         return p, sole, exact_history(case, sole, load, start, r)
 
-    former = optima[-1].former[-_FORMER:] if optima else []
-    found = last = judge(at.p)
-    while found[2].failed_steps and former:
-        found = judge(former.pop())
-    p, sole, history = last if found[2].failed_steps else found
+    p, sole, history = carried(judge, at.p, optima[-1].former if optima else [])
     if p is not at.p:
         optima[-1].status += ", an earlier design by the exact law"
         optima[-1].optimal = False
