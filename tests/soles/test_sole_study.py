@@ -13,8 +13,9 @@ from drake_exo.output import read_json
 from drake_exo.soles import front, workers
 from drake_exo.soles.case import Stage, read_case
 from drake_exo.soles.design_folder import read_summary
+from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.optimiser import Optimum
-from drake_exo.soles.study_cases import TABLE_2
+from drake_exo.soles.study_cases import TABLE_2, five_cases
 from drake_exo.soles.study_table import certainty_table, paper_cost, table
 
 
@@ -97,15 +98,14 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
 
 def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     def points(case, load, own, start, floors):
+        rough = case.optimize.roughness
         return [
-            {"case": case.name, "floor": f, "ratio_tr": 0.1} for f in floors
+            {"case": case.name, "floor": f, "ratio_tr": 0.1, "roughness": rough}
+            for f in floors
         ]
 
     monkeypatch.setattr(front, "front", points)
-    cases = [
-        SimpleNamespace(name=name, open=lambda *_: (None, None, None))
-        for name in ("1-Ref", "2-Rot", "3-Rubber")
-    ]
+    cases = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[:3]
     for case in cases[:2]:  # the third ended without
         front.study_job(tmp_path / case.name, case, tmp_path, None)
     found = front.study_front(tmp_path, cases)
@@ -115,6 +115,8 @@ def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     first, other = found["at_paper"]
     assert first["floor"] >= TABLE_2["1-Ref"][3] / TABLE_2["1-Ref"][2]
     assert other["floor"] == rot / rot0
+    assert first["roughness"] == cases[0].optimize.roughness
+    assert other["roughness"] == 3.0
     assert other["paper_ratio_tr"] == tr / tr0
     assert "paper_ratio_tr" not in found["points"][1]
 
