@@ -23,7 +23,7 @@ from drake_exo.soles import design as designs
 from drake_exo.soles.case import Case, Stage, open_case
 from drake_exo.soles.contact import Start
 from drake_exo.soles.elasticity import Sole
-from drake_exo.soles.judgement import carried, exact_history
+from drake_exo.soles.judgement import by_exact_law, exact_history
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.optimiser import (
@@ -220,12 +220,9 @@ def _brick(case, own, load, start):
 
 
 def _judge(case, problem, best, floor, base, load, start) -> dict:
-    def judge(p):
-        sole = Sole(problem.deformed(p), problem.material, case.mesh.element)
-        r = problem.law.penalty
-        return p, sole, exact_history(case, sole, load, start, r)
-
-    p, _, history = carried(judge, best.p, best.former)
+    p, _, history = by_exact_law(
+        case, problem, load, start, best.p, best.former
+    )
     violation = best.violation if p is best.p else merits(problem, p)[1]
     c_tr, c_rot, _ = history.costs(0.0, case.cost.heel_strike_fraction)
     return {

@@ -62,17 +62,27 @@ def exact_history(case: Case, sole: Sole, load: Load, start: Start, r: float):
     return simulate(solver, load.force, load.zmp, start)
 
 
-def carried(judge, p: np.ndarray, former: list):
+def by_exact_law(
+    case: Case, problem: ShapeProblem, load: Load, start: Start, p, former
+) -> tuple[np.ndarray, Sole, StepHistory]:
     """A design by the exact law; where that fails, one of the last before.
 
     Args:
-        judge: Gives p, the sole and its history by the exact law.
+        case, load, start: As for a simulation.
+        problem: Whose mesh it is.
         p: The design.
         former: Those before it, the last one last.
 
     Returns:
-        judge(p), or that of the last former design without failed steps.
+        p, its sole and history, or those of the last former design without
+        failed steps.
     """
+
+    def judge(p):
+        sole = case.sole(problem.deformed(p))
+        r = problem.law.penalty
+        return p, sole, exact_history(case, sole, load, start, r)
+
     last = judge(p)
     if last[2].failed_steps == 0:
         return last
@@ -81,7 +91,7 @@ def carried(judge, p: np.ndarray, former: list):
 
 
 def judged(case, problem, at, load, start, optima, seconds) -> Design:
-    """The design where a search stands, by the exact law; see `carried`.
+    """The design where a search stands, see `by_exact_law`.
 
     Args:
         case, load, start: As for a simulation.
@@ -89,13 +99,8 @@ def judged(case, problem, at, load, start, optima, seconds) -> Design:
         at: The last checkpoint.
         optima, seconds: Of every stage.
     """
-    r = problem.law.penalty
-
-    def judge(p):
-        sole = case.sole(problem.deformed(p))
-        return p, sole, exact_history(case, sole, load, start, r)
-
-    p, sole, history = carried(judge, at.p, optima[-1].former if optima else [])
+    former = optima[-1].former if optima else []
+    p, sole, history = by_exact_law(case, problem, load, start, at.p, former)
     if p is not at.p:
         optima[-1].status += ", an earlier design by the exact law"
         optima[-1].optimal = False
@@ -107,7 +112,7 @@ def judged(case, problem, at, load, start, optima, seconds) -> Design:
         sole,
         history,
         first,
-        exact_history(case, first, load, start, r),
+        exact_history(case, first, load, start, problem.law.penalty),
         optima,
         seconds,
         problem,
