@@ -12,14 +12,14 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from drake_exo.output import Progress
-from drake_exo.phases.covariance import uncertainty
-from drake_exo.phases.interaction_twin import (
+from drake_exo.calibration.uncertainty import uncertainty
+from drake_exo.files.output import Progress
+from drake_exo.virtual_laboratory.interaction_twin import (
     INSTRUMENT_NOISE,
     InteractionTwin,
     interaction_twin,
 )
-from drake_exo.phases.twin import noisy
+from drake_exo.virtual_laboratory.twin import noisy
 
 
 def coverage(twin: InteractionTwin, seeds: int) -> list[dict]:

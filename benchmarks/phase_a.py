@@ -20,10 +20,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from drake_exo.description import fit_exoskeleton, nominal_human
-from drake_exo.phases.foot_ground import FootGroundProblem
-from drake_exo.phases.measured import MeasuredMovement
-from drake_exo.phases.settings import (
+from drake_exo.calibration.foot_ground import FootGroundProblem
+from drake_exo.calibration.measured import MeasuredMovement
+from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
     Solver,
@@ -31,10 +30,11 @@ from drake_exo.phases.settings import (
     Spread,
     TrackingNoise,
 )
-from drake_exo.phases.twin import consistent, noisy, rises
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
 from drake_exo.report.tables import format_table
+from drake_exo.virtual_laboratory.twin import consistent, noisy, rises
 
 _DURATION = 1.5
 _TRUE_MODULUS = 5e6

@@ -14,15 +14,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from drake_exo.output import Progress
-from drake_exo.phases.interaction_twin import (
+from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.files.output import Progress
+from drake_exo.report.tables import format_table
+from drake_exo.virtual_laboratory.interaction_twin import (
     INSTRUMENT_NOISE,
     InteractionTwin,
     interaction_twin,
 )
-from drake_exo.phases.settings import PredictionSettings, Solver
-from drake_exo.phases.twin import noisy, random_values
-from drake_exo.report.tables import format_table
+from drake_exo.virtual_laboratory.twin import noisy, random_values
 
 _TOLERANCE = 1e-4
 

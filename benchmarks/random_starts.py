@@ -17,18 +17,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from drake_exo.description import fit_exoskeleton, nominal_human
-from drake_exo.phases import twin
-from drake_exo.phases.foot_ground import FootGroundProblem
-from drake_exo.phases.settings import (
+from drake_exo.calibration.foot_ground import FootGroundProblem
+from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
     Solver,
     SphereSettings,
 )
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
 from drake_exo.report.tables import format_table
+from drake_exo.virtual_laboratory import twin
 
 _TOLERANCE = 1e-4
 _NEGLIGIBLE = 1e-6  # of exact data's objective, which is zero at the truth

@@ -13,26 +13,25 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.soles.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.case import Stage
-from drake_exo.soles.contact import ContactSolver, Start
-from drake_exo.soles.design import first_design, stage_problem
-from drake_exo.soles.elasticity import MATERIALS, Sole
-from drake_exo.soles.gauss_seidel import GaussSeidelSolver
-from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
-from drake_exo.soles.mesh import brick
-from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import minimise
-from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.simulation import simulate
-from drake_exo.soles.stiffness import heel_strike_count
-from drake_exo.soles.strain_norm import StrainNorm
-from drake_exo.soles.study_cases import (
+from drake_exo.papers.de_magistris_cases import (
     AUTHORS_ORIGIN,
     AUTHORS_STEP,
     SIZE,
     five_cases,
 )
+from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
+from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.optimize.design import first_design, stage_problem
+from drake_exo.soles.optimize.limits import StrainNorm
+from drake_exo.soles.optimize.optimizer import minimise
+from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step.simulation import simulate
+from drake_exo.soles.step.stiffness import heel_strike_count
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}

@@ -16,16 +16,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.soles import design as designs
-from drake_exo.soles.case import Stage
-from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
-from drake_exo.soles.optimiser import WarmStart, minimise
-from drake_exo.soles.quasi_newton import QuasiNewton
-from drake_exo.soles.study_cases import (
+from drake_exo.papers.de_magistris_cases import (
     AUTHORS_ORIGIN,
     AUTHORS_STEP,
     five_cases,
 )
+from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
+from drake_exo.soles.optimize import design as designs
+from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
 
 STAGES = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 60),

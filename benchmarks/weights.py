@@ -14,15 +14,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from drake_exo.output import Progress
-from drake_exo.phases.covariance import uncertainty
-from drake_exo.phases.interaction_twin import (
+from drake_exo.calibration.scores import rms, rmsd
+from drake_exo.calibration.uncertainty import uncertainty
+from drake_exo.files.output import Progress
+from drake_exo.report.tables import format_table
+from drake_exo.virtual_laboratory.interaction_twin import (
     INSTRUMENT_NOISE,
     interaction_twin,
 )
-from drake_exo.phases.scores import rms, rmsd
-from drake_exo.phases.twin import noisy
-from drake_exo.report.tables import format_table
+from drake_exo.virtual_laboratory.twin import noisy
 
 GROUPS = {
     "kinematics": (

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.report.pictures import (
+from drake_exo.report.scene import (
     HALFWAY_DEG,
     SEATED_DEG,
     STANDING_DEG,
+    Scene,
     render,
     upright_pose,
     write_png,
 )
-from drake_exo.report.scene import Scene
 
 _FOLDER = Path(__file__).parent / "pictures"
 

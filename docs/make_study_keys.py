@@ -13,9 +13,9 @@ import typing
 from pathlib import Path
 from typing import Any, Literal
 
-from drake_exo import segments
-from drake_exo.forces.contact_constants import PaperConstants, SimbodyConstants
-from drake_exo.phases.settings import Range
+from drake_exo.calibration.settings import Range
+from drake_exo.contact.hunt_crossley import PaperConstants, SimbodyConstants
+from drake_exo.model import segments
 from drake_exo.study import Study
 
 # Values given in a study replace scaled ones, which say what they mean.

@@ -10,15 +10,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from drake_exo import schema
-from drake_exo.errors import InputError
-from drake_exo.laboratory.instruments import Axes, Device, Mat, PressureFile
-from drake_exo.phases.settings import (
+from drake_exo.calibration.settings import (
     FootGroundSettings,
     InteractionSettings,
     PredictionSettings,
 )
-from drake_exo.segments import ExoskeletonOverrides, HumanOverrides
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.measurement.instruments import Axes, Device, Mat, PressureFile
+from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]

@@ -10,14 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.report.sweeps import (
-    beam,
-    loaf,
-    mirrored,
-    obj_text,
-    shell,
-    tube,
-)
+from drake_exo.report.sweeps import beam, loaf, mirrored, obj_text, shell, tube
 
 _FOLDER = Path(__file__).parent / "meshes"
 

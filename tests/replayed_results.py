@@ -2,15 +2,13 @@
 
 import numpy as np
 
-from drake_exo.description import fit_exoskeleton, nominal_human
-from drake_exo.laboratory.trial import Trial
-from drake_exo.output import write_json
-from drake_exo.phases.model_file import write_model
-from drake_exo.phases.problem import Trajectory
-from drake_exo.phases.results import write_trajectories
-from drake_exo.plant import COUPLED_COORDINATES
-from drake_exo.report.pictures import SEATED_DEG, upright_pose
-from drake_exo.report.scene import Scene
+from drake_exo.calibration.problem import Trajectory
+from drake_exo.calibration.results import write_model, write_trajectories
+from drake_exo.files.output import write_json
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.plant import COUPLED_COORDINATES
+from drake_exo.report.scene import SEATED_DEG, Scene, upright_pose
 
 TIMES = np.linspace(0.0, 1.0, 101)
 NAME = "rise_1"

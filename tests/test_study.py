@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from drake_exo import schema
 from drake_exo.errors import InputError
+from drake_exo.files import schema
 from drake_exo.study import Study, load_study
 
 STUDY = Path(__file__).parent / "studies" / "opencap_sts1.yaml"

@@ -4,8 +4,8 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from drake_exo.phases.calibration_inputs import CalibrationInputs, load_inputs
-from drake_exo.phases.results import read_calibration, write_parameters
+from drake_exo.calibration.inputs import CalibrationInputs, load_inputs
+from drake_exo.calibration.results import read_calibration, write_parameters
 from drake_exo.virtual_laboratory.campaign import write_campaign
 
 # Set by the tests: the same code with less to compute.

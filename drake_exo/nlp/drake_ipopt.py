@@ -12,13 +12,11 @@ import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.solvers import SolverOptions as DrakeSolverOptions
 
-from drake_exo.nlp.batch import (
+from drake_exo.nlp.ipopt import SolverOptions
+from drake_exo.nlp.program import (
     BatchedProgram,
     nonlinear_constraints,
     nonlinear_costs,
-)
-from drake_exo.nlp.ipopt import SolverOptions
-from drake_exo.nlp.program_arrays import (
     variable_bounds,
     variable_scaling,
 )

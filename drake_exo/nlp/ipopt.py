@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import ipyopt
 import numpy as np
 
-from drake_exo.nlp import elastic
+from drake_exo.nlp import infeasibility as elastic
 from drake_exo.nlp.solution import Solution
 from drake_exo.nlp.sparse import SparseProgram
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_exo.nlp.elastic import Excess
+from drake_exo.nlp.infeasibility import Excess
 
 
 class SealedSolutionError(RuntimeError):

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from pydrake.solvers import MathematicalProgram
 
-from drake_exo.nlp.program_arrays import variable_bounds, variable_scaling
+from drake_exo.nlp.program import variable_bounds, variable_scaling
 
 
 @dataclass(frozen=True)

@@ -11,21 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError
-from drake_exo.forces.contact_constants import (
+from drake_exo.contact.hunt_crossley import (
     PaperConstants,
     SimbodyConstants,
-)
-from drake_exo.forces.contact_parameters import check_bounds
-from drake_exo.forces.hunt_crossley import (
     friction_coefficient,
     paper_stiffness,
     sphere_force,
-)
-from drake_exo.forces.hunt_crossley_derivatives import (
     sphere_force_derivatives,
 )
-from drake_exo.output import prepare_output_folder, write_json
+from drake_exo.contact.parameters import check_bounds
+from drake_exo.errors import InputError
+from drake_exo.files.output import prepare_output_folder, write_json
 
 # Colours that stay apart in print and for colour-blind readers.
 BLUE, ORANGE, GREY, SHADE = "#0072B2", "#D55E00", "#5F5F5F", "#E8E8E8"

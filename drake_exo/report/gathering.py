@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drake_exo.calibration.measured import from_trial
+from drake_exo.calibration.results import read_trajectory
 from drake_exo.errors import InputError
-from drake_exo.laboratory.trial import Trial
-from drake_exo.output import read_json
-from drake_exo.phases.measured import from_trial
-from drake_exo.phases.results import read_trajectory
+from drake_exo.files.output import read_json
+from drake_exo.measurement.trial import Trial
 
 _LARGEST = 1e30  # of a score
 _PHASES = ("foot-ground", "interaction", "prediction")

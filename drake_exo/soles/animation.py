@@ -15,12 +15,12 @@ from matplotlib import colormaps
 from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
-from drake_exo.output import check_arrays, read_arrays
+from drake_exo.files.output import check_arrays, read_arrays
 from drake_exo.player.page import Arrow, Clip, Page, Surface, write_page
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.results import nodal_areas
-from drake_exo.soles.simulation import StepHistory
+from drake_exo.soles.step.simulation import StepHistory
 
 with warnings.catch_warnings():  # its server uses a deprecated part of zmq
     warnings.simplefilter("ignore", DeprecationWarning)

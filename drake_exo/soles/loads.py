@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
+from drake_exo.files.text import number_rows, read_text
 from drake_exo.soles.rotations import rotation_z
-from drake_exo.text_tables import number_rows, read_text
 
 
 @dataclass(frozen=True)

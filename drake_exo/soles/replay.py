@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from drake_exo.errors import InputError
-from drake_exo.output import read_json
+from drake_exo.files.output import read_json
 from drake_exo.soles.animation import SoleMotion, write_animation
 
 HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.soles import stiffness
-from drake_exo.soles.contact import Start
-from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.contact.newton import Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.rotations import angles_xyz, tilt_deg
-from drake_exo.soles.simulation import StepHistory
+from drake_exo.soles.step import stiffness
+from drake_exo.soles.step.simulation import StepHistory
 
 
 def nodal_areas(mesh: TetMesh) -> np.ndarray:

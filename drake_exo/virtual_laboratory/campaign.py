@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.output import Progress
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.files.output import Progress
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
 from drake_exo.virtual_laboratory.disturbances import DISTURBANCES, checked
 from drake_exo.virtual_laboratory.instruments import (
     LARGEST_LAG_S,
@@ -22,24 +22,15 @@ from drake_exo.virtual_laboratory.instruments import (
     Laboratory,
     empty_plate_levels,
 )
-from drake_exo.virtual_laboratory.marker_errors import slides
-from drake_exo.virtual_laboratory.marker_set import marker_set
+from drake_exo.virtual_laboratory.markers import marker_set, slides
 from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan
 from drake_exo.virtual_laboratory.pressure_mats import (
     record_pressure,
     write_scans,
 )
-from drake_exo.virtual_laboratory.simulation import (
-    PASSIVE,
-    Simulated,
-    simulate,
-)
+from drake_exo.virtual_laboratory.simulation import PASSIVE, Simulated, simulate
 from drake_exo.virtual_laboratory.study_file import EMPTY, Entry, write_study
-from drake_exo.virtual_laboratory.truth import (
-    STANDING_COP_M,
-    Truth,
-    draw_truth,
-)
+from drake_exo.virtual_laboratory.truth import STANDING_COP_M, Truth, draw_truth
 from drake_exo.virtual_laboratory.truth_files import (
     write_motion,
     write_parameters,

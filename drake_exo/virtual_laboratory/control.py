@@ -7,7 +7,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Multiplexer
 from scipy.interpolate import CubicSpline
 
-from drake_exo.planar_tree import PlanarTree
+from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.virtual_laboratory.plan import Reference
 
 # Of the subject's own feedback, both legs: ankle, knee, hip.

@@ -5,18 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.laboratory.c3d_writing import PlateDesign, write_c3d
-from drake_exo.laboratory.csv_files import write_csv_table
-from drake_exo.laboratory.opensim_files import (
-    PlateRecording,
-    write_table,
-    write_trc,
-)
-from drake_exo.laboratory.sagittal import COP_THRESHOLD_N, PlanarWrench
-from drake_exo.laboratory.tables import MarkerData, Table
-from drake_exo.plant import COUPLED_COORDINATES
-from drake_exo.virtual_laboratory import marker_errors
-from drake_exo.virtual_laboratory.marker_set import (
+from drake_exo.files.csv import write_csv_table
+from drake_exo.files.opensim import PlateRecording, write_table, write_trc
+from drake_exo.files.tables import MarkerData, Table
+from drake_exo.measurement.sagittal import COP_THRESHOLD_N, PlanarWrench
+from drake_exo.model.plant import COUPLED_COORDINATES
+from drake_exo.virtual_laboratory import markers as marker_errors
+from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
+from drake_exo.virtual_laboratory.markers import (
     HALF_STANCE_M,
     Marker,
     marker_positions,

@@ -14,13 +14,15 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import least_squares
 
-from drake_exo.forces.contact_parameters import ContactParameters
-from drake_exo.laboratory.inverse_dynamics import inverse_dynamics
-from drake_exo.laboratory.sagittal import PlanarWrench
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.virtual_laboratory.feet import resting_foot
-from drake_exo.virtual_laboratory.loads import chair_wrench
-from drake_exo.virtual_laboratory.seat import SeatParameters
+from drake_exo.contact.parameters import ContactParameters
+from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.virtual_laboratory.forces import (
+    SeatParameters,
+    chair_wrench,
+    resting_foot,
+)
 
 _DEGREE = 5
 _KNOT_S = 0.1

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.segments import HumanParameters
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.segments import HumanParameters
 from drake_exo.virtual_laboratory.simulation import Simulated
 
 RATE_HZ = 50.0

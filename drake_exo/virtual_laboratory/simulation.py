@@ -11,25 +11,26 @@ import numpy as np
 from pydrake.systems.framework import EventStatus
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from drake_exo.forces.diagram import build_diagram, build_simulator
-from drake_exo.laboratory.sagittal import PlanarWrench
-from drake_exo.output import Progress
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.contact.diagram import build_diagram, build_simulator
+from drake_exo.files.output import Progress
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
 from drake_exo.virtual_laboratory.control import (
     DeviceController,
     SubjectController,
     controller,
 )
-from drake_exo.virtual_laboratory.cuffs import Cuffs
-from drake_exo.virtual_laboratory.loads import (
+from drake_exo.virtual_laboratory.forces import (
+    Cuffs,
+    Seat,
+    SeatParameters,
     applied,
     chair_wrench,
     ground_wrench,
     interaction,
 )
 from drake_exo.virtual_laboratory.plan import Reference
-from drake_exo.virtual_laboratory.seat import Seat, SeatParameters
 from drake_exo.virtual_laboratory.truth import Truth
 
 RATE_HZ = 1000.0

@@ -10,7 +10,7 @@ from drake_exo.virtual_laboratory.instruments import (
     PLATES,
     Laboratory,
 )
-from drake_exo.virtual_laboratory.marker_set import study_markers
+from drake_exo.virtual_laboratory.markers import study_markers
 from drake_exo.virtual_laboratory.pressure_mats import CONFIGURATIONS
 from drake_exo.virtual_laboratory.truth import Truth
 

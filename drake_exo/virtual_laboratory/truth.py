@@ -4,27 +4,26 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from drake_exo.description import fit_exoskeleton, nominal_human
-from drake_exo.forces.contact_constants import SimbodyConstants
-from drake_exo.forces.contact_parameters import (
+from drake_exo.contact.diagram import nominal_bushings
+from drake_exo.contact.hunt_crossley import SimbodyConstants
+from drake_exo.contact.parameters import (
     NOMINAL_DISSIPATION,
     NOMINAL_MODULUS,
     ContactParameters,
     ContactSphere,
     nominal_contact,
 )
-from drake_exo.forces.diagram import nominal_bushings
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import GRAVITY, build_plant
-from drake_exo.segments import (
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import GRAVITY, build_plant
+from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
     SEGMENTS,
     ExoskeletonParameters,
     HumanParameters,
 )
 from drake_exo.virtual_laboratory.control import Friction
-from drake_exo.virtual_laboratory.cuffs import Cuff
-from drake_exo.virtual_laboratory.feet import levelled
+from drake_exo.virtual_laboratory.forces import Cuff, levelled
 
 STANDING_COP_M = 0.045  # in front of the ankle
 

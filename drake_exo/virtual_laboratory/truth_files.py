@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.laboratory.opensim_files import write_table
-from drake_exo.laboratory.tables import Table
-from drake_exo.output import write_json
-from drake_exo.plant import COUPLED_COORDINATES
+from drake_exo.files.opensim import write_table
+from drake_exo.files.output import write_json
+from drake_exo.files.tables import Table
+from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.virtual_laboratory.instruments import MARKER_RATE_HZ, Clocks
 from drake_exo.virtual_laboratory.simulation import RATE_HZ, Simulated
 from drake_exo.virtual_laboratory.truth import Truth

@@ -120,7 +120,7 @@ def test_light_commands_run(command, tmp_path, monkeypatch):
 
 def test_studies_in_the_pages_are_read():
     """Each block that is a whole study; fragments as a part of one."""
-    from drake_exo import schema
+    from drake_exo.files import schema
     from drake_exo.study import Study
 
     page = (ROOT / "docs" / "your_data.md").read_text("utf-8")
@@ -142,7 +142,7 @@ def test_studies_in_the_pages_are_read():
 
 def test_python_in_the_pages_runs():
     """The device of the models, read as one's own would be."""
-    from drake_exo.description import models_path, nominal_exoskeleton
+    from drake_exo.model.description import models_path, nominal_exoskeleton
 
     page = (ROOT / "docs" / "your_exoskeleton.md").read_text("utf-8")
     (block,) = [b for k, b in _FENCE.findall(page) if k == "python"]

@@ -6,12 +6,9 @@ import meshio
 import numpy as np
 from sound_files import written
 
-from drake_exo.laboratory import body_surface, instruments
-from drake_exo.laboratory.c3d_files import read_c3d
-from drake_exo.laboratory.c3d_writing import PlateDesign, write_c3d
-from drake_exo.laboratory.csv_files import read_csv_table, write_csv_table
-from drake_exo.laboratory.exoskeleton_signals import read_angles, read_moments
-from drake_exo.laboratory.opensim_files import (
+from drake_exo.files.c3d import read_c3d
+from drake_exo.files.csv import read_csv_table, write_csv_table
+from drake_exo.files.opensim import (
     PlateRecording,
     read_coordinates,
     read_plates,
@@ -19,17 +16,15 @@ from drake_exo.laboratory.opensim_files import (
     write_table,
     write_trc,
 )
-from drake_exo.laboratory.optitrack_files import (
-    read_markers_csv,
-    read_plate_csv,
-)
-from drake_exo.laboratory.pressure_files import (
-    read_novel_asc,
-    read_pressure_csv,
-)
-from drake_exo.laboratory.tables import MarkerData, Table
+from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
+from drake_exo.files.pressure import read_novel_asc, read_pressure_csv
+from drake_exo.files.tables import MarkerData, Table
+from drake_exo.measurement import instruments
+from drake_exo.measurement import mats as body_surface
+from drake_exo.measurement.exoskeleton import read_angles, read_moments
 from drake_exo.soles.mesh import brick
 from drake_exo.study import Filter
+from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 
 def _markers(frames=12) -> MarkerData:

@@ -9,24 +9,22 @@ from pathlib import Path
 import numpy as np
 from sound_files import written
 
-from drake_exo.description import nominal_exoskeleton, nominal_human
-from drake_exo.forces.contact_constants import SimbodyConstants
-from drake_exo.laboratory.trial import Trial
-from drake_exo.optimal_control.interaction_kernels import (
-    BUSHING_PARAMETERS,
-    BUSHINGS,
-)
-from drake_exo.optimal_control.kernels import SPHERE_PARAMETERS
-from drake_exo.phases.model_file import read_model, write_model
-from drake_exo.phases.problem import Trajectory
-from drake_exo.phases.results import (
+from drake_exo.calibration.problem import Trajectory
+from drake_exo.calibration.results import (
     read_calibration,
+    read_model,
     read_trajectory,
+    write_model,
     write_trajectories,
 )
-from drake_exo.phases.solving import read_checkpoint as read_iterate
-from drake_exo.plant import COUPLED_COORDINATES
-from drake_exo.report.command import comparison
+from drake_exo.calibration.solving import read_checkpoint as read_iterate
+from drake_exo.cli.report import comparison
+from drake_exo.collocation.bushing_kernels import BUSHING_PARAMETERS, BUSHINGS
+from drake_exo.collocation.kernels import SPHERE_PARAMETERS
+from drake_exo.contact.hunt_crossley import SimbodyConstants
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.description import nominal_exoskeleton, nominal_human
+from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.report.gathering import gather
 from drake_exo.soles.case import read_case
 from drake_exo.study import load_study

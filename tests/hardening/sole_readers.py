@@ -7,12 +7,12 @@ import numpy as np
 from laboratory_readers import plates_table
 from sound_files import written
 
-from drake_exo.laboratory.opensim_files import write_table
+from drake_exo.files.opensim import write_table
 from drake_exo.soles import loads
 from drake_exo.soles.animation import SoleMotion
-from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
-from drake_exo.soles.design_folder import read_steps
 from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.optimize.checkpoint import Checkpoint, read_checkpoint
+from drake_exo.soles.optimize.design_folder import read_steps
 from drake_exo.soles.results import write_history
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import BasicVector, LeafSystem
 
+from drake_exo.cli.predict import load_controller
+from drake_exo.collocation.loads import ControllerKernel
 from drake_exo.errors import InputError
-from drake_exo.optimal_control.controller_kernel import ControllerKernel
-from drake_exo.phases.prediction_command import load_controller
 
 _MODULE = """
 import sys

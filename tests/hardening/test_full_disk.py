@@ -13,7 +13,7 @@ from drake_exo.cli import main
 _LIMITED = """
 import resource, sys
 from drake_exo import cli
-from drake_exo.phases import solving
+from drake_exo.calibration import solving
 
 solving._CHECKPOINT_SECONDS = 0.0
 limit = int(sys.argv[1])

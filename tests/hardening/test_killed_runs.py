@@ -30,7 +30,7 @@ def cut_short(module, name, last, half):
     setattr(module, name, write)
 """
 _CALIBRATE = """
-from drake_exo.phases import solving
+from drake_exo.calibration import solving
 
 solving._CHECKPOINT_SECONDS = 0.0
 cut_short(solving.np, "savez", 6, b"PK half a file")

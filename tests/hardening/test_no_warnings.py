@@ -6,7 +6,8 @@ import sys
 import pytest
 from cli_runs import normal_use
 
-from drake_exo import __version__, demo
+from drake_exo import __version__
+from drake_exo.cli import demo
 
 
 def test_version_and_help():

@@ -8,8 +8,8 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.nlp import drake_ipopt, ipopt, preflight
-from drake_exo.nlp.batch import BatchedProgram
 from drake_exo.nlp.ipopt import SolverOptions
+from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.solution import SealedSolutionError
 from drake_exo.nlp.sparse import SparseProgram
 

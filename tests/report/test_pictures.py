@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from drake_exo.anthropometry import scale_human
-from drake_exo.report.pictures import (
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.report.scene import (
     HALFWAY_DEG,
     STANDING_DEG,
+    Scene,
     render,
     upright_pose,
     write_page,
     write_png,
 )
-from drake_exo.report.scene import Scene
 
 
 def height_of(scene, q, frame):

@@ -3,13 +3,12 @@ import pytest
 from page_reader import clip_titles, network_addresses, player_data
 from replayed_results import LEAD, STIFFNESS, TIMES, trajectory, write_results
 
+from drake_exo.calibration.results import MODEL, read_model
+from drake_exo.contact.bushing import BushingParameters
+from drake_exo.contact.diagram import build_diagram
 from drake_exo.errors import InputError
-from drake_exo.forces.bushing import BushingParameters
-from drake_exo.forces.diagram import build_diagram
-from drake_exo.output import read_json, write_json
-from drake_exo.phases.model_file import MODEL, read_model
-from drake_exo.report.motion import Figure, Motion
-from drake_exo.report.replay import replay_results
+from drake_exo.files.output import read_json, write_json
+from drake_exo.report.replay import Figure, Motion, replay_results
 from drake_exo.report.scene import Scene
 
 
@@ -128,7 +127,7 @@ class _Contact:
         self._bushings = bushings
 
     def bushings(self):
-        from drake_exo.parameters import ContactParameter
+        from drake_exo.contact.parameters import ContactParameter
 
         return [
             ContactParameter(f"{s}.origin_{a}", "m", v, v - 1, v + 1)

@@ -6,17 +6,17 @@ import json
 import numpy as np
 import pytest
 
+from drake_exo.calibration.results import read_trajectory, write_trajectories
 from drake_exo.cli import main
-from drake_exo.laboratory.trial import Trial
-from drake_exo.output import write_json
-from drake_exo.phases.results import read_trajectory, write_trajectories
-from drake_exo.plant import COUPLED_COORDINATES
+from drake_exo.files.output import write_json
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import COUPLED_COORDINATES
 
 
 def leave(folder, twin, phase, **more):
     """What a phase leaves behind, as far as a report looks."""
-    from drake_exo.phases.problem import Trajectory
-    from drake_exo.phases.scores import rmsd, spread
+    from drake_exo.calibration.problem import Trajectory
+    from drake_exo.calibration.scores import rmsd, spread
 
     folder.mkdir(parents=True)
     found = []
@@ -61,7 +61,7 @@ def leave(folder, twin, phase, **more):
 
 @pytest.fixture(scope="module")
 def twin():
-    from drake_exo.phases.interaction_twin import interaction_twin
+    from drake_exo.virtual_laboratory.interaction_twin import interaction_twin
 
     return interaction_twin(duration_s=0.8)
 

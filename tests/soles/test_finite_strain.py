@@ -7,20 +7,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drake_exo.soles import results
-from drake_exo.soles.contact import (
+from drake_exo.soles.contact.finite_strain import FiniteStrainSolver
+from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
     Start,
     Target,
 )
-from drake_exo.soles.elasticity import MATERIALS, Sole
-from drake_exo.soles.finite_history import FiniteHistory, follow, lead
-from drake_exo.soles.finite_strain import FiniteStrainSolver
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.neo_hookean import NeoHookeanBody
-from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.rotations import exp_rotation
-from drake_exo.soles.simulation import StepHistory, simulate
+from drake_exo.soles.step.finite_history import FiniteHistory, follow, lead
+from drake_exo.soles.step.simulation import StepHistory, simulate
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 

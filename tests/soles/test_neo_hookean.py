@@ -5,10 +5,10 @@ import pytest
 from scipy.sparse.linalg import spsolve
 from scipy.special import lambertw
 
-from drake_exo.soles import neo_hookean
-from drake_exo.soles.elasticity import Material, Sole
+from drake_exo.soles.elasticity import neo_hookean
+from drake_exo.soles.elasticity.linear import Material, Sole
+from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.neo_hookean import NeoHookeanBody
 from drake_exo.soles.rotations import exp_rotation
 
 MATERIAL = Material("test", 1.0e6, 0.3, 1230.0)

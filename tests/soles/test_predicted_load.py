@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drake_exo import cli
+from drake_exo.calibration.problem import Trajectory
+from drake_exo.calibration.results import write_trajectories
 from drake_exo.errors import InputError
-from drake_exo.phases.problem import Trajectory
-from drake_exo.phases.results import write_trajectories
 from drake_exo.soles import loads
 
 CASE = """

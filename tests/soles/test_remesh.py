@@ -5,18 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.soles import judgement
-from drake_exo.soles import remesh as remeshing
 from drake_exo.soles.mesh import TetMesh, brick
-from drake_exo.soles.radial import onto_edges, pull_back, reach
-from drake_exo.soles.remesh import (
+from drake_exo.soles.optimize import remeshing
+from drake_exo.soles.optimize import verification as judgement
+from drake_exo.soles.optimize.remeshing import (
     RemeshError,
     halved,
     in_eighths,
     remesh,
     sharp_edges,
 )
-from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.shape import SphericalSpline, onto_edges, pull_back, reach
 
 SIZE = (0.23, 0.13, 0.03)
 

@@ -9,15 +9,14 @@ import pytest
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
-from drake_exo.soles import design as designs
-from drake_exo.soles import renewal
 from drake_exo.soles.case import read_case
-from drake_exo.soles.checkpoint import Checkpoint, read_checkpoint
-from drake_exo.soles.design import optimise, stage_problem
-from drake_exo.soles.design_folder import find_designs
 from drake_exo.soles.mesh import read_mesh
-from drake_exo.soles.remesh import RemeshError
-from drake_exo.soles.renewal import renewed
+from drake_exo.soles.optimize import design as designs
+from drake_exo.soles.optimize import remeshing as renewal
+from drake_exo.soles.optimize.checkpoint import Checkpoint, read_checkpoint
+from drake_exo.soles.optimize.design import optimise, stage_problem
+from drake_exo.soles.optimize.design_folder import find_designs
+from drake_exo.soles.optimize.remeshing import RemeshError, renewed
 
 
 def _case(folder, remeshes=3, iterations=40):

@@ -5,15 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.soles import contact, first_contact, results
-from drake_exo.soles.contact import ContactSolver, Start, State, Target
-from drake_exo.soles.elasticity import MATERIALS, Material, Sole
-from drake_exo.soles.first_contact import _follow_design, first_step
-from drake_exo.soles.gauss_seidel import GaussSeidelSolver, contact_at_pose
+from drake_exo.soles import results
+from drake_exo.soles.contact import newton as contact
+from drake_exo.soles.contact.gauss_seidel import (
+    GaussSeidelSolver,
+    contact_at_pose,
+)
+from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.rotations import exp_rotation, tilt_deg
-from drake_exo.soles.simulation import simulate
+from drake_exo.soles.step import first_contact
+from drake_exo.soles.step.first_contact import _follow_design, first_step
+from drake_exo.soles.step.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))

@@ -8,14 +8,15 @@ import skfem
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from drake_exo.errors import InputError
-from drake_exo.soles.elasticity import (
+from drake_exo.soles.elasticity.linear import (
     MATERIALS,
     Material,
     Sole,
+    edge_average,
+    node_average,
     stiffness_matrix,
 )
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.smoothing import edge_average, node_average
 
 SIZE = (0.23, 0.13, 0.03)
 RUBBER = MATERIALS["neoprene"]

@@ -3,24 +3,23 @@
 import numpy as np
 import pytest
 
-from drake_exo.soles.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.contact import ContactSolver, Start
-from drake_exo.soles.design import settle
-from drake_exo.soles.elasticity import MATERIALS, Sole
-from drake_exo.soles.limits import Limits, soft_minimum
+from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.node_law import ContactLaw
-from drake_exo.soles.optimiser import Optimum, _Callbacks
-from drake_exo.soles.problem import (
+from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.optimize.design import settle
+from drake_exo.soles.optimize.limits import Limits, soft_minimum
+from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
+from drake_exo.soles.optimize.problem import (
     ShapeProblem,
     sample_weights,
     second_differences,
 )
-from drake_exo.soles.quasi_newton import QuasiNewton
 from drake_exo.soles.results import largest_strain
 from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.simulation import simulate
+from drake_exo.soles.step.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
@@ -65,7 +64,7 @@ class Setting:
 
 
 def _measure(history, by_tr, by_rot):
-    from drake_exo.soles import stiffness
+    from drake_exo.soles.step import stiffness
 
     return by_tr @ stiffness.sigma_max_translation(
         history.K_c
@@ -191,7 +190,7 @@ def test_mathematical_program_carries_the_same_derivatives(problem):
         InitializeAutoDiff,
     )
 
-    from drake_exo.soles.program import Program
+    from drake_exo.soles.optimize.program import Program
 
     prog = Program(problem, (0.3, 1.4), problem.derivatives).prog
     x = np.full(problem.spline.count, 0.97)
@@ -207,7 +206,7 @@ def test_mathematical_program_carries_the_same_derivatives(problem):
 
 
 def test_optimiser_lowers_the_cost_within_the_limits(problem):
-    from drake_exo.soles.optimiser import minimise
+    from drake_exo.soles.optimize.optimizer import minimise
 
     p0 = np.full(problem.spline.count, 0.96)
     best = minimise(problem, p0, (0.5, 1.25), iterations=8)
@@ -221,7 +220,7 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
 
 
 def test_a_design_without_a_cold_start_gives_way(problem, monkeypatch):
-    from drake_exo.soles.optimiser import minimise
+    from drake_exo.soles.optimize.optimizer import minimise
 
     p0, real = np.full(problem.spline.count, 0.96), problem._simulate
     lost = minimise(problem, p0, (0.5, 1.25), iterations=6).p
@@ -267,7 +266,7 @@ def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
     p = np.full(problem.spline.count, 0.96)
     problem.accept(p)
     assert problem.evaluate(0.99 * p) is not None
-    monkeypatch.setattr("drake_exo.soles.simulation._PATIENCE", 0.1)
+    monkeypatch.setattr("drake_exo.soles.step.simulation._PATIENCE", 0.1)
     assert problem.evaluate(0.98 * p) is None
     problem.leave_branch()
     assert problem.evaluate(0.98 * p) is not None
@@ -276,7 +275,7 @@ def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
 def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
     problem, monkeypatch
 ):
-    from drake_exo.soles.program import minimise_by_snopt
+    from drake_exo.soles.optimize.program import minimise_by_snopt
 
     asked, real = [], problem._simulate
 
@@ -300,7 +299,7 @@ def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
 
 
 def test_ctrl_c_ends_snopt(problem, monkeypatch):
-    from drake_exo.soles.program import minimise_by_snopt
+    from drake_exo.soles.optimize.program import minimise_by_snopt
 
     def interrupt(iteration, best):
         raise KeyboardInterrupt

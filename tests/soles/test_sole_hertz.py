@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from drake_exo.soles.elasticity import Material, Sole
-from drake_exo.soles.gauss_seidel import GaussSeidelSolver, contact_at_pose
+from drake_exo.soles.contact.gauss_seidel import (
+    GaussSeidelSolver,
+    contact_at_pose,
+)
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import Material, Sole
 from drake_exo.soles.mesh import checked_mesh, grid_mesh
-from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.results import nodal_areas
 
 E, NU, R, A = 1e6, 0.3, 1.0, 0.09  # a/R = 0.09

@@ -9,22 +9,21 @@ import numpy as np
 import pytest
 from small_step import optimize, stage, write_case, write_step
 
-from drake_exo.soles import judgement
-from drake_exo.soles.case import read_case
-from drake_exo.soles.checkpoint import read_checkpoint
-from drake_exo.soles.design import (
+from drake_exo.papers.de_magistris_cases import TABLE_2, five_cases
+from drake_exo.papers.de_magistris_tables import table
+from drake_exo.soles.case import LoadBlock, Pattern, read_case
+from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.optimize import verification as judgement
+from drake_exo.soles.optimize.checkpoint import read_checkpoint
+from drake_exo.soles.optimize.design import (
     first_design,
     optimise,
     stage_problem,
     without_limits,
 )
-from drake_exo.soles.load_blocks import LoadBlock, Pattern
-from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimiser import Optimum, minimise
-from drake_exo.soles.problem import ShapeProblem
+from drake_exo.soles.optimize.optimizer import Optimum, minimise
+from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.study_cases import TABLE_2, five_cases
-from drake_exo.soles.study_table import table
 
 
 def _write_case(path, intervals=5, layer_m=5e-5, iterations=3, **optimize):

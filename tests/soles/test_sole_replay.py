@@ -8,14 +8,14 @@ from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.soles.animation import SoleMotion
 from drake_exo.soles.case import MaterialBlock
-from drake_exo.soles.contact import ContactSolver, Start
-from drake_exo.soles.elasticity import Sole
+from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.node_law import ContactLaw
 from drake_exo.soles.replay import FIRST_HISTORY, HISTORY, replay_soles
 from drake_exo.soles.results import write_history
-from drake_exo.soles.simulation import simulate
+from drake_exo.soles.step.simulation import simulate
 
 TIMES = np.linspace(0.0, 0.4, 9)
 

@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 from small_step import write_case, write_step
 
-from drake_exo.output import read_json
-from drake_exo.soles import front, workers
-from drake_exo.soles.case import Stage, read_case
-from drake_exo.soles.design_folder import read_summary
-from drake_exo.soles.load_blocks import LoadBlock, Pattern
-from drake_exo.soles.optimiser import Optimum
-from drake_exo.soles.study_cases import TABLE_2, five_cases
-from drake_exo.soles.study_table import certainty_table, paper_cost, table
+from drake_exo.files.output import read_json
+from drake_exo.papers.de_magistris_cases import TABLE_2, five_cases
+from drake_exo.papers.de_magistris_tables import (
+    certainty_table,
+    paper_cost,
+    table,
+)
+from drake_exo.soles.case import LoadBlock, Pattern, Stage, read_case
+from drake_exo.soles.optimize import pareto as front
+from drake_exo.soles.optimize import workers
+from drake_exo.soles.optimize.design_folder import read_summary
+from drake_exo.soles.optimize.optimizer import Optimum
 
 
 def _write(path: Path, number: int) -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from drake_exo.soles import views
+from drake_exo.papers.de_magistris_pictures import radial_change
+from drake_exo.soles import pictures as views
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.study_pictures import radial_change
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import pytest
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
-from drake_exo.soles import strain_report
-from drake_exo.soles.design_folder import find_designs, read_steps
+from drake_exo.soles.optimize.design_folder import find_designs, read_steps
+from drake_exo.soles.step import strain_report
 
 
 def _write_inputs(place, name="small", element="linear"):

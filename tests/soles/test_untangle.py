@@ -3,7 +3,7 @@
 import numpy as np
 
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.untangle import untangled
+from drake_exo.soles.optimize.remeshing import untangled
 
 
 def _spoilt(seed):

@@ -10,11 +10,11 @@ import yaml
 import drake_exo
 from drake_exo.cli import main
 from drake_exo.errors import InputError
-from drake_exo.laboratory.loading import load_trials
-from drake_exo.laboratory.opensim_files import read_table
-from drake_exo.laboratory.sagittal import PlanarWrench
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.files.opensim import read_table
+from drake_exo.measurement.processing import load_trials
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
 from drake_exo.study import load_study
 from drake_exo.virtual_laboratory import campaign
 from drake_exo.virtual_laboratory.campaign import protocol, write_campaign

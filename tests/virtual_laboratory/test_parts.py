@@ -5,33 +5,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.description import fit_exoskeleton, nominal_human
-from drake_exo.forces.contact_parameters import nominal_contact
-from drake_exo.forces.diagram import build_diagram, nominal_bushings
-from drake_exo.laboratory.instruments import Mat, Scan
-from drake_exo.laboratory.mat_forces import cell_directions
-from drake_exo.planar_tree import PlanarTree
-from drake_exo.plant import build_plant
+from drake_exo.contact.diagram import build_diagram, nominal_bushings
+from drake_exo.contact.parameters import nominal_contact
+from drake_exo.measurement.instruments import Mat, Scan
+from drake_exo.measurement.mats import cell_directions
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
 from drake_exo.virtual_laboratory.control import (
     DeviceController,
     Friction,
     SubjectController,
     controller,
 )
-from drake_exo.virtual_laboratory.cuffs import Cuff, Cuffs, cuff_force
 from drake_exo.virtual_laboratory.disturbances import TRUTH
-from drake_exo.virtual_laboratory.feet import levelled, resting_foot
-from drake_exo.virtual_laboratory.loads import (
+from drake_exo.virtual_laboratory.forces import (
+    Cuff,
+    Cuffs,
+    Seat,
+    SeatParameters,
     applied,
     chair_wrench,
+    cuff_force,
     ground_wrench,
     interaction,
+    levelled,
+    resting_foot,
 )
-from drake_exo.virtual_laboratory.marker_errors import hide
-from drake_exo.virtual_laboratory.marker_set import (
-    marker_set,
-    study_markers,
-)
+from drake_exo.virtual_laboratory.markers import hide, marker_set, study_markers
 from drake_exo.virtual_laboratory.plan import Planner, RisePlan
 from drake_exo.virtual_laboratory.pressure_mats import (
     CELL_AREA_M2,
@@ -39,7 +40,6 @@ from drake_exo.virtual_laboratory.pressure_mats import (
     cell_pressures,
     write_scans,
 )
-from drake_exo.virtual_laboratory.seat import Seat, SeatParameters
 from drake_exo.virtual_laboratory.simulation import equilibrium
 from drake_exo.virtual_laboratory.truth import STANDING_COP_M, draw_truth
 

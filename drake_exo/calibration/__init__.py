@@ -1,0 +1,1 @@
+"""The phases: contact calibrated (A, B), movements predicted (C)."""

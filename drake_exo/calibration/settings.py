@@ -1,0 +1,383 @@
+"""Settings of the calibration phases, as they stand in a study file."""
+
+from dataclasses import dataclass, field, fields
+from typing import Literal
+
+from drake_exo.contact.hunt_crossley import (
+    Constants,
+    PaperConstants,
+    SimbodyConstants,
+    paper_stiffness,
+)
+from drake_exo.contact.parameters import ContactParameter, check_range
+from drake_exo.errors import InputError
+from drake_exo.files.schema import check_bounds
+from drake_exo.nlp.ipopt import SolverOptions
+
+_NEWTON_PER_M2 = "N/m^2"
+
+
+@dataclass(frozen=True)
+class Range:
+    """A parameter, in the unit of its key.
+
+    Attributes:
+        nominal: guess and prior mean; the value itself where not free.
+        lower, upper: bounds.
+        free: whether it is calibrated.
+    """
+
+    nominal: float
+    lower: float
+    upper: float
+    free: bool = True
+
+    def __post_init__(self):
+        check_range(self.nominal, self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A parameter whose nominal value the model gives.
+
+    Attributes:
+        below, above: how far the bounds lie from it.
+        shift: added to the model's value.
+        free: whether it is calibrated.
+    """
+
+    below: float = field(metadata={"unit": "m", "above": 0.0})
+    above: float = field(metadata={"unit": "m", "above": 0.0})
+    shift: float = field(default=0.0, metadata={"unit": "m"})
+    free: bool = True
+
+
+@dataclass(frozen=True)
+class SphereSettings:
+    """One contact sphere.
+
+    Attributes:
+        modulus_n_m2: plane-strain modulus E, both feet together [N/m^2].
+            The paper's law takes k = E^(2/3)/2 from it; bounds likewise.
+        dissipation_s_m: Hunt-Crossley dissipation [s/m].
+        x_m, z_m: place of the centre, about the model's heel or toe.
+        radius_m: coupled with z, so not free by default.
+    """
+
+    modulus_n_m2: Range = Range(1e7, 1e6, 1e8)
+    dissipation_s_m: Range = Range(1.0, 0.0, 5.0)
+    x_m: Spread = Spread(0.06, 0.06)
+    z_m: Spread = Spread(0.025, 0.025)
+    radius_m: Range = Range(0.032, 0.01, 0.06, free=False)
+
+
+def _sigma(default: float, unit: str):
+    return field(default=default, metadata={"unit": unit, "above": 0.0})
+
+
+@dataclass(frozen=True)
+class TrackingNoise:
+    """Standard deviation of each signal's measurement; weights are 1/s^2.
+
+    Attributes:
+        angle_deg, velocity_deg_s: human joints, by markers on skin.
+        exo_angle_deg, exo_velocity_deg_s: the exoskeleton's, by encoders.
+        foot_m, foot_pitch_deg: place of the foot.
+        foot_velocity_m_s, foot_pitch_rate_deg_s: its motion.
+        force_n, cop_m: ground reaction and centre of pressure.
+        torque_nm: typical torque; large, so that torques are minimised
+            without competing with what was measured.
+        jerk: typical jerk [rad/s^3 or m/s^3], likewise; much larger, and
+            the motion wiggles between the nodes.
+    """
+
+    angle_deg: float = _sigma(0.5, "deg")
+    velocity_deg_s: float = _sigma(4.0, "deg/s")
+    exo_angle_deg: float = _sigma(0.1, "deg")
+    exo_velocity_deg_s: float = _sigma(1.0, "deg/s")
+    foot_m: float = _sigma(0.005, "m")
+    foot_pitch_deg: float = _sigma(1.0, "deg")
+    foot_velocity_m_s: float = _sigma(0.03, "m/s")
+    foot_pitch_rate_deg_s: float = _sigma(5.0, "deg/s")
+    force_n: float = _sigma(5.0, "N")
+    cop_m: float = _sigma(0.001, "m")
+    torque_nm: float = _sigma(5000.0, "N m")
+    jerk: float = _sigma(200.0, "rad/s^3")
+
+
+@dataclass(frozen=True)
+class EndTolerance:
+    """How far the foot may be from what was measured at both ends.
+
+    Attributes:
+        x_m, z_m, pitch_deg: place and pitch of the foot.
+        velocity_m_s, pitch_rate_deg_s: its motion; null leaves it free, but
+            for being tracked.
+    """
+
+    x_m: float = _sigma(0.01, "m")
+    z_m: float = _sigma(0.005, "m")
+    pitch_deg: float = _sigma(2.0, "deg")
+    velocity_m_s: float | None = None
+    pitch_rate_deg_s: float | None = None
+
+
+@dataclass(frozen=True)
+class PredictionEnds(EndTolerance):
+    """As EndTolerance; with free velocities the feet may throw the body up."""
+
+    velocity_m_s: float | None = _sigma(0.05, "m/s")
+    pitch_rate_deg_s: float | None = _sigma(10.0, "deg/s")
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Grid and solver.
+
+    Attributes:
+        nodes_per_second: mesh intervals per second.
+        transcription: "hermite_simpson" (Drake's DirectCollocation) or
+            "pseudospectral" (the paper's, degree 3).
+        reduce: substitute the collocation constraints' basis; the same
+            optimum with fewer unknowns.
+        hessian: "gauss_newton" or "exact".
+        solver: "ipopt" (sparse derivatives) or "drake" (Drake's own
+            IpoptSolver: slow, for small cases).
+        tolerance: of optimality and feasibility, scaled.
+        max_iterations: of one attempt.
+    """
+
+    nodes_per_second: float = field(
+        default=200.0, metadata={"unit": "1/s", "minimum": 10.0}
+    )
+    transcription: Literal["hermite_simpson", "pseudospectral"] = (
+        "hermite_simpson"
+    )
+    reduce: bool = True
+    hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
+    solver: Literal["ipopt", "drake"] = "ipopt"
+    tolerance: float = field(default=1e-5, metadata={"above": 0.0})
+    max_iterations: int = field(default=300, metadata={"minimum": 1})
+
+    def options(self) -> SolverOptions:
+        """Options of the bridge to IPOPT."""
+        return SolverOptions(
+            tolerance=self.tolerance, max_iterations=self.max_iterations
+        )
+
+
+@dataclass(frozen=True)
+class FootGroundSettings:
+    """Phase A.
+
+    Attributes:
+        law: "simbody" or "paper". The paper's friction has zero slope at
+            zero slip, which slows an optimiser down.
+        constants: friction and smoothing constants of the law by name.
+        prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+        front: factors on the noise of forces and centre of pressure, for
+            the Pareto front of kinematics against forces.
+    """
+
+    law: Literal["simbody", "paper"] = "simbody"
+    constants: dict[str, float] = field(default_factory=dict)
+    heel: SphereSettings = SphereSettings()
+    toe: SphereSettings = SphereSettings()
+    noise: TrackingNoise = TrackingNoise()
+    end_tolerance: EndTolerance = EndTolerance()
+    prior_weight: float = field(default=0.01, metadata={"minimum": 0.0})
+    front: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    solver: Solver = Solver()
+
+    def law_constants(self) -> Constants:
+        """Constants of the law.
+
+        Raises:
+            InputError: a name that the law does not have, or a value out of
+                its bounds.
+        """
+        law = PaperConstants if self.law == "paper" else SimbodyConstants
+        known = {f.name: f.metadata for f in fields(law)}
+        for name, value in self.constants.items():
+            if name not in known:
+                raise InputError(
+                    f"foot_ground.constants: the law '{self.law}' has no "
+                    f"'{name}'; it has {', '.join(known)}"
+                )
+            check_bounds(f"foot_ground.constants.{name}", value, known[name])
+        return law(**self.constants)
+
+    def parameters(
+        self, heel_m: tuple[float, float], toe_m: tuple[float, float]
+    ) -> list[ContactParameter]:
+        """Contact parameters of both spheres, in the kernel's order.
+
+        Args:
+            heel_m, toe_m: the model's sphere centres in the foot frame.
+        """
+        return [
+            *_sphere("heel", self.heel, heel_m, self.law),
+            *_sphere("toe", self.toe, toe_m, self.law),
+        ]
+
+
+def _placed(name, spread, model):
+    """A place given about the model's own."""
+    return ContactParameter(
+        name,
+        "m",
+        model + spread.shift,
+        model - spread.below,
+        model + spread.above,
+        spread.free,
+    )
+
+
+def _sphere(name, settings, place, law):
+    def ranged(field_name, unit, r, convert=float):
+        values = (convert(v) for v in (r.nominal, r.lower, r.upper))
+        return ContactParameter(f"{name}.{field_name}", unit, *values, r.free)
+
+    paper = law == "paper"
+    return [
+        ranged(
+            "stiffness",
+            "(N/m^2)^(2/3)" if paper else _NEWTON_PER_M2,
+            settings.modulus_n_m2,
+            paper_stiffness if paper else float,
+        ),
+        ranged("dissipation", "s/m", settings.dissipation_s_m),
+        _placed(f"{name}.x", settings.x_m, place[0]),
+        _placed(f"{name}.z", settings.z_m, place[1]),
+        ranged("radius", "m", settings.radius_m),
+    ]
+
+
+def _damping(default: float, unit: str):
+    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
+
+
+@dataclass(frozen=True)
+class BushingSettings:
+    """One human-exoskeleton bushing.
+
+    Attributes:
+        origin_x_m, origin_z_m: about the model's cuff, in the human segment.
+        tangential_n_m, normal_n_m, rotational_nm_rad: stiffness.
+        tangential_damping, normal_damping, rotational_damping: constant
+            (paper, II-C).
+    """
+
+    origin_x_m: Spread = Spread(0.05, 0.05)
+    origin_z_m: Spread = Spread(0.1, 0.1)
+    tangential_n_m: Range = Range(2000.0, 100.0, 20000.0)
+    normal_n_m: Range = Range(5000.0, 100.0, 50000.0)
+    rotational_nm_rad: Range = Range(50.0, 1.0, 500.0)
+    tangential_damping: float = _damping(10.0, "N s/m")
+    normal_damping: float = _damping(10.0, "N s/m")
+    rotational_damping: float = _damping(0.1, "N m s/rad")
+
+    @property
+    def damping(self) -> tuple[float, float, float]:
+        """In the order of the bushing's components."""
+        return (
+            self.tangential_damping,
+            self.normal_damping,
+            self.rotational_damping,
+        )
+
+
+@dataclass(frozen=True)
+class InteractionNoise(TrackingNoise):
+    """Noise of the signals that Phases B and C track besides.
+
+    Attributes:
+        moment_nm: joint moments, human.
+        exo_moment_nm: joint moments, exoskeleton.
+        normal_force_n: resultant of a pressure mat: steps of 2.5 kPa on some
+            thirty loaded cells of 2 cm^2 are 0.8 N, of which the filter
+            leaves less than half.
+        energy_j: typical contact energy of a component; what is minimised is
+            the square of the energy over this.
+    """
+
+    moment_nm: float = _sigma(5.0, "N m")
+    exo_moment_nm: float = _sigma(1.0, "N m")
+    normal_force_n: float = _sigma(0.5, "N")
+    energy_j: float = _sigma(1.0, "J")
+
+
+@dataclass(frozen=True)
+class InteractionSettings:
+    """Phase B, and the models of Phase C.
+
+    Attributes:
+        prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+    """
+
+    shank: BushingSettings = BushingSettings()
+    thigh: BushingSettings = BushingSettings()
+    pelvis: BushingSettings = BushingSettings()
+    noise: InteractionNoise = InteractionNoise()
+    end_tolerance: EndTolerance = EndTolerance()
+    prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
+    solver: Solver = Solver()
+
+    @property
+    def damping(self) -> dict[str, tuple[float, float, float]]:
+        """Of each segment's bushing, in the order of its components."""
+        return {
+            name: getattr(self, name).damping
+            for name in ("shank", "thigh", "pelvis")
+        }
+
+    def parameters(
+        self, places: dict[str, tuple[float, float]]
+    ) -> list[ContactParameter]:
+        """Parameters of the three bushings, five each, in kernel order.
+
+        Args:
+            places: segment -> cuff (x, z) in the human segment [m].
+        """
+        return [
+            p
+            for name, place in places.items()
+            for p in _bushing(name, getattr(self, name), place)
+        ]
+
+
+@dataclass(frozen=True)
+class PredictionSettings:
+    """Phase C.
+
+    Attributes:
+        objective: "tracking" (forces, centre of pressure and torques, as the
+            paper) or "comfort" (interaction forces minimised, ground
+            reaction free, effort bounded).
+        torque_limit_nm: bound on every joint torque, both legs together.
+        guess: "data" or "line" (a minimum-jerk line between the end states).
+    """
+
+    objective: Literal["tracking", "comfort"] = "tracking"
+    noise: InteractionNoise = InteractionNoise()
+    end_tolerance: PredictionEnds = PredictionEnds()
+    torque_limit_nm: float = field(
+        default=1000.0, metadata={"unit": "N m", "above": 0.0}
+    )
+    guess: Literal["data", "line"] = "line"
+    solver: Solver = Solver()
+
+
+def _bushing(name, settings, place):
+    def ranged(what, unit, r):
+        return ContactParameter(
+            f"{name}.{what}", unit, r.nominal, r.lower, r.upper, r.free
+        )
+
+    return [
+        _placed(f"{name}.origin_x", settings.origin_x_m, place[0]),
+        _placed(f"{name}.origin_z", settings.origin_z_m, place[1]),
+        ranged("tangential_stiffness", "N/m", settings.tangential_n_m),
+        ranged("normal_stiffness", "N/m", settings.normal_n_m),
+        ranged("rotational_stiffness", "N m/rad", settings.rotational_nm_rad),
+    ]

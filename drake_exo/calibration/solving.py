@@ -1,0 +1,114 @@
+"""Solving a phase as a command does: progress, checkpoints, resuming."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.calibration.problem import PhaseProblem, PhaseResult
+from drake_exo.errors import InputError
+from drake_exo.files.output import Progress, read_arrays
+from drake_exo.nlp.ipopt import Iterate
+
+CHECKPOINT = "checkpoint.npz"
+_CHECKPOINT_SECONDS = 2.0
+
+
+class SolveWatch:
+    """Progress lines and checkpoints of a solve.
+
+    Args:
+        title: begins every line.
+        checkpoint: file that keeps the newest iterate.
+        fingerprint: of the problem, kept with it.
+    """
+
+    def __init__(self, title: str, checkpoint: Path, fingerprint: str):
+        self._progress = Progress(title)
+        self._checkpoint = checkpoint
+        self._fingerprint = fingerprint
+        self._saved = -np.inf
+
+    def __call__(self, iterate: Iterate) -> None:
+        """See `nlp.ipopt.solve`."""
+        self._progress.update(
+            f"{iterate.strategy} iteration {iterate.iteration}, objective "
+            f"{iterate.objective:.6g}, infeasibility "
+            f"{iterate.infeasibility:.1e}"
+        )
+        now = time.monotonic()
+        if iterate.x is None or now - self._saved < _CHECKPOINT_SECONDS:
+            return
+        self._saved = now
+        draft = self._checkpoint.with_name("checkpoint.tmp.npz")
+        np.savez(draft, x=iterate.x, fingerprint=self._fingerprint)
+        draft.replace(self._checkpoint)
+
+
+def solve(
+    problem: PhaseProblem, title: str, folder: Path, resume: bool
+) -> PhaseResult:
+    """Solve with progress; the newest iterate is kept in `folder`.
+
+    Args:
+        problem: the phase.
+        title: begins every line of progress.
+        folder: where checkpoint.npz is written while solving; it stays there
+            if the solve does not succeed.
+        resume: start from the checkpoint found there, if there is one.
+
+    Raises:
+        InputError: the checkpoint belongs to another problem, or is damaged;
+            or from the pre-flight check.
+    """
+    checkpoint = folder / CHECKPOINT
+    fingerprint = problem.compile().fingerprint()
+    guess = None
+    if resume and checkpoint.is_file():
+        size = problem.program.prog.num_vars()
+        guess = read_checkpoint(checkpoint, fingerprint, size)
+        print(f"{title}: resumed from {CHECKPOINT}")
+    watch = SolveWatch(title, checkpoint, fingerprint)
+    result = problem.solve(guess, on_iterate=watch)
+    if result.solution.success:
+        checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def read_checkpoint(path: Path, fingerprint: str, size: int) -> np.ndarray:
+    """The iterate (size,) that a run with the same fingerprint left.
+
+    Raises:
+        InputError: it is damaged, or of another problem.
+    """
+    arrays = read_arrays(path, "leave out --resume to start afresh")
+    if str(arrays.get("fingerprint")) != fingerprint:
+        raise InputError(
+            f"{path}: is of another study or other settings; leave out "
+            "--resume to start afresh"
+        )
+    x = arrays.get("x")
+    if (
+        x is None
+        or x.dtype != float
+        or x.shape != (size,)
+        or not np.isfinite(x).all()
+    ):
+        raise InputError(
+            f"{path}: holds no iterate of {size} numbers; leave out --resume "
+            "to start afresh"
+        )
+    return x
+
+
+def report_failure(result: PhaseResult) -> int:
+    """Say why a solve failed; returns the command's exit code."""
+    solution = result.solution
+    print(
+        f"not solved: {solution.status} after {solution.iterations} "
+        f"iterations. {solution.explain()} What was reached so far is "
+        "written, marked as failed."
+    )
+    return 130 if solution.status == "stopped by the user" else 1

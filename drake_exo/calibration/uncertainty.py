@@ -1,0 +1,297 @@
+"""How well the data determine calibrated parameters: intervals of 95 %.
+
+First-order propagation of the measurement noise through the conditions of the
+optimum (`nlp.sensitivity`). Noise has the standard deviations of the study
+file and the spectrum of its filter, so that it is correlated in time, and
+noise of velocities is the derivative of that of positions; given end states
+carry it too. The prior counts as one more measurement, of the nominal value.
+What tracks no measurement (energy, jerk) adds no noise but pulls parameters
+away from what the data say; the pull is reported beside.
+
+Which contact parameters do the data determine?
+
+After Van den Hof et al., as the paper uses it (II-C): singular values and
+vectors of the sensitivity of the predicted contact forces to the parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.calibration.problem import PhaseProblem, PhaseResult
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    GROUND_MOMENT_UNIT,
+    FootGroundKernel,
+)
+from drake_exo.collocation.trial_program import Movement
+from drake_exo.nlp.sensitivity import Response, response
+from drake_exo.nlp.sparse import SparseProgram
+
+_QUANTILE_95 = 1.959964
+# A parameter is identifiable if noise leaves less than this of its range.
+_IDENTIFIABLE = 0.1
+_FREQUENCIES_PER_CYCLE = 4  # resolution: a quarter of 1/duration
+_HIGHEST = 3.0  # of the cut-off frequency
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Of free parameters at an optimum.
+
+    Attributes:
+        names: (m,).
+        covariance: (m, m), by noise and prior.
+        pull: (m,) how far the terms that track nothing have moved each.
+        span: (m,) between the bounds.
+    """
+
+    names: list[str]
+    covariance: np.ndarray
+    pull: np.ndarray
+    span: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (m,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half of each 95 % interval (m,), the pull included."""
+        return _QUANTILE_95 * np.hypot(self.sd, self.pull)
+
+    @property
+    def identifiable(self) -> np.ndarray:
+        """Whether noise leaves each within a tenth of its range (m,)."""
+        return self.sd < _IDENTIFIABLE * self.span
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(m, m)."""
+        sd = np.maximum(self.sd, 1e-300)
+        return self.covariance / np.outer(sd, sd)
+
+
+def uncertainty(
+    problem: PhaseProblem,
+    result: PhaseResult,
+    cutoff_hz: float = 6.0,
+    order: int = 4,
+) -> Uncertainty | None:
+    """Covariance of the free parameters of a calibration.
+
+    Args:
+        problem: with its collocation constraints substituted.
+        result: its solution.
+        cutoff_hz, order: of the filter that the signals went through.
+
+    Returns:
+        None if nothing is free, or the collocation constraints were kept
+        (`reduce: false`): then given end states are no constraints.
+    """
+    free = [k for k, p in enumerate(problem.parameters) if p.free]
+    if not free or not result.settings.solver.reduce:
+        return None
+    program = problem.compile()
+    y = program.restrict(result.solution.raw_values())
+    index = problem.program.indices(problem.parameter_variables[free])
+    columns = program.unknowns.column_of(index)
+    unit = program.unknowns.scale[index]
+    found = response(program, y, columns)
+    found = Response(
+        unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
+    )
+    # By changes of the gradient with respect to program variables.
+    by_x = found.by_gradient @ program.unknowns.matrix.T
+    covariance = np.zeros((len(free), len(free)))
+    for movement in problem.movements:
+        for part in _noise(movement, program, found, by_x, cutoff_hz, order):
+            covariance += part @ part.T
+    weight = getattr(result.settings, "prior_weight", 0.0)
+    spans = np.array([problem.parameters[k].span for k in free])
+    by_prior = by_x[:, index] * (np.sqrt(weight) / spans)
+    covariance += by_prior @ by_prior.T
+    return Uncertainty(
+        [problem.parameters[k].name for k in free],
+        covariance,
+        found.by_gradient @ _regulariser(problem, program, y),
+        spans,
+    )
+
+
+def _noise(movement: Movement, program: SparseProgram, found, by_x, cut, order):
+    """Response (m, k) to independent unit noises, for each signal."""
+    times, weights = movement.grid.times, movement.grid.quadrature
+    values, slopes = noise_basis(times, cut, order)
+    responses = {}
+    for term in movement.tracked:
+        if term.role == "regulariser":
+            continue
+        variables = program.program.indices(term.variables)
+        gain = term.rows / term.sigma[:, :, None] ** 2
+        R = -np.einsum(
+            "pnm,nrm,n->pnr", by_x[:, variables], gain, weights, optimize=True
+        )
+        if term.role in ("position", "velocity"):
+            _add_ends(R, variables, program, found)
+            responses[term.role] = R, term.sigma
+            continue
+        for r in range(R.shape[2]):
+            sigma = np.where(np.isfinite(term.sigma[:, r]), term.sigma[:, r], 0)
+            yield (R[:, :, r] * sigma) @ values
+    if "position" in responses:
+        R, sigma = responses["position"]
+        R_v = responses["velocity"][0] if "velocity" in responses else 0.0 * R
+        for d in range(R.shape[2]):
+            yield sigma[0, d] * (R[:, :, d] @ values + R_v[:, :, d] @ slopes)
+
+
+def _add_ends(R, variables, program, found):
+    """Given end states carry the noise of the measurement."""
+    for node in (0, -1):
+        rows = program.rows.row_of(variables[node])
+        given = rows >= 0
+        unit = program.unknowns.scale[variables[node][given]]
+        R[:, node, given] += found.by_bounds[:, rows[given]] / unit
+
+
+def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
+    """Gradient of what tracks no measurement, the prior left out."""
+    x = program.expand(y)
+    g = np.zeros(len(x))
+    for movement in problem.movements:
+        jerk = problem.program.indices(movement.grid.jerk)
+        weight = movement.jerk_weight / movement.jerk_sigma**2
+        g[jerk] += weight * x[jerk]
+        weights = movement.grid.quadrature[:, None]
+        for term in movement.tracked:
+            if term.role == "regulariser":
+                index = problem.program.indices(term.variables)
+                g[index] += weights * x[index] / term.sigma**2
+    return program.unknowns.matrix.T @ g + program.residual_gradient(y)
+
+
+def noise_basis(
+    times: np.ndarray, cutoff_hz: float, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Independent parts of filtered white noise of unit variance.
+
+    Args:
+        times: (n,) [s].
+        cutoff_hz: where the filter damps amplitudes to 1/sqrt(2).
+        order: of the zero-lag Butterworth filter, in effect.
+
+    Returns:
+        values (n, k): noise is values @ white noise (k,); and their time
+        derivatives [1/s].
+    """
+    duration = times[-1] - times[0]
+    step = 1.0 / (_FREQUENCIES_PER_CYCLE * duration)
+    frequencies = step * (
+        0.5 + np.arange(int(np.ceil(_HIGHEST * cutoff_hz / step)))
+    )
+    gain = 1.0 / (
+        1.0 + (np.sqrt(2.0) - 1.0) * (frequencies / cutoff_hz) ** order
+    )
+    amplitude = gain / np.sqrt(np.sum(gain**2))
+    omega = 2.0 * np.pi * frequencies
+    phase = np.outer(times - times[0], omega)
+    c, s = amplitude * np.cos(phase), amplitude * np.sin(phase)
+    return np.hstack([c, s]), np.hstack([-omega * s, omega * c])
+
+
+# Parameters whose sensitivities point this nearly the same way are coupled.
+COUPLED = 0.99
+_LEAST_FORCE = 20.0
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Sensitivity of forces to parameters, in units of noise and range.
+
+    Attributes:
+        names: parameters, length m.
+        influence: (m,) RMS change of the forces, in standard deviations of
+            their noise, when a parameter moves by a quarter of its range.
+        singular_values: (m,) of the scaled sensitivity, largest first.
+        directions: (m, m) rows are the parameter combinations.
+        cosines: (m, m) between sensitivities; 1 for coupled parameters.
+    """
+
+    names: list[str]
+    influence: np.ndarray
+    singular_values: np.ndarray
+    directions: np.ndarray
+    cosines: np.ndarray
+
+    def coupled_pairs(self) -> list[tuple[str, str, float]]:
+        """Pairs that the data cannot tell apart, most coupled first."""
+        pairs = [
+            (self.names[i], self.names[j], float(self.cosines[i, j]))
+            for i in range(len(self.names))
+            for j in range(i + 1, len(self.names))
+            if abs(self.cosines[i, j]) >= COUPLED
+        ]
+        return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+    def advice(self) -> list[str]:
+        """What to fix, one sentence for each coupled pair."""
+        lines = []
+        for first, second, cosine in self.coupled_pairs():
+            i, j = self.names.index(first), self.names.index(second)
+            weaker = first if self.influence[i] < self.influence[j] else second
+            lines.append(
+                f"{first} and {second} are coupled (cosine {cosine:+.4f}): "
+                f"fix {weaker}, whose range moves the forces less"
+            )
+        return lines
+
+
+def contact_sensitivity(result: PhaseResult) -> Identifiability:
+    """Sensitivity of ground reaction and CoP at the calibrated motion.
+
+    All parameters of the spheres are looked at, fixed ones included.
+    """
+    settings = result.settings
+    kernel = FootGroundKernel(settings.law, settings.law_constants())
+    scale = np.array([p.span / 4.0 for p in result.parameters])
+    blocks = []
+    for t in result.trajectories:
+        n = len(t.times)
+        values = np.broadcast_to(result.values(), (n, len(scale)))
+        x = np.hstack([t.q[:, :3], t.v[:, :3], t.ground, values])
+        J = kernel.jacobian(x, None)[:, :, 9:]
+        J = J * np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])[:, None]
+        load = t.ground[:, 1]
+        keep = load > _LEAST_FORCE
+        J, load = J[keep], load[keep]
+        cop = -t.ground[keep, 2] / load
+        d_cop = -(J[:, 2] + cop[:, None] * J[:, 1]) / load[:, None]
+        noise = settings.noise
+        scaled = np.stack(
+            [
+                J[:, 0] / noise.force_n,
+                J[:, 1] / noise.force_n,
+                d_cop / noise.cop_m,
+            ],
+            axis=1,
+        )
+        blocks.append((scaled * scale).reshape(-1, len(scale)))
+    return analyse([p.name for p in result.parameters], np.vstack(blocks))
+
+
+def analyse(names: list[str], sensitivity: np.ndarray) -> Identifiability:
+    """Analyse a scaled sensitivity matrix (outputs, parameters)."""
+    norms = np.linalg.norm(sensitivity, axis=0)
+    unit = sensitivity / np.maximum(norms, 1e-300)
+    _, values, directions = np.linalg.svd(sensitivity, full_matrices=False)
+    return Identifiability(
+        names=list(names),
+        influence=norms / np.sqrt(len(sensitivity)),
+        singular_values=values,
+        directions=directions,
+        cosines=unit.T @ unit,
+    )

@@ -1,0 +1,81 @@
+"""The command `drake-exo`: one subcommand per job."""
+
+import argparse
+import errno
+import importlib
+import os
+import sys
+
+from drake_exo import __version__
+from drake_exo.errors import InputError
+
+# Each module offers `add_parser(subparsers)`, which sets `run=function(args)`
+# as a default. Modules are imported on demand: `drake-exo sole` must not load
+# the exoskeleton half, nor pay for it.
+_COMMANDS = {
+    "check": "drake_exo.cli.check",
+    "calibrate": "drake_exo.cli.calibrate",
+    "predict": "drake_exo.cli.predict",
+    "report": "drake_exo.cli.report",
+    "sensitivity": "drake_exo.cli.sensitivity",
+    "contact": "drake_exo.report.contact_figures",
+    "demo": "drake_exo.cli.demo",
+    "lab": "drake_exo.cli.lab",
+    "sole": "drake_exo.cli.sole",
+    "view": "drake_exo.cli.view",
+}
+
+# What a full or read-only disk answers; anything else is a mistake of ours.
+_NO_ROOM = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EROFS,
+    errno.EACCES,
+    errno.EPERM,
+    errno.EIO,
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one subcommand and return its exit code (2 for bad input)."""
+    return _run(parse(sys.argv[1:] if argv is None else argv))
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """Arguments of one subcommand, and its function as `run`."""
+    parser = argparse.ArgumentParser(prog="drake-exo", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    subparsers = parser.add_subparsers(dest="command", required=True)
+    wanted = next((a for a in argv if not a.startswith("-")), None)
+    names = [wanted] if wanted in _COMMANDS else list(_COMMANDS)
+    for name in names:
+        importlib.import_module(_COMMANDS[name]).add_parser(subparsers)
+    return parser.parse_args(argv)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run what was parsed; say in a sentence what a user can act upon."""
+    try:
+        return args.run(args) or 0
+    except InputError as error:
+        print(f"drake-exo: error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # Whoever read the output has gone, such as `head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        place = error.filename or getattr(args, "out", None) or "the results"
+        print(
+            f"drake-exo: error: {place}: cannot be written "
+            f"({error.strerror}); make room or choose another folder for "
+            "--out; what was written before is kept",
+            file=sys.stderr,
+        )
+        return 2
+    except KeyboardInterrupt:
+        print("drake-exo: interrupted", file=sys.stderr)
+        return 130

@@ -1,0 +1,66 @@
+"""`drake-exo check`: read and clean a study's files, report their quality."""
+
+import argparse
+from pathlib import Path
+
+from drake_exo.files.output import Progress, prepare_output_folder, write_json
+from drake_exo.measurement.processing import load_trials
+from drake_exo.measurement.quality import assess, text_of
+from drake_exo.study import load_study
+
+
+def add_parser(subparsers) -> None:
+    """Add `check` to the command line."""
+    parser = subparsers.add_parser(
+        "check",
+        help="read and clean a study's recordings and report their quality",
+        description=__doc__,
+    )
+    parser.add_argument("study", type=Path, metavar="STUDY.yaml")
+    parser.add_argument(
+        "--data-root",
+        type=Path,
+        help="folder that the study's relative paths start from; by default "
+        "the study file's own",
+    )
+    parser.add_argument(
+        "--out", type=Path, help="folder for report, pictures and trials"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace results in --out"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the report; write it with pictures to --out, if given."""
+    study, root = load_study(args.study, args.data_root)
+    folder = None
+    if args.out is not None:
+        folder = prepare_output_folder(args.out, args.force)
+    subject, trials = load_trials(study, root)
+    quality = assess(subject, trials)
+    print(text_of(quality))
+    if folder is not None:
+        with folder as out:
+            _write(out, subject, trials, quality)
+        print(f"report in {args.out}")
+    return 0
+
+
+def _write(out: Path, subject, trials, quality) -> None:
+    # Drawing is the slow part of starting: only where it is asked for.
+    from drake_exo.report.figures import quality_figure
+
+    (out / "quality.txt").write_text(text_of(quality) + "\n", encoding="utf-8")
+    write_json(
+        out / "quality.json",
+        {**quality.summary(), "standing": subject.report},
+    )
+    progress = Progress("drawing", total=len(trials))
+    for i, (trial, found) in enumerate(
+        zip(trials, quality.trials, strict=True)
+    ):
+        trial.save(out / trial.name)
+        quality_figure(out / f"{trial.name}.png", trial, found)
+        progress.update(trial.name, done=i + 1)

@@ -1,0 +1,240 @@
+"""`drake-exo predict`: movement and interaction of trials not calibrated on.
+
+Each trial with `use: prediction` is predicted by itself from its initial and
+final state (Phase C1; C2 with --scale-interaction 1.4).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import FunctionType
+
+from pydrake.systems.framework import System
+
+from drake_exo.calibration.audit import audit_trials
+from drake_exo.calibration.inputs import load_inputs
+from drake_exo.calibration.results import (
+    PARAMETERS,
+    read_calibration,
+    solve_summary,
+    write_model,
+    write_trajectories,
+)
+from drake_exo.calibration.scores import rmsd, spread
+from drake_exo.calibration.solving import report_failure, solve
+from drake_exo.cli.calibrate import add_study_arguments
+from drake_exo.errors import InputError, reason
+from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.report.figures import draw_figures
+from drake_exo.report.tables import format_table, rmsd_table
+
+
+def add_parser(subparsers) -> None:
+    """Add `predict` to the command line."""
+    parser = subparsers.add_parser(
+        "predict",
+        help="predict movement and interaction with calibrated contact",
+        description=__doc__,
+    )
+    add_study_arguments(parser)
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="results of 'drake-exo calibrate'",
+    )
+    parser.add_argument(
+        "--scale-interaction",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="of the interaction's stiffness and damping; 1.4 is Phase C2",
+    )
+    parser.add_argument(
+        "--objective",
+        choices=["tracking", "comfort"],
+        help="instead of the study's prediction.objective",
+    )
+    parser.add_argument(
+        "--torque-limit",
+        type=float,
+        metavar="NM",
+        help="instead of the study's prediction.torque_limit_nm",
+    )
+    parser.add_argument(
+        "--controller",
+        metavar="MODULE:NAME",
+        help="a stateless LeafSystem that gives the exoskeleton's torques, "
+        "such as drake_exo.contact.controllers:AssistController; "
+        "without it they are as measured",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Predict every trial, audit, and write everything to --out."""
+    settings_of = _settings(args)
+    contact = read_calibration(args.calibration)
+    contact_text = (args.calibration / PARAMETERS).read_text("utf-8")
+    controller = load_controller(args.controller)
+    inputs = load_inputs(args.study, args.data_root, "prediction")
+    settings = settings_of(inputs.study.prediction)
+    solved, pairs, code = [], [], 0
+    with prepare_output_folder(args.out, args.force, args.resume) as out:
+        write_model(out, inputs.model)
+        (out / PARAMETERS).write_text(contact_text, encoding="utf-8")
+        for loaded, trial in zip(inputs.loaded, inputs.trials, strict=True):
+            loaded.save(out / f"measured_{loaded.name}")
+            problem = inputs.prediction_problem(
+                trial, contact, settings, args.scale_interaction, controller
+            )
+            folder = out / f"unfinished_{trial.name}"
+            folder.mkdir(exist_ok=True)
+            result = solve(
+                problem, f"predict {trial.name}", folder, args.resume
+            )
+            solved.append((trial, result))
+            if result.solution.success:
+                folder.rmdir()
+                pairs.append((problem, result))
+                continue
+            print(trial.name, end=": ")
+            code = report_failure(result)
+            if code == 130:
+                break
+        summary = _summary(args, settings, solved, inputs)
+        _write(out, solved, summary)
+        if pairs:
+            summary["audit"] = audit_trials(
+                inputs.model, inputs.study.gravity_m_s2, pairs
+            )
+        write_json(out / "summary.json", summary)
+    if not code:
+        print(f"results in {args.out}")
+    return code
+
+
+def _settings(args):
+    """Function that puts options in the place of the study's settings.
+
+    Raises:
+        InputError: an option is out of bounds.
+    """
+    for name in ("scale_interaction", "torque_limit"):
+        value = getattr(args, name)
+        if value is not None and not 0.0 < value < float("inf"):
+            option = "--" + name.replace("_", "-")
+            raise InputError(f"{option} is {value:g}; give a positive number")
+    changes = {
+        "objective": args.objective,
+        "torque_limit_nm": args.torque_limit,
+    }
+    changes = {k: v for k, v in changes.items() if v is not None}
+    return lambda settings: replace(settings, **changes)
+
+
+def load_controller(name: str | None) -> System | None:
+    """Make the controller that MODULE:NAME names; None for none.
+
+    Raises:
+        InputError: there is no such thing, or it cannot be made.
+    """
+    if name is None:
+        return None
+    if not re.fullmatch(r"[\w.]+:\w+", name):
+        raise InputError(f"--controller is {name!r}; write it as MODULE:NAME")
+    module, _, attribute = name.partition(":")
+    remedy = (
+        "give the name of a class or function without arguments, in a module "
+        "that Python finds, that makes a LeafSystem"
+    )
+    try:
+        make = getattr(importlib.import_module(module), attribute)
+        if not isinstance(make, type | FunctionType):
+            raise TypeError("no class or function")
+        found = make()
+    except (Exception, SystemExit) as error:  # it is the user's own code
+        raise InputError(
+            f"--controller {name}: cannot be made ({reason(error)}); {remedy}"
+        ) from error
+    if not isinstance(found, System):
+        raise InputError(f"--controller {name}: is no Drake system; {remedy}")
+    return found
+
+
+def _summary(args, settings, solved, inputs) -> dict:
+    solves = [
+        {"trial": trial.name, **solve_summary(result.solution)}
+        for trial, result in solved
+    ]
+    complete = len(solves) == len(inputs.trials)
+    failed = [s for s in solves if not s["success"]]
+    total = {
+        key: sum(s[key] for s in solves)
+        for key in (
+            "iterations",
+            "build_seconds",
+            "solve_seconds",
+            "num_variables",
+            "num_constraints",
+            "jacobian_nonzeros",
+        )
+    }
+    return {
+        "phase": "prediction",
+        "subject": inputs.study.subject.name,
+        "objective": settings.objective,
+        "scale_interaction": args.scale_interaction,
+        "controller": args.controller,
+        "success": complete and not failed,
+        "status": failed[0]["status"] if failed else "solved",
+        **total,
+        "solves": solves,
+        "settings": asdict(settings),
+        "parameters": [],
+        "rmsd": [
+            rmsd(result.trajectories[0], trial)
+            for trial, result in solved
+            if result.solution.success
+        ],
+        "measured_sd": spread(inputs.trials),
+        "starts_from": (
+            "the measured chair force"
+            if any(t.chair is not None for t in inputs.loaded)
+            else "seat-off or later, without a chair"
+        ),
+    }
+
+
+def _write(
+    out: Path,
+    solved: list[tuple],
+    summary: dict,
+) -> None:
+    """Trajectories, tables and figures of the trials that were solved."""
+    good = [(t, r) for t, r in solved if r.solution.success]
+    if not good:
+        return
+    trajectories = [r.trajectories[0] for _, r in good]
+    write_trajectories(out, trajectories)
+    text = rmsd_table(summary["rmsd"], summary["measured_sd"])
+    text += f"\nmovements start from {summary['starts_from']}"
+    (out / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
+    print(text)
+    rows = [
+        [
+            s["trial"],
+            str(s["iterations"]),
+            s["build_seconds"],
+            s["solve_seconds"],
+            s["status"],
+        ]
+        for s in summary["solves"]
+    ]
+    print(format_table(["trial", "iterations", "build s", "solve s", ""], rows))
+    draw_figures(out, trajectories, [t for t, _ in good])

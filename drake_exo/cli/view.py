@@ -1,0 +1,140 @@
+"""`drake-exo view`: replays results in a browser, or saves the page.
+
+DIR is what `calibrate`, `predict`, `demo`, `sole simulate`, `sole optimize` or
+`sole study` wrote. The page is one HTML file that needs no network: trials to
+choose from, a time slider, measured beside simulated, forces as arrows, a
+sole's contact pressure in colour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import webbrowser
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from drake_exo.errors import InputError
+from drake_exo.files.output import read_json
+
+REPLAY = "replay.html"
+
+
+def add_parser(subparsers) -> None:
+    """Add `view` to the command line."""
+    parser = subparsers.add_parser(
+        "view",
+        help="replay results in a browser, or save the page",
+        description=__doc__,
+    )
+    parser.add_argument("results", type=Path, metavar="DIR")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.html",
+        help="save the page there and end, instead of serving it",
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace an earlier FILE.html"
+    )
+    parser.add_argument(
+        "--no-browser",
+        action="store_true",
+        help="serve the page and print its address, but open no browser",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page, then say where it is or serve it.
+
+    Raises:
+        InputError: there is nothing to replay in DIR, or FILE.html exists.
+    """
+    if args.out is not None:
+        _check_target(args.out, args.force)
+        write_view(args.results, args.out)
+        print(f"replay in {args.out}: open it in a browser")
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        write_view(args.results, Path(folder) / REPLAY)
+        _serve(Path(folder), not args.no_browser)
+    return 0
+
+
+def write_view(results: Path, path: Path) -> None:
+    """Write the page of all results under a folder.
+
+    Raises:
+        InputError: there is nothing to replay, or it cannot be written.
+    """
+    results = Path(results)
+    if not results.is_dir():
+        raise InputError(
+            f"{results}: is no folder; give the --out folder of a command"
+        )
+    # A half never loads the other one.
+    if _holds_soles(results):
+        from drake_exo.soles.replay import replay_soles as replay
+    else:
+        from drake_exo.report.replay import replay_results as replay
+    try:
+        replay(results, Path(path))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose another "
+            "place for --out"
+        ) from error
+
+
+def _holds_soles(results: Path) -> bool:
+    """Whether the results under a folder are of soles, or of movements.
+
+    Raises:
+        InputError: they are of both, or a summary cannot be read.
+    """
+    halves: dict[bool, Path] = {}
+    for path in sorted(results.rglob("summary.json")):
+        found = read_json(path, "run the command that wrote it again")
+        if isinstance(found, dict) and "phase" in found:
+            halves[False] = path.parent
+        elif isinstance(found, dict) and ("c_rot" in found or "cases" in found):
+            halves[True] = path.parent
+    if len(halves) > 1:
+        raise InputError(
+            f"{results}: holds movements and soles; view one of its folders, "
+            f"such as {halves[False]} or {halves[True]}"
+        )
+    return True in halves
+
+
+def _check_target(path: Path, force: bool) -> None:
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give a file for --out")
+    if path.exists() and not force:
+        raise InputError(
+            f"{path}: exists; choose another file for --out, or replace it "
+            "with --force"
+        )
+
+
+class _Silent(SimpleHTTPRequestHandler):
+    """Serves the page without a line for every request."""
+
+    def log_message(self, format: str, *args) -> None:
+        """Say nothing."""
+
+
+def _serve(folder: Path, open_browser: bool) -> None:
+    """Serve the page until Ctrl-C."""
+    handler = partial(_Silent, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        address = f"http://localhost:{server.server_port}/{REPLAY}"
+        print(f"replay at {address}; Ctrl-C ends", flush=True)
+        if open_browser:
+            webbrowser.open(address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()

@@ -1,0 +1,1 @@
+"""Trajectories of planar trees as mathematical programs."""

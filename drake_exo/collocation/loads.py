@@ -1,0 +1,236 @@
+"""Measured wrenches on bodies, such as the chair's, in equations of motion.
+
+The wrench is data at each node, but where the body is is not: a chair bears
+hundreds of newtons, and a hip that lies a centimetre from where markers saw
+it changes joint moments by newton metres. So the generalized force depends
+on q as in the Diagram, instead of being evaluated along the measured motion.
+
+An assist controller, written as a LeafSystem, inside a program.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.systems.framework import System
+from scipy.interpolate import CubicSpline
+
+from drake_exo.collocation.kernels import FORCE_UNIT, MOMENT_UNIT
+from drake_exo.errors import InputError, reason
+from drake_exo.model.planar_tree import PlanarTree
+
+
+class AppliedWrench:
+    """A wrench over time, on bodies of a model by share.
+
+    Args:
+        tree: the model.
+        shares: body name -> share of the wrench.
+        times: (n,) increasing [s].
+        wrench: (n, 3) F_x, F_z [N] and M_y = z F_x - x F_z about the
+            laboratory's origin [N m].
+    """
+
+    def __init__(
+        self,
+        tree: PlanarTree,
+        shares: Mapping[str, float],
+        times: np.ndarray,
+        wrench: np.ndarray,
+    ):
+        self._spline = CubicSpline(times, wrench)
+        nq = tree.num_positions
+        self._map = np.zeros((tree.angle_map.shape[0], nq))
+        self._map[:, 2:] = tree.angle_map
+        self._levers = []
+        for name, share in shares.items():
+            index = tree.body_index(name)
+            turn = self._map[tree.segment_of[index]]
+            self._levers.append((share, tree.origins[index], turn))
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """The wrench (n, 3) at times [s]."""
+        return self._spline(times)
+
+    def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Generalized forces (n, nq) of wrenches (n, 3) at positions q."""
+        c, s = self._directions(q)
+        F_x, F_z, M_y = wrench.T[:, :, None]
+        Q = np.zeros(q.shape, np.result_type(q, wrench))
+        for share, L, turn in self._levers:
+            x, z, dx, dz = self._point(q, c, s, L)
+            moment = M_y - (z[:, None] * F_x - x[:, None] * F_z)
+            # Angles are counter-clockwise, M_y is about y: clockwise.
+            Q += share * (F_x * dx + F_z * dz - moment * turn)
+            Q[:, 0] += share * F_x[:, 0]
+            Q[:, 1] += share * F_z[:, 0]
+        return Q
+
+    def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Derivatives (n, nq, nq) of `generalized` by q."""
+        c, s = self._directions(q)
+        F_x, F_z = wrench.T[:2, :, None]
+        nq = q.shape[1]
+        J = np.zeros((len(q), nq, nq))
+        for share, L, turn in self._levers:
+            _, _, dx, dz = self._point(q, c, s, L)
+            # Of the lever's ends: d2p/dtheta2 = -w L.
+            bend = F_x * (L.imag * s - L.real * c)
+            bend -= F_z * (L.real * s + L.imag * c)
+            J += share * np.einsum(
+                "nk,ki,kj->nij", bend, self._map, self._map, optimize=True
+            )
+            slide_x, slide_z = dx.copy(), dz.copy()
+            slide_x[:, 0] += 1.0
+            slide_z[:, 1] += 1.0
+            moved = F_x * slide_z - F_z * slide_x
+            J += share * turn[None, :, None] * moved[:, None, :]
+        return J
+
+    def _directions(self, q):
+        phi = q @ self._map.T
+        return np.cos(phi), np.sin(phi)
+
+    def _point(self, q, c, s, L):
+        """x, z (n,) of a point, and derivatives by angles (n, nq)."""
+        x = q[:, 0] + c @ L.real - s @ L.imag
+        z = q[:, 1] + s @ L.real + c @ L.imag
+        dx = (-s * L.real - c * L.imag) @ self._map
+        dz = (c * L.real - s * L.imag) @ self._map
+        return x, z, dx, dz
+
+
+class LoadedDynamicsKernel:
+    """A kernel of equations of motion, with an applied wrench.
+
+    Inputs and outputs as those of the inner kernel, whose inputs start with
+    q. Data: (n, 3) wrenches, as `AppliedWrench.at`; None for no load.
+
+    Args:
+        inner: such as DynamicsKernel; gets no data itself.
+        load: the wrench.
+    """
+
+    def __init__(self, inner, load: AppliedWrench):
+        self._inner = inner
+        self._load = load
+        nq = self._num_positions = inner.sparsity.shape[0]
+        self.sparsity = inner.sparsity.copy()
+        self.sparsity[2:, :nq] = True
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        r = self._inner.evaluate(x, None)
+        if data is None:
+            return r
+        q = x[:, : self._num_positions]
+        return r - self._load.generalized(q, data) / FORCE_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = self._inner.jacobian(x, None)
+        if data is None:
+            return J
+        nq = self._num_positions
+        J = J.copy()
+        J[:, :, :nq] -= self._load.by_positions(x[:, :nq], data) / FORCE_UNIT
+        return J
+
+
+STATE_PORT = "exoskeleton_state"
+TORQUE_PORT = "exoskeleton_torques"
+
+
+class ControllerKernel:
+    """Torques that a stateless controller gives, minus the control.
+
+    Inputs: the exoskeleton's angles (3) and rates (3), its torques (3). Data:
+    (n, 1) time [s]. Outputs: differences in units of 100 N m.
+
+    Args:
+        controller: has the input port exoskeleton_state (6: angles, rates)
+            and the output port exoskeleton_torques (3) [N m], no state, and
+            converts to AutoDiffXd.
+
+    Raises:
+        InputError: it is not such a system.
+    """
+
+    def __init__(self, controller: System):
+        if not controller.HasInputPort(STATE_PORT):
+            raise InputError(f"the controller has no input port '{STATE_PORT}'")
+        if not controller.HasOutputPort(TORQUE_PORT):
+            raise InputError(
+                f"the controller has no output port '{TORQUE_PORT}'"
+            )
+        if controller.num_continuous_states() > 0 or (
+            controller.num_discrete_state_groups() > 0
+        ):
+            raise InputError(
+                "the controller has state of its own; a prediction takes one "
+                "that depends on time and the exoskeleton's motion alone"
+            )
+        try:
+            derivative = controller.ToAutoDiffXd()
+        except Exception as error:  # it is the user's own code
+            raise InputError(
+                "the controller does not convert to AutoDiffXd; define it "
+                f"with TemplateSystem ({reason(error)})"
+            ) from error
+        self._systems = {
+            False: (controller, controller.CreateDefaultContext()),
+            True: (derivative, derivative.CreateDefaultContext()),
+        }
+        self._try()
+        self.sparsity = np.hstack(
+            [np.ones((3, 6), bool), np.eye(3, dtype=bool)]
+        )
+
+    def _try(self) -> None:
+        """Ask for torques at rest, with and without derivatives.
+
+        Raises:
+            InputError: ports of other sizes, or it cannot say.
+        """
+        try:
+            at_rest = self._torque(np.zeros(6), 0.0, False)
+            self._torque(InitializeAutoDiff(np.zeros(6)).ravel(), 0.0, True)
+        except Exception as error:  # it is the user's own code
+            raise InputError(
+                f"the controller gives no torques at rest ({reason(error)}); "
+                f"{STATE_PORT} must have 6 values, and all it needs"
+            ) from error
+        if at_rest.shape != (3,) or not np.isfinite(at_rest).all():
+            raise InputError(
+                f"the controller's {TORQUE_PORT} must be 3 finite numbers"
+            )
+
+    def _torque(self, state, time, derivatives):
+        system, context = self._systems[derivatives]
+        context.SetTime(time)
+        system.GetInputPort(STATE_PORT).FixValue(context, state)
+        return system.GetOutputPort(TORQUE_PORT).Eval(context)
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        torque = np.stack(
+            [
+                self._torque(row[:6], float(t), False)
+                for row, t in zip(x, data[:, 0], strict=True)
+            ]
+        )
+        return (torque - x[:, 6:]) / MOMENT_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = np.zeros((len(x), 3, 9))
+        for i, (row, t) in enumerate(zip(x, data[:, 0], strict=True)):
+            torque = self._torque(
+                InitializeAutoDiff(row[:6]).ravel(), float(t), True
+            )
+            gradient = ExtractGradient(torque)
+            # Empty where the controller depends on time alone.
+            if gradient.size:
+                J[i, :, :6] = gradient
+        J[:, np.arange(3), 6 + np.arange(3)] = -1.0
+        return J / MOMENT_UNIT

@@ -1,0 +1,314 @@
+"""Jerk-driven trajectories in a program: two collocation grids, one face.
+
+The states of every coordinate are position, velocity and acceleration, the
+control is jerk (implicit dynamics: the equations of motion are algebraic
+constraints added by the caller). This integrator is linear and the duration
+is given, so the collocation constraints are linear with constant
+coefficients, and each grid knows a sparse basis of their solutions: the
+bridge to IPOPT may substitute it and drop them.
+"""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import scipy.sparse as sp
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.planning import DirectCollocation
+from pydrake.systems.primitives import LinearSystem
+from scipy.interpolate import BSpline
+
+from drake_exo.nlp.program import AffineKernel, BatchedProgram
+from drake_exo.nlp.unknowns import Substitution
+
+# Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
+_SIZES = (1.0, 1.0, 10.0, 100.0)
+# How well a guess is to be kept: a tenth of a millimetre is tens of newtons
+# of contact force, while accelerations of a guess mean little.
+_ACCURACY = (1e-4, 1e-2, 3.0, 1e4)
+
+
+class Transcription(ABC):
+    """One trajectory of n_dof coordinates on a grid of nodes.
+
+    Attributes:
+        times: (n,) node times from 0 to duration [s].
+        quadrature: (n,) weights of an integral over time [s].
+        q, v, a: (n, n_dof) decision variables.
+        jerk: (n_controls, n_dof) decision variables; one row for each node,
+            but for a grid whose first node is not a collocation point.
+    """
+
+    times: np.ndarray
+    quadrature: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    jerk: np.ndarray
+
+    def __init__(self, program, name, num_dof, duration, num_intervals):
+        if num_intervals < 4:
+            raise ValueError(f"{name}: {num_intervals} intervals; 4 at least")
+        self.name = name
+        self.num_dof = num_dof
+        self.num_intervals = num_intervals
+        self.step = duration / num_intervals
+        self._add_to(program)
+        for array, size in zip(self._arrays(), _SIZES, strict=True):
+            for variable in array.ravel():
+                program.prog.SetVariableScaling(variable, size)
+
+    def _arrays(self):
+        return self.q, self.v, self.a, self.jerk
+
+    @abstractmethod
+    def _add_to(self, program: BatchedProgram) -> None:
+        """Add variables and collocation constraints."""
+
+    @staticmethod
+    @abstractmethod
+    def midpoints(times, q, v, a, jerk):
+        """State in the middle of each interval of a solution.
+
+        Args:
+            times, q, v, a, jerk: values at the nodes.
+
+        Returns:
+            times (m,), q, v, a (m, n_dof).
+        """
+
+    @abstractmethod
+    def _scalar_basis(self) -> tuple[sp.csr_array, np.ndarray]:
+        """Basis of one coordinate: rows q, v, a, jerk of all nodes.
+
+        And the typical size of each unknown.
+        """
+
+    def substitution(self, program: BatchedProgram) -> Substitution:
+        """All trajectory variables through the basis of this grid."""
+        basis, sizes = self._scalar_basis()
+        matrix = sp.kron(basis, sp.eye_array(self.num_dof), format="csr")
+        arrays = [x.ravel() for x in self._arrays()]
+        stacked = np.concatenate(arrays)
+        counts = [len(x) for x in arrays]
+        return Substitution(
+            variables=program.indices(stacked),
+            matrix=sp.csr_array(matrix),
+            offset=np.zeros(len(stacked)),
+            scale=np.repeat(sizes, self.num_dof),
+            accuracy=np.repeat(_ACCURACY, counts),
+        )
+
+
+class HermiteSimpson(Transcription):
+    """Drake's DirectCollocation; nodes are the mesh points.
+
+    With jerk linear in each interval, Hermite-Simpson integrates the three
+    integrators exactly: positions are quartic splines with continuous jerk.
+    """
+
+    def _add_to(self, program):
+        n_dof, n = self.num_dof, self.num_intervals + 1
+        self.times = self.step * np.arange(n)
+        self.quadrature = np.full(n, self.step)
+        self.quadrature[[0, -1]] *= 0.5
+        prog = program.prog
+        before = len(prog.generic_constraints())
+        system = _integrator(n_dof)
+        collocation = DirectCollocation(
+            system,
+            system.CreateDefaultContext(),
+            n,
+            self.step,
+            self.step,
+            prog=prog,
+        )
+        # Its constraints point to contexts that it owns, and to the system.
+        program.keep_alive((system, collocation))
+        states = np.stack([collocation.state(i) for i in range(n)])
+        self.q, self.v, self.a = np.split(states, 3, axis=1)
+        self.jerk = np.stack([collocation.input(i) for i in range(n)])
+        bindings = prog.generic_constraints()[before:]
+        # Every trial's constraints carry the same names otherwise.
+        for i, binding in enumerate(bindings):
+            binding.evaluator().set_description(f"{self.name} collocation[{i}]")
+        kernel = AffineKernel(_constant_jacobian(bindings[0], self.step))
+        zero = np.zeros((len(bindings), 3 * n_dof))
+        program.register(
+            f"{self.name} collocation", kernel, bindings, zero, zero
+        )
+
+    @staticmethod
+    def midpoints(times, q, v, a, jerk):
+        """See Transcription; jerk is linear in each interval."""
+        s = 0.5 * np.diff(times)[:, None]
+        j0, j1 = jerk[:-1], jerk[1:]
+        snap = 0.5 * (j1 - j0) / s
+        a_mid = a[:-1] + s * (j0 + s * snap / 2.0)
+        v_mid = v[:-1] + s * (a[:-1] + s * (j0 / 2.0 + s * snap / 6.0))
+        q_mid = q[:-1] + s * (
+            v[:-1] + s * (a[:-1] / 2.0 + s * (j0 / 6.0 + s * snap / 24.0))
+        )
+        return times[:-1] + s[:, 0], q_mid, v_mid, a_mid
+
+    def _scalar_basis(self):
+        n = self.num_intervals + 1
+        spline = BSpline.basis_element(np.arange(6.0))
+        at = np.arange(4.0, 0.0, -1.0)
+        blocks = []
+        for order in range(4):
+            # The spline is C3: its third derivative has a value at knots.
+            values = spline.derivative(order)(at) if order else spline(at)
+            values = values / self.step**order
+            blocks.append(
+                sp.diags_array(
+                    [np.full(n, value) for value in values],
+                    offsets=[0, 1, 2, 3],
+                    shape=(n, n + 3),
+                )
+            )
+        return sp.vstack(blocks).tocsr(), np.ones(n + 3)
+
+
+class Pseudospectral(Transcription):
+    """Degree-3 polynomials at Radau points, as in the paper (II-C).
+
+    Nodes are the start and the three collocation points of each interval;
+    the last of them is the interval's end. The integrators hold at the
+    collocation points.
+    """
+
+    def _add_to(self, program):
+        n_dof, intervals = self.num_dof, self.num_intervals
+        points, weights, D = radau_points()
+        self._D = D
+        self.times = np.r_[
+            0.0,
+            (self.step * (np.arange(intervals)[:, None] + points)).ravel(),
+        ]
+        self.quadrature = np.r_[0.0, np.tile(self.step * weights, intervals)]
+        n = 3 * intervals + 1
+        prog = program.prog
+        states = prog.NewContinuousVariables(n * 3 * n_dof, f"{self.name} x")
+        states = states.reshape(n, 3 * n_dof)
+        self.q, self.v, self.a = np.split(states, 3, axis=1)
+        jerk = prog.NewContinuousVariables((n - 1) * n_dof, f"{self.name} u")
+        self.jerk = jerk.reshape(n - 1, n_dof)
+        A = np.kron(_interval_equations(D, self.step), np.eye(n_dof))
+        first = 3 * np.arange(intervals)
+        columns = [
+            array[first + k]
+            for array in (self.q, self.v, self.a)
+            for k in range(4)
+        ]
+        columns += [self.jerk[first + k] for k in range(3)]
+        program.add_constraints(
+            f"{self.name} collocation",
+            AffineKernel(A),
+            np.concatenate(columns, axis=1),
+        )
+
+    @staticmethod
+    def midpoints(times, q, v, a, jerk):
+        """See Transcription; each state is a cubic in each interval."""
+        points, _, _ = radau_points()
+        nodes = np.r_[0.0, points]
+        weights = np.array(
+            [
+                np.prod(0.5 - np.delete(nodes, i))
+                / np.prod(nodes[i] - np.delete(nodes, i))
+                for i in range(4)
+            ]
+        )
+        first = np.arange(0, len(times) - 1, 3)
+        middle = [
+            sum(w * x[first + i] for i, w in enumerate(weights))
+            for x in (q, v, a)
+        ]
+        return 0.5 * (times[first] + times[first + 3]), *middle
+
+    def _scalar_basis(self):
+        """Values q, v, a at the mesh points determine each interval."""
+        h, intervals = self.step, self.num_intervals
+        n = 3 * intervals + 1
+        # Columns: q0..q3, v0..v3, a0..a3, j1..j3, in units of h = 1.
+        A = _interval_equations(self._D, 1.0)
+        ends = [0, 4, 8, 3, 7, 11]
+        inner = [1, 2, 5, 6, 9, 10, 12, 13, 14]
+        orders = np.repeat([0, 1, 2, 3], [2, 2, 2, 3])
+        inside = -np.linalg.solve(A[:, inner], A[:, ends])
+        inside *= h ** (np.tile([0.0, 1.0, 2.0], 2) - orders[:, None])
+        places = orders * n + np.array([1, 2, 1, 2, 1, 2, 0, 1, 2])
+        k = 3 * np.arange(intervals)[:, None, None]
+        shape = (intervals, 9, 6)
+        mesh = 3 * np.arange(intervals + 1)[:, None]
+        rows = [
+            np.broadcast_to(k + places[:, None], shape).ravel(),
+            (mesh + n * np.arange(3)).ravel(),
+        ]
+        columns = [
+            np.broadcast_to(k + np.arange(6), shape).ravel(),
+            (mesh + np.arange(3)).ravel(),
+        ]
+        values = [
+            np.broadcast_to(inside, shape).ravel(),
+            np.ones(3 * (intervals + 1)),
+        ]
+        basis = sp.csr_array(
+            (
+                np.concatenate(values),
+                (np.concatenate(rows), np.concatenate(columns)),
+            ),
+            shape=(4 * n - 1, 3 * (intervals + 1)),
+        )
+        return basis, np.tile([1.0, 1.0, 10.0], intervals + 1)
+
+
+TRANSCRIPTIONS = {
+    "hermite_simpson": HermiteSimpson,
+    "pseudospectral": Pseudospectral,
+}
+
+
+def radau_points():
+    """Radau points of degree 3 on (0, 1].
+
+    Returns:
+        points (3,), quadrature weights (3,), and D (3, 4): derivatives at
+        the points of the Lagrange polynomials through 0 and the points.
+    """
+    root6 = np.sqrt(6.0)
+    points = np.array([(4.0 - root6) / 10.0, (4.0 + root6) / 10.0, 1.0])
+    powers = np.vander(points, 3, increasing=True)
+    weights = np.linalg.solve(powers.T, 1.0 / np.arange(1.0, 4.0))
+    nodes = np.r_[0.0, points]
+    D = np.empty((3, 4))
+    for i in range(4):
+        poly = np.poly1d(np.delete(nodes, i), r=True)
+        D[:, i] = poly.deriv()(points) / poly(nodes[i])
+    return points, weights, D
+
+
+def _interval_equations(D, h):
+    """D q = h v, D v = h a, D a = h j at the three points, (9, 15)."""
+    A = np.zeros((9, 15))
+    for block in range(3):
+        rows = slice(3 * block, 3 * block + 3)
+        A[rows, 4 * block : 4 * block + 4] = D
+        first = 12 if block == 2 else 4 * (block + 1) + 1
+        A[rows, first : first + 3] = -h * np.eye(3)
+    return A
+
+
+def _integrator(n_dof):
+    """States q, v, a; input jerk."""
+    zero, eye = np.zeros((n_dof, n_dof)), np.eye(n_dof)
+    A = np.block([[zero, eye, zero], [zero, zero, eye], [zero, zero, zero]])
+    B = np.vstack([zero, zero, eye])
+    return LinearSystem(A, B, np.zeros((0, 3 * n_dof)), np.zeros((0, n_dof)))
+
+
+def _constant_jacobian(binding, step):
+    """The collocation constraint is linear once its time step is fixed."""
+    x = np.zeros(len(binding.variables()))
+    x[0] = step
+    return ExtractGradient(binding.evaluator().Eval(InitializeAutoDiff(x)))

@@ -1,0 +1,1 @@
+"""Force laws and their derivatives, and LeafSystems around them."""

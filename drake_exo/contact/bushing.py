@@ -1,0 +1,211 @@
+"""Planar bushing: the spring–damper between a human and an exoskeleton link.
+
+Defined as in OpenSim. Frame F1 sits on the human link at `origin`, parallel
+to it; F2 sits on the exoskeleton link. Deflection is the pose of F2 seen from
+F1, in F1's axes, and its rate is the time derivative seen from F1. The force
+is linear in both; it acts at F2's origin on both links, equal and opposite,
+so that the pair leaves no moment behind.
+
+Components, in this order everywhere:
+
+- tangential: along the human link (z of F1), m and N;
+- normal: perpendicular to it (x of F1), m and N;
+- rotation: toes-up positive (about world −y), rad and N·m.
+
+Reported force is the force **on the human**. With deflection d it is
+K d + B ḋ: an exoskeleton displaced forwards pulls the human forwards. The
+power of the pair is −F·ḋ, so its generalised force is −(∂d/∂q)ᵀ F.
+
+Pure functions of arrays that broadcast; float, complex, AutoDiffXd and
+Expression. Poses are (x, z, angle) and motions (v_x, v_z, rate) of the link
+frames in the world, angle counter-clockwise seen from the right side.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from drake_exo.contact.scalars import any_scalar, cos, sin
+
+COMPONENTS = ("tangential", "normal", "rotation")
+
+
+def _parameter(default: float, unit: str, **bounds):
+    return field(default=default, metadata={"unit": unit, **bounds})
+
+
+@dataclass(frozen=True)
+class BushingParameters:
+    """One bushing. Fields may also hold AutoDiffXd or Expression values.
+
+    `origin` places F1 in the human link frame and F2 at the same place of the
+    exoskeleton link, so that they coincide while both chains are aligned.
+    `preload` moves F2 from there in the axes of the exoskeleton link (strap
+    preload), zero by default.
+    """
+
+    origin_x: float = _parameter(0.0, "m")
+    origin_z: float = _parameter(0.0, "m")
+    tangential_stiffness: float = _parameter(2000.0, "N/m", minimum=0.0)
+    normal_stiffness: float = _parameter(5000.0, "N/m", minimum=0.0)
+    rotational_stiffness: float = _parameter(50.0, "N m/rad", minimum=0.0)
+    tangential_damping: float = _parameter(10.0, "N s/m", minimum=0.0)
+    normal_damping: float = _parameter(10.0, "N s/m", minimum=0.0)
+    rotational_damping: float = _parameter(0.1, "N m s/rad", minimum=0.0)
+    preload_x: float = _parameter(0.0, "m")
+    preload_z: float = _parameter(0.0, "m")
+    preload_angle: float = _parameter(0.0, "rad")
+
+    @property
+    def stiffness(self) -> tuple:
+        """Stiffnesses in the order of COMPONENTS."""
+        return (
+            self.tangential_stiffness,
+            self.normal_stiffness,
+            self.rotational_stiffness,
+        )
+
+    @property
+    def damping(self) -> tuple:
+        """Dampings in the order of COMPONENTS."""
+        return (
+            self.tangential_damping,
+            self.normal_damping,
+            self.rotational_damping,
+        )
+
+    @property
+    def origin(self) -> tuple:
+        """(x, z) of F1 in the human link."""
+        return self.origin_x, self.origin_z
+
+    @property
+    def preload(self) -> tuple:
+        """(x, z, angle) of F2 relative to its aligned place."""
+        return self.preload_x, self.preload_z, self.preload_angle
+
+    def scaled(self, factor: float) -> "BushingParameters":
+        """Stiffness and damping times `factor`; origins stay (Phase C2)."""
+        names = [
+            name
+            for name in self.__dataclass_fields__
+            if name.endswith(("_stiffness", "_damping"))
+        ]
+        values = {**self.__dict__}
+        values.update({name: factor * values[name] for name in names})
+        return BushingParameters(**values)
+
+
+class Components(NamedTuple):
+    """Values in the order of COMPONENTS."""
+
+    tangential: object
+    normal: object
+    rotation: object
+
+
+class BushingWrench(NamedTuple):
+    """Wrench on the human in the world, at F2's origin."""
+
+    force_x: object  # N
+    force_z: object  # N
+    moment: object  # N·m, toes-up positive (about world −y)
+    point_x: object  # m
+    point_z: object  # m
+
+
+@any_scalar
+def bushing_deflection(
+    human_pose,
+    human_motion,
+    exoskeleton_pose,
+    exoskeleton_motion,
+    origin,
+    preload=(0.0, 0.0, 0.0),
+) -> tuple[Components, Components]:
+    """Deflection of a bushing and its rate.
+
+    Args:
+        human_pose, exoskeleton_pose: (x, z, angle) of the link frames, each
+            entry of any shape (...); an array of shape (3, ...) will do.
+        human_motion, exoskeleton_motion: (v_x, v_z, rate) likewise.
+        origin: (x, z) of F1 in the human link and of F2 in the exoskeleton's.
+        preload: (x, z, angle) of F2 relative to its aligned place.
+
+    Returns:
+        (deflection, rate): [m, m, rad] and [m/s, m/s, rad/s], each entry of
+        the broadcast shape.
+    """
+    x_h, z_h, angle_h = human_pose
+    x_e, z_e, angle_e = exoskeleton_pose
+    vx_h, vz_h, rate_h = human_motion
+    vx_e, vz_e, rate_e = exoskeleton_motion
+    cos_h, sin_h = cos(angle_h), sin(angle_h)
+    turn, turn_rate = angle_e - angle_h, rate_e - rate_h
+    cos_t, sin_t = cos(turn), sin(turn)
+    # Exoskeleton link seen from the human link, in its axes.
+    r_x = cos_h * (x_e - x_h) + sin_h * (z_e - z_h)
+    r_z = cos_h * (z_e - z_h) - sin_h * (x_e - x_h)
+    v_x = cos_h * (vx_e - vx_h) + sin_h * (vz_e - vz_h) + rate_h * r_z
+    v_z = cos_h * (vz_e - vz_h) - sin_h * (vx_e - vx_h) - rate_h * r_x
+    # F2's origin in the exoskeleton link, turned into the human link.
+    a_x, a_z = origin[0] + preload[0], origin[1] + preload[1]
+    s_x = cos_t * a_x - sin_t * a_z
+    s_z = sin_t * a_x + cos_t * a_z
+    deflection = Components(
+        r_z + s_z - origin[1], r_x + s_x - origin[0], turn + preload[2]
+    )
+    rate = Components(v_z + turn_rate * s_x, v_x - turn_rate * s_z, turn_rate)
+    return deflection, rate
+
+
+@any_scalar
+def bushing_force(deflection, rate, stiffness, damping) -> Components:
+    """Force on the human in F1: K d + B ḋ, component by component.
+
+    Args:
+        deflection, rate: As from `bushing_deflection`.
+        stiffness, damping: Three values in the order of COMPONENTS.
+    """
+    return Components(
+        *(
+            k * d + b * d_dot
+            for k, d, b, d_dot in zip(
+                stiffness, deflection, damping, rate, strict=True
+            )
+        )
+    )
+
+
+@any_scalar
+def bushing_energy(deflection, stiffness) -> Components:
+    """Energy ½ k d² [J] stored in each component."""
+    return Components(
+        *(0.5 * k * d * d for k, d in zip(stiffness, deflection, strict=True))
+    )
+
+
+@any_scalar
+def bushing_wrench(
+    force, human_pose, exoskeleton_pose, origin, preload=(0.0, 0.0, 0.0)
+) -> BushingWrench:
+    """Wrench on the human in world axes at F2's origin.
+
+    The exoskeleton receives the opposite at the same point.
+
+    Args:
+        force: From `bushing_force`.
+        human_pose, exoskeleton_pose, origin, preload: As given to
+            `bushing_deflection`.
+    """
+    cos_h, sin_h = cos(human_pose[2]), sin(human_pose[2])
+    x_e, z_e, angle_e = exoskeleton_pose
+    cos_e, sin_e = cos(angle_e), sin(angle_e)
+    a_x, a_z = origin[0] + preload[0], origin[1] + preload[1]
+    tangential, normal, rotation = force
+    return BushingWrench(
+        cos_h * normal - sin_h * tangential,
+        sin_h * normal + cos_h * tangential,
+        rotation,
+        x_e + cos_e * a_x - sin_e * a_z,
+        z_e + sin_e * a_x + cos_e * a_z,
+    )

@@ -1,0 +1,102 @@
+"""A joint-torque controller that follows a trajectory.
+
+An assist controller for predictions: a pulse of hip and knee extension.
+
+An example to start from: a controller is a LeafSystem without state, with the
+input exoskeleton_state (angles, then rates of ankle, knee, hip) and the
+output exoskeleton_torques [N m], defined with TemplateSystem so that it
+converts to AutoDiffXd. `drake-exo predict --controller MODULE:NAME` puts it
+into the program itself.
+"""
+
+import numpy as np
+from pydrake.systems.framework import LeafSystem, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+from scipy.interpolate import CubicSpline
+
+from drake_exo.contact.scalars import sin
+
+
+class TrackingController(LeafSystem):
+    """Feed-forward torques plus proportional-derivative feedback.
+
+    Input state (q, v); output joint_torques, one for each coordinate after
+    the foot's three [N m].
+
+    Args:
+        times: (n,) [s].
+        q, v: (n, nq) reference.
+        torque: (n, nq - 3) feed-forward [N m].
+        stiffness: of the feedback [N m/rad].
+        damping: of the feedback [N m s/rad].
+    """
+
+    def __init__(self, times, q, v, torque, stiffness=500.0, damping=30.0):
+        super().__init__()
+        self.set_name("tracking_controller")
+        self._q = CubicSpline(times, q)
+        self._v = CubicSpline(times, v)
+        self._torque = CubicSpline(times, torque)
+        self._gains = stiffness, damping
+        self._num_positions = nq = q.shape[1]
+        self.DeclareVectorInputPort("state", 2 * nq)
+        self.DeclareVectorOutputPort("joint_torques", nq - 3, self._calc)
+
+    def _calc(self, context, output):
+        state = self.GetInputPort("state").Eval(context)
+        q, v = np.split(state, [self._num_positions])
+        t = context.get_time()
+        stiffness, damping = self._gains
+        torque = self._torque(t)
+        torque = torque + stiffness * (self._q(t) - q)[3:]
+        torque = torque + damping * (self._v(t) - v)[3:]
+        output.SetFromVector(torque)
+
+
+@TemplateSystem.define("AssistController_")
+def AssistController_(T):
+    """Gravity-like support at knee and hip that fades as they extend.
+
+    torque = -support sin(angle) - damping rate, at knee and hip; flexion is
+    positive, so support extends.
+
+    Args of the constructor:
+        knee_nm, hip_nm: support at a right angle, both legs [N m].
+        damping: [N m s/rad].
+
+    Input exoskeleton_state (6): ankle, knee, hip [rad], then rates [rad/s].
+    Output exoskeleton_torques (3): ankle, knee, hip [N m].
+    """
+
+    class Impl(LeafSystem_[T]):
+        def _construct(
+            self,
+            knee_nm: float = 15.0,
+            hip_nm: float = 15.0,
+            damping: float = 0.5,
+            converter=None,
+        ):
+            LeafSystem_[T].__init__(self, converter=converter)
+            self.set_name("assist_controller")
+            self._support = knee_nm, hip_nm
+            self._damping = damping
+            self.DeclareVectorInputPort("exoskeleton_state", 6)
+            self.DeclareVectorOutputPort("exoskeleton_torques", 3, self._calc)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(
+                self, *other._support, other._damping, converter=converter
+            )
+
+        def _calc(self, context, output):
+            state = self.GetInputPort("exoskeleton_state").Eval(context)
+            output.SetAtIndex(0, T(0.0))
+            for joint, support in zip((1, 2), self._support, strict=True):
+                torque = -support * sin(state[joint])
+                torque = torque - self._damping * state[3 + joint]
+                output.SetAtIndex(joint, torque)
+
+    return Impl
+
+
+AssistController = AssistController_[None]

@@ -1,0 +1,605 @@
+"""Friction and smoothing constants of the two contact laws.
+
+Field metadata hold unit and bounds, so that a study file can be read straight
+into these classes. Fields may also hold AutoDiffXd or Expression values.
+
+Smooth Hunt–Crossley force between a sphere and the ground plane z = 0.
+
+Two laws, chosen by name. They are not interchangeable: a stiffness calibrated
+with one is wrong in the other.
+
+`paper`
+    Serrancolí et al., appendix 1 (equations 4 to 7): Hertz force with a
+    dissipative factor, both gated by tanh, a small term that keeps the slope
+    positive when there is no contact, and Stribeck friction from fifth-order
+    steps. Its stiffness k is half the plane-strain modulus to the power 2/3.
+`simbody`
+    `SmoothSphereHalfSpaceForce` of OpenSim and Simbody. Its stiffness is the
+    plane-strain modulus E in N/m².
+
+Everything here is a pure function of arrays that broadcast, for float and
+complex numpy arrays, AutoDiffXd and Expression (`forces.scalars`). The
+derivatives are in `hunt_crossley_derivatives`.
+
+Signs: indentation is positive inside the ground, its rate is positive while
+the sphere sinks, slip velocity is along world x, normal force is along world
+z, friction along world x.
+
+First derivatives of the contact laws, analytic, for whole float arrays.
+
+The collocation evaluates every sphere at every node in each iteration, so
+intermediate results are shared and each tanh, exp and root is taken once.
+Tests hold these functions to complex-step derivatives of
+`hunt_crossley.sphere_force`.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from drake_exo.contact.scalars import (
+    any_scalar,
+    exp,
+    maximum,
+    minimum,
+    select_less,
+    sqrt,
+    tanh,
+)
+from drake_exo.errors import InputError
+
+
+def _constant(default: float, unit: str, **bounds):
+    return field(default=default, metadata={"unit": unit, **bounds})
+
+
+@dataclass(frozen=True)
+class PaperConstants:
+    """Constants of the paper's law.
+
+    Friction values are the ones usual with OpenSim; the paper prints none,
+    nor its smoothing constants. Those are chosen here:
+
+    - b_c = 300 for indentation (1/m) and for its rate (s/m), as the paper
+      uses one letter for both: the Hertz force is within 0.3 % of the sharp
+      law from 10 mm on, and adhesion stays below 0.21 c/300 of it.
+    - b_d = 20 1/m, b_n = 1 N: out of contact the total force stays under
+      0.48 N and its slope above 2.9 N/m down to 50 mm above the ground. A
+      sharper b_d would remove the slope that the term is meant to give.
+    - b_v = 50 s/m as in Simbody.
+    - delta = 10 µm keeps the Hertz part below 0.02 N at zero indentation up
+      to E = 4e7 N/m² at 32 mm radius (`regularisation_length` for others).
+    - epsilon = 10 µm/s only makes √(v²) differentiable at rest.
+    """
+
+    static_friction: float = _constant(0.8, "1", minimum=0.0)
+    dynamic_friction: float = _constant(0.8, "1", minimum=0.0)
+    viscous_friction: float = _constant(0.5, "s/m", minimum=0.0)
+    transition_velocity: float = _constant(0.05, "m/s", above=0.0)
+    hertz_sharpness: float = _constant(300.0, "1/m", above=0.0)
+    damping_sharpness: float = _constant(300.0, "s/m", above=0.0)
+    slope_sharpness: float = _constant(20.0, "1/m", above=0.0)
+    slope_force: float = _constant(1.0, "N", minimum=0.0)
+    slope_rate_sharpness: float = _constant(50.0, "s/m", above=0.0)
+    indentation_smoothing: float = _constant(1e-5, "m", above=0.0)
+    slip_smoothing: float = _constant(1e-5, "m/s", above=0.0)
+
+
+@dataclass(frozen=True)
+class SimbodyConstants:
+    """Constants of Simbody's law, named as in OpenSim.
+
+    The smoothing defaults are OpenSim's, the friction ones those usual in
+    its examples. The transition velocity is a compromise: the foot creeps at
+    about v_t · (F_x/F_z)/u_s, so OpenSim's usual 0.2 m/s lets it slide
+    centimetres, while its default 0.01 m/s makes the equations stiff.
+    `constant_contact_force` smooths both |indentation| (m²) and |slip|
+    (m²/s²).
+    """
+
+    static_friction: float = _constant(0.8, "1", minimum=0.0)
+    dynamic_friction: float = _constant(0.8, "1", minimum=0.0)
+    viscous_friction: float = _constant(0.5, "s/m", minimum=0.0)
+    transition_velocity: float = _constant(0.05, "m/s", above=0.0)
+    constant_contact_force: float = _constant(1e-5, "m², m²/s²", above=0.0)
+    hertz_smoothing: float = _constant(300.0, "1/m", above=0.0)
+    hunt_crossley_smoothing: float = _constant(50.0, "s/m", above=0.0)
+
+
+Constants = PaperConstants | SimbodyConstants
+
+
+def regularisation_length(stiffness, radius, residual_force=0.02):
+    """Largest delta of the paper's law for a given stiffness and radius.
+
+    With it the Hertz part is `residual_force` [N] at zero indentation:
+    ½ (4/3) k^(3/2) √r (delta/2)^(3/2) = residual_force.
+
+    Args:
+        stiffness: The paper's k, the stiffest that is expected.
+        radius: Sphere radius [m].
+        residual_force: Force at zero indentation [N].
+
+    Returns:
+        delta [m].
+    """
+    factor = (2.0 / 3.0) * stiffness * sqrt(stiffness) * sqrt(radius)
+    return 2.0 * (residual_force / factor) ** (2.0 / 3.0)
+
+
+Law = Literal["paper", "simbody"]
+
+# Below this dissipation [s/m] the velocity gate is exactly one in double
+# precision for any rate slower than 600 m/s, so clamping the 1/c in it here
+# changes nothing and makes c = 0 regular.
+MIN_GATE_DISSIPATION = 1e-3
+# Printed numbers of the paper's slope term, in metres (equation 6).
+SLOPE_OFFSET = 0.01
+SLOPE_LENGTH = 0.1
+
+
+class SphereWrench(NamedTuple):
+    """Contact force on a sphere and the world point where it acts."""
+
+    force_x: object  # N
+    force_z: object  # N
+    point_x: object  # m
+    point_z: object  # m
+
+
+def paper_stiffness(modulus):
+    """The paper's k for a plane-strain modulus E [N/m²]: ½ E^(2/3)."""
+    return 0.5 * modulus ** (2.0 / 3.0)
+
+
+def plane_strain_modulus(stiffness):
+    """Plane-strain modulus E [N/m²] for the paper's k; inverts the above."""
+    return (2.0 * stiffness) ** 1.5
+
+
+def default_constants(law: Law) -> Constants:
+    """Constants of a law with their defaults; InputError for unknown laws."""
+    if law == "paper":
+        return PaperConstants()
+    if law == "simbody":
+        return SimbodyConstants()
+    raise InputError(
+        f"contact law {law!r} is unknown; use 'paper' or 'simbody'"
+    )
+
+
+def hertz_factor(law: Law, stiffness, radius):
+    """Force per (indentation)^(3/2) in N/m^(3/2).
+
+    (4/3) k^(3/2) √r with the paper's k, which is (√2/3) E √r.
+    """
+    k_power = (
+        stiffness * sqrt(stiffness) if law == "paper" else 0.5**1.5 * stiffness
+    )
+    return (4.0 / 3.0) * k_power * sqrt(radius)
+
+
+def gate(sharpness, value):
+    """½ + ½ tanh(sharpness · value): 0 for negative values, 1 for positive."""
+    return 0.5 + 0.5 * tanh(sharpness * value)
+
+
+def step5(t):
+    """Fifth-order step from 0 at t ≤ 0 to 1 at t ≥ 1, twice differentiable."""
+    t = minimum(maximum(t, 0.0), 1.0)
+    return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+
+
+def release_rate(dissipation):
+    """2/(3c) [m/s]: the unloading rate at which the dissipative factor is 0.
+
+    Finite for c = 0, but so large that the gate built on it is exactly 1.
+    """
+    c = select_less(
+        MIN_GATE_DISSIPATION, dissipation, dissipation, MIN_GATE_DISSIPATION
+    )
+    return 2.0 / (3.0 * c)
+
+
+def _paper_normal(x, x_dot, k, c, r, p: PaperConstants):
+    delta = p.indentation_smoothing
+    x_plus = 0.5 * (x + sqrt(x * x + delta * delta))
+    shifted = x_dot + release_rate(c)
+    hertz = hertz_factor("paper", k, r) * x_plus * sqrt(x_plus)
+    hertz = hertz * gate(p.hertz_sharpness, x)
+    damping = (1.0 + 1.5 * c * x_dot) * gate(p.damping_sharpness, shifted)
+    slope = p.slope_force * exp((x - SLOPE_OFFSET) / SLOPE_LENGTH)
+    slope = slope * gate(p.slope_sharpness, x)
+    return hertz * damping + slope * gate(p.slope_rate_sharpness, shifted)
+
+
+def _simbody_normal(x, x_dot, modulus, c, r, p: SimbodyConstants):
+    root = sqrt(x * x + p.constant_contact_force)
+    hertz = hertz_factor("simbody", modulus, r) * root * sqrt(root)
+    hertz = hertz * gate(p.hertz_smoothing, x)
+    damping = 1.0 + 1.5 * c * x_dot
+    shifted = x_dot + release_rate(c)
+    return hertz * damping * gate(p.hunt_crossley_smoothing, shifted)
+
+
+def slip_speed(law: Law, slip_velocity, constants: Constants):
+    """Smoothed |slip velocity| [m/s], positive also at rest."""
+    if law == "paper":
+        square = constants.slip_smoothing * constants.slip_smoothing
+    else:
+        square = constants.constant_contact_force
+    return sqrt(slip_velocity * slip_velocity + square)
+
+
+@any_scalar
+def friction_coefficient(law: Law, speed, constants: Constants):
+    """Friction coefficient at a slip speed [m/s] (paper: Figure 9).
+
+    paper: u_v v + u_s S(v/v_t) − (u_s − u_d) S((v/v_t − 1)/2), the printed
+    three pieces (equation 7) as one expression. simbody:
+    min(v/v_t, 1) (u_d + 2 (u_s − u_d)/(1 + (v/v_t)²)) + u_v v.
+    """
+    u_s, u_d = constants.static_friction, constants.dynamic_friction
+    ratio = speed / constants.transition_velocity
+    viscous = constants.viscous_friction * speed
+    if law == "paper":
+        drop = (u_s - u_d) * step5(0.5 * (ratio - 1.0))
+        return viscous + u_s * step5(ratio) - drop
+    stribeck = u_d + 2.0 * (u_s - u_d) / (1.0 + ratio * ratio)
+    return viscous + minimum(ratio, 1.0) * stribeck
+
+
+@any_scalar
+def sphere_force(
+    law: Law,
+    indentation,
+    rate,
+    slip_velocity,
+    stiffness,
+    dissipation,
+    radius,
+    constants: Constants | None = None,
+):
+    """Normal force and friction of one or many spheres.
+
+    Args:
+        law: "paper" or "simbody".
+        indentation: Depth of the sphere's lowest point under z = 0 [m].
+        rate: Time derivative of the indentation [m/s].
+        slip_velocity: Velocity of the contact point along world x [m/s].
+        stiffness: k = ½ E^(2/3) for paper, E [N/m²] for simbody.
+        dissipation: Hunt–Crossley c [s/m], may be 0.
+        radius: Of the sphere [m].
+        constants: Friction and smoothing; the law's defaults if None.
+
+    Returns:
+        (normal, friction) in N with the broadcast shape of the arguments:
+        force on the sphere along world z and along world x.
+
+    Raises:
+        InputError: The law is unknown, or the constants are another law's.
+    """
+    constants = checked_constants(law, constants)
+    normal_force = _paper_normal if law == "paper" else _simbody_normal
+    normal = normal_force(
+        indentation, rate, stiffness, dissipation, radius, constants
+    )
+    speed = slip_speed(law, slip_velocity, constants)
+    mu = friction_coefficient(law, speed, constants)
+    return normal, -normal * mu * (slip_velocity / speed)
+
+
+def checked_constants(law: Law, constants: Constants | None) -> Constants:
+    """The constants given, or the law's defaults; InputError on a mismatch."""
+    defaults = default_constants(law)
+    if constants is None:
+        return defaults
+    if type(constants) is not type(defaults):
+        raise InputError(
+            f"contact law {law!r} needs {type(defaults).__name__}, "
+            f"not {type(constants).__name__}"
+        )
+    return constants
+
+
+def contact_arm(law: Law, indentation, radius):
+    """Height of the sphere's centre above the contact point [m].
+
+    The sphere's lowest point for paper, half the indentation for simbody.
+    """
+    return radius if law == "paper" else radius - 0.5 * indentation
+
+
+@any_scalar
+def sphere_wrench(
+    law: Law,
+    center_x,
+    center_z,
+    velocity_x,
+    velocity_z,
+    pitch_rate,
+    stiffness,
+    dissipation,
+    radius,
+    constants: Constants | None = None,
+) -> SphereWrench:
+    """Contact force of the ground on a sphere fixed in a moving body.
+
+    Args:
+        law: "paper" or "simbody".
+        center_x, center_z: Sphere's centre in the world [m].
+        velocity_x, velocity_z: Velocity of the centre [m/s].
+        pitch_rate: Of the body, toes up positive (about world −y) [rad/s].
+        stiffness, dissipation, radius, constants: As in `sphere_force`.
+
+    Returns:
+        Force on the sphere and the point where it acts. The slip velocity is
+        that of the body's material point at the contact point.
+    """
+    indentation = radius - center_z
+    arm = contact_arm(law, indentation, radius)
+    normal, friction = sphere_force(
+        law,
+        indentation,
+        -velocity_z,
+        velocity_x + arm * pitch_rate,
+        stiffness,
+        dissipation,
+        radius,
+        constants,
+    )
+    return SphereWrench(friction, normal, center_x, center_z - arm)
+
+
+# Order of the first axis of the derivatives.
+FORCE_INPUTS = (
+    "indentation",
+    "rate",
+    "slip_velocity",
+    "stiffness",
+    "dissipation",
+    "radius",
+)
+WRENCH_INPUTS = (
+    "center_x",
+    "center_z",
+    "velocity_x",
+    "velocity_z",
+    "pitch_rate",
+    "stiffness",
+    "dissipation",
+    "radius",
+)
+
+
+class SphereForceDerivatives(NamedTuple):
+    """Forces [N] of shape (...) and derivatives of shape (6, ...).
+
+    First axis as in FORCE_INPUTS.
+    """
+
+    normal: np.ndarray
+    friction: np.ndarray
+    d_normal: np.ndarray
+    d_friction: np.ndarray
+
+
+def _gate(sharpness, value):
+    """Gate ½ + ½ tanh and its derivative with respect to `value`."""
+    tanh = np.tanh(sharpness * value)
+    return 0.5 + 0.5 * tanh, 0.5 * sharpness * (1.0 - tanh * tanh)
+
+
+def _dissipation(x_dot, c, sharpness, shifted, d_shifted_dc):
+    """Factor (1 + 3/2 c ẋ)·gate with derivatives by rate and dissipation."""
+    gate, d_gate = _gate(sharpness, shifted)
+    factor = 1.0 + (1.5 * c) * x_dot
+    by_gate = factor * d_gate
+    d_rate = (1.5 * c) * gate + by_gate
+    d_c = 1.5 * x_dot * gate + by_gate * d_shifted_dc
+    return factor * gate, d_rate, d_c
+
+
+def _shifted_rate(x_dot, c):
+    """ẋ + 2/(3c) and its derivative by c, zero where c is clamped."""
+    shift = release_rate(c)
+    d_shift = np.where(c > MIN_GATE_DISSIPATION, -1.5 * shift * shift, 0.0)
+    return x_dot + shift, d_shift
+
+
+def _paper_normal_derivatives(x, x_dot, k, c, r, p: PaperConstants, d_normal):
+    root = np.sqrt(x * x + p.indentation_smoothing**2)
+    x_plus = 0.5 * (x + root)
+    sharp_hertz = hertz_factor("paper", k, r) * (x_plus * np.sqrt(x_plus))
+    gate, d_gate = _gate(p.hertz_sharpness, x)
+    hertz = sharp_hertz * gate
+    shifted, d_shift = _shifted_rate(x_dot, c)
+    damping, by_rate, by_c = _dissipation(
+        x_dot, c, p.damping_sharpness, shifted, d_shift
+    )
+    growth = p.slope_force * np.exp((x - SLOPE_OFFSET) / SLOPE_LENGTH)
+    rise, d_rise = _gate(p.slope_sharpness, x)
+    open_, d_open = _gate(p.slope_rate_sharpness, shifted)
+    slope = growth * rise
+    force = hertz * damping
+    d_normal[0] = damping * (1.5 * hertz / root + sharp_hertz * d_gate)
+    d_normal[0] += open_ * (slope / SLOPE_LENGTH + growth * d_rise)
+    d_normal[1] = hertz * by_rate + slope * d_open
+    d_normal[3] = 1.5 * force / k
+    d_normal[4] = hertz * by_c + slope * d_open * d_shift
+    d_normal[5] = 0.5 * force / r
+    return force + slope * open_
+
+
+def _simbody_normal_derivatives(
+    x, x_dot, modulus, c, r, p: SimbodyConstants, d_normal
+):
+    square = x * x + p.constant_contact_force
+    root = np.sqrt(square)
+    sharp_hertz = hertz_factor("simbody", modulus, r) * (root * np.sqrt(root))
+    gate, d_gate = _gate(p.hertz_smoothing, x)
+    hertz = sharp_hertz * gate
+    shifted, d_shift = _shifted_rate(x_dot, c)
+    damping, by_rate, by_c = _dissipation(
+        x_dot, c, p.hunt_crossley_smoothing, shifted, d_shift
+    )
+    force = hertz * damping
+    d_normal[0] = damping * (1.5 * x / square * hertz + sharp_hertz * d_gate)
+    d_normal[1] = hertz * by_rate
+    d_normal[3] = force / modulus
+    d_normal[4] = hertz * by_c
+    d_normal[5] = 0.5 * force / r
+    return force
+
+
+def _step5(t):
+    """Step and its derivative, both flat outside [0, 1]."""
+    t = np.clip(t, 0.0, 1.0)
+    square = t * t
+    step = square * t * (10.0 + t * (6.0 * t - 15.0))
+    return step, 30.0 * square * (1.0 - t) ** 2
+
+
+def _paper_coefficient(speed, p: PaperConstants):
+    """Friction coefficient and its derivative by speed."""
+    scale = 1.0 / p.transition_velocity
+    drop_size = p.static_friction - p.dynamic_friction
+    rise, d_rise = _step5(speed * scale)
+    mu = p.viscous_friction * speed + p.static_friction * rise
+    d_mu = p.viscous_friction + (p.static_friction * scale) * d_rise
+    if drop_size != 0.0:
+        drop, d_drop = _step5(0.5 * (speed * scale - 1.0))
+        mu -= drop_size * drop
+        d_mu -= (0.5 * scale * drop_size) * d_drop
+    return mu, d_mu
+
+
+def _simbody_coefficient(speed, p: SimbodyConstants):
+    """Friction coefficient and its derivative by speed."""
+    scale = 1.0 / p.transition_velocity
+    ratio = speed * scale
+    drop_size = p.static_friction - p.dynamic_friction
+    peak = 2.0 * drop_size / (1.0 + ratio * ratio)
+    stribeck = p.dynamic_friction + peak
+    d_stribeck = -2.0 * ratio * peak / (1.0 + ratio * ratio)
+    slow = ratio < 1.0
+    rise = np.where(slow, ratio, 1.0)
+    mu = p.viscous_friction * speed + rise * stribeck
+    d_rise = np.where(slow, stribeck, 0.0) + rise * d_stribeck
+    return mu, p.viscous_friction + scale * d_rise
+
+
+def sphere_force_derivatives(
+    law: Law,
+    indentation,
+    rate,
+    slip_velocity,
+    stiffness,
+    dissipation,
+    radius,
+    constants: Constants | None = None,
+) -> SphereForceDerivatives:
+    """`sphere_force` and its derivatives by FORCE_INPUTS.
+
+    Arguments and errors as in `hunt_crossley.sphere_force`, floats only.
+    Where the simbody law has a corner, at slip speed v_t, the derivative is
+    the one from above.
+    """
+    p = checked_constants(law, constants)
+    x, x_dot, v, k, c, r = (
+        np.asarray(a, dtype=float)
+        for a in (
+            indentation,
+            rate,
+            slip_velocity,
+            stiffness,
+            dissipation,
+            radius,
+        )
+    )
+    shape = np.broadcast_shapes(*(a.shape for a in (x, x_dot, v, k, c, r)))
+    d_normal = np.empty((6, *shape))
+    d_friction = np.empty((6, *shape))
+    if law == "paper":
+        normal = _paper_normal_derivatives(x, x_dot, k, c, r, p, d_normal)
+        slip_square = p.slip_smoothing**2
+        speed = np.sqrt(v * v + slip_square)
+        mu, d_mu = _paper_coefficient(speed, p)
+    else:
+        normal = _simbody_normal_derivatives(x, x_dot, k, c, r, p, d_normal)
+        slip_square = p.constant_contact_force
+        speed = np.sqrt(v * v + slip_square)
+        mu, d_mu = _simbody_coefficient(speed, p)
+    d_normal[2] = 0.0
+    direction = v / speed
+    minus_ratio = -mu * direction  # friction / normal
+    np.multiply(minus_ratio, d_normal, out=d_friction)
+    by_slip = d_mu * direction**2 + mu * slip_square / (speed * speed * speed)
+    d_friction[2] = -normal * by_slip
+    return SphereForceDerivatives(
+        np.broadcast_to(normal, shape),
+        np.broadcast_to(minus_ratio * normal, shape),
+        d_normal,
+        d_friction,
+    )
+
+
+def sphere_wrench_derivatives(
+    law: Law,
+    center_x,
+    center_z,
+    velocity_x,
+    velocity_z,
+    pitch_rate,
+    stiffness,
+    dissipation,
+    radius,
+    constants: Constants | None = None,
+) -> tuple[SphereWrench, np.ndarray]:
+    """`sphere_wrench` and its derivatives.
+
+    Arguments and errors as in `hunt_crossley.sphere_wrench`, floats only.
+
+    Returns:
+        The wrench, and derivatives of shape (4, 8, ...): force_x, force_z,
+        point_x, point_z by WRENCH_INPUTS.
+    """
+    indentation = radius - np.asarray(center_z, dtype=float)
+    arm = contact_arm(law, indentation, radius)
+    force = sphere_force_derivatives(
+        law,
+        indentation,
+        -np.asarray(velocity_z, dtype=float),
+        velocity_x + arm * pitch_rate,
+        stiffness,
+        dissipation,
+        radius,
+        constants,
+    )
+    shape = np.broadcast_shapes(
+        force.normal.shape, np.shape(center_x), np.shape(pitch_rate)
+    )
+    # arm = radius for paper, (radius + center_z)/2 for simbody.
+    arm_by_z, arm_by_r = (0.0, 1.0) if law == "paper" else (0.5, 0.5)
+    jacobian = np.zeros((4, 8, *shape))
+    by_slip = force.d_friction[2]
+    for row, d_force in ((0, force.d_friction), (1, force.d_normal)):
+        jacobian[row, 1] = -d_force[0]
+        jacobian[row, 3] = -d_force[1]
+        jacobian[row, 5:7] = d_force[3:5]
+        jacobian[row, 7] = d_force[5] + d_force[0]
+    jacobian[0, 1] += by_slip * arm_by_z * pitch_rate
+    jacobian[0, 2] = by_slip
+    jacobian[0, 4] = by_slip * arm
+    jacobian[0, 7] += by_slip * arm_by_r * pitch_rate
+    jacobian[2, 0] = 1.0
+    jacobian[3, 1] = 1.0 - arm_by_z
+    jacobian[3, 7] = -arm_by_r
+    wrench = SphereWrench(
+        force.friction,
+        force.normal,
+        np.broadcast_to(np.asarray(center_x, dtype=float), shape),
+        np.broadcast_to(center_z - arm, shape),
+    )
+    return wrench, jacobian

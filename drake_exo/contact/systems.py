@@ -1,0 +1,607 @@
+"""Between Drake's spatial quantities and the sagittal plane.
+
+A planar pose is (x, z, angle), a planar motion (v_x, v_z, rate): x forward,
+z up, angle toes-up positive (counter-clockwise seen from the right, about
+world −y).
+
+Foot–ground contact as a LeafSystem of a Drake diagram.
+
+Bushings between human and exoskeleton as a LeafSystem of a diagram.
+
+The chair in simulation: its measured wrench, played on pelvis and thighs.
+"""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import astuple, fields
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd, ExtractValue
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform_
+from pydrake.multibody.math import SpatialForce_, SpatialVelocity_
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+from scipy.interpolate import CubicSpline
+
+from drake_exo.contact.bushing import (
+    COMPONENTS,
+    BushingParameters,
+    bushing_deflection,
+    bushing_energy,
+    bushing_force,
+    bushing_wrench,
+)
+from drake_exo.contact.hunt_crossley import (
+    Constants,
+    Law,
+    SphereWrench,
+    sphere_wrench,
+)
+from drake_exo.contact.parameters import (
+    ContactParameters,
+    ContactSphere,
+    check_bounds,
+)
+from drake_exo.contact.scalars import any_scalar, arctan2
+from drake_exo.errors import InputError
+
+
+def declare_body_inputs(system: LeafSystem, T) -> None:
+    """Declares the plant's "body_poses" and "body_spatial_velocities"."""
+    system.DeclareAbstractInputPort(
+        "body_poses", AbstractValue.Make([RigidTransform_[T]()])
+    )
+    system.DeclareAbstractInputPort(
+        "body_spatial_velocities", AbstractValue.Make([SpatialVelocity_[T]()])
+    )
+
+
+def declare_force_output(system: LeafSystem, T, calc) -> None:
+    """Declares "spatial_forces" for a plant's applied_spatial_force port."""
+    entry = ExternallyAppliedSpatialForce_[T]
+    system.DeclareAbstractOutputPort(
+        "spatial_forces", lambda: AbstractValue.Make([entry()]), calc
+    )
+
+
+def read_bodies(system: LeafSystem, context, bodies) -> tuple:
+    """Positions, (cos, sin) and motions of bodies, from the ports above.
+
+    Args:
+        system: that declared the ports.
+        context: of it.
+        bodies: n body indices.
+
+    Returns:
+        Arrays (2, n) of x, z [m]; (2, n) of cosine and sine of the angle;
+        (3, n) of v_x, v_z [m/s] and rate [rad/s].
+    """
+    poses = system.GetInputPort("body_poses").Eval(context)
+    velocities = system.GetInputPort("body_spatial_velocities").Eval(context)
+    positions, directions, motions = [], [], []
+    for body in bodies:
+        X_WB, V_WB = poses[int(body)], velocities[int(body)]
+        p_WB, R_WB = X_WB.translation(), X_WB.rotation().matrix()
+        v_WB, w_WB = V_WB.translational(), V_WB.rotational()
+        positions.append((p_WB[0], p_WB[2]))
+        directions.append((R_WB[0, 0], R_WB[2, 0]))
+        motions.append((v_WB[0], v_WB[2], -w_WB[1]))
+    return tuple(np.array(rows).T for rows in (positions, directions, motions))
+
+
+@any_scalar
+def to_world(position, direction, x, z):
+    """World (x, z) of a point given in a body's axes.
+
+    Args:
+        position, direction: (x, z) and (cosine, sine) of the body.
+        x, z: of the point in the body.
+    """
+    c, s = direction
+    return position[0] + c * x - s * z, position[1] + s * x + c * z
+
+
+@any_scalar
+def to_body(position, direction, x, z):
+    """Inverse of `to_world`."""
+    c, s = direction
+    dx, dz = x - position[0], z - position[1]
+    return c * dx + s * dz, c * dz - s * dx
+
+
+@any_scalar
+def relative_angles(first, second):
+    """Angles of two bodies that never jump against each other.
+
+    Args:
+        first, second: (cosine, sine) of each.
+
+    Returns:
+        Angle of the first in (−π, π], and that plus the second's relative
+        angle in (−π, π], so that their difference has no jump at ±π.
+    """
+    angle = arctan2(first[1], first[0])
+    turn = arctan2(
+        second[1] * first[0] - second[0] * first[1],
+        second[0] * first[0] + second[1] * first[1],
+    )
+    return angle, angle + turn
+
+
+@functools.cache
+def _force_types(T) -> tuple:
+    """Classes of an entry and of its force; looking them up is slow."""
+    return ExternallyAppliedSpatialForce_[T], SpatialForce_[T]
+
+
+def applied_force(T, body, point, force, moment=0.0):
+    """One entry of a plant's "applied_spatial_force" port.
+
+    Args:
+        T: scalar type.
+        body: index of the body that receives the force.
+        point: (x, z) where it acts, in the body's axes [m].
+        force: (F_x, F_z) in the world [N].
+        moment: toes-up positive (about world −y) [N·m].
+    """
+    Entry, Force = _force_types(T)
+    entry = Entry()
+    entry.body_index = body
+    entry.p_BoBq_B = np.array([point[0], 0.0, point[1]])
+    entry.F_Bq_W = Force(
+        tau=np.array([0.0, -moment, 0.0]),
+        f=np.array([force[0], 0.0, force[1]]),
+    )
+    return entry
+
+
+@any_scalar
+def foot_contact(
+    law: Law, position, direction, motion, spheres, constants: Constants
+) -> SphereWrench:
+    """Contact wrenches of spheres on one planar body.
+
+    Args:
+        law: "paper" or "simbody".
+        position, direction, motion: of the body, (x, z), (cosine, sine) and
+            (v_x, v_z, rate), scalars.
+        spheres: (number of parameters, n) in the order of SPHERE_PARAMETERS.
+        constants: of the law.
+
+    Returns:
+        Wrenches with entries of shape (n,).
+    """
+    x, z, radius, stiffness, dissipation = spheres
+    center_x, center_z = to_world(position, direction, x, z)
+    v_x, v_z, rate = motion
+    return sphere_wrench(
+        law,
+        center_x,
+        center_z,
+        v_x - rate * (center_z - position[1]),
+        v_z + rate * (center_x - position[0]),
+        rate,
+        stiffness,
+        dissipation,
+        radius,
+        constants,
+    )
+
+
+@any_scalar
+def ground_reaction(wrenches: SphereWrench) -> np.ndarray:
+    """F_x, F_z [N] and M_y about the world's origin [N·m] of all spheres.
+
+    Sums over the first axis of the entries; M_y = z F_x − x F_z, so the
+    centre of pressure on z = 0 is −M_y/F_z.
+    """
+    moment = (
+        wrenches.point_z * wrenches.force_x
+        - wrenches.point_x * wrenches.force_z
+    )
+    return np.array(
+        [
+            np.sum(values, axis=0)
+            for values in (wrenches.force_x, wrenches.force_z, moment)
+        ]
+    )
+
+
+class _FootGroundContact:
+    """What `FootGroundContact_` does for every scalar type."""
+
+    def _declare(self, T, body: BodyIndex, parameters: ContactParameters):
+        self._T = T
+        self._body = body
+        self._parameters = parameters = parameters.checked()
+        self.set_name("foot_ground_contact")
+        declare_body_inputs(self, T)
+        for values in (*parameters.spheres.values(), parameters.constants):
+            self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+        declare_force_output(self, T, self._calc_spatial_forces)
+        self.DeclareVectorOutputPort(
+            "ground_reaction", 3, self._calc_ground_reaction
+        )
+        self.DeclareVectorOutputPort(
+            "sphere_wrenches",
+            4 * len(parameters.spheres),
+            self._calc_sphere_wrenches,
+        )
+
+    def parameters(self, context=None) -> ContactParameters:
+        """Parameters in a context, or those of the construction."""
+        if context is None:
+            return self._parameters
+        *vectors, constants = self._vectors(context)
+        spheres = zip(self._parameters.spheres, vectors, strict=True)
+        return ContactParameters(
+            self._parameters.law,
+            {name: ContactSphere(*vector) for name, vector in spheres},
+            self._constants(constants),
+        )
+
+    def set_parameters(self, context, parameters: ContactParameters) -> None:
+        """Writes parameters into a context: same law, same spheres.
+
+        Raises:
+            InputError: law or names of the spheres differ.
+        """
+        own = self._parameters
+        if parameters.law != own.law or list(parameters.spheres) != list(
+            own.spheres
+        ):
+            raise InputError(
+                f"this contact has the law '{own.law}' and the spheres "
+                f"{', '.join(own.spheres)}; build another one"
+            )
+        constants = parameters.constants or own.constants
+        vectors = (*parameters.spheres.values(), constants)
+        for i, values in enumerate(vectors):
+            context.get_mutable_numeric_parameter(i).SetFromVector(
+                np.array(astuple(values))
+            )
+
+    def _vectors(self, context) -> list[np.ndarray]:
+        return [
+            context.get_numeric_parameter(i).CopyToVector()
+            for i in range(len(self._parameters.spheres) + 1)
+        ]
+
+    def _constants(self, vector) -> Constants:
+        return type(self._parameters.constants)(*vector)
+
+    def _wrenches(self, context):
+        bodies = read_bodies(self, context, [self._body])
+        position, direction, motion = (array[:, 0] for array in bodies)
+        *spheres, constants = self._vectors(context)
+        wrenches = foot_contact(
+            self._parameters.law,
+            position,
+            direction,
+            motion,
+            np.array(spheres).T,
+            self._constants(constants),
+        )
+        return position, direction, wrenches
+
+    def _calc_spatial_forces(self, context, output):
+        position, direction, wrenches = self._wrenches(context)
+        points = to_body(
+            position, direction, wrenches.point_x, wrenches.point_z
+        )
+        forces = (wrenches.force_x, wrenches.force_z)
+        output.set_value(
+            [
+                applied_force(self._T, self._body, point, force)
+                for point, force in zip(
+                    np.transpose(points), np.transpose(forces), strict=True
+                )
+            ]
+        )
+
+    def _calc_ground_reaction(self, context, output):
+        output.SetFromVector(ground_reaction(self._wrenches(context)[2]))
+
+    def _calc_sphere_wrenches(self, context, output):
+        output.SetFromVector(np.transpose(self._wrenches(context)[2]).ravel())
+
+
+@TemplateSystem.define("FootGroundContact_")
+def FootGroundContact_(T):
+    """Smooth Hunt–Crossley contact of spheres on the foot with z = 0.
+
+    Inputs, to be connected to the plant's ports of the same name:
+        body_poses, body_spatial_velocities.
+    Outputs:
+        spatial_forces: for a plant's applied_spatial_force port.
+        ground_reaction: F_x, F_z [N] on the foot and the moment
+            M_y = z F_x − x F_z about the world's origin [N·m], sums.
+        sphere_wrenches: F_x, F_z [N], x, z of the contact point [m] of each
+            sphere in turn.
+    Numeric parameters:
+        a vector for each sphere (SPHERE_PARAMETERS), then one with the law's
+        constants (in the order of their fields).
+
+    Args of the constructor:
+        body: index of the foot link in the plant.
+        parameters: `ContactParameters`; a context starts with these values.
+    """
+
+    class Impl(_FootGroundContact, LeafSystem_[T]):
+        def _construct(self, body, parameters, converter=None):
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._declare(T, body, parameters)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(
+                self, other._body, other._parameters, converter=converter
+            )
+
+    return Impl
+
+
+FootGroundContact = FootGroundContact_[None]
+
+
+# Numeric parameters of a bushing, in this order.
+BUSHING_PARAMETERS = tuple(f.name for f in fields(BushingParameters))
+
+
+class _Bushings:
+    """What `HumanExoskeletonBushings_` does for every scalar type."""
+
+    def _declare(self, T, pairs, parameters):
+        if not parameters or set(pairs) != set(parameters):
+            raise InputError(
+                f"bushings are given for {', '.join(parameters) or 'nothing'}, "
+                f"pairs of links for {', '.join(pairs) or 'nothing'}; "
+                "name the same"
+            )
+        for name, values in parameters.items():
+            check_bounds(values, f"bushing '{name}'")
+        self._T = T
+        self._pairs = {name: tuple(pairs[name]) for name in parameters}
+        self._parameters = dict(parameters)
+        self.set_name("human_exoskeleton_bushings")
+        declare_body_inputs(self, T)
+        for values in parameters.values():
+            self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+        declare_force_output(self, T, self._calc_spatial_forces)
+        size = len(COMPONENTS) * len(parameters)
+        for name, calc in (
+            ("interaction_forces", self._calc_forces),
+            ("deflections", self._calc_deflections),
+            ("energies", self._calc_energies),
+        ):
+            self.DeclareVectorOutputPort(name, size, calc)
+
+    def parameters(self, context=None) -> dict[str, BushingParameters]:
+        """Parameters in a context, or those of the construction."""
+        if context is None:
+            return dict(self._parameters)
+        return {
+            name: BushingParameters(*column)
+            for name, column in zip(
+                self._parameters, self._matrix(context).T, strict=True
+            )
+        }
+
+    def set_parameters(
+        self, context, parameters: Mapping[str, BushingParameters]
+    ) -> None:
+        """Writes parameters into a context.
+
+        Raises:
+            InputError: the names are not those of the construction.
+        """
+        if set(parameters) != set(self._parameters):
+            raise InputError(
+                f"bushings here are {', '.join(self._parameters)}, "
+                f"not {', '.join(parameters)}"
+            )
+        for i, name in enumerate(self._parameters):
+            context.get_mutable_numeric_parameter(i).SetFromVector(
+                np.array(astuple(parameters[name]))
+            )
+
+    def _matrix(self, context) -> np.ndarray:
+        """Parameters (number of parameters, number of bushings)."""
+        return np.transpose(
+            [
+                context.get_numeric_parameter(i).CopyToVector()
+                for i in range(len(self._parameters))
+            ]
+        )
+
+    def _evaluate(self, context):
+        """All bushings at once: entries of shape (number of bushings,)."""
+        humans, devices = zip(*self._pairs.values(), strict=True)
+        p_h, direction_h, motion_h = read_bodies(self, context, humans)
+        p_e, direction_e, motion_e = read_bodies(self, context, devices)
+        angle_h, angle_e = relative_angles(direction_h, direction_e)
+        links = (
+            (p_h, direction_h, (*p_h, angle_h)),
+            (p_e, direction_e, (*p_e, angle_e)),
+        )
+        parameters = BushingParameters(*self._matrix(context))
+        deflection, rate = bushing_deflection(
+            links[0][2],
+            motion_h,
+            links[1][2],
+            motion_e,
+            parameters.origin,
+            parameters.preload,
+        )
+        force = bushing_force(
+            deflection, rate, parameters.stiffness, parameters.damping
+        )
+        return links, parameters, deflection, force
+
+    def _calc_spatial_forces(self, context, output):
+        links, parameters, _, force = self._evaluate(context)
+        (p_h, direction_h, pose_h), (p_e, direction_e, pose_e) = links
+        wrench = bushing_wrench(
+            force, pose_h, pose_e, parameters.origin, parameters.preload
+        )
+        points = (
+            to_body(p_h, direction_h, wrench.point_x, wrench.point_z),
+            to_body(p_e, direction_e, wrench.point_x, wrench.point_z),
+        )
+        entries = []
+        for i, pair in enumerate(self._pairs.values()):
+            for body, point, sign in zip(pair, points, (1, -1), strict=True):
+                entries.append(
+                    applied_force(
+                        self._T,
+                        body,
+                        (point[0][i], point[1][i]),
+                        (sign * wrench.force_x[i], sign * wrench.force_z[i]),
+                        sign * wrench.moment[i],
+                    )
+                )
+        output.set_value(entries)
+
+    def _calc_forces(self, context, output):
+        output.SetFromVector(np.transpose(self._evaluate(context)[3]).ravel())
+
+    def _calc_deflections(self, context, output):
+        output.SetFromVector(np.transpose(self._evaluate(context)[2]).ravel())
+
+    def _calc_energies(self, context, output):
+        _, parameters, deflection, _ = self._evaluate(context)
+        energies = bushing_energy(deflection, parameters.stiffness)
+        output.SetFromVector(np.transpose(energies).ravel())
+
+
+@TemplateSystem.define("HumanExoskeletonBushings_")
+def HumanExoskeletonBushings_(T):
+    """Planar bushings between pairs of links.
+
+    Inputs, to be connected to the plant's ports of the same name:
+        body_poses, body_spatial_velocities.
+    Outputs, three values (tangential, normal, rotation) for each bushing:
+        interaction_forces: on the human [N, N, N·m].
+        deflections: [m, m, rad].
+        energies: ½ k d² [J].
+    and spatial_forces, for a plant's applied_spatial_force port.
+    Numeric parameters:
+        a vector for each bushing (BUSHING_PARAMETERS).
+
+    Args of the constructor:
+        pairs: (human link, exoskeleton link) body indices by name.
+        parameters: `BushingParameters` by the same names; their order is
+            that of the outputs. A context starts with these values.
+    """
+
+    class Impl(_Bushings, LeafSystem_[T]):
+        def _construct(
+            self,
+            pairs: Mapping[str, tuple[BodyIndex, BodyIndex]],
+            parameters: Mapping[str, BushingParameters],
+            converter=None,
+        ):
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._declare(T, pairs, parameters)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(
+                self, other._pairs, other._parameters, converter=converter
+            )
+
+    return Impl
+
+
+HumanExoskeletonBushings = HumanExoskeletonBushings_[None]
+
+
+@TemplateSystem.define("Chair_", T_list=[float, AutoDiffXd])
+def Chair_(T):
+    """A wrench about the world's origin over time, on bodies by share.
+
+    What acts on a body is the equivalent force and moment at its origin,
+    wherever it is. Between samples the wrench is a cubic spline; before the
+    first and after the last it is theirs. A time series has no symbolic form:
+    diagrams with a chair convert to AutoDiffXd (whose derivatives by time it
+    leaves out), not to Expression.
+
+    Inputs, to be connected to the plant's ports of the same name:
+        body_poses, body_spatial_velocities.
+    Outputs:
+        spatial_forces: for a plant's applied_spatial_force port.
+        chair_reaction: F_x, F_z [N] and M_y = z F_x - x F_z about the
+            world's origin [N m].
+
+    Args of the constructor:
+        bodies: body index -> share of the wrench; shares sum to 1.
+        times: (n,) increasing [s].
+        wrench: (n, 3) F_x, F_z, M_y.
+
+    Raises:
+        InputError: shares that do not sum to 1, or shapes that differ.
+    """
+
+    class Impl(LeafSystem_[T]):
+        def _construct(
+            self,
+            bodies: Mapping[BodyIndex, float],
+            times: np.ndarray,
+            wrench: np.ndarray,
+            converter=None,
+        ):
+            LeafSystem_[T].__init__(self, converter=converter)
+            self.set_name("chair")
+            if abs(sum(bodies.values()) - 1.0) > 1e-9:
+                raise InputError("the shares of the chair must sum to 1")
+            if np.shape(wrench) != (len(times), 3):
+                raise InputError(
+                    f"the chair's wrench has shape {np.shape(wrench)}, not "
+                    f"({len(times)}, 3)"
+                )
+            self._bodies = dict(bodies)
+            self._span = float(times[0]), float(times[-1])
+            self._spline = CubicSpline(times, wrench)
+            declare_body_inputs(self, T)
+            declare_force_output(self, T, self._calc_spatial_forces)
+            self.DeclareVectorOutputPort(
+                "chair_reaction", 3, self._calc_reaction
+            )
+
+        def _construct_copy(self, other, converter=None):
+            times = other._spline.x
+            Impl._construct(
+                self, other._bodies, times, other._spline(times), converter
+            )
+
+        def _wrench(self, context) -> np.ndarray:
+            t = context.get_time()
+            t = t if T is float else ExtractValue(np.array([t])).item()
+            return self._spline(min(max(t, self._span[0]), self._span[1]))
+
+        def _calc_spatial_forces(self, context, output):
+            F_x, F_z, M_y = self._wrench(context)
+            positions, directions, _ = read_bodies(self, context, self._bodies)
+            entries = []
+            for i, (body, share) in enumerate(self._bodies.items()):
+                c, s = directions[:, i]
+                x, z = positions[:, i]
+                moment = M_y - (z * F_x - x * F_z)
+                entry = applied_force(
+                    T,
+                    body,
+                    (0.0 * c, 0.0 * s),
+                    (share * F_x + 0.0 * c, share * F_z + 0.0 * c),
+                    -share * moment,
+                )
+                entries.append(entry)
+            output.set_value(entries)
+
+        def _calc_reaction(self, context, output):
+            output.SetFromVector(self._wrench(context))
+
+    return Impl
+
+
+Chair = Chair_[None]

@@ -1,0 +1,1 @@
+"""Readers and writers, one for each format, and folders of results."""

@@ -1,0 +1,427 @@
+"""The contents of a C3D file, decoded by ezc3d at arm's length.
+
+C3D files: markers, force plates of types 1 to 4, analog channels.
+
+What the plates' signals mean (The C3D File Format, FORCE_PLATFORM group): a
+plate's own frame comes from its corners, x from corner 2 to 1, y from corner 4
+to 1, z = x × y, which points down for a plate in the floor. ORIGIN runs from
+the origin of the plate's signals to the middle of its surface, so its z is
+negative; files with a positive one are common and are corrected.
+
+    type 1: F, point of application from the middle, free moment
+    type 2: F and M about the signals' origin
+    type 3: eight channels of four piezoelectric sensors
+    type 4: as type 2, after the calibration matrix
+"""
+
+import io
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError, first_line, printable
+from drake_exo.files.opensim import PlateRecording
+from drake_exo.files.tables import MarkerData, Table
+
+_CHILD = Path(__file__).with_name("c3d_child.py")
+_BLOCK = 512
+_INTEL, _DEC, _MIPS = 84, 85, 86
+_FARTHEST = 1e9  # of a marker, in any unit
+_LONG = 0xFFFF  # header's last frame where there are more
+
+
+@dataclass(frozen=True)
+class C3dContents:
+    """What the file says, without interpretation.
+
+    Attributes:
+        parameters: group -> name -> numbers (in the file's dimensions) or a
+            list of texts.
+        points: (N, M, 3) in the file's unit; NaN where not seen.
+        rate_hz: of the points.
+        analogs: (N k, C) scaled.
+        analog_rate_hz: of the channels, k times the points'.
+    """
+
+    parameters: dict[str, dict[str, np.ndarray | list[str]]]
+    points: np.ndarray
+    rate_hz: float
+    analogs: np.ndarray
+    analog_rate_hz: float
+
+    def numbers(self, group: str, name: str) -> np.ndarray | None:
+        """A numeric parameter; None if it is absent, empty or text."""
+        value = self.parameters.get(group, {}).get(name)
+        if not isinstance(value, np.ndarray) or value.size == 0:
+            return None
+        return value.astype(float)
+
+    def texts(self, group: str, name: str) -> list[str]:
+        """Text entries of a parameter and its continuations (LABELS2, ...)."""
+        found = []
+        for suffix in ("", *range(2, 10)):
+            value = self.parameters.get(group, {}).get(f"{name}{suffix}")
+            found += value if isinstance(value, list) else []
+        return found
+
+
+def decode(path: Path) -> C3dContents:
+    """Decode a file.
+
+    Raises:
+        InputError: it cannot be read, is no C3D file, is truncated, or is
+            damaged.
+    """
+    _check_complete(path)
+    with np.load(io.BytesIO(_arrays(path)), allow_pickle=False) as found:
+        arrays = {name: found[name] for name in found.files}
+    points = arrays["points"]
+    if (np.abs(points) > _FARTHEST).any():
+        raise _damaged(path, "a marker is out of all bounds")
+    rate, analog_rate = arrays["rates"]
+    if not 0.0 < rate < 1e6:
+        raise InputError(f"{path}: says no frame rate; correct POINT:RATE")
+    parameters: dict[str, dict] = {}
+    for i, (group, name) in enumerate(json.loads(str(arrays["names"]))):
+        value = arrays[f"parameter_{i}"]
+        if value.dtype.kind == "U":
+            value = [printable(text.strip()) for text in value.ravel()]
+        parameters.setdefault(group, {})[name] = value
+    return C3dContents(
+        parameters, points, float(rate), arrays["analogs"], float(analog_rate)
+    )
+
+
+def _arrays(path: Path) -> bytes:
+    """What the child process hands over."""
+    done = subprocess.run(
+        [sys.executable, str(_CHILD), str(path.absolute())],
+        capture_output=True,
+        check=False,
+    )
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace")
+        what = first_line(said) if done.returncode == 1 else ""
+        raise _damaged(path, what or "its parts contradict each other")
+    return done.stdout
+
+
+def _check_complete(path: Path) -> None:
+    """Refuse a file shorter than its header announces."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); check the path"
+        ) from error
+    if len(data) < 2 * _BLOCK or data[1] != 0x50:
+        raise InputError(f"{path}: is not a C3D file; check the path")
+    processor = data[max(data[0] - 1, 0) * _BLOCK + 3 :][:1]
+    if not processor:
+        raise _truncated(path)
+    if processor[0] not in (_INTEL, _DEC, _MIPS):
+        raise _damaged(path, "names no processor type")
+    order = ">" if processor[0] == _MIPS else "<"
+    words = np.frombuffer(data[:24], order + "u2").astype(int)
+    points, analogs, first, last, start = words[[1, 2, 3, 4, 8]]
+    if last == _LONG:
+        return
+    # The scale's sign: reals where it is negative.
+    sign = words[7] if processor[0] == _INTEL else words[6]
+    size = (4 * points + analogs) * (4 if sign >> 15 else 2)
+    if len(data) < (start - 1) * _BLOCK + (last - first + 1) * size:
+        raise _truncated(path)
+
+
+def _truncated(path) -> InputError:
+    return InputError(
+        f"{path}: ends before its last frame; the file is truncated, copy or "
+        "export it again"
+    )
+
+
+def _damaged(path, what: str) -> InputError:
+    return InputError(f"{path}: is damaged ({what}); copy or export it again")
+
+
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
+_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
+_MOST_PLATES = 64
+_LARGEST = 1e30  # of a signal, in any unit
+
+
+@dataclass(frozen=True)
+class C3d:
+    """Contents of a C3D file.
+
+    Attributes:
+        markers: None if the file has none.
+        plates: force plates, numbered from 1, in the file's axes; forces on
+            the body.
+        plate_time: (N,) of the plates' samples [s].
+        analog: all analog channels; None if the file has none.
+        analog_units: channel name -> unit as the file says.
+        corners: (P, 4, 3) of each plate [m].
+    """
+
+    markers: MarkerData | None
+    plates: list[PlateRecording]
+    plate_time: np.ndarray
+    analog: Table | None
+    analog_units: dict[str, str] = field(default_factory=dict)
+    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 3)))
+
+
+def read_c3d(path: str | Path) -> C3d:
+    """Read a C3D file; time starts at zero with its first frame.
+
+    Raises:
+        InputError: unreadable or truncated file, unknown units, a plate
+            without corners or channels, or of another type.
+    """
+    path = Path(path)
+    file = decode(path)
+    markers = _markers(path, file)
+    analog, units = _analog(path, file)
+    used = file.numbers("FORCE_PLATFORM", "USED")
+    count = 0 if used is None else int(np.clip(used.flat[0], 0, _MOST_PLATES))
+    plates, corners = [], np.zeros((count, 4, 3))
+    for i in range(count):
+        plate = _PlateSignals(path, file, i, analog, units)
+        plates.append(plate.recording())
+        corners[i] = plate.corners
+    time = np.zeros(0) if analog is None else analog.time
+    return C3d(markers, plates, time, analog, units, corners)
+
+
+def _unit(path, text: str, known: dict[str, float], what: str) -> float:
+    unit = text.strip().lower().replace(".", "").replace("*", "")
+    if unit not in known:
+        names = ", ".join(known)
+        raise InputError(
+            f"{path}: the unit of {what} is {text!r}; correct it to one of "
+            f"{names}"
+        )
+    return known[unit]
+
+
+def _point_unit(path, file: C3dContents) -> float:
+    units = file.texts("POINT", "UNITS")
+    return _unit(path, units[0] if units else "", _LENGTHS, "POINT:UNITS")
+
+
+def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
+    """One name for each of `count` columns; repeated ones get a number."""
+    names = [*names[:count], *[""] * (count - len(names))]
+    found: list[str] = []
+    for i, name in enumerate(names):
+        name = name or f"{prefix}{i + 1}"
+        found.append(f"{name}_{i + 1}" if name in found else name)
+    return tuple(found)
+
+
+def _markers(path, file: C3dContents) -> MarkerData | None:
+    p = file.points
+    if p.size == 0:
+        return None
+    p = _point_unit(path, file) * p
+    # Some exporters write unseen markers as zeros instead of residual -1.
+    p = np.where((p == 0.0).all(axis=2, keepdims=True), np.nan, p)
+    return MarkerData(
+        time=np.arange(len(p)) / file.rate_hz,
+        names=_unique(file.texts("POINT", "LABELS"), p.shape[1], "marker"),
+        positions=p,
+        rate_hz=file.rate_hz,
+        source=str(path),
+    )
+
+
+def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
+    values = file.analogs
+    if values.size == 0:
+        return None, {}
+    names = _unique(file.texts("ANALOG", "LABELS"), values.shape[1], "channel")
+    units = file.texts("ANALOG", "UNITS")
+    units += [""] * (len(names) - len(units))
+    table = Table(
+        time=np.arange(len(values)) / file.analog_rate_hz,
+        names=names,
+        values=values,
+        source=str(path),
+    )
+    return table, dict(zip(names, units, strict=False))
+
+
+class _PlateSignals:
+    """One plate of a file: its geometry and its signals."""
+
+    def __init__(self, path, file: C3dContents, index, analog, units):
+        self.path, self.index, self.file = path, index, file
+        self.kind = self._type()
+        length = _point_unit(path, file)
+        self.corners = length * self._corners()
+        self.origin = length * self._origin()
+        raw, self.units = self._signals(analog, units)
+        self.length = length
+        if self.kind == 4:
+            raw = raw @ self._calibration().T
+        self.raw = raw
+
+    @property
+    def name(self) -> str:
+        return f"force plate {self.index + 1}"
+
+    def _error(self, message: str) -> InputError:
+        return InputError(f"{self.path}: {self.name} {message}")
+
+    def _parameter(self, name: str, dimensions: int) -> np.ndarray | None:
+        """The plate's own entry of a parameter, None if it is not there."""
+        values = self.file.numbers("FORCE_PLATFORM", name)
+        if values is None or values.ndim != dimensions:
+            return None
+        if values.shape[-1] <= self.index:
+            return None
+        own = values[..., self.index]
+        return own if np.isfinite(own).all() else None
+
+    def _type(self) -> int:
+        kind = self._parameter("TYPE", 1)
+        if kind is None:
+            raise self._error("has no FORCE_PLATFORM:TYPE; export it again")
+        if float(kind) not in _CHANNELS:
+            raise self._error(
+                f"is of type {kind:g}; types 1 to 4 can be read, export it as "
+                "type 2"
+            )
+        return int(kind)
+
+    def _corners(self) -> np.ndarray:
+        values = self._parameter("CORNERS", 3)
+        if values is None or values.shape != (3, 4):
+            raise self._error("has no corners; complete FORCE_PLATFORM:CORNERS")
+        corners = values.T
+        sides = corners[0] - corners[1], corners[0] - corners[3]
+        if not 1e-9 < np.linalg.norm(np.cross(*sides)) < 1e12:
+            raise self._error(
+                "has no corners (they span no area); complete "
+                "FORCE_PLATFORM:CORNERS"
+            )
+        return corners
+
+    def _origin(self) -> np.ndarray:
+        origin = self._parameter("ORIGIN", 2)
+        if origin is None or origin.shape != (3,):
+            raise self._error("has no FORCE_PLATFORM:ORIGIN; complete it")
+        return -origin if origin[2] > 0.0 else origin
+
+    def _signals(self, analog, units):
+        channels = self._parameter("CHANNEL", 2)
+        count = _CHANNELS[self.kind]
+        if analog is None or channels is None or len(channels) < count:
+            raise self._error(
+                f"of type {self.kind} lacks its {count} analog channels; "
+                "complete FORCE_PLATFORM:CHANNEL"
+            )
+        index = channels[:count].astype(int) - 1
+        if index.min() < 0 or index.max() >= len(analog.names):
+            raise self._error(
+                f"names analog channel {index.max() + 1}, but there are "
+                f"{len(analog.names)}; correct FORCE_PLATFORM:CHANNEL"
+            )
+        names = [analog.names[i] for i in index]
+        values = analog.values[:, index]
+        if not (np.abs(values) < _LARGEST).all():
+            raise self._error("has gaps in its channels; export it again")
+        return values, [units[n] for n in names]
+
+    def _calibration(self) -> np.ndarray:
+        matrix = self._parameter("CAL_MATRIX", 3)
+        if matrix is None or min(matrix.shape) < 6:
+            raise self._error(
+                "of type 4 has no calibration matrix; complete "
+                "FORCE_PLATFORM:CAL_MATRIX"
+            )
+        matrix = matrix[:6, :6]
+        if np.abs(matrix).max() > _LARGEST or (
+            np.linalg.matrix_rank(matrix) < 6
+        ):
+            raise self._error(
+                "of type 4 has a singular calibration matrix; correct "
+                "FORCE_PLATFORM:CAL_MATRIX"
+            )
+        return matrix
+
+    def _scales(self) -> tuple[float, float]:
+        """Factors to N and N m of force and moment channels.
+
+        After a calibration matrix channels that count volts are newtons, and
+        newtons times the file's unit of length (C3D manual).
+        """
+        moments = {"nm": 1.0, "ncm": 1e-2, "nmm": 1e-3}
+        force, moment = self.units[0], self.units[-1]
+        if self.kind == 4 and force.strip().lower() in ("v", "mv", "uv", ""):
+            return 1.0, self.length
+        what = f"the channels of {self.name}"
+        scale = _unit(self.path, force, _FORCES, what)
+        if self.kind == 3:
+            return scale, scale
+        return scale, _unit(self.path, moment, moments, what)
+
+    def _wrench(self) -> tuple[np.ndarray, np.ndarray]:
+        """Force and moment about the surface's middle, in the plate."""
+        force_scale, moment_scale = self._scales()
+        if self.kind == 3:
+            F, M = _of_four_sensors(force_scale * self.raw, self.origin)
+            return F, M - np.cross([0.0, 0.0, self.origin[2]], F)
+        F = force_scale * self.raw[:, :3]
+        if self.kind == 1:
+            length = _unit(
+                self.path, self.units[3], _LENGTHS, f"P of {self.name}"
+            )
+            p = np.zeros_like(F)
+            # From the surface's middle, as BTK and ezc3d read it too.
+            p[:, :2] = length * self.raw[:, 3:5]
+            M = np.cross(p, F)
+            M[:, 2] += moment_scale * self.raw[:, 5]
+            return F, M
+        M = moment_scale * self.raw[:, 3:]
+        return F, M - np.cross(self.origin, F)
+
+    def recording(self) -> PlateRecording:
+        x = self.corners[0] - self.corners[1]
+        y = self.corners[0] - self.corners[3]
+        z = np.cross(x, y)
+        y = np.cross(z, x)
+        R = np.stack([e / np.linalg.norm(e) for e in (x, y, z)], axis=1)
+        F, M = self._wrench()
+        middle = self.corners.mean(axis=0)
+        return PlateRecording(
+            number=self.index + 1,
+            force=F @ R.T,
+            point=np.tile(middle, (len(F), 1)),
+            torque=M @ R.T,
+            has_torque=True,
+        )
+
+
+def _of_four_sensors(f: np.ndarray, origin: np.ndarray):
+    """Kistler's channels Fx12 Fx34 Fy14 Fy23 Fz1..4 as force and moment.
+
+    ORIGIN holds the sensors' distances a, b from the middle, and their depth.
+    """
+    a, b = np.abs(origin[:2])
+    x12, x34, y14, y23, z1, z2, z3, z4 = f.T
+    F = np.column_stack([x12 + x34, y14 + y23, z1 + z2 + z3 + z4])
+    M = np.column_stack(
+        [
+            b * (z1 + z2 - z3 - z4),
+            a * (-z1 + z2 + z3 - z4),
+            b * (x34 - x12) + a * (y14 - y23),
+        ]
+    )
+    return F, M

@@ -1,0 +1,304 @@
+"""OpenSim's text files: .trc markers, .mot and .sto tables.
+
+Real files end lines with tabs and carriage returns, round their time stamps
+and name force plates in several ways; what cannot be told from the file is
+refused instead of guessed.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.tables import (
+    MarkerData,
+    Table,
+    check_gaps,
+    check_increasing,
+)
+from drake_exo.files.text import frame_rate, number_rows, read_text
+
+_LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+# ground_force_1_vx, ground_force_vx, 1_ground_force_vx, ground_torque_x,
+# ground_moment_1_mx, ground_force_calcn_r_px, ...
+_PLATE_COLUMN = re.compile(
+    r"(?:(?P<before>\w+?)_)?ground_(?P<what>force|torque|moment)"
+    r"(?:_(?P<after>\w+?))?_(?P<kind>[vpm])?(?P<axis>[xyz])"
+)
+
+
+@dataclass(frozen=True)
+class PlateRecording:
+    """One force plate as a file gives it, in the file's axes.
+
+    Attributes:
+        number: from 1, as the columns say, else in their order.
+        force: (N, 3) on the body [N].
+        point: (N, 3) where the force acts [m].
+        torque: (N, 3) free moment about that point [N m].
+        has_torque: whether the file had it (zeros otherwise).
+    """
+
+    number: int
+    force: np.ndarray
+    point: np.ndarray
+    torque: np.ndarray
+    has_torque: bool
+
+    def moment_about_origin(self) -> np.ndarray:
+        """Moment (N, 3) about the file's origin [N m]."""
+        return np.cross(self.point, self.force) + self.torque
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a .mot or .sto file.
+
+    Raises:
+        InputError: the file is unreadable, truncated, holds text among
+            numbers, or its time does not increase.
+    """
+    lines = read_text(path).splitlines()
+    ends = [i for i, s in enumerate(lines) if s.strip() == "endheader"]
+    if not ends:
+        raise InputError(
+            f"{path}: has no line 'endheader'; give an OpenSim .mot or .sto "
+            "file"
+        )
+    header = _header(lines[: ends[0]])
+    rest = [i for i in range(ends[0] + 1, len(lines)) if lines[i].strip()]
+    if not rest:
+        raise InputError(f"{path}: ends after its header; export it again")
+    names = lines[rest[0]].split()
+    if not names or names[0].lower() != "time":
+        raise InputError(
+            f"{path}:{rest[0] + 1}: the first column must be 'time'"
+        )
+    _check_names(path, rest[0] + 1, names)
+    rows = [(i + 1, lines[i].split()) for i in rest[1:]]
+    values = number_rows(path, rows, len(names))
+    _check_count(path, header.get("nrows"), len(rows), "nRows", "rows")
+    check_increasing(str(path), values[:, 0])
+    return Table(
+        time=values[:, 0],
+        names=tuple(names[1:]),
+        values=values[:, 1:],
+        in_degrees=_yes_no(path, header.get("indegrees")),
+        source=str(path),
+    )
+
+
+def read_coordinates(
+    path: str | Path, translations: tuple[str, ...] = ()
+) -> Table:
+    """Read joint angles, in radians whatever the file has.
+
+    Raises:
+        InputError: as `read_table`, or header and angles disagree.
+    """
+    return read_table(path).in_radians(translations)
+
+
+def read_trc(path: str | Path) -> MarkerData:
+    """Read a .trc file; positions in metres whatever the file has.
+
+    Raises:
+        InputError: the file is unreadable, truncated, or holds text among
+            numbers, its unit is unknown, or its time does not increase.
+    """
+    lines = read_text(path).splitlines()
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise InputError(f"{path}: is not a .trc file; check the path")
+    keys = [k.lower() for k in lines[1].split()]
+    header = dict(zip(keys, lines[2].split(), strict=False))
+    scale = _length_unit(path, header.get("units"))
+    cells = [cell.strip() for cell in lines[3].split("\t")]
+    names = [cell for cell in cells if cell][2:]
+    _check_names(path, 4, names)
+    _check_count(
+        path, header.get("nummarkers"), len(names), "NumMarkers", "marker names"
+    )
+    width = 2 + 3 * len(names)
+    rows = []
+    for i in range(5, len(lines)):
+        if lines[i].strip():
+            rows.append((i + 1, _fields(lines[i], width)))
+    values = number_rows(path, rows, width)
+    _check_count(
+        path, header.get("numframes"), len(rows), "NumFrames", "frames"
+    )
+    check_increasing(str(path), values[:, 1])
+    return MarkerData(
+        time=values[:, 1],
+        names=tuple(names),
+        positions=scale * values[:, 2:].reshape(len(rows), -1, 3),
+        rate_hz=frame_rate(path, header.get("datarate"), "DataRate"),
+        source=str(path),
+    )
+
+
+def read_plates(path: str | Path) -> tuple[np.ndarray, list[PlateRecording]]:
+    """Read the force plates of a .mot or .sto file.
+
+    Returns:
+        Times (N,) [s] and the plates by number.
+
+    Raises:
+        InputError: as `read_table`; no plate, a component missing, or gaps.
+    """
+    table = read_table(path)
+    return table.time, plates_of(table)
+
+
+def plates_of(table: Table) -> list[PlateRecording]:
+    """The force plates among the columns of a table; see `read_plates`."""
+    columns: dict[str, dict[str, str]] = {}
+    for name in table.names:
+        match = _PLATE_COLUMN.fullmatch(name)
+        if match:
+            label = match["before"] or match["after"] or ""
+            kind = match["kind"] or "m"
+            if match["what"] != "force":
+                kind = "m"
+            columns.setdefault(label, {})[kind + match["axis"]] = name
+    if not columns:
+        raise InputError(
+            f"{table.source}: has no force plate; name columns like "
+            "ground_force_1_vx, ground_force_1_px, ground_torque_1_x"
+        )
+    labels = list(columns)
+    # "ground_force_2_vx" is plate 2; "1_ground_force_vx" beside
+    # "ground_force_vx" is OpenSim's second plate.
+    numbered = all(label.isdigit() and label != "0" for label in labels)
+    return [
+        _plate(table, int(label) if numbered else i + 1, label, columns[label])
+        for i, label in enumerate(labels)
+    ]
+
+
+def _plate(table, number, label, columns) -> PlateRecording:
+    example = next(iter(columns.values()))
+    given = {}
+    for kind in "vpm":
+        parts = [columns.get(kind + axis) for axis in "xyz"]
+        if kind == "m" and parts == [None] * 3:
+            given[kind] = np.zeros((len(table.time), 3))
+            continue
+        for axis, part in zip("xyz", parts, strict=True):
+            if part is None:
+                what = {"v": "force", "p": "point", "m": "moment"}[kind]
+                raise InputError(
+                    f"{table.source}: force plate {label or number} has no "
+                    f"{axis} component of its {what} beside column "
+                    f"{example!r}; export all three"
+                )
+        index = [table.names.index(part) for part in parts]
+        given[kind] = table.values[:, index]
+    unloaded = (given["v"] == 0.0).all(axis=1)
+    point = np.where(
+        unloaded[:, None] & ~np.isfinite(given["p"]), 0.0, given["p"]
+    )
+    for kind, values in (("v", given["v"]), ("p", point), ("m", given["m"])):
+        if kind + "x" in columns:
+            check_gaps(
+                table.source,
+                f"column {columns[kind + 'x']!r} (or y, z)",
+                table.time,
+                values,
+            )
+    return PlateRecording(
+        number, given["v"], point, given["m"], "mx" in columns
+    )
+
+
+def write_table(path: str | Path, table: Table, title: str = "") -> None:
+    """Write a .mot or .sto file that OpenSim reads."""
+    path = Path(path)
+    degrees = "yes" if table.in_degrees else "no"
+    head = [
+        title or path.stem,
+        "version=1",
+        f"nRows={len(table.time)}",
+        f"nColumns={len(table.names) + 1}",
+        f"inDegrees={degrees}",
+        "endheader",
+        "\t".join(("time", *table.names)),
+    ]
+    rows = np.column_stack([table.time, table.values])
+    body = ["\t".join(f"{x:.10g}" for x in row) for row in rows]
+    path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
+
+
+def write_trc(path: str | Path, markers: MarkerData) -> None:
+    """Write a .trc file in metres; gaps become empty fields."""
+    path = Path(path)
+    n, m = markers.positions.shape[:2]
+    rate = f"{markers.rate_hz:g}"
+    labels = [f"{a}{i + 1}" for i in range(m) for a in "XYZ"]
+    head = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate"
+        "\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{n}\t{m}\tm\t{rate}\t1\t{n}",
+        "Frame#\tTime\t" + "\t".join(f"{s}\t\t" for s in markers.names),
+        "\t\t" + "\t".join(labels),
+        "",
+    ]
+    body = []
+    for i in range(n):
+        p = markers.positions[i].ravel()
+        cells = ("" if np.isnan(x) else f"{x:.9g}" for x in p)
+        body.append("\t".join((f"{i + 1}", f"{markers.time[i]:.10g}", *cells)))
+    path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    pairs = (line.split("=", 1) for line in lines if "=" in line)
+    return {key.strip().lower(): value.strip() for key, value in pairs}
+
+
+def _yes_no(path, text: str | None) -> bool | None:
+    if text is None:
+        return None
+    if text.lower() not in ("yes", "no"):
+        raise InputError(
+            f"{path}: inDegrees must be yes or no, but is {text!r}"
+        )
+    return text.lower() == "yes"
+
+
+def _length_unit(path, unit: str | None) -> float:
+    if unit is None or unit.lower() not in _LENGTH_UNITS:
+        raise InputError(
+            f"{path}: Units in the header is {unit!r}; write m, cm or mm"
+        )
+    return _LENGTH_UNITS[unit.lower()]
+
+
+def _check_names(path, line: int, names: list[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{path}:{line}: two columns are named {name!r}; rename one"
+            )
+
+
+def _check_count(path, text: str | None, count: int, key, what) -> None:
+    """A file with fewer rows than it announces was cut off."""
+    if text is not None and text.isdigit() and int(text) != count:
+        raise InputError(
+            f"{path}: the header says {key}={text}, but there are {count} "
+            f"{what}; the file is truncated or its header wrong"
+        )
+
+
+def _fields(line: str, width: int) -> list[str]:
+    """Cells of a .trc row; markers missing at its end become gaps."""
+    cells = line.rstrip("\r\n").split("\t")
+    while len(cells) > width and not cells[-1].strip():
+        cells.pop()
+    if len(cells) < width and (len(cells) - 2) % 3 == 0:
+        cells += [""] * (width - len(cells))
+    return cells

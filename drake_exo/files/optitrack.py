@@ -1,0 +1,176 @@
+"""OptiTrack Motive's CSV exports: markers, and one force plate."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import PlateRecording
+from drake_exo.files.tables import MarkerData, check_increasing
+from drake_exo.files.text import frame_rate, number_rows, read_text
+
+_LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
+# In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
+_CORNERS = ("PosX_PosY", "NegX_PosY", "NegX_NegY", "PosX_NegY")
+_CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+
+def read_markers_csv(path: str | Path) -> MarkerData:
+    """Read a marker export of Motive (format version 1.2).
+
+    Raises:
+        InputError: another format, unknown unit, truncated or damaged rows,
+            or time that does not increase.
+    """
+    rows = _rows(path)
+    head = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    if "Format Version" not in head or "Length Units" not in head:
+        raise InputError(
+            f"{path}: is not a marker export of Motive; export 'CSV' with "
+            "its header"
+        )
+    scale = _LENGTHS.get(head["Length Units"].strip().lower())
+    if scale is None:
+        raise InputError(
+            f"{path}: Length Units is {head['Length Units']!r}; export in "
+            "meters, centimeters or millimeters"
+        )
+    start = _find(path, rows, "Frame")
+    kinds, names = _label_rows(path, rows[:start])
+    axes = rows[start][2:]
+    columns: dict[str, list[int]] = {}
+    for i, (kind, name, axis) in enumerate(
+        zip(kinds, names, axes, strict=False)
+    ):
+        if kind == "Marker" and axis.strip() in ("X", "Y", "Z"):
+            columns.setdefault(name.strip(), []).append(i + 2)
+    if not columns or any(len(c) != 3 for c in columns.values()):
+        raise InputError(
+            f"{path}: has no markers with X, Y and Z; export markers' "
+            "positions, each with a name of its own"
+        )
+    values = _values(path, rows, start + 1, len(rows[start]))
+    check_increasing(str(path), values[:, 1])
+    positions = np.stack([values[:, c] for c in columns.values()], axis=1)
+    _check_total(path, head.get("Total Exported Frames"), len(values))
+    return MarkerData(
+        time=values[:, 1],
+        names=tuple(columns),
+        positions=scale * positions,
+        rate_hz=frame_rate(
+            path, head.get("Export Frame Rate"), "Export Frame Rate"
+        ),
+        source=str(path),
+    )
+
+
+def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
+    """Read a force plate's export of Motive.
+
+    The export holds what the body does to the plate, in the plate's frame
+    (z down), in N and N m about the middle of its surface; returned is what
+    the plate does to the body, in the axes of the corners. Samples before
+    the device began to stream, all zero, are left out.
+
+    Returns:
+        Times (N,) [s] and the plate, number 1.
+
+    Raises:
+        InputError: another format, no corners, truncated or damaged rows,
+            or time that does not increase.
+    """
+    rows = _rows(path)
+    start = _find(path, rows, "MocapFrame")
+    head = {r[0].strip(): r[1] for r in rows[:start] if len(r) > 1}
+    names = [n.strip() for n in rows[start]]
+    for name in ("MocapTime", *_CHANNELS):
+        if name not in names:
+            raise InputError(
+                f"{path}: has no column {name!r}; export the plate's force "
+                "and moment"
+            )
+    values = _values(path, rows, start + 1, len(names))
+    check_increasing(str(path), values[:, names.index("MocapTime")])
+    _check_total(path, head.get("Total Exported Frames"), len(values))
+    signals = values[:, [names.index(c) for c in _CHANNELS]]
+    if not np.isfinite(signals).all():
+        raise InputError(f"{path}: forces have gaps; export it again")
+    streaming = np.flatnonzero(signals.any(axis=1))
+    first = int(streaming[0]) if len(streaming) else 0
+    corners = _corners(path, head)
+    x, y = corners[0] - corners[1], corners[0] - corners[3]
+    z = np.cross(x, y)
+    if not np.linalg.norm(z) > 1e-9:
+        raise InputError(
+            f"{path}: the plate's corners span no area; export the device's "
+            "header"
+        )
+    axes = (x, np.cross(z, x), z)
+    R = np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
+    reaction = -signals[first:]
+    plate = PlateRecording(
+        number=1,
+        force=reaction[:, :3] @ R.T,
+        point=np.tile(corners.mean(axis=0), (len(reaction), 1)),
+        torque=reaction[:, 3:] @ R.T,
+        has_torque=True,
+    )
+    return values[first:, names.index("MocapTime")], plate
+
+
+def _rows(path) -> list[list[str]]:
+    text = read_text(path)
+    rows = [row for row in csv.reader(text.splitlines()) if any(row)]
+    if not rows:
+        raise InputError(f"{path}: is empty; export it again")
+    return rows
+
+
+def _find(path, rows, first: str) -> int:
+    for i, row in enumerate(rows):
+        if row[0].strip() == first:
+            return i
+    raise InputError(
+        f"{path}: has no line of column names starting with {first!r}; "
+        "export 'CSV' from Motive"
+    )
+
+
+def _label_rows(path, rows) -> tuple[list[str], list[str]]:
+    """The rows of kinds (Marker, ...) and names above the columns."""
+    labels = [row for row in rows[1:] if not row[0].strip()]
+    if len(labels) < 2:
+        raise InputError(
+            f"{path}: has no rows of marker names; export with the header"
+        )
+    return labels[0][2:], labels[1][2:]
+
+
+def _values(path, rows, start: int, width: int) -> np.ndarray:
+    """Rows of numbers (N, width); empty cells are gaps."""
+    return number_rows(path, enumerate(rows[start:], start + 1), width)
+
+
+def _check_total(path, text: str | None, count: int) -> None:
+    if text and text.strip().isdigit() and int(text) != count:
+        raise InputError(
+            f"{path}: says {int(text)} exported frames, but holds {count}; "
+            "the file is truncated"
+        )
+
+
+def _corners(path, head) -> np.ndarray:
+    """Corners (4, 3) [m]."""
+    try:
+        corners = np.array(
+            [[float(head[f"{c}_{a}"]) for a in "XYZ"] for c in _CORNERS]
+        )
+        if not (np.abs(corners) < 1e6).all():
+            raise ValueError("one is out of all bounds")
+        return corners
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{path}: has no corners of the plate ({error}); export the "
+            "device's header"
+        ) from error

@@ -1,0 +1,203 @@
+"""Pressure exports: Novel's .asc (pedar, pliance) and plain CSV matrices."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.tables import check_gaps, check_increasing
+from drake_exo.files.text import number_rows, read_text
+
+_PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
+
+
+@dataclass(frozen=True)
+class PressureRecording:
+    """Pressure of every cell over time.
+
+    Attributes:
+        time: (N,) increasing [s].
+        pressure: (N, C) [Pa].
+        groups: name of a mat or insole -> its columns in `pressure`.
+        rate_hz: scanning rate as the file says.
+        source: file name.
+    """
+
+    time: np.ndarray
+    pressure: np.ndarray
+    groups: dict[str, np.ndarray]
+    rate_hz: float
+    source: str
+
+    def normal_force(self, group: str, area_m2) -> np.ndarray:
+        """Sum of pressure times area of one mat (N,) [N].
+
+        Args:
+            group: name of the mat.
+            area_m2: of a cell, or of each cell of the mat.
+
+        Raises:
+            InputError: no such mat, or another number of areas.
+        """
+        if group not in self.groups:
+            names = ", ".join(self.groups)
+            raise InputError(
+                f"{self.source}: has no mat {group!r}; there are {names}"
+            )
+        cells = self.pressure[:, self.groups[group]]
+        area = np.asarray(area_m2, float)
+        if area.ndim and area.shape != cells.shape[1:]:
+            raise InputError(
+                f"{self.source}: {group!r} has {cells.shape[1]} cells, but "
+                f"{area.size} areas are given"
+            )
+        return (cells * area).sum(axis=1)
+
+    def matrix(self, group: str, rows: int, columns: int) -> np.ndarray:
+        """Pressure of one mat as (N, rows, columns) [Pa].
+
+        Raises:
+            InputError: the mat has another number of cells.
+        """
+        cells = self.pressure[:, self.groups[group]]
+        if cells.shape[1] != rows * columns:
+            raise InputError(
+                f"{self.source}: {group!r} has {cells.shape[1]} cells, not "
+                f"{rows} x {columns}; correct the size of the mat in the "
+                "study, or export the right one"
+            )
+        return cells.reshape(len(cells), rows, columns)
+
+
+def read_novel_asc(path: str | Path) -> PressureRecording:
+    """Read Novel's text export of one recording.
+
+    Cells are grouped as the mask definition says ("left insole: 1,2,...");
+    without one, all are one mat.
+
+    Raises:
+        InputError: another format, unknown unit, truncated or damaged rows,
+            gaps, or time that does not increase.
+    """
+    lines = read_text(path).splitlines()
+    start = next(
+        (i for i, s in enumerate(lines) if s.lower().startswith("time[secs]")),
+        None,
+    )
+    if start is None:
+        raise InputError(
+            f"{path}: has no line of column names starting with time[secs]; "
+            "export ASCII from Novel's software"
+        )
+    head = "\n".join(lines[:start])
+    scale = _unit(path, head)
+    rate = _number(path, head, r"scanning rate \[hz\]:\s*([\d.]+)", "rate")
+    total = _number(path, head, r"total time \[secs\]:\s*([\d.]+)", "time")
+    count = len(lines[start].split())
+    values = _table(path, lines, start + 1, count, None)
+    check_increasing(str(path), values[:, 0])
+    if abs(len(values) - total * rate) > 1.5:
+        raise InputError(
+            f"{path}: announces {total:g} s at {rate:g} Hz, but holds "
+            f"{len(values)} frames; the file is truncated"
+        )
+    return _recording(path, values, scale, _groups(path, head, count - 1), rate)
+
+
+def read_pressure_csv(
+    path: str | Path, mats: dict[str, tuple[int, int]]
+) -> PressureRecording:
+    """Read a CSV table: time, then each mat's cells row by row.
+
+    The first line names the columns, its first cell the time and the unit
+    of pressure: "time [s]; kPa". The sampling rate follows from the times.
+
+    Args:
+        path: the file.
+        mats: name -> (rows, columns), in the order of the columns.
+
+    Raises:
+        InputError: as `read_novel_asc`; or the file has another number of
+            cells than the mats.
+    """
+    lines = [s for s in read_text(path).splitlines() if s.strip()]
+    if len(lines) < 3:
+        raise InputError(f"{path}: holds fewer than two frames of pressure")
+    first = lines[0].split(",")[0]
+    scale = _unit(path, first)
+    cells = sum(r * c for r, c in mats.values())
+    width = len(lines[0].split(","))
+    if width != cells + 1:
+        sizes = ", ".join(f"{n} {r} x {c}" for n, (r, c) in mats.items())
+        raise InputError(
+            f"{path}: has {width - 1} cells, but the mats ({sizes}) have "
+            f"{cells}; correct the sizes in the study or the export"
+        )
+    values = _table(path, lines, 1, width, ",")
+    check_increasing(str(path), values[:, 0])
+    groups, at = {}, 0
+    for name, (r, c) in mats.items():
+        groups[name] = np.arange(at, at + r * c)
+        at += r * c
+    rate = (len(values) - 1) / (values[-1, 0] - values[0, 0])
+    return _recording(path, values, scale, groups, float(rate))
+
+
+def _recording(path, values, scale, groups, rate) -> PressureRecording:
+    pressure = scale * values[:, 1:]
+    check_gaps(str(path), "a cell", values[:, 0], pressure)
+    if pressure.min() < 0.0:
+        raise InputError(
+            f"{path}: holds pressures below zero; export it without offset"
+        )
+    return PressureRecording(values[:, 0], pressure, groups, rate, str(path))
+
+
+def _unit(path, text: str) -> float:
+    for unit in re.findall(r"[a-z]+(?:/cm\^?2)?", text.lower()):
+        if unit in _PASCALS:
+            return _PASCALS[unit]
+    raise InputError(
+        f"{path}: the header names no unit of pressure; write one of "
+        "Pa, kPa, N/cm2"
+    )
+
+
+def _number(path, text: str, pattern: str, what: str) -> float:
+    match = re.search(pattern, text, re.IGNORECASE)
+    if not match or not float(match[1]) > 0.0:
+        raise InputError(
+            f"{path}: the header names no {what} (scanning rate [Hz], total "
+            "time [secs]); export it again"
+        )
+    return float(match[1])
+
+
+def _table(path, lines, start: int, width: int, separator) -> np.ndarray:
+    rows = (
+        (i + 1, lines[i].split(separator))
+        for i in range(start, len(lines))
+        if lines[i].strip()
+    )
+    return number_rows(path, rows, width)
+
+
+def _groups(path, head: str, cells: int) -> dict[str, np.ndarray]:
+    """Columns of each mat of the mask definition, in its order."""
+    groups, at = {}, 0
+    masks = re.findall(r"^(.+?):\s*((?:\d+,\s*)*\d+),?\s*$", head, re.MULTILINE)
+    for name, numbers in masks:
+        count = len([n for n in numbers.split(",") if n.strip()])
+        if count > 1:
+            groups[name.strip()] = np.arange(at, at + count)
+            at += count
+    if not groups:
+        return {"mat": np.arange(cells)}
+    if at != cells:
+        raise InputError(
+            f"{path}: the mask definition names {at} cells, but the table "
+            f"has {cells}; export it again"
+        )
+    return groups

@@ -1,1 +1,0 @@
-"""Force laws written once, and the LeafSystems around them."""

@@ -1,1 +1,0 @@
-"""What a gait laboratory hands over, and how it becomes a Trial."""

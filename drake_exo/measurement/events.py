@@ -1,0 +1,149 @@
+"""Finding sit-to-stand rises: from seat-off to standing.
+
+Seat-off is where the feet carry the whole body by Newton's law: what the
+chair must bear, m (a_com + g) - F_z, has fallen to a small share of body
+weight. A bare threshold on F_z would be passed while still seated, since the
+rise begins with a push well above body weight.
+
+What the plate under the chair says of the body on it.
+
+Its wrench acts on the pelvis (a share on the thighs, if the study says so)
+until its vertical force has fallen to 5 % of body weight. What is left then
+is faded out within 50 ms, so that no step remains in the dynamics.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.measurement.sagittal import PlanarWrench
+
+SEATED_SHARE = 0.5  # of body weight on the chair: clearly seated
+CHAIR_SHARE = 0.05  # of body weight on the chair: seat-off
+STEADY_SHARE = 0.1  # force within this share of body weight: standing
+STEADY_S = 0.1  # for so long
+_MIN_RANGE_M = 0.15  # hips that move less do not rise
+
+
+@dataclass(frozen=True)
+class Rise:
+    """One rise.
+
+    Attributes:
+        seat_off_s: the chair bears nothing any more (without a chair: the
+            lowest point).
+        halfway_s: the hips pass half their height.
+        standing_s: body weight is borne steadily, or else the highest point.
+        had_chair: whether a chair bore weight before.
+        is_steady: whether standing became steady before the next movement.
+    """
+
+    seat_off_s: float
+    halfway_s: float
+    standing_s: float
+    had_chair: bool
+    is_steady: bool
+
+
+def find_rises(
+    time: np.ndarray,
+    hip_z: np.ndarray,
+    chair_force: np.ndarray,
+    F_z: np.ndarray,
+    weight: float,
+) -> list[Rise]:
+    """Find rises in a recording.
+
+    Args:
+        time: (N,) [s].
+        hip_z: (N,) height of the hips [m], low-passed.
+        chair_force: (N,) m (a_com + g) - F_z [N].
+        F_z: (N,) vertical force of the feet [N].
+        weight: body weight [N].
+    """
+    low, high = hip_z.min(), hip_z.max()
+    if high - low < _MIN_RANGE_M:
+        return []
+    rises = []
+    above = hip_z > 0.5 * (low + high)
+    ups = np.flatnonzero(~above[:-1] & above[1:]) + 1
+    downs = np.flatnonzero(above[:-1] & ~above[1:]) + 1
+    for up in ups:
+        before = downs[downs < up].max(initial=0)
+        after = downs[downs > up].min(initial=len(time) - 1)
+        seated = hip_z[before:up].min(initial=np.inf)
+        if seated > low + 0.3 * (high - low):
+            continue
+        if hip_z[up : after + 1].max() < low + 0.8 * (high - low):
+            continue
+        start, had_chair = _seat_off(hip_z, chair_force, weight, before, up)
+        end, steady = _standing(time, hip_z, F_z, weight, up, after)
+        rises.append(
+            Rise(
+                float(time[start]),
+                float(time[up]),
+                float(time[end]),
+                had_chair,
+                steady,
+            )
+        )
+    return rises
+
+
+def _seat_off(hip_z, chair_force, weight, before, up):
+    """Index of seat-off between `before` and `up`."""
+    seated = np.flatnonzero(chair_force[before:up] > SEATED_SHARE * weight)
+    if len(seated) == 0:
+        return before + int(np.argmin(hip_z[before:up])), False
+    start = before + seated[-1]
+    free = np.flatnonzero(chair_force[start:up] < CHAIR_SHARE * weight)
+    return (start + int(free[0]) if len(free) else up), True
+
+
+def _standing(time, hip_z, F_z, weight, up, after):
+    """Index where body weight is first borne steadily, after the top."""
+    top = up + int(
+        np.argmax(hip_z[up : after + 1] >= 0.98 * (hip_z[up : after + 1].max()))
+    )
+    steady = np.abs(F_z - weight) < STEADY_SHARE * weight
+    count = max(round(STEADY_S / (time[1] - time[0])), 1)
+    for i in range(top, after - count + 1):
+        if steady[i : i + count + 1].all():
+            return i, True
+    return up + int(np.argmax(hip_z[up : after + 1])), False
+
+
+_FADE_S = 0.05
+
+
+def until_seat_off(
+    time: np.ndarray, wrench: PlanarWrench, weight: float
+) -> PlanarWrench:
+    """The chair's wrench while somebody sits on it, zero elsewhere.
+
+    Args:
+        time: (N,) [s].
+        wrench: filtered and tared.
+        weight: body weight [N].
+    """
+    seated = np.flatnonzero(wrench.force[:, 1] >= CHAIR_SHARE * weight)
+    if len(seated) == 0:
+        return PlanarWrench(0.0 * wrench.force, 0.0 * wrench.moment)
+    after = np.searchsorted(seated, np.arange(len(time)))
+    later = time[seated[np.minimum(after, len(seated) - 1)]]
+    earlier = time[seated[np.maximum(after - 1, 0)]]
+    away = np.minimum(np.abs(later - time), np.abs(time - earlier))
+    s = np.clip(away / _FADE_S, 0.0, 1.0)
+    share = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return PlanarWrench(share[:, None] * wrench.force, share * wrench.moment)
+
+
+def on_segments(chair: np.ndarray, on_thighs: float) -> dict[str, PlanarWrench]:
+    """The chair's wrench (N, 3) as loads of inverse dynamics, by segment."""
+    loads = {}
+    for segment, share in (("pelvis", 1.0 - on_thighs), ("thigh", on_thighs)):
+        if share > 0.0:
+            loads[segment] = PlanarWrench(
+                share * chair[:, :2], share * chair[:, 2]
+            )
+    return loads

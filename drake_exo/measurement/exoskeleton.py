@@ -1,0 +1,185 @@
+"""Angles and moments of the exoskeleton's joints, recorded or modelled.
+
+Files name columns exo_ankle, exo_knee, exo_hip for angles and
+exo_ankle_moment, ... for moments, or each with _left and _right at the end.
+Moments are those of drive and friction together, positive in the direction
+of the joint's angle.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.csv import read_csv_table
+from drake_exo.files.opensim import read_table
+from drake_exo.files.tables import (
+    Table,
+    is_translation,
+    missing_column,
+    uniform_time,
+)
+from drake_exo.measurement.filters import (
+    check_filterable,
+    derivatives,
+    low_pass,
+    resample,
+)
+from drake_exo.measurement.instruments import Device, Legs
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import COUPLED_COORDINATES, RIGID_COORDINATES
+from drake_exo.study import SIDES, Filter
+
+EXO_JOINTS = COUPLED_COORDINATES[len(RIGID_COORDINATES) :]
+_MOMENT = "_moment"
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A filtered signal of the three joints at its own rate.
+
+    Attributes:
+        time: (N,) evenly spaced [s].
+        values: (N, 3) ankle, knee, hip.
+        source: file name.
+        one_leg: the leg that was measured, None for both.
+    """
+
+    time: np.ndarray
+    values: np.ndarray
+    source: str
+    one_leg: str | None = None
+
+    def delayed(self, delay_s: float) -> "Signal":
+        """The same signal with a lag of its clock taken out."""
+        return replace(self, time=self.time - delay_s)
+
+    def at(self, time: np.ndarray, what: str) -> np.ndarray:
+        """Values (N, 3) at other times; see `check_covers`."""
+        check_covers(self.source, self.time, time, what)
+        return resample(
+            self.time, self.values, np.clip(time, self.time[0], self.time[-1])
+        )
+
+    def motion(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Values and two derivatives, each (N, 3), at other times."""
+        check_covers(self.source, self.time, time, "encoder angles")
+        time = np.clip(time, self.time[0], self.time[-1])
+        v, a = derivatives(self.time, self.values)
+        return tuple(resample(self.time, x, time) for x in (self.values, v, a))
+
+
+def check_covers(source: str, time, wanted, what: str) -> None:
+    """Refuse a recording shorter than the trial.
+
+    Raises:
+        InputError: it starts later or ends earlier, by more than a sample.
+    """
+    step = time[1] - time[0]
+    if time[0] > wanted[0] + step or time[-1] < wanted[-1] - step:
+        raise InputError(
+            f"{source}: {what} cover {time[0]:g} to {time[-1]:g} s, but the "
+            f"trial runs from {wanted[0]:g} to {wanted[-1]:g} s; export the "
+            "whole trial or shorten it with start_s and end_s"
+        )
+
+
+def read_angles(path: Path, legs: Legs, settings: Filter) -> Signal:
+    """Read encoders (.mot, .sto, .csv), filtered, in radians.
+
+    Raises:
+        InputError: unreadable, a joint missing, gaps, uneven time, too
+            short or too slow for the filter.
+    """
+    return _read(path, legs, settings, "")
+
+
+def read_moments(path: Path, legs: Legs, settings: Filter) -> Signal:
+    """Read joint moments of both legs [N m]; raises as `read_angles`."""
+    return _read(path, legs, settings, _MOMENT)
+
+
+def _read(path: Path, legs: Legs, settings: Filter, ending: str) -> Signal:
+    table = _table(path, ending)
+    time = uniform_time(table.source, table.time)
+    rate = (len(time) - 1) / (time[-1] - time[0])
+    check_filterable(table.source, len(time), rate, settings.cutoff_hz)
+    values = np.column_stack(
+        [_of_legs(table, joint + ending, legs) for joint in EXO_JOINTS]
+    )
+    if ending == _MOMENT:
+        values = 2.0 * values
+    values = low_pass(
+        values, rate, settings.cutoff_hz, settings.order, table.source
+    )
+    one_leg = None if legs == "both" else legs
+    return Signal(time, values, table.source, one_leg)
+
+
+def _table(path: Path, ending: str) -> Table:
+    kind = Path(path).suffix.lower()
+    if kind == ".csv":
+        return read_csv_table(path)
+    if kind not in (".mot", ".sto"):
+        raise InputError(
+            f"{path}: is no file of exoskeleton joints that can be read; "
+            "give one of .mot, .sto, .csv"
+        )
+    table = read_table(path)
+    if ending:
+        return table
+    angles = tuple(n for n in table.names if n.startswith(EXO_JOINTS))
+    others = [n for n in table.names if n not in angles or _MOMENT in n]
+    return table.in_radians(tuple(n for n in others if not is_translation(n)))
+
+
+def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:
+    """Mean over legs (N,) of one joint's columns.
+
+    A column without a side is one of both legs for `both` (a mean angle, or
+    a moment's sum) and that leg's otherwise.
+    """
+    sided = [f"{name}_{side}" for side in SIDES]
+    is_moment = name.endswith(_MOMENT)
+    if legs == "both":
+        if all(s in table.names for s in sided):
+            return table.columns(sided).mean(axis=1)
+        return table.column(name) * (0.5 if is_moment else 1.0)
+    one = f"{name}_{legs}"
+    if one in table.names:
+        return table.column(one)
+    if any(s in table.names for s in sided):
+        raise missing_column(table.source, one, table.names)
+    return table.column(name)
+
+
+def drive_moments(device: Device, coupled: PlanarTree, q, v, a) -> np.ndarray:
+    """Moments (N, 3) of the device's joints from its identified dynamics.
+
+    The drives bear a share of the inertia and gravity of the links that they
+    move, less what rotors, friction and springs take:
+
+        tau = share ID_exo(q, v, a) - J a - B v - C tanh(v/v_0) - K (q - q_0)
+
+    Args:
+        device: identified parameters.
+        coupled: dynamics of human and exoskeleton as two chains.
+        q, v, a: (N, 9) motion.
+    """
+    first = len(RIGID_COORDINATES)
+    moments = np.zeros((len(q), len(EXO_JOINTS)))
+    if device.carries_itself:
+        needed = coupled.inverse_dynamics(q, v, a)[:, first:]
+        moments += device.carries_itself * needed
+    for i, joint in enumerate((device.ankle, device.knee, device.hip)):
+        angle, rate = q[:, first + i], v[:, first + i]
+        moments[:, i] -= joint.inertia_kg_m2 * a[:, first + i]
+        moments[:, i] -= joint.viscous_nm_s * rate
+        moments[:, i] -= joint.coulomb_nm * np.tanh(
+            rate / joint.coulomb_speed_rad_s
+        )
+        moments[:, i] -= joint.stiffness_nm_rad * (
+            angle - np.deg2rad(joint.rest_deg)
+        )
+    return moments

@@ -1,0 +1,370 @@
+"""The planar body with its markers, measured in quiet standing.
+
+Seven segments in the sagittal plane: pelvis (with trunk, head and arms),
+and thigh, shank and foot of each leg. With complex numbers p = x + i z, and
+w_k = exp(i phi_k) for the absolute angle of segment k (counter-clockwise
+seen from the right), every marker is p_0 + C w with constant C, p_0 being the
+middle of the hips. Angles are zero for vertical thighs and shanks, a trunk as
+upright as in standing and feet as flat as there.
+
+Joint angles from markers: weighted least squares over all frames at once.
+
+Each leg is followed on its own; the planar model's leg is their mean, since
+feet that stand apart fore and aft give the legs different angles.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.output import Progress
+from drake_exo.files.tables import MarkerData
+from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.study import SIDES, Markers
+
+LEG = ("thigh", "shank", "foot")
+_JOINTS = ("ankle", "knee", "hip")
+# The joint at the origin of each segment of a leg, and the one above.
+_ORIGIN = {"thigh": "knee", "shank": "ankle", "foot": "ankle"}
+
+
+@dataclass(frozen=True)
+class MarkerModel:
+    """Segments, joint centres and markers of one subject.
+
+    Attributes:
+        segments: names, "pelvis" first, then "thigh_left", ...; length S.
+        sides: the legs that carry markers.
+        names: marker names, length M (a marker may count for two segments).
+        segment_of: (M,) segment index of each marker.
+        levers: (M, S) complex C [m].
+        weights: (M,) of the least squares.
+        ankles: side -> (S,) complex lever of the ankle's centre [m].
+        standing_angles: (S,) absolute angles in standing [rad].
+        lengths_m: "shank" and "thigh", mean of the sides, between joint
+            centres in the sagittal plane of standing.
+        ankle_height_m: of the ankle's centre in standing, mean of the sides.
+    """
+
+    segments: tuple[str, ...]
+    sides: tuple[str, ...]
+    names: tuple[str, ...]
+    segment_of: np.ndarray
+    levers: np.ndarray
+    weights: np.ndarray
+    ankles: dict[str, np.ndarray]
+    standing_angles: np.ndarray
+    lengths_m: dict[str, float]
+    ankle_height_m: float
+
+    def index(self, segment: str, side: str) -> int:
+        """Index of a segment of one leg."""
+        return self.segments.index(f"{segment}_{side}")
+
+
+def build_marker_model(
+    standing: MarkerData, markers: Markers, frame: SagittalFrame
+) -> MarkerModel:
+    """Measure lengths and marker places in a standing trial.
+
+    Args:
+        standing: quiet part of the trial; its mean posture is used.
+        markers: which markers are on which segment.
+        frame: directions of the planar frame in the trial's axes.
+
+    Raises:
+        InputError: a marker is missing or has gaps, no leg is complete, or
+            the set cannot determine a segment's angle.
+    """
+    sides = _complete_sides(markers, standing.source)
+    centres = _joint_centres(standing, markers, frame, sides)
+    segments = ("pelvis", *(f"{s}_{side}" for side in sides for s in LEG))
+    hip = np.mean([centres[side]["hip"] for side in sides])
+    w, joints = _skeleton(segments, centres, hip)
+    names, segment_of, levers = [], [], []
+    for segment, side, name in _attachments(markers, sides):
+        k = segments.index(segment if side is None else f"{segment}_{side}")
+        if side is None:
+            origin, base = hip, np.zeros(len(segments), complex)
+        else:
+            joint = _ORIGIN[segment]
+            origin, base = centres[side][joint], joints[side][joint]
+        p = _mean_point(standing, (name,), frame)
+        lever = base.copy()
+        lever[k] += (p - origin) / w[k]
+        names.append(name)
+        segment_of.append(k)
+        levers.append(lever)
+    model = MarkerModel(
+        segments=segments,
+        sides=sides,
+        names=tuple(names),
+        segment_of=np.array(segment_of),
+        levers=np.array(levers),
+        weights=np.array([markers.weights.get(n, 1.0) for n in names]),
+        ankles={side: joints[side]["ankle"] for side in sides},
+        standing_angles=np.angle(w),
+        lengths_m=_lengths(centres),
+        ankle_height_m=float(
+            np.mean([c["ankle"].imag for c in centres.values()])
+        ),
+    )
+    _check_weights(model, markers)
+    _check_determined(model, standing.source)
+    return model
+
+
+def _complete_sides(markers: Markers, source: str) -> tuple[str, ...]:
+    """Legs with joint centres and markers on every segment."""
+    sides = tuple(
+        side
+        for side in SIDES
+        if all(getattr(markers.joint_centres, j).of(side) for j in _JOINTS)
+        and all(getattr(markers.segments, s).of(side) for s in LEG)
+    )
+    if not sides:
+        raise InputError(
+            f"{source}: the study's markers name no leg with ankle, knee and "
+            "hip centres and markers on foot, shank and thigh; complete "
+            "markers.joint_centres and markers.segments for one side"
+        )
+    return sides
+
+
+def _mean_point(data: MarkerData, names, frame: SagittalFrame) -> complex:
+    x, z = frame.points(data.of(names)).mean(axis=(0, 1))
+    return complex(x, z)
+
+
+def _joint_centres(standing, markers, frame, sides):
+    return {
+        side: {
+            joint: _mean_point(
+                standing,
+                getattr(markers.joint_centres, joint).of(side),
+                frame,
+            )
+            for joint in _JOINTS
+        }
+        for side in sides
+    }
+
+
+def _skeleton(segments, centres, hip):
+    """Unit vectors of the segments in standing, and levers of the joints."""
+    w = np.ones(len(segments), complex)
+    joints = {}
+    for side, c in centres.items():
+        thigh, shank = (
+            segments.index(f"{s}_{side}") for s in ("thigh", "shank")
+        )
+        lengths = c["hip"] - c["knee"], c["knee"] - c["ankle"]
+        for k, d in zip((thigh, shank), lengths, strict=True):
+            if abs(d) < 0.05:
+                raise InputError(
+                    f"the {segments[k].replace('_', ' ')} measures "
+                    f"{abs(d):.3f} m in standing; check the markers of its "
+                    "joint centres and the units of the marker file"
+                )
+            w[k] = d / abs(d) / 1j  # along the segment is +z
+        levers = {"hip": np.zeros(len(segments), complex)}
+        levers["hip"][0] = c["hip"] - hip
+        levers["knee"] = levers["hip"].copy()
+        levers["knee"][thigh] = -1j * abs(lengths[0])
+        levers["ankle"] = levers["knee"].copy()
+        levers["ankle"][shank] = -1j * abs(lengths[1])
+        joints[side] = levers
+    return w, joints
+
+
+def _attachments(markers: Markers, sides):
+    """Pairs of segment and marker: (segment, side or None, name)."""
+    pelvis = markers.segments.pelvis
+    for name in (*pelvis.left, *pelvis.right, *pelvis.middle):
+        yield "pelvis", None, name
+    for side in sides:
+        for segment in LEG:
+            for name in getattr(markers.segments, segment).of(side):
+                yield segment, side, name
+
+
+def _lengths(centres) -> dict[str, float]:
+    c = centres.values()
+    return {
+        "shank": float(np.mean([abs(x["knee"] - x["ankle"]) for x in c])),
+        "thigh": float(np.mean([abs(x["hip"] - x["knee"]) for x in c])),
+    }
+
+
+def _check_weights(model: MarkerModel, markers: Markers) -> None:
+    for name in markers.weights:
+        if name not in model.names:
+            raise InputError(
+                f"markers.weights names {name!r}, which is on no segment; "
+                "remove it or add it to markers.segments"
+            )
+
+
+def _check_determined(model: MarkerModel, source: str) -> None:
+    """Refuse a marker set that leaves a segment free to turn."""
+    w = np.exp(1j * model.standing_angles)
+    J = (
+        np.column_stack(
+            [np.ones(len(model.names)), 1j * np.ones(len(model.names))]
+            + [1j * w[k] * model.levers[:, k] for k in range(len(w))]
+        )
+        * np.sqrt(model.weights)[:, None]
+    )
+    _, values, rows = np.linalg.svd(np.concatenate([J.real, J.imag]))
+    if len(values) < len(w) + 2 or values[-1] < 1e-3 * values[0]:
+        loose = int(np.argmax(np.abs(rows[-1][2:])))
+        raise InputError(
+            f"{source}: the marker set cannot determine the angle of the "
+            f"{model.segments[loose].replace('_', ' ')}; add markers to it "
+            "in markers.segments"
+        )
+
+
+_MAX_ITERATIONS = 50
+_CONVERGED = 1e-10  # largest step [m or rad]
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Pose of the marker model in every frame.
+
+    Attributes:
+        hip: (N,) complex x + i z, middle of the hips [m].
+        angles: (N, S) absolute segment angles [rad].
+        residuals: (N, M) complex, measured minus model [m].
+    """
+
+    hip: np.ndarray
+    angles: np.ndarray
+    residuals: np.ndarray
+
+
+def solve_poses(
+    model: MarkerModel,
+    points: np.ndarray,
+    source: str = "markers",
+    progress: Progress | None = None,
+) -> Poses:
+    """Fit the marker model to measured points by Gauss-Newton.
+
+    Args:
+        model: M markers on S segments.
+        points: (N, M, 2) x and z of the markers in the order of `model.names`
+            [m], without gaps.
+        source: file name, for messages.
+        progress: told of every iteration.
+
+    Raises:
+        InputError: the markers do not fit the model.
+    """
+    p = points[..., 0] + 1j * points[..., 1]
+    phi = _first_guess(model, p)
+    hip = np.mean(p - np.exp(1j * phi) @ model.levers.T, axis=1)
+    W = np.sqrt(model.weights)
+    for iteration in range(_MAX_ITERATIONS):
+        w = np.exp(1j * phi)
+        r = p - hip[:, None] - w @ model.levers.T
+        J = np.empty((*p.shape, phi.shape[1] + 2), complex)
+        J[..., 0], J[..., 1] = 1.0, 1j
+        J[..., 2:] = 1j * w[:, None, :] * model.levers
+        J *= W[:, None]
+        A = np.concatenate([J.real, J.imag], axis=1)
+        b = np.concatenate([(r * W).real, (r * W).imag], axis=1)
+        normal = np.einsum("nmi,nmj->nij", A, A, optimize=True)
+        step = np.linalg.solve(
+            normal, np.einsum("nmi,nm->ni", A, b)[..., None]
+        )[..., 0]
+        # Half a radian at most: from any first guess it stays on the way.
+        step[:, 2:] = np.clip(step[:, 2:], -0.5, 0.5)
+        hip = hip + step[:, 0] + 1j * step[:, 1]
+        phi = phi + step[:, 2:]
+        largest = np.abs(step).max()
+        if progress:
+            progress.update(f"iteration {iteration + 1}, step {largest:.1e}")
+        if largest < _CONVERGED:
+            break
+    else:
+        raise InputError(
+            f"{source}: inverse kinematics does not converge; check that "
+            "the markers are named as in the standing trial"
+        )
+    phi = np.unwrap(phi, axis=0)
+    r = p - hip[:, None] - np.exp(1j * phi) @ model.levers.T
+    return Poses(hip, phi, r)
+
+
+def _first_guess(model: MarkerModel, p: np.ndarray) -> np.ndarray:
+    """Turn of each segment's own markers since standing (N, S)."""
+    phi = np.tile(model.standing_angles, (len(p), 1))
+    standing = model.levers @ np.exp(1j * model.standing_angles)
+    for k in range(phi.shape[1]):
+        of = model.segment_of == k
+        s = standing[of] - standing[of].mean()
+        if np.abs(s).max() > 0.01:
+            c = p[:, of] - p[:, of].mean(axis=1, keepdims=True)
+            phi[:, k] += np.angle(c @ np.conj(s))
+    return phi
+
+
+def merge_legs(
+    model: MarkerModel, poses: Poses
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Coordinates of the planar model, both legs averaged.
+
+    Returns:
+        q (N, 6): foot_x, foot_z (the ankle's centre) [m], foot_pitch, ankle,
+        knee, hip [rad]; and each side's ankle (N, 2) [m].
+    """
+    w = np.exp(1j * poses.angles)
+    ankles = {
+        side: poses.hip + w @ lever for side, lever in model.ankles.items()
+    }
+    ankle = np.mean(list(ankles.values()), axis=0)
+    foot, shank, thigh = (
+        np.mean(
+            [poses.angles[:, model.index(s, side)] for side in model.sides],
+            axis=0,
+        )
+        for s in ("foot", "shank", "thigh")
+    )
+    pelvis = poses.angles[:, 0]
+    q = np.column_stack(
+        [
+            ankle.real,
+            ankle.imag,
+            foot,
+            foot - shank,
+            thigh - shank,
+            thigh - pelvis,
+        ]
+    )
+    points = {s: np.column_stack([a.real, a.imag]) for s, a in ankles.items()}
+    return q, points
+
+
+def residual_rms(model: MarkerModel, poses: Poses) -> dict[str, float]:
+    """Root mean square distance of each marker from the model [m].
+
+    A marker on two segments has one entry, its mean over both.
+    """
+    square = np.mean(np.abs(poses.residuals) ** 2, axis=0)
+    return {
+        name: float(
+            np.sqrt(
+                np.mean(
+                    [
+                        s
+                        for s, n in zip(square, model.names, strict=True)
+                        if n == name
+                    ]
+                )
+            )
+        )
+        for name in dict.fromkeys(model.names)
+    }

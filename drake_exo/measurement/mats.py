@@ -1,0 +1,443 @@
+"""The scanned body: where the cells of a mat lie and which way they face.
+
+From the pressure of a mat's cells to the force on a segment.
+
+Pressure times area acts along the inward normal of the body's surface. The
+vectors are summed, and turned into the segment's axes: what is across the
+segment in the sagittal plane (its x) is the normal force of the paper. Shear
+is not measured.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drake_exo.errors import InputError
+from drake_exo.files.mesh import read_cells
+from drake_exo.files.pressure import (
+    PressureRecording,
+    read_novel_asc,
+    read_pressure_csv,
+)
+from drake_exo.files.tables import uniform_time
+from drake_exo.files.text import number_rows, read_text
+from drake_exo.measurement.filters import check_filterable, low_pass
+from drake_exo.measurement.instruments import Mat, PressureFile, Scan
+from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.study import Filter
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+# A body or a part of it, largest extent [m].
+_PLAUSIBLE_M = (0.08, 3.0)
+_READERS = {
+    ".stl": meshio.stl.read,
+    ".ply": meshio.ply.read,
+    ".obj": meshio.obj.read,
+}
+_FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
+_NEIGHBOURS = 32
+_SAMPLES = 65  # of a line that is laid on the surface
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangulated surface, x forward, y left, z up.
+
+    Attributes:
+        vertices: (V, 3) [m].
+        triangles: (F, 3), outwards.
+        source: file name.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    source: str
+
+    def __post_init__(self):
+        corners = self.vertices[self.triangles]
+        centres = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - centres[:, None], axis=2).max()
+        a, b, c = corners.transpose(1, 0, 2)
+        area = 0.5 * np.cross(b - a, c - a)
+        for name, value in (
+            ("_corners", corners),
+            ("_centres", centres),
+            ("_tree", cKDTree(centres)),
+            ("_reach", reach),
+            ("_area", area),
+        ):
+            object.__setattr__(self, name, value)
+
+    def closest(
+        self, points: np.ndarray, exact: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest points (P, 3) of the surface, and their triangles (P,).
+
+        Args:
+            points: (P, 3) [m].
+            exact: look at every triangle that might be nearer than those
+                with the nearest centres; slow for points deep inside.
+        """
+        count = min(_NEIGHBOURS, len(self.triangles))
+        near, index = self._tree.query(points, k=count)
+        near = near.reshape(len(points), count)
+        index = index.reshape(len(points), count)
+        found, triangle = self._closest_of(points, index)
+        far = np.linalg.norm(found - points, axis=1) + self._reach
+        if exact and count < len(self.triangles):
+            # Large triangles may reach closer than their centres tell.
+            for i in np.flatnonzero(near[:, -1] < far):
+                some = self._tree.query_ball_point(points[i], far[i])
+                found[i : i + 1], triangle[i : i + 1] = self._closest_of(
+                    points[i : i + 1], np.array([some])
+                )
+        return found, triangle
+
+    def _closest_of(self, points, index):
+        """Nearest points on some triangles each, index (P, K)."""
+        on = _closest_on_triangles(points[:, None], self._corners[index])
+        distance = np.linalg.norm(on - points[:, None], axis=2)
+        best = distance.argmin(axis=1)
+        rows = np.arange(len(points))
+        return on[rows, best], index[rows, best]
+
+    def normals(self, points, triangles, radius: float) -> np.ndarray:
+        """Outward unit normals (P, 3), averaged over a cell's size."""
+        total = self._area[triangles].copy()
+        for i, near in enumerate(self._tree.query_ball_point(points, radius)):
+            if near:
+                total[i] += self._area[near].sum(axis=0)
+        return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+    def lay(self, start, end) -> np.ndarray:
+        """Lines (L, S, 3) over the surface between points (L, 3)."""
+        t = np.linspace(0.0, 1.0, _SAMPLES)[None, :, None]
+        chord = start[:, None] + t * (end - start)[:, None]
+        on, _ = self.closest(chord.reshape(-1, 3), exact=False)
+        return on.reshape(chord.shape)
+
+
+def read_surface(path: Path, scan: Scan) -> Surface:
+    """Read a scan (.stl, .ply, .obj).
+
+    Raises:
+        InputError: unreadable, no triangles, or of a size that no body has
+            in the unit that the study names.
+    """
+    read = _READERS.get(Path(path).suffix.lower())
+    if read is None:
+        raise InputError(
+            f"{path}: is no scan that can be read; give one of "
+            f"{', '.join(_READERS)}"
+        )
+    raw, triangles = read_cells(path, "triangle", "export it again", read)
+    if len(triangles) == 0:
+        raise InputError(f"{path}: holds no triangles; export a mesh")
+    check_size(path, raw[np.unique(triangles)], scan.unit)
+    points = LENGTHS[scan.unit] * raw @ _axes(scan).T
+    return _outwards(Surface(points, triangles, str(path)))
+
+
+def _axes(scan: Scan) -> np.ndarray:
+    return SagittalFrame(scan.axes.forward, scan.axes.up).R_PL
+
+
+def check_size(path, points: np.ndarray, unit: str) -> None:
+    """Refuse a scan in another unit than the study says.
+
+    Raises:
+        InputError: naming the unit that would fit.
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    low, high = _PLAUSIBLE_M
+    if low <= LENGTHS[unit] * extent <= high:
+        return
+    fitting = [u for u, s in LENGTHS.items() if low <= s * extent <= high]
+    hint = " or ".join(fitting)
+    raise InputError(
+        f"{path}: the scan spans {extent:.4g} {unit} in the study's unit, "
+        "which no body does; "
+        + (f"say 'unit: {hint}' in its scan" if fitting else "check the file")
+    )
+
+
+def _outwards(surface: Surface) -> Surface:
+    """Turn all triangles if they face the middle of the body."""
+    away = surface._centres - surface._centres.mean(axis=0)
+    if np.sum(surface._area * away) >= 0.0:
+        return surface
+    flipped = surface.triangles[:, ::-1]
+    return Surface(surface.vertices, flipped, surface.source)
+
+
+def _closest_on_triangles(p, corners):
+    """Nearest points (..., 3) of triangles (..., 3, 3) to points (..., 3)."""
+    a, b, c = (corners[..., k, :] for k in range(3))
+    n = np.cross(b - a, c - a)
+    square = (n * n).sum(-1, keepdims=True)
+    size = np.maximum(square, 1e-300)
+    on = p - ((p - a) * n).sum(-1, keepdims=True) / size * n
+    inside = square[..., 0] > 0.0  # scans have triangles without area
+    best = np.full(on.shape[:-1], np.inf)
+    result = on.copy()
+    for s, e in ((a, b), (b, c), (c, a)):
+        inside &= (np.cross(e - s, on - s) * n).sum(-1) >= 0.0
+    for s, e in ((a, b), (b, c), (c, a)):
+        d = e - s
+        length = np.maximum((d * d).sum(-1, keepdims=True), 1e-300)
+        t = np.clip(((p - s) * d).sum(-1, keepdims=True) / length, 0.0, 1.0)
+        q = s + t * d
+        distance = np.linalg.norm(q - p, axis=-1)
+        closer = ~inside & (distance < best)
+        best = np.where(closer, distance, best)
+        result = np.where(closer[..., None], q, result)
+    return result
+
+
+def place_cells(
+    surface: Surface, scan: Scan, rows: int, columns: int, root: Path
+) -> np.ndarray:
+    """Centres (rows * columns, 3) of a mat's cells on the surface [m].
+
+    Between corners, the mat's first and last column are laid on the surface,
+    then every row between them; cells lie evenly along those lines.
+
+    Raises:
+        InputError: corners or cells are off the surface, or the file of
+            cells does not fit the mat.
+    """
+    if scan.cells is not None:
+        given = _read_cells(root / scan.cells, rows, columns)
+    else:
+        given = np.array(scan.corners)
+    points = LENGTHS[scan.unit] * given @ _axes(scan).T
+    on = surface.closest(points)[0]
+    off = np.linalg.norm(on - points, axis=1)
+    if off.max() > _FARTHEST_M:
+        what, source = "corner", surface.source
+        if scan.cells is not None:
+            what, source = "cell", root / scan.cells
+        raise InputError(
+            f"{source}: {what} {int(off.argmax()) + 1} of the mat "
+            f"lies {off.max():.3g} m off the scanned surface; give it in the "
+            "scan's own unit and axes"
+        )
+    if scan.cells is not None:
+        return on
+    first, last = surface.lay(on[[0, 1]], on[[3, 2]])
+    share = (np.arange(rows) + 0.5) / rows
+    lines = surface.lay(_along(first, share), _along(last, share))
+    share = (np.arange(columns) + 0.5) / columns
+    return np.concatenate([_along(line, share) for line in lines])
+
+
+def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Points at shares of a line's length."""
+    length = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    s = np.r_[0.0, np.cumsum(length)]
+    s = s / s[-1] if s[-1] > 0.0 else np.linspace(0.0, 1.0, len(s))
+    return np.column_stack([np.interp(share, s, x) for x in line.T])
+
+
+def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
+    """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
+    lines = read_text(path).splitlines()
+    cells = [line.split(",") for line in lines[1:] if line.strip()]
+    table = number_rows(path, list(enumerate(cells, 2)), 5)
+    wanted = [(r, c) for r in range(rows) for c in range(columns)]
+    found = {}
+    if (np.abs(table) < 1e6).all():
+        found = {(int(t[0]) - 1, int(t[1]) - 1): t[2:] for t in table}
+    if sorted(found) != wanted or len(table) != len(wanted):
+        raise InputError(
+            f"{path}: must hold row (1 to {rows}), column (1 to {columns}), "
+            f"x, y, z of each of the {rows * columns} cells once"
+        )
+    return np.array([found[key] for key in wanted])
+
+
+_PITCH = (0.5, 2.0)  # cells' distance on the scan against their size
+
+
+@dataclass(frozen=True)
+class MatForce:
+    """Force of one mat on the human, filtered, of both legs.
+
+    Attributes:
+        name, segment: of the mat and of what it lies on.
+        time: (N,) evenly spaced [s].
+        force: (N, 3) in the segment's axes (x forward, y left, z up) [N].
+        source: file name.
+        report: how cells were mapped, what was doubled.
+    """
+
+    name: str
+    segment: str
+    time: np.ndarray
+    force: np.ndarray
+    source: str
+    report: dict[str, Any]
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Force (N,) on the human normal to the segment [N]."""
+        return self.force[:, 0]
+
+    def delayed(self, delay_s: float) -> "MatForce":
+        """The same force with a lag of its clock taken out."""
+        return replace(self, time=self.time - delay_s)
+
+
+def read_mat_forces(
+    files: tuple[PressureFile, ...],
+    mats: dict[str, Mat],
+    root: Path,
+    settings: Filter,
+) -> tuple[MatForce, ...]:
+    """Read the pressure recordings of a trial.
+
+    Raises:
+        InputError: unreadable; another number of cells than the mats have;
+            too short or too slow for the filter; a scan that does not fit.
+    """
+    found = []
+    for file in files:
+        recording = _read(root / file.file, file.mats, mats)
+        time = uniform_time(recording.source, recording.time)
+        rate = (len(time) - 1) / (time[-1] - time[0])
+        check_filterable(recording.source, len(time), rate, settings.cutoff_hz)
+        for name in file.mats:
+            mat = mats[name]
+            inward, report = cell_directions(mat, name, root)
+            pressure = recording.matrix(name, mat.rows, mat.columns)
+            cells = pressure.reshape(len(time), -1) * mat.cell_area_m2
+            force = low_pass(
+                cells @ inward,
+                rate,
+                settings.cutoff_hz,
+                settings.order,
+                recording.source,
+            )
+            report |= _seen(pressure)
+            if mat.legs != "both":
+                force = 2.0 * force
+                report["doubled"] = f"{mat.legs} leg measured, doubled"
+            found.append(
+                MatForce(
+                    name, mat.segment, time, force, recording.source, report
+                )
+            )
+    return tuple(found)
+
+
+def _seen(pressure: np.ndarray) -> dict[str, float]:
+    """Peak, and how much of the readings sits exactly at it.
+
+    Cells that saturate do so at one value: many readings at the peak mean
+    that forces are underestimated.
+    """
+    peak = float(pressure.max())
+    loaded = pressure > 0.0
+    share = 0.0
+    if peak > 0.0:
+        share = float((pressure[loaded] >= peak * (1.0 - 1e-9)).mean())
+    return {"peak_kpa": 1e-3 * peak, "at_peak_share": share}
+
+
+def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:
+    sizes = {n: (mats[n].rows, mats[n].columns) for n in names}
+    kind = path.suffix.lower()
+    if kind == ".csv":
+        return read_pressure_csv(path, sizes)
+    if kind != ".asc":
+        raise InputError(
+            f"{path}: is no pressure file that can be read; give Novel's "
+            ".asc or .csv"
+        )
+    recording = read_novel_asc(path)
+    if all(name in recording.groups for name in names):
+        return recording
+    cells = recording.pressure.shape[1]
+    wanted = sum(r * c for r, c in sizes.values())
+    if cells != wanted:
+        said = ", ".join(f"{n} {r} x {c}" for n, (r, c) in sizes.items())
+        raise InputError(
+            f"{path}: has {cells} cells, but the mats ({said}) have {wanted}; "
+            "correct the sizes in the study or the export"
+        )
+    groups, at = {}, 0
+    for name, (r, c) in sizes.items():
+        groups[name] = np.arange(at, at + r * c)
+        at += r * c
+    return replace(recording, groups=groups)
+
+
+def cell_directions(
+    mat: Mat, name: str, root: Path
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Inward unit normals (cells, 3) in the segment's axes.
+
+    Args:
+        mat: which cells, and where they are.
+        name: for messages.
+        root: folder of the scan.
+
+    Returns:
+        The normals, and how well the cells fit the surface.
+
+    Raises:
+        InputError: see `read_surface` and `place_cells`; cells that lie much
+            closer or farther apart than they are large.
+    """
+    count = mat.rows * mat.columns
+    if mat.plane_normal is not None:
+        n = np.array(mat.plane_normal, float)
+        inward = np.tile(-n / np.linalg.norm(n), (count, 1))
+        return inward, {"surface": "plane"}
+    scan = mat.scan
+    surface = read_surface(root / scan.file, scan)
+    points = place_cells(surface, scan, mat.rows, mat.columns, root)
+    on, triangles = surface.closest(points)
+    size = np.sqrt(mat.cell_area_m2)
+    pitch = _pitch(points.reshape(mat.rows, mat.columns, 3))
+    if pitch and not _PITCH[0] < pitch / size < _PITCH[1]:
+        raise InputError(
+            f"{surface.source}: cells of {name} lie {1e3 * pitch:.1f} mm "
+            f"apart on the scan, but measure {1e3 * size:.1f} mm; correct "
+            "the mat's corners, its size or cell_area_m2"
+        )
+    outward = surface.normals(on, triangles, 0.5 * size)
+    report = {"surface": scan.file.as_posix()}
+    if pitch:
+        report["cell_distance_mm"] = 1e3 * pitch
+    return -outward @ _to_segment(scan).T, report
+
+
+def _pitch(grid: np.ndarray) -> float | None:
+    """Mean distance of neighbouring cells; None for a single one."""
+    steps = [
+        np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)
+    ]
+    steps = np.concatenate(steps)
+    return float(steps.mean()) if len(steps) else None
+
+
+def _to_segment(scan: Scan) -> np.ndarray:
+    """Rotation (3, 3) from forward, left, up to the segment's axes."""
+    if scan.segment_axis is None:
+        return np.eye(3)
+    frame = SagittalFrame(scan.axes.forward, scan.axes.up)
+    low, high = LENGTHS[scan.unit] * frame.points(scan.segment_axis)
+    x, z = high - low
+    length = np.hypot(x, z)
+    if not length > 0.02:
+        raise InputError(
+            f"{scan.file}: the two points of segment_axis are {length:.3g} m "
+            "apart; give the lower and the upper joint centre"
+        )
+    # The segment's z in the sagittal plane, its x a quarter turn before.
+    return np.array([[z, 0.0, -x], [0.0, length, 0.0], [x, 0.0, z]]) / length

@@ -1,0 +1,216 @@
+"""How good a study's recordings are, without solving anything."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drake_exo.measurement.events import on_segments
+from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.subject import SubjectModel
+from drake_exo.measurement.trial import Trial
+
+# Beyond these a line of the report is marked; they refuse nothing.
+LARGEST_MARKER_RMS_M = 0.02
+LARGEST_RESIDUAL_N = 0.05  # of body weight
+LARGEST_MASS_ERROR = 0.05
+LARGEST_GAPS = 0.1
+LARGEST_DELAY_S = 0.03
+
+
+@dataclass(frozen=True)
+class TrialQuality:
+    """Quality of one trial.
+
+    Attributes:
+        name: of the trial.
+        start_s, end_s: used part.
+        marker_rms_m: marker -> RMS distance from the model.
+        worst_marker: with the largest of them.
+        marker_rms_all_m: over all markers.
+        gaps: share of marker frames that were filled, over all markers.
+        residual_n: RMS of F_x and F_z that Newton's law misses.
+        residual_nm: RMS of the pitch moment about the ankle it misses.
+        residual: (N, 3) the same over time.
+        delays_s: lag of each clock that was taken out.
+        notes: what was doubled, estimated, levelled.
+        warnings: what is beyond the limits above.
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+    marker_rms_m: dict[str, float]
+    worst_marker: str
+    marker_rms_all_m: float
+    gaps: float
+    residual_n: tuple[float, float]
+    residual_nm: float
+    residual: np.ndarray
+    delays_s: dict[str, float]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything but time series."""
+        return {k: v for k, v in vars(self).items() if k != "residual"}
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Quality of a study.
+
+    Attributes:
+        standing_mass_kg: body mass by quiet standing, None without plates.
+        stated_mass_kg: by the study, None if it says nothing.
+        trials: in the study's order.
+        warnings: of the standing trial.
+    """
+
+    standing_mass_kg: float | None
+    stated_mass_kg: float | None
+    trials: tuple[TrialQuality, ...]
+    warnings: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything but time series."""
+        return {**vars(self), "trials": [t.summary() for t in self.trials]}
+
+
+def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
+    """What motion asks of the ground beyond what plates measured.
+
+    Returns:
+        (N, 3) F_x, F_z [N] and pitch moment about the ankle [N m].
+    """
+    q, v, a = (x[:, :6] for x in (trial.q, trial.v, trial.a))
+    loads = {"foot": PlanarWrench(trial.grf, trial.moment_y)}
+    if trial.chair is not None:
+        loads |= on_segments(trial.chair, trial.chair_on_thighs)
+    return inverse_dynamics(subject.rigid, q, v, a, loads)[:, :3]
+
+
+def assess(subject: SubjectModel, trials: tuple[Trial, ...]) -> Quality:
+    """Quality of loaded trials."""
+    report = subject.report
+    measured = report.get("standing_mass_kg")
+    stated = report["stated_mass_kg"]
+    warnings = []
+    if measured is not None and stated is not None:
+        off = measured / stated - 1.0
+        if abs(off) > LARGEST_MASS_ERROR:
+            warnings.append(
+                f"standing gives {measured:.1f} kg, the study says "
+                f"{stated:.1f} kg ({100 * off:+.0f} %); check plates and mass"
+            )
+    return Quality(
+        measured,
+        stated,
+        tuple(_of_trial(subject, trial) for trial in trials),
+        tuple(warnings),
+    )
+
+
+def _mean_square(rms: dict[str, float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(rms.values())))))
+
+
+def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
+    said = trial.provenance
+    markers = said["marker_residual_rms_m"]
+    residual = force_residual(subject, trial)
+    size = np.sqrt(np.mean(residual**2, axis=0))
+    gaps = sum(said["gaps_filled"].values()) / max(len(markers), 1)
+    worst = max(markers, key=markers.get)
+    weight = subject.rigid.mass * subject.rigid.gravity
+    warnings = []
+    if markers[worst] > LARGEST_MARKER_RMS_M:
+        warnings.append(
+            f"marker {worst} lies {1e3 * markers[worst]:.0f} mm off the model"
+        )
+    if size[:2].max() > LARGEST_RESIDUAL_N * weight:
+        warnings.append(
+            f"Newton's law misses {size[:2].max():.0f} N "
+            f"({100 * size[:2].max() / weight:.0f} % of body weight)"
+        )
+    if gaps > LARGEST_GAPS:
+        warnings.append(f"{100 * gaps:.0f} % of marker frames are filled")
+    warnings += [
+        f"the clock of {name} is {1e3 * d:+.0f} ms off"
+        for name, d in said["delays_s"].items()
+        if abs(d) > LARGEST_DELAY_S
+    ]
+    return TrialQuality(
+        name=trial.name,
+        start_s=float(trial.time[0]),
+        end_s=float(trial.time[-1]),
+        marker_rms_m=markers,
+        worst_marker=worst,
+        marker_rms_all_m=_mean_square(markers),
+        gaps=float(gaps),
+        residual_n=(float(size[0]), float(size[1])),
+        residual_nm=float(size[2]),
+        residual=residual,
+        delays_s=said["delays_s"],
+        notes=tuple(_notes(trial)),
+        warnings=tuple(warnings),
+    )
+
+
+def _notes(trial: Trial):
+    """What was done to a trial, line by line."""
+    said = trial.provenance
+    for name, text in said["clocks"].items():
+        yield f"clock of {name}: {text}"
+    for plate, found in said["plate_levels"].items():
+        parts = [f"{k} {v:.3g}" for k, v in found.items()]
+        yield f"plate {plate} levelled: {', '.join(parts)}"
+    if said["one_leg_doubled"]:
+        yield "one foot on a plate: its forces are doubled"
+    if said["legs_followed"] != ["left", "right"]:
+        yield f"markers follow the {said['legs_followed'][0]} leg alone"
+    if said.get("encoder_legs", "both") != "both":
+        yield f"encoders of the {said['encoder_legs']} leg stand for both"
+    moments = ", ".join(f"{k}: {v}" for k, v in said["moments"].items())
+    yield f"joint moments: {moments}"
+    yield f"chair: {said['chair']}"
+    for mat, found in said["mats"].items():
+        parts = [
+            f"{k} {v:.3g}" if isinstance(v, float) else str(v)
+            for k, v in found.items()
+        ]
+        yield f"mat {mat}: {', '.join(parts)}"
+
+
+def text_of(quality: Quality) -> str:
+    """The report as text."""
+    lines = ["standing"]
+    if quality.standing_mass_kg is None:
+        lines.append("  body mass: not measured (no plates)")
+    else:
+        stated = "not stated"
+        if quality.stated_mass_kg is not None:
+            stated = f"stated {quality.stated_mass_kg:.1f} kg"
+        lines.append(
+            f"  body mass: {quality.standing_mass_kg:.1f} kg by the plates, "
+            f"{stated}"
+        )
+    lines += [f"  ! {w}" for w in quality.warnings]
+    for t in quality.trials:
+        worst = 1e3 * t.marker_rms_m[t.worst_marker]
+        lines += [
+            f"{t.name} ({t.start_s:.2f} to {t.end_s:.2f} s)",
+            f"  markers: {1e3 * t.marker_rms_all_m:.1f} mm from the model, "
+            f"worst {t.worst_marker} {worst:.1f} mm; "
+            f"gaps filled {100 * t.gaps:.1f} %",
+            f"  Newton's law misses: F_x {t.residual_n[0]:.1f} N, "
+            f"F_z {t.residual_n[1]:.1f} N, moment {t.residual_nm:.1f} N m",
+            "  clocks: "
+            + ", ".join(
+                f"{name} {1e3 * d:+.0f} ms" for name, d in t.delays_s.items()
+            ),
+        ]
+        lines += [f"  {note}" for note in t.notes]
+        lines += [f"  ! {w}" for w in t.warnings]
+    return "\n".join(lines)

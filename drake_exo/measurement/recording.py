@@ -1,0 +1,434 @@
+"""Filling short gaps of markers, and saying how much was filled.
+
+Offset and drift of force plates, from samples with nothing on them.
+
+One recording: marker and force files on one time base, unfiltered.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from drake_exo.errors import InputError
+from drake_exo.files.c3d import read_c3d
+from drake_exo.files.opensim import PlateRecording, read_plates, read_trc
+from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
+from drake_exo.files.tables import MarkerData, missing_column, uniform_time
+from drake_exo.measurement.filters import check_filterable, low_pass, resample
+from drake_exo.measurement.sagittal import (
+    PlanarWrench,
+    SagittalFrame,
+    planar_wrench,
+)
+from drake_exo.study import SIDES, Filter, Laboratory, Plates
+
+_NEIGHBOURS = 10  # seen frames on each side that carry the spline
+
+
+def fill_gaps(
+    data: MarkerData, names, longest_s: float
+) -> tuple[MarkerData, dict[str, float]]:
+    """Fill gaps of some markers by cubic splines through their surroundings.
+
+    Args:
+        data: markers on an even time base.
+        names: the markers that are needed; others stay as they are.
+        longest_s: longest gap that may be filled [s].
+
+    Returns:
+        The markers without gaps, and the share of frames that was filled of
+        each marker that had any.
+
+    Raises:
+        InputError: a marker is missing, or unseen for longer than
+            `longest_s`, or at either end of the recording.
+    """
+    positions = data.positions.copy()
+    shares = {}
+    for name in dict.fromkeys(names):
+        if name not in data.names:
+            raise missing_column(data.source, name, data.names, "marker")
+        p = positions[:, data.names.index(name)]
+        unseen = ~np.isfinite(p).all(axis=1)
+        if not unseen.any():
+            continue
+        shares[name] = float(unseen.mean())
+        edges = np.flatnonzero(np.diff(np.r_[0, unseen, 0]))
+        for start, end in edges.reshape(-1, 2):
+            _check_gap(data, name, int(start), int(end), longest_s)
+        _fill(data.time, p, unseen)
+    return replace(data, positions=positions), shares
+
+
+def _check_gap(data, name, start: int, end: int, longest_s: float) -> None:
+    length = (end - start) / data.rate_hz
+    where = (
+        f"{data.source}: marker {name!r} has no value in {end - start} "
+        f"frames from {data.time[start]:g} s"
+    )
+    if length > longest_s + 1e-9:
+        raise InputError(
+            f"{where}, {length:g} s long; gaps up to laboratory.fill_gaps_s "
+            f"({longest_s:g} s) are filled: raise it, or fill the gap in the "
+            "motion-capture software"
+        )
+    if start == 0 or end == len(data.time):
+        raise InputError(
+            f"{where}, at the end of the recording, where nothing can be "
+            "interpolated; cut those frames off"
+        )
+
+
+def _fill(time: np.ndarray, p: np.ndarray, unseen: np.ndarray) -> None:
+    """Fill p (N, 3) in place."""
+    edges = np.flatnonzero(np.diff(np.r_[0, unseen, 0])).reshape(-1, 2)
+    seen = np.flatnonzero(~unseen)
+    for start, end in edges:
+        before = seen[seen < start][-_NEIGHBOURS:]
+        after = seen[seen >= end][:_NEIGHBOURS]
+        knots = np.r_[before, after]
+        degree = min(3, len(knots) - 1)
+        spline = make_interp_spline(time[knots], p[knots], k=degree)
+        p[start:end] = spline(time[start:end])
+
+
+_BAND_N = 12.0  # unloaded samples scatter within this around their level
+_SMOOTH_S = 0.025
+_SHORTEST_S = 0.1  # unloaded for at least so long
+_EDGE_S = 0.1  # cut from either side of an unloaded part
+_TREND_SHARE = 0.5  # of the recording that unloaded parts must span
+# A level beyond this is a load, not drift. A chair may not have been tared.
+LARGEST_FOOT_N = 20.0
+LARGEST_CHAIR_N = 200.0
+
+
+def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
+    """Samples (N,) at which a plate bears nothing.
+
+    The lowest steady level of the recording counts as unloaded if it is
+    within `largest_n` of zero.
+
+    Args:
+        time: (N,) evenly spaced [s].
+        F_z: (N,) vertical force [N], unfiltered.
+        largest_n: largest offset that may be drift.
+    """
+    step = time[1] - time[0]
+    width = max(round(_SMOOTH_S / step), 1)
+    padded = np.pad(F_z, width, mode="edge")
+    smooth = np.convolve(padded, np.ones(width) / width, mode="same")
+    smooth = smooth[width:-width]
+    near = np.abs(smooth - np.quantile(smooth, 0.02)) < _BAND_N
+    edges = np.flatnonzero(np.diff(np.r_[0, near, 0])).reshape(-1, 2)
+    for start, end in edges:
+        # Its edges are still, or already, a load.
+        cut = round(_EDGE_S / step)
+        long = end - start - 2 * cut >= _SHORTEST_S / step
+        near[start : start + cut if long else end] = False
+        near[end - cut if long else start : end] = False
+    if not near.any() or abs(np.median(F_z[near])) > largest_n:
+        return np.zeros(len(time), bool)
+    return near
+
+
+def level(
+    time: np.ndarray, wrench: PlanarWrench, largest_n: float
+) -> tuple[PlanarWrench, dict]:
+    """Take offset, and a linear drift where it shows, out of a plate.
+
+    Args:
+        time: (N,) [s].
+        wrench: unfiltered, as recorded.
+        largest_n: as for `unloaded`.
+
+    Returns:
+        The levelled wrench, and what was found: offset_n of F_z at the
+        start, drift_n_s, and unloaded_s, the time it was seen for.
+    """
+    empty = unloaded(time, wrench.force[:, 1], largest_n)
+    seen = float(empty.sum() * (time[1] - time[0]))
+    if not empty.any():
+        return wrench, {"unloaded_s": 0.0}
+    t = (time - time[0]) / (time[-1] - time[0])
+    spans = t[empty].max() - t[empty].min()
+    powers = 2 if spans > _TREND_SHARE else 1
+    A = np.vander(t, powers, increasing=True)
+    values = np.column_stack([wrench.force, wrench.moment])
+    c = np.linalg.lstsq(A[empty], values[empty], rcond=None)[0]
+    values = values - A @ c
+    drift = float(c[1, 1] / (time[-1] - time[0])) if powers == 2 else 0.0
+    return PlanarWrench(values[:, :2], values[:, 2]), {
+        "offset_n": float(c[0, 1]),
+        "drift_n_s": drift,
+        "unloaded_s": seen,
+    }
+
+
+@dataclass(frozen=True)
+class FootForces:
+    """Plates' wrenches in the sagittal plane, by foot, at their own rate.
+
+    Attributes:
+        time: (N,) evenly spaced [s].
+        wrenches: "left" and "right", or "both" for one plate under both feet.
+        source: file name.
+        chair: of the plate under the chair, if there is one.
+        levels: plate ("left", ..., "chair") -> offset and drift taken out.
+    """
+
+    time: np.ndarray
+    wrenches: dict[str, PlanarWrench]
+    source: str
+    chair: PlanarWrench | None = None
+    levels: dict[str, dict] = field(default_factory=dict)
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return (len(self.time) - 1) / (self.time[-1] - self.time[0])
+
+    def filtered(self, settings: Filter) -> "FootForces":
+        """The same forces, low-passed."""
+
+        def smooth(values):
+            return low_pass(
+                values,
+                self.rate_hz,
+                settings.cutoff_hz,
+                settings.order,
+                self.source,
+            )
+
+        return self._mapped(
+            lambda w: PlanarWrench(smooth(w.force), smooth(w.moment))
+        )
+
+    def delayed(self, delay_s: float) -> "FootForces":
+        """The same forces with a lag of their clock taken out."""
+        return replace(self, time=self.time - delay_s)
+
+    def without(self, empty: "FootForces") -> "FootForces":
+        """The same forces less the mean of a recording of empty plates."""
+        levels = {}
+
+        def less(name, w):
+            zero = empty.chair if name == "chair" else empty.wrenches[name]
+            force, moment = zero.force.mean(axis=0), zero.moment.mean()
+            levels[name] = {"empty_plate_n": float(force[1])}
+            return PlanarWrench(w.force - force, w.moment - moment)
+
+        found = self._by_plate(less)
+        return replace(found, levels=levels)
+
+    def levelled(self) -> "FootForces":
+        """The same forces less offset and drift of unloaded samples."""
+        levels = {}
+
+        def flat(name, w):
+            largest = LARGEST_CHAIR_N if name == "chair" else LARGEST_FOOT_N
+            w, found = level(self.time, w, largest)
+            levels[name] = {**self.levels.get(name, {}), **found}
+            return w
+
+        found = self._by_plate(flat)
+        return replace(found, levels=levels)
+
+    def _by_plate(self, function) -> "FootForces":
+        """Function of name and wrench, applied to every plate."""
+        return replace(
+            self,
+            wrenches={n: function(n, w) for n, w in self.wrenches.items()},
+            chair=None if self.chair is None else function("chair", self.chair),
+        )
+
+    def _mapped(self, function) -> "FootForces":
+        return self._by_plate(lambda _, w: function(w))
+
+    def chair_at(self, time: np.ndarray) -> PlanarWrench | None:
+        """As `at`, of the plate under the chair."""
+        if self.chair is None:
+            return None
+        alone = replace(self, wrenches={"chair": self.chair})
+        return alone.at(time)["chair"]
+
+    def at(self, time: np.ndarray) -> dict[str, PlanarWrench]:
+        """Wrenches at other times; the ends' values beyond the recording."""
+        time = np.clip(time, self.time[0], self.time[-1])
+        return {
+            foot: PlanarWrench(
+                resample(self.time, w.force, time),
+                resample(self.time, w.moment, time),
+            )
+            for foot, w in self.wrenches.items()
+        }
+
+    def vertical(self) -> np.ndarray:
+        """Total vertical force (N,), one foot alone counting twice [N]."""
+        feet = list(self.wrenches.values())
+        total = sum(w.force[:, 1] for w in feet)
+        return 2.0 * total if self.is_one_leg else total
+
+    @property
+    def is_one_leg(self) -> bool:
+        """Whether only one foot stood on a plate."""
+        return len(self.wrenches) == 1 and "both" not in self.wrenches
+
+
+def _markers_of_c3d(path: Path) -> MarkerData:
+    markers = read_c3d(path).markers
+    if markers is None:
+        raise InputError(f"{path}: holds no markers; give another file")
+    return markers
+
+
+def _plates_of_c3d(path: Path):
+    file = read_c3d(path)
+    if not file.plates:
+        raise InputError(f"{path}: holds no force plate; give another file")
+    return file.plate_time, file.plates
+
+
+def _plate_of_csv(path: Path):
+    time, plate = read_plate_csv(path)
+    return time, [plate]
+
+
+_MARKER_READERS = {
+    ".trc": read_trc,
+    ".c3d": _markers_of_c3d,
+    ".csv": read_markers_csv,
+}
+_FORCE_READERS = {
+    ".mot": read_plates,
+    ".sto": read_plates,
+    ".c3d": _plates_of_c3d,
+    ".csv": _plate_of_csv,
+}
+
+
+def _reader(path: Path, readers: dict, what: str):
+    kind = Path(path).suffix.lower()
+    if kind not in readers:
+        raise InputError(
+            f"{path}: is no {what} file that can be read; give one of "
+            f"{', '.join(readers)}"
+        )
+    return readers[kind]
+
+
+def read_markers(path: Path, settings: Filter) -> MarkerData:
+    """Read a marker file (.trc, .c3d, Motive's .csv) onto an even time base.
+
+    Raises:
+        InputError: unreadable, of another kind, or uneven in time; too short
+            or too slow for the filter.
+    """
+    data = _reader(path, _MARKER_READERS, "marker")(path)
+    time = uniform_time(data.source, data.time, data.rate_hz)
+    check_filterable(data.source, len(time), data.rate_hz, settings.cutoff_hz)
+    return MarkerData(
+        time, data.names, data.positions, data.rate_hz, data.source
+    )
+
+
+def read_foot_forces(
+    path: Path,
+    plates: Plates,
+    laboratory: Laboratory,
+    settings: Filter,
+    loaded: bool = True,
+) -> FootForces:
+    """Read a force file and keep the plates under feet and chair.
+
+    Files are .mot, .sto, .c3d and Motive's .csv.
+
+    Args:
+        path: the file.
+        plates: numbers of the plates.
+        laboratory: axes and signs.
+        settings: filter that will be applied.
+        loaded: whether somebody stands on them.
+
+    Raises:
+        InputError: unreadable, of another kind, or uneven in time; no such
+            plate; too short or too slow for the filter; forces that pull the
+            body down.
+    """
+    time, recorded = _reader(path, _FORCE_READERS, "force")(path)
+    time = uniform_time(str(path), time)
+    frame = SagittalFrame(
+        laboratory.force_axes.forward, laboratory.force_axes.up
+    )
+    numbers = {
+        foot: getattr(plates, foot)
+        for foot in (*SIDES, "both", "chair")
+        if getattr(plates, foot) is not None
+    }
+    wrenches = {
+        foot: planar_wrench(_plate(path, recorded, number), frame)
+        for foot, number in numbers.items()
+    }
+    if laboratory.forces_act_on == "plate":
+        wrenches = {foot: w.reversed() for foot, w in wrenches.items()}
+    chair = wrenches.pop("chair", None)
+    forces = FootForces(time, wrenches, str(path), chair)
+    check_filterable(
+        forces.source, len(time), forces.rate_hz, settings.cutoff_hz
+    )
+    if loaded:
+        _check_direction(forces)
+    return forces
+
+
+def _plate(path, recorded: list[PlateRecording], number: int):
+    for plate in recorded:
+        if plate.number == number:
+            return plate
+    numbers = ", ".join(str(p.number) for p in recorded)
+    raise InputError(
+        f"{path}: has no force plate {number}; it holds plates {numbers}"
+    )
+
+
+def _check_direction(forces: FootForces) -> None:
+    """Forces must be those on the body: upwards when standing."""
+    F_z = forces.vertical()
+    if -F_z.min() > max(F_z.max(), 50.0):
+        raise InputError(
+            f"{forces.source}: the vertical force reaches {F_z.min():.0f} N, "
+            "downwards; say 'forces_act_on: plate' in laboratory if these "
+            "are the forces on the plate, or correct force_axes"
+        )
+
+
+def common_time(
+    markers: MarkerData, forces: FootForces, settings: Filter
+) -> np.ndarray:
+    """Marker times at which forces were recorded too (N,).
+
+    Raises:
+        InputError: the files do not overlap, or for too short a time.
+    """
+    inside = (markers.time >= forces.time[0] - 1e-9) & (
+        markers.time <= forces.time[-1] + 1e-9
+    )
+    if not inside.any():
+        raise InputError(
+            f"{forces.source}: forces ({_span(forces.time)}) and markers "
+            f"({_span(markers.time)}, {markers.source}) do not overlap in "
+            "time; give files of the same recording"
+        )
+    time = markers.time[inside]
+    check_filterable(
+        f"{markers.source} together with {forces.source}",
+        len(time),
+        markers.rate_hz,
+        settings.cutoff_hz,
+    )
+    return np.clip(time, forces.time[0], forces.time[-1])
+
+
+def _span(time: np.ndarray) -> str:
+    return f"{time[0]:g} to {time[-1]:g} s"

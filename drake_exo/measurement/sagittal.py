@@ -1,0 +1,123 @@
+"""From the laboratory's axes to the sagittal plane, and plates to one foot.
+
+Planar frame: x forward, z up, y left. A wrench in the plane is F_x, F_z and
+the moment M_y = z F_x - x F_z about the laboratory's origin at z = 0; the
+centre of pressure is CoP_x = -M_y / F_z.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drake_exo.files.opensim import PlateRecording
+
+# Below this vertical force a centre of pressure means nothing [N].
+COP_THRESHOLD_N = 20.0
+
+
+@dataclass(frozen=True)
+class SagittalFrame:
+    """Directions of the planar frame in a file's axes.
+
+    Args:
+        forward, up: axis of the file such as "x", "-z".
+    """
+
+    forward: str = "x"
+    up: str = "y"
+    R_PL: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self):
+        x, z = _unit(self.forward), _unit(self.up)
+        object.__setattr__(self, "R_PL", np.stack([x, np.cross(z, x), z]))
+
+    def points(self, p: np.ndarray) -> np.ndarray:
+        """Points or forces (..., 3) -> their (..., 2) x and z."""
+        return np.asarray(p) @ self.R_PL[[0, 2]].T
+
+    def pitch_moment(self, m: np.ndarray) -> np.ndarray:
+        """Moments (..., 3) -> their (...) component about y (left)."""
+        return np.asarray(m) @ self.R_PL[1]
+
+
+def _unit(axis: str) -> np.ndarray:
+    e = np.zeros(3)
+    e["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return e
+
+
+@dataclass(frozen=True)
+class PlanarWrench:
+    """Force in the sagittal plane and its moment about the origin.
+
+    Attributes:
+        force: (N, 2) F_x, F_z [N].
+        moment: (N,) M_y about the laboratory's origin at z = 0 [N m].
+    """
+
+    force: np.ndarray
+    moment: np.ndarray
+
+    def __add__(self, other: "PlanarWrench") -> "PlanarWrench":
+        return PlanarWrench(
+            self.force + other.force, self.moment + other.moment
+        )
+
+    def shifted(self, dx: float | np.ndarray) -> "PlanarWrench":
+        """The same wrench acting `dx` further forward [m]."""
+        return PlanarWrench(self.force, self.moment - dx * self.force[:, 1])
+
+    def reversed(self) -> "PlanarWrench":
+        """Equal and opposite: on the plate instead of on the body."""
+        return PlanarWrench(-self.force, -self.moment)
+
+    def doubled(self) -> "PlanarWrench":
+        """One leg's wrench taken for both."""
+        return PlanarWrench(2.0 * self.force, 2.0 * self.moment)
+
+    def cop_x(self) -> np.ndarray:
+        """Centre of pressure (N,) [m], NaN where the foot is unloaded."""
+        return cop_x(self.force[:, 1], self.moment)
+
+
+def cop_x(F_z: np.ndarray, M_y: np.ndarray) -> np.ndarray:
+    """CoP_x = -M_y / F_z [m]; NaN below 20 N."""
+    loaded = F_z > COP_THRESHOLD_N
+    return np.where(loaded, -M_y / np.where(loaded, F_z, 1.0), np.nan)
+
+
+def planar_wrench(plate: PlateRecording, frame: SagittalFrame) -> PlanarWrench:
+    """A plate's force on the body in the sagittal plane.
+
+    The moment is taken in space before it is projected, so the free moment
+    and the height of the plate's surface are in it.
+    """
+    return PlanarWrench(
+        frame.points(plate.force),
+        frame.pitch_moment(plate.moment_about_origin()),
+    )
+
+
+def merge_feet(
+    wrenches: dict[str, PlanarWrench], ankles_x: dict[str, float]
+) -> tuple[PlanarWrench, dict[str, float]]:
+    """Both feet's plates as one, each taken into its own foot's frame.
+
+    Feet stand centimetres apart fore and aft; merged as they are, a shift of
+    load from one to the other would look like a moving centre of pressure.
+    Each plate's wrench is moved by the distance from its own ankle to the
+    mean of both.
+
+    Args:
+        wrenches: by side, of one or two feet. One foot alone counts twice.
+        ankles_x: fore-aft place of each ankle [m].
+
+    Returns:
+        The sum, and the shift applied to each side [m].
+    """
+    middle = float(np.mean([ankles_x[side] for side in wrenches]))
+    shifts = {side: middle - ankles_x[side] for side in wrenches}
+    moved = [w.shifted(shifts[side]) for side, w in wrenches.items()]
+    if len(moved) == 1:
+        return moved[0].doubled(), shifts
+    return moved[0] + moved[1], shifts

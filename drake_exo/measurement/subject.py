@@ -1,0 +1,288 @@
+"""The subject's model, fitted to a standing trial."""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.tables import MarkerData
+from drake_exo.measurement.kinematics import (
+    MarkerModel,
+    build_marker_model,
+    merge_legs,
+    residual_rms,
+    solve_poses,
+)
+from drake_exo.measurement.recording import (
+    fill_gaps,
+    read_foot_forces,
+    read_markers,
+)
+from drake_exo.measurement.sagittal import (
+    PlanarWrench,
+    SagittalFrame,
+    cop_x,
+    merge_feet,
+)
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.description import fit_exoskeleton, nominal_exoskeleton
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
+from drake_exo.model.segments import (
+    CONTACT_RADIUS_M,
+    ExoskeletonParameters,
+    HumanParameters,
+    SegmentParameters,
+    with_overrides,
+)
+from drake_exo.study import Markers, Standing, Study
+
+
+@dataclass(frozen=True)
+class SubjectModel:
+    """What a standing trial and the study say about the subject.
+
+    Attributes:
+        human: segment parameters.
+        exoskeleton: the device, None for the model "human".
+        markers: places of the markers on the segments.
+        mass_kg: body mass without the exoskeleton.
+        rigid: batched dynamics of the 6-DOF plant, exoskeleton welded.
+        coupled: of the 9-DOF plant, None for the model "human".
+        report: where values come from, for the quality report.
+    """
+
+    human: HumanParameters
+    exoskeleton: ExoskeletonParameters | None
+    markers: MarkerModel
+    mass_kg: float
+    rigid: PlanarTree
+    coupled: PlanarTree | None
+    report: dict[str, Any]
+
+
+def fit_subject(study: Study, root: Path) -> SubjectModel:
+    """Scale the model to the subject and the standing trial.
+
+    Raises:
+        InputError: unreadable or unsuitable standing trial, or no body mass.
+    """
+    frame = SagittalFrame(
+        study.laboratory.marker_axes.forward, study.laboratory.marker_axes.up
+    )
+    standing = _quiet_part(
+        read_markers(root / study.standing.markers, study.filter),
+        study.standing,
+    )
+    standing, gaps = fill_gaps(
+        standing, _all_names(study.markers), study.laboratory.fill_gaps_s
+    )
+    model = build_marker_model(standing, study.markers, frame)
+    points = frame.points(standing.of(model.names)).mean(axis=0)[None]
+    poses = solve_poses(model, points, standing.source)
+    q, ankles = merge_legs(model, poses)
+    wrench = _standing_wrench(study, root, ankles)
+    report: dict[str, Any] = {
+        "stated_mass_kg": study.subject.mass_kg,
+        "standing_angles_deg": np.rad2deg(q[0, 2:]),
+        "standing_residual_rms_m": residual_rms(model, poses),
+        "standing_gaps_filled": gaps,
+        "ankle_height_m": model.ankle_height_m,
+        "lengths_m": dict(model.lengths_m),
+    }
+    mass = _body_mass(study, wrench, report)
+    human = _scaled(study, mass, model)
+    human, device, tree = _plants(study, human)
+    if study.scaling.trunk_com == "standing":
+        human = _over_the_cop(study, human, tree, q, wrench, report)
+        human, device, tree = _plants(study, human)
+    if wrench is not None:
+        report["standing_cop_x_m"] = _cop(wrench)
+        report["standing_com_x_m"] = float(tree.center_of_mass(q)[0, 0])
+    coupled = None
+    if device is not None:
+        gravity = study.gravity_m_s2
+        plant = build_plant("coupled", human, device, gravity=gravity)
+        coupled = PlanarTree.from_plant(plant)
+    return SubjectModel(human, device, model, mass, tree, coupled, report)
+
+
+def _all_names(markers: Markers) -> list[str]:
+    """Every marker that the study names."""
+    groups = [
+        getattr(part, f.name)
+        for part in (markers.joint_centres, markers.segments)
+        for f in fields(part)
+    ]
+    return [n for g in groups for n in (*g.left, *g.right, *g.middle)]
+
+
+def _quiet_part(data: MarkerData, standing: Standing) -> MarkerData:
+    inside = _inside(data.time, standing)
+    if not inside.any():
+        raise InputError(
+            f"{data.source}: holds no frame between standing.start_s and "
+            f"end_s; it runs from {data.time[0]:g} to {data.time[-1]:g} s"
+        )
+    return replace(
+        data, time=data.time[inside], positions=data.positions[inside]
+    )
+
+
+def _inside(time: np.ndarray, standing: Standing) -> np.ndarray:
+    start = -np.inf if standing.start_s is None else standing.start_s
+    end = np.inf if standing.end_s is None else standing.end_s
+    return (time >= start - 1e-9) & (time <= end + 1e-9)
+
+
+def _standing_wrench(study, root, ankles) -> PlanarWrench | None:
+    """Mean wrench of both feet in standing (N = 1), merged at the ankles."""
+    standing = study.standing
+    if standing.forces is None:
+        return None
+    forces = read_foot_forces(
+        root / standing.forces,
+        standing.plates,
+        study.laboratory,
+        study.filter,
+    )
+    if standing.empty_plates is not None:
+        forces = forces.without(
+            read_foot_forces(
+                root / standing.empty_plates,
+                standing.plates,
+                study.laboratory,
+                study.filter,
+                loaded=False,
+            )
+        )
+    if study.laboratory.remove_plate_drift:
+        forces = forces.levelled()
+    inside = _inside(forces.time, standing)
+    if not inside.any():
+        raise InputError(
+            f"{forces.source}: holds no sample between standing.start_s and "
+            "end_s; correct them"
+        )
+    means = {
+        foot: PlanarWrench(
+            w.force[inside].mean(axis=0, keepdims=True),
+            w.moment[inside].mean(keepdims=True),
+        )
+        for foot, w in forces.wrenches.items()
+    }
+    if "both" in means:
+        return means["both"]
+    known = {side: float(p[:, 0].mean()) for side, p in ankles.items()}
+    middle = float(np.mean(list(known.values())))
+    places = {side: known.get(side, middle) for side in means}
+    return merge_feet(means, places)[0]
+
+
+def _cop(wrench: PlanarWrench) -> float:
+    return float(cop_x(wrench.force[:, 1], wrench.moment)[0])
+
+
+def _body_mass(study: Study, wrench, report) -> float:
+    device = 0.0
+    if study.model == "coupled":
+        device = with_overrides(
+            nominal_exoskeleton(), study.exoskeleton, "exoskeleton"
+        ).mass_kg
+    measured = None
+    if wrench is not None:
+        measured = float(wrench.force[0, 1]) / study.gravity_m_s2 - device
+        report["standing_mass_kg"] = measured
+    stated = study.subject.mass_kg
+    if stated is None and measured is None:
+        raise InputError(
+            "the body mass is unknown: give subject.mass_kg, or "
+            "standing.forces of quiet standing"
+        )
+    report["mass_from"] = "standing" if stated is None else "study"
+    mass = measured if stated is None else stated
+    if not mass > 0.0:
+        raise InputError(
+            f"{study.standing.forces}: standing gives a body mass of "
+            f"{mass:.1f} kg; check standing.plates"
+        )
+    return mass
+
+
+def _scaled(study: Study, mass: float, model: MarkerModel) -> HumanParameters:
+    """Table values, lengths and ankle height as measured, then overrides."""
+    subject = study.subject
+    human = scale_human(mass, subject.height_m, subject.sex)
+    if study.scaling.lengths == "markers":
+        human = replace(
+            human,
+            shank=_stretched(human.shank, model.lengths_m["shank"]),
+            thigh=_stretched(human.thigh, model.lengths_m["thigh"]),
+        )
+        human = _raised(human, model.ankle_height_m)
+    return with_overrides(human, subject.segments, "subject.segments")
+
+
+def _stretched(segment: SegmentParameters, length: float):
+    """A segment of another length and the same mass."""
+    ratio = length / segment.length_m
+    return replace(
+        segment,
+        length_m=length,
+        com_m=tuple(ratio * c for c in segment.com_m),
+        inertia_kg_m2=ratio**2 * segment.inertia_kg_m2,
+    )
+
+
+def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
+    """The ankle at its measured height; soles and contact stay below it."""
+    if not 0.02 < ankle_height < 0.3:
+        raise InputError(
+            f"the ankles are {ankle_height:.3f} m above the floor in "
+            "standing; check markers.joint_centres.ankle and that the "
+            "laboratory's floor is at zero height"
+        )
+    ratio = ankle_height / human.ankle_height_m
+    sphere_z = CONTACT_RADIUS_M - ankle_height
+    return replace(
+        human,
+        ankle_height_m=ankle_height,
+        heel_m=(human.heel_m[0], sphere_z),
+        toe_m=(human.toe_m[0], sphere_z),
+        foot=replace(
+            human.foot,
+            com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1]),
+        ),
+    )
+
+
+def _plants(study: Study, human: HumanParameters):
+    device, kind = None, "human"
+    if study.model == "coupled":
+        device = fit_exoskeleton(human, study.exoskeleton)
+        kind = "rigid"
+    plant = build_plant(kind, human, device, gravity=study.gravity_m_s2)
+    return human, device, PlanarTree.from_plant(plant)
+
+
+def _over_the_cop(study, human, tree, q, wrench, report) -> HumanParameters:
+    """Move the trunk's centre of mass so that standing is in balance."""
+    if wrench is None:
+        raise InputError(
+            "scaling.trunk_com is 'standing', which needs standing.forces "
+            "and standing.plates; add them or say 'table'"
+        )
+    gap = _cop(wrench) - tree.center_of_mass(q)[0, 0]
+    pelvis = human.pelvis
+    dx = float(gap * tree.mass / pelvis.mass_kg)
+    report["trunk_com_shift_m"] = dx
+    if abs(dx) > 0.15:
+        raise InputError(
+            f"{study.standing.forces}: standing puts the trunk's centre of "
+            f"mass {dx:.2f} m off the hips; check that markers and plates "
+            "share one origin, and standing.plates"
+        )
+    com = (pelvis.com_m[0] + dx, pelvis.com_m[1])
+    return replace(human, pelvis=replace(pelvis, com_m=com))

@@ -1,0 +1,1 @@
+"""The human and the exoskeleton: parameters, SDF, plant, planar dynamics."""

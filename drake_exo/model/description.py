@@ -1,0 +1,305 @@
+"""The model files, fitted to one subject by rewriting their numbers.
+
+The SDF files hold links of a nominal adult and of an exoskeleton that fits
+this adult. There is one way of scaling: mass properties and frames are taken
+from the parameters; visuals are stretched with the segment they are drawn on.
+No pydrake here, so that reading parameters costs nothing.
+"""
+
+import importlib.resources
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, replace
+from functools import cache
+from math import cos, sin, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.segments import (
+    SEGMENTS,
+    ExoskeletonParameters,
+    HumanParameters,
+    SegmentParameters,
+    with_overrides,
+)
+
+NOMINAL_MASS_KG = 70.0
+NOMINAL_HEIGHT_M = 1.75
+
+
+def models_path() -> Path:
+    """Folder of package.xml and the SDF files, in checkout or wheel."""
+    return Path(str(importlib.resources.files("drake_exo.models")))
+
+
+@cache
+def nominal_human() -> HumanParameters:
+    """The adult that human.sdf describes."""
+    return scale_human(NOMINAL_MASS_KG, NOMINAL_HEIGHT_M)
+
+
+@cache
+def nominal_exoskeleton() -> ExoskeletonParameters:
+    """The device that exoskeleton.sdf describes."""
+    model = _read("exoskeleton.sdf")
+
+    def point(frame: str) -> tuple[float, float]:
+        x, _, z = _pose(_frame(model, frame))[:3]
+        return float(x), float(z)
+
+    length = {
+        "foot": point("plate_toe")[0] - point("plate_heel")[0],
+        "shank": point("exo_knee_centre")[1],
+        "thigh": point("exo_hip_centre")[1],
+        "pelvis": point("pelvis_module_top")[1],
+    }
+    return ExoskeletonParameters(
+        **{name: _segment(model, name, length[name]) for name in SEGMENTS},
+        heel_m=point("exo_heel"),
+        toe_m=point("exo_toe"),
+        shank_cuff_m=point("exo_shank_cuff"),
+        thigh_cuff_m=point("exo_thigh_cuff"),
+        pelvis_cuff_m=point("exo_pelvis_cuff"),
+    )
+
+
+def fit_exoskeleton(
+    human: HumanParameters, overrides: Any = None
+) -> ExoskeletonParameters:
+    """Adjust the exoskeleton to a human: joints meet joints, soles meet soles.
+
+    Masses stay as in exoskeleton.sdf (struts slide, they do not get heavier);
+    centres of mass follow the lengths, moments of inertia their square.
+
+    Args:
+        human: the wearer.
+        overrides: `ExoskeletonOverrides` or a mapping of the same names.
+
+    Raises:
+        InputError: impossible override.
+    """
+    nominal, wearer = nominal_exoskeleton(), nominal_human()
+
+    def slid(name: str) -> SegmentParameters:
+        segment, length = getattr(nominal, name), getattr(human, name).length_m
+        ratio = length / getattr(wearer, name).length_m
+        x, z = segment.com_m
+        return SegmentParameters(
+            segment.mass_kg,
+            (x, z * ratio),
+            segment.inertia_kg_m2 * ratio**2,
+            length,
+        )
+
+    plate_ratio = human.foot.length_m / wearer.foot.length_m
+    drop = wearer.ankle_height_m - human.ankle_height_m
+
+    def on_plate(point: tuple[float, float]) -> tuple[float, float]:
+        return point[0] * plate_ratio, point[1] + drop
+
+    foot = nominal.foot
+    fitted = ExoskeletonParameters(
+        foot=replace(
+            foot,
+            com_m=on_plate(foot.com_m),
+            inertia_kg_m2=foot.inertia_kg_m2 * plate_ratio**2,
+            length_m=foot.length_m * plate_ratio,
+        ),
+        shank=slid("shank"),
+        thigh=slid("thigh"),
+        pelvis=nominal.pelvis,
+        heel_m=on_plate(nominal.heel_m),
+        toe_m=on_plate(nominal.toe_m),
+        shank_cuff_m=human.shank_cuff_m,
+        thigh_cuff_m=human.thigh_cuff_m,
+        pelvis_cuff_m=human.pelvis_cuff_m,
+    )
+    return with_overrides(fitted, overrides, "exoskeleton")
+
+
+def human_sdf(human: HumanParameters) -> str:
+    """human.sdf with this human's numbers."""
+    model, nominal = _read("human.sdf"), nominal_human()
+    width = body_width(human)
+    for name in SEGMENTS:
+        segment, reference = getattr(human, name), getattr(nominal, name)
+        if name == "foot":
+            x = segment.length_m / reference.length_m
+            z = human.ankle_height_m / nominal.ankle_height_m
+            stretch = _Stretch((x, x, z), (x, width, z))
+        else:
+            z = segment.length_m / reference.length_m
+            stretch = _Stretch((width, width, z), (width, width, z))
+        _rewrite_link(model, name, segment, stretch)
+    _set_frame(model, "knee_centre", (0.0, human.shank.length_m))
+    _set_frame(model, "hip_centre", (0.0, human.thigh.length_m))
+    _set_frame(model, "vertex", (0.0, human.pelvis.length_m))
+    for name in ("heel", "toe", "shank_cuff", "thigh_cuff", "pelvis_cuff"):
+        _set_frame(model, name, getattr(human, f"{name}_m"))
+    return _text(model)
+
+
+def exoskeleton_sdf(
+    exoskeleton: ExoskeletonParameters, width: float = 1.0
+) -> str:
+    """exoskeleton.sdf with this device's numbers.
+
+    Args:
+        exoskeleton: the device.
+        width: breadth of the wearer against the nominal one, for the picture.
+    """
+    model, nominal = _read("exoskeleton.sdf"), nominal_exoskeleton()
+    for name in SEGMENTS:
+        segment, reference = getattr(exoskeleton, name), getattr(nominal, name)
+        x, z = width, segment.length_m / reference.length_m
+        if name == "foot":
+            x = z
+            z = _sole_depth(exoskeleton) / _sole_depth(nominal)
+        _rewrite_link(
+            model,
+            f"exo_{name}",
+            segment,
+            _Stretch((x, width, z), (x, width, z)),
+        )
+    _set_frame(model, "exo_knee_centre", (0.0, exoskeleton.shank.length_m))
+    _set_frame(model, "exo_hip_centre", (0.0, exoskeleton.thigh.length_m))
+    for name in ("heel", "toe", "shank_cuff", "thigh_cuff", "pelvis_cuff"):
+        _set_frame(model, f"exo_{name}", getattr(exoskeleton, f"{name}_m"))
+    return _text(model)
+
+
+def body_width(human: HumanParameters) -> float:
+    """Breadth against the nominal human's, for a body of equal density."""
+    nominal = nominal_human()
+    height = human.height_m / nominal.height_m
+    return sqrt(human.mass_kg / nominal.mass_kg / height)
+
+
+def _sole_depth(exoskeleton: ExoskeletonParameters) -> float:
+    """Depth of the heel's sphere centre under the ankle; kept positive."""
+    return max(-exoskeleton.heel_m[1], 0.01)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Factors along a link's x, y, z of the sizes and places of visuals."""
+
+    size: tuple[float, float, float]
+    place: tuple[float, float, float]
+
+
+def _read(name: str) -> ET.Element:
+    return ET.parse(models_path() / name).getroot()
+
+
+def _text(model: ET.Element) -> str:
+    return ET.tostring(model, encoding="unicode")
+
+
+def _numbers(values: Any) -> str:
+    # repr() keeps every digit: the plant holds the parameters exactly.
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _child(element: ET.Element, path: str) -> ET.Element:
+    found = element.find(path)
+    if found is None:
+        raise ValueError(f"model file lacks <{path}> in <{element.tag}>")
+    return found
+
+
+def _link(model: ET.Element, name: str) -> ET.Element:
+    return _child(model, f"model/link[@name='{name}']")
+
+
+def _frame(model: ET.Element, name: str) -> ET.Element:
+    return _child(model, f"model/frame[@name='{name}']")
+
+
+def _pose(element: ET.Element) -> np.ndarray:
+    """Six numbers of the element's <pose>: x y z [m], roll pitch yaw [rad]."""
+    return np.array(_child(element, "pose").text.split(), dtype=float)
+
+
+def _set_pose(element: ET.Element, pose: np.ndarray) -> None:
+    _child(element, "pose").text = _numbers(pose)
+
+
+def _set_frame(
+    model: ET.Element, name: str, point: tuple[float, float]
+) -> None:
+    _set_pose(_frame(model, name), np.array([point[0], 0, point[1], 0, 0, 0]))
+
+
+def _segment(
+    model: ET.Element, name: str, length_m: float
+) -> SegmentParameters:
+    inertial = _child(_link(model, f"exo_{name}"), "inertial")
+    x, _, z = _pose(inertial)[:3]
+    return SegmentParameters(
+        float(_child(inertial, "mass").text),
+        (float(x), float(z)),
+        float(_child(inertial, "inertia/iyy").text),
+        length_m,
+    )
+
+
+def _rewrite_link(
+    model: ET.Element,
+    name: str,
+    segment: SegmentParameters,
+    stretch: _Stretch,
+) -> None:
+    link = _link(model, name)
+    inertial = _child(link, "inertial")
+    x, z = segment.com_m
+    _set_pose(inertial, np.array([x, 0, z, 0, 0, 0]))
+    _child(inertial, "mass").text = repr(float(segment.mass_kg))
+    for axis in ("ixx", "iyy", "izz"):
+        moment = _child(inertial, f"inertia/{axis}")
+        moment.text = repr(float(segment.inertia_kg_m2))
+    for visual in link.findall("visual"):
+        _stretch_visual(visual, stretch)
+    for frame in model.findall(f"model/frame[@attached_to='{name}']"):
+        pose = _pose(frame)
+        pose[:3] *= stretch.place
+        _set_pose(frame, pose)
+
+
+def _stretch_visual(visual: ET.Element, stretch: _Stretch) -> None:
+    pose = _pose(visual)
+    # A turned shape has its own axes; each grows by the stretch along it.
+    axes = np.asarray(stretch.size)[:, None] * _rotation(*pose[3:])
+    fx, fy, fz = np.linalg.norm(axes, axis=0)
+    pose[:3] *= stretch.place
+    _set_pose(visual, pose)
+    shape = _child(visual, "geometry")[0]
+    factors = {
+        "size": (fx, fy, fz),
+        "radii": (fx, fy, fz),
+        "scale": (fx, fy, fz),
+        "radius": (fx * fy * fz) ** (1.0 / 3.0)
+        if shape.tag == "sphere"
+        else sqrt(fx * fy),
+        "length": fz,
+    }
+    for element in shape:
+        if element.tag in factors:
+            old = np.array(element.text.split(), dtype=float)
+            element.text = _numbers(np.atleast_1d(old * factors[element.tag]))
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Rotation matrix of SDF's roll, pitch, yaw (about fixed x, y, z)."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (cos(a), sin(a)) for a in (roll, pitch, yaw)
+    )
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

@@ -1,0 +1,389 @@
+"""Bounds, scaling, linear rows and quadratic costs of a program as arrays.
+
+A MathematicalProgram whose like constraints are evaluated together.
+
+Drake evaluates a program binding by binding. A collocation problem repeats
+the same few functions over thousands of nodes; a `Batch` remembers that, so
+that one array operation serves all of them, while the program itself stays
+an ordinary MathematicalProgram that any of Drake's solvers can take.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from pydrake.autodiffutils import (
+    AutoDiffXd,
+    ExtractGradient,
+    ExtractValue,
+    InitializeAutoDiff,
+)
+from pydrake.solvers import MathematicalProgram
+
+
+def variable_bounds(prog) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds (num_vars,) from bounding-box constraints."""
+    lower = np.full(prog.num_vars(), -np.inf)
+    upper = np.full(prog.num_vars(), np.inf)
+    bindings = prog.bounding_box_constraints()
+    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
+        evaluator = binding.evaluator()
+        np.maximum.at(lower, index, evaluator.lower_bound())
+        np.minimum.at(upper, index, evaluator.upper_bound())
+    return lower, upper
+
+
+def variable_scaling(prog) -> np.ndarray:
+    """Typical size (num_vars,) of each variable, 1 where none is set."""
+    scale = np.ones(prog.num_vars())
+    for index, value in prog.GetVariableScaling().items():
+        scale[index] = value
+    return scale
+
+
+def linear_rows(prog):
+    """All linear constraints that are not in a batch: lower <= A x <= upper.
+
+    Returns:
+        A (sparse), lower, upper, and the rows' names.
+    """
+    rows, columns, values, lower, upper, names = [], [], [], [], [], []
+    bindings = [
+        *prog.linear_constraints(),
+        *prog.linear_equality_constraints(),
+    ]
+    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
+        evaluator = binding.evaluator()
+        A = sp.coo_array(evaluator.get_sparse_A())
+        rows.append(A.row + len(names))
+        columns.append(index[A.col])
+        values.append(A.data)
+        lower.append(evaluator.lower_bound())
+        upper.append(evaluator.upper_bound())
+        name = evaluator.get_description() or "linear constraint"
+        names.extend(f"{name} row {i}" for i in range(A.shape[0]))
+    A = _sparse(rows, columns, values, (len(names), prog.num_vars()))
+    return A, _joined(lower), _joined(upper), names
+
+
+def quadratic_cost(prog):
+    """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c.
+
+    Returns:
+        Q (sparse), b, c.
+    """
+    n = prog.num_vars()
+    b, c = np.zeros(n), 0.0
+    rows, columns, values = [], [], []
+    bindings = prog.linear_costs()
+    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
+        np.add.at(b, index, binding.evaluator().a())
+        c += binding.evaluator().b()
+    bindings = prog.quadratic_costs()
+    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
+        evaluator = binding.evaluator()
+        Q = evaluator.Q()
+        row, column = np.nonzero(Q)
+        rows.append(index[row])
+        columns.append(index[column])
+        values.append(Q[row, column])
+        np.add.at(b, index, evaluator.b())
+        c += evaluator.c()
+    return _sparse(rows, columns, values, (n, n)), b, c
+
+
+def _indices(prog, bindings) -> list[np.ndarray]:
+    """Program indices of each binding's variables; one look-up for all."""
+    variables = [binding.variables() for binding in bindings]
+    if not variables:
+        return []
+    found = prog.FindDecisionVariableIndices(np.concatenate(variables))
+    ends = np.cumsum([len(v) for v in variables])[:-1]
+    return np.split(np.asarray(found, int), ends)
+
+
+def _sparse(rows, columns, values, shape) -> sp.csr_array:
+    place = (_joined(rows).astype(int), _joined(columns).astype(int))
+    return sp.csr_array((_joined(values), place), shape=shape)
+
+
+def _joined(parts) -> np.ndarray:
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+class Kernel(Protocol):
+    """A function of n_in inputs, evaluated for n instances at once.
+
+    A kernel may also have `curvature(x, weights, data)`, the Hessians
+    (n, n_in, n_in) of its outputs summed with weights (n, n_out): it then
+    enters the Lagrangian's Hessian beside the Gauss-Newton terms. Where that
+    is zero for some inputs, `curved_inputs` (n_in,) tells the others.
+
+    Attributes:
+        sparsity: (n_out, n_in) bool, True where the Jacobian may be nonzero.
+    """
+
+    sparsity: np.ndarray
+
+    def evaluate(self, x: np.ndarray, data: np.ndarray | None) -> np.ndarray:
+        """Values (n, n_out) at inputs x (n, n_in), with data (n, ...)."""
+
+    def jacobian(self, x: np.ndarray, data: np.ndarray | None) -> np.ndarray:
+        """Derivatives (n, n_out, n_in)."""
+
+
+class AffineKernel:
+    """f(x) = A x + b with the same A (n_out, n_in), b (n_out,) everywhere."""
+
+    def __init__(self, A: np.ndarray, b: np.ndarray | None = None):
+        self.A = np.asarray(A, float)
+        self.b = np.zeros(len(self.A)) if b is None else np.asarray(b, float)
+        self.sparsity = self.A != 0.0
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        return x @ self.A.T + self.b
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        return np.broadcast_to(self.A, (len(x), *self.A.shape))
+
+
+class BindingKernel:
+    """Any binding of a program, through its own AutoDiff evaluation."""
+
+    def __init__(self, binding):
+        self._evaluator = binding.evaluator()
+        n_out = self._evaluator.num_outputs()
+        self.sparsity = np.ones((n_out, len(binding.variables())), bool)
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        return np.stack([self._evaluator.Eval(row) for row in x])
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        blocks = []
+        for row in x:
+            value = self._evaluator.Eval(InitializeAutoDiff(row))
+            J = ExtractGradient(value)
+            blocks.append(J if J.size else np.zeros(self.sparsity.shape))
+        return np.stack(blocks)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Instances of one kernel.
+
+    Attributes:
+        name: what an error report calls it; instance t is "name[t]".
+        kernel: the function.
+        indices: (n, n_in) indices of the inputs in the program.
+        lower: (n, n_out) lower bounds; of residuals, not used.
+        upper: (n, n_out) upper bounds; of residuals, not used.
+        data: (n, ...) constants handed to the kernel, or None.
+    """
+
+    name: str
+    kernel: Kernel
+    indices: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    data: np.ndarray | None = None
+
+    @property
+    def num_outputs(self) -> int:
+        """Outputs of one instance."""
+        return self.kernel.sparsity.shape[0]
+
+
+class BatchedProgram:
+    """A MathematicalProgram together with what is known of its structure.
+
+    Attributes:
+        prog: the program; anything may be added to it directly, and what is
+            not in a batch is evaluated binding by binding.
+        constraints: batches lower <= f(x) <= upper.
+        residuals: batches whose cost is half the sum of squares of f(x).
+        labelled: kind -> indices of variables that `label` has named.
+    """
+
+    def __init__(self):
+        self.prog = MathematicalProgram()
+        self.constraints: list[Batch] = []
+        self.residuals: list[Batch] = []
+        self.labelled: dict[str, np.ndarray] = {}
+        self._labels: list[tuple] = []
+        self._covered: set[int] = set()
+        self._keep_alive: list = []
+
+    def indices(self, variables: np.ndarray) -> np.ndarray:
+        """Indices in the program of an array of variables, same shape."""
+        found = self.prog.FindDecisionVariableIndices(variables.ravel())
+        return np.asarray(found, int).reshape(variables.shape)
+
+    def label(
+        self,
+        kind: str,
+        variables: np.ndarray,
+        columns: list[str],
+        rows: list[str],
+        units: list[tuple[str, float]],
+    ) -> None:
+        """Name the variables of a trajectory for reports.
+
+        Args:
+            kind: what bounds on them are: "limit" or "state".
+            variables: (n, m) decision variables.
+            columns: (m,) what each column is, such as "rise1 hip torque".
+            rows: (n,) where each row is, such as "at 0.2 s".
+            units: (m,) unit for reports, and factor that leads to it.
+        """
+        index = self.indices(variables)
+        self._labels.append((index, columns, rows, units))
+        known = self.labelled.get(kind, [])
+        self.labelled[kind] = np.union1d(known, index.ravel()).astype(int)
+
+    def _find_label(self, index: int) -> tuple[str, str, tuple[str, float]]:
+        for where, columns, rows, units in self._labels:
+            row, column = np.nonzero(where == index)
+            if len(row):
+                return columns[column[0]], rows[row[0]], units[column[0]]
+        name = self.prog.decision_variable(index).get_name()
+        return name, "", ("", 1.0)
+
+    def signal_name(self, index: int) -> str:
+        """What a variable belongs to: its column's label, or its name."""
+        return self._find_label(index)[0]
+
+    def variable_name(self, index: int) -> str:
+        """Label of a variable, or its name in the program."""
+        return " ".join(self._find_label(index)[:2]).strip()
+
+    def unit(self, index: int) -> tuple[str, float]:
+        """Unit of a variable in reports, and the factor that leads to it."""
+        return self._find_label(index)[2]
+
+    def add_constraints(
+        self, name, kernel, variables, lower=0.0, upper=0.0, data=None
+    ) -> Batch:
+        """Constrain lower <= f(x_t) <= upper for every row of variables.
+
+        Args:
+            name: for reports.
+            kernel: the function f.
+            variables: (n, n_in) decision variables.
+            lower: lower bounds, broadcast to (n, n_out).
+            upper: upper bounds, likewise.
+            data: (n, ...) constants for the kernel.
+        """
+        shape = (len(variables), kernel.sparsity.shape[0])
+        lower = np.broadcast_to(np.asarray(lower, float), shape)
+        upper = np.broadcast_to(np.asarray(upper, float), shape)
+        bindings = [
+            self.prog.AddConstraint(
+                _scalar_function(kernel, data, t),
+                lower[t],
+                upper[t],
+                variables[t],
+                description=f"{name}[{t}]",
+            )
+            for t in range(len(variables))
+        ]
+        return self.register(name, kernel, bindings, lower, upper, data)
+
+    def register(
+        self, name, kernel, bindings, lower, upper, data=None
+    ) -> Batch:
+        """Tell that constraint bindings already in the program are a batch."""
+        variables = np.stack([b.variables() for b in bindings])
+        batch = Batch(name, kernel, self.indices(variables), lower, upper, data)
+        self.constraints.append(batch)
+        self._cover(bindings)
+        return batch
+
+    def add_residuals(self, name, kernel, variables, data=None) -> Batch:
+        """Add the cost 1/2 sum_t |f(x_t)|^2; arguments as above."""
+        bindings = []
+        for t in range(len(variables)):
+            function = _scalar_function(kernel, data, t)
+            cost = self.prog.AddCost(
+                lambda x, f=function: _half_square(f(x)),
+                variables[t],
+                description=f"{name}[{t}]",
+            )
+            bindings.append(cost)
+        shape = (len(variables), kernel.sparsity.shape[0])
+        free = np.broadcast_to(np.inf, shape)
+        batch = Batch(name, kernel, self.indices(variables), -free, free, data)
+        self.residuals.append(batch)
+        self._cover(bindings)
+        return batch
+
+    def loose_bindings(self):
+        """Generic (constraints, costs) that belong to no batch."""
+        return tuple(
+            [b for b in bindings if id(b.evaluator()) not in self._covered]
+            for bindings in (
+                nonlinear_constraints(self.prog),
+                nonlinear_costs(self.prog),
+            )
+        )
+
+    def keep_alive(self, thing) -> None:
+        """Keep an object that the program's evaluators point to."""
+        self._keep_alive.append(thing)
+
+    def _cover(self, bindings):
+        # pydrake hands out the same wrapper as long as one is alive.
+        evaluators = [b.evaluator() for b in bindings]
+        self._keep_alive.extend(evaluators)
+        self._covered.update(map(id, evaluators))
+
+
+def nonlinear_constraints(prog):
+    """Bindings of constraints that are neither linear nor bounds."""
+    linear = [
+        *prog.linear_constraints(),
+        *prog.linear_equality_constraints(),
+        *prog.bounding_box_constraints(),
+    ]
+    kept = [b.evaluator() for b in linear]
+    skip = set(map(id, kept))
+    return [
+        b for b in prog.GetAllConstraints() if id(b.evaluator()) not in skip
+    ]
+
+
+def nonlinear_costs(prog):
+    """Bindings of costs that are neither linear nor quadratic."""
+    quadratic = [*prog.linear_costs(), *prog.quadratic_costs()]
+    kept = [b.evaluator() for b in quadratic]
+    skip = set(map(id, kept))
+    return [b for b in prog.GetAllCosts() if id(b.evaluator()) not in skip]
+
+
+def _half_square(r):
+    # Not r ** 2: the power of some versions' AutoDiffXd warns at zero.
+    return 0.5 * np.sum(r * r)
+
+
+def _scalar_function(kernel, data, t):
+    """One instance of a kernel, for floats and AutoDiffXd."""
+    row = None if data is None else data[t : t + 1]
+
+    def function(x):
+        if x.dtype != object:
+            return kernel.evaluate(x[None], row)[0]
+        value = ExtractValue(x).reshape(-1)
+        f = kernel.evaluate(value[None], row)[0]
+        gradient = ExtractGradient(x)
+        if gradient.size == 0:
+            return np.array([AutoDiffXd(f_i) for f_i in f])
+        J = kernel.jacobian(value[None], row)[0] @ gradient
+        return np.array(
+            [AutoDiffXd(f_i, J_i) for f_i, J_i in zip(f, J, strict=True)]
+        )
+
+    return function

@@ -1,1 +1,0 @@
-"""Transcription and solution of optimal-control problems."""

@@ -1,0 +1,1 @@
+"""Tables and figures of the two papers that the project grew from."""

@@ -1,1 +1,0 @@
-"""The calibration and prediction phases of the exoskeleton half."""

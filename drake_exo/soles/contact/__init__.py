@@ -1,0 +1,1 @@
+"""Contact of the sole with the ground, with friction."""

@@ -1,0 +1,276 @@
+"""Contact and pose of a neo-Hookean sole by one semismooth Newton method.
+
+The node law F = T(τ), τ = F − r δ (see `node_law`) is solved in τ: a contact
+node carries F = T(τ) and lies at P = Q + (T(τ) − τ)/r, so that Signorini's
+and Coulomb's laws hold exactly at every iterate. Unknowns are the
+displacements of the interior nodes, τ of the contact nodes and the six of
+the pose; equations are the balance of every free node and the wrench:
+
+    f_int(u) − Eᵀ Rᵀ F = 0,  Σ F = F_des,  Σ (P − Z_des) × F = 0.
+
+With D = ∂T/∂τ and dτ = r R ζ a contact node has, in the sole frame,
+du = (D̂ − I) ζ and dF = r D̂ ζ at fixed pose, D̂ = Rᵀ D R; a unit pose
+increment adds Rᵀ(−dzO + hat(P − Z) dω) to du. Eliminating all but the pose
+from the Newton matrix of a converged state gives K_c.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bsr_matrix
+from scipy.sparse.linalg import splu
+
+from drake_exo.soles.contact.newton import (
+    MOMENT_SCALE,
+    Convergence,
+    Start,
+    Target,
+)
+from drake_exo.soles.contact.node_law import (
+    ContactLaw,
+    project,
+    project_with_derivative,
+)
+from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
+from drake_exo.soles.rotations import exp_rotation, hat
+
+_MAX_TURN, _MAX_SHIFT = 0.1, 0.005  # caps on one Newton step: rad, m
+_HALVINGS = 8
+
+
+@dataclass
+class FiniteState:
+    """A deformed sole on its foot.
+
+    Attributes:
+        F: Forces of the ground on the contact nodes, world [N], (m, 3).
+        u: Displacements of all nodes, sole frame [m], (n, 3).
+        O: Place of the sole frame's origin, world [m], (3,).
+        R: Orientation, (3, 3).
+    """
+
+    F: np.ndarray
+    u: np.ndarray
+    O: np.ndarray  # noqa: E741
+    R: np.ndarray
+
+
+class FiniteStrainSolver:
+    """Newton for one neo-Hookean sole and one contact law.
+
+    Args:
+        body: The sole.
+        law: The contact law.
+        tolerance: On the largest unbalanced nodal force over |F_des|.
+        max_iterations: Newton steps before giving up.
+    """
+
+    def __init__(
+        self,
+        body: NeoHookeanBody,
+        law: ContactLaw,
+        tolerance: float = 1e-9,
+        max_iterations: int = 25,
+    ):
+        self.body, self.law = body, law
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.nodes = body.mesh.contact
+        self.rest = body.mesh.nodes[self.nodes]
+        rows = np.searchsorted(body.free, self.nodes)
+        self._rows = (3 * rows[:, None] + np.arange(3)).ravel()
+        self._blocks = rows
+
+    def places(self, state: FiniteState) -> np.ndarray:
+        """World places of the contact nodes [m], (m, 3)."""
+        return state.O + (self.rest + state.u[self.nodes]) @ state.R.T
+
+    def solve(
+        self, state: FiniteState, target: Target
+    ) -> tuple[FiniteState, Convergence]:
+        """Newton from `state`; the last state and its report."""
+        scale = max(float(np.linalg.norm(target.force)), 1e-12)
+        Q = self._reference(target, state.R)
+        tau = state.F - self.law.penalty * (self.places(state) - Q)
+        point = self._evaluate(tau, state, target, scale)
+        history = []
+        message = f"no convergence in {self.max_iterations} Newton steps"
+        for iteration in range(self.max_iterations + 1):
+            history.append(point.merit)
+            if point.merit <= self.tolerance:
+                return point.state, Convergence(
+                    True, iteration, point.merit, "", history
+                )
+            if not np.isfinite(point.merit):
+                message = "inverted elements at the start"
+                break
+            if iteration == self.max_iterations:
+                break
+            try:
+                step = self._linearise(point, target).newton_step()
+            except (np.linalg.LinAlgError, RuntimeError):
+                message = "singular Newton matrix"
+                break
+            point = self._line_search(point, step, target, scale)
+        return point.state, Convergence(
+            False, len(history) - 1, history[-1], message, history
+        )
+
+    def cartesian_stiffness(
+        self, state: FiniteState, target: Target
+    ) -> np.ndarray:
+        """K_c (6, 6) about the ZMP at a solution, references frozen."""
+        Q = self._reference(target, state.R)
+        tau = state.F - self.law.penalty * (self.places(state) - Q)
+        frozen = Target(target.force, target.zmp, Q[:, :2])
+        point = self._evaluate(tau, state, frozen, 1.0)
+        return self._linearise(point, frozen).wrench_response()
+
+    def _reference(self, target, R) -> np.ndarray:
+        """Q with zero height, (m, 3)."""
+        Q_t = target.reference
+        if isinstance(Q_t, Start):
+            Q_t = Q_t.reference(R, self.rest)
+        return np.column_stack([Q_t, np.zeros(len(Q_t))])
+
+    def _evaluate(self, tau, guess, target, scale) -> "_Point":
+        """Residuals with forces and contact places that follow from τ."""
+        O, R = guess.O, guess.R  # noqa: E741
+        F = project(tau, self.law)
+        P = self._reference(target, R) + (F - tau) / self.law.penalty
+        u = guess.u.copy()
+        u[self.nodes] = (P - O) @ R - self.rest
+        internal = self.body.internal_force(u)
+        balance = internal[self.body.free]
+        balance[self._blocks] -= F @ R
+        arm = P.copy()
+        arm[:, :2] -= target.zmp
+        wrench = np.concatenate(
+            [F.sum(axis=0) - target.force, np.cross(arm, F).sum(axis=0)]
+        )
+        merit = np.inf
+        if np.isfinite(balance).all():
+            merit = max(
+                float(np.abs(balance).max()),
+                float(np.abs(wrench[:3]).max()),
+                float(np.abs(wrench[3:]).max()) / MOMENT_SCALE,
+            )
+        state = FiniteState(F, u, O, R)
+        return _Point(state, tau, arm, balance, wrench, merit / scale)
+
+    def _linearise(self, point, target) -> "_Linearisation":
+        dQ = None
+        if isinstance(target.reference, Start):
+            dQ = target.reference.reference_derivative(point.state.R, self.rest)
+        return _Linearisation(self, point, dQ)
+
+    def _line_search(self, point, step, target, scale):
+        du, zeta, dp = step
+        size = min(
+            1.0,
+            _MAX_TURN / max(np.linalg.norm(dp[3:]), 1e-300),
+            _MAX_SHIFT / max(np.linalg.norm(dp[:3]), 1e-300),
+        )
+        Z = np.array([*target.zmp, 0.0])
+        old, best = point.state, None
+        for _ in range(_HALVINGS + 1):
+            turn = exp_rotation(size * dp[3:])
+            u = old.u.copy()
+            u[self.body.free] += size * du
+            O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
+            guess = FiniteState(old.F, u, O, turn @ old.R)
+            d_tau = self.law.penalty * zeta @ old.R.T
+            new = self._evaluate(point.tau + size * d_tau, guess, target, scale)
+            if best is None or new.merit < best.merit:
+                best = new
+            if new.merit < point.merit:
+                break
+            size *= 0.5
+        return best
+
+
+@dataclass
+class _Point:
+    """Everything evaluated at one iterate."""
+
+    state: FiniteState
+    tau: np.ndarray
+    arm: np.ndarray
+    balance: np.ndarray
+    wrench: np.ndarray
+    merit: float
+
+
+class _Linearisation:
+    """Newton matrix at an iterate, with all but the pose eliminated."""
+
+    def __init__(self, solver: FiniteStrainSolver, point: _Point, dQ):
+        self.solver, self.point = solver, point
+        self.R, self.dQ = point.state.R, dQ
+        _, D = project_with_derivative(point.tau, solver.law)
+        self.D = self.R.T @ D @ self.R
+        K = solver.body.tangent(point.state.u)
+        r = solver.law.penalty
+        count = len(solver.body.free)
+        node = np.tile(np.eye(3), (count, 1, 1))
+        node[solver._blocks] = self.D - np.eye(3)
+        force = np.zeros((count, 3, 3))
+        force[solver._blocks] = r * self.D
+        A = K @ _block_diagonal(node) - _block_diagonal(force)
+        self._lu = splu(
+            A.tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.05,
+            options={"SymmetricMode": True},
+        )
+        self._pose = self._response_to_pose(K)
+
+    def _response_to_pose(self, K):
+        """ζ and interior displacements for unit pose increments."""
+        s, m = self.solver, len(self.solver.nodes)
+        shift = np.zeros((m, 3, 6))
+        shift[:, :, :3] = -np.eye(3)
+        shift[:, :, 3:] = hat(self.point.arm)
+        if self.dQ is not None:
+            shift[:, :, 3:] += self.dQ
+        rhs = K[:, s._rows] @ (self.R.T @ shift).reshape(3 * m, 6)
+        turned = self.R.T @ hat(self.point.state.F)
+        rhs[s._rows, 3:] -= turned.reshape(3 * m, 3)
+        return self._lu.solve(-rhs)
+
+    def _split(self, x):
+        """Node ζ (m, 3, c) of solutions x (3 n_f, c)."""
+        return x[self.solver._rows].reshape(len(self.solver.nodes), 3, -1)
+
+    def _wrench_change(self, x, with_pose: bool) -> np.ndarray:
+        zeta = self._split(x)
+        F, arm = self.point.state.F, self.point.arm
+        dF = self.solver.law.penalty * self.R @ (self.D @ zeta)
+        dP = self.R @ (self.D @ zeta - zeta)
+        if with_pose and self.dQ is not None:
+            dP = dP.copy()
+            dP[:, :, 3:] += self.dQ
+        moment = np.einsum("kij,kjc->ic", hat(arm), dF)
+        moment -= np.einsum("kij,kjc->ic", hat(F), dP)
+        return np.concatenate([dF.sum(axis=0), moment])
+
+    def wrench_response(self) -> np.ndarray:
+        """[dF; dΓ_Z] for unit pose increments (dzO, dω), (6, 6)."""
+        return self._wrench_change(self._pose, True)
+
+    def newton_step(self):
+        """Interior du (n_f, 3), ζ (m, 3), pose increment (6,)."""
+        x = self._lu.solve(-self.point.balance.reshape(-1, 1))
+        carried = self._wrench_change(x, False)[:, 0]
+        dp = np.linalg.solve(
+            self.wrench_response(), -(self.point.wrench + carried)
+        )
+        if not np.isfinite(dp).all():
+            raise np.linalg.LinAlgError
+        x = x[:, 0] + self._pose @ dp
+        return x.reshape(-1, 3), x[self.solver._rows].reshape(-1, 3), dp
+
+
+def _block_diagonal(blocks: np.ndarray):
+    """Sparse matrix with 3 × 3 blocks (k, 3, 3) on its diagonal."""
+    k = len(blocks)
+    return bsr_matrix((blocks, np.arange(k), np.arange(k + 1))).tocsc()

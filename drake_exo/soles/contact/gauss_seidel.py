@@ -1,0 +1,285 @@
+"""The paper's way: Gauss–Seidel on the nodes inside a Newton on the pose.
+
+Algorithms 1, 3 and 4 with their misprints mended (docs/soles.md): nodes one
+by one, sticking first, else Newton on Alart–Curnier's equations with (21);
+sweeps stop early by the relaxation (25). Compiled with numba. Kept as the
+faithful reference; `contact.ContactSolver` is the default.
+"""
+
+import numba
+import numpy as np
+
+from drake_exo.soles.contact.newton import (
+    MOMENT_SCALE,
+    ContactSolver,
+    Convergence,
+    Start,
+    State,
+    Target,
+    move,
+)
+
+_LOCAL_STEPS = 60
+
+
+class GaussSeidelSolver(ContactSolver):
+    """Drop-in for `ContactSolver` by nested iterations.
+
+    Args:
+        C, lP, law: As for `ContactSolver`; the law must be exact.
+        sweep_tolerance: ε1, relative change of the forces in one sweep.
+        wrench_tolerance: ε4, on the scaled wrench.
+        relaxation: λ of (25): sweeps need not be more exact than λ times
+            the wrench's residual.
+        max_sweeps: Over all pose steps of one sample.
+    """
+
+    def __init__(
+        self,
+        C,
+        lP,
+        law,
+        sweep_tolerance: float = 1e-10,
+        wrench_tolerance: float = 1e-10,
+        relaxation: float = 0.1,
+        max_sweeps: int = 20000,
+    ):
+        if law.epsilon > 0 or law.kappa > 0:
+            raise ValueError("Gauss–Seidel solves the exact law alone")
+        super().__init__(C, lP, law, max_iterations=60)
+        self.sweep_tolerance = sweep_tolerance
+        self.wrench_tolerance = wrench_tolerance
+        self.relaxation = relaxation
+        self.max_sweeps = max_sweeps
+        self.sweeps = 0
+
+    def solve(
+        self, state: State, target: Target, fixed_pose: bool = False
+    ) -> tuple[State, Convergence]:
+        """Pose Newton around sweeps; see `ContactSolver.solve`."""
+        state = state.copy()
+        scale = max(float(np.linalg.norm(target.force)), 1e-12)
+        self.sweeps, history = 0, []
+        need = np.inf if not fixed_pose else 0.0
+        for iteration in range(self.max_iterations):
+            tolerance = max(
+                self.sweep_tolerance, min(1e-3, self.relaxation * need)
+            )
+            while True:
+                change = self._sweeps(state, target, tolerance)
+                point = self._evaluate(state, target, fixed_pose, scale)
+                need = _scaled(point.wrench, scale)
+                if fixed_pose or tolerance <= self.sweep_tolerance:
+                    break
+                if tolerance <= self.relaxation * need:
+                    break  # (25): exact enough for this wrench
+                tolerance = max(self.sweep_tolerance, self.relaxation * need)
+            history.append(need)
+            if change > tolerance:
+                return state, self._failure(
+                    iteration, need, "Gauss–Seidel sweeps did not settle",
+                    history,
+                )  # fmt: skip
+            done = fixed_pose or need < self.wrench_tolerance
+            if done and change <= self.sweep_tolerance:
+                return state, Convergence(
+                    True, iteration + 1, max(need, change), "", history
+                )
+            if done:
+                need = self.sweep_tolerance
+                continue
+            self._pose_step(state, point, target)
+        return state, self._failure(
+            self.max_iterations, need, "pose Newton did not settle", history
+        )
+
+    def _failure(self, iteration, residual, message, history):
+        return Convergence(False, iteration, residual, message, history)
+
+    def _sweeps(self, state: State, target: Target, tolerance) -> float:
+        """Algorithm 3 at the state's pose; updates its forces."""
+        R = state.R
+        m = len(self.lP)
+        C = self.C.reshape(m, 3, m, 3)
+        W = np.einsum("ab,ibjc,dc->iajd", R, C, R, optimize=True)
+        W = np.ascontiguousarray(W.reshape(3 * m, 3 * m))
+        reference = target.reference
+        if isinstance(reference, Start):
+            reference = reference.reference(R, self.lP)
+        delta = self.deformed(state.F, R) + state.O
+        delta[:, :2] -= reference
+        budget = self.max_sweeps - self.sweeps
+        change, used = _gauss_seidel(
+            W, state.F, delta, self.law.friction, tolerance, budget
+        )
+        self.sweeps += used
+        return change
+
+    def _pose_step(self, state, point, target) -> None:
+        """Newton step (24) of the pose; forces follow in the next sweeps."""
+        lin = self._linearisation(point, target)
+        dQ = None
+        if isinstance(target.reference, Start):
+            dQ = target.reference.reference_derivative(
+                state.R, self.lP[lin.nodes]
+            )
+        dF, d_place = lin.pose_response(dQ)
+        if dQ is not None:
+            d_place = d_place.copy()
+            d_place[:, :, 3:] += dQ
+        J = lin.wrench_change(dF, d_place)
+        dp = np.linalg.solve(J, -point.wrench)
+        step = min(
+            1.0,
+            0.15 / max(np.linalg.norm(dp[3:]), 1e-300),
+            0.01 / max(np.linalg.norm(dp[:3]), 1e-300),
+        )
+        new = move(state, np.zeros_like(state.F), step * dp, target.zmp)
+        # Forces predicted by the same linearisation start the next sweeps.
+        new.F[lin.nodes] += step * (dF @ dp)
+        new.F[new.F[:, 2] < 0] = 0.0
+        state.F, state.O, state.R = new.F, new.O, new.R
+
+
+def _scaled(wrench, scale) -> float:
+    force = np.abs(wrench[:3]).max()
+    moment = np.abs(wrench[3:]).max() / MOMENT_SCALE
+    return float(max(force, moment) / scale)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
+    """Sweeps until the relative change of F is below the tolerance.
+
+    F (m, 3) and delta = W F + delta_free (m, 3) are updated in place; only
+    nodes whose force changes cost a product with W.
+    """
+    m = F.shape[0]
+    place = delta.reshape(3 * m)
+    own = np.empty((m, 3, 3))
+    inverse = np.empty((m, 3, 3))
+    for a in range(m):
+        own[a] = W[3 * a : 3 * a + 3, 3 * a : 3 * a + 3]
+        inverse[a] = np.linalg.inv(own[a])
+    others, new, step = np.empty(3), np.empty(3), np.empty(3)
+    change = 0.0
+    used = 0
+    for _ in range(max_sweeps):
+        used += 1
+        diff, norm = 0.0, 0.0
+        for a in range(m):
+            for k in range(3):
+                others[k] = place[3 * a + k] - (
+                    own[a, k, 0] * F[a, 0]
+                    + own[a, k, 1] * F[a, 1]
+                    + own[a, k, 2] * F[a, 2]
+                )
+            new[:] = 0.0
+            if others[2] < 0.0:
+                for k in range(3):
+                    new[k] = -(
+                        inverse[a, k, 0] * others[0]
+                        + inverse[a, k, 1] * others[1]
+                        + inverse[a, k, 2] * others[2]
+                    )
+                size = np.hypot(new[0], new[1])
+                if new[2] <= 0.0 or size > mu * new[2]:
+                    new[:] = _slip(own[a], others, mu)
+            moved = False
+            for k in range(3):
+                step[k] = new[k] - F[a, k]
+                diff += step[k] * step[k]
+                norm += new[k] * new[k]
+                moved = moved or step[k] != 0.0
+                F[a, k] = new[k]
+            if moved:  # W is symmetric: its rows lie together in memory
+                s0, s1, s2 = step[0], step[1], step[2]
+                r0, r1, r2 = W[3 * a], W[3 * a + 1], W[3 * a + 2]
+                for b in range(3 * m):
+                    place[b] += r0[b] * s0 + r1[b] * s1 + r2[b] * s2
+        change = np.sqrt(diff / norm) if norm > 0.0 else 0.0
+        if change < tolerance:
+            break
+    return change, used
+
+
+@numba.njit(cache=True)
+def _times(A, x):
+    out = np.empty(3)
+    for k in range(3):
+        out[k] = A[k, 0] * x[0] + A[k, 1] * x[1] + A[k, 2] * x[2]
+    return out
+
+
+@numba.njit(cache=True)
+def _slip(Waa, others, mu):
+    """One sliding node: Newton on Alart–Curnier's equations with (21)."""
+    mean = 0.5 * (Waa[0, 0] + Waa[1, 1])
+    spread = np.sqrt(
+        0.25 * (Waa[0, 0] - Waa[1, 1]) ** 2 + Waa[0, 1] * Waa[1, 0]
+    )
+    q_n = 1.0 / Waa[2, 2]
+    q_t = (mean - spread) / (mean + spread) ** 2
+    F = np.zeros(3)
+    F[2] = -others[2] / Waa[2, 2]
+    J = np.zeros((3, 3))
+    phi = np.zeros(3)
+    D = np.zeros((3, 3))
+    for _ in range(_LOCAL_STEPS):
+        place = others + _times(Waa, F)
+        tau_n = F[2] - q_n * place[2]
+        if tau_n <= 0.0:
+            return np.zeros(3)
+        t0, t1 = F[0] - q_t * place[0], F[1] - q_t * place[1]
+        rho = np.hypot(t0, t1)
+        g = mu * tau_n
+        D[:, :] = 0.0
+        D[2, 2] = 1.0
+        if rho <= g:
+            T0, T1 = t0, t1
+            D[0, 0] = 1.0
+            D[1, 1] = 1.0
+        else:
+            n0, n1 = t0 / rho, t1 / rho
+            T0, T1 = g * n0, g * n1
+            D[0, 0] = g / rho * (1.0 - n0 * n0)
+            D[1, 1] = g / rho * (1.0 - n1 * n1)
+            D[0, 1] = -g / rho * n0 * n1
+            D[1, 0] = D[0, 1]
+            D[0, 2] = mu * n0
+            D[1, 2] = mu * n1
+        phi[0], phi[1], phi[2] = F[0] - T0, F[1] - T1, F[2] - tau_n
+        size = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+        if size <= 1e-15 * (abs(F[2]) + 1e-300):
+            break
+        for i in range(3):
+            for j in range(3):
+                value = 1.0 if i == j else 0.0
+                for k in range(3):
+                    r = q_n if k == 2 else q_t
+                    one = 1.0 if k == j else 0.0
+                    value -= D[i, k] * (one - r * Waa[k, j])
+                J[i, j] = value
+        F = F - np.linalg.solve(J, phi)
+    return F
+
+
+def contact_at_pose(solver: ContactSolver, R, O, reference, guess=None):  # noqa: E741
+    """Forces at a given pose (Algorithm 3), by either solver.
+
+    Args:
+        solver: Semismooth Newton or Gauss–Seidel; friction 0 is allowed.
+        R: Orientation (3, 3).
+        O: Place of the sole frame's origin, world [m].
+        reference: Tangential references Q_t (m, 2) [m].
+        guess: Forces to start from (m, 3), default none.
+
+    Returns:
+        State with the forces, Convergence.
+    """
+    F = np.zeros_like(solver.lP) if guess is None else guess
+    stiffness = 1.0 / np.median(np.diag(solver.C)[2::3])
+    lowest = -((solver.lP @ R.T)[:, 2] + O[2]).min()
+    scale = max(stiffness * max(lowest, 0.0), 1e-6)
+    target = Target(np.array([0.0, 0.0, scale]), np.zeros(2), reference)
+    return solver.solve(State(F, np.array(O), np.array(R)), target, True)

@@ -1,0 +1,265 @@
+"""Newton matrix of the contact problem, eliminated onto few unknowns.
+
+With S = W_AA⁻¹ the force increments follow from the place increments:
+dF = S (dδ − D_p dp). A firmly sticking node has dδ = −δ at once, so that
+only slipping nodes, those inside the smoothed layer, and the six pose
+unknowns remain. All matrices are in the sole frame here.
+"""
+
+import numba
+import numpy as np
+from scipy.linalg.lapack import dgetrf, dgetrs
+
+from drake_exo.soles.contact.node_law import (
+    ContactLaw,
+    firmly_sticking,
+    project_node,
+    project_with_derivative,
+)
+from drake_exo.soles.elasticity.active_set import ActiveSet, blocks, node_dofs
+from drake_exo.soles.rotations import multiply
+
+
+class Linearisation:
+    """Derivatives of node law and wrench at one state, active nodes only.
+
+    Args:
+        active: Active set with S; used at once, not kept beyond its update.
+        law: Contact law.
+        R: Foot orientation.
+        arm: P_i − Z_des of the active nodes, world [m], (k, 3).
+        F: Their forces, world [N], (k, 3).
+        tau: Their τ = F − r δ, world [N], (k, 3).
+    """
+
+    def __init__(self, active: ActiveSet, law: ContactLaw, R, arm, F, tau):
+        self.nodes, self.S = active.nodes, active.S
+        self.R, self.arm, self.F = R, arm, F
+        self.law, self.tau = law, tau
+        self.r = law.penalty
+        self.loose = np.flatnonzero(~firmly_sticking(tau, law))
+        self._g = node_dofs(self.loose)
+        self.D, M = _law_matrix(
+            self.S, self.loose, tau, R, law.penalty,
+            law.friction, law.epsilon, law.kappa,
+        )  # fmt: skip
+        self._lu = None
+        if len(self.loose):
+            factor, pivots, info = dgetrf(M, overwrite_a=1)
+            if info:
+                raise np.linalg.LinAlgError("singular law at the loose nodes")
+            self._lu = factor, pivots
+        self._S_g = blocks(self.S, np.arange(len(self.nodes)), self.loose)
+
+    def _respond(self, T: np.ndarray, known: np.ndarray, phi_g=None):
+        """Solve dF = S dδ + S rhs, the sole frame throughout.
+
+        Args:
+            T: S times both rhs and the dδ that are known, (3k, c).
+            known: These dδ, zero elsewhere, (3k, c); filled.
+            phi_g: Law residual of the loose nodes, (3g,), in the first
+                column.
+
+        Returns:
+            dF and dδ, (3k, c) each.
+        """
+        if self._lu is None:
+            return T, known
+        rhs = _loose_rhs(self.D, T, self.loose)
+        if phi_g is not None:
+            rhs[:, 0] -= phi_g
+        x = dgetrs(*self._lu, rhs)[0]
+        known[self._g] = x
+        return T + self._S_g @ x, known
+
+    def pose_response(self, dQ: np.ndarray | None = None):
+        """Changes dF and dδ for unit pose increments (dzO, dω), (k, 3, 6)."""
+        return tuple(self._to_world(x) for x in self._pose_response(dQ))
+
+    def _pose_response(self, dQ=None):
+        T = self._S_times(self._against_pose(dQ))
+        return self._respond(T, np.zeros_like(T))
+
+    def _against_pose(self, dQ) -> np.ndarray:
+        """−D_p but for its part in F, (3k, 6)."""
+        shift = np.tile(-self.R.T, (len(self.nodes), 1))
+        turn = _turned_hats(self.R, self.arm)
+        if dQ is not None:
+            turn += self._to_sole(dQ)
+        return np.concatenate((shift, turn), axis=1)
+
+    def _S_times(self, columns: np.ndarray) -> np.ndarray:
+        """S times columns that end with those of `_against_pose`, whole.
+
+        Their part in F needs no product: S W hat(F) = hat(F).
+        """
+        T = self.S @ columns
+        T[:, -3:] -= _turned_hats(self.R, self.F)
+        return T
+
+    def _to_world(self, x: np.ndarray) -> np.ndarray:
+        return self.R @ x.reshape(len(self.nodes), 3, -1)
+
+    def _to_sole(self, x: np.ndarray) -> np.ndarray:
+        return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
+
+    def solve_forces(self, phi: np.ndarray) -> np.ndarray:
+        """Newton step of the forces at fixed pose, world [N], (k, 3)."""
+        offset, phi_g = self._offset(phi)
+        dF, _ = self._respond(self.S @ offset, offset, phi_g)
+        return dF.reshape(-1, 3) @ self.R.T
+
+    def _offset(self, phi):
+        """dδ of firm nodes (3k, 1), residual of the loose ones (3g,)."""
+        local = (phi @ self.R).reshape(-1, 1)
+        offset = -local / self.r
+        offset[self._g] = 0.0
+        return offset, local[self._g, 0]
+
+    def wrench_change(self, dF, dP) -> np.ndarray:
+        """[ΣdF; Σ(P−Z)×dF + dP×F] for fields (k, 3, c) -> (6, c)."""
+        dF, dP = dF.reshape(-1, dF.shape[2]), dP.reshape(-1, dP.shape[2])
+        return _wrench_change(np.eye(3), self.arm, self.F, dF, dP)
+
+    def solve(self, phi, wrench, dQ=None):
+        """Newton step for law residual phi (k, 3) and wrench residual (6,).
+
+        Returns:
+            dF (k, 3) world, dp = (dzO, dω) (6,).
+        """
+        offset, phi_g = self._offset(phi)
+        pose = self._against_pose(dQ)
+        # One product with S, one solution for offset and pose together.
+        T = self._S_times(np.concatenate((offset, pose), axis=1))
+        known = np.zeros_like(T)
+        known[:, :1] = offset
+        dF, dP = self._respond(T, known, phi_g)
+        if dQ is not None:
+            dP[:, 4:] += self._to_sole(dQ)
+        G = _wrench_change(self.R, self.arm, self.F, dF, dP)
+        dp = np.linalg.solve(G[:, 1:], -(wrench + G[:, 0]))
+        step = dF[:, 0] + dF[:, 1:] @ dp
+        return step.reshape(-1, 3) @ self.R.T, dp
+
+    def cartesian_stiffness(self) -> np.ndarray:
+        """K_c (6, 6): [dF; dΓ_Z] = K_c [dzO; dω], references frozen."""
+        fields = self._pose_response()
+        return _wrench_change(self.R, self.arm, self.F, *fields)
+
+    def solve_transposed(self, Sb: np.ndarray):
+        """Solve J_Fᵀ z = b for b given as S b.
+
+        Args:
+            Sb: S times the right-hand sides, world, (c, k, 3).
+
+        Returns:
+            z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e;
+            world, (c, k, 3) each.
+        """
+        local = (Sb @ self.R).reshape(len(Sb), -1)
+        y, e, z_g = local, np.zeros_like(local), None
+        if self._lu is not None:
+            z_g = dgetrs(*self._lu, local[:, self._g].T, trans=1)[0].T
+            rows = z_g.reshape(len(Sb), -1, 1, 3)
+            e[:, self._g] = z_g - (rows @ self.D).reshape(z_g.shape)
+            y = local - e[:, self._g] @ self._S_g.T
+        z = y / self.r
+        if z_g is not None:
+            z[:, self._g] = z_g
+        return tuple(x.reshape(Sb.shape) @ self.R.T for x in (z, y, e))
+
+    def times_S(self, x: np.ndarray) -> np.ndarray:
+        """W_AA⁻¹ times fields, world, (c, k, 3)."""
+        local = (x @ self.R).reshape(len(x), -1) @ self.S
+        return local.reshape(x.shape) @ self.R.T
+
+    def second_order(self, d_tau: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """(∂D/∂τ · dτ)ᵀ z at every node, world, all (c, k, 3).
+
+        By a complex step, hence exact; zero at firmly sticking nodes.
+        """
+        out = np.zeros(d_tau.shape)
+        if len(self.loose):
+            tau = self.tau[self.loose] + 1e-30j * d_tau[:, self.loose]
+            _, D = project_with_derivative(tau.reshape(-1, 3), self.law)
+            change = D.imag.reshape(*tau.shape, 3) / 1e-30
+            out[:, self.loose] = np.einsum(
+                "ckij,cki->ckj", change, z[:, self.loose]
+            )
+        return out
+
+
+@numba.njit(cache=True)
+def _law_matrix(S, loose, tau, R, r, mu, epsilon, kappa):
+    """D of the loose nodes, sole frame (g, 3, 3), and (I − D) S_gg + r D."""
+    g = len(loose)
+    D = np.empty((g, 3, 3))
+    M = np.empty((3 * g, 3 * g)).T  # columns lie together, as LAPACK's do
+    T, world, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for a in range(g):
+        project_node(tau[loose[a]], mu, epsilon, kappa, T, world)
+        multiply(world, R, half)
+        multiply(R.T, half, D[a])
+    for b in range(g):
+        for j in range(3):
+            column = 3 * loose[b] + j
+            for a in range(g):
+                # S is symmetric: its rows lie together in memory.
+                x = S[column, 3 * loose[a] : 3 * loose[a] + 3]
+                for i in range(3):
+                    d = D[a, i]
+                    turned = d[0] * x[0] + d[1] * x[1] + d[2] * x[2]
+                    M[3 * a + i, 3 * b + j] = x[i] - turned
+                    if a == b:
+                        M[3 * a + i, 3 * b + j] += r * d[j]
+    return D, M
+
+
+@numba.njit(cache=True)
+def _loose_rhs(D, T, loose):
+    """(D − I) T of the loose nodes, (3g, c)."""
+    out = np.empty((T.shape[1], 3 * len(loose))).T
+    for a in range(len(loose)):
+        x = T[3 * loose[a] : 3 * loose[a] + 3]
+        for i in range(3):
+            for c in range(T.shape[1]):
+                out[3 * a + i, c] = (
+                    D[a, i, 0] * x[0, c]
+                    + D[a, i, 1] * x[1, c]
+                    + D[a, i, 2] * x[2, c]
+                    - x[i, c]
+                )
+    return out
+
+
+@numba.njit(cache=True)
+def _turned_hats(R, v):
+    """Rᵀ hat(v) of vectors v (k, 3), (3k, 3)."""
+    out = np.empty((3 * len(v), 3))
+    for n in range(len(v)):
+        x, y, z = v[n]
+        for i in range(3):
+            a, b, c = R[0, i], R[1, i], R[2, i]
+            row = out[3 * n + i]
+            row[0], row[1], row[2] = b * z - c * y, c * x - a * z, a * y - b * x
+    return out
+
+
+@numba.njit(cache=True)
+def _wrench_change(R, arm, F, dF, dP):
+    """As `Linearisation.wrench_change` for fields that R turns, (3k, c)."""
+    out = np.zeros((6, dF.shape[1]))
+    f, x = np.empty(3), np.empty(3)
+    for n in range(len(arm)):
+        for c in range(dF.shape[1]):
+            for i in range(3):
+                f[i] = x[i] = 0.0
+                for j in range(3):
+                    f[i] += R[i, j] * dF[3 * n + j, c]
+                    x[i] += R[i, j] * dP[3 * n + j, c]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                out[i, c] += f[i]
+                out[3 + i, c] += arm[n, j] * f[k] - arm[n, k] * f[j]
+                out[3 + i, c] += x[j] * F[n, k] - x[k] * F[n, j]
+    return out

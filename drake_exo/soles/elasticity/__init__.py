@@ -1,0 +1,1 @@
+"""Deformation of the sole: linear and neo-Hookean."""

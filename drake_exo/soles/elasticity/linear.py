@@ -1,0 +1,389 @@
+"""Volume-weighted averages of element fields around edges and nodes.
+
+The locking-free element "smoothed" takes the deviatoric strain as its
+average around each edge and the dilatation as its average around each node
+(edge- and node-based smoothed finite elements: Nguyen-Thoi, Liu, Lam, Zhang,
+Int. J. Numer. Meth. Engng 78, 2009; node averages: Bonet and Burton, Commun.
+Numer. Meth. Engng 14, 1998). The unknowns stay those of linear tetrahedra,
+and so do the contact nodes.
+
+Linear elasticity of the sole and its condensation onto contact nodes.
+
+K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for linear tetrahedra; the
+glued nodes do not move; K_ff N = E gives the compliance C = Eᵀ N of the
+nodes that may touch, in the sole frame (paper, (7)-(9)).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
+
+from drake_exo.errors import InputError
+from drake_exo.soles.elasticity.active_set import node_dofs
+from drake_exo.soles.mesh import TetMesh
+
+
+def edge_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
+    """Averages around edges: matrix (k, e), volumes of edges [m³], (k,)."""
+    i, j = np.triu_indices(4, 1)
+    pairs = np.stack([mesh.tets[:, i], mesh.tets[:, j]], axis=-1)
+    pairs = np.sort(pairs, axis=-1).reshape(-1, 2)
+    code = pairs[:, 0] * len(mesh.nodes) + pairs[:, 1]
+    _, owner = np.unique(code, return_inverse=True)
+    return _average(owner.ravel(), mesh.volumes, 6)
+
+
+def node_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
+    """Averages around nodes: matrix (n, e), volumes of nodes [m³], (n,)."""
+    return _average(mesh.tets.ravel(), mesh.volumes, 4)
+
+
+def _average(owner, volumes, shares: int):
+    """Each element gives an equal part of its volume to its owners."""
+    part = np.repeat(volumes / shares, shares)
+    total = np.bincount(owner, part)
+    element = np.repeat(np.arange(len(volumes)), shares)
+    share = csr_matrix(
+        (part, (owner, element)), shape=(len(total), len(volumes))
+    )
+    return (diags(1 / total) @ share).tocsr(), total
+
+
+def gradient_operators(mesh: TetMesh) -> list[csr_matrix]:
+    """∂/∂x, ∂/∂y, ∂/∂z of a nodal field in every element, (e, n) each."""
+    e, n = len(mesh.tets), len(mesh.nodes)
+    rows, cols = np.repeat(np.arange(e), 4), mesh.tets.ravel()
+    return [
+        csr_matrix((mesh.gradients[:, :, k].ravel(), (rows, cols)), (e, n))
+        for k in range(3)
+    ]
+
+
+Element = Literal["linear", "smoothed"]
+_BATCH = 32  # contact nodes whose compliance is computed at a time
+
+
+@dataclass(frozen=True)
+class Material:
+    """An isotropic linear elastic material."""
+
+    name: str
+    youngs_modulus_pa: float
+    poissons_ratio: float
+    density_kg_per_m3: float
+
+    def __post_init__(self):
+        if not self.youngs_modulus_pa > 0:
+            raise InputError(
+                f"material {self.name}: youngs_modulus_pa "
+                f"{self.youngs_modulus_pa} must be above 0"
+            )
+        if not -1.0 < self.poissons_ratio < 0.5:
+            raise InputError(
+                f"material {self.name}: poissons_ratio {self.poissons_ratio} "
+                "must lie between -1 and 0.5 (0.5 is incompressible; use "
+                "0.49 with element smoothed)"
+            )
+        if not self.density_kg_per_m3 > 0:
+            raise InputError(
+                f"material {self.name}: density_kg_per_m3 "
+                f"{self.density_kg_per_m3} must be above 0"
+            )
+
+    @property
+    def shear_modulus(self) -> float:
+        """μ [Pa]."""
+        return self.youngs_modulus_pa / (2 * (1 + self.poissons_ratio))
+
+    @property
+    def lame_lambda(self) -> float:
+        """λ [Pa]."""
+        nu = self.poissons_ratio
+        return self.youngs_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
+
+    @property
+    def bulk_modulus(self) -> float:
+        """κ = λ + 2/3 μ [Pa]."""
+        return self.lame_lambda + 2 / 3 * self.shear_modulus
+
+
+# Young's moduli of the paper's Table 1; butyl's density from its v_max of
+# 1098 cm³ for 1 kg.
+MATERIALS = {
+    "neoprene": Material("neoprene", 1.0e6, 0.3, 1230.0),
+    "butyl": Material("butyl", 1.4e6, 0.3, 1.0 / 1098e-6),
+}
+
+
+def stiffness_matrix(
+    mesh: TetMesh, material: Material, element: Element = "linear"
+) -> csr_matrix:
+    """Assembled stiffness of all nodes [N/m], (3n, 3n).
+
+    K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for "linear"; for
+    "smoothed" see `smoothing`.
+    """
+    if element == "smoothed":
+        return _smoothed_stiffness(mesh, material)
+    g, V = mesh.gradients, mesh.volumes
+    shear, lam = material.shear_modulus, material.lame_lambda
+    gg = np.einsum("eai,ebi->eab", g, g)
+    outer = np.einsum("eai,ebj->eaibj", g, g)
+    Ke = lam * outer + shear * outer.transpose(0, 1, 4, 3, 2)
+    for i in range(3):
+        Ke[:, :, i, :, i] += shear * gg
+    Ke *= V[:, None, None, None, None]
+    dofs = (3 * mesh.tets[:, :, None] + np.arange(3)).reshape(-1, 12)
+    size = 3 * len(mesh.nodes)
+    rows, cols = np.repeat(dofs, 12, axis=1), np.tile(dofs, (1, 12))
+    return csr_matrix(
+        (Ke.reshape(-1), (rows.ravel(), cols.ravel())), shape=(size, size)
+    )
+
+
+def _smoothed_stiffness(mesh: TetMesh, material: Material) -> csr_matrix:
+    """Deviator averaged around edges, dilatation around nodes."""
+    gradient = gradient_operators(mesh)
+    edge, V_edge = edge_average(mesh)
+    node, V_node = node_average(mesh)
+    G = [edge @ g for g in gradient]
+    D = [node @ g for g in gradient]
+    shear = material.shear_modulus
+    W, bulk = diags(shear * V_edge), diags(material.bulk_modulus * V_node)
+    laplacian = sum(g.T @ W @ g for g in G)
+    blocks = [[None] * 3 for _ in range(3)]
+    for i in range(3):
+        for j in range(3):
+            K = G[j].T @ W @ G[i] - 2 / 3 * (G[i].T @ W @ G[j])
+            K = K + D[i].T @ bulk @ D[j]
+            blocks[i][j] = K + laplacian if i == j else K
+    n = len(mesh.nodes)
+    order = (np.arange(3) * n + np.arange(n)[:, None]).ravel()
+    return bmat(blocks, format="csr")[order][:, order]
+
+
+@dataclass(eq=False)
+class Sole:
+    """A meshed sole of one material, ready for contact.
+
+    Attributes:
+        mesh: The mesh at rest.
+        material: Its material.
+        element: "linear" (the paper's) or "smoothed" (locking-free).
+    """
+
+    mesh: TetMesh
+    material: Material
+    element: Element = "linear"
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Nodes that are not glued."""
+        return np.setdiff1d(np.arange(len(self.mesh.nodes)),
+                            self.mesh.dirichlet)  # fmt: skip
+
+    @cached_property
+    def stiffness(self) -> csr_matrix:
+        """Stiffness matrix of all nodes."""
+        return stiffness_matrix(self.mesh, self.material, self.element)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Rest positions of the contact nodes in the sole frame, (m, 3)."""
+        return self.mesh.nodes[self.mesh.contact]
+
+    def solve(self, forces: np.ndarray) -> np.ndarray:
+        """Displacements of the free dofs under forces, both (3 n_f, k)."""
+        return self._factor.solve(forces)
+
+    @cached_property
+    def _factor(self) -> "_Factor":
+        dofs = node_dofs(self.free)
+        return _Factor(self.stiffness[dofs][:, dofs])
+
+    def influence(self, nodes: np.ndarray) -> np.ndarray:
+        """Columns of N = K_ff⁻¹ E: free displacements per contact force.
+
+        Args:
+            nodes: Contact nodes, (k,).
+
+        Returns:
+            (3n_f, 3k).
+        """
+        self.need(nodes)
+        return self._influence[node_dofs(nodes)].T
+
+    def need(self, nodes: np.ndarray) -> None:
+        """See to it that `flexibility` has the rows of these contact nodes."""
+        new = nodes[~self._known[nodes]]
+        if not len(new):
+            return
+        new = np.unique(new)
+        if len(new) < _BATCH:
+            new = self._with_neighbours(new)
+        dofs = node_dofs(new)
+        E = np.zeros((3 * len(self.free), len(dofs)))
+        E[self.contact_rows[dofs], np.arange(len(dofs))] = 1.0
+        rows = self.solve(E).T
+        self._influence[dofs] = rows
+        self.flexibility[dofs] = rows[:, self.contact_rows]
+        self._known[new] = True
+
+    def _with_neighbours(self, new: np.ndarray) -> np.ndarray:
+        """A whole batch: it costs little more, and they touch next."""
+        x = self.positions
+        away = np.linalg.norm(x - x[new].mean(axis=0), axis=1)
+        away[self._known] = np.inf
+        away[new] = 0.0
+        near = np.argsort(away, kind="stable")[:_BATCH]
+        return np.sort(near[np.isfinite(away[near])])
+
+    @cached_property
+    def _known(self) -> np.ndarray:
+        return np.zeros(len(self.mesh.contact), dtype=bool)
+
+    @cached_property
+    def _influence(self) -> np.ndarray:
+        return np.zeros((3 * len(self.mesh.contact), 3 * len(self.free)))
+
+    @cached_property
+    def flexibility(self) -> np.ndarray:
+        """C with the rows that were needed so far, zero elsewhere.
+
+        Only some of the nodes that may touch ever do.
+        """
+        return np.zeros((3 * len(self.mesh.contact),) * 2)
+
+    @cached_property
+    def contact_rows(self) -> np.ndarray:
+        """Rows of the contact dofs among the free dofs, (3m,)."""
+        return node_dofs(np.searchsorted(self.free, self.mesh.contact))
+
+    @cached_property
+    def compliance(self) -> np.ndarray:
+        """C = Eᵀ N in the sole frame [m/N], (3m, 3m), symmetric."""
+        self.need(np.arange(len(self.mesh.contact)))
+        return 0.5 * (self.flexibility + self.flexibility.T)
+
+    @cached_property
+    def penalty(self) -> float:
+        """Scale r = 1 / median(C_nn) [N/m] of the contact law."""
+        return float(1.0 / np.median(np.diag(self.compliance)[2::3]))
+
+    def displacement(self, f_L: np.ndarray) -> np.ndarray:
+        """Displacement of every node under contact forces (sole frame).
+
+        Args:
+            f_L: Forces at the contact nodes, sole frame [N], (..., m, 3).
+
+        Returns:
+            Displacements [m], sole frame, (..., n, 3).
+        """
+        lead = f_L.shape[:-2]
+        f_L = f_L.reshape(-1, len(self.mesh.contact), 3)
+        u = np.zeros((len(f_L), len(self.mesh.nodes), 3))
+        loaded = np.flatnonzero(f_L.any(axis=(0, 2)))
+        flat = f_L[:, loaded].reshape(len(u), -1)
+        moved = flat @ self.influence(loaded).T
+        u[:, self.free] = moved.reshape(len(u), -1, 3)
+        return u.reshape(*lead, -1, 3)
+
+    def strain(self, u: np.ndarray) -> np.ndarray:
+        """Small strain of every element, (..., e, 3, 3)."""
+        H = displacement_gradient(self.mesh, u)
+        return 0.5 * (H + np.swapaxes(H, -1, -2))
+
+    def stress(self, u: np.ndarray) -> np.ndarray:
+        """Cauchy stress of every element [Pa], (..., e, 3, 3).
+
+        With "smoothed", the mean of the stresses of its edges (deviator)
+        and nodes (pressure).
+        """
+        H = displacement_gradient(self.mesh, u)
+        return self.stress_and_energy(H)[0]
+
+    def stress_and_energy(self, H: np.ndarray):
+        """Stress [Pa] (..., e, 3, 3) and energy density [J/m³] (..., e).
+
+        Args:
+            H: Displacement gradients of the elements, (..., e, 3, 3).
+        """
+        eps = 0.5 * (H + np.swapaxes(H, -1, -2))
+        eye = np.eye(3)
+        shear = self.material.shear_modulus
+        if self.element == "linear":
+            trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None]
+            sigma = 2 * shear * eps + self.material.lame_lambda * trace * eye
+            return sigma, 0.5 * (sigma * eps).sum(axis=(-2, -1))
+        lead, e = eps.shape[:-3], len(self.mesh.tets)
+        flat = np.moveaxis(eps.reshape(-1, e, 9), 1, 0).reshape(e, -1)
+        (edge, to_edge), (node, to_node) = self._averages
+        around = (edge @ flat).reshape(edge.shape[0], -1, 3, 3)
+        third = np.trace(around, axis1=-2, axis2=-1)[..., None, None] / 3
+        deviator = around - third * eye
+        dilatation = node @ np.trace(
+            flat.reshape(e, -1, 3, 3), axis1=-2, axis2=-1
+        )
+        bulk = self.material.bulk_modulus
+        sigma = to_edge @ (2 * shear * deviator).reshape(edge.shape[0], -1)
+        sigma = sigma.reshape(e, -1, 3, 3)
+        sigma += (to_node @ (bulk * dilatation))[..., None, None] * eye
+        energy = to_edge @ (shear * (deviator**2).sum(axis=(-2, -1)))
+        energy += to_node @ (0.5 * bulk * dilatation**2)
+        return (
+            np.moveaxis(sigma, 0, 1).reshape(*lead, e, 3, 3),
+            energy.T.reshape(*lead, e),
+        )
+
+    @cached_property
+    def _averages(self):
+        """Element -> edges and back as a mean over its own; nodes likewise."""
+        out = []
+        for average, shares in ((edge_average, 6), (node_average, 4)):
+            A, _ = average(self.mesh)
+            out.append((A, (A.T > 0).astype(float).tocsr() / shares))
+        return out
+
+
+def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:
+    """H_ij = ∂u_i/∂X_j in every element, (..., e, 3, 3)."""
+    return np.einsum("...eai,eaj->...eij", u[..., mesh.tets, :], mesh.gradients)
+
+
+class _Factor:
+    """Sparse Cholesky with many right-hand sides (cholespy), or splu."""
+
+    def __init__(self, K: csr_matrix):
+        self._K = K
+        self._lu = None
+        K = K.tocsc()
+        K.sort_indices()
+        try:
+            from cholespy import CholeskySolverD, MatrixType
+        except ImportError:
+            from scipy.sparse.linalg import splu
+
+            self._lu = splu(csc_matrix(K))
+            return
+        try:
+            self._cholesky = CholeskySolverD(
+                K.shape[0], K.indptr, K.indices, K.data, MatrixType.CSC
+            )
+        except ValueError as error:
+            raise np.linalg.LinAlgError(str(error)) from None
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        flat = np.ascontiguousarray(b.reshape(b.shape[0], -1))
+        if self._lu is not None:
+            return self._lu.solve(flat).reshape(b.shape)
+        x = np.zeros_like(flat)
+        # cholespy takes at most 128 right-hand sides at a time.
+        for start in range(0, flat.shape[1], 128):
+            rhs = np.ascontiguousarray(flat[:, start : start + 128])
+            out = np.zeros_like(rhs)
+            self._cholesky.solve(rhs, out)
+            x[:, start : start + 128] = out
+        return x.reshape(b.shape)

@@ -1,0 +1,1 @@
+"""Shapes of least cost, and what they are worth."""

@@ -1,0 +1,496 @@
+"""From the compliance's derivative to the node positions', element by element.
+
+dC = −Nᵀ dK N, and an element's share of vᵀ dK u follows from Eshelby's
+tensor. With energies of fields averaged around edges and nodes ("smoothed")
+the element's stress and energy are replaced by means over its own averages.
+
+Gradient of stiffness measures with respect to the shape, by the adjoint.
+
+Backwards through the samples (contact and pose), then once through the
+condensation and the elements. Formulas and signs as in docs/soles.md.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from drake_exo.soles.contact.newton import ContactSolver, Start, Target
+from drake_exo.soles.elasticity.active_set import blocks, node_dofs
+from drake_exo.soles.elasticity.linear import Sole, displacement_gradient
+from drake_exo.soles.mesh import scatter
+from drake_exo.soles.rotations import cross, rotation_z, yaw_of
+from drake_exo.soles.step.simulation import StepHistory
+
+_FIELDS = 64  # at a time
+
+
+def compliance_gradients(
+    sole: Sole, products: list[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Derivatives of tr(C̄ᵀ C) by the node positions for each C̄.
+
+    Args:
+        sole: The condensed sole.
+        products: C̄ = left rightᵀ as (left, right), (3m, c) each.
+
+    Returns:
+        (f, n, 3).
+    """
+    both = np.hstack([x for pair in products for x in pair])
+    touched = np.flatnonzero(both.any(axis=1).reshape(-1, 3).any(axis=1))
+    N, dofs = sole.influence(touched), node_dofs(touched)
+    pairs = [(left[dofs], right[dofs]) for left, right in products]
+    columns = np.cumsum([0, *(left.shape[1] for left, _ in pairs)])
+    if columns[-1] >= len(dofs):
+        v = np.empty((len(pairs), *N.shape))
+        for k, (left, right) in enumerate(pairs):
+            np.matmul(N, left @ right.T, out=v[k])
+        return stiffness_gradients(sole, v, N)
+    v = np.zeros((len(pairs), len(N), columns[-1]))
+    for k, (left, _) in enumerate(pairs):
+        v[k, :, columns[k] : columns[k + 1]] = N @ left
+    u = N @ np.hstack([right for _, right in pairs])
+    return stiffness_gradients(sole, v, u)
+
+
+def stiffness_gradients(sole: Sole, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Derivatives of −Σ v_kᵀ K u_k by the node positions, fields held.
+
+    Args:
+        sole: The sole.
+        v: Free displacements of every functional, (f, 3 n_f, k).
+        u: Free displacements, (3 n_f, k).
+
+    Returns:
+        (f, n, 3).
+    """
+    mesh = sole.mesh
+    if sole.element == "linear":
+        turned, energy = _linear(sole, v, u)
+    else:
+        turned, energy = _smoothed(sole, v, u)
+    work = np.trace(turned, axis1=2, axis2=3)
+    S = -(2 * work - energy)[..., None, None] * np.eye(3) + 2 * turned
+    local = mesh.gradients @ S.swapaxes(2, 3)
+    local *= mesh.volumes[:, None, None]
+    out = np.zeros((len(v), *mesh.nodes.shape))
+    for own, rows in zip(out, local, strict=True):
+        scatter(own, mesh.tets, rows)
+    return out
+
+
+def _at_nodes(sole: Sole, fields: np.ndarray) -> np.ndarray:
+    """Fields at all nodes, (..., 3n_f, k) -> (..., n, 3, k)."""
+    *lead, _, k = fields.shape
+    out = np.zeros((*lead, len(sole.mesh.nodes), 3, k))
+    out[..., sole.free, :, :] = fields.reshape(*lead, -1, 3, k)
+    return out
+
+
+def _linear(sole: Sole, v, u):
+    """Σ_k H(u)ᵀ σ(v), symmetric in v and u, and twice the energy.
+
+    Args:
+        sole: With linear elements.
+        v, u: As for `stiffness_gradients`.
+
+    Returns:
+        (f, e, 3, 3), (f, e).
+    """
+    material, mesh = sole.material, sole.mesh
+    between, place = _between_nodes(mesh.tets, sole.free, v, u)
+    turned = np.array(
+        [
+            _turned(
+                products,
+                place,
+                mesh.gradients,
+                material.shear_modulus,
+                material.lame_lambda,
+            )
+            for products in between
+        ]
+    )
+    return turned, np.trace(turned, axis1=2, axis2=3)
+
+
+def _between_nodes(tets, free, v, u):
+    """Σ_k v_a u_bᵀ for all nodes a, b with an element in common.
+
+    Elements share these products: far cheaper than the gradients of every
+    field.
+
+    Args:
+        tets: (e, 4).
+        free: Nodes that move, (n_f,).
+        v, u: Fields at these nodes, (f, 3 n_f, k) and (3 n_f, k).
+
+    Returns:
+        Products (f, pairs, 3, 3), and where each element's are, (e, 4, 4).
+    """
+    f, _, k = v.shape
+    v, u = v.reshape(f, -1, 3, k), u.reshape(-1, 3, k)
+    n = tets.max() + 1
+    codes = tets[:, :, None] * n + tets[:, None, :]
+    pairs, place = np.unique(codes, return_inverse=True)
+    out = np.zeros((f, len(pairs), 3, 3))
+    at = np.full(n, -1)
+    at[free] = np.arange(len(free))
+    a, b = at[pairs // n], at[pairs % n]
+    moving = np.flatnonzero((a >= 0) & (b >= 0))
+    ends = np.searchsorted(a[moving], np.arange(len(free) + 1))
+    for node in range(len(free)):
+        part = moving[ends[node] : ends[node + 1]]
+        around = u[b[part]].reshape(-1, k)
+        product = v[:, node].reshape(-1, k) @ around.T
+        out[:, part] = product.reshape(f, 3, -1, 3).swapaxes(1, 2)
+    return out, place.reshape(codes.shape)
+
+
+@numba.njit(cache=True)
+def _turned(between, place, gradients, shear, lam):
+    """Σ_k H(u)ᵀ σ(v), made symmetric in v and u, (e, 3, 3).
+
+    σ = μ (H + Hᵀ) + λ tr H I and H_ij = Σ_a v_a,i g_a,j; the products P of
+    nodes a and b take the place of v_a u_bᵀ.
+    """
+    out = np.zeros((len(place), 3, 3))
+    for e in range(len(place)):
+        g = gradients[e]
+        for a in range(4):
+            for b in range(4):
+                there, back = between[place[e, a, b]], between[place[e, b, a]]
+                trace = 0.0
+                along, across = np.zeros(3), np.zeros(3)  # P g_a, Pᵀ g_a
+                for i in range(3):
+                    trace += 0.5 * (there[i, i] + back[i, i])
+                    for j in range(3):
+                        P = 0.5 * (there[i, j] + back[j, i])
+                        along[i] += P * g[a, j]
+                        across[j] += P * g[a, i]
+                for i in range(3):
+                    of_v = shear * (trace * g[a, i] + along[i])
+                    of_v += lam * across[i]
+                    for j in range(3):
+                        out[e, j, i] += of_v * g[b, j]
+    return out
+
+
+def _smoothed(sole: Sole, v, u):
+    """As `_linear` with "smoothed" elements: from the fields v and u ± each.
+
+    Only the energy of one field is known here, hence the two squares.
+    """
+    v, u = _at_nodes(sole, v), _at_nodes(sole, u)
+    turned = np.zeros((len(v), len(sole.mesh.tets), 3, 3))
+    energy = np.zeros(turned.shape[:2])
+    for f, own in enumerate(v):
+        there = np.flatnonzero(own.any(axis=(0, 1)) & u.any(axis=(0, 1)))
+        for first in range(0, len(there), _FIELDS):
+            part = there[first : first + _FIELDS]
+            x, y = own[..., part], u[..., part]
+            size = np.linalg.norm(y, axis=(0, 1))
+            size /= np.linalg.norm(x, axis=(0, 1))
+            for sign in (1.0, -1.0):
+                field = np.moveaxis(y + sign * size * x, -1, 0)
+                H = displacement_gradient(sole.mesh, field)
+                sigma, density = sole.stress_and_energy(H)
+                w = sign * 0.25 / size
+                energy[f] += 2 * w @ density
+                turned[f] += np.einsum("k,keia,keib->eab", w, H, sigma)
+    return turned, energy
+
+
+_NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
+
+
+@dataclass(frozen=True)
+class Term:
+    """alpha · uᵀ K_c v of one sample, with u and v held fixed."""
+
+    alpha: float
+    u: np.ndarray
+    v: np.ndarray
+
+
+@dataclass
+class Sensitivity:
+    """Derivatives of one functional by what the elements hand over.
+
+    Attributes:
+        lP: By the rest positions of the contact nodes, (m, 3).
+        left, right: Columns with ∂/∂C = Σ left rightᵀ, lists of (3m,).
+        mu: By the tangential places of the sample before, (m, 3).
+    """
+
+    lP: np.ndarray  # noqa: N815
+    left: list
+    right: list
+    mu: np.ndarray
+
+    @classmethod
+    def zero(cls, m: int) -> "Sensitivity":
+        """Nothing yet."""
+        return cls(np.zeros((m, 3)), [], [], np.zeros((m, 3)))
+
+    def add(self, left: np.ndarray, right: np.ndarray) -> None:
+        """∂/∂C += left rightᵀ for fields (m, 3)."""
+        self.left.append(left.ravel())
+        self.right.append(right.ravel())
+
+
+@dataclass(frozen=True)
+class TurnTerm:
+    """A functional of one sample's orientation: its derivative by ω."""
+
+    by_turn: np.ndarray
+
+
+@dataclass(frozen=True)
+class ForceTerm:
+    """A functional of one sample's nodal forces.
+
+    Attributes:
+        by_force: Its derivative by the forces in the sole frame, (m, 3).
+    """
+
+    by_force: np.ndarray
+
+    def times(self, factor: float) -> "ForceTerm":
+        """The same for a multiple of the functional."""
+        return ForceTerm(factor * self.by_force)
+
+
+def singular_terms(K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray):
+    """Terms of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot).
+
+    Args:
+        K_c: (N, 6, 6).
+        by_tr, by_rot: Factors at every sample, (N,).
+
+    Returns:
+        For every sample a list of terms.
+    """
+    terms = []
+    for K, tr, rot in zip(K_c, by_tr, by_rot, strict=True):
+        here = []
+        if tr:
+            U, _, Vt = np.linalg.svd(K[:3, :3])
+            here.append(_padded(tr, U[:, 0], Vt[0], slice(0, 3)))
+        if rot:
+            U, _, Vt = np.linalg.svd(K[3:, 3:])
+            here.append(_padded(rot, U[:, 2], Vt[2], slice(3, 6)))
+        terms.append(here)
+    return terms
+
+
+def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
+    """Terms of Σ factor · min eig(S sym(−K_c) S)."""
+    scale = np.array([1.0] * 3 + [1.0 / length] * 3)
+    terms = [[] for _ in K_c]
+    for q in heavy(factors):
+        K, factor = K_c[q], factors[q]
+        sym = -0.5 * (K + K.T) * np.outer(scale, scale)
+        v = scale * np.linalg.eigh(sym)[1][:, 0]
+        terms[q].append(Term(-factor, v, v))
+    return terms
+
+
+def tilt_terms(R: np.ndarray, factors: np.ndarray):
+    """Terms of Σ factor · R_zz (the cosine of the tilt)."""
+    up = np.array([0.0, 0.0, 1.0])
+    terms = [[] for _ in R]
+    for q in heavy(factors):
+        terms[q].append(TurnTerm(factors[q] * np.cross(R[q, :, 2], up)))
+    return terms
+
+
+def heavy(derivatives: np.ndarray) -> np.ndarray:
+    """Samples that count: soft extremes give most of them next to nothing.
+
+    Args:
+        derivatives: By something of each sample, (N, ...).
+    """
+    size = np.abs(derivatives).reshape(len(derivatives), -1).max(axis=1)
+    return np.flatnonzero(size > _NEGLIGIBLE * size.max())
+
+
+def _padded(alpha, u, v, part) -> Term:
+    U, V = np.zeros(6), np.zeros(6)
+    U[part], V[part] = u, v
+    return Term(alpha, U, V)
+
+
+def shape_gradients(
+    sole: Sole,
+    solver: ContactSolver,
+    force: np.ndarray,
+    zmp: np.ndarray,
+    start: Start,
+    history: StepHistory,
+    functionals: list[list[list[Term]]],
+) -> np.ndarray:
+    """Derivative of each functional by all node positions, (f, n, 3).
+
+    Args:
+        sole: The condensed sole.
+        solver: The solver of the forward simulation (its law counts).
+        force, zmp, start: Its load and start.
+        history: Its result, all samples converged.
+        functionals: For each functional and sample a list of terms.
+    """
+    sums = [Sensitivity.zero(len(sole.positions)) for _ in functionals]
+    for q in reversed(range(len(force))):
+        live = [
+            (total, functional[q])
+            for total, functional in zip(sums, functionals, strict=True)
+            if functional[q] or total.mu.any()
+        ]
+        if not live:
+            continue
+        reference = start if q == 0 else history.P[q - 1][:, :2]
+        target = Target(force[q], zmp[q], reference)
+        step = _Step(solver, history, q, target)
+        step.reverse(*zip(*live, strict=True))
+    out = compliance_gradients(
+        sole,
+        [(np.array(x.left).T, np.array(x.right).T) for x in sums],
+    )
+    for X, total in zip(out, sums, strict=True):
+        X[sole.mesh.contact] += total.lP
+    return out
+
+
+class _Step:
+    """One sample, linearised once and reversed for all functionals."""
+
+    def __init__(self, solver, history: StepHistory, q: int, target: Target):
+        self.solver, self.target = solver, target
+        self.state = state = history.state(q)
+        self.lin = solver.linearise(state, target)
+        self.nodes = self.lin.nodes
+        self.dF, self.dP = self.lin.pose_response()
+        self.first = isinstance(target.reference, Start)
+        self.G, self.dQ = history.K_c[q], None
+        if self.first:
+            lP = solver.lP[self.nodes]
+            self.dQ = target.reference.reference_derivative(state.R, lP)
+            dF, dP = self.lin.pose_response(self.dQ)
+            dP = dP.copy()
+            dP[:, :, 3:] += self.dQ
+            self.G = self.lin.wrench_change(dF, dP)
+        self.Y = history.P[q] - state.O
+
+    def reverse(self, sums: list[Sensitivity], terms: list[list]) -> None:
+        """Add this sample's share; leaves every mu for the one before."""
+        R, F = self.state.R, self.lin.F
+        c, k, m = len(sums), len(self.nodes), len(self.solver.lP)
+        bP, bF, bQ = np.zeros((3, c, k, 3))
+        b_w = np.zeros((c, 3))
+        of_stiffness = []
+        for i, own in enumerate(terms):
+            for term in own:
+                if isinstance(term, TurnTerm):
+                    b_w[i] += term.by_turn
+                elif isinstance(term, ForceTerm):
+                    pull = term.by_force[self.nodes] @ R.T
+                    bF[i] += pull
+                    b_w[i] -= cross(F, pull).sum(axis=0)
+                else:
+                    of_stiffness.append((i, term))
+        if of_stiffness:
+            self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, b_w)
+        if self.first:
+            b_w += np.einsum("kij,cki->cj", self.dQ, bQ)
+        # Reverse P = O + R (lP + C Rᵀ F), with what the next sample asks.
+        bP_all = np.array([total.mu for total in sums])
+        bP_all[:, self.nodes] += bP
+        b_O = bP_all.sum(axis=1)
+        b_w += cross(self.Y, bP_all).sum(axis=1)
+        by = bP_all @ R
+        asked = np.flatnonzero(by.any(axis=(0, 2)))
+        C = blocks(self.solver.C, asked, self.nodes)
+        lift = (by[:, asked].reshape(c, -1) @ C).reshape(c, k, 3) @ R.T
+        bF += lift
+        b_w -= cross(F, lift).sum(axis=1)
+        y, l_m = self._adjoint(bF, b_O, b_w)
+        by[:, self.nodes] += (y + cross(F, l_m[:, None])) @ R
+        bQ -= y
+        bQ[:, :, 2] = 0.0
+        f = self.state.F @ R
+        for i, total in enumerate(sums):
+            total.lP += by[i]
+            total.add(by[i], f)
+            total.mu = np.zeros((m, 3))
+            if self.first:
+                # Q_t = t (O_a + R_ini (lP − l_a)).
+                slope = _reference_by_position(self.target.reference, R)
+                total.lP[self.nodes] += bQ[i] @ slope
+            else:
+                total.mu[self.nodes] = bQ[i]
+
+    def _stiffness_terms(self, sums, terms, bP, bF, bQ, b_w) -> None:
+        """Add direct derivatives of α uᵀ K_c v.
+
+        Args:
+            sums: Of the functionals.
+            terms: Pairs of functional and term.
+            bP, bF, bQ: By places, forces and references, (c, k, 3) each.
+            b_w: By the turn, (c, 3).
+        """
+        lin, R, F, arm = self.lin, self.state.R, self.lin.F, self.lin.arm
+        u = np.array([term.alpha * term.u for _, term in terms])
+        v = np.array([term.v for _, term in terms])
+        u_f, u_m = u[:, None, :3], u[:, None, 3:]
+        shift, turn = v[:, None, :3], v[:, None, 3:]
+        dF, dP = ((x @ v.T).transpose(2, 0, 1) for x in (self.dF, self.dP))
+        # J_Fᵀ z = w_Fᵀ u with S w_Fᵀ u = S (u_f − arm × u_m) + F × u_m.
+        plain = u_f - cross(arm, u_m)
+        z, y, e = lin.solve_transposed(lin.times_S(plain) + cross(F, u_m))
+        r = lin.r
+        p = lin.second_order(dF - r * dP, z)
+        gg = dF - cross(turn, F)
+        R_du = dP - shift - cross(turn, arm)
+        b_dP = cross(F, u_m) - y
+        # h = R C Rᵀ b_dP without a product with C.
+        h = e - plain
+        by_P = cross(dF, u_m) - r * p + cross(b_dP, turn)
+        by_F = cross(u_m, dP) + p - cross(h, turn)
+        by_turn = (cross(R_du, b_dP) - cross(gg, h)).sum(axis=1)
+        for i, (functional, _) in enumerate(terms):
+            bP[functional] += by_P[i]
+            bF[functional] += by_F[i]
+            bQ[functional] += r * p[i]
+            b_w[functional] += by_turn[i]
+            left, right = np.zeros((2, len(self.solver.lP), 3))
+            left[self.nodes], right[self.nodes] = b_dP[i] @ R, gg[i] @ R
+            sums[functional].add(left, right)
+
+    def _adjoint(self, bF, b_O, b_w):
+        """Solve the transposed Newton system for all functionals.
+
+        Returns:
+            Bᵀ λ (c, k, 3) and l_w's moment (c, 3).
+        """
+        lin, F, arm = self.lin, self.lin.F, self.lin.arm
+        Z = np.array([*self.target.zmp, 0.0])
+        shifted = np.cross(self.state.O - Z, b_O)
+        b_p = np.concatenate([b_O, b_w + shifted], axis=1)
+        Sb0 = -lin.times_S(bF)
+        _, y0, e0 = lin.solve_transposed(Sb0)
+        W_y0 = -bF - e0
+        turned = cross(arm, y0) - cross(F, W_y0)
+        J_pT = np.concatenate([y0.sum(axis=1), turned.sum(axis=1)], axis=1)
+        if self.dQ is not None:
+            J_pT[:, 3:] -= np.einsum("kij,cki->cj", self.dQ, y0)
+        l_w = np.linalg.solve(self.G.T, -(b_p + J_pT).T).T
+        l_f, l_m = l_w[:, None, :3], l_w[:, None, 3:]
+        plain = l_f - cross(arm, l_m)
+        Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
+        return lin.solve_transposed(Sb)[1], l_w[:, 3:]
+
+
+def _reference_by_position(start: Start, R) -> np.ndarray:
+    """Matrix A with bar(lP) = bar(Q) A: R_ini itself."""
+    return R @ rotation_z(start.yaw - yaw_of(R))

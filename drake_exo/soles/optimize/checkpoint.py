@@ -1,0 +1,191 @@
+"""What an interrupted optimisation needs to go on as if nothing had been."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.output import read_json, write_json
+from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.optimize.optimizer import WarmStart
+from drake_exo.soles.optimize.problem import ShapeProblem
+
+_FILE = "checkpoint.json"
+_LARGEST = 1e30
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where a run of stages stands.
+
+    Attributes:
+        stage, iteration: Stage to go on with, its iterations done.
+        p: Best design so far (P,); None before the first.
+        latest: Point the optimiser stood at (P,).
+        multipliers: Of the constraints there.
+        barrier: IPOPT's μ to go on with.
+        curvature: Learnt Hessian (P, P).
+        mesh, meshed_at: Where the elements were made anew, the undeformed
+            sole and the design at which; else None. At the beginning of a
+            stage they are of the stage before.
+        remeshed: What summary.json says of it, one after the other.
+    """
+
+    stage: int = 0
+    iteration: int = 0
+    p: np.ndarray | None = None
+    latest: np.ndarray | None = None
+    multipliers: np.ndarray | None = None
+    barrier: float | None = None
+    curvature: np.ndarray | None = None
+    mesh: TetMesh | None = None
+    meshed_at: np.ndarray | None = None
+    remeshed: tuple[dict, ...] = ()
+
+    def check(self) -> None:
+        """Raises ValueError unless all of it is what a run writes."""
+        numbers = (self.p, self.curvature)
+        sound = (
+            self.stage >= 0
+            and self.iteration >= 0
+            and all((np.abs(x) < _LARGEST).all() for x in numbers)
+        )
+        if self.mesh is not None:
+            sound = (
+                sound
+                and len(self.meshed_at) == len(self.p)
+                and (np.abs(self.meshed_at) < _LARGEST).all()
+                and (np.abs(self.mesh.nodes) < _LARGEST).all()
+                and is_whole(self.mesh)
+            )
+        counted = all(
+            isinstance(row[key], int)
+            for row in self.remeshed
+            for key in ("stage", "iteration")
+        )
+        if not (sound and counted):
+            raise ValueError("not a checkpoint")
+
+    @classmethod
+    def of(
+        cls, stage, iteration, best, learnt, problem, remeshed=()
+    ) -> "Checkpoint":
+        """Of a running stage."""
+        mesh = None if problem.meshed_at is None else problem.mesh
+        latest, multipliers, barrier = best.latest or (best.p, None, None)
+        return cls(
+            stage, iteration, best.p, latest, multipliers, barrier,
+            learnt.matrix, mesh, problem.meshed_at, tuple(remeshed),
+        )  # fmt: skip
+
+    def warm_start(self, bounds) -> WarmStart | None:
+        """Multipliers and barrier to go on with; None before the first."""
+        if self.barrier is None:
+            return None
+        return WarmStart.interrupted(
+            self.latest, bounds, self.multipliers, self.barrier, self.p
+        )
+
+    def check_fits(self, problem) -> None:
+        """Whether it is of this problem.
+
+        Raises:
+            InputError: Another number of coefficients or other limits.
+        """
+        count, names = problem.spline.count, problem.names()
+        if len(self.p) != count:
+            raise InputError(
+                f"--resume: the checkpoint has {len(self.p)} coefficients, "
+                f"the case {count}; it is of another case"
+            )
+        if self.multipliers is not None and len(self.multipliers) != len(names):
+            raise InputError(
+                f"--resume: the checkpoint has {len(self.multipliers)} "
+                f"limits, the case {len(names)} ({', '.join(names)}); give "
+                "the same case and --limits"
+            )
+
+    def on_its_mesh(self, problem: ShapeProblem) -> ShapeProblem:
+        """The stage's problem on the elements the run had made anew."""
+        if self.mesh is None:
+            return problem
+        return problem.with_mesh(self.mesh, self.meshed_at)
+
+    def write(self, folder: Path) -> None:
+        """Write checkpoint.json, whole or not at all."""
+        lower = np.tril_indices(len(self.p))
+        write_json(
+            folder / _FILE,
+            {
+                "stage": self.stage,
+                "iteration": self.iteration,
+                "coefficients": self.p,
+                "latest": self.latest,
+                "multipliers": self.multipliers,
+                "barrier": self.barrier,
+                "curvature": self.curvature[lower],
+                "mesh": None
+                if self.mesh is None
+                else {
+                    "nodes_m": self.mesh.nodes,
+                    "tets": self.mesh.tets,
+                    "glued": self.mesh.dirichlet,
+                    "coefficients": self.meshed_at,
+                },
+                "remeshed": self.remeshed,
+            },
+        )
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """A checkpoint of an earlier run, given as file or folder.
+
+    Raises:
+        InputError: Missing or not a checkpoint.
+    """
+    file = path / _FILE if path.is_dir() else path
+    remedy = "give the folder of an interrupted run"
+    data = read_json(file, remedy)
+    try:
+        p = np.array(data["coefficients"], dtype=float)
+        B = np.zeros((len(p), len(p)))
+        B[np.tril_indices(len(p))] = data["curvature"]
+        found = Checkpoint(
+            int(data["stage"]),
+            int(data["iteration"]),
+            p,
+            np.array(data["latest"], dtype=float),
+            _optional(data["multipliers"], np.array),
+            _optional(data["barrier"], float),
+            B + np.tril(B, -1).T,
+            *_mesh(data.get("mesh")),
+            tuple(data.get("remeshed") or ()),
+        )
+        found.check()
+    except (ValueError, KeyError, TypeError, OverflowError):
+        raise InputError(f"{file}: not a checkpoint; {remedy}") from None
+    return found
+
+
+def _mesh(data) -> tuple[TetMesh | None, np.ndarray | None]:
+    if data is None:
+        return None, None
+    mesh = TetMesh(
+        np.array(data["nodes_m"], dtype=float).reshape(-1, 3),
+        np.array(data["tets"], dtype=np.int64).reshape(-1, 4),
+        np.array(data["glued"], dtype=np.int64).reshape(-1),
+    )
+    return mesh, np.array(data["coefficients"], dtype=float)
+
+
+def is_whole(mesh: TetMesh) -> bool:
+    """Whether its elements and glued nodes are of nodes that it has."""
+    return all(
+        x.size > 0 and x.min() >= 0 and x.max() < len(mesh.nodes)
+        for x in (mesh.tets, mesh.dirichlet)
+    )
+
+
+def _optional(value, convert):
+    return None if value is None else convert(value)

@@ -1,0 +1,303 @@
+"""A differentiable measure of the largest strain over elements and samples.
+
+Φ = (Σ_q n_q Σ_e tr ε_qe^p)^(1/p) with even p: the p-norm of all principal
+strains, never below the largest |principal strain| and smooth without
+eigenvalues. A sample that stands for n_q counts so often: thinned samples
+then give about the norm of all. Small strain ε of u = N f, with f the nodal
+forces in the sole frame.
+
+Limits on a design that take a simulation: value and what the adjoint needs.
+
+Every limit is scaled and at least 0 where met. Minima over samples are soft
+and err on the safe side.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numba
+import numpy as np
+
+from drake_exo.soles.contact.newton import ContactSolver
+from drake_exo.soles.elasticity.linear import Sole, gradient_operators
+from drake_exo.soles.mesh import scatter
+from drake_exo.soles.optimize.adjoint import (
+    ForceTerm,
+    heavy,
+    singular_terms,
+    stability_terms,
+    stiffness_gradients,
+    tilt_terms,
+)
+from drake_exo.soles.rotations import multiply
+from drake_exo.soles.step import stiffness
+from drake_exo.soles.step.simulation import StepHistory
+
+ORDER = 64  # p
+_BATCH = 32  # samples at a time
+# Strains (Frobenius) below this part of a principal one add less than 1e-13.
+_FAINT = 0.5
+
+
+@dataclass
+class StrainNorm:
+    """Φ of one simulated design and its derivatives.
+
+    Args:
+        sole: The sole.
+        history: Its simulation.
+        counts: How many samples each stands for, (N,), at least 1.
+    """
+
+    sole: Sole
+    history: StepHistory
+    counts: np.ndarray
+
+    def __post_init__(self):
+        history = self.history
+        f = np.einsum("qmi,qij->qmj", history.F, history.R)
+        self._u = self.sole.displacement(f)
+        self._collect()
+        unit = np.sqrt((self._eps**2).sum(axis=(1, 2)).max())
+        power = _powers(self._eps / unit, ORDER)
+        total = np.trace(power, axis1=1, axis2=2) @ self.counts[self._q]
+        self.value = float(unit * total ** (1 / ORDER))
+
+    def _collect(self) -> None:
+        """Sample, element and gradient H of all strains that count."""
+        mesh = self.sole.mesh
+        operators = gradient_operators(mesh)
+        found, largest = [], 0.0
+        for first in range(0, len(self._u), _BATCH):
+            u = self._u[first : first + _BATCH]
+            flat = np.moveaxis(u, 0, -1).reshape(len(mesh.nodes), -1)
+            H = np.stack(
+                [(D @ flat).reshape(-1, 3, len(u)) for D in operators], axis=2
+            )
+            size = ((H + np.swapaxes(H, 1, 2)) ** 2).sum(axis=(1, 2)) / 4
+            largest = max(largest, size.max())
+            # The largest principal strain is at least largest / √3.
+            e, q = np.nonzero(size > _FAINT**2 * largest / 3)
+            found.append((q + first, e, H[e, :, :, q]))
+        q, e, H = (np.concatenate(part) for part in zip(*found, strict=True))
+        eps = 0.5 * (H + np.swapaxes(H, 1, 2))
+        size = (eps**2).sum(axis=(1, 2))
+        principal = np.abs(np.linalg.eigvalsh(eps[size.argmax()])).max()
+        keep = size > (_FAINT * principal) ** 2
+        self._q, self._e = q[keep], e[keep]
+        self._H, self._eps = H[keep], eps[keep]
+
+    def derivatives(self) -> tuple[list[list[ForceTerm]], np.ndarray]:
+        """By the nodal forces and, at fixed forces, by the node positions.
+
+        Returns:
+            Terms for every sample, ∂Φ/∂X (n, 3).
+        """
+        sole, mesh = self.sole, self.sole.mesh
+        G, tets = self._by_strain(), mesh.tets[self._e]
+        g = np.swapaxes(mesh.gradients[self._e], 1, 2)
+        shape = self._u.shape
+        pull = np.zeros((shape[0] * shape[1], 3))
+        place = self._q[:, None] * shape[1] + tets
+        scatter(pull, place, np.swapaxes(G @ g, 1, 2))
+        pull = pull.reshape(shape)
+        # Gradients of the shape functions change with the nodes.
+        by_nodes = np.zeros_like(mesh.nodes)
+        moved = np.swapaxes(self._H, 1, 2) @ G @ g
+        scatter(by_nodes, tets, -np.swapaxes(moved, 1, 2))
+        kept = heavy(pull)
+        free = sole.free
+        u = self._u[kept][:, free].reshape(len(kept), -1).T
+        v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
+        by_nodes += stiffness_gradients(sole, v[None], u)[0]
+        terms = [[] for _ in self._u]
+        for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
+            terms[q].append(ForceTerm(column.reshape(-1, 3)))
+        return terms, by_nodes
+
+    def _by_strain(self) -> np.ndarray:
+        """∂Φ/∂ε = n (ε/Φ)^(p−1), (k, 3, 3)."""
+        out = _powers(self._eps / self.value, ORDER - 1)
+        return out * self.counts[self._q][:, None, None]
+
+
+@numba.njit(cache=True)
+def _powers(matrices, order):
+    """Powers of 3 × 3 matrices, by squaring."""
+    out = np.empty_like(matrices)
+    square, product = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(len(matrices)):
+        square[:] = matrices[k]
+        out[k] = np.eye(3)
+        left = order
+        while left:
+            if left % 2:
+                multiply(out[k], square, product)
+                out[k] = product
+            multiply(square, square, product)
+            square[:] = product
+            left //= 2
+    return out
+
+
+_SHARPNESS = 60.0  # of the soft minimum over samples
+_TILT_SCALE = 0.06  # 1 − cos 20°
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Constraints; None switches one off.
+
+    Attributes:
+        volume: v_max [m³].
+        stability: Least scaled eigenvalue [N/m], with its margin.
+        tilt_deg: Largest tilt [°].
+        strain: Largest p-norm of the principal strains.
+        c_rot: Least c_rot [N·m/rad], for the front of c_tr against c_rot.
+    """
+
+    volume: float
+    stability: float | None = None
+    tilt_deg: float | None = None
+    strain: float | None = None
+    c_rot: float | None = None
+
+
+@dataclass
+class Evaluation:
+    """A design simulated: sole, history and measures.
+
+    `counts` says how many samples each simulated one stands for.
+    """
+
+    p: np.ndarray
+    sole: Sole
+    solver: ContactSolver
+    history: StepHistory
+    c_tr: float
+    c_rot: float
+    counts: np.ndarray
+
+    @cached_property
+    def strain(self) -> StrainNorm:
+        """The p-norm of its principal strains."""
+        return StrainNorm(self.sole, self.history, self.counts)
+
+
+@dataclass(frozen=True)
+class StabilityLimit:
+    """Least scaled eigenvalue of −sym K_c; `scale` is the brick's [N/m]."""
+
+    least: float
+    scale: float
+    name = "stability"
+
+    def _excess(self, e: Evaluation):
+        x = stiffness.stability(e.history.K_c) - self.least
+        return _saturate(x / self.scale)
+
+    def value(self, e: Evaluation) -> float:
+        """Scaled excess, soft minimum over samples."""
+        return soft_minimum(self._excess(e)[0])[0]
+
+    def derivative(self, e: Evaluation):
+        """Terms for the adjoint, direct derivative by the nodes."""
+        y, slope = self._excess(e)
+        share = slope * soft_minimum(y)[1] / self.scale
+        return stability_terms(
+            e.history.K_c, share, stiffness.STABILITY_LENGTH
+        ), 0.0
+
+
+@dataclass(frozen=True)
+class TiltLimit:
+    """Largest angle between the sole's and the world's vertical."""
+
+    largest_deg: float
+    name = "tilt_deg"
+
+    def _excess(self, e: Evaluation):
+        room = e.history.R[:, 2, 2] - np.cos(np.deg2rad(self.largest_deg))
+        return soft_minimum(room / _TILT_SCALE)
+
+    def value(self, e: Evaluation) -> float:
+        """Scaled difference of cosines, soft minimum over samples."""
+        return self._excess(e)[0]
+
+    def derivative(self, e: Evaluation):
+        """Terms for the adjoint, direct derivative by the nodes."""
+        share = self._excess(e)[1] / _TILT_SCALE
+        return tilt_terms(e.history.R, share), 0.0
+
+
+@dataclass(frozen=True)
+class StrainLimit:
+    """Largest p-norm of the principal strains over elements and samples."""
+
+    largest: float
+    name = "strain"
+
+    def value(self, e: Evaluation) -> float:
+        """1 − Φ / limit."""
+        return 1.0 - e.strain.value / self.largest
+
+    def derivative(self, e: Evaluation):
+        """Terms for the adjoint, direct derivative by the nodes."""
+        terms, by_nodes = e.strain.derivatives()
+        scale = -1.0 / self.largest
+        terms = [[term.times(scale) for term in row] for row in terms]
+        return terms, scale * by_nodes
+
+
+@dataclass(frozen=True)
+class RotationLimit:
+    """Least c_rot [N·m/rad]; `by_rot` are the samples' factors."""
+
+    least: float
+    by_rot: np.ndarray
+    name = "c_rot"
+
+    def value(self, e: Evaluation) -> float:
+        """c_rot / limit − 1."""
+        return e.c_rot / self.least - 1.0
+
+    def derivative(self, e: Evaluation):
+        """Terms for the adjoint, direct derivative by the nodes."""
+        K = e.history.K_c
+        return singular_terms(K, np.zeros(len(K)), self.by_rot / self.least), 0
+
+
+def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
+    """The limits switched on that need a simulation.
+
+    Args:
+        limits: What is limited.
+        first: The brick, for scales.
+        by_rot: Factors of the samples in c_rot.
+    """
+    out = []
+    if limits.stability is not None:
+        scale = float(np.min(stiffness.stability(first.history.K_c)))
+        out.append(StabilityLimit(limits.stability, scale))
+    if limits.tilt_deg is not None:
+        out.append(TiltLimit(limits.tilt_deg))
+    if limits.strain is not None:
+        out.append(StrainLimit(limits.strain))
+    if limits.c_rot is not None:
+        out.append(RotationLimit(limits.c_rot, by_rot))
+    return out
+
+
+def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give x / √(1 + x²) and its slope: no wild sample rules the search."""
+    root = np.sqrt(1 + x**2)
+    return x / root, root**-3
+
+
+def soft_minimum(
+    x: np.ndarray, sharpness: float = _SHARPNESS
+) -> tuple[float, np.ndarray]:
+    """−log Σ exp(−ρ x) / ρ, never above min x, and its derivatives."""
+    low = x.min()
+    e = np.exp(-sharpness * (x - low))
+    return float(low - np.log(e.sum()) / sharpness), e / e.sum()

@@ -1,0 +1,439 @@
+"""What is learnt of the Lagrangian's curvature, carried from stage to stage.
+
+IPOPT asks for a Hessian; it gets the exact one of the smoothness term plus a
+dense BFGS matrix for all that comes out of simulations (Nocedal and Wright,
+Numerical Optimization, 2nd ed., procedure 18.2: Powell's damping keeps it
+positive definite). Unlike IPOPT's own limited-memory matrix nothing is
+forgotten, and what cheap coarse stages taught serves the fine ones.
+
+Solve a shape problem with IPOPT.
+
+IPOPT is called directly (its wheel brings MUMPS) with a Hessian learnt from
+gradients, see `quasi_newton`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drake_exo.soles.optimize.problem import ShapeProblem
+
+_DAMPING = 0.2
+
+
+class QuasiNewton:
+    """Dense damped BFGS matrix of a Lagrangian.
+
+    Args:
+        size: Number of variables.
+        matrix: What an earlier stage learnt; None begins anew.
+    """
+
+    def __init__(self, size: int, matrix: np.ndarray | None = None):
+        self.fresh = matrix is None
+        self.matrix = 0.1 * np.eye(size) if self.fresh else matrix.copy()
+        self._last = None
+
+    def forget_point(self) -> None:
+        """Keep the matrix; the next point belongs to another problem."""
+        self._last = None
+
+    def update(self, p, gradient, jacobian, multipliers) -> None:
+        """Learn from an accepted point.
+
+        Args:
+            p: The point, (P,).
+            gradient: Of the cost, (P,).
+            jacobian: Of the constraints, (m, P).
+            multipliers: Of the constraints, (m,); the same at both points.
+        """
+        last, self._last = self._last, (p.copy(), gradient, jacobian)
+        if last is None or np.array_equal(p, last[0]):
+            return
+        s = p - last[0]
+        y = gradient - last[1] + (jacobian - last[2]).T @ multipliers
+        if self.fresh and y @ s > 0:
+            self.matrix = np.eye(len(s)) * (y @ s) / (s @ s)
+            self.fresh = False
+        Bs = self.matrix @ s
+        sBs, sy = s @ Bs, s @ y
+        if sy < _DAMPING * sBs:
+            share = (1 - _DAMPING) * sBs / (sBs - sy)
+            y = share * y + (1 - share) * Bs
+        self.matrix += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / sBs
+
+
+_FEASIBLE = 1e-4
+# A stage ends after so many iterations, or rejected simulations, that changed
+# cost and violation by less and did not bring the optimality error, once below
+# 1, down by a factor.
+_PATIENCE, _REJECTED, _PROGRESS, _NEARER = 150, 60, 1e-4, 0.7
+_OPTIONS = {
+    "acceptable_iter": 0,
+    # Adaptive barriers leap about where costs are not quadratic.
+    "mu_strategy": "monotone",
+    "mu_init": 1e-3,
+    "nlp_scaling_method": "none",
+    "bound_relax_factor": 0.0,
+    "print_level": 0,
+    "sb": "yes",
+}
+# Second-order corrections cost a simulation each: near a design that is good
+# already they win little.
+_REFINING = {"max_soc": 0}
+# Steps there are cut since contacts open and close along them: the next ones
+# are as short at once. Factors on the curvature for a rejected trial (two count
+# at most), for none, and the largest.
+_STIFFER, _SOFTER, _STIFFEST = 2.0, 1 / 1.5, 64.0
+# From the optimum of a neighbouring problem: stay close to it.
+_WARM = {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": 1e-6,
+    "warm_start_bound_frac": 1e-6,
+    "warm_start_slack_bound_push": 1e-6,
+    "warm_start_slack_bound_frac": 1e-6,
+    "warm_start_mult_bound_push": 1e-6,
+}
+
+_STATUS = {
+    0: "optimal",
+    1: "acceptable",
+    2: "infeasible",
+    3: "steps became tiny",
+    -1: "iteration limit",
+    -2: "restoration failed",
+    5: "stopped by the user",
+    -13: "invalid number",
+}
+
+
+@dataclass
+class WarmStart:
+    """Multipliers and barrier to begin with, from a neighbouring problem.
+
+    Attributes:
+        multipliers: Of the constraints, (m,).
+        low, high: Of the bounds, (P,) each.
+        barrier: IPOPT's μ.
+        best: Best design of an interrupted run.
+    """
+
+    multipliers: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    barrier: float = 1e-7
+    best: np.ndarray | None = None
+
+    @classmethod
+    def interrupted(cls, p, bounds, multipliers, barrier, best):
+        """In the middle of a run: bounds' multipliers from the barrier."""
+        low = barrier / np.maximum(p - bounds[0], 1e-9)
+        high = barrier / np.maximum(bounds[1] - p, 1e-9)
+        return cls(multipliers, low, high, barrier, best)
+
+
+@dataclass
+class Optimum:
+    """Outcome of one solve.
+
+    Attributes:
+        p: IPOPT's last design where it met its tolerance, else the best
+            feasible one met (least cost with violation below 1e-4), or the
+            least infeasible where none was feasible.
+        cost: Its scaled cost.
+        status: IPOPT's return code in words.
+        optimal: Whether IPOPT's tolerance was met.
+        error: IPOPT's scaled optimality error at its last point.
+        complementarity: Largest |multiplier × distance| of bounds and
+            constraints at its last point.
+        multipliers: Of the constraints.
+        at_bounds: Multipliers of lower and upper bounds, (P,) each.
+        violation: Largest constraint violation at p.
+        latest: IPOPT's latest point, multipliers and barrier.
+        trace: Rows (iteration, cost, violation, dual infeasibility).
+        former: Those that were the best before.
+    """
+
+    p: np.ndarray
+    cost: float = np.inf
+    status: str = ""
+    optimal: bool = False
+    error: float = np.inf
+    complementarity: float = np.inf
+    multipliers: np.ndarray | None = None
+    at_bounds: tuple = ()
+    latest: tuple = ()
+    violation: float = np.inf
+    trace: list = field(default_factory=list)
+    former: list = field(default_factory=list)
+
+    def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
+        """Keep the better of this design and the best so far."""
+        feasible = violation <= _FEASIBLE
+        better = cost < self.cost or self.violation > _FEASIBLE
+        if (feasible and better) or (
+            not feasible and violation < self.violation
+        ):
+            self.former.append(self.p)
+            self.p, self.cost, self.violation = p.copy(), cost, violation
+
+    def fall_back(self, problem: ShapeProblem) -> None:
+        """To the last best that can be simulated without a neighbour."""
+        if problem.evaluate(self.p) is not None:
+            return
+        self.status, self.optimal = "only followed from a neighbour", False
+        while problem.evaluate(self.p) is None and self.former:
+            self.p = self.former.pop()
+        self.cost, self.violation = merits(problem, self.p)
+
+
+class AcceptedDesigns:
+    """Designs whose derivatives a solver asks for, each computed once.
+
+    Args:
+        problem: What is minimised; it stays on their branch.
+        best: Keeps the best of them.
+        on_new: Called with each.
+    """
+
+    def __init__(self, problem: ShapeProblem, best: Optimum, on_new=None):
+        self.problem, self.best, self.on_new = problem, best, on_new
+        self._point, self._derivatives = None, None
+
+    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of cost (without smoothness) and constraints."""
+        key = p.tobytes()
+        if key != self._point:
+            self._derivatives = self.problem.derivatives(p)
+            self._point = key
+            self.problem.accept(p)
+            found = merits(self.problem, p)
+            self.best.consider(p, *found)
+            if self.on_new is not None:
+                self.on_new(p, *found)
+        return self._derivatives
+
+
+class _Callbacks:
+    """What IPOPT calls; derivatives are asked for at accepted points only."""
+
+    def __init__(
+        self, problem, learnt: QuasiNewton, best: Optimum, say, refining=False
+    ):
+        self.problem, self.learnt, self.best = problem, learnt, best
+        self.say = say
+        self.stopped = self.stalled = False
+        self.ended = ""  # why it was told to
+        # Cost, violation, error, iteration, rejections at the last change.
+        self._mark = (np.inf, np.inf, np.inf, 0, 0)
+        self.at = AcceptedDesigns(problem, best).at
+        self._barrier = _OPTIONS["mu_init"]
+        self._lower = np.tril_indices(problem.spline.count)
+        # What the curvature is multiplied by, and simulations before that.
+        self._refining, self._caution, self._before = refining, 1.0, None
+
+    def guarded(self, function):
+        """Ctrl-C must not surface inside IPOPT's C++: stop at the next
+        iteration instead; it is raised again afterwards.
+        """
+
+        def call(*args):
+            try:
+                return function(*args)
+            except KeyboardInterrupt:
+                self.stopped = True
+                return np.nan
+
+        return call
+
+    def gradient(self, p, out):
+        """Gradient of the cost."""
+        out[()] = self.at(p)[0] + self.problem.smoothness(p)[1]
+
+    def constraints(self, p, out):
+        """Values of the constraints."""
+        out[()] = self.problem.constraints(p)
+
+    def jacobian(self, p, out):
+        """Jacobian of the constraints, row by row."""
+        out[()] = self.at(p)[1].ravel()
+
+    def hessian(self, p, multipliers, factor, out):
+        """Lower triangle; a factor of 0 is IPOPT's restoration."""
+        if factor > 0:
+            self.learnt.update(p, *self.at(p), multipliers / factor)
+            self.best.latest = (p.copy(), multipliers / factor, self._barrier)
+            self._adapt()
+            factor *= self._caution
+        else:
+            self._before = None  # what it simulates says nothing of steps
+        B = self.learnt.matrix + self.problem.smoothness(p)[2]
+        out[()] = max(factor, 1e-3) * B[self._lower]
+
+    def _adapt(self) -> None:
+        """Shorter steps after rejected ones, longer ones else."""
+        done, before = self.problem.evaluations, self._before
+        self._before = done
+        if not self._refining or before is None:
+            return
+        rejected = min(max(done - before - 1, 0), 2)
+        factor = _STIFFER**rejected if rejected else _SOFTER
+        self._caution = np.clip(factor * self._caution, 1.0, _STIFFEST)
+
+    def watch(self, mode, iteration, cost, inf_pr, inf_du, barrier, *_):
+        """Note the iteration; False ends the run, where it leads nowhere."""
+        self.best.trace.append((iteration, cost, inf_pr, inf_du))
+        self.best.error, self._barrier = inf_du, barrier
+        if self.say is not None:
+            said = self.say(iteration, self.best)
+            self.ended = said if isinstance(said, str) else ""
+        rejected, mark = self.problem.evaluations - iteration, self._mark
+        changed = abs(cost - mark[0]) >= _PROGRESS * abs(cost)
+        changed = changed or abs(inf_pr - mark[1]) > _PROGRESS
+        if changed or inf_du < min(1.0, _NEARER * mark[2]):
+            self._mark = mark = (cost, inf_pr, inf_du, iteration, rejected)
+        self.stalled = (
+            iteration - mark[3] > _PATIENCE or rejected - mark[4] > _REJECTED
+        )
+        return not (self.stopped or self.stalled or self.ended)
+
+
+def _furthest(problem, p) -> float:
+    """IPOPT's bound on violations: far outside, a simulation says little."""
+    violation = np.maximum(-problem.constraints(p), 0.0).sum()
+    return max(0.1, 1.5 * float(violation))
+
+
+def merits(problem, p) -> tuple[float, float]:
+    """Cost and largest violation."""
+    violation = -float(problem.constraints(p).min())
+    return problem.cost(p), max(0.0, violation)
+
+
+def minimise(
+    problem: ShapeProblem,
+    p0: np.ndarray,
+    bounds: tuple[float, float],
+    iterations: int = 60,
+    tolerance: float = 1e-4,
+    on_iterate: Callable[[int, "Optimum"], object] | None = None,
+    refining: bool = False,
+    learnt: QuasiNewton | None = None,
+    warm: WarmStart | None = None,
+) -> Optimum:
+    """Run IPOPT from p0.
+
+    Args:
+        problem: What to minimise.
+        p0: First design; clipped into the bounds.
+        bounds: Lower and upper bound of every coefficient.
+        iterations: IPOPT iterations.
+        tolerance: IPOPT's scaled optimality error.
+        on_iterate: Called with the iteration and the best so far; a text
+            ends the run, as its status.
+        refining: p0 is good already: no second-order corrections, and
+            rejected trials shorten the steps that follow.
+        learnt: Curvature known already; learns more.
+        warm: Multipliers of a neighbouring problem, or of this one before
+            an interruption.
+    """
+    n, m = problem.spline.count, len(problem.names())
+    p0 = np.clip(p0, *bounds)
+    best = Optimum(p0.copy())
+    learnt = learnt or QuasiNewton(n)
+    learnt.forget_point()
+    calls = _Callbacks(problem, learnt, best, on_iterate, refining)
+    solver = _ipopt(
+        problem,
+        calls,
+        bounds,
+        {
+            "max_iter": iterations,
+            "tol": tolerance,
+            "theta_max_fact": _furthest(problem, p0),
+            **_OPTIONS,
+            **({**_WARM, "mu_init": warm.barrier} if warm else {}),
+            **(_REFINING if refining else {}),
+        },
+    )
+    multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)
+    if warm is not None:
+        multipliers[:], low[:], high[:] = warm.multipliers, warm.low, warm.high
+        if warm.best is not None and problem.evaluate(warm.best) is not None:
+            best.consider(warm.best, *merits(problem, warm.best))
+    p, _, status = solver.solve(
+        p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
+    )
+    if calls.stopped:
+        raise KeyboardInterrupt
+    best.status = _STATUS.get(status, f"IPOPT code {status}")
+    if calls.stalled:
+        best.status = "no more progress"
+    best.status = calls.ended or best.status
+    best.optimal = status == 0
+    best.multipliers, best.at_bounds = multipliers, (low, high)
+    conclude(problem, best, p, bounds, calls.at)
+    return best
+
+
+def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
+    """IPOPT's problem: constraints at least 0, dense derivatives."""
+    import ipyopt
+
+    n, m = problem.spline.count, len(problem.names())
+    return ipyopt.Problem(
+        n,
+        np.full(n, bounds[0]),
+        np.full(n, bounds[1]),
+        m,
+        np.zeros(m),
+        np.full(m, 1e20),
+        np.divmod(np.arange(m * n), n),
+        np.tril_indices(n),
+        calls.guarded(problem.cost),
+        calls.guarded(calls.gradient),
+        calls.guarded(calls.constraints),
+        calls.guarded(calls.jacobian),
+        calls.guarded(calls.hessian),
+        intermediate_callback=calls.watch,
+        ipopt_options=options,
+    )
+
+
+def conclude(problem, best, p, bounds, derivatives) -> None:
+    """Judge the solver's last point; what comes next may be on any branch.
+
+    Args:
+        problem: The problem.
+        best: With multipliers and at_bounds; gets error and complementarity,
+            and p itself where it is optimal.
+        p: The last point.
+        bounds: Of every coefficient.
+        derivatives: Gives gradient, without smoothness, and Jacobian at p.
+    """
+    if problem.evaluate(p) is not None:
+        _judge(problem, best, p, bounds, derivatives)
+    problem.leave_branch()
+    best.fall_back(problem)
+
+
+def _judge(problem, best, p, bounds, derivatives) -> None:
+    """Optimality at p, by IPOPT's own formula, (5)."""
+    low, high = best.at_bounds
+    gradient, jacobian = derivatives(p)
+    gradient = gradient + problem.smoothness(p)[1]
+    values, lam = problem.constraints(p), best.multipliers
+    dual = gradient + jacobian.T @ lam - low + high
+    products = np.concatenate(
+        [low * (p - bounds[0]), high * (bounds[1] - p), lam * values]
+    )
+    best.complementarity = float(np.abs(products).max())
+    size = np.abs(np.concatenate([lam, low, high]))
+    s_d = max(100.0, size.mean()) / 100.0
+    cost, violation = merits(problem, p)
+    best.error = max(
+        float(np.abs(dual).max()) / s_d, best.complementarity / s_d, violation
+    )
+    if best.optimal:
+        best.p, best.cost, best.violation = p.copy(), cost, violation

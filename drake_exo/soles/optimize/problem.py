@@ -1,0 +1,310 @@
+"""The shape problem: cost, constraints and their gradients at a design.
+
+Design variables are the free coefficients of the spline. Every evaluation
+simulates the whole step from a cold start; the last accepted design's history
+only gives first guesses for the samples after the first. A failed simulation
+gives NaN, which the solver takes as a rejected step; so does a first contact
+on another branch of poses than the last accepted design's, where the cost
+would leap.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import Element, Material, Sole
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh, scatter
+from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.optimize.limits import (
+    Evaluation,
+    Limits,
+    RotationLimit,
+    active_limits,
+    soft_minimum,
+)
+from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step import stiffness
+from drake_exo.soles.step.simulation import StepHistory, simulate
+
+_ELEMENT_SHARPNESS = 200.0
+_LEAST_VOLUME = 0.06  # of an element's own volume at rest
+
+
+@dataclass
+class ShapeProblem:
+    """Minimise c_tr − w c_rot over shapes.
+
+    Attributes:
+        mesh: Reference mesh (s = 1).
+        spline: Parametrisation.
+        material, element: Of the sole.
+        law: Smoothed contact law, r frozen.
+        load: All samples; `picked` are simulated and weighted so that sums
+            stand for all.
+        start: Just before contact.
+        weight: w.
+        limits: Constraints.
+        roughness: Factor of the regulariser, mean squared second difference
+            of the coefficients.
+        fraction: Heel strike's part of the samples.
+        samples: How many samples to simulate.
+        use_tr: Factor of c_tr in the cost.
+        branch: History of the last accepted design.
+        meshed_at: Design (P,) whose deformed mesh was made anew; None for a
+            mesh of the undeformed sole. The element floor is relative to it.
+        first: The initial shape, for the scales; by default simulated on
+            the mesh.
+    """
+
+    mesh: TetMesh
+    spline: SphericalSpline
+    material: Material
+    law: ContactLaw
+    load: Load
+    start: Start
+    weight: float
+    limits: Limits
+    element: Element = "linear"
+    roughness: float = 0.0
+    fraction: float = 0.1
+    samples: int | None = None
+    use_tr: float = 1.0
+    branch: StepHistory | None = None
+    meshed_at: np.ndarray | None = None
+    first: Evaluation | None = None
+    evaluations: int = 0
+    failures: int = 0
+    _cache: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.M, self.s0 = self.spline.basis(self.mesh.nodes)
+        self.picked, self.by_tr, self.by_rot = sample_weights(
+            len(self.load.times), self.samples, self.fraction
+        )
+        self._rough = second_differences(self.spline)
+        self._rest = self.mesh.volumes
+        if self.meshed_at is not None:
+            self._rest = self.deformed(self.meshed_at).volumes
+        if self.first is None:
+            self.first = self.evaluate(np.ones(self.spline.count))
+        if self.first is None:
+            raise RuntimeError("the initial shape cannot be simulated")
+        c_tr, c_rot = self.first.c_tr, self.first.c_rot
+        self.scale = abs(self.use_tr * c_tr - self.weight * c_rot)
+        self.limited = active_limits(self.limits, self.first, self.by_rot)
+
+    def with_mesh(self, mesh: TetMesh, p: np.ndarray) -> "ShapeProblem":
+        """The problem on another mesh of the same undeformed sole.
+
+        Scales and limits stay; the element floor is relative to the mesh
+        deformed by p.
+        """
+        other = replace(self, mesh=mesh, meshed_at=p, branch=None, _cache={})
+        other.limited = self.limited
+        return other
+
+    def add_rotation_floor(self, least: float) -> None:
+        """Limit c_rot from below [N·m/rad]."""
+        self.limited.append(RotationLimit(least, self.by_rot))
+
+    def stretch(self, p: np.ndarray) -> np.ndarray:
+        """Factor s at every node of the reference mesh (n,)."""
+        return self.M @ p + self.s0
+
+    def deformed(self, p: np.ndarray) -> TetMesh:
+        """The mesh of a design; elements may be inverted."""
+        return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
+
+    def room(self, p: np.ndarray) -> float:
+        """How far the least volume ratio is above its floor."""
+        return self._elements(self.deformed(p))[0]
+
+    def evaluate(self, p: np.ndarray) -> Evaluation | None:
+        """Simulate a design; None if it cannot be simulated."""
+        key = p.tobytes()
+        if key not in self._cache:
+            try:
+                self._cache = {key: self._simulate(p.copy())}
+            except np.linalg.LinAlgError:  # a shape that cannot carry load
+                self._cache = {key: None}
+            self.evaluations += 1
+            self.failures += self._cache[key] is None
+        return self._cache[key]
+
+    def _simulate(self, p):
+        mesh = self.deformed(p)
+        if self.stretch(p).min() <= 0 or mesh.volumes.min() <= 0:
+            return None
+        sole = Sole(mesh, self.material, self.element)
+        if self.branch is not None:
+            touched = self.branch.F.any(axis=(0, 2))
+            sole.need(np.flatnonzero(touched))
+        solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
+        force, zmp = self.load.force[self.picked], self.load.zmp[self.picked]
+        history = simulate(
+            solver,
+            force,
+            zmp,
+            self.start,
+            stop_at_failure=True,
+            near=self.branch,
+        )
+        if history.failed_steps:
+            return None
+        return Evaluation(
+            p,
+            sole,
+            solver,
+            history,
+            float(self.by_tr @ stiffness.sigma_max_translation(history.K_c)),
+            float(self.by_rot @ stiffness.sigma_min_rotation(history.K_c)),
+            self.by_rot,
+        )
+
+    def cost(self, p: np.ndarray) -> float:
+        """Scaled c plus roughness; NaN where the simulation fails."""
+        e = self.evaluate(p)
+        if e is None:
+            return np.nan
+        c = self.use_tr * e.c_tr - self.weight * e.c_rot
+        return c / self.scale + self.smoothness(p)[0]
+
+    def names(self) -> list[str]:
+        """Names of the constraints, each to be at least 0."""
+        return ["volume", "elements", *(limit.name for limit in self.limited)]
+
+    def constraints(self, p: np.ndarray) -> np.ndarray:
+        """Scaled constraint values, feasible where >= 0."""
+        e = self.evaluate(p)
+        if e is None:
+            return np.full(len(self.names()), np.nan)
+        mesh = e.sole.mesh
+        return np.array(
+            [
+                1.0 - mesh.volume / self.limits.volume,
+                self._elements(mesh)[0],
+                *(limit.value(e) for limit in self.limited),
+            ]
+        )
+
+    def accept(self, p: np.ndarray) -> None:
+        """Take a design as accepted: later ones stay on its branch."""
+        self.branch = self.evaluate(p).history
+
+    def leave_branch(self) -> None:
+        """The next design may stand on any."""
+        self.branch, self._cache = None, {}
+
+    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient of the cost (P,) and Jacobian of the constraints.
+
+        The roughness is left out: its derivatives are known exactly, see
+        `smoothness`.
+        """
+        e = self.evaluate(p)
+        if e is None:
+            raise RuntimeError("no derivatives where the simulation failed")
+        cost = singular_terms(
+            e.history.K_c,
+            self.use_tr * self.by_tr / self.scale,
+            -self.weight * self.by_rot / self.scale,
+        )
+        parts = [(cost, 0.0), *(limit.derivative(e) for limit in self.limited)]
+        X = shape_gradients(
+            e.sole,
+            e.solver,
+            self.load.force[self.picked],
+            self.load.zmp[self.picked],
+            self.start,
+            e.history,
+            [terms for terms, _ in parts],
+        )
+        rows = [
+            self.by_coefficients(x + direct)
+            for x, (_, direct) in zip(X, parts, strict=True)
+        ]
+        volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
+        elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
+        return rows[0], np.array(
+            [volume / self.limits.volume, elements, *rows[1:]]
+        )
+
+    def smoothness(self, p: np.ndarray):
+        """Roughness times its factor: value, gradient (P,), Hessian (P, P)."""
+        d, d0 = self._rough
+        bend, factor = d @ p + d0, self.roughness / len(d)
+        return (
+            factor * float(bend @ bend),
+            2 * factor * (d.T @ bend),
+            2 * factor * (d.T @ d),
+        )
+
+    def _elements(self, mesh: TetMesh) -> tuple[float, np.ndarray]:
+        """Least volume ratio of the elements above its floor; ∂/∂nodes.
+
+        The continuous map never inverts; discretised, an element does once
+        s varies within it. The search stays away from there.
+        """
+        rest = self._rest
+        value, share = soft_minimum(
+            mesh.volumes / rest - _LEAST_VOLUME, _ELEMENT_SHARPNESS
+        )
+        out = np.zeros_like(mesh.nodes)
+        local = (share * mesh.volumes / rest)[:, None, None] * mesh.gradients
+        scatter(out, mesh.tets, local)
+        return value, out
+
+    def by_coefficients(self, X: np.ndarray) -> np.ndarray:
+        """Chain rule from node positions (n, 3) to coefficients (P,)."""
+        return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
+
+
+def sample_weights(total: int, samples: int | None, fraction: float):
+    """Which samples to simulate and what each counts in the sums.
+
+    Heel strike and the rest are thinned alike, at least four samples of
+    heel strike stay; weights make the sums those of all samples.
+
+    Returns:
+        picked (k,), weights in c_tr (k,), weights in c_rot (k,).
+    """
+    strike = stiffness.heel_strike_count(total, fraction)
+    if samples is None or samples >= total:
+        picked = np.arange(total)
+    else:
+        first = min(strike, max(4, round(samples * fraction)))
+        rest = max(2, samples - first)
+        picked = np.concatenate(
+            [
+                np.linspace(0, strike - 1, first).round().astype(int),
+                np.linspace(strike, total - 1, rest).round().astype(int),
+            ]
+        )
+        picked = np.unique(picked)
+    early = picked < strike
+    by_tr = np.where(early, strike / max(early.sum(), 1), 0.0)
+    late = (total - strike) / max((~early).sum(), 1)
+    return picked, by_tr, np.where(early, by_tr, late)
+
+
+def second_differences(spline: SphericalSpline):
+    """Matrix and offset of the coefficients' second differences."""
+    n_theta, n_phi = (n + 2 for n in spline.intervals)
+    index = np.arange(n_theta * n_phi).reshape(n_theta, n_phi)
+    triples = np.concatenate(
+        [
+            np.stack([index[:-2], index[1:-1], index[2:]], -1).reshape(-1, 3),
+            np.stack([index[:, :-2], index[:, 1:-1], index[:, 2:]], -1).reshape(
+                -1, 3
+            ),
+        ]
+    )
+    D = np.zeros((len(triples), index.size))
+    row = np.arange(len(triples))
+    D[row, triples[:, 0]] = D[row, triples[:, 2]] = 1.0
+    D[row, triples[:, 1]] = -2.0
+    T, p0 = spline.free_map()
+    return D @ T, D @ p0

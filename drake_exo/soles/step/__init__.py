@@ -1,0 +1,1 @@
+"""A sole through one contact phase."""

@@ -1,0 +1,444 @@
+"""Cuffs as they are: they stiffen when pressed in, and slip under shear.
+
+With neither, they are the bushings of the model.
+
+The chair: a cushion under the pelvis, felt until seat-off.
+
+Forces on the links along a motion, all samples at once.
+
+The same laws as the diagram's systems call, evaluated on recorded states.
+
+The foot at rest on the ground, and the frame in which it is level.
+"""
+
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, field, replace
+
+import numpy as np
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import LeafSystem
+
+from drake_exo.contact.bushing import (
+    BushingParameters,
+    Components,
+    bushing_deflection,
+    bushing_force,
+    bushing_wrench,
+)
+from drake_exo.contact.hunt_crossley import (
+    SimbodyConstants,
+    SphereWrench,
+    hertz_factor,
+)
+from drake_exo.contact.parameters import ContactParameters
+from drake_exo.contact.systems import (
+    applied_force,
+    declare_body_inputs,
+    declare_force_output,
+    foot_contact,
+    ground_reaction,
+    read_bodies,
+    relative_angles,
+    to_body,
+)
+from drake_exo.measurement.inverse_dynamics import wrench_on_body
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.planar_tree import PlanarTree
+
+
+@dataclass(frozen=True)
+class Cuff:
+    """A bushing with two departures from its law.
+
+    Attributes:
+        bushing: the law at small deflection.
+        progression: 1/d_0 [1/m]: springs give k d (1 + (d/d_0)^2) along and
+            across the limb; 0 for linear ones.
+        slip: 1/F_0 [1/N]: the force along the limb never exceeds F_0; 0 for
+            cuffs that do not slip.
+    """
+
+    bushing: BushingParameters
+    progression: float = field(default=0.0, metadata={"unit": "1/m"})
+    slip: float = field(default=0.0, metadata={"unit": "1/N"})
+
+
+def cuff_force(cuff: Cuff, deflection, rate) -> Components:
+    """Force on the human; `Cuff`'s values broadcast with the deflection.
+
+    Args:
+        cuff: values of any common shape (...).
+        deflection, rate: as from `bushing_deflection`, of shape (...).
+    """
+    linear = bushing_force(
+        deflection, rate, cuff.bushing.stiffness, cuff.bushing.damping
+    )
+    more = [
+        k * d * (cuff.progression * d) ** 2
+        for k, d in zip(cuff.bushing.stiffness, deflection, strict=True)
+    ]
+    along = linear.tangential + more[0]
+    return Components(
+        along / np.sqrt(1.0 + (cuff.slip * along) ** 2),
+        linear.normal + more[1],
+        linear.rotation,
+    )
+
+
+def stacked(cuffs: Mapping[str, Cuff]) -> Cuff:
+    """All cuffs as one, its values arrays (number of cuffs,)."""
+    values = zip(*(astuple(c.bushing) for c in cuffs.values()), strict=True)
+    return Cuff(
+        BushingParameters(*(np.array(v) for v in values)),
+        np.array([c.progression for c in cuffs.values()]),
+        np.array([c.slip for c in cuffs.values()]),
+    )
+
+
+class Cuffs(LeafSystem):
+    """Cuffs for a diagram: `build_diagram(..., forces=[Cuffs(...)])`.
+
+    Inputs body_poses and body_spatial_velocities; output spatial_forces.
+
+    Args:
+        pairs: (human link, exoskeleton link) body indices by name.
+        cuffs: by the same names.
+    """
+
+    def __init__(
+        self,
+        pairs: Mapping[str, tuple[BodyIndex, BodyIndex]],
+        cuffs: Mapping[str, Cuff],
+    ):
+        super().__init__()
+        self.set_name("cuffs")
+        self._pairs = [pairs[name] for name in cuffs]
+        self._bodies = [body for pair in self._pairs for body in pair]
+        self._cuffs = stacked(cuffs)
+        declare_body_inputs(self, float)
+        declare_force_output(self, float, self._calc_spatial_forces)
+
+    def _calc_spatial_forces(self, context, output):
+        cuffs, law = self._cuffs, self._cuffs.bushing
+        p, direction, motion = read_bodies(self, context, self._bodies)
+        angles = relative_angles(direction[:, ::2], direction[:, 1::2])
+        human = (*p[:, ::2], angles[0])
+        device = (*p[:, 1::2], angles[1])
+        deflection, rate = bushing_deflection(
+            human,
+            motion[:, ::2],
+            device,
+            motion[:, 1::2],
+            law.origin,
+            law.preload,
+        )
+        force = cuff_force(cuffs, deflection, rate)
+        w = bushing_wrench(force, human, device, law.origin, law.preload)
+        entries = []
+        for k, side in ((0, 1.0), (1, -1.0)):
+            points = to_body(
+                p[:, k::2], direction[:, k::2], w.point_x, w.point_z
+            )
+            for i, pair in enumerate(self._pairs):
+                entries.append(
+                    applied_force(
+                        float,
+                        pair[k],
+                        (points[0][i], points[1][i]),
+                        (side * w.force_x[i], side * w.force_z[i]),
+                        side * w.moment[i],
+                    )
+                )
+        output.set_value(entries)
+
+
+_LAW = "simbody"
+_CLEARANCE_M = 0.05
+
+
+@dataclass(frozen=True)
+class SeatParameters:
+    """A horizontal seat and the part of the pelvis that sits on it.
+
+    Attributes:
+        height_m: of the unloaded seat above the floor.
+        x_m, z_m: centre of the buttocks' sphere in the pelvis link.
+        radius_m: of that sphere.
+        modulus_n_m2, dissipation_s_m: of simbody's law, both sides together.
+        constants: friction and smoothing.
+    """
+
+    height_m: float
+    x_m: float = -0.03
+    z_m: float = -0.06
+    radius_m: float = 0.07
+    modulus_n_m2: float = 2.5e6
+    dissipation_s_m: float = 1.0
+    constants: SimbodyConstants = field(
+        default_factory=lambda: SimbodyConstants(
+            static_friction=0.6, dynamic_friction=0.6
+        )
+    )
+
+    def depth(self, force: float) -> float:
+        """Static indentation [m] under a vertical force [N]."""
+        factor = hertz_factor(_LAW, self.modulus_n_m2, self.radius_m)
+        return float((force / factor) ** (2.0 / 3.0))
+
+
+def seat_wrench(
+    seat: SeatParameters, position, direction, motion
+) -> SphereWrench:
+    """Force of the seat on the pelvis, and the world point where it acts.
+
+    Args:
+        seat: the chair.
+        position, direction, motion: of the pelvis, (x, z) [m], (cosine, sine)
+            and (v_x, v_z, rate); entries of any common shape (...).
+
+    Returns:
+        Entries of shape (...).
+    """
+    sphere = (
+        seat.x_m,
+        seat.z_m,
+        seat.radius_m,
+        seat.modulus_n_m2,
+        seat.dissipation_s_m,
+    )
+    above = (position[0], position[1] - seat.height_m)
+    wrench = foot_contact(
+        _LAW, above, direction, motion, sphere, seat.constants
+    )
+    return wrench._replace(point_z=wrench.point_z + seat.height_m)
+
+
+class Seat(LeafSystem):
+    """`seat_wrench` for a diagram: `build_diagram(..., forces=[Seat(...)])`.
+
+    Inputs body_poses and body_spatial_velocities; outputs spatial_forces and
+    seat_reaction: F_x, F_z [N] on the pelvis and M_y = z F_x - x F_z about
+    the world's origin [N m].
+
+    Args:
+        pelvis: index of the link in the plant.
+        seat: the chair.
+    """
+
+    def __init__(self, pelvis: BodyIndex, seat: SeatParameters):
+        super().__init__()
+        self.set_name("seat")
+        self._pelvis = pelvis
+        self._seat = seat
+        # From there up no posture reaches the seat: nothing to evaluate.
+        reach = np.hypot(seat.x_m, seat.z_m) + seat.radius_m
+        self._clear_z = seat.height_m + reach + _CLEARANCE_M
+        declare_body_inputs(self, float)
+        declare_force_output(self, float, self._calc_spatial_forces)
+        self.DeclareVectorOutputPort("seat_reaction", 3, self._calc_reaction)
+
+    def _evaluate(self, context):
+        bodies = read_bodies(self, context, [self._pelvis])
+        position, direction, motion = (array[:, 0] for array in bodies)
+        wrench = seat_wrench(self._seat, position, direction, motion)
+        return position, direction, wrench
+
+    def _calc_spatial_forces(self, context, output):
+        pose = self.GetInputPort("body_poses").Eval(context)[int(self._pelvis)]
+        if pose.translation()[2] > self._clear_z:
+            output.set_value([])
+            return
+        position, direction, wrench = self._evaluate(context)
+        point = to_body(position, direction, wrench.point_x, wrench.point_z)
+        force = (wrench.force_x, wrench.force_z)
+        output.set_value([applied_force(float, self._pelvis, point, force)])
+
+    def _calc_reaction(self, context, output):
+        wrench = self._evaluate(context)[2]
+        output.SetFromVector(
+            ground_reaction(SphereWrench(*(np.array([w]) for w in wrench)))
+        )
+
+
+def link_motion(tree: PlanarTree, q, v, body: str):
+    """Pose and motion of a link.
+
+    Args:
+        tree: the model.
+        q, v: (N, nq).
+        body: name of the link.
+
+    Returns:
+        Position (2, N) [m], angle (N,) [rad] and (v_x, v_z, rate) (3, N).
+    """
+    J = tree.point_jacobian(q, body, (0.0, 0.0))
+    segment = tree.segment_of[tree.body_index(body)]
+    rate = v[:, 2:] @ tree.angle_map[segment]
+    velocity = np.einsum("nij,nj->in", J, v)
+    return (
+        tree.point_positions(q, body, (0.0, 0.0)).T,
+        tree.body_angles(q, body),
+        np.vstack([velocity, rate]),
+    )
+
+
+def ground_wrench(
+    tree: PlanarTree, contact: ContactParameters, q, v
+) -> PlanarWrench:
+    """Ground reaction (N,) on the foot."""
+    position, angle, motion = link_motion(tree, q, v, "foot")
+    wrench = foot_contact(
+        contact.law,
+        position[:, :, None],
+        np.array([np.cos(angle), np.sin(angle)])[:, :, None],
+        motion[:, :, None],
+        np.array([astuple(s) for s in contact.spheres.values()]).T[:, None],
+        contact.constants,
+    )
+    return _total(wrench)
+
+
+def chair_wrench(
+    tree: PlanarTree, seat: SeatParameters | None, q, v
+) -> PlanarWrench:
+    """Force of the chair (N,) on the pelvis; none without a chair."""
+    if seat is None:
+        return PlanarWrench(np.zeros((len(q), 2)), np.zeros(len(q)))
+    position, angle, motion = link_motion(tree, q, v, "pelvis")
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    wrench = seat_wrench(seat, position, direction, motion)
+    return _total(type(wrench)(*(w[:, None] for w in wrench)))
+
+
+def interaction(
+    tree: PlanarTree, cuffs: dict[str, Cuff], q, v
+) -> tuple[np.ndarray, dict[str, PlanarWrench]]:
+    """Cuff forces along a motion.
+
+    Returns:
+        Tangential, normal and rotational component (N, 3 * cuffs) on the
+        human as `HumanExoskeletonBushings` reports them, and the wrench
+        on the human by segment.
+    """
+    components, wrenches = [], {}
+    for name, cuff in cuffs.items():
+        bushing = cuff.bushing
+        links = []
+        for body in (name, f"exo_{name}"):
+            position, angle, motion = link_motion(tree, q, v, body)
+            links.append(((*position, angle), motion))
+        (human, human_motion), (device, device_motion) = links
+        deflection, rate = bushing_deflection(
+            human,
+            human_motion,
+            device,
+            device_motion,
+            bushing.origin,
+            bushing.preload,
+        )
+        force = cuff_force(cuff, deflection, rate)
+        w = bushing_wrench(
+            force, human, device, bushing.origin, bushing.preload
+        )
+        # The law's moments are toes-up positive, M_y is the opposite.
+        wrenches[name] = PlanarWrench(
+            np.column_stack([w.force_x, w.force_z]),
+            w.point_z * w.force_x - w.point_x * w.force_z - w.moment,
+        )
+        components.extend(force)
+    return np.column_stack(components), wrenches
+
+
+def applied(
+    tree: PlanarTree,
+    contact: ContactParameters,
+    cuffs: dict[str, Cuff],
+    seat: SeatParameters | None,
+    q,
+    v,
+) -> np.ndarray:
+    """Generalized forces (N, 9) of ground, chair and cuffs together."""
+    loads = wrench_on_body(tree, q, "foot", ground_wrench(tree, contact, q, v))
+    loads += wrench_on_body(tree, q, "pelvis", chair_wrench(tree, seat, q, v))
+    for name, w in interaction(tree, cuffs, q, v)[1].items():
+        back = PlanarWrench(-w.force, -w.moment)
+        loads += wrench_on_body(tree, q, name, w)
+        loads += wrench_on_body(tree, q, f"exo_{name}", back)
+    return loads
+
+
+def _total(wrench) -> PlanarWrench:
+    """Sum over the last axis, moment about the origin."""
+    moment = wrench.point_z * wrench.force_x - wrench.point_x * wrench.force_z
+    force = np.stack([wrench.force_x, wrench.force_z], axis=-2)
+    return PlanarWrench(force.sum(axis=-1), moment.sum(axis=-1))
+
+
+_DIFFERENCE = 1e-6
+_NEWTON_STEPS = 60
+_LARGEST_STEP = 2e-3  # m or rad
+_FIRST_DEPTH_M = 5e-3
+_PASSES = 3
+
+
+def resting_foot(
+    tree: PlanarTree,
+    contact: ContactParameters,
+    load: np.ndarray,
+    cop_m: float,
+) -> np.ndarray:
+    """Foot coordinates x = 0, z, pitch (n, 3) under vertical loads (n,) [N].
+
+    Args:
+        tree: a model with that foot.
+        contact: of the foot with the ground.
+        load: borne at rest.
+        cop_m: centre of pressure in front of the ankle.
+    """
+    q = np.zeros((len(load), tree.num_positions))
+    spheres = contact.spheres.values()
+    q[:, 1] = np.mean([s.radius - s.z for s in spheres]) - _FIRST_DEPTH_M
+    wanted = np.column_stack([load, -cop_m * load])
+
+    def excess(q):
+        w = ground_wrench(tree, contact, q, np.zeros_like(q))
+        return np.column_stack([w.force[:, 1], w.moment]) - wanted
+
+    for _ in range(_NEWTON_STEPS):
+        r, J = excess(q), np.empty((len(load), 2, 2))
+        for k in (0, 1):
+            moved = q.copy()
+            moved[:, 1 + k] += _DIFFERENCE
+            J[:, :, k] = (excess(moved) - r) / _DIFFERENCE
+        step = -np.linalg.solve(J, r[:, :, None])[:, :, 0]
+        q[:, 1:3] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        if np.abs(step).max() < 1e-9:
+            break
+    return q[:, :3]
+
+
+def levelled(
+    tree: PlanarTree,
+    contact: ContactParameters,
+    weight: float,
+    cop_m: float,
+    ankle_height: float,
+) -> ContactParameters:
+    """The same soles in a foot frame that is level in quiet standing.
+
+    That is the frame which markers give, so truth and measurement agree.
+    """
+    for _ in range(_PASSES):
+        foot = resting_foot(tree, contact, np.array([weight]), cop_m)
+        _, z, pitch = foot[0]
+        c, s = np.cos(pitch), np.sin(pitch)
+        spheres = {
+            name: replace(
+                sphere,
+                x=float(c * sphere.x - s * sphere.z),
+                z=float(z + s * sphere.x + c * sphere.z - ankle_height),
+            )
+            for name, sphere in contact.spheres.items()
+        }
+        contact = replace(contact, spheres=spheres)
+    return contact

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
+from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
+from drake_exo.measurement.inverse_dynamics import wrench_on_body
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
+
+TIMES = np.linspace(0.0, 1.0, 12)
+
+
+@pytest.fixture(scope="module", params=["human", "coupled"])
+def tree(request):
+    return PlanarTree.from_plant(build_plant(request.param))
+
+
+@pytest.fixture
+def load(tree):
+    rng = np.random.default_rng(3)
+    wrench = rng.normal(size=(len(TIMES), 3)) * [50.0, 400.0, 150.0]
+    shares = {"pelvis": 0.7, "thigh": 0.3}
+    return AppliedWrench(tree, shares, TIMES, wrench)
+
+
+def positions(tree, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.0, 1.0, (len(TIMES), tree.num_positions))
+
+
+def test_is_what_inverse_dynamics_takes_a_wrench_for(tree, load):
+    q, w = positions(tree), load.at(TIMES)
+    expected = 0.0
+    for body, share in (("pelvis", 0.7), ("thigh", 0.3)):
+        part = PlanarWrench(share * w[:, :2], share * w[:, 2])
+        expected = expected + wrench_on_body(tree, q, body, part)
+    np.testing.assert_allclose(load.generalized(q, w), expected, atol=1e-9)
+
+
+def complex_step(kernel, x, data):
+    h = 1e-30
+    J = np.empty((len(x), kernel.sparsity.shape[0], x.shape[1]))
+    for i in range(x.shape[1]):
+        step = x.astype(complex)
+        step[:, i] += 1j * h
+        J[:, :, i] = kernel.evaluate(step, data).imag / h
+    return J
+
+
+class OnlyLoad:
+    """The load without equations of motion, whose step is complex."""
+
+    def __init__(self, tree, load):
+        self.load = load
+        self.sparsity = np.ones((tree.num_positions,) * 2, bool)
+
+    def evaluate(self, x, data):
+        return self.load.generalized(x, data)
+
+
+def test_derivatives_are_those_of_the_complex_step(tree, load):
+    q, w = positions(tree, 1), load.at(TIMES)
+    expected = complex_step(OnlyLoad(tree, load), q, w)
+    found = load.by_positions(q, w)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    # The check sees a wrong derivative.
+    found[:, 4, 3] *= 1.01
+    assert np.abs(found - expected).max() > 1e-3
+
+
+def test_kernel_takes_the_load_off_the_demand(tree, load):
+    inner = DynamicsKernel(tree)
+    kernel = LoadedDynamicsKernel(inner, load)
+    rng = np.random.default_rng(5)
+    x = rng.uniform(-1.0, 1.0, (len(TIMES), inner.sparsity.shape[1]))
+    w = load.at(TIMES)
+    q = x[:, : tree.num_positions]
+    difference = inner.evaluate(x, None) - kernel.evaluate(x, w)
+    np.testing.assert_allclose(
+        FORCE_UNIT * difference, load.generalized(q, w), atol=1e-9
+    )
+    J = kernel.jacobian(x, w)
+    assert not J[:, ~kernel.sparsity].any()
+    h = 1e-6
+    for i in range(x.shape[1]):
+        step = np.zeros(x.shape[1])
+        step[i] = h
+        slope = kernel.evaluate(x + step, w) - kernel.evaluate(x - step, w)
+        np.testing.assert_allclose(J[:, :, i], slope / (2 * h), atol=1e-6)
+
+
+def test_without_data_there_is_no_load(tree, load):
+    inner = DynamicsKernel(tree)
+    kernel = LoadedDynamicsKernel(inner, load)
+    x = np.full((2, inner.sparsity.shape[1]), 0.1)
+    np.testing.assert_array_equal(
+        kernel.evaluate(x, None), inner.evaluate(x, None)
+    )
+    np.testing.assert_array_equal(
+        kernel.jacobian(x, None), inner.jacobian(x, None)
+    )

@@ -1,0 +1,151 @@
+"""Cuffs' energy and wrench, and controllers, against independent formulas.
+
+Derivatives and the bushing's force: test_kernels.py.
+"""
+
+import numpy as np
+import pytest
+
+from drake_exo.collocation.bushing_kernels import (
+    BUSHINGS,
+    Bushing,
+    CoupledDynamicsKernel,
+    EnergyKernel,
+)
+from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
+from drake_exo.collocation.loads import ControllerKernel
+from drake_exo.contact.bushing import (
+    bushing_deflection,
+    bushing_energy,
+    bushing_wrench,
+)
+from drake_exo.contact.controllers import AssistController, TrackingController
+from drake_exo.errors import InputError
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
+
+N = 7
+STIFFNESS = np.array([1800.0, 5200.0, 55.0])
+PRELOAD = (0.01, -0.02, 0.05)
+
+
+@pytest.fixture(scope="module")
+def tree():
+    human = nominal_human()
+    return PlanarTree.from_plant(
+        build_plant("coupled", human, fit_exoskeleton(human))
+    )
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+def motion(rng):
+    return rng.uniform(-0.7, 0.7, (N, 9)), rng.uniform(-2.0, 2.0, (N, 9))
+
+
+def origins(rng):
+    return rng.uniform(-0.1, 0.3, (N, 2))
+
+
+def link(tree, q, v, name):
+    """Pose and motion of a link, rates by differences along the motion."""
+
+    def pose(q):
+        p = tree.point_positions(q, name, (0.0, 0.0))
+        return np.vstack([p.T, tree.body_angles(q, name)])
+
+    h = 1e-6
+    return pose(q), (pose(q + h * v) - pose(q - h * v)) / (2.0 * h)
+
+
+def law(tree, segment, q, v, origin, preload=PRELOAD):
+    human, device = (link(tree, q, v, s + segment) for s in ("", "exo_"))
+    return (
+        *bushing_deflection(*human, *device, origin.T, preload),
+        human[0],
+        device[0],
+    )
+
+
+@pytest.mark.parametrize("segment", BUSHINGS)
+def test_energy_is_the_laws(tree, rng, segment):
+    q, v = motion(rng)
+    origin = origins(rng)
+    kernel = EnergyKernel(Bushing(tree, segment, PRELOAD), [0, 1, 2], 2.0, 1.4)
+    stiffness = np.tile(STIFFNESS, (N, 1))
+    found = kernel.evaluate(np.hstack([q, origin, stiffness]), None)
+    deflection, *_ = law(tree, segment, q, v, origin)
+    expected = bushing_energy(deflection, 1.4 * STIFFNESS)
+    np.testing.assert_allclose(
+        2.0 * found, np.column_stack(expected), rtol=1e-9
+    )
+    one = EnergyKernel(Bushing(tree, segment, PRELOAD), [1], 2.0, 1.4)
+    np.testing.assert_allclose(
+        one.evaluate(np.hstack([q, origin, stiffness]), None), found[:, 1:2]
+    )
+
+
+def test_dynamics_feel_the_wrench_of_the_law(tree, rng):
+    """Virtual work of the world wrench at F2's origin on both links."""
+    q, v = motion(rng)
+    rest = np.hstack([rng.uniform(-9, 9, (N, 9)), rng.uniform(-99, 99, (N, 9))])
+    forces = rng.uniform(-50.0, 50.0, (N, 9))
+    places = np.hstack([origins(rng) for _ in BUSHINGS])
+    kernel = CoupledDynamicsKernel(tree, [Bushing(tree, s) for s in BUSHINGS])
+    plain = np.hstack([q, v, rest])
+    found = kernel.evaluate(np.hstack([plain, forces, places]), None)
+    found = found - DynamicsKernel(tree).evaluate(plain, None)
+    expected = np.zeros((N, 9))
+    for b, segment in enumerate(BUSHINGS):
+        origin = places[:, 2 * b : 2 * b + 2]
+        human, device = (link(tree, q, v, s + segment)[0] for s in ("", "exo_"))
+        w = bushing_wrench(
+            forces[:, 3 * b : 3 * b + 3].T, human, device, origin.T
+        )
+        for sign, name, pose in (
+            (1, segment, human),
+            (-1, "exo_" + segment, device),
+        ):
+            for i in range(N):
+                d = np.array([w.point_x[i], w.point_z[i]]) - pose[:2, i]
+                c, s = np.cos(pose[2, i]), np.sin(pose[2, i])
+                local = (c * d[0] + s * d[1], -s * d[0] + c * d[1])
+                J = tree.point_jacobian(q[i : i + 1], name, local)[0]
+                turn = np.zeros(9)
+                segment_index = tree.segment_of[tree.body_index(name)]
+                turn[2:] = tree.angle_map[segment_index]
+                force = np.array([w.force_x[i], w.force_z[i]])
+                expected[i] += sign * (force @ J + w.moment[i] * turn)
+    np.testing.assert_allclose(
+        -FORCE_UNIT * found, expected, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_controller_and_its_derivatives(rng):
+    controller = AssistController(knee_nm=12.0, hip_nm=7.0, damping=0.3)
+    kernel = ControllerKernel(controller)
+    x, times = rng.uniform(-1.0, 1.0, (N, 9)), np.linspace(0, 1, N)[:, None]
+    found = 100.0 * kernel.evaluate(x, times) + x[:, 6:]
+    np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        found[:, 1], -12.0 * np.sin(x[:, 1]) - 0.3 * x[:, 4]
+    )
+    J = kernel.jacobian(x, times)
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-6
+        change = kernel.evaluate(x + step, times)
+        change = (change - kernel.evaluate(x - step, times)) / 2e-6
+        np.testing.assert_allclose(J[:, :, k], change, atol=1e-8)
+
+
+def test_unfit_controllers_are_refused():
+    stateful = TrackingController(
+        np.arange(4.0), np.zeros((4, 9)), np.zeros((4, 9)), np.zeros((4, 6))
+    )
+    with pytest.raises(InputError, match="exoskeleton_state"):
+        ControllerKernel(stateful)

@@ -1,0 +1,196 @@
+"""Equations of motion and contact, and their derivatives."""
+
+import numpy as np
+import pytest
+from pydrake.multibody.tree import MultibodyForces
+
+from drake_exo.collocation.bushing_kernels import (
+    BUSHINGS,
+    Bushing,
+    BushingKernel,
+    CoupledDynamicsKernel,
+    EnergyKernel,
+)
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    DynamicsKernel,
+    FootGroundKernel,
+)
+from drake_exo.contact.hunt_crossley import (
+    default_constants,
+    sphere_wrench_derivatives,
+)
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import build_plant
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return build_plant("coupled")
+
+
+@pytest.fixture(scope="module")
+def tree(plant):
+    return PlanarTree.from_plant(plant)
+
+
+def _differences(kernel, x):
+    J = np.zeros((len(x), *kernel.sparsity.shape))
+    for k in range(x.shape[1]):
+        h = 1e-6 * max(1.0, np.abs(x[:, k]).max())
+        up, down = x.copy(), x.copy()
+        up[:, k] += h
+        down[:, k] -= h
+        J[:, :, k] = kernel.evaluate(up, None) - kernel.evaluate(down, None)
+        J[:, :, k] /= 2 * h
+    return J
+
+
+def _check(kernel, x):
+    """Derivatives, and that the pattern misses none."""
+    J = kernel.jacobian(x, None)
+    expected = _differences(kernel, x)
+    scale = np.abs(expected).max(axis=(0, 1)) + 1e-3
+    error = np.abs(J - expected).max(axis=(0, 1)) / scale
+    assert error.max() < 1e-6, f"input {error.argmax()}: {error.max():.1e}"
+    assert np.abs(J[:, ~kernel.sparsity]).max(initial=0.0) == 0.0
+    assert (np.abs(J) > 0).any(axis=0)[kernel.sparsity].mean() > 0.5
+
+
+def _states(n, width, seed=0):
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (n, width))
+
+
+def _contact_inputs(law, n=40):
+    x = np.zeros((n, 19))
+    x[:, :9] = 0.03 * _states(n, 9)
+    x[:, 1] += 0.065
+    x[:, 6:9] *= 1e3
+    stiffness = 1.5e4 if law == "paper" else 5e6
+    x[:, 9:14] = [stiffness, 1.0, -0.05, -0.05, 0.03]
+    x[:, 14:] = [1.3 * stiffness, 1.4, 0.15, -0.05, 0.035]
+    return x
+
+
+def test_dynamics_derivatives(tree):
+    x = _states(5, 36)
+    x[:, 27:] *= 100.0
+    _check(DynamicsKernel(tree), x)
+
+
+def test_dynamics_equal_drakes_with_a_wrench_on_the_foot(plant, tree):
+    from pydrake.multibody.math import SpatialForce
+
+    x = _states(4, 36, seed=2)
+    x[:, 27:] *= 100.0
+    found = FORCE_UNIT * DynamicsKernel(tree).evaluate(x, None)
+    context = plant.CreateDefaultContext()
+    foot = plant.GetBodyByName("foot")
+    for row, residual in zip(x, found, strict=True):
+        q, v, a, torque, ground = np.split(row, [9, 18, 27, 33])
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        forces = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        p_WF = plant.EvalBodyPoseInWorld(context, foot).translation()
+        # Moment about the foot's origin from that about the laboratory's.
+        moment = ground[2] - (p_WF[2] * ground[0] - p_WF[0] * ground[1])
+        foot.AddInForceInWorld(
+            context,
+            SpatialForce([0, moment, 0], [ground[0], 0, ground[1]]),
+            forces,
+        )
+        expected = plant.CalcInverseDynamics(context, a, forces)
+        expected[3:] -= torque
+        np.testing.assert_allclose(residual, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["paper", "simbody"])
+def test_contact_derivatives(law):
+    kernel = FootGroundKernel(law, default_constants(law))
+    _check(kernel, _contact_inputs(law))
+
+
+@pytest.mark.parametrize("law", ["paper", "simbody"])
+def test_contact_curvature_equals_differences_of_the_jacobian(law):
+    kernel = FootGroundKernel(law, default_constants(law))
+    x = _contact_inputs(law)
+    weights = _states(len(x), 3, seed=5)
+    found = kernel.curvature(x, weights, None)
+    # Typical sizes make entries comparable; the radius is left out.
+    size = np.r_[np.full(6, 0.01), np.ones(3), x[0, 9:]]
+    keep = np.delete(np.arange(19), [13, 18])
+    H = np.zeros_like(found)
+    for k in keep:
+        h = 1e-6 * max(1.0, abs(x[0, k]))
+        up, down = x.copy(), x.copy()
+        up[:, k] += h
+        down[:, k] -= h
+        J = kernel.jacobian(up, None) - kernel.jacobian(down, None)
+        H[:, k] = np.einsum("no,noi->ni", weights, J / (2 * h))
+    difference = (found - H) * np.abs(np.outer(size, size))
+    largest = np.abs(H * np.outer(size, size)).max()
+    picked = difference[:, keep][:, :, keep]
+    assert np.abs(picked).max() < 1e-3 * largest
+
+
+def test_a_wrong_contact_derivative_is_caught(monkeypatch):
+    def wrong(*args):
+        wrench, d = sphere_wrench_derivatives(*args)
+        d[1, 3] *= 1.0 + 1e-4
+        return wrench, d
+
+    monkeypatch.setattr(
+        "drake_exo.collocation.kernels.sphere_wrench_derivatives", wrong
+    )
+    kernel = FootGroundKernel("simbody", default_constants("simbody"))
+    with pytest.raises(AssertionError, match="input"):
+        _check(kernel, _contact_inputs("simbody"))
+
+
+def test_coupled_dynamics_derivatives(tree):
+    bushings = [Bushing(tree, s, (0.01, 0.02, 0.03)) for s in BUSHINGS]
+    x = _states(5, 51)
+    x[:, 27:45] *= 50.0
+    _check(CoupledDynamicsKernel(tree, bushings), x)
+
+
+@pytest.mark.parametrize("segment", BUSHINGS)
+def test_bushing_and_energy_derivatives(tree, segment):
+    bushing = Bushing(tree, segment, (0.01, -0.02, 0.03))
+    x = 0.5 * _states(20, 26)
+    x[:, 18:21] *= 100.0
+    x[:, 23:] = [2000.0, 5000.0, 50.0]
+    _check(BushingKernel(bushing, (10.0, 10.0, 0.1), 1.4), x)
+    columns = [*range(9), *range(21, 26)]
+    _check(EnergyKernel(bushing, [0, 2], 1.0, 1.4), x[:, columns])
+
+
+@pytest.mark.parametrize("segment", BUSHINGS)
+def test_bushing_kernel_equals_the_law(plant, tree, segment):
+    """Through the plant's own kinematics and forces.bushing."""
+    from drake_exo.contact.bushing import bushing_deflection, bushing_force
+
+    preload, origin = (0.01, -0.02, 0.03), np.array([0.02, 0.2])
+    stiffness, damping = (1500.0, 4000.0, 30.0), (10.0, 12.0, 0.2)
+    kernel = BushingKernel(Bushing(tree, segment, preload), damping)
+    x = np.zeros((6, 26))
+    x[:, :18] = 0.6 * _states(6, 18, seed=4)
+    x[:, 21:23], x[:, 23:] = origin, stiffness
+    found = kernel.evaluate(x, None) * [10.0, 10.0, 1.0]
+    context = plant.CreateDefaultContext()
+    for row, force in zip(x, found, strict=True):
+        plant.SetPositions(context, row[:9])
+        plant.SetVelocities(context, row[9:18])
+        states = []
+        for name in (segment, f"exo_{segment}"):
+            body = plant.GetBodyByName(name)
+            X_WB = plant.EvalBodyPoseInWorld(context, body)
+            V_WB = plant.EvalBodySpatialVelocityInWorld(context, body)
+            axis = X_WB.rotation().matrix()[:, 0]
+            p, v = X_WB.translation(), V_WB.translational()
+            states.append((p[0], p[2], np.arctan2(axis[2], axis[0])))
+            states.append((v[0], v[2], -V_WB.rotational()[1]))
+        d, rate = bushing_deflection(*states, origin, preload)
+        expected = bushing_force(d, rate, stiffness, damping)
+        np.testing.assert_allclose(force, np.array(expected), atol=1e-8)

@@ -1,0 +1,316 @@
+"""Simulations: settling, sliding, coming together, ports of the diagram."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    PlanarJoint,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
+
+from drake_exo.contact.diagram import (
+    BUSHINGS,
+    ExoskeletonDiagram,
+    build_diagram,
+    build_simulator,
+    nominal_bushings,
+)
+from drake_exo.contact.hunt_crossley import PaperConstants, SimbodyConstants
+from drake_exo.contact.parameters import nominal_contact
+from drake_exo.contact.systems import (
+    FootGroundContact,
+    declare_body_inputs,
+    declare_force_output,
+)
+from drake_exo.errors import InputError
+from drake_exo.model.description import fit_exoskeleton, nominal_human
+
+LAWS = ("paper", "simbody")
+RADIUS = 0.032
+GRAVITY = 9.81
+
+
+class HoldPosture(LeafSystem):
+    """Spring and damper of every joint towards a posture."""
+
+    def __init__(self, posture, stiffness, damping):
+        super().__init__()
+        self._posture = np.array(posture)
+        self._gains = np.array(stiffness), np.array(damping)
+        n = len(posture)
+        self.DeclareVectorInputPort("state", 2 * (n + 3))
+        self.DeclareVectorOutputPort("joint_torques", n, self._calc)
+
+    def _calc(self, context, output):
+        state = self.GetInputPort("state").Eval(context)
+        n = len(self._posture)
+        stiffness, damping = self._gains
+        output.SetFromVector(
+            stiffness * (self._posture - state[3 : 3 + n])
+            - damping * state[-n:]
+        )
+
+
+def standing(kind, law):
+    """Somebody held upright above the ground, weight over the middle foot."""
+    human = nominal_human()
+    foot = human if kind == "human" else fit_exoskeleton(human)
+    device = kind == "coupled"
+    lean = [0.06, 0.0, 0.0]
+    controller = HoldPosture(
+        lean * (1 + device),
+        [5000.0, 3000.0, 3000.0] + [0.0] * 3 * device,
+        [300.0, 150.0, 150.0] + [20.0] * 3 * device,
+    )
+    model = build_diagram(
+        kind,
+        contact=nominal_contact(law, foot.heel_m, foot.toe_m, RADIUS),
+        controller=controller,
+    )
+    simulator = build_simulator(model)
+    q = np.zeros(model.plant.num_positions())
+    q[1] = RADIUS - foot.heel_m[1] + 0.005
+    q[3:] = lean * (1 + device)
+    plant_context = model.plant_context(simulator.get_context())
+    model.plant.SetPositions(plant_context, q)
+    return model, simulator, plant_context
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("kind", ["human", "rigid", "coupled"])
+def test_settles_to_body_weight(kind, law):
+    model, simulator, plant_context = standing(kind, law)
+    assert simulator.get_context().get_time() == 0.0
+    before = model.diagram.GetOutputPort("ground_reaction").Eval(
+        simulator.get_context()
+    )
+    simulator.AdvanceTo(2.0)
+    reaction = model.diagram.GetOutputPort("ground_reaction").Eval(
+        simulator.get_context()
+    )
+    weight = GRAVITY * model.plant.CalcTotalMass(plant_context)
+    assert before[1] < 0.1 * weight
+    assert abs(reaction[1] / weight - 1.0) < 1e-3, reaction[1] / weight
+    # Still upright, its centre of mass over the centre of pressure.
+    com = model.plant.CalcCenterOfMassPositionInWorld(plant_context)
+    assert com[2] > 0.8
+    assert -reaction[2] / reaction[1] == pytest.approx(com[0], abs=0.02)
+
+
+def sliding_block(law, friction):
+    """A 20 kg block on two spheres, free in the sagittal plane."""
+    plant = MultibodyPlant(0.0)
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -GRAVITY])
+    inertia = SpatialInertia(
+        20.0, np.zeros(3), UnitInertia.SolidBox(0.3, 0.1, 0.05)
+    )
+    block = plant.AddRigidBody("block", inertia)
+    turn = RigidTransform(
+        RotationMatrix(
+            np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+        )
+    )
+    ground = plant.AddFrame(
+        FixedOffsetFrame("ground", plant.world_frame(), turn)
+    )
+    middle = plant.AddFrame(
+        FixedOffsetFrame("middle", block.body_frame(), turn)
+    )
+    plant.AddJoint(PlanarJoint("planar", ground, middle, np.zeros(3)))
+    plant.Finalize()
+    constants = {
+        "static_friction": friction,
+        "dynamic_friction": friction,
+        "viscous_friction": 0.0,
+        "transition_velocity": 0.01,
+    }
+    kind = PaperConstants if law == "paper" else SimbodyConstants
+    parameters = nominal_contact(
+        law, (-0.14, 0.0), (0.14, 0.0), RADIUS, kind(**constants)
+    )
+    builder = DiagramBuilder()
+    builder.AddSystem(plant)
+    contact = builder.AddSystem(FootGroundContact(block.index(), parameters))
+    for name in ("body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), contact.GetInputPort(name))
+    builder.Connect(
+        contact.GetOutputPort("spatial_forces"),
+        plant.get_applied_spatial_force_input_port(),
+    )
+    builder.ExportOutput(
+        contact.GetOutputPort("ground_reaction"), "ground_reaction"
+    )
+    return ExoskeletonDiagram(builder.Build(), plant, contact, None, None)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("friction", [0.4, 0.8])
+def test_slides_the_analytic_distance(law, friction):
+    model = sliding_block(law, friction)
+    simulator = build_simulator(model)
+    plant, context = model.plant, model.plant_context(simulator.get_context())
+    plant.SetPositions(context, [0.0, RADIUS, 0.0])
+    # Let it sink into the ground before it is pushed.
+    simulator.AdvanceTo(1.0)
+    settled = plant.GetPositions(context)
+    reaction = model.diagram.GetOutputPort("ground_reaction").Eval(
+        simulator.get_context()
+    )
+    assert reaction[1] == pytest.approx(20.0 * GRAVITY, rel=1e-3)
+    plant.SetVelocities(context, [1.0, 0.0, 0.0])
+    simulator.Initialize()
+    simulator.AdvanceTo(1.0 + 1.0 / (friction * GRAVITY) + 0.3)
+    distance = plant.GetPositions(context)[0] - settled[0]
+    analytic = 1.0 / (2.0 * friction * GRAVITY)
+    assert distance == pytest.approx(analytic, rel=0.02)
+    assert abs(plant.GetVelocities(context)[0]) < 0.005
+
+
+def floating_pair(damping):
+    """Human and device apart, far above the ground, without gravity."""
+    human = nominal_human()
+    device = fit_exoskeleton(human)
+    bushings = nominal_bushings(human, device)
+    if not damping:
+        bushings = {
+            name: type(b)(*b.origin, *b.stiffness, 0.0, 0.0, 0.0)
+            for name, b in bushings.items()
+        }
+    model = build_diagram("coupled", bushings=bushings, gravity=0.0)
+    simulator = build_simulator(model, integrator="runge_kutta3", accuracy=1e-4)
+    context = model.plant_context(simulator.get_context())
+    q = np.array([0.0, 5.0, 0.0, 0.1, 0.4, 0.5, 0.0, 0.3, 0.4])
+    model.plant.SetPositions(context, q)
+    return model, simulator, context
+
+
+def energies_while(model, simulator, duration):
+    """Kinetic plus stored energy after every step."""
+    energies = []
+    context = simulator.get_context()
+    stored = model.diagram.GetOutputPort("energies")
+    plant = model.plant
+
+    def monitor(root):
+        energies.append(
+            plant.EvalKineticEnergy(plant.GetMyContextFromRoot(root))
+            + np.sum(stored.Eval(root))
+        )
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(monitor)
+    simulator.AdvanceTo(context.get_time() + duration)
+    return np.array(energies)
+
+
+def test_bushings_bring_the_chains_together():
+    model, simulator, context = floating_pair(damping=True)
+    root = simulator.get_context()
+    apart = np.abs(model.diagram.GetOutputPort("deflections").Eval(root))
+    assert apart.reshape(3, 3)[:, :2].max() > 0.02
+    energies = energies_while(model, simulator, 2.0)
+    assert len(energies) > 100
+    assert np.max(np.diff(energies)) <= 1e-6 * energies[0]
+    # What is left is motion of both together, without a joint to damp it.
+    stored = np.sum(model.diagram.GetOutputPort("energies").Eval(root))
+    assert stored < 0.01 * energies[0]
+    q = model.plant.GetPositions(context)
+    np.testing.assert_allclose(q[6:], q[3:6], atol=0.03)
+
+
+def test_bushings_without_damping_keep_the_energy():
+    model, simulator, _ = floating_pair(damping=False)
+    energies = energies_while(model, simulator, 0.5)
+    assert len(energies) > 100
+    np.testing.assert_allclose(energies, energies[0], rtol=2e-4)
+
+
+class Push(LeafSystem):
+    """A further force, such as a chair: nothing but a recorded call."""
+
+    def __init__(self):
+        super().__init__()
+        declare_body_inputs(self, float)
+        declare_force_output(self, float, self._calc)
+        self.calls = 0
+
+    def _calc(self, context, output):
+        poses = self.GetInputPort("body_poses").Eval(context)
+        self.calls += len(poses) > 5
+        output.set_value([])
+
+
+def test_further_forces_and_torques_reach_the_plant():
+    push = Push()
+    model = build_diagram("coupled", forces=[push])
+    context = model.diagram.CreateDefaultContext()
+    model.plant.SetPositions(
+        model.plant_context(context), [0.0, 5.0, 0.0] + [0.0] * 6
+    )
+    free = model.diagram.EvalTimeDerivatives(context).CopyToVector()
+    assert push.calls == 1
+    # Nothing touches the ground: all falls as one.
+    np.testing.assert_allclose(free[9:], [0.0, -GRAVITY] + [0.0] * 7, atol=1e-6)
+    torques = np.arange(1.0, 7.0)
+    model.diagram.GetInputPort("joint_torques").FixValue(context, torques)
+    driven = model.diagram.EvalTimeDerivatives(context).CopyToVector()
+    mass = model.plant.CalcMassMatrix(model.plant_context(context))
+    np.testing.assert_allclose(
+        mass @ (driven - free)[9:], [0.0] * 3 + list(torques), atol=1e-9
+    )
+
+
+def test_ports_of_each_kind():
+    names = {"state", "ground_reaction", "sphere_wrenches"}
+    interaction = {"interaction_forces", "deflections", "energies"}
+    for kind, expected in (
+        ("human", names),
+        ("rigid", names),
+        ("coupled", names | interaction),
+    ):
+        diagram = build_diagram(kind).diagram
+        outputs = {
+            diagram.get_output_port(i).get_name()
+            for i in range(diagram.num_output_ports())
+        }
+        assert outputs == expected
+    free = build_diagram("coupled", bushings={})
+    assert free.bushings is None
+
+
+def test_a_cuff_that_is_off_preloads_the_bushing():
+    human = nominal_human()
+    x, z = human.thigh_cuff_m
+    device = fit_exoskeleton(human, {"thigh_cuff_m": (x + 0.004, z)})
+    model = build_diagram("coupled", human, device)
+    context = model.diagram.CreateDefaultContext()
+    deflections = model.diagram.GetOutputPort("deflections").Eval(context)
+    expected = np.zeros(9)
+    expected[3 * BUSHINGS.index("thigh") + 1] = 0.004
+    np.testing.assert_allclose(deflections, expected, atol=1e-15)
+
+
+def test_bad_requests_are_refused():
+    human = nominal_human()
+    bushings = nominal_bushings(human, fit_exoskeleton(human))
+    with pytest.raises(InputError, match="'rigid' takes no bushings"):
+        build_diagram("rigid", bushings=bushings)
+    with pytest.raises(InputError, match="known are shank, thigh, pelvis"):
+        build_diagram("coupled", bushings={"foot": bushings["shank"]})
+
+
+def test_meshcat_shows_the_simulation():
+    meshcat = Meshcat()
+    model = build_diagram("coupled", meshcat=meshcat)
+    simulator = Simulator(model.diagram)
+    model.plant.SetPositions(
+        model.plant_context(simulator.get_context()), [0.0, 5.0] + [0.0] * 7
+    )
+    simulator.AdvanceTo(0.001)
+    assert meshcat.HasPath("/drake/visualizer/human/pelvis")

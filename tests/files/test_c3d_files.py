@@ -1,0 +1,288 @@
+from dataclasses import replace
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.c3d import read_c3d
+from drake_exo.files.opensim import PlateRecording, read_trc
+from drake_exo.files.tables import MarkerData
+from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
+
+# x of the plate along -y of the laboratory, z down.
+CORNERS = np.array(
+    [[0.8, -0.1, 0.0], [0.8, 0.5, 0.0], [0.2, 0.5, 0.0], [0.2, -0.1, 0.0]]
+)
+
+
+@pytest.fixture
+def markers():
+    rng = np.random.default_rng(0)
+    p = rng.uniform(-1.0, 2.0, (30, 3, 3))
+    p[3, 1] = np.nan
+    return MarkerData(np.arange(30) / 100.0, ("heel", "R.ASIS", "C7"), p, 100.0)
+
+
+@pytest.fixture
+def plate():
+    """A body of 70 kg on the plate, walking along +x."""
+    rng = np.random.default_rng(1)
+    n = 300
+    F = np.column_stack(
+        [
+            np.linspace(-80.0, 80.0, n),
+            rng.normal(0.0, 20.0, n),
+            687.0 + rng.normal(0.0, 5.0, n),
+        ]
+    )
+    point = np.column_stack(
+        [np.linspace(0.3, 0.7, n), np.full(n, 0.15), np.zeros(n)]
+    )
+    torque = np.column_stack([np.zeros((n, 2)), rng.normal(0.0, 5.0, n)])
+    return PlateRecording(1, F, point, torque, True)
+
+
+def design(kind):
+    rng = np.random.default_rng(2)
+    calibration = np.diag([3.0, 3.0, 11.5, 2e3, 1.9e3, 9e2])
+    return PlateDesign(
+        CORNERS,
+        kind,
+        (0.2, 0.12, -0.05) if kind == 3 else (0.001, -0.002, -0.04),
+        calibration + rng.normal(size=(6, 6)) if kind == 4 else None,
+    )
+
+
+@pytest.mark.parametrize("kind", [1, 2, 3, 4])
+def test_plates_of_every_type(tmp_path, markers, plate, kind):
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers, [plate], [design(kind)], 10)
+    found = read_c3d(path)
+    (read,) = found.plates
+    np.testing.assert_allclose(read.force, plate.force, atol=1e-3)
+    np.testing.assert_allclose(
+        read.moment_about_origin(), plate.moment_about_origin(), atol=1e-3
+    )
+    np.testing.assert_allclose(found.plate_time, np.arange(300) / 1000.0)
+    np.testing.assert_allclose(found.corners[0], CORNERS, atol=1e-7)
+    # An independent decoder agrees where the wrench acts.
+    (other,) = ezc3d.c3d(str(path), extract_forceplat_data=True)["data"][
+        "platform"
+    ]
+    np.testing.assert_allclose(read.force, other["force"].T, atol=1e-6)
+    cop = 1e-3 * other["center_of_pressure"].T
+    np.testing.assert_allclose(cop, plate.point, atol=1e-6)
+
+
+def test_markers_come_back(tmp_path, markers):
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers)
+    found = read_c3d(path)
+    assert found.markers.names == markers.names
+    assert found.markers.rate_hz == 100.0
+    np.testing.assert_allclose(
+        found.markers.positions, markers.positions, atol=1e-6
+    )
+    np.testing.assert_allclose(found.markers.time, markers.time)
+    assert found.plates == [] and found.analog is None
+
+
+def test_writing_twice_gives_the_same_bytes(tmp_path, markers, plate):
+    for name in "ab":
+        path = tmp_path / f"{name}.c3d"
+        write_c3d(path, markers, [plate], [design(2)], 10)
+    first, second = (tmp_path / f"{n}.c3d" for n in "ab")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_full_disk_is_told(tmp_path, markers, monkeypatch):
+    """The library writes as much as there is room for, and is silent."""
+    whole = ezc3d.c3d.write
+
+    def cut(file, path):
+        whole(file, path)
+        data = Path(path).read_bytes()
+        Path(path).write_bytes(data[: len(data) // 2])
+
+    monkeypatch.setattr(ezc3d.c3d, "write", cut)
+    with pytest.raises(InputError, match="cannot be written; make room"):
+        write_c3d(tmp_path / "a.c3d", markers)
+
+
+def test_two_plates_keep_their_numbers(tmp_path, markers, plate):
+    light = replace(plate, force=0.1 * plate.force, torque=0 * plate.torque)
+    path = tmp_path / "a.c3d"
+    designs = [design(3), design(2)]
+    write_c3d(path, markers, [light, plate], designs, 10)
+    found = read_c3d(path)
+    assert [p.number for p in found.plates] == [1, 2]
+    assert found.plates[0].force[:, 2].mean() == pytest.approx(68.7, abs=0.1)
+    assert found.plates[1].force[:, 2].mean() == pytest.approx(687.0, abs=1.0)
+    assert found.analog.names[:2] == ("Fx12_1", "Fx34_1")
+    assert found.analog_units["Mx_2"] == "Nmm"
+
+
+def edited(tmp_path, markers, plate, kind, change):
+    """A file whose parameters were changed afterwards."""
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers, [plate], [design(kind)], 10)
+    file = ezc3d.c3d(str(path))
+    change(file["parameters"])
+    file["data"]["meta_points"] = {}
+    file.write(str(path))
+    return path
+
+
+def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
+    def flip(parameters):
+        parameters["FORCE_PLATFORM"]["ORIGIN"]["value"] *= -1.0
+
+    path = edited(tmp_path, markers, plate, 2, flip)
+    (read,) = read_c3d(path).plates
+    np.testing.assert_allclose(
+        read.moment_about_origin(), plate.moment_about_origin(), atol=1e-3
+    )
+
+
+def no_corners(parameters):
+    parameters["FORCE_PLATFORM"]["CORNERS"]["value"] *= 0.0
+
+
+def no_calibration(parameters):
+    del parameters["FORCE_PLATFORM"]["CAL_MATRIX"]
+
+
+def no_units(parameters):
+    parameters["POINT"]["UNITS"]["value"] = ["parsec"]
+
+
+def strange_force_unit(parameters):
+    parameters["ANALOG"]["UNITS"]["value"] = ["lbf"] * 6
+
+
+def strange_type(parameters):
+    parameters["FORCE_PLATFORM"]["TYPE"]["value"] = np.array([7.0])
+
+
+def lost_channel(parameters):
+    parameters["FORCE_PLATFORM"]["CHANNEL"]["value"] += 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "words"),
+    [
+        (2, no_corners, "force plate 1 has no corners"),
+        (4, no_calibration, "has no calibration matrix"),
+        (2, no_units, "unit of POINT:UNITS is 'parsec'"),
+        (2, strange_force_unit, "channels of force plate 1 is 'lbf'"),
+        (2, strange_type, "is of type 7"),
+        (2, lost_channel, "names analog channel 9, but there are 6"),
+    ],
+)
+def test_refuses_damaged_parameters(
+    tmp_path, markers, plate, kind, change, words
+):
+    path = edited(tmp_path, markers, plate, kind, change)
+    with pytest.raises(InputError) as caught:
+        read_c3d(path)
+    message = str(caught.value)
+    assert "a.c3d" in message and words in message and "\n" not in message
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.9, 0.95])
+def test_refuses_truncated_files(tmp_path, markers, plate, share):
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers, [plate], [design(2)], 10)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"a\.c3d"):
+        read_c3d(path)
+
+
+def test_refuses_what_is_no_c3d(tmp_path):
+    path = tmp_path / "a.c3d"
+    path.write_text("not at all " * 200)
+    with pytest.raises(InputError, match="not a C3D file"):
+        read_c3d(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_c3d(tmp_path / "none.c3d")
+
+
+@pytest.fixture(scope="module")
+def walking(data_root):
+    return read_c3d(data_root / "c3d" / "opensim_walking5.c3d")
+
+
+def test_walking_markers_equal_opensims_export(walking, data_root):
+    trc = read_trc(data_root / "c3d" / "opensim_std_walking5_markers.trc")
+    assert trc.names == walking.markers.names
+    # The export holds every tenth frame, printed with five digits.
+    frames = np.round(trc.time * 250.0).astype(int)
+    ours = 1e3 * walking.markers.positions[frames]
+    theirs = 1e3 * trc.positions
+    seen = np.isfinite(theirs)
+    assert (np.isfinite(ours) == seen).all() and seen.sum() > 5000
+    digits = np.where(np.abs(theirs[seen]) < 1000.0, 100.0, 10.0)
+    printed = np.round(ours[seen] * digits) / digits
+    assert np.abs(printed - theirs[seen]).max() < 0.01 + 1e-6
+
+
+def test_walking_forces_carry_the_body(walking):
+    """Fails if a plate is flipped, turned or shifted."""
+    names = walking.markers.names
+    p = walking.markers.positions
+    stance = []
+    for number, side in ((1, "L"), (2, "R")):
+        plate = walking.plates[number - 1]
+        F = plate.force.reshape(-1, 8, 3).mean(axis=1)
+        M = plate.moment_about_origin().reshape(-1, 8, 3).mean(axis=1)
+        loaded = F[:, 2] > 300.0
+        stance.append(loaded)
+        assert 700.0 < F[:, 2].max() < 1000.0
+        # The centre of pressure lies under the foot that stands there.
+        heel = p[loaded, names.index(f"{side}CAL")][:, :2]
+        toe = p[loaded, names.index(f"{side}MT2")][:, :2]
+        x = -M[loaded, 1] / F[loaded, 2]
+        y = M[loaded, 0] / F[loaded, 2]
+        along = toe - heel
+        length = np.linalg.norm(along, axis=1)
+        d = np.column_stack([x, y]) - heel
+        share = np.sum(d * along, axis=1) / length**2
+        aside = (d[:, 0] * along[:, 1] - d[:, 1] * along[:, 0]) / length
+        assert share.min() > -0.2 and share.max() < 1.5
+        assert np.abs(aside).max() < 0.07
+        # It first brakes, then drives: along the foot's direction.
+        forward = np.sign(along[:, 0].mean())
+        push = forward * F[loaded, 0]
+        half = len(push) // 2
+        assert push[:half].mean() < -20.0 < 20.0 < push[half:].mean()
+    assert stance[0].any() and stance[1].any()
+
+
+def test_type_4_plates(data_root):
+    """Four calibrated plates; their signals are drift of some newtons."""
+    path = data_root / "c3d" / "nimble_UpsideDown_trial2_type4.c3d"
+    found = read_c3d(path)
+    assert len(found.plates) == 4 and found.markers.rate_hz == 240.0
+    file = ezc3d.c3d(str(path), extract_forceplat_data=True)
+    for plate, other in zip(
+        found.plates, file["data"]["platform"], strict=True
+    ):
+        np.testing.assert_allclose(plate.force, other["force"].T, atol=1e-9)
+        np.testing.assert_allclose(
+            plate.torque, 1e-3 * other["moment"].T, atol=1e-9
+        )
+    # By hand: the third plate's first sample, third row of its matrix; its
+    # z points down.
+    raw = found.analog.values[0, 12:18]
+    row = [0.049, 0.053, 11.512, -0.005, -0.025, 0.014]
+    assert found.plates[2].force[0, 2] == pytest.approx(-np.dot(row, raw))
+
+
+def test_markers_alone(data_root):
+    found = read_c3d(data_root / "c3d" / "ktk_walkingOptiTrack.c3d")
+    assert found.plates == [] and found.analog is None
+    assert found.markers.positions.shape == (3361, 12, 3)
+    assert np.nanmax(np.abs(found.markers.positions)) < 10.0  # was in mm

@@ -1,0 +1,330 @@
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import (
+    plates_of,
+    read_coordinates,
+    read_plates,
+    read_table,
+    read_trc,
+    write_table,
+    write_trc,
+)
+from drake_exo.files.tables import MarkerData, Table, uniform_time
+
+TIME = np.arange(25) / 50.0
+
+
+def mot(names, values, time=TIME, in_degrees="no", extra=()):
+    lines = ["title", "version=1", f"nRows={len(time)}"]
+    lines += [f"nColumns={len(names) + 1}"]
+    lines += [f"inDegrees={in_degrees}"] if in_degrees else []
+    lines += [*extra, "endheader", "\t".join(("time", *names))]
+    for t, row in zip(time, values, strict=True):
+        lines.append("\t".join(f"{x:.9g}" for x in (t, *row)))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def knee():
+    """Degrees of a deep bend."""
+    return 45.0 * (1.0 - np.cos(2.0 * np.pi * TIME))[:, None]
+
+
+def write(tmp_path, text, name="a.mot"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def refusal(reader, path):
+    with pytest.raises(InputError) as caught:
+        reader(path)
+    message = str(caught.value)
+    assert path.name in message
+    assert "\n" not in message
+    return message
+
+
+def test_reads_degrees_as_radians(tmp_path, knee):
+    path = write(tmp_path, mot(["knee"], knee, in_degrees="yes"))
+    found = read_coordinates(path)
+    np.testing.assert_allclose(found.column("knee"), np.deg2rad(knee[:, 0]))
+    assert found.in_degrees is False
+
+
+def test_lengths_are_not_angles(tmp_path, knee):
+    values = np.hstack([knee, knee])
+    names = ["knee", "pelvis_tx"]
+    path = write(tmp_path, mot(names, values, in_degrees="yes"))
+    found = read_coordinates(path)
+    np.testing.assert_allclose(found.column("pelvis_tx"), knee[:, 0])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: s.replace("\n", "\r\n"),
+        lambda s: s.replace("\n", "\t\t\n"),
+        lambda s: s.replace("\t", "   "),
+        lambda s: s.replace("nRows=25", "nRows = 25\t"),
+        lambda s: "\ufeff" + s,
+        lambda s: s + "\n\n",
+    ],
+    ids=["crlf", "trailing tabs", "spaces", "header", "bom", "blank lines"],
+)
+def test_reads_real_files_quirks(tmp_path, knee, change):
+    path = write(tmp_path, change(mot(["knee"], knee)))
+    found = read_table(path)
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.values, knee, rtol=1e-8)
+
+
+def test_table_survives_writing(tmp_path, knee):
+    table = Table(TIME, ("knee",), knee, True)
+    path = tmp_path / "b.sto"
+    write_table(path, table)
+    found = read_table(path)
+    assert found.names == table.names and found.in_degrees is True
+    np.testing.assert_allclose(found.values, knee, rtol=1e-9, atol=1e-12)
+
+
+def test_missing_column_names_the_nearest(tmp_path, knee):
+    table = read_table(write(tmp_path, mot(["knee_angle_r"], knee)))
+    with pytest.raises(InputError, match="did you mean 'knee_angle_r'"):
+        table.column("knee_angel_r")
+
+
+def test_gap_is_told_when_the_column_is_used(tmp_path, knee):
+    knee[7:9] = np.nan
+    table = read_table(write(tmp_path, mot(["knee"], knee)))
+    with pytest.raises(InputError, match=r"2 of 25 frames, first at 0\.14 s"):
+        table.column("knee")
+
+
+def test_header_in_degrees_over_radians(tmp_path, knee):
+    text = mot(["knee"], np.deg2rad(knee), in_degrees="yes")
+    message = refusal(read_coordinates, write(tmp_path, text))
+    assert "can only be radians" in message and "inDegrees=no" in message
+
+
+def test_header_in_radians_over_degrees(tmp_path, knee):
+    text = mot(["knee"], knee, in_degrees="no")
+    message = refusal(read_coordinates, write(tmp_path, text))
+    assert "can only be degrees" in message and "inDegrees=yes" in message
+
+
+def test_standing_still_in_degrees_is_believed(tmp_path):
+    sway = 2.0 + 0.3 * np.sin(2.0 * np.pi * TIME)[:, None]
+    text = mot(["knee"], sway, in_degrees="yes")
+    found = read_coordinates(write(tmp_path, text))
+    assert found.column("knee").max() < np.deg2rad(2.4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.replace("inDegrees=no\n", ""), "does not say whether"),
+        (lambda s: s.replace("inDegrees=no", "inDegrees=np"), "yes or no"),
+        (lambda s: s.replace("endheader", "end"), "no line 'endheader'"),
+        (lambda s: s.replace("time\t", "t\t"), "first column must be 'time'"),
+        (lambda s: s[: s.index("endheader") + 10], "ends after its header"),
+        (lambda s: s[:-40], "truncated"),
+        (lambda s: s[: s.rindex("\t")], "truncated"),
+        (lambda s: s.replace("\n0.2\t", "\n0.1\t"), "does not increase"),
+        (lambda s: s.replace("\n0.2\t", "\n0.18\t"), "from 0.18 to 0.18 s"),
+        (lambda s: s.replace("\n0.2\t", "\nx0.2\t"), "among numbers ('x0.2')"),
+        (lambda s: s.replace("\tknee", "\tknee\tknee"), "two columns"),
+        (lambda s: b"\x00\x01" + s.encode(), "binary file"),
+        (lambda s: "", "no line 'endheader'"),
+    ],
+)
+def test_refuses_tables(tmp_path, knee, change, words):
+    path = write(tmp_path, change(mot(["knee"], np.deg2rad(knee))))
+    assert words in refusal(read_coordinates, path)
+
+
+def test_refuses_a_path_that_is_not_there(tmp_path):
+    for reader in (read_table, read_trc):
+        assert "cannot be read" in refusal(reader, tmp_path / "none.mot")
+    assert "cannot be read" in refusal(read_table, tmp_path)
+
+
+PLATE_NAMES = {
+    "numbered": [
+        f"ground_force_{n}_{k}{a}" for n in (1, 2) for k in "vpm" for a in "xyz"
+    ],
+    "opensim": [
+        f"{n}ground_{w}{a}"
+        for n in ("", "1_")
+        for w in ("force_v", "force_p", "torque_")
+        for a in "xyz"
+    ],
+    "torque": [
+        f"ground_{w}{a}"
+        for n in (1, 2)
+        for w in (f"force_{n}_v", f"force_{n}_p", f"torque_{n}_")
+        for a in "xyz"
+    ],
+    "bodies": [
+        f"ground_force_calcn_{n}_{k}{a}"
+        for n in "rl"
+        for k in "vpm"
+        for a in "xyz"
+    ],
+}
+
+
+@pytest.mark.parametrize("names", PLATE_NAMES.values(), ids=PLATE_NAMES.keys())
+def test_reads_plates_under_their_usual_names(tmp_path, names):
+    row = np.arange(18.0)
+    rng = np.random.default_rng(0)
+    order = rng.permutation(9)
+    order = np.concatenate([order, 9 + order])
+    values = np.tile(row[order], (25, 1))
+    path = write(tmp_path, mot([names[i] for i in order], values))
+    time, plates = read_plates(path)
+    assert [p.number for p in plates] == [1, 2]
+    for i, plate in enumerate(plates):
+        assert plate.has_torque
+        np.testing.assert_array_equal(plate.force[3], row[9 * i :][:3])
+        np.testing.assert_array_equal(plate.point[3], row[9 * i + 3 :][:3])
+        np.testing.assert_array_equal(plate.torque[3], row[9 * i + 6 :][:3])
+        M = plate.moment_about_origin()[0]
+        np.testing.assert_allclose(
+            M,
+            np.cross(row[9 * i + 3 :][:3], row[9 * i :][:3])
+            + row[9 * i + 6 :][:3],
+        )
+    np.testing.assert_allclose(time, TIME)
+
+
+def table(names, values=None):
+    values = np.ones((25, len(names))) if values is None else values
+    return Table(TIME, tuple(names), values, False, "f.mot")
+
+
+def test_plate_numbers_follow_the_columns():
+    names = [
+        f"ground_force_{n}_{k}{a}" for n in (3, 7) for k in "vp" for a in "xyz"
+    ]
+    plates = plates_of(table(names))
+    assert [p.number for p in plates] == [3, 7]
+    assert not plates[0].has_torque
+
+
+def test_missing_plate_component_is_named():
+    names = [n for n in PLATE_NAMES["numbered"] if n != "ground_force_2_py"]
+    with pytest.raises(InputError, match="plate 2 has no y component of its"):
+        plates_of(table(names))
+
+
+def test_table_without_plates_is_refused():
+    with pytest.raises(InputError, match="has no force plate"):
+        plates_of(table(["knee"]))
+
+
+def test_gaps_in_plates():
+    names = PLATE_NAMES["numbered"]
+    values = np.ones((25, 18))
+    values[4, 4] = np.nan  # a point where the plate is loaded
+    with pytest.raises(InputError, match=r"ground_force_1_px.*0\.08 s"):
+        plates_of(table(names, values))
+    values[4, :3] = 0.0  # unloaded: no point is no gap
+    assert np.isfinite(plates_of(table(names, values))[0].point).all()
+
+
+@pytest.fixture
+def markers():
+    rng = np.random.default_rng(1)
+    p = rng.uniform(-1, 2, (25, 3, 3))
+    return MarkerData(TIME, ("heel", "R.ASIS", "C7"), p, 50.0)
+
+
+def test_markers_survive_writing(tmp_path, markers):
+    markers.positions[3, 1] = markers.positions[24, 2] = np.nan
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    found = read_trc(path)
+    assert found.names == markers.names and found.rate_hz == 50.0
+    np.testing.assert_allclose(found.positions, markers.positions, atol=1e-8)
+    with pytest.raises(InputError, match=r"'R\.ASIS' has no value in 1 of 25"):
+        found.of(["heel", "R.ASIS"])
+    with pytest.raises(InputError, match="did you mean 'heel'"):
+        found.of(["heal"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.replace("\tm\t", "\tinch\t"), "write m, cm or mm"),
+        (lambda s: s.replace("PathFile", "Path"), "not a .trc file"),
+        (lambda s: s.replace("50\t50", "x\t50"), "DataRate"),
+        (lambda s: s[:-200], "truncated"),
+        (lambda s: s[: s.rindex("\n25\t")], "NumFrames=25"),
+        (lambda s: s.replace("C7", "heel"), "two columns"),
+        (lambda s: s.replace("C7", ""), "NumMarkers=3"),
+        (lambda s: s.replace("\n9\t0.16", "\n9\t0.14"), "does not increase"),
+        (lambda s: s.replace("\n9\t0.16", "\n9\t"), "frame 9 is missing"),
+    ],
+)
+def test_refuses_markers(tmp_path, markers, change, words):
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    path.write_text(change(path.read_text()))
+    assert words in refusal(read_trc, path)
+
+
+def test_marker_units_come_from_the_header(tmp_path, markers):
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    path.write_text(path.read_text().replace("\tm\t", "\tmm\t"))
+    np.testing.assert_allclose(
+        read_trc(path).positions, 1e-3 * markers.positions, atol=1e-9
+    )
+
+
+def test_even_times_behind_rounded_stamps():
+    exact = np.arange(151) / 60.0
+    np.testing.assert_allclose(
+        uniform_time("f", np.round(exact, 3), 60.0), exact, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        uniform_time("f", np.round(exact, 4)), exact, atol=1e-4
+    )
+
+
+def test_uneven_times_are_refused():
+    time = np.delete(np.arange(50) / 50.0, 20)
+    with pytest.raises(InputError, match="not evenly spaced"):
+        uniform_time("f.trc", time)
+    with pytest.raises(InputError, match=r"100 frames a second.*50"):
+        uniform_time("f.trc", TIME, 100.0)
+    with pytest.raises(InputError, match=r"47 frames a second.*50"):
+        uniform_time("f.trc", TIME, 47.0)
+
+
+def test_real_files(data_root):
+    found = read_trc(data_root / "opencap_subject4/MarkerData/STS1.trc")
+    assert found.positions.shape == (1399, 51, 3) and found.rate_hz == 100.0
+    walk = read_trc(data_root / "opensim_gait10dof/subject01_walk.trc")
+    assert walk.positions.shape == (151, 41, 3)
+    assert 1.7 < walk.of(["Top.Head"])[..., 1].mean() < 1.8  # was in mm
+    ik = read_coordinates(data_root / "opencap_subject4/IK/STS1_ik.mot")
+    degrees = np.rad2deg(ik.column("knee_angle_r"))
+    assert 90.0 < degrees.max() < 105.0
+    _, plates = read_plates(data_root / "opencap_subject4/ID/STS1_grf.mot")
+    assert [p.number for p in plates] == [1, 2, 3]
+    assert not plates[2].force.any()
+    _, plates = read_plates(
+        data_root / "opensim_gait10dof/subject01_walk_grf.mot"
+    )
+    assert [p.number for p in plates] == [1, 2]
+
+
+def test_walking5_time_column_contradicts_its_header(data_root):
+    path = data_root / "c3d/opensim_std_walking5_markers.trc"
+    found = read_trc(path)
+    with pytest.raises(InputError, match="250 frames a second"):
+        uniform_time(path.name, found.time, found.rate_hz)

@@ -1,0 +1,132 @@
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.output import Progress, prepare_output_folder, write_json
+
+
+def test_fresh_folder_is_written_in_place(tmp_path):
+    target = tmp_path / "a" / "b"
+    with prepare_output_folder(target) as folder:
+        assert folder == target
+        (folder / "x.txt").write_text("1")
+        assert (target / "x.txt").exists()
+
+
+def test_occupied_folder_is_refused(tmp_path):
+    (tmp_path / "old.txt").write_text("old")
+    with pytest.raises(InputError, match=r"already holds results.*--force"):
+        prepare_output_folder(tmp_path)
+    assert (tmp_path / "old.txt").read_text() == "old"
+
+
+def test_file_in_place_of_folder_is_refused(tmp_path):
+    (tmp_path / "f").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        prepare_output_folder(tmp_path / "f", force=True)
+
+
+def test_force_replaces_old_results_only_at_the_end(tmp_path):
+    target = tmp_path / "out"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+        (folder / "two.txt").write_text("old")
+    (target / "mine.txt").write_text("not a result")
+    with prepare_output_folder(target, force=True) as folder:
+        (folder / "sub").mkdir()
+        (folder / "sub" / "three.txt").write_text("new")
+        (folder / "one.txt").write_text("new")
+        assert (target / "one.txt").read_text() == "old"
+    assert (target / "one.txt").read_text() == "new"
+    assert (target / "sub" / "three.txt").read_text() == "new"
+    assert not (target / "two.txt").exists()
+    assert (target / "mine.txt").read_text() == "not a result"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_failing_run_keeps_old_results(tmp_path):
+    target = tmp_path / "out"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+    with (
+        pytest.raises(KeyboardInterrupt),
+        prepare_output_folder(target, force=True) as folder,
+    ):
+        (folder / "one.txt").write_text("best so far")
+        raise KeyboardInterrupt
+    assert (target / "one.txt").read_text() == "old"
+    assert (tmp_path / "out.partial/one.txt").read_text() == "best so far"
+
+
+def test_interrupted_first_run_leaves_its_best(tmp_path):
+    target = tmp_path / "out"
+    with (
+        pytest.raises(KeyboardInterrupt),
+        prepare_output_folder(target) as folder,
+    ):
+        (folder / "one.txt").write_text("best so far")
+        raise KeyboardInterrupt
+    assert (target / "one.txt").read_text() == "best so far"
+    with prepare_output_folder(target, force=True) as folder:
+        (folder / "two.txt").write_text("new")
+    assert not (target / "one.txt").exists()
+
+
+def test_json_is_plain_and_stable(tmp_path):
+    @dataclass(frozen=True)
+    class Item:
+        path: Path
+        value: float
+
+    obj = {
+        "b": np.arange(3),
+        "a": [np.float64(0.1), np.nan, np.inf, (1, True, None)],
+        "c": Item(Path("x/y"), 2.0),
+        "d": {"z", "y"},
+        3: np.bool_(True),
+    }
+    path = tmp_path / "s.json"
+    write_json(path, obj)
+    first = path.read_bytes()
+    write_json(path, dict(reversed(obj.items())))
+    assert path.read_bytes() == first
+    assert json.loads(first) == {
+        "3": True,
+        "a": [0.1, None, None, [1, True, None]],
+        "b": [0, 1, 2],
+        "c": {"path": "x/y", "value": 2.0},
+        "d": ["y", "z"],
+    }
+    assert [p.name for p in tmp_path.iterdir()] == ["s.json"]
+
+
+def test_progress_prints_at_most_one_line_per_interval():
+    now = [0.0]
+    stream = io.StringIO()
+    progress = Progress("IK", 100, stream=stream, clock=lambda: now[0])
+    printed = 0
+    for i in range(100):
+        now[0] += 0.02
+        printed += progress.update("rms 1 mm", done=i + 1)
+    assert printed == 4
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "IK: 25/100, rms 1 mm (0.5 s)"
+    progress.close("done")
+    assert stream.getvalue().splitlines()[-1] == "IK: done (2.0 s)"
+
+
+def test_progress_is_silent_for_short_jobs(capsys):
+    with Progress("quick") as progress:
+        assert not progress.update("x")
+    assert capsys.readouterr().out == ""
+
+
+def test_progress_goes_to_stdout(capsys):
+    progress = Progress("slow", interval_seconds=0.0)
+    progress.update("iteration 3", done=3)
+    assert capsys.readouterr().out.startswith("slow: 3, iteration 3 (")

@@ -1,0 +1,147 @@
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.pressure import read_novel_asc, read_pressure_csv
+
+HEAD = """\
+file name:  mat.sol\tdate/time  01.01.26 10.00
+sensor type:  s2140
+total time [secs]:  {total}\ttime per frame [secs]:  0.02000\t\
+scanning rate [Hz]:   50
+pressure values in  {unit}
+
+mask definition:
+left mat: {left}
+right mat: 1,2,3,
+
+time[secs]\t  1\t  2\t  1\t  2\t  3\t
+"""
+
+
+def asc(unit="kPa", left="1,2,", frames=25, total=0.5):
+    lines = [HEAD.format(unit=unit, left=left, total=total)]
+    for i in range(frames):
+        cells = "\t".join(f"{2.5 * (i + k):8.3f}" for k in range(5))
+        lines.append(f"{0.02 * (i + 1):10.5f}\t{cells}\t\n")
+    return "".join(lines)
+
+
+def write(tmp_path, text, name="a.asc"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_force_is_pressure_times_area(tmp_path):
+    found = read_novel_asc(write(tmp_path, asc()))
+    assert list(found.groups) == ["left mat", "right mat"]
+    assert found.rate_hz == 50.0
+    np.testing.assert_allclose(found.time, 0.02 * np.arange(1, 26))
+    # Frame 4: cells of 10, 12.5 | 15, 17.5, 20 kPa, each of 2 cm^2.
+    force = found.normal_force("left mat", 2e-4)
+    assert force[4] == pytest.approx(22.5e3 * 2e-4)
+    force = found.normal_force("right mat", [1e-4, 0.0, 2e-4])
+    assert force[4] == pytest.approx(15e3 * 1e-4 + 20e3 * 2e-4)
+
+
+def test_units_come_from_the_header(tmp_path):
+    kilo = read_novel_asc(write(tmp_path, asc()))
+    per_area = read_novel_asc(write(tmp_path, asc(unit="N/cm2"), "b.asc"))
+    np.testing.assert_allclose(per_area.pressure, 10.0 * kilo.pressure)
+
+
+def test_without_masks_all_cells_are_one_mat(tmp_path):
+    text = "\n".join(
+        s for s in asc().splitlines() if not s.startswith(("left", "right"))
+    )
+    found = read_novel_asc(write(tmp_path, text.replace("\n", "\r\n")))
+    assert found.groups["mat"].size == 5
+
+
+def refusal(reader, path, *args):
+    with pytest.raises(InputError) as caught:
+        reader(path, *args)
+    message = str(caught.value)
+    assert path.name in message and "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (asc(unit="mmHg"), "no unit of pressure"),
+        (asc(left="1,2,3,"), "names 6 cells, but the table has 5"),
+        (asc(total=5.0), "announces 5 s at 50 Hz, but holds 25 frames"),
+        (asc()[:-30], "truncated"),
+        (asc().replace("time[secs]", "t"), "starting with time[secs]"),
+        (asc().replace("   2.500\t", "     abc\t", 1), "text among numbers"),
+        (asc().replace("   0.10000\t", "   0.08000\t"), "does not increase"),
+        (asc().replace("   2.500\t", "  -2.500\t", 1), "below zero"),
+        (asc().replace("   2.500\t", "     nan\t", 1), "no value in 1 of 25"),
+        (asc().replace("rate [Hz]:   50", "rate [Hz]:"), "scanning rate"),
+        (b"\x00\x01\x02" * 100, "binary"),
+    ],
+)
+def test_refuses(tmp_path, text, words):
+    assert words in refusal(read_novel_asc, write(tmp_path, text))
+
+
+def test_wrong_number_of_cells_is_refused(tmp_path):
+    found = read_novel_asc(write(tmp_path, asc()))
+    with pytest.raises(InputError, match="has 3 cells, not 2 x 2"):
+        found.matrix("right mat", 2, 2)
+    with pytest.raises(InputError, match=r"3 cells, but 2 areas"):
+        found.normal_force("right mat", [1e-4, 1e-4])
+    with pytest.raises(InputError, match="has no mat 'seat'; there are left"):
+        found.normal_force("seat", 1e-4)
+    assert found.matrix("right mat", 3, 1).shape == (25, 3, 1)
+
+
+def csv(cells=6, unit="kPa"):
+    lines = [f"time [s]; {unit}," + ",".join(f"c{i}" for i in range(cells))]
+    for i in range(4):
+        row = [0.02 * i, *(2.5 * (i + k) for k in range(cells))]
+        lines.append(",".join(f"{x:g}" for x in row))
+    return "\n".join(lines) + "\n"
+
+
+MATS = {"thigh": (1, 2), "shank": (2, 2)}
+
+
+def test_csv_of_several_mats(tmp_path):
+    found = read_pressure_csv(write(tmp_path, csv(), "p.csv"), MATS)
+    assert found.rate_hz == pytest.approx(50.0)
+    shank = found.matrix("shank", 2, 2)
+    np.testing.assert_allclose(shank[1], [[7.5e3, 10e3], [12.5e3, 15e3]])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (csv(cells=7), "has 7 cells, but the mats (thigh 1 x 2, shank 2 x 2)"),
+        (csv(unit="psi"), "no unit of pressure"),
+        (csv()[:-6], "truncated"),
+        (csv()[:54], "fewer than two frames"),
+    ],
+)
+def test_refuses_csv(tmp_path, text, words):
+    path = write(tmp_path, text, "p.csv")
+    assert words in refusal(read_pressure_csv, path, MATS)
+
+
+def test_real_insoles(data_root):
+    path = data_root / "novel_asc" / "pressure_example.asc"
+    found = read_novel_asc(path)
+    assert found.pressure.shape == (1114, 198)
+    assert found.rate_hz == 50.0 and found.time[-1] == pytest.approx(22.28)
+    kilopascals = found.pressure / 1e3
+    np.testing.assert_allclose(kilopascals % 2.5, 0.0)  # quantised
+    # With insole cells of about 1.5 cm^2 the feet alternate under a load of
+    # the order of body weight.
+    left, right = (
+        found.normal_force(f"{side} insole", 1.5e-4)
+        for side in ("left", "right")
+    )
+    assert 400.0 < left.max() < 1200.0 and 400.0 < right.max() < 1200.0
+    assert np.corrcoef(left, right)[0, 1] < -0.3

@@ -1,0 +1,215 @@
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+
+
+@dataclass(frozen=True)
+class Segment:
+    length_m: float = field(
+        default=0.4, metadata={"unit": "m", "above": 0.0, "maximum": 1.0}
+    )
+    com_m: tuple[float, float] = (0.0, 0.2)
+
+
+@dataclass(frozen=True)
+class Subject:
+    name: str
+    mass_kg: float = field(metadata={"unit": "kg", "above": 0.0})
+    segments: dict[str, Segment] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Study:
+    subject: Subject
+    model: Literal["coupled", "human"] = "coupled"
+    trials: list[str] = field(default_factory=list)
+    plates: dict[Literal["left", "right"], int] = field(default_factory=dict)
+    start_s: float | None = None
+    order: int = field(default=4, metadata={"minimum": 2})
+    report: bool = True
+    folder: Path = Path(".")
+    weights: tuple[float, ...] = field(default=(), metadata={"minimum": 0.0})
+    filter: Segment | float = 6.0
+    extra: Any = None
+
+
+GOOD = """\
+subject:
+  name: S4
+  mass_kg: 60
+  segments:
+    shank: {length_m: 0.41, com_m: [0, 0.2]}
+model: human
+trials: [a, b]
+plates: {left: 2, right: 1}
+start_s: 1e-1
+order: 2
+report: no
+folder: here/there
+weights: [1, 0, 2.5]
+filter: {length_m: 0.3}
+extra: {a: [1, 2]}
+"""
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        schema.load_text(text, Study, "study.yaml")
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def changed(old: str, new: str) -> str:
+    assert old in GOOD
+    return refusal(GOOD.replace(old, new))
+
+
+def test_reads_every_kind_of_value():
+    study = schema.load_text(GOOD, Study)
+    assert study.subject == Subject(
+        "S4", 60.0, {"shank": Segment(0.41, (0.0, 0.2))}
+    )
+    assert isinstance(study.subject.mass_kg, float)
+    assert study.model == "human"
+    assert study.trials == ["a", "b"]
+    assert study.plates == {"left": 2, "right": 1}
+    assert study.start_s == 0.1
+    assert study.order == 2
+    assert study.report is False
+    assert study.folder == Path("here/there")
+    assert study.weights == (1.0, 0.0, 2.5)
+    assert study.filter == Segment(0.3)
+    assert study.extra == {"a": [1, 2]}
+
+
+def test_defaults_and_null():
+    text = "subject: {name: x, mass_kg: 1}\nstart_s: null\n"
+    study = schema.load_text(text, Study)
+    assert study.start_s is None
+    assert study == Study(Subject("x", 1.0))
+
+
+def test_dump_reads_back():
+    study = schema.load_text(GOOD, Study)
+    assert schema.load_text(schema.dump_text(study), Study) == study
+
+
+def test_result_is_frozen():
+    study = schema.load_text(GOOD, Study)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        study.subject.mass_kg = 2.0
+
+
+def test_misspelt_key_names_file_line_and_nearest():
+    assert changed("mass_kg", "mas_kg") == (
+        "study.yaml:3: unknown key 'mas_kg' in subject; did you mean 'mass_kg'?"
+    )
+
+
+def test_alien_key_lists_known_ones():
+    message = changed("model:", "zzz:")
+    assert message.startswith("study.yaml:6: unknown key 'zzz'; known keys")
+    assert "subject" in message
+
+
+def test_duplicate_key_names_both_lines():
+    message = changed("model: human", "model: human\nmodel: coupled")
+    assert message.startswith("study.yaml:7: duplicate key 'model'")
+    assert "line 6" in message
+
+
+def test_duplicate_key_in_a_dict():
+    message = changed("left: 2,", "left: 2, left: 1,")
+    assert message.startswith("study.yaml:8: duplicate key 'left' in plates")
+
+
+def test_missing_key_tells_unit():
+    message = changed("  mass_kg: 60\n", "")
+    assert message.startswith("study.yaml:2: missing key 'mass_kg' in subject")
+    assert "kg" in message
+
+
+def test_empty_text_misses_its_first_key():
+    assert refusal("") == (
+        "study.yaml:1: missing key 'subject'; add 'subject: ...'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mass_kg: 60", "mass_kg: heavy", "3: subject.mass_kg must be a num"),
+        ("mass_kg: 60", "mass_kg: '60'", "subject.mass_kg must be a number"),
+        ("mass_kg: 60", "mass_kg: true", "must be a number"),
+        ("mass_kg: 60", "mass_kg:", "but is empty"),
+        ("mass_kg: 60", "mass_kg: .nan", "finite"),
+        ("mass_kg: 60", "mass_kg: nan", "finite"),
+        ("mass_kg: 60", "mass_kg: -.inf", "finite"),
+        ("mass_kg: 60", "mass_kg: 1e999", "too large"),
+        ("mass_kg: 60", "mass_kg: 0", "subject.mass_kg is 0, but must be abo"),
+        ("mass_kg: 60", "mass_kg: -3", "above 0 kg"),
+        ("length_m: 0.41", "length_m: 1.5", "at most 1 m"),
+        ("com_m: [0, 0.2]", "com_m: [0]", "must hold 2 values, not 1"),
+        ("com_m: [0, 0.2]", "com_m: 3", "must be a list"),
+        ("model: human", "model: humen", "did you mean 'human'?"),
+        ("trials: [a, b]", "trials: a", "trials must be a list"),
+        ("right: 1", "righ: 1", "did you mean 'right'?"),
+        ("order: 2", "order: 2.5", "whole number"),
+        ("order: 2", "order: 1", "at least 2"),
+        ("report: no", "report: maybe", "true or false"),
+        ("[1, 0, 2.5]", "[1, -1]", "weights[1] is -1"),
+        ("filter: {length_m: 0.3}", "filter: {lenth_m: 1}", "'length_m'?"),
+        ("filter: {length_m: 0.3}", "filter: six", "must be a number"),
+        ("subject:\n", "subject: 3\nother:\n", "unknown key 'other'"),
+        ("model: human", "model: [human", "not valid YAML"),
+    ],
+)
+def test_refuses(old, new, words):
+    message = changed(old, new)
+    assert words in message
+    assert message.startswith("study.yaml:")
+
+
+def test_post_init_complaints_carry_file_and_line():
+    @dataclass(frozen=True)
+    class Window:
+        start_s: float
+        end_s: float
+
+        def __post_init__(self):
+            if self.end_s <= self.start_s:
+                raise ValueError("end_s must be after start_s")
+
+    @dataclass(frozen=True)
+    class Outer:
+        window: Window
+
+    text = "\nwindow:\n  start_s: 2\n  end_s: 1\n"
+    with pytest.raises(InputError, match=r"f:3: window: end_s must be after"):
+        schema.load_text(text, Outer, "f")
+
+
+def test_unreadable_files(tmp_path):
+    with pytest.raises(InputError, match=r"none\.yaml: cannot be read"):
+        schema.load(tmp_path / "none.yaml", Study)
+    binary = tmp_path / "b.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(InputError, match=r"b\.yaml: is not a text file"):
+        schema.load(binary, Study)
+    control = tmp_path / "c.yaml"
+    control.write_bytes(b"a: \x00\x01")
+    with pytest.raises(InputError, match=r"c\.yaml: is not valid YAML"):
+        schema.load(control, Study)
+
+
+def test_loads_file(tmp_path):
+    path = tmp_path / "study.yaml"
+    path.write_text(GOOD)
+    assert schema.load(path, Study).subject.name == "S4"

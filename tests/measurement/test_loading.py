@@ -1,0 +1,472 @@
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_recording import (
+    RATE,
+    SEAT_OFF,
+    STANDING,
+    write_recording,
+)
+
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import (
+    read_plates,
+    read_table,
+    read_trc,
+    write_table,
+    write_trc,
+)
+from drake_exo.files.tables import Table
+from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.processing import load_trial, load_trials, process
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.subject import fit_subject
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.study import Scaling, load_study
+from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
+
+
+@pytest.fixture(scope="module")
+def human():
+    body = scale_human(70.0, 1.75)
+    pelvis = replace(body.pelvis, com_m=(-0.02, body.pelvis.com_m[1]))
+    return replace(body, pelvis=pelvis)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, human):
+    folder = tmp_path_factory.mktemp("recording")
+    scaling = {"lengths": "markers", "trunk_com": "standing"}
+    truth, study = write_recording(folder, human, scaling=scaling)
+    return folder, truth, study
+
+
+@pytest.fixture(scope="module")
+def loaded(made):
+    folder, _, study = made
+    return load_trials(study, folder)
+
+
+@pytest.fixture
+def files(tmp_path, made):
+    """A copy that a test may damage."""
+    folder, _, study = made
+    for path in folder.iterdir():
+        shutil.copy(path, tmp_path)
+    return tmp_path, study
+
+
+def residual(subject, trial):
+    wrench = PlanarWrench(trial.grf, trial.moment_y)
+    return inverse_dynamics(
+        subject.rigid, trial.q, trial.v, trial.a, {"foot": wrench}
+    )[:, :3]
+
+
+def test_subject_is_measured_from_standing(loaded, human):
+    subject, _ = loaded
+    assert subject.mass_kg == pytest.approx(70.0)
+    assert subject.human.shank.length_m == pytest.approx(human.shank.length_m)
+    assert subject.human.thigh.length_m == pytest.approx(human.thigh.length_m)
+    assert subject.human.ankle_height_m == pytest.approx(human.ankle_height_m)
+    assert subject.human.pelvis.com_m[0] == pytest.approx(-0.02, abs=1e-6)
+    report = subject.report
+    assert report["standing_mass_kg"] == pytest.approx(70.0, abs=1e-6)
+    assert report["trunk_com_shift_m"] == pytest.approx(-0.02, abs=1e-6)
+    assert report["standing_com_x_m"] == pytest.approx(
+        report["standing_cop_x_m"]
+    )
+
+
+def test_trunk_from_the_table_stays_above_the_hips(made):
+    folder, _, study = made
+    table = replace(study, scaling=Scaling(trunk_com="table"))
+    subject = fit_subject(table, folder)
+    assert subject.human.pelvis.com_m[0] == 0.0
+
+
+def test_stretched_segments_keep_their_proportions(made, human):
+    folder, _, study = made
+    tall = replace(study, subject=replace(study.subject, height_m=1.9))
+    shank = fit_subject(tall, folder).human.shank
+    assert shank.length_m == pytest.approx(human.shank.length_m)
+    assert shank.com_m == pytest.approx(human.shank.com_m)
+    assert shank.inertia_kg_m2 == pytest.approx(human.shank.inertia_kg_m2)
+
+
+def test_rises_are_found_where_they_are(loaded):
+    _, trials = loaded
+    for trial, off, up in zip(trials, SEAT_OFF, STANDING, strict=True):
+        part = trial.provenance["part"]
+        # 5 % of body weight leave the chair a little before the last newton.
+        assert off - 0.15 < part["seat_off_s"] < off + 0.02
+        assert up - 0.5 < part["standing_s"] < up + 0.05
+        assert part["chair_bore_weight"] and part["standing_is_steady"]
+        assert trial.time[0] == part["seat_off_s"]
+        assert trial.time[-1] == part["standing_s"]
+
+
+def test_motion_and_forces_come_back(loaded, made):
+    _, truth, _ = made
+    subject, trials = loaded
+    for trial in trials:
+        at = np.round(trial.time * RATE).astype(int)
+        assert np.abs(trial.q - truth.q[at])[:, 2:].max() < np.deg2rad(0.2)
+        assert np.abs(trial.q - truth.q[at])[:, :2].max() < 1e-4
+        assert np.abs(trial.grf - truth.wrench.force[at]).max() < 5.0
+        # Filtering alike keeps Newton's law: what is left stems from the
+        # model's nonlinearity and the chair's last newtons.
+        left = np.abs(residual(subject, trial))[15:]
+        assert left[:, :2].max() < 3.0 and left[:, 2].max() < 1.5
+
+
+def test_provenance_names_files_filter_and_shifts(loaded):
+    _, trials = loaded
+    said = trials[0].provenance
+    assert said["markers"] == "sts.trc" and said["forces"] == "sts.mot"
+    assert said["filter"]["cutoff_hz"] == 6.0
+    assert max(map(abs, said["plate_shift_m"].values())) < 1e-9
+    assert max(said["marker_residual_rms_m"].values()) < 1e-6
+    assert said["one_leg_doubled"] is False
+
+
+def test_one_trial_is_like_many(made, loaded):
+    folder, _, study = made
+    subject, trials = loaded
+    single = load_trial(study.trials[1], subject, study, folder)
+    np.testing.assert_array_equal(single.q, trials[1].q)
+
+
+def test_window_instead_of_a_rise(made, loaded):
+    folder, _, study = made
+    subject, _ = loaded
+    files = replace(study.trials[0], rise=None, start_s=2.0, end_s=3.0)
+    trial = load_trial(files, subject, study, folder)
+    assert trial.time[[0, -1]] == pytest.approx([2.0, 3.0])
+    files = replace(study.trials[0], rise=1, end_s=3.0)
+    trial = load_trial(files, subject, study, folder)
+    assert trial.time[-1] == pytest.approx(3.0)
+    assert trial.time[0] == trial.provenance["part"]["seat_off_s"]
+
+
+def test_one_leg_is_doubled(made, loaded):
+    folder, truth, study = made
+    subject, _ = loaded
+    plates = replace(study.trials[0].plates, left=None)
+    files = replace(study.trials[0], plates=plates)
+    trial = load_trial(files, subject, study, folder)
+    assert trial.provenance["one_leg_doubled"] is True
+    at = np.round(trial.time * RATE).astype(int)
+    # Plate 1 bears 40 %, so two of it bear 80 %.
+    expected = 0.8 * truth.wrench.force[at, 1]
+    np.testing.assert_allclose(trial.grf[:, 1], expected, atol=5.0)
+
+
+def test_legs_apart_fore_and_aft(files, loaded):
+    """Feet 8 cm apart give what feet side by side give."""
+    folder, study = files
+    stagger = {"L": 0.04, "R": -0.04}
+
+    def move_legs(data):
+        for i, name in enumerate(data.names):
+            if name[2:] not in ("asis", "psis"):
+                data.positions[:, i, 0] += stagger[name[0]]
+        return data
+
+    def move_plates(table):
+        for side, number in (("L", 2), ("R", 1)):
+            column = table.names.index(f"ground_force_{number}_px")
+            table.values[:, column] += stagger[side]
+        return table
+
+    for name in ("sts", "static"):
+        edit_markers(folder, move_legs, f"{name}.trc")
+        edit_forces(folder, move_plates, f"{name}.mot")
+    _, trials = load_trials(study, folder)
+    shifts = trials[0].provenance["plate_shift_m"]
+    # Hips apart turn with the pelvis, which the shifted markers do not: the
+    # trunk's angle suffers, the legs' hardly.
+    assert shifts == pytest.approx({"left": -0.04, "right": 0.04}, abs=1e-3)
+    q = trials[0].q - loaded[1][0].q
+    assert np.abs(q[:, 2:5]).max() < np.deg2rad(0.5)
+    assert np.abs(trials[0].cop_x - loaded[1][0].cop_x).max() < 1e-3
+
+
+@pytest.fixture
+def coupled(files):
+    folder, study = files
+    time = np.arange(900) / 150.0 + 0.5
+    q = 20.0 * (1.0 - np.cos(time))[:, None] * [1.0, 2.0, 2.0]
+    names = ("exo_ankle", "exo_knee", "exo_hip")
+    write_table(folder / "exo.mot", Table(time, names, q, True))
+    trials = tuple(
+        replace(t, encoders=folder / "exo.mot") for t in study.trials
+    )
+    return folder, replace(study, model="coupled", trials=trials)
+
+
+def test_encoders_join_at_their_own_rate(coupled):
+    folder, study = coupled
+    study = replace(study, trials=study.trials[:1])
+    _, (trial,) = load_trials(study, folder)
+    assert trial.coordinates[6:] == ("exo_ankle", "exo_knee", "exo_hip")
+    t = trial.time
+    ankle = np.deg2rad(20.0) * (1.0 - np.cos(t))
+    np.testing.assert_allclose(trial.q[:, 6], ankle, atol=2e-4)
+    np.testing.assert_allclose(trial.q[:, 7], 2 * ankle, atol=4e-4)
+    speed = np.deg2rad(20.0) * np.sin(t)
+    np.testing.assert_allclose(trial.v[:, 6], speed, atol=2e-3)
+
+
+def test_without_encoders_the_exoskeleton_is_aligned(coupled):
+    folder, study = coupled
+    trials = (replace(study.trials[0], encoders=None),)
+    _, (trial,) = load_trials(replace(study, trials=trials), folder)
+    np.testing.assert_array_equal(trial.q[:, 6:], trial.q[:, 3:6])
+    assert "no encoders" in trial.provenance["exoskeleton_angles"]
+
+
+def test_encoders_shorter_than_the_trial(coupled):
+    folder, study = coupled
+    with pytest.raises(InputError, match=r"exo\.mot.*cover 0\.5 to 6\.49"):
+        load_trials(study, folder)  # the second rise ends at 7.6 s
+
+
+def refusal(study, folder):
+    with pytest.raises(InputError) as caught:
+        load_trials(study, folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def edit_markers(folder, change, name="sts.trc"):
+    data = read_trc(folder / name)
+    write_trc(folder / name, change(data))
+
+
+def edit_forces(folder, change, name="sts.mot"):
+    write_table(folder / name, change(read_table(folder / name)))
+
+
+def test_refuses_files_that_do_not_overlap(files):
+    folder, study = files
+    edit_forces(folder, lambda t: replace(t, time=t.time + 100.0))
+    message = refusal(study, folder)
+    assert "sts.mot" in message and "do not overlap in time" in message
+
+
+def test_refuses_hardly_any_overlap(files):
+    folder, study = files
+    edit_forces(folder, lambda t: replace(t, time=t.time + 8.35))
+    assert "at least 20" in refusal(study, folder)
+
+
+def test_refuses_slow_markers(files):
+    folder, study = files
+
+    def thin(data):
+        return replace(
+            data,
+            time=data.time[::5],
+            positions=data.positions[::5],
+            rate_hz=20.0,
+        )
+
+    edit_markers(folder, thin)
+    message = refusal(study, folder)
+    assert "sts.trc" in message and "four times" in message
+
+
+def test_refuses_few_frames(files):
+    folder, study = files
+    edit_markers(
+        folder,
+        lambda d: replace(d, time=d.time[:19], positions=d.positions[:19]),
+    )
+    assert "holds 19 frames" in refusal(study, folder)
+
+
+def test_refuses_slow_forces(files):
+    folder, study = files
+
+    def thin(table):
+        return replace(table, time=table.time[::5], values=table.values[::5])
+
+    edit_forces(folder, thin)
+    message = refusal(study, folder)
+    assert "sts.mot" in message and "four times" in message
+
+
+def test_refuses_a_marker_with_a_gap(files):
+    folder, study = files
+
+    def hide(data):
+        data.positions[200:230, data.names.index("R_sh1")] = np.nan
+        return data
+
+    edit_markers(folder, hide)
+    message = refusal(study, folder)
+    assert "'R_sh1' has no value in 30 frames from 2 s" in message
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    message = refusal(replace(study, laboratory=lax), folder)
+    assert "0.3 s long; gaps up to laboratory.fill_gaps_s (0.2 s)" in message
+
+
+def test_fills_gaps_up_to_the_stated_length(files, loaded):
+    folder, study = files
+
+    def hide(data):
+        data.positions[200:220, data.names.index("R_sh1")] = np.nan
+        return data
+
+    edit_markers(folder, hide)
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    _, trials = load_trials(replace(study, laboratory=lax), folder)
+    assert trials[0].provenance["gaps_filled"] == {"R_sh1": 20 / 850}
+    change = np.abs(trials[0].q - loaded[1][0].q)
+    assert 0.0 < change.max() < 5e-4
+
+
+def test_refuses_a_marker_unseen_at_the_end(files):
+    folder, study = files
+
+    def hide(data):
+        data.positions[-3:, data.names.index("R_sh1")] = np.nan
+        return data
+
+    edit_markers(folder, hide)
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    message = refusal(replace(study, laboratory=lax), folder)
+    assert "at the end of the recording" in message
+
+
+def test_refuses_a_missing_marker(files):
+    folder, study = files
+    edit_markers(
+        folder,
+        lambda d: replace(
+            d, names=tuple(n.replace("R_sh1", "R_shin1") for n in d.names)
+        ),
+    )
+    assert "no marker 'R_sh1'; did you mean" in refusal(study, folder)
+
+
+def test_refuses_a_plate_that_is_not_there(files):
+    folder, study = files
+    trial = replace(
+        study.trials[0], plates=replace(study.trials[0].plates, left=3)
+    )
+    message = refusal(replace(study, trials=(trial,)), folder)
+    assert "no force plate 3; it holds plates 1, 2" in message
+
+
+def test_forces_on_the_plate(files, loaded):
+    folder, study = files
+
+    def flip(table):
+        sign = [-1.0 if "_v" in n else 1.0 for n in table.names]
+        return replace(table, values=table.values * sign)
+
+    edit_forces(folder, flip)
+    assert "forces_act_on: plate" in refusal(study, folder)
+    edit_forces(folder, flip, "static.mot")
+    turned = replace(study.laboratory, forces_act_on="plate")
+    _, trials = load_trials(replace(study, laboratory=turned), folder)
+    np.testing.assert_allclose(trials[0].grf, loaded[1][0].grf, atol=1e-6)
+    np.testing.assert_allclose(trials[0].cop_x, loaded[1][0].cop_x, atol=1e-9)
+
+
+def test_reads_c3d_alike(files, loaded):
+    folder, study = files
+    data = read_trc(folder / "sts.trc")
+    _, plates = read_plates(folder / "sts.mot")
+    corners = np.array(
+        [[0.9, 0, -0.3], [0, 0, -0.3], [0, 0, 0.3], [0.9, 0, 0.3]]
+    )
+    designs = [PlateDesign(corners), PlateDesign(corners, 3, (0.1, 0.2, -0.05))]
+    write_c3d(folder / "sts.c3d", data, plates, designs)
+    trials = tuple(
+        replace(t, markers=Path("sts.c3d"), forces=Path("sts.c3d"))
+        for t in study.trials
+    )
+    _, found = load_trials(replace(study, trials=trials), folder)
+    np.testing.assert_allclose(found[0].q, loaded[1][0].q, atol=1e-6)
+    np.testing.assert_allclose(found[0].grf, loaded[1][0].grf, atol=1e-3)
+    np.testing.assert_allclose(found[0].cop_x, loaded[1][0].cop_x, atol=1e-5)
+    bare = replace(study.trials[0], markers=Path("sts.c3d"))
+    write_c3d(folder / "sts.c3d", data)
+    bare = replace(bare, forces=Path("sts.c3d"))
+    message = refusal(replace(study, trials=(bare,)), folder)
+    assert "holds no force plate" in message
+
+
+def test_refuses_files_of_another_kind(files):
+    folder, study = files
+    odd = replace(study.trials[0], markers=Path("sts.mot"))
+    message = refusal(replace(study, trials=(odd,)), folder)
+    assert "is no marker file that can be read; give one of .trc" in message
+
+
+def test_refuses_a_rise_that_is_not_there(files):
+    folder, study = files
+    trial = replace(study.trials[0], rise=3)
+    message = refusal(replace(study, trials=(trial,)), folder)
+    assert "rise 3 was asked for, but 2 were found" in message
+
+
+def test_refuses_a_window_outside(files):
+    folder, study = files
+    trial = replace(study.trials[0], rise=None, start_s=5.0, end_s=20.0)
+    message = refusal(replace(study, trials=(trial,)), folder)
+    assert "5 to 20 s reaches beyond the recording (0 to 8.49 s)" in message
+
+
+def test_refuses_an_unknown_body_mass(made):
+    folder, _, study = made
+    study = replace(
+        study,
+        subject=replace(study.subject, mass_kg=None),
+        standing=replace(study.standing, forces=None, plates=None),
+        scaling=Scaling(trunk_com="table"),
+    )
+    assert "give subject.mass_kg" in refusal(study, folder)
+
+
+def test_mass_comes_from_standing_if_not_stated(made):
+    folder, _, study = made
+    study = replace(study, subject=replace(study.subject, mass_kg=None))
+    subject = fit_subject(study, folder)
+    assert subject.mass_kg == pytest.approx(70.0, abs=1e-6)
+    assert subject.report["mass_from"] == "standing"
+
+
+def test_real_rises_are_found(data_root, request):
+    """Crossings of 0.75 m as the data's README lists them, five rises."""
+    path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
+    study, root = load_study(path, data_root)
+    subject = fit_subject(study, root)
+    movement = process(study.trials[0], subject, study, root)
+    halfway = [rise.halfway_s for rise in movement.rises]
+    np.testing.assert_allclose(
+        halfway, [1.12, 3.79, 6.40, 9.02, 11.72], atol=0.04
+    )
+    for rise in movement.rises:
+        assert rise.had_chair and rise.is_steady
+        assert 0.5 < rise.standing_s - rise.seat_off_s < 1.0
+        # The push-off is under way: force is far above body weight.
+        i = np.searchsorted(movement.time, rise.seat_off_s - 1e-9)
+        F_z = sum(w.force[i, 1] for w in movement.forces.values())
+        assert 650.0 < F_z < 850.0
+    assert subject.report["standing_mass_kg"] == pytest.approx(60.03, abs=0.01)
+
+
+def test_real_trials_obey_newton(data_root, request):
+    path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
+    study, root = load_study(path, data_root)
+    subject, trials = load_trials(study, root)
+    for trial in trials:
+        rms = np.sqrt(np.mean(residual(subject, trial) ** 2, axis=0))
+        assert (rms < [24.0, 34.0, 24.0]).all(), rms

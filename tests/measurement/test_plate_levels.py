@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from drake_exo.measurement.recording import level, unloaded
+from drake_exo.measurement.sagittal import PlanarWrench
+
+TIME = np.arange(4000) / 1000.0
+
+
+def stance(start, end, force=400.0):
+    ramp = 0.15
+    up = np.clip((TIME - start) / ramp, 0.0, 1.0)
+    down = np.clip((end - TIME) / ramp, 0.0, 1.0)
+    return force * np.minimum(up, down)
+
+
+def wrench(F_z, offset=(0.0, 0.0, 0.0), drift=(0.0, 0.0, 0.0)):
+    rng = np.random.default_rng(0)
+    values = np.column_stack([0.1 * F_z, F_z, -0.2 * F_z])
+    values = values + offset + np.outer(TIME, drift)
+    values = values + rng.normal(0.0, 1.0, values.shape)
+    return PlanarWrench(values[:, :2], values[:, 2])
+
+
+def test_offset_and_drift_come_out():
+    F_z = stance(1.0, 3.0)
+    raw = wrench(F_z, (2.0, -9.0, 1.5), (0.5, 2.0, -0.3))
+    found, report = level(TIME, raw, 20.0)
+    assert report["offset_n"] == pytest.approx(-9.0, abs=0.2)
+    assert report["drift_n_s"] == pytest.approx(2.0, abs=0.1)
+    assert 1.0 < report["unloaded_s"] < 2.0
+    truth = wrench(F_z)
+    assert np.abs(found.force - truth.force).max() < 0.4
+    assert np.abs(found.moment - truth.moment).max() < 0.4
+
+
+def test_a_plate_without_drift_is_left_as_it_is():
+    raw = wrench(stance(-1.0, 1.5))
+    found, report = level(TIME, raw, 20.0)
+    # Noise of 1 N over 2.3 s, extrapolated to the start: 0.07 N (one sigma).
+    assert abs(report["offset_n"]) < 0.25 and abs(report["drift_n_s"]) < 0.1
+    np.testing.assert_allclose(found.force, raw.force, atol=0.3)
+
+
+def test_one_short_unloaded_end_gives_an_offset_alone():
+    raw = wrench(stance(-1.0, 3.0), (0.0, 6.0, 0.0))
+    _, report = level(TIME, raw, 20.0)
+    assert report["drift_n_s"] == 0.0
+    assert report["offset_n"] == pytest.approx(6.0, abs=0.2)
+
+
+def test_a_loaded_plate_is_never_taken_for_empty():
+    """Feet of somebody seated are a load, not an offset."""
+    raw = wrench(150.0 + stance(1.0, 5.0))
+    assert not unloaded(TIME, raw.force[:, 1], 20.0).any()
+    found, report = level(TIME, raw, 20.0)
+    assert found is raw and report == {"unloaded_s": 0.0}
+
+
+def test_a_chair_is_tared():
+    raw = wrench(60.0 + stance(-1.0, 2.0, 500.0))
+    found, report = level(TIME, raw, 200.0)
+    assert report["offset_n"] == pytest.approx(60.0, abs=0.3)
+    assert found.force[3000:, 1].mean() == pytest.approx(0.0, abs=0.1)
+
+
+def test_moments_shorter_than_a_tenth_of_a_second_do_not_count():
+    F_z = 300.0 * (1.0 - np.exp(-(((TIME - 2.0) / 0.03) ** 2)))
+    assert not unloaded(TIME, F_z, 20.0).any()

@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from drake_exo.measurement.events import find_rises
+
+TIME = np.arange(600) / 100.0
+WEIGHT = 600.0
+
+
+def smooth(start, end):
+    s = np.clip((TIME - start) / (end - start), 0.0, 1.0)
+    return 3 * s**2 - 2 * s**3
+
+
+@pytest.fixture
+def rise():
+    """Heights, chair force and force of the feet of one rise."""
+    hip = 0.5 + 0.4 * smooth(2.0, 3.0)
+    chair = 0.9 * WEIGHT * (1.0 - smooth(1.4, 2.0))
+    # The feet bear more than body weight while the hips accelerate.
+    push = 250.0 * np.sin(2.0 * np.pi * np.clip(TIME - 2.0, 0.0, 1.0))
+    return hip, chair, WEIGHT - chair + push
+
+
+def find(hip, chair, F_z):
+    return find_rises(TIME, hip, chair, F_z, WEIGHT)
+
+
+def test_seat_off_is_where_the_chair_is_empty(rise):
+    (found,) = find(*rise)
+    _, chair, _ = rise
+    at = np.searchsorted(TIME, found.seat_off_s - 1e-9)
+    assert chair[at] < 0.05 * WEIGHT < chair[at - 1]
+    assert found.had_chair
+    assert found.halfway_s == pytest.approx(2.5, abs=0.02)
+    # Standing: the swing of the force after the rise has settled.
+    assert 2.85 < found.standing_s < 3.05 and found.is_steady
+
+
+def test_a_push_before_seat_off_is_no_seat_off(rise):
+    hip, chair, F_z = rise
+    # The trunk is thrown forward: the feet see body weight, the chair more.
+    bump = 500.0 * np.exp(-(((TIME - 1.0) / 0.1) ** 2))
+    (found,) = find(hip, chair + 0.1 * bump, F_z + bump)
+    assert found.seat_off_s > 1.8
+
+
+def test_a_squat_starts_at_its_lowest_point():
+    hip = 0.9 - 0.4 * np.sin(np.pi * TIME / 6.0) ** 2
+    (found,) = find(hip, np.zeros(600), np.full(600, WEIGHT))
+    assert found.seat_off_s == pytest.approx(3.0, abs=0.02)
+    assert not found.had_chair
+
+
+def test_sitting_down_is_no_rise(rise):
+    hip, chair, F_z = (x[::-1] for x in rise)
+    assert find(hip, chair, F_z) == []
+
+
+def test_half_a_rise_is_none(rise):
+    hip, chair, F_z = rise
+    tried = 0.5 + 0.25 * np.exp(-(((TIME - 1.0) / 0.2) ** 2))
+    both = np.maximum(hip, tried)
+    assert len(find(both, chair, F_z)) == 1
+
+
+def test_shuffling_is_no_rise():
+    hip = 0.9 + 0.05 * np.sin(TIME)
+    assert find(hip, np.zeros(600), np.full(600, WEIGHT)) == []
+
+
+def test_rise_cut_off_before_standing_is_steady(rise):
+    hip, chair, F_z = (x[:280] for x in rise)
+    hip = np.concatenate([hip, hip[::-1]])
+    chair = np.concatenate([chair, chair[::-1]])
+    F_z = np.concatenate([F_z, F_z[::-1]])
+    (found,) = find_rises(np.arange(560) / 100.0, hip, chair, F_z, WEIGHT)
+    assert not found.is_steady
+    assert found.standing_s == pytest.approx(2.79, abs=0.02)

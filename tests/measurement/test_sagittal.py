@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+
+from drake_exo.files.opensim import PlateRecording
+from drake_exo.measurement.sagittal import (
+    PlanarWrench,
+    SagittalFrame,
+    merge_feet,
+    planar_wrench,
+)
+
+
+def plate(force, point, torque=(0.0, 0.0, 0.0)):
+    return PlateRecording(
+        1, *(np.array([x], float) for x in (force, point, torque)), True
+    )
+
+
+@pytest.mark.parametrize(
+    ("forward", "up", "left"),
+    [("x", "y", (0, 0, -1)), ("-z", "y", (-1, 0, 0)), ("y", "z", (-1, 0, 0))],
+)
+def test_left_is_up_cross_forward(forward, up, left):
+    frame = SagittalFrame(forward, up)
+    np.testing.assert_allclose(frame.pitch_moment(left), 1.0)
+    np.testing.assert_allclose(np.linalg.det(frame.R_PL), 1.0)
+
+
+def test_opensim_points():
+    frame = SagittalFrame()
+    np.testing.assert_allclose(frame.points([[1.0, 2.0, 3.0]]), [[1.0, 2.0]])
+    np.testing.assert_allclose(
+        SagittalFrame("-z", "y").points([1.0, 2.0, 3.0]), [-3.0, 2.0]
+    )
+
+
+def test_moment_is_z_fx_minus_x_fz():
+    wrench = planar_wrench(
+        plate((30.0, 600.0, 7.0), (0.2, 0.006, -0.5)), SagittalFrame()
+    )
+    np.testing.assert_allclose(wrench.force, [[30.0, 600.0]])
+    np.testing.assert_allclose(wrench.moment, 0.006 * 30.0 - 0.2 * 600.0)
+
+
+def test_surface_height_moves_the_cop():
+    # On a plate 6 mm above the floor the line of action meets z = 0 elsewhere.
+    wrench = planar_wrench(
+        plate((60.0, 600.0, 0.0), (0.2, 0.006, 0.0)), SagittalFrame()
+    )
+    np.testing.assert_allclose(wrench.cop_x(), 0.2 - 0.006 * 60.0 / 600.0)
+
+
+def test_free_moment_about_the_lateral_axis_counts():
+    # OpenSim's z points right, our y left: +5 about z is -5 about y.
+    wrench = planar_wrench(
+        plate((0.0, 500.0, 0.0), (0.1, 0.0, 0.0), (9.0, 9.0, 5.0)),
+        SagittalFrame(),
+    )
+    np.testing.assert_allclose(wrench.moment, -0.1 * 500.0 - 5.0)
+    np.testing.assert_allclose(wrench.cop_x(), 0.11)
+
+
+def test_no_cop_without_load():
+    wrench = PlanarWrench(np.array([[0.0, 19.0], [0.0, 21.0]]), np.ones(2))
+    cop = wrench.cop_x()
+    assert np.isnan(cop[0]) and cop[1] == pytest.approx(-1.0 / 21.0)
+
+
+def test_shifting_load_between_staggered_feet_keeps_the_cop():
+    # Feet 6 cm apart fore and aft, each loaded 5 cm before its ankle.
+    ankles = {"left": 0.03, "right": -0.03}
+    share = np.linspace(0.0, 1.0, 5)
+    wrenches = {}
+    for side, s in (("left", share), ("right", 1.0 - share)):
+        F_z = 600.0 * s
+        wrenches[side] = PlanarWrench(
+            np.column_stack([0.1 * F_z, F_z]), -(ankles[side] + 0.05) * F_z
+        )
+    merged, shifts = merge_feet(wrenches, ankles)
+    np.testing.assert_allclose(merged.cop_x(), 0.05)
+    assert shifts == {"left": -0.03, "right": 0.03}
+    np.testing.assert_allclose(merged.force, [[60.0, 600.0]] * 5)
+
+
+def test_one_foot_counts_twice():
+    wrench = PlanarWrench(np.array([[10.0, 300.0]]), np.array([-30.0]))
+    merged, shifts = merge_feet({"right": wrench}, {"right": 0.1})
+    np.testing.assert_allclose(merged.force, [[20.0, 600.0]])
+    np.testing.assert_allclose(merged.cop_x(), [0.1])
+    assert shifts == {"right": 0.0}
+
+
+def test_walking_force_pushes_back_then_forward(data_root):
+    from drake_exo.files.opensim import read_plates
+
+    path = data_root / "opencap_subject4/ID/walking1_grf.mot"
+    time, plates = read_plates(path)
+    left = planar_wrench(plates[1], SagittalFrame())
+    stance = (time > 0.56) & (time < 1.18)
+    cop = left.cop_x()[stance]
+    direction = np.sign(cop[-1] - cop[0])
+    F_x = direction * left.force[stance, 0]
+    half = len(F_x) // 2
+    assert F_x[:half].mean() < -10.0 < 10.0 < F_x[half:].mean()

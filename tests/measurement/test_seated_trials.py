@@ -1,0 +1,292 @@
+"""Trials that start on a chair, in an exoskeleton."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seated_recording import VISCOUS, write_seated
+from synthetic_recording import RATE, SEAT_OFF
+
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_table, write_table
+from drake_exo.measurement.events import until_seat_off
+from drake_exo.measurement.instruments import Device, Mat, PressureFile
+from drake_exo.measurement.processing import load_trials
+from drake_exo.measurement.quality import assess, force_residual, text_of
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.study import Plates, TrialFiles
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("seated")
+    human = scale_human(70.0, 1.75)
+    return folder, *write_seated(folder, human)
+
+
+@pytest.fixture(scope="module")
+def loaded(made):
+    folder, _, study = made
+    subject, (trial,) = load_trials(study, folder)
+    return subject, trial
+
+
+@pytest.fixture
+def files(tmp_path, made):
+    """A copy that a test may damage."""
+    folder, _, study = made
+    for path in folder.iterdir():
+        shutil.copy(path, tmp_path)
+    return tmp_path, study
+
+
+def with_trial(study, **changes):
+    return replace(study, trials=(replace(study.trials[0], **changes),))
+
+
+def with_laboratory(study, **changes):
+    return replace(study, laboratory=replace(study.laboratory, **changes))
+
+
+def test_starts_seated_and_ends_standing(loaded):
+    _, trial = loaded
+    part = trial.provenance["part"]
+    assert part["seated_s"] == 0.8
+    assert trial.time[0] == pytest.approx(part["seat_off_s"] - 0.8, abs=0.006)
+    assert SEAT_OFF[0] - 0.15 < part["seat_off_s"] < SEAT_OFF[0] + 0.02
+    assert trial.chair[0, 1] > 500.0 and not trial.chair[-1].any()
+
+
+def test_chair_is_as_it_was_until_seat_off(loaded, made):
+    _, truth, _ = made
+    subject, trial = loaded
+    at = np.round(trial.time * RATE).astype(int)
+    true = np.column_stack([truth.chair.force, truth.chair.moment])[at]
+    share = 0.05 * subject.rigid.mass * subject.rigid.gravity
+    off = trial.provenance["part"]["seat_off_s"]
+    before, after = trial.time < off - 0.2, trial.time > off + 0.05
+    assert np.abs(trial.chair - true)[before].max() < 8.0  # the filter
+    assert np.abs(trial.chair - true).max() < share
+    assert not trial.chair[after].any()
+
+
+def test_newton_holds_from_the_chair_to_standing(loaded):
+    subject, trial = loaded
+    residual = force_residual(subject, trial)
+    off = trial.provenance["part"]["seat_off_s"]
+    near = np.abs(trial.time - off) < 0.1  # where 5 % are let go
+    assert np.abs(residual[~near, :2]).max() < 6.0
+    assert np.abs(residual[~near, 2]).max() < 3.0
+    unaware = replace(trial, chair=None)
+    assert np.abs(force_residual(subject, unaware)).max() > 500.0
+
+
+def test_moments_are_the_true_ones(loaded, made):
+    _, truth, _ = made
+    _, trial = loaded
+    at = np.round(trial.time * RATE).astype(int)
+    human = (truth.resultant - truth.exo)[at]
+    off = np.abs(trial.moments[:, :3] - human)
+    assert np.sqrt((off**2).mean(axis=0)).max() < 2.0 and off.max() < 8.0
+    assert np.abs(trial.moments[:, 3:] - truth.exo[at]).max() < 0.3
+    said = trial.provenance["moments"]
+    assert said["exoskeleton"] == "device model"
+
+
+def test_recorded_moments_come_before_the_model(made, loaded):
+    folder, truth, study = made
+    recorded = with_trial(study, exo_moments=Path("moments.csv"))
+    _, (trial,) = load_trials(recorded, folder)
+    at = np.round(trial.time * RATE).astype(int)
+    assert np.abs(trial.moments[:, 3:] - truth.exo[at]).max() < 0.3
+    assert trial.provenance["moments"]["exoskeleton"] == "recorded"
+    total = trial.moments[:, :3] + trial.moments[:, 3:]
+    _, modelled = loaded
+    np.testing.assert_allclose(
+        total, modelled.moments[:, :3] + modelled.moments[:, 3:], atol=1e-9
+    )
+    # One leg's file counts twice, and is said to.
+    one = replace(recorded, device=Device(moment_legs="right"))
+    _, (doubled,) = load_trials(one, folder)
+    np.testing.assert_allclose(
+        doubled.moments[:, 3:], 2.0 * trial.moments[:, 3:]
+    )
+    assert "right leg doubled" in doubled.provenance["moments"]["exoskeleton"]
+
+
+def test_without_device_and_recording_the_split_is_unknown(made):
+    folder, _, study = made
+    _, (trial,) = load_trials(replace(study, device=None), folder)
+    assert trial.moments is None
+    assert "unknown" in trial.provenance["moments"]["human"]
+
+
+def test_a_share_of_the_chair_on_the_thighs(made, loaded):
+    """It bears the same; knees and above feel the difference, not below."""
+    folder, _, study = made
+    _, (shared,) = load_trials(
+        with_laboratory(study, chair_on_thighs=0.4), folder
+    )
+    subject, trial = loaded
+    assert shared.chair_on_thighs == 0.4
+    np.testing.assert_array_equal(shared.chair, trial.chair)
+    np.testing.assert_allclose(
+        force_residual(subject, shared),
+        force_residual(subject, trial),
+        atol=1e-9,
+    )
+    # From the ground up, a joint feels what acts below it.
+    change = shared.moments[:, :3] - trial.moments[:, :3]
+    np.testing.assert_allclose(change[:, :2], 0.0, atol=1e-9)
+    assert np.abs(change[0, 2]) < 10.0  # the chair is under the hips here
+
+
+def test_trials_with_chair_and_mats_survive_saving(tmp_path, loaded):
+    _, trial = loaded
+    trial = replace(
+        trial,
+        normal_force={"shank": trial.grf[:, 0]},
+        chair_on_thighs=0.25,
+    )
+    trial.save(tmp_path / "t")
+    back = Trial.load(tmp_path / "t")
+    np.testing.assert_array_equal(back.chair, trial.chair)
+    np.testing.assert_array_equal(back.moments, trial.moments)
+    assert back.chair_on_thighs == 0.25
+
+
+def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
+    """Feet never leave their plates; the chair is left at seat-off."""
+    folder, study = files
+    plain = load_trials(study, folder)[1][0]
+
+    def shift(name, offset):
+        table = read_table(folder / name)
+        values = table.values + 0.0
+        for number, force in offset.items():
+            column = table.names.index(f"ground_force_{number}_vy")
+            values[:, column] += force
+        write_table(folder / name, replace(table, values=values))
+
+    nothing = read_table(folder / "sts.mot")
+    write_table(
+        folder / "empty.mot", replace(nothing, values=0 * nothing.values)
+    )
+    for name in ("sts.mot", "empty.mot"):
+        shift(name, {1: 14.0, 2: -8.0})
+    shift("sts.mot", {3: 60.0})
+    levelled = with_laboratory(
+        with_trial(study, empty_plates=Path("empty.mot")),
+        remove_plate_drift=True,
+    )
+    _, (trial,) = load_trials(levelled, folder)
+    np.testing.assert_allclose(trial.grf, plain.grf, atol=1e-6)
+    assert np.abs(trial.chair - plain.chair).max() < 1.0
+    found = trial.provenance["plate_levels"]
+    assert found["right"]["empty_plate_n"] == pytest.approx(14.0)
+    assert found["left"]["unloaded_s"] == 0.0
+    assert found["chair"]["offset_n"] == pytest.approx(60.0, abs=0.5)
+
+
+def test_a_late_force_clock_is_found_by_feet_and_chair(files):
+    folder, study = files
+    table = read_table(folder / "sts.mot")
+    write_table(folder / "sts.mot", replace(table, time=table.time + 0.013))
+    found = with_laboratory(study, estimate_force_delay=True)
+    _, (trial,) = load_trials(found, folder)
+    assert trial.provenance["delays_s"]["forces"] == pytest.approx(
+        0.013, abs=0.002
+    )
+
+
+def pressure_csv(path, cells, end=9.0):
+    time = np.arange(0.0, end, 0.02)
+    names = ",".join(f"c{i}" for i in range(cells))
+    rows = [f"{t:.2f}," + ",".join(["10"] * cells) for t in time]
+    path.write_text("\n".join([f"time [s]; kPa,{names}", *rows]) + "\n")
+
+
+def with_mat(study, **changes):
+    mat = {
+        "segment": "thigh",
+        "rows": 2,
+        "columns": 3,
+        "cell_area_m2": 2e-4,
+        "plane_normal": (1.0, 0.0, 0.0),
+        **changes,
+    }
+    file = PressureFile(Path("mat.csv"), ("front",))
+    study = replace(study, mats={"front": Mat(**mat)})
+    return with_trial(study, pressure=(file,))
+
+
+def test_mats_push_by_segment_and_one_leg_counts_twice(files):
+    folder, study = files
+    pressure_csv(folder / "mat.csv", 6)
+    _, (trial,) = load_trials(with_mat(study), folder)
+    np.testing.assert_allclose(trial.normal_force["thigh"], -12.0, rtol=1e-6)
+    subject, (one,) = load_trials(with_mat(study, legs="left"), folder)
+    np.testing.assert_allclose(one.normal_force["thigh"], -24.0, rtol=1e-6)
+    report = text_of(assess(subject, (one,)))
+    assert "left leg measured, doubled" in report
+
+
+def test_refuses_mats_that_are_short_or_of_another_size(files):
+    folder, study = files
+    pressure_csv(folder / "mat.csv", 6, end=1.6)
+    with pytest.raises(InputError, match=r"mat\.csv: pressures of front cover"):
+        load_trials(with_mat(study), folder)
+    with pytest.raises(InputError, match=r"has 6 cells.*front 16 x 8"):
+        load_trials(with_mat(study, rows=16, columns=8), folder)
+
+
+def test_refuses_encoders_and_moments_that_are_short(files):
+    folder, study = files
+    for name in ("exo.csv", "moments.csv"):
+        path = folder / name
+        whole = path.read_text()
+        path.write_text("\n".join(whole.splitlines()[:180]) + "\n")
+        case = with_trial(study, exo_moments=Path("moments.csv"))
+        with pytest.raises(InputError, match=rf"{name}: .* cover 0 to 1\.78 s"):
+            load_trials(case, folder)
+        path.write_text(whole)
+
+
+def test_refuses_a_chair_plate_that_is_not_there(files):
+    folder, study = files
+    plates = Plates(left=2, right=1, chair=7)
+    with pytest.raises(InputError, match="has no force plate 7"):
+        load_trials(with_trial(study, plates=plates), folder)
+
+
+def test_a_seated_start_needs_a_rise_and_a_chair():
+    common = {
+        "name": "t",
+        "markers": Path("m"),
+        "forces": Path("f"),
+        "seated_s": 1.0,
+    }
+    with pytest.raises(InputError, match="needs the chair's plate"):
+        TrialFiles(plates=Plates(left=1, right=2), rise=1, **common)
+    with pytest.raises(InputError, match="counts back from a rise"):
+        TrialFiles(plates=Plates(left=1, right=2, chair=3), **common)
+    with pytest.raises(InputError, match="under the chair and a foot"):
+        Plates(left=1, right=2, chair=2)
+
+
+def test_nothing_is_left_of_a_chair_nobody_sits_on():
+    time = np.arange(100) / 100.0
+    noise = PlanarWrench(np.full((100, 2), 3.0), np.full(100, 1.0))
+    found = until_seat_off(time, noise, 700.0)
+    assert not found.force.any() and not found.moment.any()
+
+
+def test_friction_of_the_device_is_that_of_the_study(made):
+    _, _, study = made
+    assert [
+        getattr(study.device, j).viscous_nm_s for j in ("ankle", "knee", "hip")
+    ] == list(VISCOUS)

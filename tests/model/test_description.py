@@ -1,0 +1,135 @@
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.description import (
+    body_width,
+    exoskeleton_sdf,
+    fit_exoskeleton,
+    human_sdf,
+    models_path,
+    nominal_exoskeleton,
+    nominal_human,
+)
+from drake_exo.model.segments import (
+    SEGMENTS,
+    ExoskeletonOverrides,
+    SegmentOverrides,
+)
+
+
+def numbers(element):
+    return [float(v) for v in element.text.split()]
+
+
+def all_numbers(text):
+    """Every number of a model, with where it stands."""
+    for element in ET.fromstring(text).iter():
+        values = (element.text or "").split()
+        if values and element.tag not in ("diffuse", "uri"):
+            yield element.tag, [float(v) for v in values]
+
+
+@pytest.mark.parametrize(
+    ("name", "rewritten"),
+    [
+        ("human.sdf", lambda: human_sdf(nominal_human())),
+        ("exoskeleton.sdf", lambda: exoskeleton_sdf(nominal_exoskeleton())),
+    ],
+)
+def test_model_files_already_hold_the_nominal_numbers(name, rewritten):
+    written = list(all_numbers((models_path() / name).read_text()))
+    expected = list(all_numbers(rewritten()))
+    assert len(written) == len(expected) > 50
+    for (tag, a), (other, b) in zip(written, expected, strict=True):
+        assert tag == other
+        assert a == pytest.approx(b, rel=1e-8, abs=1e-9)
+
+
+def test_nominal_exoskeleton_fits_the_nominal_human():
+    fitted = fit_exoskeleton(nominal_human())
+    nominal = nominal_exoskeleton()
+    for name in SEGMENTS:
+        a, b = getattr(fitted, name), getattr(nominal, name)
+        assert a.length_m == pytest.approx(b.length_m, abs=1e-9)
+        assert a.com_m == pytest.approx(b.com_m, abs=1e-9)
+        assert a.mass_kg == b.mass_kg
+    assert fitted.heel_m == pytest.approx(nominal.heel_m, abs=1e-9)
+    assert fitted.pelvis_cuff_m == pytest.approx(nominal.pelvis_cuff_m)
+
+
+def test_exoskeleton_follows_the_wearer():
+    human = scale_human(95.0, 1.95)
+    device = fit_exoskeleton(human)
+    assert device.shank.length_m == human.shank.length_m
+    assert device.thigh.length_m == human.thigh.length_m
+    assert device.thigh_cuff_m == human.thigh_cuff_m
+    # The plate's thickness lies between the human's soles and the device's.
+    thickness = human.heel_m[1] - device.heel_m[1]
+    assert thickness == pytest.approx(0.022)
+    assert device.heel_m[0] == pytest.approx(human.heel_m[0])
+    ratio = human.shank.length_m / nominal_human().shank.length_m
+    assert device.shank.inertia_kg_m2 == pytest.approx(
+        nominal_exoskeleton().shank.inertia_kg_m2 * ratio**2
+    )
+
+
+def test_exoskeleton_overrides():
+    human = nominal_human()
+    device = fit_exoskeleton(
+        human,
+        ExoskeletonOverrides(
+            pelvis=SegmentOverrides(mass_kg=8.5), toe_m=(0.15, -0.05)
+        ),
+    )
+    assert device.pelvis.mass_kg == 8.5
+    assert device.toe_m == (0.15, -0.05)
+    with pytest.raises(InputError, match=r"exoskeleton has no value 'thig'"):
+        fit_exoskeleton(human, {"thig": {"mass_kg": 1.0}})
+
+
+def test_visuals_reach_from_joint_to_joint_of_a_tall_subject():
+    human = scale_human(90.0, 2.0)
+    model = ET.fromstring(human_sdf(human))
+    nominal = ET.fromstring(human_sdf(nominal_human()))
+    for name in ("shank", "thigh"):
+        ratio = getattr(human, name).length_m / (
+            getattr(nominal_human(), name).length_m
+        )
+        tall, usual = (
+            m.findall(f"model/link[@name='{name}']/visual/pose")
+            for m in (model, nominal)
+        )
+        assert len(tall) == len(usual) > 0
+        for a, b in zip(tall, usual, strict=True):
+            assert numbers(a)[2] == pytest.approx(ratio * numbers(b)[2])
+
+
+def test_heavier_subjects_are_drawn_wider():
+    assert body_width(nominal_human()) == 1.0
+    assert body_width(scale_human(140.0, 1.75)) == pytest.approx(np.sqrt(2))
+    slim, stout = (
+        ET.fromstring(human_sdf(scale_human(mass, 1.75)))
+        for mass in (50.0, 120.0)
+    )
+    path = "model/link[@name='thigh']/visual[@name='left_thigh']/pose"
+    assert numbers(stout.find(path))[1] > numbers(slim.find(path))[1] > 0
+
+
+def test_turned_visuals_stretch_along_the_links_axes():
+    """A strut's motor is a cylinder across: length along y, radius x and z."""
+    tall = scale_human(95.0, 1.95)
+    device = fit_exoskeleton(tall)
+    path = "model/link[@name='exo_shank']/visual[@name='left_ankle_motor']"
+    wide, usual = (
+        ET.fromstring(exoskeleton_sdf(d, w)).find(path + "/geometry/cylinder")
+        for d, w in ((device, 1.3), (nominal_exoskeleton(), 1.0))
+    )
+    ratio = device.shank.length_m / nominal_exoskeleton().shank.length_m
+    length = numbers(wide.find("length"))[0] / numbers(usual.find("length"))[0]
+    radius = numbers(wide.find("radius"))[0] / numbers(usual.find("radius"))[0]
+    assert length == pytest.approx(1.3)
+    assert radius == pytest.approx(np.sqrt(1.3 * ratio))
