@@ -1,6 +1,18 @@
-"""Errors that a user can act upon."""
+"""Mistakes of the input: their sentences, and the check that finds most.
+
+Imported at every start of the command, so it imports next to nothing.
+"""
+
+from collections.abc import Iterable, Mapping
+from math import isfinite
 
 _LONGEST = 120  # characters of another library's message
+_BOUNDS = (
+    ("above", lambda value, bound: value > bound, "above"),
+    ("below", lambda value, bound: value < bound, "below"),
+    ("minimum", lambda value, bound: value >= bound, "at least"),
+    ("maximum", lambda value, bound: value <= bound, "at most"),
+)
 
 
 class InputError(Exception):
@@ -8,6 +20,64 @@ class InputError(Exception):
 
     The command line prints the sentence and exits with code 2.
     """
+
+
+def check_bounds(
+    where: str, value: float, metadata: Mapping, text: str | None = None
+) -> None:
+    """Refuse a value that its field does not allow.
+
+    Args:
+        where: the field, as the sentence names it.
+        value: in the field's unit.
+        metadata: of the dataclass's field: unit (for the sentence), above,
+            below (exclusive), minimum, maximum (inclusive); all optional.
+        text: the value as it was written, for the sentence.
+
+    Raises:
+        InputError: no number, not finite, or out of bounds.
+    """
+    unit = metadata.get("unit")
+    try:
+        is_finite = None if isinstance(value, bool) else isfinite(value)
+    except TypeError:
+        is_finite = None
+    if is_finite is None:
+        kind = f"a number [{unit}]" if unit else "a number"
+        raise InputError(f"{where} must be {kind}, but is {value!r}")
+    found = text or f"{value:g}"
+    if not is_finite:
+        raise InputError(f"{where} is {found}, but must be a finite number")
+    for key, holds, words in _BOUNDS:
+        if key in metadata and not holds(value, metadata[key]):
+            bound = f"{metadata[key]:g} {unit or ''}".rstrip()
+            raise InputError(f"{where} is {found}, but must be {words} {bound}")
+
+
+def check_fields(values: object, what: str) -> None:
+    """Refuse a dataclass of numbers of which one is out of bounds.
+
+    Args:
+        values: instance; each field's metadata as in `check_bounds`.
+        what: name of the whole, such as "bushing 'shank'".
+
+    Raises:
+        InputError: naming the field.
+    """
+    for name, field in values.__dataclass_fields__.items():
+        value = getattr(values, name)
+        check_bounds(f"{what}: {name}", value, field.metadata)
+
+
+def nearest(name: str | None, names: Iterable[str]) -> str:
+    """The end of a sentence about a wrong name: "; did you mean 'hip'?".
+
+    Empty where no name is near.
+    """
+    from difflib import get_close_matches  # only once something is wrong
+
+    close = get_close_matches(name or "", list(names), n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def printable(text: str, keep: str = "") -> str:

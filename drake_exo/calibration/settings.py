@@ -10,8 +10,7 @@ from drake_exo.contact.hunt_crossley import (
     paper_stiffness,
 )
 from drake_exo.contact.parameters import ContactParameter, check_range
-from drake_exo.errors import InputError
-from drake_exo.files.schema import check_bounds
+from drake_exo.errors import InputError, check_bounds
 from drake_exo.nlp.ipopt import SolverOptions
 
 _NEWTON_PER_M2 = "N/m^2"

@@ -4,18 +4,16 @@ Every mistake is reported in one sentence with the file and the line: unknown
 keys (with the nearest known one), duplicate and missing keys, wrong types,
 numbers that are not finite or out of bounds.
 
-Bounds stand in a field's metadata and are checked for the value itself or,
-in a list, tuple or dict, for each element:
+Bounds stand in a field's metadata (`errors.check_bounds`) and are checked for
+the value itself or, in a list, tuple or dict, for each element:
 
     mass_kg: float = field(metadata={"unit": "kg", "above": 0.0})
 
-Metadata keys: unit (for messages), above, below (exclusive), minimum, maximum
-(inclusive). A dataclass may check several fields together by raising
-`InputError` or `ValueError` in `__post_init__`.
+A dataclass may check several fields together by raising `InputError` or
+`ValueError` in `__post_init__`.
 """
 
 import dataclasses
-import difflib
 import types
 import typing
 from collections.abc import Mapping
@@ -24,16 +22,10 @@ from typing import Any, Literal, TypeVar
 
 import yaml
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_bounds, nearest
 
 T = TypeVar("T")
 
-_BOUNDS = (
-    ("above", lambda value, bound: value > bound, "above"),
-    ("below", lambda value, bound: value < bound, "below"),
-    ("minimum", lambda value, bound: value >= bound, "at least"),
-    ("maximum", lambda value, bound: value <= bound, "at most"),
-)
 _TRUE, _FALSE = ("true", "yes", "on"), ("false", "no", "off")
 _NOT_FINITE = ("nan", "inf", "infinity")
 _LARGEST = 1e150  # its square is still a number
@@ -105,23 +97,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def check_bounds(
-    where: str, value: float, meta: Mapping, text: str | None = None
-) -> None:
-    """Check a number, written as `text`, against a field's metadata.
-
-    Raises:
-        InputError: naming `where`, the value and the bound.
-    """
-    unit = f" {meta['unit']}" if meta.get("unit") else ""
-    for key, holds, words in _BOUNDS:
-        if key in meta and not holds(value, meta[key]):
-            found = text or format(value, "g")
-            raise InputError(
-                f"{where} is {found}, but must be {words} {meta[key]:g}{unit}"
-            )
 
 
 class _Reader:
@@ -236,7 +211,7 @@ class _Reader:
         raise self.error(
             node,
             f"{where} must be one of {names}, but is "
-            f"{_describe(node)}{_nearest(text, [str(c) for c in choices])}",
+            f"{_describe(node)}{nearest(text, [str(c) for c in choices])}",
         )
 
     def _sequence(
@@ -371,11 +346,6 @@ def _inside(where: str) -> str:
     return f" in {where}" if where else ""
 
 
-def _nearest(text: str | None, names: list[str]) -> str:
-    close = difflib.get_close_matches(text or "", names, n=1, cutoff=0.5)
-    return f"; did you mean {close[0]!r}?" if close else ""
-
-
 def _unknown(text: str, names: list[str], where: str) -> str:
-    hint = _nearest(text, names) or f"; known keys are {', '.join(names)}"
+    hint = nearest(text, names) or f"; known keys are {', '.join(names)}"
     return f"unknown key {text!r}{_inside(where)}{hint}"

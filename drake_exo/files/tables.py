@@ -4,12 +4,11 @@ Missing values are NaN until somebody asks for the column: then they are
 refused, with the place of the gap.
 """
 
-import difflib
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, nearest
 
 # A time stamp may be rounded, but no frame may be missing.
 _JITTER = 0.45
@@ -109,8 +108,7 @@ class MarkerData:
 
 def missing_column(source, name, names, what="column") -> InputError:
     """The error for a column that is not there, with the nearest name."""
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
+    hint = nearest(name, names)
     if not hint:
         hint = f"; there are {', '.join(names[:8])}"
         hint += ", ..." if len(names) > 8 else ""

@@ -1,0 +1,65 @@
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError, check_bounds, check_fields, nearest
+
+MASS = {"unit": "kg", "above": 0.0, "maximum": 300.0}
+
+
+@pytest.mark.parametrize("value", [1, 0.5, 300.0, np.float32(3), np.int64(3)])
+def test_numbers_within_bounds_pass(value):
+    check_bounds("mass", value, MASS)
+    check_bounds("mass", value, {})
+
+
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        (0.0, "mass is 0, but must be above 0 kg"),
+        (301, "mass is 301, but must be at most 300 kg"),
+        (np.nan, "mass is nan, but must be a finite number"),
+        (-np.inf, "mass is -inf, but must be a finite number"),
+        ("5", "mass must be a number [kg], but is '5'"),
+        (True, "mass must be a number [kg], but is True"),
+        (None, "mass must be a number [kg], but is None"),
+    ],
+)
+def test_other_values_are_refused_in_a_sentence(value, sentence):
+    with pytest.raises(InputError) as caught:
+        check_bounds("mass", value, MASS)
+    assert str(caught.value) == sentence
+
+
+def test_exclusive_and_inclusive_bounds_differ():
+    share = {"minimum": 0.0, "below": 1.0}
+    check_bounds("share", 0.0, share)
+    with pytest.raises(InputError, match=r"share is 1, but must be below 1$"):
+        check_bounds("share", 1.0, share)
+
+
+def test_a_value_is_told_as_it_was_written():
+    with pytest.raises(InputError, match="mass is -1e0, but"):
+        check_bounds("mass", -1.0, MASS, "-1e0")
+
+
+@dataclass
+class Ball:
+    mass: float = field(metadata=MASS)
+    radius: float = field(metadata={"unit": "m", "above": 0.0})
+
+
+def test_a_dataclass_is_checked_field_by_field():
+    check_fields(Ball(1.0, 0.1), "ball 'heel'")
+    with pytest.raises(InputError) as caught:
+        check_fields(Ball(1.0, 0.0), "ball 'heel'")
+    assert str(caught.value) == (
+        "ball 'heel': radius is 0, but must be above 0 m"
+    )
+
+
+def test_the_nearest_name_is_suggested_if_one_is_near():
+    names = ("hip_torque", "knee_torque")
+    assert nearest("hip_torqe", names) == "; did you mean 'hip_torque'?"
+    assert nearest("mass", names) == nearest(None, names) == ""
