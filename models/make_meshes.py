@@ -9,8 +9,7 @@ of a leg are centred at y = 0 and placed by the SDF. They serve the eye only.
 from pathlib import Path
 
 import numpy as np
-
-from drake_exo.report.sweeps import beam, loaf, mirrored, obj_text, shell, tube
+from drake_exo.models.sweeps import beam, loaf, mirrored, obj_text, shell, tube
 
 _FOLDER = Path(__file__).parent / "meshes"
 

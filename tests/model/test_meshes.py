@@ -3,9 +3,9 @@ import re
 import numpy as np
 import pytest
 from drake_exo.models.make_meshes import exoskeleton_parts, human_parts
+from drake_exo.models.sweeps import mirrored, obj_text, tube
 
 from drake_exo.model.description import models_path
-from drake_exo.report.sweeps import mirrored, obj_text, tube
 
 MESHES = models_path() / "meshes"
 
