@@ -1,12 +1,17 @@
-"""The contents of a C3D file, decoded by ezc3d at arm's length.
+"""C3D files: markers, force plates of types 1 to 4, analog channels.
 
-C3D files: markers, force plates of types 1 to 4, analog channels.
+ezc3d decodes a file, in a process of its own (`c3d_child.py`), since damage
+makes it crash, run on without end or ask for all memory there is. Two things
+it does not tell are found here: that a file is truncated (it hands over the
+frames that are left, and corrects the header's count), and what the signals
+of a plate mean. Its own analysis of plates knows no units, demands a
+calibration matrix of types that have none, and turns the moments of type 1.
 
-What the plates' signals mean (The C3D File Format, FORCE_PLATFORM group): a
-plate's own frame comes from its corners, x from corner 2 to 1, y from corner 4
-to 1, z = x × y, which points down for a plate in the floor. ORIGIN runs from
-the origin of the plate's signals to the middle of its surface, so its z is
-negative; files with a positive one are common and are corrected.
+A plate's own frame comes from its corners (The C3D File Format,
+FORCE_PLATFORM group): x from corner 2 to 1, y from corner 4 to 1, z = x × y,
+which points down for a plate in the floor. ORIGIN runs from the origin of the
+plate's signals to the middle of its surface, so its z is negative; files with
+a positive one are common and are corrected.
 
     type 1: F, point of application from the middle, free moment
     type 2: F and M about the signals' origin
@@ -28,10 +33,59 @@ from drake_exo.files.opensim import PlateRecording
 from drake_exo.files.tables import MarkerData, Table
 
 _CHILD = Path(__file__).with_name("c3d_child.py")
-_BLOCK = 512
-_INTEL, _DEC, _MIPS = 84, 85, 86
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
+_MOMENTS = {"nm": 1.0, "ncm": 1e-2, "nmm": 1e-3}
+_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}  # of a plate, by its type
+_MOST_PLATES = 64
 _FARTHEST = 1e9  # of a marker, in any unit
-_LONG = 0xFFFF  # header's last frame where there are more
+_LARGEST = 1e30  # of a signal, in any unit
+
+
+@dataclass(frozen=True)
+class C3d:
+    """Contents of a C3D file.
+
+    Attributes:
+        markers: None if the file has none.
+        plates: force plates, numbered from 1, in the file's axes; forces on
+            the body.
+        plate_time: (N,) of the plates' samples [s].
+        analog: all analog channels; None if the file has none.
+        analog_units: channel name -> unit as the file says.
+        corners: (P, 4, 3) of each plate [m].
+    """
+
+    markers: MarkerData | None
+    plates: list[PlateRecording]
+    plate_time: np.ndarray
+    analog: Table | None
+    analog_units: dict[str, str] = field(default_factory=dict)
+    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 3)))
+
+
+def read_c3d(path: str | Path) -> C3d:
+    """Read a C3D file; time starts at zero with its first frame.
+
+    Raises:
+        InputError: unreadable or truncated file, unknown units, a plate
+            without corners or channels, or of another type.
+    """
+    path = Path(path)
+    file = decode(path)
+    markers = _markers(path, file)
+    analog, units = _analog(path, file)
+    used = file.numbers("FORCE_PLATFORM", "USED")
+    count = 0 if used is None else int(np.clip(used.flat[0], 0, _MOST_PLATES))
+    plates = [_Plate(path, file, i, analog, units) for i in range(count)]
+    return C3d(
+        markers=markers,
+        plates=[plate.recording() for plate in plates],
+        plate_time=np.zeros(0) if analog is None else analog.time,
+        analog=analog,
+        analog_units=units,
+        corners=np.reshape([plate.corners for plate in plates], (-1, 4, 3)),
+    )
 
 
 @dataclass(frozen=True)
@@ -77,10 +131,18 @@ def decode(path: Path) -> C3dContents:
             damaged.
     """
     _check_complete(path)
-    with np.load(io.BytesIO(_arrays(path)), allow_pickle=False) as found:
+    done = subprocess.run(
+        [sys.executable, str(_CHILD), str(path.absolute())],
+        capture_output=True,
+        check=False,
+    )
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace")
+        what = first_line(said) if done.returncode == 1 else ""
+        raise _damaged(path, what or "its parts contradict each other")
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as found:
         arrays = {name: found[name] for name in found.files}
-    points = arrays["points"]
-    if (np.abs(points) > _FARTHEST).any():
+    if (np.abs(arrays["points"]) > _FARTHEST).any():
         raise _damaged(path, "a marker is out of all bounds")
     rate, analog_rate = arrays["rates"]
     if not 0.0 < rate < 1e6:
@@ -92,22 +154,17 @@ def decode(path: Path) -> C3dContents:
             value = [printable(text.strip()) for text in value.ravel()]
         parameters.setdefault(group, {})[name] = value
     return C3dContents(
-        parameters, points, float(rate), arrays["analogs"], float(analog_rate)
+        parameters,
+        arrays["points"],
+        float(rate),
+        arrays["analogs"],
+        float(analog_rate),
     )
 
 
-def _arrays(path: Path) -> bytes:
-    """What the child process hands over."""
-    done = subprocess.run(
-        [sys.executable, str(_CHILD), str(path.absolute())],
-        capture_output=True,
-        check=False,
-    )
-    if done.returncode:
-        said = done.stderr.decode("utf-8", "replace")
-        what = first_line(said) if done.returncode == 1 else ""
-        raise _damaged(path, what or "its parts contradict each other")
-    return done.stdout
+_BLOCK = 512  # bytes
+_INTEL, _DEC, _MIPS = 84, 85, 86
+_LONG = 0xFFFF  # header's last frame where there are more
 
 
 def _check_complete(path: Path) -> None:
@@ -148,83 +205,6 @@ def _damaged(path, what: str) -> InputError:
     return InputError(f"{path}: is damaged ({what}); copy or export it again")
 
 
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
-_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
-_MOST_PLATES = 64
-_LARGEST = 1e30  # of a signal, in any unit
-
-
-@dataclass(frozen=True)
-class C3d:
-    """Contents of a C3D file.
-
-    Attributes:
-        markers: None if the file has none.
-        plates: force plates, numbered from 1, in the file's axes; forces on
-            the body.
-        plate_time: (N,) of the plates' samples [s].
-        analog: all analog channels; None if the file has none.
-        analog_units: channel name -> unit as the file says.
-        corners: (P, 4, 3) of each plate [m].
-    """
-
-    markers: MarkerData | None
-    plates: list[PlateRecording]
-    plate_time: np.ndarray
-    analog: Table | None
-    analog_units: dict[str, str] = field(default_factory=dict)
-    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 3)))
-
-
-def read_c3d(path: str | Path) -> C3d:
-    """Read a C3D file; time starts at zero with its first frame.
-
-    Raises:
-        InputError: unreadable or truncated file, unknown units, a plate
-            without corners or channels, or of another type.
-    """
-    path = Path(path)
-    file = decode(path)
-    markers = _markers(path, file)
-    analog, units = _analog(path, file)
-    used = file.numbers("FORCE_PLATFORM", "USED")
-    count = 0 if used is None else int(np.clip(used.flat[0], 0, _MOST_PLATES))
-    plates, corners = [], np.zeros((count, 4, 3))
-    for i in range(count):
-        plate = _PlateSignals(path, file, i, analog, units)
-        plates.append(plate.recording())
-        corners[i] = plate.corners
-    time = np.zeros(0) if analog is None else analog.time
-    return C3d(markers, plates, time, analog, units, corners)
-
-
-def _unit(path, text: str, known: dict[str, float], what: str) -> float:
-    unit = text.strip().lower().replace(".", "").replace("*", "")
-    if unit not in known:
-        names = ", ".join(known)
-        raise InputError(
-            f"{path}: the unit of {what} is {text!r}; correct it to one of "
-            f"{names}"
-        )
-    return known[unit]
-
-
-def _point_unit(path, file: C3dContents) -> float:
-    units = file.texts("POINT", "UNITS")
-    return _unit(path, units[0] if units else "", _LENGTHS, "POINT:UNITS")
-
-
-def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
-    """One name for each of `count` columns; repeated ones get a number."""
-    names = [*names[:count], *[""] * (count - len(names))]
-    found: list[str] = []
-    for i, name in enumerate(names):
-        name = name or f"{prefix}{i + 1}"
-        found.append(f"{name}_{i + 1}" if name in found else name)
-    return tuple(found)
-
-
 def _markers(path, file: C3dContents) -> MarkerData | None:
     p = file.points
     if p.size == 0:
@@ -257,37 +237,120 @@ def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
     return table, dict(zip(names, units, strict=False))
 
 
-class _PlateSignals:
-    """One plate of a file: its geometry and its signals."""
+def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
+    """One name for each of `count` columns; repeated ones get a number."""
+    names = [*names[:count], *[""] * (count - len(names))]
+    found: list[str] = []
+    for i, name in enumerate(names):
+        name = name or f"{prefix}{i + 1}"
+        found.append(f"{name}_{i + 1}" if name in found else name)
+    return tuple(found)
+
+
+def _point_unit(path, file: C3dContents) -> float:
+    units = file.texts("POINT", "UNITS")
+    return _unit(path, units[0] if units else "", _LENGTHS, "POINT:UNITS")
+
+
+def _unit(path, text: str, known: dict[str, float], what: str) -> float:
+    unit = text.strip().lower().replace(".", "").replace("*", "")
+    if unit not in known:
+        names = ", ".join(known)
+        raise InputError(
+            f"{path}: the unit of {what} is {text!r}; correct it to one of "
+            f"{names}"
+        )
+    return known[unit]
+
+
+def plate_axes(corners: np.ndarray) -> np.ndarray:
+    """Axes of a plate's own frame as columns (3, 3), from corners (4, 3)."""
+    x, y = corners[0] - corners[1], corners[0] - corners[3]
+    z = np.cross(x, y)
+    axes = (x, np.cross(z, x), z)
+    return np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
+
+
+class _Plate:
+    """One plate of a file: its geometry and its signals.
+
+    Attributes:
+        corners: (4, 3) [m].
+    """
 
     def __init__(self, path, file: C3dContents, index, analog, units):
-        self.path, self.index, self.file = path, index, file
-        self.kind = self._type()
-        length = _point_unit(path, file)
-        self.corners = length * self._corners()
-        self.origin = length * self._origin()
-        raw, self.units = self._signals(analog, units)
-        self.length = length
-        if self.kind == 4:
-            raw = raw @ self._calibration().T
-        self.raw = raw
+        self._path, self._index, self._file = path, index, file
+        self._name = f"force plate {index + 1}"
+        self._kind = self._type()
+        self._length = _point_unit(path, file)
+        self.corners = self._length * self._corners()
+        self._origin = self._length * self._signals_origin()
+        self._raw, self._units = self._signals(analog, units)
+        if self._kind == 4:
+            self._raw = self._raw @ self._calibration().T
 
-    @property
-    def name(self) -> str:
-        return f"force plate {self.index + 1}"
+    def recording(self) -> PlateRecording:
+        """Force and free moment about the middle of the surface."""
+        R = plate_axes(self.corners)
+        F, M = self._wrench()
+        middle = self.corners.mean(axis=0)
+        return PlateRecording(
+            number=self._index + 1,
+            force=F @ R.T,
+            point=np.tile(middle, (len(F), 1)),
+            torque=M @ R.T,
+            has_torque=True,
+        )
 
-    def _error(self, message: str) -> InputError:
-        return InputError(f"{self.path}: {self.name} {message}")
+    def _wrench(self) -> tuple[np.ndarray, np.ndarray]:
+        """Force and moment about the surface's middle, in the plate."""
+        force_scale, moment_scale = self._scales()
+        if self._kind == 3:
+            F, M = _of_four_sensors(force_scale * self._raw, self._origin)
+            return F, M - np.cross([0.0, 0.0, self._origin[2]], F)
+        F = force_scale * self._raw[:, :3]
+        if self._kind == 1:
+            length = _unit(
+                self._path, self._units[3], _LENGTHS, f"P of {self._name}"
+            )
+            p = np.zeros_like(F)
+            # From the surface's middle, as BTK and ezc3d read it too.
+            p[:, :2] = length * self._raw[:, 3:5]
+            M = np.cross(p, F)
+            M[:, 2] += moment_scale * self._raw[:, 5]
+            return F, M
+        M = moment_scale * self._raw[:, 3:]
+        return F, M - np.cross(self._origin, F)
+
+    def _scales(self) -> tuple[float, float]:
+        """Factors to N and N m of force and moment channels.
+
+        After a calibration matrix channels that count volts are newtons, and
+        newtons times the file's unit of length (C3D manual).
+        """
+        force, moment = self._units[0], self._units[-1]
+        if self._kind == 4 and force.strip().lower() in ("v", "mv", "uv", ""):
+            return 1.0, self._length
+        what = f"the channels of {self._name}"
+        scale = _unit(self._path, force, _FORCES, what)
+        if self._kind == 3:
+            return scale, scale
+        return scale, _unit(self._path, moment, _MOMENTS, what)
+
+    # What FORCE_PLATFORM says of the plate -------------------------------
 
     def _parameter(self, name: str, dimensions: int) -> np.ndarray | None:
         """The plate's own entry of a parameter, None if it is not there."""
-        values = self.file.numbers("FORCE_PLATFORM", name)
+        values = self._file.numbers("FORCE_PLATFORM", name)
         if values is None or values.ndim != dimensions:
             return None
-        if values.shape[-1] <= self.index:
+        if values.shape[-1] <= self._index:
             return None
-        own = values[..., self.index]
+        own = values[..., self._index]
         return own if np.isfinite(own).all() else None
+
+    def _error(self, message: str) -> InputError:
+        return InputError(f"{self._path}: {self._name} {message}")
 
     def _type(self) -> int:
         kind = self._parameter("TYPE", 1)
@@ -313,18 +376,19 @@ class _PlateSignals:
             )
         return corners
 
-    def _origin(self) -> np.ndarray:
+    def _signals_origin(self) -> np.ndarray:
         origin = self._parameter("ORIGIN", 2)
         if origin is None or origin.shape != (3,):
             raise self._error("has no FORCE_PLATFORM:ORIGIN; complete it")
         return -origin if origin[2] > 0.0 else origin
 
-    def _signals(self, analog, units):
+    def _signals(self, analog, units) -> tuple[np.ndarray, list[str]]:
+        """Channels (N, 6 or 8) as the file holds them, and their units."""
         channels = self._parameter("CHANNEL", 2)
-        count = _CHANNELS[self.kind]
+        count = _CHANNELS[self._kind]
         if analog is None or channels is None or len(channels) < count:
             raise self._error(
-                f"of type {self.kind} lacks its {count} analog channels; "
+                f"of type {self._kind} lacks its {count} analog channels; "
                 "complete FORCE_PLATFORM:CHANNEL"
             )
         index = channels[:count].astype(int) - 1
@@ -333,11 +397,10 @@ class _PlateSignals:
                 f"names analog channel {index.max() + 1}, but there are "
                 f"{len(analog.names)}; correct FORCE_PLATFORM:CHANNEL"
             )
-        names = [analog.names[i] for i in index]
         values = analog.values[:, index]
         if not (np.abs(values) < _LARGEST).all():
             raise self._error("has gaps in its channels; export it again")
-        return values, [units[n] for n in names]
+        return values, [units[analog.names[i]] for i in index]
 
     def _calibration(self) -> np.ndarray:
         matrix = self._parameter("CAL_MATRIX", 3)
@@ -355,58 +418,6 @@ class _PlateSignals:
                 "FORCE_PLATFORM:CAL_MATRIX"
             )
         return matrix
-
-    def _scales(self) -> tuple[float, float]:
-        """Factors to N and N m of force and moment channels.
-
-        After a calibration matrix channels that count volts are newtons, and
-        newtons times the file's unit of length (C3D manual).
-        """
-        moments = {"nm": 1.0, "ncm": 1e-2, "nmm": 1e-3}
-        force, moment = self.units[0], self.units[-1]
-        if self.kind == 4 and force.strip().lower() in ("v", "mv", "uv", ""):
-            return 1.0, self.length
-        what = f"the channels of {self.name}"
-        scale = _unit(self.path, force, _FORCES, what)
-        if self.kind == 3:
-            return scale, scale
-        return scale, _unit(self.path, moment, moments, what)
-
-    def _wrench(self) -> tuple[np.ndarray, np.ndarray]:
-        """Force and moment about the surface's middle, in the plate."""
-        force_scale, moment_scale = self._scales()
-        if self.kind == 3:
-            F, M = _of_four_sensors(force_scale * self.raw, self.origin)
-            return F, M - np.cross([0.0, 0.0, self.origin[2]], F)
-        F = force_scale * self.raw[:, :3]
-        if self.kind == 1:
-            length = _unit(
-                self.path, self.units[3], _LENGTHS, f"P of {self.name}"
-            )
-            p = np.zeros_like(F)
-            # From the surface's middle, as BTK and ezc3d read it too.
-            p[:, :2] = length * self.raw[:, 3:5]
-            M = np.cross(p, F)
-            M[:, 2] += moment_scale * self.raw[:, 5]
-            return F, M
-        M = moment_scale * self.raw[:, 3:]
-        return F, M - np.cross(self.origin, F)
-
-    def recording(self) -> PlateRecording:
-        x = self.corners[0] - self.corners[1]
-        y = self.corners[0] - self.corners[3]
-        z = np.cross(x, y)
-        y = np.cross(z, x)
-        R = np.stack([e / np.linalg.norm(e) for e in (x, y, z)], axis=1)
-        F, M = self._wrench()
-        middle = self.corners.mean(axis=0)
-        return PlateRecording(
-            number=self.index + 1,
-            force=F @ R.T,
-            point=np.tile(middle, (len(F), 1)),
-            torque=M @ R.T,
-            has_torque=True,
-        )
 
 
 def _of_four_sensors(f: np.ndarray, origin: np.ndarray):

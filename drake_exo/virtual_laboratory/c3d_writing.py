@@ -7,7 +7,7 @@ import ezc3d
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.c3d import decode
+from drake_exo.files.c3d import decode, plate_axes
 from drake_exo.files.opensim import PlateRecording
 from drake_exo.files.tables import MarkerData
 
@@ -43,18 +43,11 @@ class PlateDesign:
     origin: tuple[float, float, float] = (0.0, 0.0, -0.04)
     calibration: np.ndarray | None = None
 
-    def frame(self) -> np.ndarray:
-        """Axes of the plate in the laboratory, as columns."""
-        c = np.asarray(self.corners)
-        x, y = c[0] - c[1], c[0] - c[3]
-        z = np.cross(x, y)
-        axes = (x, np.cross(z, x), z)
-        return np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
-
     def channels(self, recording: PlateRecording) -> np.ndarray:
         """Signals (N, 6 or 8) in the units of the file."""
-        R, c = self.frame(), np.asarray(self.origin)
-        middle = np.mean(self.corners, axis=0)
+        c = np.asarray(self.origin)
+        corners = np.asarray(self.corners)
+        R, middle = plate_axes(corners), corners.mean(axis=0)
         M = recording.moment_about_origin() - np.cross(middle, recording.force)
         F, M = recording.force @ R, M @ R
         if self.kind == 3:
@@ -136,29 +129,29 @@ def _check_written(path: Path) -> None:
 
 
 def _add_platforms(file, designs, used) -> None:
-    rows = max(len(u) for u in used)
-    channels = [
-        [int(u[r]) if r < len(u) else 0 for u in used] for r in range(rows)
-    ]
-
-    parameters = file["parameters"]
-    whole = parameters["POINT"]["USED"]["type"]
-
-    def add(name, value, is_whole=False):
-        value = np.asarray(value, float)
-        file.add_parameter("FORCE_PLATFORM", name, value)
-        if is_whole:  # ezc3d itself makes reals of whole numbers
-            parameters["FORCE_PLATFORM"][name]["type"] = whole
-
-    add("USED", [len(designs)], True)
-    add("TYPE", [d.kind for d in designs], True)
-    add("ZERO", [0, 0], True)
-    corners = np.stack([1e3 * np.asarray(d.corners).T for d in designs], 2)
-    add("CORNERS", corners)
-    add("ORIGIN", np.stack([1e3 * np.asarray(d.origin) for d in designs], 1))
-    add("CHANNEL", channels, True)
-    matrices = [
-        np.eye(6) if d.calibration is None else d.calibration for d in designs
-    ]
+    rows = max(map(len, used))
+    entries = {
+        "USED": [len(designs)],
+        "TYPE": [d.kind for d in designs],
+        "ZERO": [0, 0],
+        "CORNERS": np.stack(
+            [1e3 * np.asarray(d.corners).T for d in designs], 2
+        ),
+        "ORIGIN": np.stack([1e3 * np.asarray(d.origin) for d in designs], 1),
+        "CHANNEL": np.stack([np.pad(u, (0, rows - len(u))) for u in used], 1),
+    }
     if any(d.kind == 4 for d in designs):
-        add("CAL_MATRIX", np.stack(matrices, 2))
+        entries["CAL_MATRIX"] = np.stack(
+            [
+                np.eye(6) if d.calibration is None else d.calibration
+                for d in designs
+            ],
+            2,
+        )
+    parameters = file["parameters"]
+    for name, value in entries.items():
+        value = np.asarray(value)
+        file.add_parameter("FORCE_PLATFORM", name, value.astype(float))
+        if value.dtype.kind == "i":  # ezc3d makes reals of whole numbers
+            whole = parameters["POINT"]["USED"]["type"]
+            parameters["FORCE_PLATFORM"][name]["type"] = whole
