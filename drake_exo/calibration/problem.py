@@ -20,10 +20,10 @@ from drake_exo.collocation.loads import AppliedWrench
 from drake_exo.collocation.trial_program import Movement, Tracking
 from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.nlp import drake_ipopt, ipopt, preflight
-from drake_exo.nlp.ipopt import Iterate
+from drake_exo.nlp import drake_ipopt, ipopt
+from drake_exo.nlp import infeasibility as preflight
+from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
-from drake_exo.nlp.solution import Solution
 from drake_exo.nlp.sparse import SparseProgram
 
 

@@ -26,7 +26,7 @@ from drake_exo.files.schema import load
 from drake_exo.files.tables import Table
 from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.model.segments import ExoskeletonParameters, HumanParameters
-from drake_exo.nlp.solution import Solution
+from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.tables import format_table
 
 MODEL = "model.json"

@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.solvers import SolverOptions as DrakeSolverOptions
 
-from drake_exo.nlp.ipopt import SolverOptions
+from drake_exo.nlp.ipopt import Solution, SolverOptions
 from drake_exo.nlp.program import (
     BatchedProgram,
     nonlinear_constraints,
@@ -20,7 +20,6 @@ from drake_exo.nlp.program import (
     variable_bounds,
     variable_scaling,
 )
-from drake_exo.nlp.solution import Solution
 from drake_exo.nlp.sparse import SparseProgram
 
 

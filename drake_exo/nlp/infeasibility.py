@@ -1,8 +1,10 @@
-"""Which bounds make a program infeasible, and by how much.
+"""What keeps a program from being solved, in its user's words.
 
-The bounds of trajectories (torque limits, given end states) become springs:
-what they would have to give way by names them. Everything else, such as
-dynamics and contact, keeps holding.
+Before a solve, `check` tells the faults that waste one. After one that found
+no feasible point, `relax` tells which bounds make the program infeasible, and
+by how much: the bounds of trajectories (torque limits, given end states)
+become springs, and what they would have to give way by names them. Everything
+else, such as dynamics and contact, keeps holding.
 """
 
 from collections.abc import Callable
@@ -10,8 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drake_exo.errors import InputError
 from drake_exo.nlp.sparse import SparseProgram
 
+# Below this a parameter moves no residual, in the units of the residuals.
+_INFLUENCE = 1e-9
 # Stiffness of the springs against costs of order one, softest first: each
 # solve starts from the last. A bound that is merely active gives way by its
 # multiplier over the stiffness. Limits are tried before given states.
@@ -21,6 +26,69 @@ _STAGES = {
 }
 # Excess that counts, in the variables' units (100 N m, 1 rad, 1 m).
 SIGNIFICANT = 5e-3
+
+
+def check(
+    problem: SparseProgram,
+    guess: np.ndarray,
+    parameters: dict[str, int],
+) -> None:
+    """Check guess, bounds and the influence of parameters.
+
+    Args:
+        problem: the compiled program.
+        guess: (num_vars,) program variables.
+        parameters: program index of each free parameter by name.
+
+    Raises:
+        InputError: the guess holds NaN, bounds exclude each other, a
+            function is not finite at the guess, or a parameter moves neither
+            a constraint nor a residual.
+    """
+    names = [v.get_name() for v in problem.program.prog.decision_variables()]
+    if not np.isfinite(guess).all():
+        bad = int(np.flatnonzero(~np.isfinite(guess))[0])
+        raise InputError(
+            f"the guess of {names[bad]} is {guess[bad]}; check the trial's "
+            "data for gaps"
+        )
+    for lower, upper, what in (
+        (problem.y_lower, problem.y_upper, "a variable"),
+        (problem.g_lower, problem.g_upper, "a constraint"),
+    ):
+        if (lower > upper).any():
+            raise InputError(
+                f"{what} has a lower bound above its upper bound; check the "
+                "bounds of parameters and end states"
+            )
+    y = problem.restrict(guess)
+    g = problem.constraints(y)
+    if not np.isfinite(g).all():
+        row = int(np.flatnonzero(~np.isfinite(g))[0])
+        raise InputError(
+            f"{problem.rows.name(row)} is not finite at the guess; check the "
+            "trial's data and the parameters' nominal values"
+        )
+    influence = _influence(problem, y)
+    for name, index in parameters.items():
+        columns = problem.unknowns.matrix[[index]].indices
+        if influence[columns].max(initial=0.0) <= _INFLUENCE:
+            raise InputError(
+                f"parameter {name} influences nothing that was measured; fix "
+                "it (free: false) or add data that depends on it"
+            )
+
+
+def _influence(problem, y):
+    """Largest derivative of any constraint or residual by each unknown."""
+    _, columns = problem.jacobian_structure
+    influence = np.zeros(problem.num_unknowns)
+    np.maximum.at(influence, columns, np.abs(problem.jacobian(y)))
+    for block in problem.residual_blocks:
+        J = np.abs(block.jacobian(problem.expand(y))).max(axis=1)
+        keep = block.columns >= 0
+        np.maximum.at(influence, block.columns[keep], J[keep])
+    return influence
 
 
 @dataclass(frozen=True)
@@ -44,6 +112,39 @@ class Excess:
             f"{self.name} would be {self.needed:.4g} {self.unit}, "
             f"its bound is {self.bound:.4g} {self.unit}"
         )
+
+
+def relax(
+    problem: SparseProgram,
+    y: np.ndarray,
+    attempt: Callable[["ElasticProgram", np.ndarray], np.ndarray | None],
+) -> tuple[np.ndarray, list[Excess] | None]:
+    """Look for the bounds that are in each other's way.
+
+    Args:
+        problem: that could not be solved.
+        y: where to start.
+        attempt: solves an elastic program from a start; None if it fails.
+
+    Returns:
+        A better start, and the bounds that gave way there: none if the
+        problem is feasible, None if nothing was found out.
+    """
+    for kinds, stiffnesses in _STAGES.items():
+        found, at = None, y
+        for stiffness in stiffnesses:
+            elastic = ElasticProgram(problem, kinds, stiffness)
+            if not elastic.num_springs:
+                break
+            solved = attempt(elastic, at)
+            if solved is None:
+                break
+            at, found = solved, elastic.binding(solved)
+            if not found:
+                break
+        if found is not None:
+            return np.clip(at, problem.y_lower, problem.y_upper), found
+    return y, None
 
 
 class ElasticProgram:
@@ -179,39 +280,6 @@ class ElasticProgram:
                 ),
             )
         return list(found.values())
-
-
-def relax(
-    problem: SparseProgram,
-    y: np.ndarray,
-    attempt: Callable[[ElasticProgram, np.ndarray], np.ndarray | None],
-) -> tuple[np.ndarray, list[Excess] | None]:
-    """Look for the bounds that are in each other's way.
-
-    Args:
-        problem: that could not be solved.
-        y: where to start.
-        attempt: solves an elastic program from a start; None if it fails.
-
-    Returns:
-        A better start, and the bounds that gave way there: none if the
-        problem is feasible, None if nothing was found out.
-    """
-    for kinds, stiffnesses in _STAGES.items():
-        found, at = None, y
-        for stiffness in stiffnesses:
-            elastic = ElasticProgram(problem, kinds, stiffness)
-            if not elastic.num_springs:
-                break
-            solved = attempt(elastic, at)
-            if solved is None:
-                break
-            at, found = solved, elastic.binding(solved)
-            if not found:
-                break
-        if found is not None:
-            return np.clip(at, problem.y_lower, problem.y_upper), found
-    return y, None
 
 
 def _with(bounds, index, value):

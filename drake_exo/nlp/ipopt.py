@@ -1,4 +1,7 @@
-"""Solving a SparseProgram with IPOPT, with progress and a way to cancel."""
+"""Solving a SparseProgram with IPOPT, with progress and a way to cancel.
+
+A `Solution` says whether the solve succeeded, and is sealed if it did not.
+"""
 
 import signal
 import threading
@@ -9,8 +12,7 @@ from dataclasses import dataclass, field, replace
 import ipyopt
 import numpy as np
 
-from drake_exo.nlp import infeasibility as elastic
-from drake_exo.nlp.solution import Solution
+from drake_exo.nlp.infeasibility import Excess, relax
 from drake_exo.nlp.sparse import SparseProgram
 
 # IPOPT's ApplicationReturnStatus.
@@ -93,6 +95,160 @@ class Iterate:
     x: np.ndarray | None
 
 
+class SealedSolutionError(RuntimeError):
+    """A failed solution was read without `unseal()`."""
+
+
+@dataclass
+class Solution:
+    """Result of one solve.
+
+    Attributes:
+        success: whether the solver met its tolerances.
+        status: in words.
+        iterations: of the solver, all attempts together.
+        objective: at the returned point.
+        infeasibility: largest scaled constraint violation there.
+        worst_constraints: (name, violation), largest first.
+        binding: bounds that exclude each other, of an infeasible problem.
+        active_bounds: names of named parameters that sit at a bound.
+        num_variables, num_constraints, jacobian_nonzeros: of the problem
+            that the solver saw.
+        seconds: time by part ("build", "solve", "linear_algebra", ...).
+        evaluations: calls by part.
+        strategy: barrier strategy of the last attempt.
+    """
+
+    success: bool
+    status: str
+    iterations: int
+    objective: float
+    infeasibility: float
+    worst_constraints: list[tuple[str, float]]
+    num_variables: int
+    num_constraints: int
+    jacobian_nonzeros: int
+    strategy: str = ""
+    binding: list[Excess] = field(default_factory=list)
+    active_bounds: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    evaluations: dict[str, int] = field(default_factory=dict)
+    _values: np.ndarray = field(default=None, repr=False)
+    _sealed: bool = field(default=False, repr=False)
+
+    def __post_init__(self):
+        self._sealed = not self.success
+
+    @property
+    def is_sealed(self) -> bool:
+        """Whether reading values raises."""
+        return self._sealed
+
+    def unseal(self) -> "Solution":
+        """Allow a failed solution to be read; returns itself."""
+        self._sealed = False
+        return self
+
+    def values(self, indices: np.ndarray) -> np.ndarray:
+        """Values of program variables by index, same shape.
+
+        Raises:
+            SealedSolutionError: if the solve failed and nobody unsealed it.
+        """
+        if self._sealed:
+            raise SealedSolutionError(
+                f"the solve failed ({self.status}); its values are not a "
+                "solution. Call unseal() to look at them all the same. "
+                + self.explain()
+            )
+        return self._values[indices]
+
+    def raw_values(self) -> np.ndarray:
+        """All program variables, sealed or not: for reports of failures."""
+        return self._values
+
+    def explain(self) -> str:
+        """The worst constraints by name, and what to try next."""
+        if self.success:
+            return "all constraints hold"
+        if self.binding:
+            return (
+                "Bounds that are in the way, and the least change found: "
+                + "; ".join(map(str, self.binding))
+                + "."
+            )
+        if not self.worst_constraints:
+            return (
+                "All constraints hold: the point is feasible but not yet "
+                "optimal; allow more iterations."
+            )
+        worst = "; ".join(
+            f"{name} off by {violation:.3g}"
+            for name, violation in self.worst_constraints
+        )
+        return f"Worst constraints (scaled): {worst}."
+
+
+def solve(
+    problem: SparseProgram,
+    guess: np.ndarray,
+    options: SolverOptions | None = None,
+    on_iterate: Callable[[Iterate], None] | None = None,
+) -> Solution:
+    """Solve from a guess of all program variables.
+
+    Ctrl-C stops after the running iteration; the best iterate is returned in
+    a sealed solution.
+
+    Args:
+        problem: the compiled program.
+        guess: (num_vars,) program variables.
+        options: tolerances and strategies.
+        on_iterate: called once for each iteration.
+    """
+    options = options or SolverOptions()
+    start = time.perf_counter()
+    y0 = problem.restrict(guess)
+    total, binding, hopeful = 0, None, True
+    exact = problem.exact_hessian
+    stop = threading.Event()
+
+    def relaxed(program, y):
+        return _relaxed(program, y, options, on_iterate, start, stop)
+
+    with _stop_on_interrupt(stop):
+        for strategy in options.strategies:
+            if strategy == "exact" and not hopeful:
+                continue  # dear, and nothing says that it would help
+            problem.use_exact_hessian(exact or strategy == "exact")
+            watch = _Watch(problem, strategy, start, on_iterate, stop)
+            y, objective, status = _attempt(problem, y0, options, watch)
+            total += watch.iterations
+            if status in _ACCEPTED or stop.is_set():
+                break
+            if binding:
+                break
+            hopeful = watch.found_feasible
+            if binding is None and not watch.found_feasible:
+                # Either bounds are in each other's way, or the point where
+                # none has to give way is a better start.
+                y0, binding = relax(problem, y0, relaxed)
+            hopeful = hopeful or binding == []
+    if status not in _ACCEPTED and watch.best is not None:
+        y = watch.best
+        objective = problem.objective(y)
+    elapsed = time.perf_counter() - start
+    solution = _solution(problem, y, objective, status, watch, total, elapsed)
+    if not solution.success and stop.is_set():
+        solution.status = _STATUS[_STOPPED]
+    elif watch.gave_up and status == _STOPPED:
+        solution.status = "no progress"
+    if binding and not solution.success:
+        solution.status = _INFEASIBLE
+        solution.binding = binding
+    return solution
+
+
 class _Watch:
     """Follows one attempt: best iterate, progress, interruption.
 
@@ -154,66 +310,6 @@ class _Watch:
     def found_feasible(self) -> bool:
         """Whether an iterate kept all constraints."""
         return self.best_key[0] == 0.0
-
-
-def solve(
-    problem: SparseProgram,
-    guess: np.ndarray,
-    options: SolverOptions | None = None,
-    on_iterate: Callable[[Iterate], None] | None = None,
-) -> Solution:
-    """Solve from a guess of all program variables.
-
-    Ctrl-C stops after the running iteration; the best iterate is returned in
-    a sealed solution.
-
-    Args:
-        problem: the compiled program.
-        guess: (num_vars,) program variables.
-        options: tolerances and strategies.
-        on_iterate: called once for each iteration.
-    """
-    options = options or SolverOptions()
-    start = time.perf_counter()
-    y0 = problem.restrict(guess)
-    total, binding, hopeful = 0, None, True
-    exact = problem.exact_hessian
-    stop = threading.Event()
-
-    def relaxed(program, y):
-        return _relaxed(program, y, options, on_iterate, start, stop)
-
-    with _stop_on_interrupt(stop):
-        for strategy in options.strategies:
-            if strategy == "exact" and not hopeful:
-                continue  # dear, and nothing says that it would help
-            problem.use_exact_hessian(exact or strategy == "exact")
-            watch = _Watch(problem, strategy, start, on_iterate, stop)
-            y, objective, status = _attempt(problem, y0, options, watch)
-            total += watch.iterations
-            if status in _ACCEPTED or stop.is_set():
-                break
-            if binding:
-                break
-            hopeful = watch.found_feasible
-            if binding is None and not watch.found_feasible:
-                # Either bounds are in each other's way, or the point where
-                # none has to give way is a better start.
-                y0, binding = elastic.relax(problem, y0, relaxed)
-            hopeful = hopeful or binding == []
-    if status not in _ACCEPTED and watch.best is not None:
-        y = watch.best
-        objective = problem.objective(y)
-    elapsed = time.perf_counter() - start
-    solution = _solution(problem, y, objective, status, watch, total, elapsed)
-    if not solution.success and stop.is_set():
-        solution.status = _STATUS[_STOPPED]
-    elif watch.gave_up and status == _STOPPED:
-        solution.status = "no progress"
-    if binding and not solution.success:
-        solution.status = _INFEASIBLE
-        solution.binding = binding
-    return solution
 
 
 def _relaxed(program, y, options, on_iterate, start, stop):

@@ -1,16 +1,9 @@
-"""A batch of kernels seen from the solver's unknowns.
+"""A BatchedProgram as sparse arrays: values, Jacobian and Hessian.
 
-The rows of a sparse program's constraints g(y), and what they belong to.
-
-In this order: linear constraints, bounds of single variables that a
-substitution took away, blocks of kernels.
-
-The Hessian of a sparse program's Lagrangian, put together from blocks.
-
-A BatchedProgram as sparse arrays: values, Jacobian and Hessian.
-
-Everything is a function of the solver's unknowns y (`Unknowns`). Linear
-constraints that a substitution satisfies exactly leave the problem.
+Everything is a function of the solver's unknowns y (`Unknowns`). A batch
+becomes a `Block`, of which each instance sees the few unknowns that its inputs
+follow from; `ConstraintRows` stacks the rows of g(y), and `HessianLayout` adds
+up the blocks' parts of the Lagrangian's Hessian.
 """
 
 import hashlib
@@ -29,275 +22,12 @@ from drake_exo.nlp.program import (
 )
 from drake_exo.nlp.unknowns import Substitution, Unknowns
 
-
-class Block:
-    """A batch seen from the unknowns: f(offset + B y), B gathered by node."""
-
-    def __init__(self, batch: Batch, matrix: sp.csr_array):
-        self.batch = batch
-        n, n_in = batch.indices.shape
-        ny = matrix.shape[1]
-        rows = matrix[batch.indices.ravel()].tocoo()
-        node, slot = np.divmod(rows.row, n_in)
-        key, position = np.unique(node * ny + rows.col, return_inverse=True)
-        first = np.searchsorted(key, np.arange(n) * ny)
-        rank = np.arange(len(key)) - first[key // ny]
-        width = int(rank.max()) + 1 if len(rank) else 1
-        self.columns = np.full((n, width), -1)
-        self.columns[key // ny, rank] = key % ny
-        self.local = np.zeros((n, n_in, width))
-        self.local[node, slot, rank[position]] = rows.data
-        structure = np.abs(self.local) > 0
-        if np.ptp(self.local, axis=0).max(initial=0.0) < 1e-14:
-            self.local = self.local[0]
-            structure = structure[:1]
-        pattern = batch.kernel.sparsity.astype(float) @ structure > 0
-        pattern = np.broadcast_to(pattern, (n, batch.num_outputs, width))
-        self.pattern = pattern & (self.columns >= 0)[:, None, :]
-        inputs = batch.kernel.sparsity.any(axis=0)
-        inputs = getattr(batch.kernel, "curved_inputs", inputs)
-        self.curved = structure[:, inputs].any(axis=1) & (self.columns >= 0)
-
-    def values(self, x):
-        """Outputs (n, n_out) at program variables x."""
-        return self.batch.kernel.evaluate(
-            x[self.batch.indices], self.batch.data
-        )
-
-    def jacobian(self, x):
-        """Dense blocks (n, n_out, width) with respect to the unknowns."""
-        J = self.batch.kernel.jacobian(x[self.batch.indices], self.batch.data)
-        if self.local.ndim == 3:
-            return J @ self.local
-        if J.strides[0] == 0:
-            return np.broadcast_to(
-                J[0] @ self.local, (*J.shape[:2], self.local.shape[1])
-            )
-        # One large product is much faster than many small ones.
-        flat = J.reshape(-1, J.shape[2]) @ self.local
-        return flat.reshape(*J.shape[:2], -1)
-
-    def curvature(self, x, weights):
-        """sum_i weights_i d2 f_i/dy2, (n, width, width).
-
-        By differences of the Jacobian where the kernel has no `curvature`.
-        """
-        kernel, data = self.batch.kernel, self.batch.data
-        z = x[self.batch.indices]
-        if hasattr(kernel, "curvature"):
-            H = kernel.curvature(z, weights, data)
-        else:
-            n, n_in = z.shape
-            H = np.zeros((n, n_in, n_in))
-            for k in np.flatnonzero(kernel.sparsity.any(axis=0)):
-                H[:, k] = _directional(kernel, z, data, weights, k)
-            H = 0.5 * (H + H.transpose(0, 2, 1))
-        return np.swapaxes(self.local, -1, -2) @ H @ self.local
-
-
-def _directional(kernel, z, data, weights, k):
-    """d/dz_k of weights^T J by central differences."""
-    h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
-    up, down = z.copy(), z.copy()
-    up[:, k] += h
-    down[:, k] -= h
-    J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
-    J /= (2.0 * h)[:, None, None]
-    return np.einsum("no,noi->ni", weights, J)
-
-
-def accumulate(g: np.ndarray, block: Block, local: np.ndarray) -> None:
-    """Add a block's parts of a gradient (n, width) where they belong."""
-    keep = block.columns >= 0
-    g += np.bincount(block.columns[keep], local[keep], minlength=len(g))
-
-
-_IDENTICALLY_ZERO = 1e-9
-
-
-class ConstraintRows:
-    """Constraints of a batched program, seen from the unknowns.
-
-    Attributes:
-        linear: (nl, ny) matrix of the linear rows, which come first.
-        blocks: nonlinear constraints.
-        lower, upper: bounds on all rows.
-    """
-
-    def __init__(self, program: BatchedProgram, unknowns: Unknowns):
-        self._unknowns = unknowns
-        loose, _ = program.loose_bindings()
-        singles = [
-            Batch(
-                b.evaluator().get_description() or "constraint",
-                BindingKernel(b),
-                program.indices(b.variables())[None],
-                b.evaluator().lower_bound()[None],
-                b.evaluator().upper_bound()[None],
-            )
-            for b in loose
-        ]
-        blocks = [
-            Block(batch, unknowns.matrix)
-            for batch in [*program.constraints, *singles]
-        ]
-        self.blocks = [b for b in blocks if not self._satisfied(b)]
-        lower, upper = self._add_linear(program)
-        batches = [b.batch for b in self.blocks]
-        self.lower = np.concatenate(
-            [lower, *(b.lower.ravel() for b in batches)]
-        )
-        self.upper = np.concatenate(
-            [upper, *(b.upper.ravel() for b in batches)]
-        )
-
-    def _add_linear(self, program):
-        """Linear constraints, and bounds of substituted variables."""
-        A, lower, upper, names = linear_rows(program.prog)
-        unknowns = self._unknowns
-        rows = unknowns.substituted
-        x_lower, x_upper = unknowns.x_lower[rows], unknowns.x_upper[rows]
-        has_bound = np.isfinite(x_lower) | np.isfinite(x_upper)
-        self._bounded = bounded = rows[has_bound]
-        unit = unknowns.scale[bounded]
-        picked = sp.csr_array(
-            (1.0 / unit, (np.arange(len(bounded)), bounded)),
-            shape=(len(bounded), A.shape[1]),
-        )
-        A = sp.vstack([A, picked]).tocsr()
-        self._first_bounded = len(names)
-        self._names = [
-            *names,
-            *(f"bounds of {program.variable_name(int(i))}" for i in bounded),
-        ]
-        self.linear = (A @ unknowns.matrix).tocsr()
-        shift = A @ unknowns.offset
-        lower = np.r_[lower, x_lower[has_bound] / unit] - shift
-        upper = np.r_[upper, x_upper[has_bound] / unit] - shift
-        return lower, upper
-
-    def _satisfied(self, block: Block) -> bool:
-        """Whether a batch holds for every y: then it leaves the problem."""
-        kernel = block.batch.kernel
-        if not hasattr(kernel, "A"):
-            return False
-        offset = self._unknowns.offset
-        J = block.jacobian(offset)
-        size = np.abs(kernel.A) @ np.abs(block.local)
-        size = size.max(axis=-1, keepdims=True)
-        if not (np.abs(J) <= _IDENTICALLY_ZERO * size).all():
-            return False
-        f = block.values(offset)
-        return bool(
-            (np.abs(f - block.batch.lower) < _IDENTICALLY_ZERO).all()
-            and (np.abs(f - block.batch.upper) < _IDENTICALLY_ZERO).all()
-        )
-
-    def numbered_blocks(self):
-        """Every block with the slice of the rows that it fills."""
-        first = self.linear.shape[0]
-        for block in self.blocks:
-            last = first + block.batch.lower.size
-            yield block, slice(first, last)
-            first = last
-
-    def name(self, row: int) -> str:
-        """What constraint a row belongs to."""
-        if row < len(self._names):
-            return self._names[row]
-        for block, rows in self.numbered_blocks():
-            if row < rows.stop:
-                node, out = divmod(row - rows.start, block.batch.num_outputs)
-                return f"{block.batch.name}[{node}] row {out}"
-        raise IndexError("no such constraint")
-
-    def bounding(self, variables) -> np.ndarray:
-        """Rows that bound one of some substituted variables."""
-        hit = np.isin(self._bounded, variables)
-        return self._first_bounded + np.flatnonzero(hit)
-
-    def variable_of(self, rows: np.ndarray) -> np.ndarray:
-        """Program variable that each row bounds."""
-        return self._bounded[rows - self._first_bounded]
-
-    def row_of(self, variables: np.ndarray) -> np.ndarray:
-        """Row that bounds each variable; -1 where none does."""
-        order = np.argsort(self._bounded)
-        place = np.searchsorted(self._bounded, variables, sorter=order)
-        place = order[np.minimum(place, len(order) - 1)]
-        hit = self._bounded[place] == variables
-        return np.where(hit, self._first_bounded + place, -1)
-
-
-class HessianLayout:
-    """Union of all blocks' lower triangles, and where each one lands.
-
-    Args:
-        constant: (ny, ny) Hessian of the quadratic cost.
-        gauss_newton: blocks that contribute J^T J.
-        curved: blocks that may contribute their curvature besides.
-
-    Attributes:
-        structure: (rows, columns) of the lower triangle's nonzeros.
-        constant: the quadratic cost's values there.
-    """
-
-    def __init__(
-        self,
-        constant: sp.sparray,
-        gauss_newton: list[Block],
-        curved: list[Block],
-    ):
-        coo = sp.tril(constant).tocoo()
-        ny = constant.shape[0]
-        keys = [coo.row.astype(np.int64) * ny + coo.col]
-        self._triangles = []
-        for b in [*gauss_newton, *curved]:
-            row = np.broadcast_to(
-                b.columns[:, :, None], (*b.columns.shape, b.columns.shape[1])
-            )
-            column = row.transpose(0, 2, 1)
-            keep = (row >= column) & (column >= 0)
-            if b not in gauss_newton:
-                keep &= b.curved[:, :, None] & b.curved[:, None, :]
-            keys.append(row[keep].astype(np.int64) * ny + column[keep])
-            self._triangles.append((b, keep))
-        unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-        parts = np.split(inverse, np.cumsum([len(k) for k in keys])[:-1])
-        self.constant = np.bincount(parts[0], coo.data, minlength=len(unique))
-        self._places = parts[1:]
-        self.structure = (
-            (unique // ny).astype(np.int32),
-            (unique % ny).astype(np.int32),
-        )
-
-    def values(self, factor, x, jacobians, weights) -> np.ndarray:
-        """Nonzeros in the order of `structure`.
-
-        Args:
-            factor: of the cost.
-            x: (n,) program variables.
-            jacobians: id of a residual block -> its Jacobian.
-            weights: id of a block -> weights of its outputs' curvature.
-        """
-        H = factor * self.constant
-        for (b, keep), places in zip(
-            self._triangles, self._places, strict=True
-        ):
-            if id(b) in jacobians:
-                J = jacobians[id(b)]
-                term = factor * (J.transpose(0, 2, 1) @ J)
-                H += np.bincount(places, term[keep], minlength=len(H))
-            if id(b) in weights:
-                term = b.curvature(x, weights[id(b)])
-                H += np.bincount(places, term[keep], minlength=len(H))
-        return H
-
-
 # Far from feasible points the multipliers, and so the curvature, mean little:
 # below the first violation curvature enters, above the second it leaves.
 _NEARLY_FEASIBLE = 0.1
 _FAR = 1.0
+# Of coefficients and bounds of constraints that hold for every y.
+_IDENTICALLY_ZERO = 1e-9
 
 
 class SparseProgram:
@@ -405,7 +135,7 @@ class SparseProgram:
         )
         self.hessian_structure = self._hessian.structure
 
-    def _is_curved(self, block: Block) -> bool:
+    def _is_curved(self, block: "Block") -> bool:
         """Whether a constraint's curvature enters the Hessian."""
         kernel = block.batch.kernel
         if self.exact_hessian:
@@ -576,3 +306,277 @@ class SparseProgram:
             for i in order
             if violation[i] > 0.0
         ]
+
+
+class ConstraintRows:
+    """The rows of g(y), and what they belong to.
+
+    In this order: linear constraints, bounds of single variables that a
+    substitution took away, blocks of kernels. Linear constraints that a
+    substitution satisfies exactly leave the problem.
+
+    Attributes:
+        linear: (nl, ny) matrix of the linear rows, which come first.
+        blocks: nonlinear constraints.
+        lower, upper: bounds on all rows.
+    """
+
+    def __init__(self, program: BatchedProgram, unknowns: Unknowns):
+        self._unknowns = unknowns
+        loose, _ = program.loose_bindings()
+        singles = [
+            Batch(
+                b.evaluator().get_description() or "constraint",
+                BindingKernel(b),
+                program.indices(b.variables())[None],
+                b.evaluator().lower_bound()[None],
+                b.evaluator().upper_bound()[None],
+            )
+            for b in loose
+        ]
+        blocks = [
+            Block(batch, unknowns.matrix)
+            for batch in [*program.constraints, *singles]
+        ]
+        self.blocks = [b for b in blocks if not self._satisfied(b)]
+        lower, upper = self._add_linear(program)
+        batches = [b.batch for b in self.blocks]
+        self.lower = np.concatenate(
+            [lower, *(b.lower.ravel() for b in batches)]
+        )
+        self.upper = np.concatenate(
+            [upper, *(b.upper.ravel() for b in batches)]
+        )
+
+    def _add_linear(self, program):
+        """Linear constraints, and bounds of substituted variables."""
+        A, lower, upper, names = linear_rows(program.prog)
+        unknowns = self._unknowns
+        rows = unknowns.substituted
+        x_lower, x_upper = unknowns.x_lower[rows], unknowns.x_upper[rows]
+        has_bound = np.isfinite(x_lower) | np.isfinite(x_upper)
+        self._bounded = bounded = rows[has_bound]
+        unit = unknowns.scale[bounded]
+        picked = sp.csr_array(
+            (1.0 / unit, (np.arange(len(bounded)), bounded)),
+            shape=(len(bounded), A.shape[1]),
+        )
+        A = sp.vstack([A, picked]).tocsr()
+        self._first_bounded = len(names)
+        self._names = [
+            *names,
+            *(f"bounds of {program.variable_name(int(i))}" for i in bounded),
+        ]
+        self.linear = (A @ unknowns.matrix).tocsr()
+        shift = A @ unknowns.offset
+        lower = np.r_[lower, x_lower[has_bound] / unit] - shift
+        upper = np.r_[upper, x_upper[has_bound] / unit] - shift
+        return lower, upper
+
+    def _satisfied(self, block: "Block") -> bool:
+        """Whether a batch holds for every y: then it leaves the problem."""
+        kernel = block.batch.kernel
+        if not hasattr(kernel, "A"):
+            return False
+        offset = self._unknowns.offset
+        J = block.jacobian(offset)
+        size = np.abs(kernel.A) @ np.abs(block.local)
+        size = size.max(axis=-1, keepdims=True)
+        if not (np.abs(J) <= _IDENTICALLY_ZERO * size).all():
+            return False
+        f = block.values(offset)
+        return bool(
+            (np.abs(f - block.batch.lower) < _IDENTICALLY_ZERO).all()
+            and (np.abs(f - block.batch.upper) < _IDENTICALLY_ZERO).all()
+        )
+
+    def numbered_blocks(self):
+        """Every block with the slice of the rows that it fills."""
+        first = self.linear.shape[0]
+        for block in self.blocks:
+            last = first + block.batch.lower.size
+            yield block, slice(first, last)
+            first = last
+
+    def name(self, row: int) -> str:
+        """What constraint a row belongs to."""
+        if row < len(self._names):
+            return self._names[row]
+        for block, rows in self.numbered_blocks():
+            if row < rows.stop:
+                node, out = divmod(row - rows.start, block.batch.num_outputs)
+                return f"{block.batch.name}[{node}] row {out}"
+        raise IndexError("no such constraint")
+
+    def bounding(self, variables) -> np.ndarray:
+        """Rows that bound one of some substituted variables."""
+        hit = np.isin(self._bounded, variables)
+        return self._first_bounded + np.flatnonzero(hit)
+
+    def variable_of(self, rows: np.ndarray) -> np.ndarray:
+        """Program variable that each row bounds."""
+        return self._bounded[rows - self._first_bounded]
+
+    def row_of(self, variables: np.ndarray) -> np.ndarray:
+        """Row that bounds each variable; -1 where none does."""
+        order = np.argsort(self._bounded)
+        place = np.searchsorted(self._bounded, variables, sorter=order)
+        place = order[np.minimum(place, len(order) - 1)]
+        hit = self._bounded[place] == variables
+        return np.where(hit, self._first_bounded + place, -1)
+
+
+class Block:
+    """A batch seen from the unknowns: f(offset + B y), B gathered by node.
+
+    Attributes:
+        batch: of n instances with n_in inputs.
+        columns: (n, width) unknowns that each instance sees; -1 fills up.
+        local: (n_in, width) rows of B that all instances share, or
+            (n, n_in, width) of each.
+        pattern: (n, n_out, width) where the Jacobian may be nonzero.
+        curved: (n, width) unknowns that the curvature may touch.
+    """
+
+    def __init__(self, batch: Batch, matrix: sp.csr_array):
+        self.batch = batch
+        n, n_in = batch.indices.shape
+        ny = matrix.shape[1]
+        rows = matrix[batch.indices.ravel()].tocoo()
+        node, slot = np.divmod(rows.row, n_in)
+        key, position = np.unique(node * ny + rows.col, return_inverse=True)
+        first = np.searchsorted(key, np.arange(n) * ny)
+        rank = np.arange(len(key)) - first[key // ny]
+        width = int(rank.max()) + 1 if len(rank) else 1
+        self.columns = np.full((n, width), -1)
+        self.columns[key // ny, rank] = key % ny
+        self.local = np.zeros((n, n_in, width))
+        self.local[node, slot, rank[position]] = rows.data
+        structure = np.abs(self.local) > 0
+        if np.ptp(self.local, axis=0).max(initial=0.0) < 1e-14:
+            self.local = self.local[0]
+            structure = structure[:1]
+        pattern = batch.kernel.sparsity.astype(float) @ structure > 0
+        pattern = np.broadcast_to(pattern, (n, batch.num_outputs, width))
+        self.pattern = pattern & (self.columns >= 0)[:, None, :]
+        inputs = batch.kernel.sparsity.any(axis=0)
+        inputs = getattr(batch.kernel, "curved_inputs", inputs)
+        self.curved = structure[:, inputs].any(axis=1) & (self.columns >= 0)
+
+    def values(self, x):
+        """Outputs (n, n_out) at program variables x."""
+        return self.batch.kernel.evaluate(
+            x[self.batch.indices], self.batch.data
+        )
+
+    def jacobian(self, x):
+        """Dense blocks (n, n_out, width) with respect to the unknowns."""
+        J = self.batch.kernel.jacobian(x[self.batch.indices], self.batch.data)
+        if self.local.ndim == 3:
+            return J @ self.local
+        if J.strides[0] == 0:
+            return np.broadcast_to(
+                J[0] @ self.local, (*J.shape[:2], self.local.shape[1])
+            )
+        # One large product is much faster than many small ones.
+        flat = J.reshape(-1, J.shape[2]) @ self.local
+        return flat.reshape(*J.shape[:2], -1)
+
+    def curvature(self, x, weights):
+        """sum_i weights_i d2 f_i/dy2, (n, width, width).
+
+        By differences of the Jacobian where the kernel has no `curvature`.
+        """
+        kernel, data = self.batch.kernel, self.batch.data
+        z = x[self.batch.indices]
+        if hasattr(kernel, "curvature"):
+            H = kernel.curvature(z, weights, data)
+        else:
+            n, n_in = z.shape
+            H = np.zeros((n, n_in, n_in))
+            for k in np.flatnonzero(kernel.sparsity.any(axis=0)):
+                H[:, k] = _directional(kernel, z, data, weights, k)
+            H = 0.5 * (H + H.transpose(0, 2, 1))
+        return np.swapaxes(self.local, -1, -2) @ H @ self.local
+
+
+def _directional(kernel, z, data, weights, k):
+    """d/dz_k of weights^T J by central differences."""
+    h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
+    up, down = z.copy(), z.copy()
+    up[:, k] += h
+    down[:, k] -= h
+    J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
+    J /= (2.0 * h)[:, None, None]
+    return np.einsum("no,noi->ni", weights, J)
+
+
+def accumulate(g: np.ndarray, block: Block, local: np.ndarray) -> None:
+    """Add a block's parts of a gradient (n, width) where they belong."""
+    keep = block.columns >= 0
+    g += np.bincount(block.columns[keep], local[keep], minlength=len(g))
+
+
+class HessianLayout:
+    """Union of all blocks' lower triangles, and where each one lands.
+
+    Args:
+        constant: (ny, ny) Hessian of the quadratic cost.
+        gauss_newton: blocks that contribute J^T J.
+        curved: blocks that may contribute their curvature besides.
+
+    Attributes:
+        structure: (rows, columns) of the lower triangle's nonzeros.
+        constant: the quadratic cost's values there.
+    """
+
+    def __init__(
+        self,
+        constant: sp.sparray,
+        gauss_newton: list[Block],
+        curved: list[Block],
+    ):
+        coo = sp.tril(constant).tocoo()
+        ny = constant.shape[0]
+        keys = [coo.row.astype(np.int64) * ny + coo.col]
+        self._triangles = []
+        for b in [*gauss_newton, *curved]:
+            row = np.broadcast_to(
+                b.columns[:, :, None], (*b.columns.shape, b.columns.shape[1])
+            )
+            column = row.transpose(0, 2, 1)
+            keep = (row >= column) & (column >= 0)
+            if b not in gauss_newton:
+                keep &= b.curved[:, :, None] & b.curved[:, None, :]
+            keys.append(row[keep].astype(np.int64) * ny + column[keep])
+            self._triangles.append((b, keep))
+        unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+        parts = np.split(inverse, np.cumsum([len(k) for k in keys])[:-1])
+        self.constant = np.bincount(parts[0], coo.data, minlength=len(unique))
+        self._places = parts[1:]
+        self.structure = (
+            (unique // ny).astype(np.int32),
+            (unique % ny).astype(np.int32),
+        )
+
+    def values(self, factor, x, jacobians, weights) -> np.ndarray:
+        """Nonzeros in the order of `structure`.
+
+        Args:
+            factor: of the cost.
+            x: (n,) program variables.
+            jacobians: id of a residual block -> its Jacobian.
+            weights: id of a block -> weights of its outputs' curvature.
+        """
+        H = factor * self.constant
+        for (b, keep), places in zip(
+            self._triangles, self._places, strict=True
+        ):
+            if id(b) in jacobians:
+                J = jacobians[id(b)]
+                term = factor * (J.transpose(0, 2, 1) @ J)
+                H += np.bincount(places, term[keep], minlength=len(H))
+            if id(b) in weights:
+                term = b.curvature(x, weights[id(b)])
+                H += np.bincount(places, term[keep], minlength=len(H))
+        return H

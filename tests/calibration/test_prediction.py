@@ -10,7 +10,7 @@ from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.cli.predict import load_controller
 from drake_exo.contact.controllers import AssistController
 from drake_exo.errors import InputError
-from drake_exo.nlp.solution import SealedSolutionError
+from drake_exo.nlp.ipopt import SealedSolutionError
 
 
 def settings(**changes):

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.nlp import drake_ipopt, ipopt, preflight
-from drake_exo.nlp.ipopt import SolverOptions
+from drake_exo.nlp import drake_ipopt, infeasibility, ipopt
+from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
 from drake_exo.nlp.program import BatchedProgram
-from drake_exo.nlp.solution import SealedSolutionError
 from drake_exo.nlp.sparse import SparseProgram
 
 
@@ -136,14 +135,14 @@ def test_preflight_names_what_is_wrong():
     guess = np.zeros(6)
     guess[3] = np.nan
     with pytest.raises(InputError, match=r"x\(3\) is nan"):
-        preflight.check(problem, guess, {})
+        infeasibility.check(problem, guess, {})
     lonely = program.prog.NewContinuousVariables(1, "lonely")[0]
     problem = SparseProgram(program)
     index = int(program.prog.FindDecisionVariableIndex(lonely))
     with pytest.raises(InputError, match="lonely influences nothing"):
-        preflight.check(problem, np.full(7, 0.3), {"lonely": index})
+        infeasibility.check(problem, np.full(7, 0.3), {"lonely": index})
     known = {"x0": int(program.indices(x)[0, 0])}
-    preflight.check(problem, np.full(7, 0.3), known)
+    infeasibility.check(problem, np.full(7, 0.3), known)
 
 
 def test_preflight_refuses_crossed_bounds():
@@ -151,4 +150,4 @@ def test_preflight_refuses_crossed_bounds():
     program.prog.AddBoundingBoxConstraint(1.0, 2.0, x[0, 0])
     program.prog.AddBoundingBoxConstraint(-2.0, 0.0, x[0, 0])
     with pytest.raises(InputError, match="lower bound above"):
-        preflight.check(SparseProgram(program), np.zeros(6), {})
+        infeasibility.check(SparseProgram(program), np.zeros(6), {})
