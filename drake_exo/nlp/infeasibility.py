@@ -24,7 +24,7 @@ _STAGES = {
     ("limit",): (1.0, 30.0, 1e3, 1e5),
     ("state",): (30.0, 1e3, 1e5),
 }
-# Excess that counts, in the variables' units (100 N m, 1 rad, 1 m).
+# Excess that counts, in the variables' typical sizes.
 SIGNIFICANT = 5e-3
 
 

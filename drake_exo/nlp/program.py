@@ -146,7 +146,7 @@ class BatchedProgram:
         Args:
             kind: what bounds on them are: "limit" or "state".
             variables: (n, m) decision variables.
-            columns: (m,) what each column is, such as "rise1 hip torque".
+            columns: (m,) what each column is, such as "first trial's torque".
             rows: (n,) where each row is, such as "at 0.2 s".
             units: (m,) unit for reports, and factor that leads to it.
         """

@@ -230,3 +230,33 @@ def test_rows_are_named():
     y = _point(problem)
     worst = problem.worst_constraints(y, 3)
     assert [v for _, v in worst] == sorted((v for _, v in worst), reverse=True)
+
+
+def test_fingerprint_tells_bounds_costs_and_structure_apart():
+    def fingerprint(change=None):
+        program, x, _ = _program()
+        if change:
+            change(program.prog, x)
+        return SparseProgram(program).fingerprint()
+
+    changes = (
+        lambda prog, x: prog.AddBoundingBoxConstraint(-1.9, 2.0, x[0, 0]),
+        lambda prog, x: prog.AddLinearCost(x[0, 1] + 0.0),
+        lambda prog, x: prog.AddQuadraticCost(1e-3 * x[1, 2] ** 2),
+        lambda prog, x: prog.AddLinearConstraint(x[0, 0] + x[5, 1] <= 9.0),
+    )
+    found = [fingerprint(change) for change in changes]
+    assert fingerprint() == fingerprint()
+    assert len({fingerprint(), *found}) == 1 + len(changes)
+
+
+def test_rows_and_unknowns_of_single_variables():
+    program, x, p = _program()
+    problem = SparseProgram(program)
+    index = program.indices(x[:, 1])
+    y = np.zeros(problem.num_unknowns)
+    y[problem.unknowns.column_of(index)] = 1.0
+    np.testing.assert_allclose(problem.expand(y)[index], 10.0)  # the scale
+    fixed = program.indices(p)[1:]
+    with pytest.raises(ValueError, match="not an unknown by itself"):
+        problem.unknowns.column_of(fixed)

@@ -1,0 +1,107 @@
+"""The response of an optimum against the problem solved once more."""
+
+import numpy as np
+import pytest
+
+from drake_exo.nlp import ipopt
+from drake_exo.nlp.ipopt import SolverOptions
+from drake_exo.nlp.program import AffineKernel, BatchedProgram
+from drake_exo.nlp.sensitivity import response
+from drake_exo.nlp.sparse import SparseProgram
+
+N = 7
+
+
+def _problem(pull=None, rise=0.0, level=1.0):
+    """A chain pulled to a wave, over a ground, with one end held.
+
+    Linear in all, so that Gauss-Newton's is the Hessian, and the response is
+    exact while no bound changes sides.
+    """
+    program = BatchedProgram()
+    prog = program.prog
+    x = prog.NewContinuousVariables(N, "x")
+    wave = np.sin(1.3 * np.arange(N))
+    for k in range(N):
+        program.add_residuals(
+            f"wave{k}", AffineKernel([[1.0]], [-wave[k]]), x[k : k + 1][None]
+        )
+    links = np.stack([x[:-1], x[1:]], axis=1)
+    program.add_residuals("link", AffineKernel([[-0.5, 0.5]]), links)
+    program.add_constraints(
+        "end", AffineKernel([[1.0, 1.0]]), links[:1], level, level
+    )
+    program.add_constraints(  # active in the trough of the wave only
+        "ground", AffineKernel([[1.0]]), x[3:, None], rise - 0.1, np.inf
+    )
+    prog.AddBoundingBoxConstraint(-5.0, 0.35, x[1])  # active
+    if pull is not None:
+        prog.AddLinearCost(pull, x)
+    for variable in x[::2]:
+        prog.SetVariableScaling(variable, 10.0)
+    return SparseProgram(program)
+
+
+def _optimum(problem):
+    options = SolverOptions(tolerance=1e-11, extra={"bound_relax_factor": 0.0})
+    solution = ipopt.solve(problem, np.zeros(N), options)
+    assert solution.success
+    return problem.restrict(solution.raw_values())
+
+
+@pytest.fixture(scope="module")
+def solved():
+    problem = _problem()
+    y = _optimum(problem)
+    found = response(problem, y, np.arange(N))
+    g = problem.constraints(y)
+    active = g - problem.g_lower < 1e-6
+    # The test means something only if both kinds of rows are there.
+    assert active[0] and 0 < active[1:].sum() < len(active) - 1
+    assert y[1] == pytest.approx(problem.y_upper[1], abs=1e-8)
+    return problem, y, found
+
+
+def test_response_to_a_pull_equals_another_solve(solved):
+    problem, y, found = solved
+    pull = 1e-3 * np.random.default_rng(0).normal(size=N)
+    other = _problem(pull=pull)
+    actual = _optimum(other) - y
+    change = other.gradient(y) - problem.gradient(y)
+    predicted = found.by_gradient @ change
+    scale = np.abs(actual).max()
+    assert scale > 1e-6
+    np.testing.assert_allclose(predicted, actual, atol=1e-4 * scale)
+    # The planted error: the other sign is not taken for the response.
+    assert np.abs(predicted + actual).max() > scale
+
+
+def test_response_to_bounds_equals_another_solve(solved):
+    problem, y, found = solved
+    for change in ({"rise": 1e-4}, {"level": 1.0 + 1e-4}):
+        other = _problem(**change)
+        actual = _optimum(other) - y
+        moved = other.g_lower - problem.g_lower
+        predicted = found.by_bounds @ moved
+        scale = np.abs(actual).max()
+        assert scale > 1e-6
+        np.testing.assert_allclose(predicted, actual, atol=1e-4 * scale)
+
+
+def test_unknowns_at_a_bound_and_rows_that_are_slack_have_no_part(solved):
+    problem, y, found = solved
+    assert (found.by_gradient[1] == 0.0).all()
+    assert (found.by_gradient[:, 1] == 0.0).all()
+    slack = problem.constraints(y) - problem.g_lower > 1e-3
+    assert slack.any() and (found.by_bounds[:, slack] == 0.0).all()
+
+
+def test_some_unknowns_respond_as_among_all(solved):
+    problem, y, found = solved
+    few = response(problem, y, np.array([5, 1, 2]))
+    np.testing.assert_allclose(
+        few.by_gradient, found.by_gradient[[5, 1, 2]], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        few.by_bounds, found.by_bounds[[5, 1, 2]], atol=1e-9
+    )
