@@ -29,11 +29,16 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError, first_line, printable
-from drake_exo.files.opensim import PlateRecording
-from drake_exo.files.tables import MarkerData, Table
+from drake_exo.files.tables import (
+    LENGTHS,
+    MarkerData,
+    PlateRecording,
+    Table,
+    plate_axes,
+)
+from drake_exo.files.text import read_bytes
 
 _CHILD = Path(__file__).with_name("c3d_child.py")
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
 _MOMENTS = {"nm": 1.0, "ncm": 1e-2, "nmm": 1e-3}
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}  # of a plate, by its type
@@ -169,12 +174,7 @@ _LONG = 0xFFFF  # header's last frame where there are more
 
 def _check_complete(path: Path) -> None:
     """Refuse a file shorter than its header announces."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
+    data = read_bytes(path)
     if len(data) < 2 * _BLOCK or data[1] != 0x50:
         raise InputError(f"{path}: is not a C3D file; check the path")
     processor = data[max(data[0] - 1, 0) * _BLOCK + 3 :][:1]
@@ -249,7 +249,7 @@ def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
 
 def _point_unit(path, file: C3dContents) -> float:
     units = file.texts("POINT", "UNITS")
-    return _unit(path, units[0] if units else "", _LENGTHS, "POINT:UNITS")
+    return _unit(path, units[0] if units else "", LENGTHS, "POINT:UNITS")
 
 
 def _unit(path, text: str, known: dict[str, float], what: str) -> float:
@@ -261,14 +261,6 @@ def _unit(path, text: str, known: dict[str, float], what: str) -> float:
             f"{names}"
         )
     return known[unit]
-
-
-def plate_axes(corners: np.ndarray) -> np.ndarray:
-    """Axes of a plate's own frame as columns (3, 3), from corners (4, 3)."""
-    x, y = corners[0] - corners[1], corners[0] - corners[3]
-    z = np.cross(x, y)
-    axes = (x, np.cross(z, x), z)
-    return np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
 
 
 class _Plate:
@@ -311,7 +303,7 @@ class _Plate:
         F = force_scale * self._raw[:, :3]
         if self._kind == 1:
             length = _unit(
-                self._path, self._units[3], _LENGTHS, f"P of {self._name}"
+                self._path, self._units[3], LENGTHS, f"P of {self._name}"
             )
             p = np.zeros_like(F)
             # From the surface's middle, as BTK and ezc3d read it too.

@@ -6,21 +6,20 @@ refused instead of guessed.
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import (
+    LENGTHS,
     MarkerData,
+    PlateRecording,
     Table,
     check_gaps,
     check_increasing,
 )
 from drake_exo.files.text import frame_rate, number_rows, read_text
-
-_LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 # ground_force_1_vx, ground_force_vx, 1_ground_force_vx, ground_torque_x,
 # ground_moment_1_mx, ground_force_calcn_r_px, ...
@@ -28,29 +27,6 @@ _PLATE_COLUMN = re.compile(
     r"(?:(?P<before>\w+?)_)?ground_(?P<what>force|torque|moment)"
     r"(?:_(?P<after>\w+?))?_(?P<kind>[vpm])?(?P<axis>[xyz])"
 )
-
-
-@dataclass(frozen=True)
-class PlateRecording:
-    """One force plate as a file gives it, in the file's axes.
-
-    Attributes:
-        number: from 1, as the columns say, else in their order.
-        force: (N, 3) on the body [N].
-        point: (N, 3) where the force acts [m].
-        torque: (N, 3) free moment about that point [N m].
-        has_torque: whether the file had it (zeros otherwise).
-    """
-
-    number: int
-    force: np.ndarray
-    point: np.ndarray
-    torque: np.ndarray
-    has_torque: bool
-
-    def moment_about_origin(self) -> np.ndarray:
-        """Moment (N, 3) about the file's origin [N m]."""
-        return np.cross(self.point, self.force) + self.torque
 
 
 def read_table(path: str | Path) -> Table:
@@ -270,11 +246,11 @@ def _yes_no(path, text: str | None) -> bool | None:
 
 
 def _length_unit(path, unit: str | None) -> float:
-    if unit is None or unit.lower() not in _LENGTH_UNITS:
+    if unit is None or unit.lower() not in LENGTHS:
         raise InputError(
             f"{path}: Units in the header is {unit!r}; write m, cm or mm"
         )
-    return _LENGTH_UNITS[unit.lower()]
+    return LENGTHS[unit.lower()]
 
 
 def _check_names(path, line: int, names: list[str]) -> None:

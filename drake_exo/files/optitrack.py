@@ -6,8 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.opensim import PlateRecording
-from drake_exo.files.tables import MarkerData, check_increasing
+from drake_exo.files.tables import (
+    MarkerData,
+    PlateRecording,
+    check_increasing,
+    plate_axes,
+)
 from drake_exo.files.text import frame_rate, number_rows, read_text
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
@@ -99,15 +103,13 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
     streaming = np.flatnonzero(signals.any(axis=1))
     first = int(streaming[0]) if len(streaming) else 0
     corners = _corners(path, head)
-    x, y = corners[0] - corners[1], corners[0] - corners[3]
-    z = np.cross(x, y)
-    if not np.linalg.norm(z) > 1e-9:
+    sides = corners[0] - corners[1], corners[0] - corners[3]
+    if not np.linalg.norm(np.cross(*sides)) > 1e-9:
         raise InputError(
             f"{path}: the plate's corners span no area; export the device's "
             "header"
         )
-    axes = (x, np.cross(z, x), z)
-    R = np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
+    R = plate_axes(corners)
     reaction = -signals[first:]
     plate = PlateRecording(
         number=1,

@@ -16,6 +16,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.files.text import read_bytes
 
 # Names what a run wrote, so that replacing results never removes files that
 # somebody else put into the folder.
@@ -163,12 +164,9 @@ def read_json(path: str | Path, remedy: str) -> Any:
     Raises:
         InputError: it cannot be read, or is no JSON.
     """
+    data = read_bytes(path, remedy)
     try:
-        return json.loads(Path(path).read_text("utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); {remedy}"
-        ) from error
+        return json.loads(data.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is not valid JSON; {remedy}") from error
 
@@ -179,14 +177,10 @@ def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
     The file is checked as a whole before any array is believed: its
     checksums, and that it holds numbers or text alone.
     """
+    whole = io.BytesIO(read_bytes(path, remedy))
     try:
-        whole = io.BytesIO(Path(path).read_bytes())
         with np.load(whole, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror or 'damaged'}); {remedy}"
-        ) from error
     except Exception as error:  # whatever damage makes of zip and array
         raise InputError(f"{path}: is damaged; {remedy}") from error
 

@@ -1,4 +1,4 @@
-"""What laboratory files become: tables and markers over time.
+"""What laboratory files become: tables, markers and force plates over time.
 
 Missing values are NaN until somebody asks for the column: then they are
 refused, with the place of the gap.
@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_exo.errors import InputError, nearest
 
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}  # to m
 # A time stamp may be rounded, but no frame may be missing.
 _JITTER = 0.45
 
@@ -104,6 +105,41 @@ class MarkerData:
             check_gaps(self.source, f"marker {name!r}", self.time, p)
             found.append(p)
         return np.stack(found, axis=1)
+
+
+@dataclass(frozen=True)
+class PlateRecording:
+    """One force plate as a file gives it, in the file's axes.
+
+    Attributes:
+        number: from 1, as the columns say, else in their order.
+        force: (N, 3) on the body [N].
+        point: (N, 3) where the force acts [m].
+        torque: (N, 3) free moment about that point [N m].
+        has_torque: whether the file had it (zeros otherwise).
+    """
+
+    number: int
+    force: np.ndarray
+    point: np.ndarray
+    torque: np.ndarray
+    has_torque: bool
+
+    def moment_about_origin(self) -> np.ndarray:
+        """Moment (N, 3) about the file's origin [N m]."""
+        return np.cross(self.point, self.force) + self.torque
+
+
+def plate_axes(corners: np.ndarray) -> np.ndarray:
+    """Axes of a force plate's own frame as columns (3, 3).
+
+    Args:
+        corners: (4, 3): (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
+    """
+    x, y = corners[0] - corners[1], corners[0] - corners[3]
+    z = np.cross(x, y)
+    axes = (x, np.cross(z, x), z)
+    return np.stack([e / np.linalg.norm(e) for e in axes], axis=1)
 
 
 def missing_column(source, name, names, what="column") -> InputError:

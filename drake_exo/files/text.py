@@ -12,18 +12,27 @@ _LARGEST = 1e30
 _SHOWN = 40  # characters of a cell in a message
 
 
+def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
+    """What a file holds.
+
+    Raises:
+        InputError: it cannot be read; `remedy` ends the sentence.
+    """
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); {remedy}"
+        ) from error
+
+
 def read_text(path: str | Path, remedy: str = "check the path") -> str:
     """Text of a file; bytes that are no UTF-8 become question marks.
 
     Raises:
         InputError: it cannot be read, or is no text.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); {remedy}"
-        ) from error
+    data = read_bytes(path, remedy)
     if b"\0" in data:
         raise InputError(f"{path}: is a binary file, not text; check it")
     text = data.decode("utf-8-sig", errors="replace")

@@ -13,9 +13,14 @@ from scipy.interpolate import make_interp_spline
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
-from drake_exo.files.opensim import PlateRecording, read_plates, read_trc
+from drake_exo.files.opensim import read_plates, read_trc
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
-from drake_exo.files.tables import MarkerData, missing_column, uniform_time
+from drake_exo.files.tables import (
+    MarkerData,
+    PlateRecording,
+    missing_column,
+    uniform_time,
+)
 from drake_exo.measurement.filters import check_filterable, low_pass, resample
 from drake_exo.measurement.sagittal import (
     PlanarWrench,

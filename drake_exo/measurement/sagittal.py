@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_exo.files.opensim import PlateRecording
+from drake_exo.files.tables import PlateRecording
 
 # Below this vertical force a centre of pressure means nothing [N].
 COP_THRESHOLD_N = 20.0

@@ -7,9 +7,8 @@ import ezc3d
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.c3d import decode, plate_axes
-from drake_exo.files.opensim import PlateRecording
-from drake_exo.files.tables import MarkerData
+from drake_exo.files.c3d import decode
+from drake_exo.files.tables import MarkerData, PlateRecording, plate_axes
 
 _LABELS = {
     1: ("Fx", "Fy", "Fz", "Px", "Py", "Tz"),

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.files.csv import write_csv_table
-from drake_exo.files.opensim import PlateRecording, write_table, write_trc
-from drake_exo.files.tables import MarkerData, Table
+from drake_exo.files.opensim import write_table, write_trc
+from drake_exo.files.tables import MarkerData, PlateRecording, Table
 from drake_exo.measurement.sagittal import COP_THRESHOLD_N, PlanarWrench
 from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.virtual_laboratory import markers as marker_errors

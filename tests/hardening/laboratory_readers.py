@@ -9,7 +9,6 @@ from sound_files import written
 from drake_exo.files.c3d import read_c3d
 from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import (
-    PlateRecording,
     read_coordinates,
     read_plates,
     read_trc,
@@ -18,7 +17,7 @@ from drake_exo.files.opensim import (
 )
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.pressure import read_novel_asc, read_pressure_csv
-from drake_exo.files.tables import MarkerData, Table
+from drake_exo.files.tables import MarkerData, PlateRecording, Table
 from drake_exo.measurement import instruments
 from drake_exo.measurement import mats as body_surface
 from drake_exo.measurement.exoskeleton import read_angles, read_moments

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from drake_exo.files.opensim import PlateRecording
+from drake_exo.files.tables import PlateRecording
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
