@@ -7,19 +7,14 @@ import argparse
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.papers.de_magistris_cases import (
-    AUTHORS_ORIGIN,
-    AUTHORS_STEP,
-    SIZE,
-    five_cases,
-)
-from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
+from drake_exo.papers.de_magistris import SIZE, five_cases, step_block
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
@@ -29,6 +24,7 @@ from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
 from drake_exo.soles.optimize.design import first_design, stage_problem
 from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.optimizer import minimise
+from drake_exo.soles.settings import LoadBlock, Pattern, Setup, Stage
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import simulate
 from drake_exo.soles.step.stiffness import heel_strike_count
@@ -37,14 +33,6 @@ START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}
 METHODS = {100: (8, 5, 3), 200: (12, 7, 3), 400: (18, 10, 4),
            800: (26, 15, 5)}  # fmt: skip
-
-
-def step(root):
-    if root and (root / AUTHORS_STEP).is_file():
-        block = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
-    else:
-        block = LoadBlock(pattern=Pattern())
-    return block.load(root or Path("."))
 
 
 def timed(function):
@@ -142,17 +130,15 @@ def gradient(load):
 def optimisation(load):
     """Case 1-Ref with all limits: ten iterations on two meshes."""
     out = {}
-    case = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
-    own = case.read_mesh(Path("."))
-    start = case.start_pose(own)
+    settings = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    setup = replace(Setup.open(settings), load=load)
+    bounds = tuple(settings.optimize.bounds)
     for stage in (Stage((10, 6, 3), 24, 3e-4, 0.2, 10),
                   Stage((14, 8, 4), 60, 3e-5, 0.2, 5)):  # fmt: skip
-        problem = stage_problem(case, own, load, start, stage)
-        p = first_design(problem, tuple(case.optimize.bounds))
+        problem = stage_problem(setup, stage)
+        p = first_design(problem, bounds)
         best, seconds = timed(
-            lambda q=problem, x=p, n=stage.iterations: minimise(
-                q, x, tuple(case.optimize.bounds), n
-            )
+            lambda q=problem, x=p, n=stage.iterations: minimise(q, x, bounds, n)
         )
         count = len(best.trace) - 1
         out[f"{len(problem.mesh.tets)} tets, {stage.samples} samples"] = {
@@ -171,7 +157,7 @@ def main():
                         help="all samples for both methods")  # fmt: skip
     parser.add_argument("--data-root", type=Path)
     args = parser.parse_args()
-    load = step(args.data_root)
+    load = step_block(args.data_root).load(args.data_root or Path("."))
     numbers = {
         "simulation": simulation(load),
         "methods": methods(load, args.full),

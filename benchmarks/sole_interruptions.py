@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
-from drake_exo.papers.de_magistris_cases import SIZE
+from drake_exo.papers.de_magistris import SIZE
 
 LAYERS = ((3e-4, 60), (1e-4, 60), (3e-5, 300))  # m, iterations
 CASE = Path(__file__).parents[1] / "tests" / "cases" / "hrp4_neoprene.yaml"

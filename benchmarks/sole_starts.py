@@ -16,14 +16,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.papers.de_magistris_cases import (
-    AUTHORS_ORIGIN,
-    AUTHORS_STEP,
-    five_cases,
-)
-from drake_exo.soles.case import LoadBlock, OneFoot, Pattern, Stage
-from drake_exo.soles.optimize import design as designs
+from drake_exo.papers.de_magistris import five_cases, step_block
+from drake_exo.soles.optimize.design import first_design, stage_problem
 from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
+from drake_exo.soles.settings import Setup, Stage
 
 STAGES = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
@@ -40,27 +36,26 @@ def random_shape(problem, bounds, rng):
         T, p0 = problem.spline.free_map()
         full = 1 + 0.03 * (waves.T @ low @ waves).ravel()
         p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
-        p = designs.first_design(problem, bounds, np.clip(p, *bounds))
+        p = first_design(problem, bounds, np.clip(p, *bounds))
         values = problem.constraints(p)
         if np.isfinite(values).all() and values.min() >= 0:
             return p
 
 
-def optimum(case, load, own, rng):
+def optimum(setup, rng):
     """Cost, errors and ratios from one random start."""
-    bounds = tuple(case.optimize.bounds)
-    p = learnt = warm = None
+    bounds = tuple(setup.settings.optimize.bounds)
+    p = approximation = warm = None
     for stage in STAGES:
-        problem = designs.stage_problem(
-            case, own, load, case.start_pose(own), stage
-        )
+        problem = stage_problem(setup, stage)
         if p is None:
             p = random_shape(problem, bounds, rng)
-            learnt = QuasiNewton(len(p))
+            approximation = QuasiNewton(len(p))
             begun = problem.cost(p)
         found = minimise(
-            problem, p, bounds, stage.iterations, learnt=learnt, warm=warm
-        )
+            problem, p, bounds, stage.iterations,
+            hessian_approximation=approximation, warm=warm,
+        )  # fmt: skip
         if not np.isfinite(found.cost):  # the thinner law does not carry it
             break
         best, p = found, found.p
@@ -82,15 +77,12 @@ def main():
     parser.add_argument("--starts", type=int, default=10)
     args = parser.parse_args()
     root = args.data_root or Path(".")
-    block = LoadBlock(pattern=Pattern())
-    if (root / AUTHORS_STEP).is_file():
-        block = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
-    case = designs.without_limits(five_cases(block, coarse=True)[0])
-    load, own = case.load.load(root), case.read_mesh(root)
+    settings = five_cases(step_block(root), coarse=True)[0].without_limits()
+    setup = Setup.open(settings, root)
     rng = np.random.default_rng(0)
     rows = []
     for k in range(args.starts):
-        rows.append(optimum(case, load, own, rng))
+        rows.append(optimum(setup, rng))
         if not args.json:
             text = ", ".join(
                 f"{n} {'-' if v is None else format(v, '.4g')}"

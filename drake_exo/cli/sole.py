@@ -1,7 +1,8 @@
-"""The command `drake-exo sole`: simulate a sole through a step."""
+"""The command `drake-exo sole`: simulate and optimise compliant soles."""
 
 import os
 import time
+from argparse import ArgumentTypeError
 from pathlib import Path
 
 # Before numpy loads its BLAS: matrices here are small, and two threads are
@@ -10,51 +11,55 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.cli import sole_strain as strain_command
-from drake_exo.cli.sole_arguments import (
-    add_common_arguments,
-    add_iterations_argument,
-    add_limits_argument,
+from drake_exo import soles
+from drake_exo.errors import InputError
+from drake_exo.files.output import (
+    OutputFolder,
+    Progress,
+    prepare_output_folder,
+    write_json,
 )
-from drake_exo.files.output import Progress, prepare_output_folder, write_json
-from drake_exo.papers import de_magistris_report as study_report
-from drake_exo.soles import results
-from drake_exo.soles.case import open_case
-from drake_exo.soles.contact.newton import ContactSolver
-from drake_exo.soles.step.simulation import simulate
-from drake_exo.soles.step.stiffness import heel_strike_count
+from drake_exo.papers import de_magistris as paper
+from drake_exo.soles.optimize.files import (
+    SUMMARY,
+    read_checkpoint,
+    read_summary,
+)
+from drake_exo.soles.step import strain_comparison as strains
 
 
 def add_parser(subparsers) -> None:
-    """Offer `sole simulate` to the command line."""
+    """Offer the jobs of `sole` to the command line."""
     sole = subparsers.add_parser(
         "sole", help="simulate and optimise compliant soles"
     )
     jobs = sole.add_subparsers(dest="job", required=True)
-    parser = jobs.add_parser(
-        "simulate", help="simulate a sole through one contact phase"
+
+    def job(name: str, run, help: str):
+        parser = jobs.add_parser(name, help=help)
+        parser.set_defaults(run=run)
+        return parser
+
+    parser = job(
+        "simulate", _simulate, "simulate a sole through one contact phase"
     )
-    parser.add_argument("case", type=Path, metavar="CASE.yaml")
-    add_common_arguments(parser)
-    parser.set_defaults(run=run_simulate)
-    parser = jobs.add_parser("optimize", help="find the best shape for a case")
-    parser.add_argument("case", type=Path, metavar="CASE.yaml")
-    add_common_arguments(parser)
+    _add_case(parser)
+    parser = job("optimize", _optimize, "find the best shape for a case")
+    _add_case(parser)
     parser.add_argument(
         "--resume",
         type=Path,
         metavar="DIR",
         help="go on from the checkpoint in this folder of an earlier run",
     )
-    add_limits_argument(parser, ("all", "none"))
-    add_iterations_argument(parser)
-    parser.set_defaults(run=_run_optimize)
-    parser = jobs.add_parser("study", help="the paper's five cases (Table 2)")
+    _add_limits(parser, ("all", "none"))
+    _add_iterations(parser)
+    parser = job("study", _study, "the paper's five cases (Table 2)")
     parser.add_argument(
         "--coarse", action="store_true", help="two coarse stages, two minutes"
     )
-    add_limits_argument(parser, ("all", "none", "both"))
-    add_iterations_argument(parser)
+    _add_limits(parser, ("all", "none", "both"))
+    _add_iterations(parser)
     parser.add_argument(
         "--front",
         action="store_true",
@@ -63,151 +68,223 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--jobs", type=int, default=2, help="processes at a time (default: 2)"
     )
-    add_common_arguments(parser)
-    parser.set_defaults(run=_run_study)
-    parser = jobs.add_parser("front", help="front of c_tr against c_rot")
+    _add_files(parser)
+    _add_out(parser, required=True, help="folder for the results")
+    parser = job("front", _front, "front of c_tr against c_rot")
+    _add_case(parser)
+    _add_limits(parser, ("all", "none"))
+    parser = job(
+        "strain",
+        _strain,
+        "heel strike of designs in finite strain, beside small strain",
+    )
+    _add_source(
+        parser, "folder of 'sole optimize' or 'sole study', or a case file"
+    )
+    _add_files(parser)
+    parser = job(
+        "report", _report, "draw the pictures of a study or a design again"
+    )
+    _add_source(parser, "folder of 'sole optimize' or 'sole study'")
+
+
+def _add_case(parser) -> None:
+    """A case file, what it names, and where results go."""
     parser.add_argument("case", type=Path, metavar="CASE.yaml")
-    add_limits_argument(parser, ("all", "none"))
-    add_common_arguments(parser)
-    parser.set_defaults(run=_run_front)
-    for job in (strain_command, study_report):
-        job.add_parser(jobs)
+    _add_files(parser)
+    _add_out(parser, required=True, help="folder for the results")
 
 
-def _run_optimize(args) -> int:
-    from drake_exo.cli.sole_optimize import run_optimize
-
-    return run_optimize(args)
-
-
-def _run_study(args) -> int:
-    from drake_exo.papers.de_magistris import run_study
-
-    return run_study(args)
-
-
-def _run_front(args) -> int:
-    from drake_exo.soles.optimize.pareto import run_front
-
-    return run_front(args)
-
-
-def run_simulate(args) -> int:
-    """Simulate one case; 0 if every step converged, else 1."""
-    clock = _Clock()
-    case, load, mesh, start = open_case(args.case, args.data_root, args.mesh)
-    clock.lap("mesh")
-    folder = prepare_output_folder(args.out, args.force)
-    sole = case.sole(mesh)
-    sole.compliance  # noqa: B018 - computed here, so that it is timed apart
-    law = case.law(sole)
-    clock.lap("condensation")
-    with folder as out:
-        history = run_history(case, sole, law, start, load)
-        clock.lap("simulation")
-        write_results(out, case, sole, law, start, load, history, clock)
-    return report(case.name, args.out, history, case)
-
-
-def run_history(case, sole, law, start, load):
-    """Simulate with progress on the terminal."""
-    solver = ContactSolver(sole.compliance, sole.positions, law)
-    if case.contact.method == "gauss_seidel":
-        from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
-
-        solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
-    progress = Progress(case.name, len(load.times), interval_seconds=2.0)
-    return simulate(
-        solver,
-        load.force,
-        load.zmp,
-        start,
-        progress=lambda done, _: progress.update("samples", done),
+def _add_files(parser) -> None:
+    """Where a case finds its mesh and its files."""
+    parser.add_argument(
+        "--mesh", type=Path, help="mesh file used instead of the case's"
+    )
+    parser.add_argument(
+        "--data-root",
+        type=Path,
+        help="folder that the case's paths are relative to "
+        "(default: the case file's)",
     )
 
 
-def write_results(
-    out: Path, case, sole, law, start, load, history, clock
-) -> None:
-    """Tables, arrays, pictures, animation and, last, summary.json."""
-    numbers = results.summary(case, sole, history)
-    numbers["complementarity"] = results.complementarity(
-        history, law, start, sole.positions
+def _add_source(parser, help: str) -> None:
+    """A folder that an optimisation left, and where what follows goes."""
+    parser.add_argument("source", type=Path, metavar="DIR", help=help)
+    _add_out(parser, help="folder for the results (default: DIR)")
+
+
+def _add_out(parser, **options) -> None:
+    parser.add_argument("--out", type=Path, **options)
+    parser.add_argument(
+        "--force", action="store_true", help="replace earlier results"
     )
-    if load.free_moment is not None:
-        numbers["measured_free_moment_nm"] = {
-            "mean": float(load.free_moment.mean()),
-            "largest": float(np.abs(load.free_moment).max()),
-            "simulated": 0.0,
-        }
-    columns = results.step_table(load, history)
-    results.write_csv(out / "steps.csv", columns)
-    results.write_history(out / "history.npz", sole.mesh, load, history)
-    clock.lap("tables")
-    draw(out, case, sole, load, history, {case.name: columns})
-    clock.lap("pictures")
-    numbers.update(clock.seconds)
-    write_json(out / "summary.json", numbers)
 
 
-def draw(out: Path, case, sole, load, history, tables: dict) -> None:
-    """All pictures and the animation of one simulation.
+def _add_limits(parser, choices) -> None:
+    """Whether stability, tilt and strain are limited."""
+    parser.add_argument(
+        "--limits",
+        choices=choices,
+        default="all",
+        help="limits on stability, tilt and strain: the case's, or none as "
+        "in the paper (default: all)",
+    )
+
+
+def _add_iterations(parser) -> None:
+    """How long the last stage may go on."""
+    parser.add_argument(
+        "--iterations",
+        type=_count,
+        metavar="N",
+        help="at most so many in the last stage (default: the case's; an "
+        "optimum takes some 190 to 540)",
+    )
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit()):
+        raise ArgumentTypeError(f"{text!r} is no whole number from 0 on")
+    return int(text)
+
+
+def _case(args) -> soles.Case:
+    """The case file with the command's options."""
+    case = soles.Case.read(args.case, args.data_root, args.mesh)
+    if getattr(args, "limits", "all") == "none":
+        case = case.without_limits()
+    return case.with_iterations(getattr(args, "iterations", None))
+
+
+def _out_or_source(args, name: str) -> OutputFolder:
+    """The folder --out, or the source itself.
 
     Args:
-        tables: Label -> step table of the soles whose stiffness is drawn;
-            the last is this simulation's.
+        args: With the arguments of `_add_source`.
+        name: File among the results that earlier ones are known by.
+
+    Raises:
+        InputError: It holds earlier results and --force is not given.
     """
-    # Imported here: matplotlib and meshcat are of no use to a failing case.
-    from drake_exo.soles import pictures
-    from drake_exo.soles.animation import SoleMotion, write_animation
-
-    mesh, areas = sole.mesh, results.nodal_areas(sole.mesh)
-    count = heel_strike_count(len(load.times), case.cost.heel_strike_fraction)
-    pictures.load_figure(out / "load.png", load, mesh)
-    curves = {
-        label: (
-            load.times,
-            table["sigma_max_tr_n_per_m"],
-            table["sigma_min_rot_nm_per_rad"],
+    if args.out is not None:
+        return prepare_output_folder(args.out, args.force)
+    if (args.source / name).exists() and not args.force:
+        raise InputError(
+            f"{args.source}: already holds {name}; give --out, or replace "
+            "earlier results with --force"
         )
-        for label, table in tables.items()
-    }
-    pictures.stiffness_figure(
-        out / "stiffness.png", curves, load.times[count - 1]
-    )
-    pictures.pose_figure(out / "pose.png", list(tables.values())[-1])
-    pictures.pressure_figure(out / "pressure.png", mesh, load, history, areas)
-    motion = SoleMotion.of(case.name, mesh, load, history)
-    if motion is not None:
-        write_animation(out / "animation.html", [motion], case.name)
+    return prepare_output_folder(args.source, resume=True)
 
 
-def report(name: str, out: Path, history, case) -> int:
-    """Print the outcome; the exit code."""
-    cost = case.cost
-    c_tr, c_rot, c = history.costs(cost.weight, cost.heel_strike_fraction)
+def _progress(name: str, total: int | None = None) -> Progress:
+    return Progress(name, total, interval_seconds=2.0)
+
+
+def _simulate(args) -> int:
+    """Simulate one case; 0 if every step converged, else 1."""
+    began = time.perf_counter()
+    case = _case(args)
+    seconds = {"mesh_seconds": round(time.perf_counter() - began, 4)}
+    progress = _progress(case.name, len(case.load.times))
+    with prepare_output_folder(args.out, args.force) as out:
+        step = case.simulate(lambda done, _: progress.update("samples", done))
+        step.write(out, seconds)
+    name = case.name
     print(
-        f"{name}: c_tr {c_tr:.4g} N/m, c_rot {c_rot:.4g} N·m/rad, "
-        f"c {c:.4g}, {len(history.reports)} steps"
+        f"{name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} N·m/rad, "
+        f"c {step.c:.4g}, {len(step.times)} steps"
     )
-    bad = np.flatnonzero(~history.converged)
+    bad = np.flatnonzero(~step.converged)
     for q in bad[:5]:
-        print(f"{name}: step {q} failed: {history.reports[q].message}")
+        print(f"{name}: step {q} failed: {step.history.reports[q].message}")
     if len(bad):
         print(f"{name}: {len(bad)} steps failed")
-    print(f"{name}: results in {out}")
+    print(f"{name}: results in {args.out}")
     return 1 if len(bad) else 0
 
 
-class _Clock:
-    """Seconds of each part of a run."""
+def _optimize(args) -> int:
+    """Optimise one case; 0 where the final design simulates throughout."""
+    case = _case(args)
+    say = _progress(case.name).update
+    # Refused before there is a folder.
+    resume = read_checkpoint(args.resume) if args.resume else None
+    with prepare_output_folder(args.out, args.force) as out:
+        row = case.optimize(out, say, resume).write(out, say)
+    print(paper.line(row))
+    print(f"{case.name}: results in {args.out}")
+    return 1 if row["failed_steps"] else 0
 
-    def __init__(self):
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
 
-    def lap(self, part: str) -> None:
-        """Seconds since the last lap belong to `part`."""
-        now = time.perf_counter()
-        self.seconds[f"{part}_seconds"] = round(now - self._last, 4)
-        self._last = now
+def _study(args) -> int:
+    """The paper's five cases; 0 where every final design simulates."""
+    study = paper.Study.read(
+        args.data_root, args.mesh, args.coarse, args.limits, args.iterations
+    )
+    print(f"load: {study.source}")
+    with prepare_output_folder(args.out, args.force) as out:
+        good, text = study.run(out, args.jobs, args.front)
+        print(text)
+        print(paper.report(out, soles.find_designs(out)))
+    print(f"results in {args.out}")
+    return 0 if good else 1
+
+
+def _front(args) -> int:
+    """The front of one case; 0 where every point simulates."""
+    case = _case(args)
+    with prepare_output_folder(args.out, args.force) as out:
+        say = _progress(f"{case.name}, front").update
+        points = soles.pareto_front(case, paper.FLOORS, say)
+        write_json(out / SUMMARY, {"name": case.name, "front": points})
+        paper.draw_front(out, {"front": points})
+    print(paper.front_table(points))
+    print(f"{case.name}: results in {args.out}")
+    return 1 if any(p["failed_steps"] for p in points) else 0
+
+
+def _strain(args) -> int:
+    """Write and print the table; 1 where some sample has no equilibrium."""
+    if args.source.is_dir():
+        setups = [design.setup for design in soles.find_designs(args.source)]
+    else:
+        setups = [soles.Case.read(args.source, args.data_root, args.mesh)]
+        if args.out is None:
+            raise InputError("sole strain: give --out with a case file")
+    with _out_or_source(args, strains.TABLE) as out:
+        found = {
+            setup.name: soles.compare_strains(
+                setup, _progress(setup.name).update
+            )
+            for setup in setups
+        }
+        print(strains.write_table(out, found))
+        _note(out, found)
+    print(f"results in {args.out or args.source}")
+    return 1 if any(sole["failures"] for sole in found.values()) else 0
+
+
+def _note(out: Path, found: dict[str, dict]) -> None:
+    """Put the figures into the summary, new or already there."""
+    key = "finite_strain"
+    summary = read_summary(out) if (out / SUMMARY).is_file() else {}
+    if "cases" in summary:
+        for row in summary["cases"]:
+            row[key] = found.get(row["name"], row.get(key))
+    elif len(found) == 1 and summary:
+        summary[key] = next(iter(found.values()))
+    else:
+        summary["cases"] = [{"name": n, key: f} for n, f in found.items()]
+    write_json(out / SUMMARY, summary)
+
+
+def _report(args) -> int:
+    """Draw and print."""
+    designs = soles.find_designs(args.source)
+    with _out_or_source(args, paper.SOLES) as out:
+        text = paper.report(out, designs)
+    if text:
+        print(text)
+    print(f"pictures in {args.out or args.source}")
+    return 0

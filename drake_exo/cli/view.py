@@ -76,7 +76,7 @@ def write_view(results: Path, path: Path) -> None:
         )
     # A half never loads the other one.
     if _holds_soles(results):
-        from drake_exo.soles.replay import replay_soles as replay
+        from drake_exo.soles.animation import replay_soles as replay
     else:
         from drake_exo.report.replay import replay_results as replay
     try:

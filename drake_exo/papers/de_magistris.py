@@ -1,120 +1,315 @@
-"""The command `drake-exo sole study`: the paper's five cases side by side."""
+"""The paper's five cases, its Table 2 beside ours, and its figures.
 
+De Magistris, Miossec, Escande and Kheddar, Design of optimized soft soles for
+humanoid robots.
+"""
+
+import multiprocessing
+import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from drake_exo.cli.sole_optimize import optimise_case, print_row
-from drake_exo.files.output import prepare_output_folder, write_json
-from drake_exo.papers.de_magistris_cases import (
-    AUTHORS_ORIGIN,
-    AUTHORS_STEP,
-    TABLE_2,
-    five_cases,
-)
-from drake_exo.papers.de_magistris_report import finish
-from drake_exo.papers.de_magistris_tables import certainty_table, table
-from drake_exo.soles.case import Case, LoadBlock, OneFoot, Pattern
-from drake_exo.soles.optimize import pareto as front
-from drake_exo.soles.optimize import workers
-from drake_exo.soles.optimize.design import (
-    finish_on_own_mesh,
-    with_iterations,
-    without_limits,
-)
-from drake_exo.soles.optimize.design_folder import SUMMARY, read_summary
+import numpy as np
 
-UNLIMITED = "unlimited"  # folder and key of the cases without limits
+from drake_exo.files.output import Progress, read_json, write_json
+from drake_exo.soles.case import Case
+from drake_exo.soles.loads import read_columns
+from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
+from drake_exo.soles.optimize.pareto import pareto_front
+from drake_exo.soles.settings import (
+    STAGES,
+    Brick,
+    ContactBlock,
+    CostBlock,
+    LoadBlock,
+    MaterialBlock,
+    MeshBlock,
+    OneFoot,
+    OptimizeBlock,
+    Pattern,
+    Settings,
+    Stage,
+    StartBlock,
+)
+from drake_exo.soles.step import strain_comparison
+from drake_exo.soles.step.stiffness import heel_strike_count
+
+SIZE = (0.23, 0.13, 0.03)
+AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
+# Sole's centre in that file's frame: see tests/cases/hrp4_neoprene.yaml.
+AUTHORS_ORIGIN = (1.274728354176543, -0.056000000000611)
+
+# The paper's Table 2: c_tr and c_rot, initial and optimised.
+TABLE_2 = {
+    "1-Ref": (3.88e6, 8.06e5, 1.79e5, 1.74e5),
+    "2-Rot": (3.88e6, 4.65e6, 1.79e5, 3.50e5),
+    "3-Rubber": (5.39e6, 9.59e5, 2.48e5, 2.14e5),
+    "4-Straight": (9.14e6, 1.02e6, 3.41e5, 5.84e4),
+    "5-Fixed": (3.88e6, 1.21e6, 1.79e5, 1.16e5),
+}
+
+COARSE = (
+    Stage((10, 6, 3), 24, 3e-4, 0.2, 16),
+    Stage((10, 6, 3), 24, 1e-4, 0.2, 8),
+)
+# Of c_rot over the brick's; the first is the paper's 1-Ref.
+FLOORS = (0.9721, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
+# The case with the whole front, and the roughness of other cases' points:
+# their designs bend but once.
+_WHOLE, _REGULARIZATION = "1-Ref", 3.0
+# Folder and key of the cases without limits; keys of the fronts.
+UNLIMITED = "unlimited"
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
+_FRONT, SOLES = "front.json", "soles.png"
+_POLL_SECONDS = 0.2
+_LEAST_ERROR = 1e-8  # errors below are drawn there
 
 
-def run_study(args) -> int:
-    """Optimise the five cases; 0 where every final design simulates."""
-    root = args.data_root or Path(".")
-    measured = args.data_root and (root / AUTHORS_STEP).is_file()
-    if measured:
-        load = LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
-    else:
-        load = LoadBlock(pattern=Pattern())
-    source = "authors’ step" if measured else "own walking pattern"
-    print(f"load: {source}")
-    cases = five_cases(load, args.coarse)
-    for case in cases:
-        case.open(root, args.mesh)  # refused before any work
-    if args.mesh is not None:
-        cases = [finish_on_own_mesh(case) for case in cases]
-    began = time.perf_counter()
-    with prepare_output_folder(args.out, args.force) as out:
-        variants = _variants(out, cases, args.limits, args.iterations)
+def step_block(root: Path | None) -> LoadBlock:
+    """The authors' step where `root` has it, else our own pattern's."""
+    if root is not None and (root / AUTHORS_STEP).is_file():
+        return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
+    return LoadBlock(pattern=Pattern())
+
+
+def five_cases(load: LoadBlock, coarse: bool) -> list[Settings]:
+    """Table 1 of the paper with the given load.
+
+    Args:
+        load: The step.
+        coarse: Two coarse stages, for a first look.
+    """
+    stages = COARSE if coarse else STAGES
+    # Where a search ends depends on how it begins: of 3 and 5 the better.
+    far = (replace(stages[0], roughness=3.0), *stages[1:])
+    reference = Settings(
+        "1-Ref",
+        MeshBlock(brick=Brick(SIZE, stages[-1].divisions)),
+        MaterialBlock("neoprene"),
+        load,
+        ContactBlock(friction=0.8),
+        StartBlock((-0.115, 0.0, -0.03), (-0.115, 0.0)),
+        CostBlock(),
+        OptimizeBlock(stages=stages),
+    )
+    farther = replace(reference, optimize=OptimizeBlock(stages=far))
+    return [
+        farther,
+        replace(farther, name="2-Rot", cost=CostBlock(weight=1000.0)),
+        replace(reference, name="3-Rubber", material=MaterialBlock("butyl")),
+        replace(
+            reference, name="4-Straight", load=replace(load, straight=True)
+        ),
+        replace(
+            reference,
+            name="5-Fixed",
+            # Less: bends at the fixed rim count as well.
+            optimize=replace(reference.optimize, fixed_top=True, roughness=3.0),
+        ),
+    ]
+
+
+@dataclass(frozen=True)
+class Study:
+    """The five cases, with the paper's limits or ours.
+
+    Attributes:
+        source: Of the step, in words.
+        limits: "all", "none" or "both".
+        variants: Cases by their key in summary.json.
+    """
+
+    source: str
+    limits: str
+    variants: dict[str, list[Case]]
+
+    @classmethod
+    def read(
+        cls,
+        data_root: Path | None = None,
+        mesh_file: Path | None = None,
+        coarse: bool = False,
+        limits: str = "all",
+        iterations: int | None = None,
+    ) -> "Study":
+        """The cases, opened.
+
+        Args:
+            data_root: Folder with the authors' step, if there.
+            mesh_file: Used instead of the brick, in the last stage.
+            coarse: Two coarse stages, for a first look.
+            limits: Whether stability, tilt and strain are limited.
+            iterations: At most so many in the last stage.
+
+        Raises:
+            InputError: The mesh cannot be read, or the step leaves it.
+        """
+        load = step_block(data_root)
+        source = "authors’ step" if load.one_foot else "own walking pattern"
+        cases = []
+        for settings in five_cases(load, coarse):
+            if mesh_file is not None:
+                settings = settings.with_last_stage(divisions=None)
+            case = Case.open(settings, data_root or ".", mesh_file)
+            cases.append(case.with_iterations(iterations))
+        variants = {"cases": cases}
+        if limits != "all":
+            free = [case.without_limits() for case in cases]
+            variants["cases" if limits == "none" else UNLIMITED] = free
+        return cls(source, limits, variants)
+
+    def run(
+        self, out: Path, at_once: int = 2, with_front: bool = False
+    ) -> tuple[bool, str]:
+        """Optimise all; a folder a case, summary.json, table.txt, front.png.
+
+        Args:
+            out: Where to.
+            at_once: Processes at a time.
+            with_front: Also the front of c_tr against c_rot.
+
+        Returns:
+            Whether every design simulates throughout; the tables.
+        """
+        began, summary = time.perf_counter(), {}
+        folders = {
+            key: out if key == "cases" else out / key for key in self.variants
+        }
         jobs = [
-            (_one, folder / case.name, case, root, args.mesh)
-            for _, folder, rows in variants
-            for case in rows
+            (_optimize, folders[key] / case.name, case)
+            for key, cases in self.variants.items()
+            for case in cases
         ]
-        if args.front:
-            jobs += [(front.study_job, *job[1:]) for job in jobs]
-        summary = {"load": source, "limits": args.limits}
+        if with_front:
+            jobs += [(front_job, *job[1:]) for job in jobs]
+        summary |= {"load": self.source, "limits": self.limits}
 
         def note() -> None:
             """After every case: an interrupted study keeps its cases."""
-            for key, folder, rows in variants:
-                summary[key] = _finished(folder, rows)
-                if args.front:
-                    summary[_FRONTS[key]] = front.study_front(folder, rows)
+            for key, cases in self.variants.items():
+                summary[key] = [
+                    read_summary(folders[key] / case.name)
+                    for case in cases
+                    if (folders[key] / case.name / SUMMARY).is_file()
+                ]
+                if with_front:
+                    summary[_FRONTS[key]] = study_front(folders[key], cases)
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / SUMMARY, summary)
 
-        failed = workers.run(jobs, args.jobs, note)
-        for _, folder, rows in variants:
-            for place in _missing(folder, rows):
-                name = place.relative_to(out)
-                print(f"{name}: ended without a result; its last lines say why")
-        text = _report(out, summary)
-        print(text)
+        failed = run_jobs(jobs, at_once, note)
+        for key, cases in self.variants.items():
+            for case in cases:
+                place = folders[key] / case.name
+                if not (place / SUMMARY).is_file():
+                    print(
+                        f"{place.relative_to(out)}: ended without a result; "
+                        "its last lines say why"
+                    )
+        text = _tables(out, summary)
         (out / "table.txt").write_text(text + "\n", encoding="utf-8")
-        print(finish(out))
-    print(f"results in {args.out}")
-    rows = summary["cases"] + summary.get(UNLIMITED, [])
-    return 1 if failed or any(r["failed_steps"] for r in rows) else 0
+        rows = [row for key in self.variants for row in summary[key]]
+        return not (failed or any(r["failed_steps"] for r in rows)), text
 
 
-def _variants(out: Path, cases: list[Case], limits: str, iterations):
-    """Key of the summary, folder and cases, with limits and without."""
-    cases = [with_iterations(case, iterations) for case in cases]
-    free = [without_limits(case) for case in cases]
-    if limits == "all":
-        return [("cases", out, cases)]
-    if limits == "none":
-        return [("cases", out, free)]
-    return [("cases", out, cases), (UNLIMITED, out / UNLIMITED, free)]
-
-
-def _one(folder: Path, case: Case, root: Path, mesh_file) -> None:
+def _optimize(folder: Path, case: Case) -> None:
     """One design, in a process of its own."""
     folder.mkdir(parents=True, exist_ok=True)
-    load, mesh, start = case.open(root, mesh_file)
-    print_row(optimise_case(folder, case, mesh, load, start))
+    say = Progress(case.name, interval_seconds=2.0).update
+    print(line(case.optimize(folder, say).write(folder, say)))
 
 
-def _finished(folder: Path, cases: list[Case]) -> list[dict]:
-    """Summaries on disk, in the table's order."""
-    places = [folder / case.name for case in cases]
-    return [read_summary(p) for p in places if (p / SUMMARY).is_file()]
+def front_job(folder: Path, case: Case) -> None:
+    """Write a case's part of a study: front.json.
+
+    The front of 1-Ref; of every other case the paper's own ratio.
+    """
+    tr0, tr, rot0, rot = TABLE_2[case.name]
+    floors = FLOORS
+    if case.name != _WHOLE:
+        floors, settings = (rot / rot0,), case.settings
+        block = replace(settings.optimize, roughness=_REGULARIZATION)
+        case = replace(case, settings=replace(settings, optimize=block))
+    say = Progress(f"{case.name}, front", interval_seconds=2.0).update
+    points = pareto_front(case, floors, say)
+    points[0]["paper_ratio_tr"] = tr / tr0
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / _FRONT, points)
 
 
-def _missing(folder: Path, cases: list[Case]) -> list[Path]:
-    """Folders of cases that ended without a result."""
-    places = [folder / case.name for case in cases]
-    return [p for p in places if not (p / SUMMARY).is_file()]
+def study_front(folder: Path, cases: list[Case]) -> dict:
+    """The points on disk: those of 1-Ref, the first of every case."""
+    found = {"points": [], "at_paper": []}
+    for case in cases:
+        file = folder / case.name / _FRONT
+        if not file.is_file():
+            continue
+        points = read_json(file, "run the study again")
+        if case.name == _WHOLE:
+            found["points"] = points
+        found["at_paper"] += points[:1]
+    return found
 
 
-def _report(out: Path, summary: dict) -> str:
+def run_jobs(
+    jobs: list[tuple], at_once: int, on_end: Callable[[], None]
+) -> int:
+    """Run (function, *arguments) each in its process; how many failed.
+
+    Results travel by files. Ctrl-C reaches every process (they share the
+    terminal's group), which keeps its best so far on disk; it is raised
+    again once all have ended.
+
+    Args:
+        jobs: Module-level functions with picklable arguments.
+        at_once: Processes at a time.
+        on_end: Called here after every job.
+    """
+    context = multiprocessing.get_context("spawn")
+    waiting, running, failed = list(jobs), [], 0
+    try:
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                process = context.Process(target=_call, args=waiting.pop(0))
+                process.start()
+                running.append(process)
+            time.sleep(_POLL_SECONDS)
+            for process in [p for p in running if not p.is_alive()]:
+                running.remove(process)
+                failed += process.exitcode != 0
+                on_end()
+    finally:
+        for process in running:
+            process.join()
+        if running:
+            on_end()
+    return failed
+
+
+def _call(function, *arguments) -> None:
+    try:
+        function(*arguments)
+    except KeyboardInterrupt:
+        sys.exit(130)  # the parent says so
+
+
+def line(row: dict) -> str:
+    """One line on a finished case."""
+    return (
+        f"{row['name']}: c_tr {row['c_tr']:.3g} (×{row['ratio_tr']:.3f}), "
+        f"c_rot {row['c_rot']:.3g} (×{row['ratio_rot']:.3f}), "
+        f"{row['volume_cm3']:.0f} cm³, "
+        f"{'optimal' if row['optimal'] else row.get('status', '')}, "
+        f"{'stable' if row['stable'] else 'unstable'}, largest strain "
+        f"{row['max_strain']:.2f}, {row['seconds']:.0f} s"
+    )
+
+
+def _tables(out: Path, summary: dict) -> str:
     """Tables and front.png."""
-    from drake_exo.papers.de_magistris_pictures import front_figure
-
-    paper = {
-        name: (tr / tr0, rot / rot0)
-        for name, (tr0, tr, rot0, rot) in TABLE_2.items()
-    }
     parts, fronts = [], {}
     for key, title in (("cases", ""), (UNLIMITED, "without limits\n")):
         rows = summary.get(key)
@@ -124,6 +319,245 @@ def _report(out: Path, summary: dict) -> str:
         if found:
             others = [p for p in found["at_paper"] if p not in found["points"]]
             fronts[_FRONTS[key].replace("_", " ")] = found["points"]
-            parts.append(front.table(found["points"] + others))
-    front_figure(out / "front.png", summary["cases"], paper, fronts)
+            parts.append(front_table(found["points"] + others))
+    draw_front(out, fronts, summary["cases"])
     return "\n\n".join(parts)
+
+
+def table(rows: list[dict]) -> str:
+    """Table 2 with all its columns, the paper's beside ours."""
+    head = (
+        f"{'case':11s} {'':6s} {'c_tr ini':>9s} {'c_tr opt':>9s} "
+        f"{'ratio':>6s} {'comp.':>7s} {'c_rot ini':>9s} {'c_rot opt':>9s} "
+        f"{'ratio':>6s} {'comp.':>7s} {'c ini':>9s} {'c opt':>9s}"
+    )
+    lines = [head, "-" * len(head)]
+    ours_1 = next((r for r in rows if r["name"] == "1-Ref"), None)
+    for row in rows:
+        tr0, tr, rot0, rot = TABLE_2[row["name"]]
+        first = TABLE_2["1-Ref"]
+        lines.append(
+            _line(
+                row["name"], "paper", row["weight"], (tr0, tr, rot0, rot),
+                (first[1], first[3]),
+            )
+        )  # fmt: skip
+        mine = (
+            row["c_tr_initial"], row["c_tr"],
+            row["c_rot_initial"], row["c_rot"],
+        )  # fmt: skip
+        base = (ours_1["c_tr"], ours_1["c_rot"]) if ours_1 else mine[1::2]
+        lines.append(_line("", "ours", row["weight"], mine, base))
+    return "\n".join(lines)
+
+
+def _line(name, who, weight, values, base) -> str:
+    tr0, tr, rot0, rot = values
+    return (
+        f"{name:11s} {who:6s} {tr0:9.2e} {tr:9.2e} {tr / tr0:6.3f} "
+        f"{100 * (tr / base[0] - 1):+6.0f}% {rot0:9.2e} {rot:9.2e} "
+        f"{rot / rot0:6.3f} {100 * (rot / base[1] - 1):+6.0f}% "
+        f"{tr0 - weight * rot0:9.2e} {tr - weight * rot:9.2e}"
+    )
+
+
+def paper_cost(row: dict) -> float:
+    """The paper's optimum rescaled to our brick: c to beat."""
+    tr0, tr, rot0, rot = TABLE_2[row["name"]]
+    c_tr = row["c_tr_initial"] * tr / tr0
+    return c_tr - row["weight"] * row["c_rot_initial"] * rot / rot0
+
+
+def certainty_table(rows: list[dict]) -> str:
+    """C to beat, optimality, and the design judged more strictly.
+
+    Columns: c and the paper's rescaled; IPOPT's error and largest
+    complementarity; change of c by the exact law from a cold start; change
+    of c on a finer mesh and the brick's own; largest strain, tilt, stability.
+    """
+    head = (
+        f"{'case':11s} {'c':>10s} {'paper':>10s} {'error':>8s} {'compl.':>8s} "
+        f"{'exact law':>9s} {'finer':>7s} {'brick':>7s} {'strain':>6s} "
+        f"{'tilt':>5s} {'stable':>6s} {'s':>6s}"
+    )
+    lines = [head, "-" * len(head)]
+    for row in rows:
+        finer = row.get("finer") or {}
+        lines.append(
+            f"{row['name']:11s} {row['c']:10.3e} {paper_cost(row):10.3e} "
+            f"{_number(row.get('optimality_error'), '8.1e')} "
+            f"{_number(row.get('complementarity'), '8.1e')} "
+            f"{_percent(row.get('exact_change'), 9)} "
+            f"{_percent(finer.get('change'), 7)} "
+            f"{_percent(finer.get('brick_change'), 7)} "
+            f"{row['max_strain']:6.2f} {row['tilt_max_deg']:5.1f} "
+            f"{'yes' if row['stable'] else 'no':>6s} {row['seconds']:6.0f}"
+        )
+    return "\n".join(lines)
+
+
+def _number(value, form: str) -> str:
+    if value is None:
+        return f"{'-':>{form.split('.')[0]}s}"
+    return f"{value:{form}}"
+
+
+def _percent(value, width: int) -> str:
+    if value is None:
+        return f"{'-':>{width}s}"
+    return f"{100 * value:+{width - 1}.2f}%"
+
+
+def front_table(points: list[dict]) -> str:
+    """One line for every point."""
+    lines = [
+        f"{'case':11s} {'floor':>6s} {'c_tr':>9s} {'ratio':>6s} "
+        f"{'paper':>6s} {'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
+    ]
+    lines += [
+        f"{p['case']:11s} {p['floor']:6.3f} {p['c_tr']:9.2e} "
+        f"{p['ratio_tr']:6.3f} {_paper(p):6s} {p['c_rot']:9.2e} "
+        f"{p['ratio_rot']:6.3f} {p['optimality_error']:8.1e}"
+        for p in points
+    ]
+    return "\n".join(lines)
+
+
+def _paper(point: dict) -> str:
+    ratio = point.get("paper_ratio_tr")
+    return "" if ratio is None else f"{ratio:6.3f}"
+
+
+def draw_front(out: Path, fronts: dict[str, list[dict]], rows=()) -> None:
+    """Draw front.png: fronts by label, designs beside the paper's."""
+    from drake_exo.soles import pictures
+
+    paper = {
+        name: (tr / tr0, rot / rot0)
+        for name, (tr0, tr, rot0, rot) in TABLE_2.items()
+    }
+    figure = pictures.pareto_figure(fronts, rows, paper)
+    pictures.save(figure, out / "front.png")
+
+
+def report(out: Path, designs: list[StoredDesign]) -> str:
+    """soles.png, stiffness.png, histories.png, finite_strain.csv and .txt.
+
+    Returns:
+        The finite-strain table, empty where no design has one.
+    """
+    # matplotlib takes half a second to load.
+    from drake_exo.soles import pictures
+
+    figures = {
+        SOLES: pictures.soles_figure([_drawn(d) for d in designs]),
+        "histories.png": histories_figure(designs),
+    }
+    if len(designs) > 1:  # a design has a picture of its own stiffness
+        figures["stiffness.png"] = stiffness_figure(designs)
+    for name, figure in figures.items():
+        pictures.save(figure, out / name)
+    found = {d.name: d.summary().get("finite_strain") or {} for d in designs}
+    found = {
+        name: strain_comparison.from_json(f)
+        for name, f in found.items()
+        if "samples" in f
+    }
+    return strain_comparison.write_table(out, found) if found else ""
+
+
+def _drawn(design: StoredDesign):
+    from drake_exo.soles.pictures import DrawnSole, radial_change
+
+    row, mesh = design.summary(), design.setup.mesh
+    caption = (
+        f"c_tr × {row['ratio_tr']:.3f}, c_rot × {row['ratio_rot']:.3f}, "
+        f"{row['volume_cm3']:.0f} cm³, "
+        f"{'stable' if row['stable'] else 'not stable'}, "
+        f"tilt up to {row['tilt_max_deg']:.0f}°"
+    )
+    initial = read_mesh(design.folder / "initial.vtk", (0.0, 0.0, 0.0))
+    change = radial_change(mesh, *design.shape())
+    return DrawnSole(design.name, caption, initial, mesh, change)
+
+
+def stiffness_figure(designs: list[StoredDesign]):
+    """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13)."""
+    from drake_exo.soles import pictures
+
+    keys = ("sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad")
+    looks = {
+        "initial": ("initial_steps.csv", {"color": "0.45", "ls": "--"}),
+        "optimised": ("steps.csv", {}),
+    }
+    first = designs[0].setup
+    strike = heel_strike_count(
+        len(first.load.times), first.settings.cost.heel_strike_fraction
+    )
+    with pictures.style():
+        figure, axes = pictures.panels(
+            2, len(designs), (1.2 + 2.7 * len(designs), 5.4),
+            sharex=True, sharey="row", squeeze=False,
+        )  # fmt: skip
+        for column, design in enumerate(designs):
+            steps = {
+                label: read_columns(design.folder / file)
+                for label, (file, _) in looks.items()
+            }
+            for axis, key, scale in zip(
+                axes[:, column], keys, (1e-3, 1.0), strict=True
+            ):
+                for label, (_, look) in looks.items():
+                    t = steps[label]["time_s"] - steps[label]["time_s"][0]
+                    axis.plot(t, scale * steps[label][key], label=label,
+                              **{"color": f"C{column}"} | look)  # fmt: skip
+                axis.axvspan(t[0], t[strike - 1], color="tab:orange",
+                             alpha=0.15, lw=0, label="heel strike")  # fmt: skip
+                axis.margins(x=0.01)
+            axes[0, column].set_title(design.name)
+            axes[1, column].set_xlabel("time since contact [s]")
+        axes[0, 0].legend(fontsize=8)
+        for axis in axes[:, 0]:
+            axis.set_ylim(0, None)
+        axes[0, 0].set_ylabel(r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]")
+        axes[1, 0].set_ylabel(r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]")
+    return figure
+
+
+def histories_figure(designs: list[StoredDesign]):
+    """Cost, violation and optimality error over iterations, case by case."""
+    from drake_exo.soles import pictures
+
+    with pictures.style():
+        figure, axes = pictures.panels(
+            2, len(designs), (1.2 + 2.7 * len(designs), 5.0),
+            sharex="col", squeeze=False,
+        )  # fmt: skip
+        for column, design in enumerate(designs):
+            trace = read_columns(design.folder / "history.csv")
+            cost, error = axes[:, column]
+            cost.set_title(design.name)
+            error.set_xlabel("iteration")
+            x = np.arange(len(trace["stage"]))
+            if len(x) == 0:
+                cost.text(0.5, 0.5, "no iterations", ha="center",
+                          transform=cost.transAxes)  # fmt: skip
+                continue
+            for stage in np.unique(trace["stage"]):
+                rows = trace["stage"] == stage
+                cost.plot(x[rows], trace["cost"][rows], ".-", ms=4,
+                          label=f"stage {stage:.0f}")  # fmt: skip
+            for key, look in (
+                ("dual_infeasibility", {"color": "k", "lw": 1.2}),
+                ("violation", {"color": "tab:red", "ls": ":"}),
+            ):
+                label = {"violation": "constraint violation"}.get(
+                    key, "dual infeasibility"
+                )
+                error.semilogy(x, np.maximum(trace[key], _LEAST_ERROR),
+                               label=label, **look)  # fmt: skip
+            cost.legend(fontsize=8)
+        axes[0, 0].set_ylabel(r"cost $c/|c_0|$ with regulariser")
+        axes[1, 0].set_ylabel("scaled error")
+        axes[1, 0].legend(fontsize=8)
+    return figure

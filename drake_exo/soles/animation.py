@@ -1,4 +1,7 @@
-"""The deforming sole as one HTML file: pressure in colour, force, ZMP."""
+"""The deforming sole as one HTML file: pressure in colour, force, ZMP.
+
+Of simulations at hand, or of the folders that the commands wrote.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,10 @@ from matplotlib import colormaps
 from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import check_arrays, read_arrays
+from drake_exo.files.output import check_arrays, read_arrays, read_json
 from drake_exo.player.page import Arrow, Clip, Page, Surface, write_page
-from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.results import nodal_areas
-from drake_exo.soles.step.simulation import StepHistory
+from drake_exo.soles.step.simulation import FIRST_HISTORY, HISTORY
 
 with warnings.catch_warnings():  # its server uses a deprecated part of zmq
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -32,7 +33,7 @@ _MAP = "turbo"
 _METRES_PER_NEWTON = 2e-4
 _GRID_M = 0.05
 _LARGEST = 1e30
-# What `results.write_history` writes: N samples, c contact nodes.
+# What `simulation.write_history` writes: N samples, c contact nodes.
 _HISTORY = {
     "times": ("N",),
     "stiffness": ("N", 6, 6),
@@ -88,19 +89,19 @@ class SoleMotion:
 
     @staticmethod
     def of(
-        title: str, mesh: TetMesh, load: Load, history: StepHistory
+        title: str, mesh: TetMesh, times: np.ndarray, history
     ) -> SoleMotion | None:
-        """The converged samples of a simulation; None if there are none."""
+        """The converged samples of a `StepHistory`; None if there are none."""
         good = history.converged
         if good.sum() < 2:
             return None
-        parts = (load.times, history.O, history.R, history.P, history.F)
+        parts = (times, history.O, history.R, history.P, history.F)
         times, *rest = (part[good] for part in parts)
         return SoleMotion(title, "", times, mesh, *rest)
 
     @staticmethod
     def read(path: Path, title: str, group: str = "") -> SoleMotion | None:
-        """The same of what `results.write_history` wrote.
+        """The same of what `simulation.write_history` wrote.
 
         Raises:
             InputError: it is missing or damaged.
@@ -122,10 +123,10 @@ class SoleMotion:
             raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
         bare = TetMesh(nodes, tets, np.array([], int))
         surface = np.unique(bare.boundary_faces)
-        glued = np.setdiff1d(surface, touching)
-        if len(glued) + len(touching) != len(surface):
+        fixed = np.setdiff1d(surface, touching)
+        if len(fixed) + len(touching) != len(surface):
             raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
-        mesh = TetMesh(bare.nodes, bare.tets, glued)
+        mesh = TetMesh(bare.nodes, bare.tets, fixed)
         return SoleMotion(title, group, times, mesh, *rest)
 
     @property
@@ -150,8 +151,8 @@ class SoleMotion:
     def pressure(self) -> np.ndarray:
         """Contact pressure at the surface's nodes [kPa], (N, n)."""
         found = np.zeros((len(self.times), len(self.surface)))
-        areas = nodal_areas(self.mesh)
-        found[:, self._touching] = 1e-3 * self.force[:, :, 2] / areas
+        pressed = self.force[:, :, 2] / self.mesh.contact_areas
+        found[:, self._touching] = 1e-3 * pressed
         return found
 
     @property
@@ -368,3 +369,45 @@ def _stage(box: _Box) -> Iterator:
     background = ScenePath(("Background",))
     yield commands.SetProperty("top_color", [1.0, 1.0, 1.0], background)
     yield commands.SetProperty("bottom_color", [0.93, 0.94, 0.96], background)
+
+
+def replay_soles(folder: Path, path: Path) -> None:
+    """Write the page of all soles under a folder.
+
+    Args:
+        folder: that `sole simulate`, `sole optimize` or `sole study` wrote.
+        path: of the page.
+
+    Raises:
+        InputError: there is no sole that converged, or a file is damaged.
+    """
+    motions = []
+    for history in sorted(Path(folder).rglob(HISTORY)):
+        name = _name(history.parent)
+        first = history.with_name(FIRST_HISTORY)
+        titles = {history: name}
+        if first.is_file():
+            titles = {
+                history: f"{name}: optimised",
+                first: f"{name}: initial shape",
+            }
+        motions += [
+            SoleMotion.read(file, title, name) for file, title in titles.items()
+        ]
+    shown = [motion for motion in motions if motion is not None]
+    if not shown:
+        raise InputError(
+            f"{folder}: holds no {HISTORY} of a sole that converged; give the "
+            "--out folder of 'drake-exo sole simulate', 'optimize' or 'study'"
+        )
+    groups = sorted({motion.group for motion in shown})
+    write_animation(path, shown, f"Sole {', '.join(groups)}")
+
+
+def _name(folder: Path) -> str:
+    """Of the case in a folder."""
+    summary = read_json(
+        folder / "summary.json", "run the command that wrote it again"
+    )
+    name = summary.get("name") if isinstance(summary, dict) else None
+    return name if isinstance(name, str) else folder.name

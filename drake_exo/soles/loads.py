@@ -11,6 +11,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_table
+from drake_exo.files.tables import missing_column
 from drake_exo.files.text import number_rows, read_text
 from drake_exo.soles.rotations import rotation_z
 
@@ -134,7 +136,7 @@ def constant(force, zmp, samples: int = 1, period: float = 0.005) -> Load:
 
 def read_one_foot(path, skip_first: int = 10, skip_last: int = 11) -> Load:
     """The soft-sole authors' file: t, ZMP xy, CoM xy, force xyz."""
-    table = _table(path, columns=8, skiprows=1, delimiter=None)
+    table = _numbers(path, _lines(path)[1:], 2, 8)
     table = table[skip_first : len(table) - skip_last]
     return Load(table[:, 0], table[:, 5:8], table[:, 1:3], str(path))
 
@@ -145,11 +147,8 @@ CSV_COLUMNS = ("time_s", "force_x_n", "force_y_n", "force_z_n",
 
 def read_csv(path) -> Load:
     """A CSV file with a header line naming `CSV_COLUMNS` in any order."""
-    names = _first_line(path).split(",")
-    names = [n.strip() for n in names]
-    _check_columns(f"{path}:1", names, CSV_COLUMNS)
-    table = _table(path, len(names), skiprows=1, delimiter=",")
-    t, fx, fy, fz, zx, zy = (table[:, names.index(c)] for c in CSV_COLUMNS)
+    table = read_columns(path, CSV_COLUMNS)
+    t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
     return Load(t, np.stack([fx, fy, fz], 1), np.stack([zx, zy], 1), str(path))
 
 
@@ -171,21 +170,16 @@ def read_force_plate(
         least_force_n: Samples below are left out at both ends [N].
         suffixes: Letters of force, centre of pressure and moment.
     """
-    force, point, moment = (
-        [f"{prefix}_{s}{axis}" for axis in "xyz"] for s in suffixes
-    )
-    needed = ["time", *force, *point, *moment]
-    names, table = _opensim_table(
-        path, needed, f"check the plate's prefix {prefix!r}"
-    )
-    rows = (table[:, 0] >= start_s - 1e-9) & (table[:, 0] <= end_s + 1e-9)
-    table = table[rows]
+    names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in suffixes]
+    table = _opensim_columns(path, [n for row in names for n in row])
+    time = table["time"]
+    rows = (time >= start_s - 1e-9) & (time <= end_s + 1e-9)
 
     def turned(columns):  # (x, y up, z right) -> (x, y left, z up)
-        x, y, z = (table[:, names.index(c)] for c in columns)
+        x, y, z = (table[name][rows] for name in columns)
         return np.stack([x, -z, y], axis=1)
 
-    F, P, M = turned(force), turned(point), turned(moment)
+    F, P, M = map(turned, names)
     loaded = np.flatnonzero(F[:, 2] >= least_force_n)
     if len(loaded) == 0:
         raise InputError(
@@ -194,7 +188,7 @@ def read_force_plate(
         )
     keep = slice(loaded[0], loaded[-1] + 1)
     return Load(
-        table[keep, 0], F[keep], P[keep, :2], f"{path} {prefix}", M[keep, 2]
+        time[rows][keep], F[keep], P[keep, :2], f"{path} {prefix}", M[keep, 2]
     )
 
 
@@ -224,7 +218,7 @@ def read_playback(
             (away from the other foot) [m].
         least_force_n: Samples below are left out at both ends [N].
     """
-    table = _table(path, columns=37, skiprows=0, delimiter=None)
+    table = _numbers(path, _lines(path), 1, 37)
     phase = np.round(table[:, 0]).astype(int)
     mine = {"left": 1, "right": 2}[foot]
     runs = stances(phase, mine)
@@ -273,16 +267,12 @@ def read_prediction(
             ends [N].
     """
     if str(path).lower().endswith(".csv"):
-        names = [n.strip() for n in _first_line(path).split(",")]
-        _check_columns(f"{path}:1", names, PREDICTION_COLUMNS)
-        table = _table(path, len(names), skiprows=1, delimiter=",")
         columns = PREDICTION_COLUMNS
+        table = read_columns(path, columns)
     else:
-        names, table = _opensim_table(
-            path, STO_COLUMNS, "give a NAME_ground_reaction.sto of 'predict'"
-        )
         columns = STO_COLUMNS
-    t, fx, fz, x = (table[:, names.index(c)] for c in columns)
+        table = _opensim_columns(path, columns[1:])
+    t, fx, fz, x = (table[name] for name in columns)
     loaded = np.flatnonzero(share * fz >= least_force_n)
     if len(loaded) == 0:
         raise InputError(
@@ -344,48 +334,49 @@ def share_double_support(zmp, phase, mine):
     return share, own
 
 
-def _text(path) -> str:
-    return read_text(path, "check the path and --data-root")
+def read_columns(path, needed=()) -> dict[str, np.ndarray]:
+    """Columns of a CSV file by the names in its first line, (N,) each.
 
+    Args:
+        path: The file; a table of a run that took no steps has no rows.
+        needed: Names that it must have, in any order, among others.
 
-def _opensim_table(path, needed, remedy: str):
-    """Column names and numbers of an OpenSim .mot or .sto file."""
-    lines = _text(path).splitlines()
-    header = next(
-        (i for i, s in enumerate(lines) if s.strip() == "endheader"), None
-    )
-    if header is None or header + 1 >= len(lines):
-        raise InputError(
-            f"{path}: no 'endheader' line; give an OpenSim .mot or .sto file"
-        )
-    names = lines[header + 1].split()
-    for name in needed:
-        if name not in names:
-            raise InputError(
-                f"{path}:{header + 2}: column {name!r} is missing; {remedy}"
-            )
-    return names, _table(path, len(names), header + 2, None)
-
-
-def _check_columns(place: str, names: list[str], needed) -> None:
-    missing = [c for c in needed if c not in names]
+    Raises:
+        InputError: It cannot be read, a name is missing, or a row is damaged.
+    """
+    head, *lines = _lines(path) or [""]
+    names = [name.strip() for name in head.split(",")]
+    missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(
-            f"{place}: column {missing[0]!r} is missing; the header must "
+            f"{path}:1: column {missing[0]!r} is missing; the header must "
             f"name {', '.join(needed)}"
         )
+    if not lines and not needed:
+        return {name: np.zeros(0) for name in names}
+    table = _numbers(path, lines, 2, len(names), ",")
+    return dict(zip(names, table.T, strict=True))
 
 
-def _first_line(path) -> str:
-    return (_text(path).splitlines() or [""])[0]
+def _opensim_columns(path, needed) -> dict[str, np.ndarray]:
+    """Time and the columns `needed` of an OpenSim .mot or .sto file."""
+    table = read_table(path)
+    for name in needed:
+        if name not in table.names:
+            raise missing_column(str(path), name, table.names)
+    found = dict(zip(table.names, table.values.T, strict=True))
+    return {"time": table.time, **found}
 
 
-def _table(path, columns: int, skiprows: int, delimiter) -> np.ndarray:
-    """Numbers of a text file, each row checked for its number of columns."""
-    lines = _text(path).splitlines()[skiprows:]
+def _lines(path) -> list[str]:
+    return read_text(path, "check the path and --data-root").splitlines()
+
+
+def _numbers(path, lines, first: int, columns: int, separator=None):
+    """Numbers of the lines from number `first` on, empty ones left out."""
     rows = (
-        (number, line.split(delimiter))
-        for number, line in enumerate(lines, skiprows + 1)
+        (number, line.split(separator))
+        for number, line in enumerate(lines, first)
         if line.strip()
     )
     return number_rows(path, rows, columns)

@@ -1,13 +1,18 @@
-"""Tetrahedral meshes of soles: bricks, files, checks, volume, quality.
+"""Tetrahedral meshes of soles: bricks, files, checks, quality, STL.
 
 Sole frame: x forward, y left, z up, origin at the centre of the top plane
-(the surface glued to the rigid foot); the sole lies below, at z <= 0.
+(the surface fixed to the rigid foot); the sole lies below, at z <= 0.
+
+A mould is a block with the sole as its cavity, open at the fixed surface.
+Radial deformations keep the directions of the fixed outline from the origin,
+so that the ring between it and the block's edge is filled by going round both.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import meshio
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -26,16 +31,16 @@ class TetMesh:
     Attributes:
         nodes: Positions in the sole frame [m], (n, 3).
         tets: Node indices, positively oriented, (e, 4).
-        dirichlet: Sorted indices of the nodes glued to the foot.
+        fixed: Sorted indices of the nodes that move with the foot.
     """
 
     nodes: np.ndarray
     tets: np.ndarray
-    dirichlet: np.ndarray
+    fixed: np.ndarray
 
     def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
         """The same connectivity at other node positions."""
-        out = TetMesh(np.asarray(nodes, float), self.tets, self.dirichlet)
+        out = TetMesh(np.asarray(nodes, float), self.tets, self.fixed)
         # The boundary does not depend on positions: hand it on.
         for name in ("boundary_faces", "contact"):
             out.__dict__[name] = getattr(self, name)
@@ -55,15 +60,29 @@ class TetMesh:
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """Sorted nodes that may touch: the surface without Dirichlet."""
+        """Sorted nodes that may touch: those of the surface not fixed."""
         surface = np.unique(self.boundary_faces)
-        return np.setdiff1d(surface, self.dirichlet)
+        return np.setdiff1d(surface, self.fixed)
 
     @cached_property
     def contact_faces(self) -> np.ndarray:
-        """Surface triangles that are not wholly on the glued surface."""
-        glued = np.isin(self.boundary_faces, self.dirichlet).all(axis=1)
-        return self.boundary_faces[~glued]
+        """Surface triangles that are not wholly on the fixed surface."""
+        fixed = np.isin(self.boundary_faces, self.fixed).all(axis=1)
+        return self.boundary_faces[~fixed]
+
+    @cached_property
+    def contact_areas(self) -> np.ndarray:
+        """Rest area around each node that may touch [m²], (m,)."""
+        x = self.nodes[self.contact_faces]
+        area = 0.5 * np.linalg.norm(
+            np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1
+        )
+        total = np.bincount(
+            self.contact_faces.ravel(),
+            np.repeat(area / 3, 3),
+            minlength=len(self.nodes),
+        )
+        return total[self.contact]
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -140,7 +159,7 @@ def brick(
 
 
 def grid_mesh(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> TetMesh:
-    """A block over increasing grid lines [m]; the last z is glued."""
+    """A block over increasing grid lines [m]; the last z is fixed."""
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     nodes = grid.reshape(-1, 3)
     divisions = tuple(n - 1 for n in grid.shape[:3])
@@ -172,7 +191,7 @@ def read_mesh(
 ) -> TetMesh:
     """Read linear tetrahedra from Gmsh or another format of meshio.
 
-    The glued (Dirichlet) surface is the plane of the highest nodes.
+    The fixed surface is the plane of the highest nodes.
 
     Args:
         path: Mesh file in metres.
@@ -211,7 +230,7 @@ def _guess_origin(nodes, top, extent) -> np.ndarray:
     return np.array([*(0.5 * (low + high))[:2], z])
 
 
-def checked_mesh(nodes, tets, dirichlet, name: str) -> TetMesh:
+def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
     """Build a mesh and refuse what cannot be simulated.
 
     Raises:
@@ -221,7 +240,7 @@ def checked_mesh(nodes, tets, dirichlet, name: str) -> TetMesh:
     mesh = TetMesh(
         np.ascontiguousarray(nodes, dtype=float),
         np.ascontiguousarray(tets, dtype=np.int64),
-        np.sort(np.asarray(dirichlet, dtype=np.int64)),
+        np.sort(np.asarray(fixed, dtype=np.int64)),
     )
     floor = 1e-9 * np.median(np.abs(mesh.volumes))
     bad = np.flatnonzero(mesh.volumes <= floor)
@@ -238,8 +257,8 @@ def checked_mesh(nodes, tets, dirichlet, name: str) -> TetMesh:
             f"{name}: the mesh falls into {parts} unconnected parts; merge "
             "coincident nodes or remove the loose parts"
         )
-    glued = np.isin(mesh.boundary_faces, mesh.dirichlet).all(axis=1)
-    if not glued.any():
+    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
+    if not fixed.any():
         raise InputError(
             f"{name}: no Dirichlet surface, since no face lies in the top "
             "plane (highest z); turn the mesh so that the flat surface glued "
@@ -252,6 +271,11 @@ def write_stl(path: Path | str, mesh: TetMesh) -> None:
     """Write the closed surface as binary STL in millimetres (for printing)."""
     corners = mesh.nodes[mesh.boundary_faces]
     write_triangles(path, corners, "sole surface, millimetres")
+
+
+def write_vtk(path: Path | str, mesh: TetMesh) -> None:
+    """Write the tetrahedra in metres, as `read_mesh` reads them."""
+    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
 
 
 def write_triangles(path: Path | str, corners: np.ndarray, what: str) -> None:
@@ -272,3 +296,100 @@ def write_triangles(path: Path | str, corners: np.ndarray, what: str) -> None:
 def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
     """v_max = m / ρ [m³], the paper's (32)."""
     return mass_kg / density_kg_per_m3
+
+
+WALL = 0.01  # metres around and below the sole
+
+
+def mould_triangles(mesh: TetMesh, wall: float = WALL) -> np.ndarray:
+    """Outward triangles of the mould's closed surface [m], (f, 3, 3).
+
+    Args:
+        mesh: The sole.
+        wall: Least thickness around and below it [m].
+    """
+    low, high = mesh.nodes.min(axis=0) - wall, mesh.nodes.max(axis=0) + wall
+    top = mesh.nodes[mesh.fixed, 2].mean()
+    corners = np.array(
+        [
+            [low[0], low[1]],
+            [high[0], low[1]],
+            [high[0], high[1]],
+            [low[0], high[1]],
+        ]
+    )
+    rim = mesh.nodes[_rim(mesh)]
+    block = np.column_stack([corners, np.full(4, top)])
+    floor = np.column_stack([corners, np.full(4, low[2])])
+    sides = []
+    for k in range(4):
+        a, b, c, d = floor[k], floor[k - 3], block[k - 3], block[k]
+        sides += [[a, b, c], [a, c, d]]
+    sides += [[floor[0], floor[2], floor[1]], [floor[0], floor[3], floor[2]]]
+    cavity = mesh.nodes[mesh.contact_faces[:, [0, 2, 1]]]
+    return np.concatenate([np.array(sides), _ring(block, rim), cavity])
+
+
+def write_mould(path: Path | str, mesh: TetMesh, wall: float = WALL) -> bool:
+    """Write the mould as binary STL in millimetres.
+
+    Returns:
+        False, and no file, where the fixed outline turns back on its way
+        round the origin.
+    """
+    if not has_star_outline(mesh):
+        return False
+    triangles = mould_triangles(mesh, wall)
+    write_triangles(path, triangles, "mould of a sole, millimetres")
+    return True
+
+
+def _rim(mesh: TetMesh) -> np.ndarray:
+    """Nodes around the fixed surface, counter-clockwise from above."""
+    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
+    faces = mesh.boundary_faces[fixed]
+    edges = np.concatenate(
+        [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
+    )
+    there = {tuple(e) for e in edges.tolist()}
+    after = {a: b for a, b in there if (b, a) not in there}
+    first = min(after)
+    ring = [first]
+    while after[ring[-1]] != first:
+        ring.append(after[ring[-1]])
+    return np.array(ring)
+
+
+def _ring(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Upward triangles between two loops around the origin's vertical."""
+    outer, inner = (
+        np.roll(p, -int(np.argmin(_angle(p))), axis=0) for p in (outer, inner)
+    )
+    angles = [
+        np.append(_angle(p), 2 * np.pi + _angle(p[:1])) for p in (outer, inner)
+    ]
+    i = j = 0
+    triangles = []
+    while i < len(outer) or j < len(inner):
+        a, b = outer[i % len(outer)], inner[j % len(inner)]
+        ahead = j == len(inner) or (
+            i < len(outer) and angles[0][i + 1] <= angles[1][j + 1]
+        )
+        if ahead:
+            i += 1
+            triangles.append([a, outer[i % len(outer)], b])
+        else:
+            j += 1
+            triangles.append([a, inner[j % len(inner)], b])
+    return np.array(triangles)
+
+
+def has_star_outline(mesh: TetMesh) -> bool:
+    """Whether the fixed outline goes round the origin without turning back."""
+    angle = _angle(mesh.nodes[_rim(mesh)])
+    turn = (np.diff(np.append(angle, angle[0])) + np.pi) % (2 * np.pi) - np.pi
+    return bool((turn > 0).all() and abs(turn.sum() - 2 * np.pi) < 1e-6)
+
+
+def _angle(points: np.ndarray) -> np.ndarray:
+    return np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)

@@ -1,24 +1,27 @@
-"""Shaded views of a surface, drawn as polygons in the plane.
+"""Pictures of soles and of their steps; every function returns a figure.
 
-Orthographic: faces that look away are dropped, the others painted from far
-to near. Every view has the same scale, in millimetres.
-
-Plots of a step: load (Figs. 6, 7), stiffness (Fig. 13), pose, pressure.
+Plots of a step: load (the paper's Figs. 6, 7), stiffness (Fig. 13), pose,
+pressure; of an optimisation: its iterations, the front of both costs; shaded
+views of soles (Figs. 8-12), drawn as polygons in the plane. The views are
+orthographic: faces that look away are dropped, the others painted from far to
+near. Every view has the same scale, in millimetres.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from scipy.spatial import ConvexHull
 
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.step.simulation import StepHistory
+from drake_exo.soles.shape import SphericalSpline
 
 # Faces that meet at less are shaded as one smooth surface.
 _CREASE = np.cos(np.deg2rad(40.0))
@@ -149,9 +152,10 @@ def extent(nodes: np.ndarray, view: View) -> np.ndarray:
     return np.stack([flat.min(axis=0), flat.max(axis=0)])
 
 
-matplotlib.use("Agg")
-
-
+_COLOURS = matplotlib.colormaps["coolwarm"]
+_GAP = 14.0  # mm between views
+_HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
+_INCH = 1.0 / 62.0  # inches a millimetre of sole
 _STYLE = {
     "font.size": 10,
     "axes.grid": True,
@@ -164,145 +168,159 @@ _STYLE = {
 }
 
 
-def _save(figure, path: Path) -> None:
-    # No software version in the file: same input, same bytes.
-    figure.savefig(path, metadata={"Software": None})
-    plt.close(figure)
+def style():
+    """The style of all figures: a decorator, or a context to draw in."""
+    return matplotlib.rc_context(_STYLE)
 
 
-def load_figure(path: Path, load: Load, mesh: TetMesh) -> None:
+def panels(rows: int, columns: int, size: tuple[float, float], **shared):
+    """A figure of that many inches and its axes."""
+    figure = Figure(figsize=size)
+    return figure, figure.subplots(rows, columns, **shared)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure, the same bytes for the same figure."""
+    with style():
+        # No software version in the file.
+        figure.savefig(path, metadata={"Software": None})
+
+
+@style()
+def load_figure(load: Load, mesh: TetMesh) -> Figure:
     """ZMP on the sole's outline, and force over time (Figs. 6 and 7)."""
-    with plt.rc_context(_STYLE):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.8))
-        outline = mesh.nodes[mesh.contact][:, :2]
-        ring = ConvexHull(outline).vertices
-        ring = np.append(ring, ring[0])
-        left.fill(*(1e3 * outline[ring].T), color="0.93", zorder=0)
-        left.plot(*(1e3 * outline[ring].T), color="0.5", lw=1)
-        points = left.scatter(
-            *(1e3 * load.zmp.T), c=load.times, s=9, cmap="viridis", zorder=3
+    figure, (left, right) = panels(1, 2, (9.0, 3.8))
+    outline = mesh.nodes[mesh.contact][:, :2]
+    ring = ConvexHull(outline).vertices
+    ring = np.append(ring, ring[0])
+    left.fill(*(1e3 * outline[ring].T), color="0.93", zorder=0)
+    left.plot(*(1e3 * outline[ring].T), color="0.5", lw=1)
+    points = left.scatter(
+        *(1e3 * load.zmp.T), c=load.times, s=9, cmap="viridis", zorder=3
+    )
+    figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
+    left.plot(*(1e3 * load.zmp[0]), "o", mfc="none", mec="k", ms=9)
+    left.annotate(
+        "heel strike",
+        1e3 * load.zmp[0],
+        (8, 5),
+        textcoords="offset points",
+    )
+    left.set(
+        xlabel="x, forward [mm]",
+        ylabel="y, left [mm]",
+        title="ZMP on the sole",
+        aspect="equal",
+    )
+    for k, (axis, colour) in enumerate(zip("xyz", "rgb", strict=True)):
+        right.plot(
+            load.times,
+            load.force[:, k],
+            color=f"tab:{dict(r='red', g='green', b='blue')[colour]}",
+            label=f"$F_{axis}$",
         )
-        figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
-        left.plot(*(1e3 * load.zmp[0]), "o", mfc="none", mec="k", ms=9)
-        left.annotate(
-            "heel strike",
-            1e3 * load.zmp[0],
-            (8, 5),
-            textcoords="offset points",
-        )
-        left.set(
-            xlabel="x, forward [mm]",
-            ylabel="y, left [mm]",
-            title="ZMP on the sole",
-            aspect="equal",
-        )
-        for k, (axis, colour) in enumerate(zip("xyz", "rgb", strict=True)):
-            right.plot(
-                load.times,
-                load.force[:, k],
-                color=f"tab:{dict(r='red', g='green', b='blue')[colour]}",
-                label=f"$F_{axis}$",
-            )
-        right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
-        right.legend(ncols=3)
-        _save(figure, path)
+    right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
+    right.legend(ncols=3)
+    return figure
 
 
-def stiffness_figure(path: Path, curves: dict, heel_strike: float) -> None:
+@style()
+def stiffness_figure(curves: dict, heel_strike: float) -> Figure:
     """σ_max(K_tr) and σ_min(K_rot) over the step (Fig. 13).
 
     Args:
-        path: PNG file.
         curves: Label -> (times [s], σ_max [N/m], σ_min [N·m/rad]).
         heel_strike: End of heel strike [s].
     """
-    with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6))
-        titles = (
-            r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]",
-            r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]",
-        )
-        for k, axis in enumerate(axes):
-            for label, values in curves.items():
-                scale = 1e-3 if k == 0 else 1.0
-                axis.plot(values[0], scale * values[k + 1], label=label)
-            start = min(v[0][0] for v in curves.values())
-            axis.axvspan(start, heel_strike, color="tab:orange", alpha=0.15,
-                         lw=0, label="heel strike")  # fmt: skip
-            axis.set(xlabel="time [s]", title=titles[k], ylim=(0, None))
-            axis.margins(x=0.01)
-        axes[0].legend()
-        _save(figure, path)
+    figure, axes = panels(1, 2, (9.0, 3.6))
+    titles = (
+        r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]",
+        r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]",
+    )
+    for k, axis in enumerate(axes):
+        for label, values in curves.items():
+            scale = 1e-3 if k == 0 else 1.0
+            axis.plot(values[0], scale * values[k + 1], label=label)
+        start = min(v[0][0] for v in curves.values())
+        axis.axvspan(start, heel_strike, color="tab:orange", alpha=0.15,
+                     lw=0, label="heel strike")  # fmt: skip
+        axis.set(xlabel="time [s]", title=titles[k], ylim=(0, None))
+        axis.margins(x=0.01)
+    axes[0].legend()
+    return figure
 
 
-def pose_figure(path: Path, columns: dict[str, np.ndarray]) -> None:
+@style()
+def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
     """Pose, stability and nodes in contact over time."""
     t = columns["time_s"]
-    with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(2, 2, figsize=(9.0, 6.0), sharex=True)
-        (place, turn), (stable, nodes) = axes
-        for axis in "xyz":
-            values = columns[f"origin_{axis}_m"]
-            offset = values[0] if axis == "z" else 0.0
-            label = f"{axis} − {1e3 * offset:.1f} mm" if offset else axis
-            place.plot(t, 1e3 * (values - offset), label=label)
-        place.set(ylabel="origin [mm]", title="Place of the foot")
-        for name in ("roll", "pitch", "yaw"):
-            turn.plot(t, columns[f"{name}_deg"], label=name)
-        turn.set(ylabel="angle [°]", title="Orientation (Rx·Ry·Rz)")
-        stable.plot(t, 1e-3 * columns["stability_n_per_m"], color="k")
-        stable.axhline(0.0, color="tab:red", lw=1, ls="--")
-        stable.set(
-            xlabel="time [s]",
-            ylabel="[kN/m]",
-            title=r"Stability: least eigenvalue of $S\,\mathrm{sym}(-K_c)\,S$",
-        )
-        nodes.plot(t, columns["nodes_in_contact"], color="k")
-        nodes.set(xlabel="time [s]", title="Nodes in contact", ylim=(0, None))
-        place.legend()
-        turn.legend()
-        _save(figure, path)
+    figure, axes = panels(2, 2, (9.0, 6.0), sharex=True)
+    (place, turn), (stable, nodes) = axes
+    for axis in "xyz":
+        values = columns[f"origin_{axis}_m"]
+        offset = values[0] if axis == "z" else 0.0
+        label = f"{axis} − {1e3 * offset:.1f} mm" if offset else axis
+        place.plot(t, 1e3 * (values - offset), label=label)
+    place.set(ylabel="origin [mm]", title="Place of the foot")
+    for name in ("roll", "pitch", "yaw"):
+        turn.plot(t, columns[f"{name}_deg"], label=name)
+    turn.set(ylabel="angle [°]", title="Orientation (Rx·Ry·Rz)")
+    stable.plot(t, 1e-3 * columns["stability_n_per_m"], color="k")
+    stable.axhline(0.0, color="tab:red", lw=1, ls="--")
+    stable.set(
+        xlabel="time [s]",
+        ylabel="[kN/m]",
+        title=r"Stability: least eigenvalue of $S\,\mathrm{sym}(-K_c)\,S$",
+    )
+    nodes.plot(t, columns["nodes_in_contact"], color="k")
+    nodes.set(xlabel="time [s]", title="Nodes in contact", ylim=(0, None))
+    place.legend()
+    turn.legend()
+    return figure
 
 
+@style()
 def pressure_figure(
-    path: Path, mesh: TetMesh, load: Load, history: StepHistory, areas
-) -> None:
-    """Contact pressure from below at eight samples of the step."""
-    picked = np.flatnonzero(history.converged)
+    mesh: TetMesh, load: Load, pressure: np.ndarray, converged: np.ndarray
+) -> Figure | None:
+    """Contact pressure from below at eight samples of the step.
+
+    Args:
+        mesh: Of the sole.
+        load: Of the step.
+        pressure: At the contact nodes [Pa], (N, m).
+        converged: Which samples are to be drawn, (N,); None if there is none.
+    """
+    picked = np.flatnonzero(converged)
     if len(picked) == 0:
-        return
+        return None
     picked = picked[np.linspace(0, len(picked) - 1, 8).round().astype(int)]
-    pressure = 1e-3 * history.F[picked][:, :, 2] / areas
+    pressure = 1e-3 * pressure[picked]
     faces, place = _underside(mesh)
     top = max(float(pressure.max()), 1e-9)
-    with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(
-            2, 4, figsize=(11.0, 4.2), sharex=True, sharey=True
+    figure, axes = panels(2, 4, (11.0, 4.2), sharex=True, sharey=True)
+    for axis, q, p in zip(axes.flat, picked, pressure, strict=True):
+        drawn = axis.tripcolor(
+            Triangulation(*(1e3 * place.T), faces),
+            p,
+            shading="gouraud",
+            cmap="inferno",
+            vmin=0,
+            vmax=top,
         )
-        for axis, q, p in zip(axes.flat, picked, pressure, strict=True):
-            drawn = axis.tripcolor(
-                Triangulation(*(1e3 * place.T), faces),
-                p,
-                shading="gouraud",
-                cmap="inferno",
-                vmin=0,
-                vmax=top,
-            )
-            axis.plot(*(1e3 * load.zmp[q]), "+", color="cyan", ms=9, mew=2)
-            axis.set_title(f"{load.times[q] - load.times[0]:.3f} s")
-            axis.set_aspect("equal")
-            axis.grid(False)
-        for axis in axes[-1]:
-            axis.set_xlabel("x [mm]")
-        for axis in axes[:, 0]:
-            axis.set_ylabel("y [mm]")
-        figure.colorbar(
-            drawn, ax=axes, label="contact pressure [kPa]", shrink=0.85
-        )
-        figure.suptitle(
-            "Contact pressure, seen from above through the sole (+ ZMP)"
-        )
-        _save(figure, path)
+        axis.plot(*(1e3 * load.zmp[q]), "+", color="cyan", ms=9, mew=2)
+        axis.set_title(f"{load.times[q] - load.times[0]:.3f} s")
+        axis.set_aspect("equal")
+        axis.grid(False)
+    for axis in axes[-1]:
+        axis.set_xlabel("x [mm]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("y [mm]")
+    figure.colorbar(drawn, ax=axes, label="contact pressure [kPa]", shrink=0.85)
+    figure.suptitle(
+        "Contact pressure, seen from above through the sole (+ ZMP)"
+    )
+    return figure
 
 
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -314,3 +332,222 @@ def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     down &= np.isin(faces, mesh.contact).all(axis=1)
     local = np.searchsorted(mesh.contact, faces[down])
     return local[:, [0, 2, 1]], mesh.nodes[mesh.contact][:, :2]
+
+
+@style()
+def trace_figure(optima) -> Figure:
+    """Cost and optimality error over iterations, stage by stage."""
+    figure, (cost, error) = panels(1, 2, (9.0, 3.4))
+    start = 0
+    for number, best in enumerate(optima):
+        trace = np.array(best.trace)
+        if len(trace) == 0:
+            continue
+        x = start + np.arange(len(trace))
+        label = f"stage {number + 1}"
+        cost.plot(x, trace[:, 1], ".-", label=label)
+        error.semilogy(x, np.maximum(trace[:, 3], 1e-12), ".-")
+        error.semilogy(x, np.maximum(trace[:, 2], 1e-12), ":", color="k",
+                       lw=1)  # fmt: skip
+        start += len(trace)
+    cost.set(xlabel="iteration", title="cost $c/|c_0|$ with regulariser")
+    error.set(
+        xlabel="iteration",
+        title="scaled dual infeasibility (dotted: violation)",
+    )
+    if start:
+        cost.legend()
+    return figure
+
+
+@style()
+def pareto_figure(
+    fronts: dict[str, list[dict]], rows=(), paper: dict | None = None
+) -> Figure:
+    """c_tr against c_rot, each over its brick's, beside the paper's.
+
+    Args:
+        rows: Summaries with name, ratio_tr and ratio_rot.
+        paper: Name -> (ratio of c_tr, ratio of c_rot).
+        fronts: Label -> points with ratio_tr and ratio_rot.
+    """
+    figure, axis = panels(1, 1, (6.0, 4.2))
+    for k, row in enumerate(rows):
+        colour = f"C{k}"
+        axis.plot(row["ratio_tr"], row["ratio_rot"], "o", color=colour,
+                  label=row["name"])  # fmt: skip
+        if paper and row["name"] in paper:
+            axis.plot(*paper[row["name"]], "x", color=colour, mew=2)
+    if rows:
+        axis.plot([], [], "kx", mew=2, label="paper")
+    for (label, points), style in zip(
+        fronts.items(), (".-", ".--"), strict=False
+    ):
+        axis.plot(
+            [p["ratio_tr"] for p in points],
+            [p["ratio_rot"] for p in points],
+            style, color="0.4", label=label,
+        )  # fmt: skip
+    axis.set(
+        xscale="log",
+        xlabel=r"$c^{tr}$ over the brick's (less is better)",
+        ylabel=r"$c^{rot}$ over the brick's (more is better)",
+    )
+    axis.legend()
+    return figure
+
+
+@dataclass(frozen=True)
+class DrawnSole:
+    """What the pictures need of one sole.
+
+    Attributes:
+        name: Case.
+        caption: Second line of its title.
+        initial: Mesh before optimisation.
+        mesh: Optimised mesh.
+        change: Radial change of its every node [%], (n,).
+    """
+
+    name: str
+    caption: str
+    initial: TetMesh
+    mesh: TetMesh
+    change: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """Where each view goes: a row a sole, a column a view, one scale.
+
+    Attributes:
+        boxes: Extent of all soles in each view [mm], (2, 2) each.
+        rows: Number of soles.
+    """
+
+    boxes: list[np.ndarray]
+    rows: int
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Of the columns [mm]."""
+        return np.array([np.ptp(b, axis=0)[0] + _GAP for b in self.boxes])
+
+    @property
+    def height(self) -> float:
+        """Of a row [mm]."""
+        return max(np.ptp(b, axis=0)[1] for b in self.boxes) + 24.0
+
+    @property
+    def size(self) -> np.ndarray:
+        """Width and height of the figure [inches]."""
+        tall = _INCH * self.height * self.rows + _FOOT + _HEAD
+        return np.array([_INCH * self.widths.sum(), tall])
+
+    def place(self, row: int, column: int) -> np.ndarray:
+        """Left, bottom, width and height in parts of the figure."""
+        left = _INCH * self.widths[:column].sum()
+        bottom = _FOOT + _INCH * self.height * (self.rows - row - 1)
+        width, height = _INCH * self.widths[column], _INCH * self.height
+        return np.array([left, bottom, width, height]) / np.tile(self.size, 2)
+
+
+def radial_change(
+    mesh: TetMesh, spline: SphericalSpline, p: np.ndarray
+) -> np.ndarray:
+    """Radial change of a design's nodes [%], zero at the origin, (n,)."""
+    there = np.linalg.norm(mesh.nodes, axis=1) > 1e-9
+    return np.where(there, 100 * (spline.stretch(mesh.nodes, p) - 1), 0.0)
+
+
+@style()
+def soles_figure(soles: list[DrawnSole]) -> Figure:
+    """Every sole from below, the left, the back and in perspective.
+
+    One scale for all; colour is the radial change, the initial outline is
+    dashed.
+    """
+    every = np.concatenate(
+        [m.nodes for s in soles for m in (s.mesh, s.initial)]
+    )
+    boxes = [extent(every, view) for view in VIEWS]
+    sheet = _Sheet(boxes, len(soles))
+    largest = max(np.abs(s.change).max() for s in soles)
+    norm = TwoSlopeNorm(0.0, -largest, largest)
+    figure = Figure(figsize=sheet.size, layout="none")
+    for row, sole in enumerate(soles):
+        shape = _coloured(sole, norm)
+        for column, view in enumerate(VIEWS):
+            axis = figure.add_axes(sheet.place(row, column))
+            _view(axis, sole, shape, view, boxes[column], sheet)
+            _ends(axis, sole, view)
+        _, bottom, _, height = sheet.place(row, 0)
+        look = {"y": bottom + height, "va": "top"}
+        figure.text(0.012, s=sole.name, size=11, weight="bold", **look)
+        figure.text(0.10, s=sole.caption, size=9, color="0.25", **look)
+    top = 1 - 0.12 / sheet.size[1]
+    for column, view in enumerate(VIEWS):
+        left, _, width, _ = sheet.place(0, column)
+        figure.text(left + 0.5 * width, top, view.name, size=10,
+                    ha="center", va="top")  # fmt: skip
+    _legend(figure, norm, sheet.size)
+    return figure
+
+
+def _coloured(sole: DrawnSole, norm) -> Surface:
+    colours = _COLOURS(norm(sole.change))[:, :3]
+    shape = surface(
+        sole.mesh.nodes, sole.mesh.boundary_faces, np.asarray(colours)
+    )
+    return shape.refined()
+
+
+def _view(axis, sole, shape, view, box, sheet) -> None:
+    draw(axis, shape, view)
+    outline(axis, sole.initial.nodes, view)
+    middle = box.mean(axis=0)
+    width = np.ptp(box, axis=0)[0] + _GAP
+    axis.set(
+        xlim=middle[0] + 0.5 * np.array([-width, width]),
+        ylim=middle[1] + 0.5 * sheet.height * np.array([-1, 1]),
+        aspect="equal",
+    )
+    axis.set_axis_off()
+
+
+def _ends(axis, sole, view) -> None:
+    """Write heel and toe, or left and right, under either shape."""
+    low, high = extent(sole.initial.nodes, view)
+    below = min(low[1], extent(sole.mesh.nodes, view)[0][1])
+    right = view.axes()[0]
+    words = ("heel", "toe") if abs(right[0]) > 0.9 else ("right", "left")
+    if max(np.abs(right)) < 0.9:
+        return
+    along = right[0] if abs(right[0]) > 0.9 else right[1]
+    words = words if along > 0 else words[::-1]
+    for x, word, side in zip(
+        (low[0], high[0]), words, ("left", "right"), strict=True
+    ):
+        axis.text(
+            x, below - 3, word, ha=side, va="top", fontsize=8, color="0.4"
+        )
+
+
+def _legend(figure, norm, size) -> None:
+    """Colour bar, scale bar and what is dashed."""
+    wide, total = size
+    bar = figure.add_axes([0.06, 0.42 / total, 0.3, 0.11 / total])
+    figure.colorbar(
+        ScalarMappable(norm, _COLOURS),
+        cax=bar,
+        orientation="horizontal",
+        label="radial change of the surface [%]",
+    )
+    axis = figure.add_axes([0.4, 0.1 / total, 0.58, (_FOOT - 0.15) / total])
+    axis.set_axis_off()
+    axis.set(xlim=(0, 0.58 * wide / _INCH), ylim=(0, 1))
+    axis.plot([0, 50], [0.62, 0.62], color="k", lw=2, solid_capstyle="butt")
+    axis.text(25, 0.5, "50 mm", ha="center", va="top")
+    axis.plot([80, 105], [0.62, 0.62], color="0.25", lw=0.8,
+              ls=(0, (4, 3)))  # fmt: skip
+    axis.text(110, 0.62, "initial shape", va="center")

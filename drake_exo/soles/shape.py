@@ -2,9 +2,8 @@
 
 X' = s(p, θ, φ) X with θ = atan2(y, -z), φ = atan2(x, √(y² + z²)) and
 s = Σ p_jk N_j(θ) N_k(φ), degree 2, clamped at ±π/2 (paper, (4) and (5)).
-X' is linear in p.
-
-Moves along rays from the sole frame's origin.
+X' is linear in p, and every point moves along its ray from the sole frame's
+origin.
 """
 
 from dataclasses import dataclass

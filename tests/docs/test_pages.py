@@ -222,12 +222,12 @@ def test_files_named_in_the_pages_exist():
 
 
 def test_every_key_of_a_case_is_in_the_soles_page():
-    from drake_exo.soles import case
+    from drake_exo.soles.settings import Settings
 
     page = (ROOT / "docs" / "soles.md").read_text("utf-8")
     quoted = " ".join(re.findall(r"`([^`\n]+)`", page))
     words = set(re.findall(r"\w+", quoted))
-    todo, seen = [case.Case], set()
+    todo, seen = [Settings], set()
     while todo:
         cls = todo.pop()
         seen.add(cls)

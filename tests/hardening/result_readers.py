@@ -26,7 +26,7 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.description import nominal_exoskeleton, nominal_human
 from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.report.gathering import gather
-from drake_exo.soles.case import read_case
+from drake_exo.soles.settings import Settings
 from drake_exo.study import load_study
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -47,7 +47,7 @@ def studies() -> dict:
     return {
         "study yaml": ("study.yaml", "text", study, read_study),
         "study yaml, another": ("study.yaml", "text", squat, read_study),
-        "case yaml": ("case.yaml", "text", case, read_case),
+        "case yaml": ("case.yaml", "text", case, Settings.read),
     }
 
 

@@ -11,9 +11,8 @@ from drake_exo.files.opensim import write_table
 from drake_exo.soles import loads
 from drake_exo.soles.animation import SoleMotion
 from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimize.checkpoint import Checkpoint, read_checkpoint
-from drake_exo.soles.optimize.design_folder import read_steps
-from drake_exo.soles.results import write_history
+from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
+from drake_exo.soles.step.simulation import write_history
 
 
 def _sole_checkpoint(path):
@@ -41,9 +40,7 @@ def _history(path, mesh):
         P=np.tile(mesh.nodes[mesh.contact], (n, 1, 1)),
         K_c=np.tile(np.eye(6), (n, 1, 1)),
     )
-    write_history(
-        path, mesh, SimpleNamespace(times=np.arange(n) / 100.0), samples
-    )
+    write_history(path, mesh, np.arange(n) / 100.0, samples)
 
 
 def _motion(path):
@@ -98,7 +95,7 @@ def soles() -> dict:
             "steps.csv",
             "text",
             text(timed(4), "time_s,a,b,c\n", ","),
-            read_steps,
+            loads.read_columns,
         ),
         "sole checkpoint": (
             "checkpoint.json",

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drake_exo.soles import results
 from drake_exo.soles.contact.finite_strain import FiniteStrainSolver
 from drake_exo.soles.contact.newton import (
     ContactSolver,
@@ -19,8 +18,13 @@ from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.rotations import exp_rotation
-from drake_exo.soles.step.finite_history import FiniteHistory, follow, lead
+from drake_exo.soles.step.results import complementarity
 from drake_exo.soles.step.simulation import StepHistory, simulate
+from drake_exo.soles.step.strain_comparison import (
+    FiniteHistory,
+    follow,
+    lead,
+)
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 
@@ -77,7 +81,7 @@ def _as_steps(sole, law, history: FiniteHistory) -> StepHistory:
 
 def test_signorini_and_coulomb_hold_along_the_path(sole, law, history):
     steps = _as_steps(sole, law, history)
-    error = results.complementarity(steps, law, START, sole.positions)
+    error = complementarity(steps, law, START, sole.positions)
     assert error < 1e-12
     slipped = np.linalg.norm(np.diff(steps.P[:, :, :2], axis=0), axis=2)
     touching = steps.F[1:, :, 2] > 0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.mesh import TetMesh, brick
+from drake_exo.soles.optimize import design as designs
 from drake_exo.soles.optimize import remeshing
-from drake_exo.soles.optimize import verification as judgement
 from drake_exo.soles.optimize.remeshing import (
     RemeshError,
     halved,
@@ -73,7 +73,7 @@ def test_a_kept_surface_keeps_volume_and_contact_nodes(design, kept):
     before, after = _at(mesh, spline, p), _at(kept, spline, p)
     assert kept.volume == pytest.approx(mesh.volume, rel=1e-13)
     assert after.volume == pytest.approx(before.volume, rel=1e-13)
-    for which in ("contact", "dirichlet"):
+    for which in ("contact", "fixed"):
         places = [
             np.array(sorted(map(tuple, m.nodes[getattr(m, which)])))
             for m in (mesh, kept)
@@ -108,14 +108,14 @@ def test_a_free_surface_is_still_the_bricks(design, free):
 
 def test_the_glued_plane_stays_plane_and_its_rim_sharp(design, free):
     _, spline, p = design
-    assert (free.nodes[free.dirichlet, 2] == 0.0).all()
-    others = np.setdiff1d(np.arange(len(free.nodes)), free.dirichlet)
+    assert (free.nodes[free.fixed, 2] == 0.0).all()
+    others = np.setdiff1d(np.arange(len(free.nodes)), free.fixed)
     assert free.nodes[others, 2].max() < -1e-3
-    rim = [e for e in sharp_edges(free) if np.isin(e, free.dirichlet).all()]
+    rim = [e for e in sharp_edges(free) if np.isin(e, free.fixed).all()]
     length = np.linalg.norm(np.diff(free.nodes[rim], axis=1)[:, 0], axis=1)
     assert length.sum() == pytest.approx(2 * (SIZE[0] + SIZE[1]), rel=1e-12)
     shaped = _at(free, spline, p)
-    assert (shaped.nodes[free.dirichlet, 2] == 0.0).all()
+    assert (shaped.nodes[free.fixed, 2] == 0.0).all()
 
 
 def test_elements_are_sound_again_and_about_as_many(design, kept, free):
@@ -195,7 +195,7 @@ def test_halves_fill_the_same_body():
     assert fine.volume == pytest.approx(mesh.volume, rel=1e-13)
     np.testing.assert_allclose(values, fine.nodes[:, 0], atol=1e-16)
     top = np.flatnonzero(fine.nodes[:, 2] == 0.0)
-    np.testing.assert_array_equal(np.sort(fine.dirichlet), top)
+    np.testing.assert_array_equal(np.sort(fine.fixed), top)
 
 
 def test_eighths_of_a_worn_design_are_upright_and_see_more_of_it(design):
@@ -204,7 +204,7 @@ def test_eighths_of_a_worn_design_are_upright_and_see_more_of_it(design):
     shaped, fine, _ = in_eighths(mesh, spline, p)
     assert len(shaped.tets) == 8 * len(mesh.tets)
     assert (shaped.volumes > 0).all()
-    assert np.ptp(shaped.nodes[shaped.dirichlet, 2]) == 0
+    assert np.ptp(shaped.nodes[shaped.fixed, 2]) == 0
     new = np.setdiff1d(shaped.contact, np.arange(len(mesh.nodes)))
     exact = spline.deform(fine.nodes, p)
     chord, _ = halved(coarse, np.zeros(len(mesh.nodes)))
@@ -239,13 +239,12 @@ def test_a_finer_check_where_mmg_fails(monkeypatch):
     def fails(*_, **__):
         raise RemeshError("no elements")
 
-    monkeypatch.setattr(judgement, "remesh_with", fails)
+    monkeypatch.setattr(designs, "remesh_with", fails)
     kinds = set()
     for seed in (6, 7, 8):
         mesh, spline, p = _worn((6, 4, 2), seed=seed, intervals=6)
         problem = SimpleNamespace(mesh=mesh, spline=spline)
-        worn = SimpleNamespace(problem=problem, p=p, mesh=mesh)
-        base, shaped = judgement._finer(SIZE, (6, 4, 2), worn)
+        base, shaped = designs._finer(SIZE, (6, 4, 2), problem, p, mesh)
         assert shaped.volumes.min() > 0
         assert len(shaped.tets) >= 2 * len(mesh.tets)
         if len(shaped.tets) == 8 * len(mesh.tets):

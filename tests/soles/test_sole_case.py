@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles import loads
-from drake_exo.soles.case import read_case
+from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import brick
 
 GOOD = """
@@ -145,22 +146,12 @@ def test_missing_files_are_exit_code_2(folder, capsys):
     ],
 )
 def test_authors_step(data_root, name, c_tr, c_rot):
-    from pathlib import Path
-
-    from drake_exo.cli.sole import run_history
-
-    case = read_case(Path(__file__).parents[1] / "cases" / f"{name}.yaml")
-    load = case.load.load(data_root)
-    mesh = case.read_mesh(data_root)
-    load.check_inside(mesh.nodes[mesh.contact])
-    sole = case.sole(mesh)
-    start = case.start_pose(mesh)
-    history = run_history(case, sole, case.law(sole), start, load)
-    assert len(history.reports) == 219
-    assert history.failed_steps == 0
-    costs = history.costs()
-    assert costs[0] == pytest.approx(c_tr, rel=5e-3)
-    assert costs[1] == pytest.approx(c_rot, rel=5e-3)
+    cases = Path(__file__).parents[1] / "cases"
+    step = Case.read(cases / f"{name}.yaml", data_root).simulate()
+    assert len(step.times) == 219
+    assert step.failed_steps == 0
+    assert step.c_tr == pytest.approx(c_tr, rel=5e-3)
+    assert step.c_rot == pytest.approx(c_rot, rel=5e-3)
 
 
 def test_force_plate_is_turned_upright(data_root):

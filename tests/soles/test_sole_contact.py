@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.soles import results
 from drake_exo.soles.contact import newton as contact
 from drake_exo.soles.contact.gauss_seidel import (
     GaussSeidelSolver,
@@ -16,9 +15,13 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.rotations import exp_rotation, tilt_deg
-from drake_exo.soles.step import first_contact
-from drake_exo.soles.step.first_contact import _follow_design, first_step
-from drake_exo.soles.step.simulation import simulate
+from drake_exo.soles.step import simulation
+from drake_exo.soles.step.results import complementarity
+from drake_exo.soles.step.simulation import (
+    _follow_design,
+    first_step,
+    simulate,
+)
 
 SIZE = (0.23, 0.13, 0.03)
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
@@ -61,12 +64,10 @@ def test_force_and_zmp_are_reached(history):
 
 def test_complementarity_is_met_in_exact_mode(sole, history):
     law = ContactLaw(0.8, sole.penalty)
-    error = results.complementarity(history, law, START, sole.positions)
+    error = complementarity(history, law, START, sole.positions)
     assert error < 1e-10
     history_bad = replace(history, P=history.P + 1e-7 * np.eye(3)[2])
-    assert (
-        results.complementarity(history_bad, law, START, sole.positions) > 1e-10
-    )
+    assert complementarity(history_bad, law, START, sole.positions) > 1e-10
 
 
 def test_gauss_seidel_and_newton_agree(sole, history):
@@ -339,10 +340,10 @@ def test_a_foot_that_has_tipped_over_does_not_stand(sole, monkeypatch):
     tipped = replace(stands, R=exp_rotation(np.array([1.45, 0.0, 0.0])))
     found = [tipped, tipped, stands]
     monkeypatch.setattr(
-        first_contact, "_lead", lambda *_: (found.pop(0), replace(report))
+        simulation, "_lead", lambda *_: (found.pop(0), replace(report))
     )
     monkeypatch.setattr(
-        first_contact, "candidate_poses", lambda *_: [stands, stands]
+        simulation, "candidate_poses", lambda *_: [stands, stands]
     )
     state, again = first_step(solver, target, 300.0)
     assert again.converged

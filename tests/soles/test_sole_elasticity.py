@@ -99,7 +99,7 @@ def test_condensation_agrees_with_a_direct_solve():
     np.testing.assert_allclose(
         u[sole.free].ravel(), expected, atol=1e-10 * np.abs(expected).max()
     )
-    assert (u[sole.mesh.dirichlet] == 0).all()
+    assert (u[sole.mesh.fixed] == 0).all()
     np.testing.assert_allclose(
         (sole.compliance @ f.ravel()).reshape(-1, 3),
         u[sole.mesh.contact],

@@ -17,8 +17,8 @@ from drake_exo.soles.optimize.problem import (
     sample_weights,
     second_differences,
 )
-from drake_exo.soles.results import largest_strain
 from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step.results import largest_strain
 from drake_exo.soles.step.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)
@@ -105,7 +105,7 @@ def problem():
         Limits(
             813e-6, stability=500.0, tilt_deg=20.0, strain=0.5, c_rot=1e4
         ),
-        roughness=1e-2, samples=8,
+        regularization_weight=1e-2, samples=8,
     )  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def test_cost_and_constraints_have_right_derivatives(problem):
     p = 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
     direction = rng.standard_normal(len(p))
     gradient, jacobian = problem.derivatives(p)
-    gradient = gradient + problem.smoothness(p)[1]
+    gradient = gradient + problem.regularization(p)[1]
     assert jacobian.shape == (len(problem.names()), len(p))
     exact = np.array([gradient @ direction, *(jacobian @ direction)])
 
@@ -157,23 +157,25 @@ def test_strain_norm_is_close_above_the_largest_strain(problem):
 def test_second_derivative_of_the_smoothness(problem):
     rng = np.random.default_rng(3)
     p, d = rng.standard_normal((2, problem.spline.count))
-    value, gradient, hessian = problem.smoothness(p)
+    value, gradient, hessian = problem.regularization(p)
     exact = value + gradient @ d + 0.5 * d @ hessian @ d
-    assert problem.smoothness(p + d)[0] == pytest.approx(exact, rel=1e-12)
+    assert problem.regularization(p + d)[0] == pytest.approx(exact, rel=1e-12)
 
 
 def test_learnt_curvature_is_that_of_a_quadratic():
     rng = np.random.default_rng(4)
     root = rng.standard_normal((6, 6))
     H = root @ root.T + np.eye(6)
-    learnt = QuasiNewton(6)
+    hessian_approximation = QuasiNewton(6)
     p, nothing = np.ones(6), np.zeros((0, 6))
     for _ in range(9):
-        learnt.update(p, H @ p, nothing, np.zeros(0))
-        step = np.linalg.solve(learnt.matrix, H @ p)
+        hessian_approximation.update(p, H @ p, nothing, np.zeros(0))
+        step = np.linalg.solve(hessian_approximation.matrix, H @ p)
         p = p - (step @ H @ p) / (step @ H @ step) * step
     np.testing.assert_allclose(p, 0.0, atol=1e-7)
-    np.testing.assert_allclose(learnt.matrix, H, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(
+        hessian_approximation.matrix, H, rtol=1e-4, atol=1e-4
+    )
 
 
 def test_a_shape_that_cannot_be_simulated_is_nan(problem):
@@ -190,12 +192,12 @@ def test_mathematical_program_carries_the_same_derivatives(problem):
         InitializeAutoDiff,
     )
 
-    from drake_exo.soles.optimize.program import Program
+    from drake_exo.soles.optimize.optimizer import Program
 
     prog = Program(problem, (0.3, 1.4), problem.derivatives).prog
     x = np.full(problem.spline.count, 0.97)
     gradient, jacobian = problem.derivatives(x)
-    gradient = gradient + problem.smoothness(x)[1]
+    gradient = gradient + problem.regularization(x)[1]
     cost = prog.GetAllCosts()[0].evaluator()
     y = cost.Eval(InitializeAutoDiff(x).ravel())
     np.testing.assert_allclose(ExtractValue(y).ravel(), problem.cost(x))
@@ -275,7 +277,7 @@ def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
 def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
     problem, monkeypatch
 ):
-    from drake_exo.soles.optimize.program import minimise_by_snopt
+    from drake_exo.soles.optimize.optimizer import minimise_by_snopt
 
     asked, real = [], problem._simulate
 
@@ -299,7 +301,7 @@ def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
 
 
 def test_ctrl_c_ends_snopt(problem, monkeypatch):
-    from drake_exo.soles.optimize.program import minimise_by_snopt
+    from drake_exo.soles.optimize.optimizer import minimise_by_snopt
 
     def interrupt(iteration, best):
         raise KeyboardInterrupt

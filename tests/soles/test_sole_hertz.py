@@ -10,7 +10,6 @@ from drake_exo.soles.contact.gauss_seidel import (
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Material, Sole
 from drake_exo.soles.mesh import checked_mesh, grid_mesh
-from drake_exo.soles.results import nodal_areas
 
 E, NU, R, A = 1e6, 0.3, 1.0, 0.09  # a/R = 0.09
 CELL = A / 10
@@ -79,7 +78,7 @@ def test_hertz_contact_radius_and_peak_pressure():
         slope = (powers[-1] - powers[-2]) / (depths[-1] - depths[-2])
         approach += (force ** (2 / 3) - powers[-1]) / slope
     assert F[:, 2].sum() == pytest.approx(force, rel=1e-4)
-    pressure = F[:, 2] / nodal_areas(mesh)[near]
+    pressure = F[:, 2] / mesh.contact_areas[near]
     r2 = (lP[:, :2] ** 2).sum(axis=1)
     # p² = p0² (1 − r²/a²): a straight line in r².
     use = (r2 < (0.85 * A) ** 2) & (pressure > 0)

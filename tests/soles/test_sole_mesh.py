@@ -17,7 +17,7 @@ def test_brick_fills_its_box_at_any_density():
         assert mesh.volume == pytest.approx(np.prod(SIZE), rel=1e-12)
         assert (mesh.volumes > 0).all()
         np.testing.assert_allclose(np.ptp(mesh.nodes, axis=0), SIZE, atol=1e-15)
-        assert (mesh.nodes[mesh.dirichlet, 2] == 0).all()
+        assert (mesh.nodes[mesh.fixed, 2] == 0).all()
 
 
 def test_brick_of_even_divisions_is_symmetric():
@@ -91,7 +91,7 @@ def test_inverted_element_is_refused():
     tets = mesh.tets.copy()
     tets[3] = tets[3][[1, 0, 2, 3]]
     with pytest.raises(InputError, match=r"inverted.*element 3"):
-        checked_mesh(mesh.nodes, tets, mesh.dirichlet, "m")
+        checked_mesh(mesh.nodes, tets, mesh.fixed, "m")
 
 
 def test_unconnected_parts_are_refused():
@@ -99,7 +99,7 @@ def test_unconnected_parts_are_refused():
     nodes = np.concatenate([mesh.nodes, mesh.nodes + np.eye(3)[0]])
     tets = np.concatenate([mesh.tets, mesh.tets + len(mesh.nodes)])
     with pytest.raises(InputError, match="2 unconnected parts"):
-        checked_mesh(nodes, tets, mesh.dirichlet, "m")
+        checked_mesh(nodes, tets, mesh.fixed, "m")
 
 
 def test_a_mesh_without_flat_top_is_refused(tmp_path):
@@ -141,7 +141,7 @@ def test_spline_of_ones_is_the_initial_shape():
 def test_spline_keeps_top_flat_and_fixes_it_on_demand():
     rng = np.random.default_rng(1)
     mesh = brick(SIZE, (6, 4, 3))
-    top = mesh.dirichlet
+    top = mesh.fixed
     free = SphericalSpline((10, 10))
     out = free.deform(mesh.nodes, rng.uniform(0.7, 1.2, free.count))
     assert (out[top, 2] == 0).all()

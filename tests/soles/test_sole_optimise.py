@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 from small_step import optimize, stage, write_case, write_step
 
-from drake_exo.papers.de_magistris_cases import TABLE_2, five_cases
-from drake_exo.papers.de_magistris_tables import table
-from drake_exo.soles.case import LoadBlock, Pattern, read_case
+from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
+from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimize import verification as judgement
-from drake_exo.soles.optimize.checkpoint import read_checkpoint
 from drake_exo.soles.optimize.design import (
     first_design,
-    optimise,
     stage_problem,
-    without_limits,
+    verified,
 )
+from drake_exo.soles.optimize.files import read_checkpoint
 from drake_exo.soles.optimize.optimizer import Optimum, minimise
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.settings import LoadBlock, Pattern, Settings
 from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step.results import Step
 
 
 def _write_case(path, intervals=5, layer_m=5e-5, iterations=3, **optimize):
@@ -34,10 +33,9 @@ def _write_case(path, intervals=5, layer_m=5e-5, iterations=3, **optimize):
 
 
 def _smooth_case(folder, place):
-    """A case whose optimum is reached: it, load, mesh and start."""
+    """A case whose optimum is reached."""
     _write_case(place / "case.yaml", 3, 1e-3, 200, roughness=10.0)
-    case = read_case(place / "case.yaml")
-    return case, *case.open(folder)
+    return Case.read(place / "case.yaml", folder)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +102,7 @@ def test_a_number_of_iterations_that_is_none_is_refused(folder, capsys):
 def test_interrupted_three_times_the_optimum_is_the_same(
     folder, tmp_path, monkeypatch
 ):
-    case, load, mesh, start = _smooth_case(folder, tmp_path)
+    case = _smooth_case(folder, tmp_path)
     simulate = ShapeProblem._simulate
     rng = np.random.default_rng(0)
     left = [0]
@@ -117,9 +115,7 @@ def test_interrupted_three_times_the_optimum_is_the_same(
 
     def run(resume, patience):
         left[0] = patience
-        return optimise(
-            case, mesh, load, start, tmp_path, lambda text: None, resume
-        )
+        return case.optimize(tmp_path, resume=resume)
 
     monkeypatch.setattr(ShapeProblem, "_simulate", impatient)
     whole = run(None, -1)
@@ -141,16 +137,15 @@ def test_interrupted_three_times_the_optimum_is_the_same(
 def test_multipliers_and_complementarity_are_those_of_an_optimum(
     folder, tmp_path
 ):
-    case, load, mesh, start = _smooth_case(folder, tmp_path)
-    stages = case.optimize.stages
-    problem = stage_problem(case, mesh, load, start, stages[0])
+    case = _smooth_case(folder, tmp_path)
+    problem = stage_problem(case, case.settings.optimize.stages[0])
     p = first_design(problem, (0.3, 1.4))
     best = minimise(problem, p, (0.3, 1.4), 200)
     assert best.optimal
     assert best.error <= 1e-4
     gradient, jacobian = problem.derivatives(best.p)
     low, high = best.at_bounds
-    gradient = gradient + problem.smoothness(best.p)[1]
+    gradient = gradient + problem.regularization(best.p)[1]
     dual = gradient + jacobian.T @ best.multipliers - low + high
     assert np.abs(dual).max() <= 1e-4
     # IPOPT's sign: constraints at least 0 have multipliers at most 0.
@@ -158,30 +153,30 @@ def test_multipliers_and_complementarity_are_those_of_an_optimum(
     assert best.multipliers.min() < -1e-3
 
 
-@pytest.mark.parametrize(("failing", "judged"), [(0, 0), (1, 1), (3, 0)])
+@pytest.mark.parametrize(("failing", "which"), [(0, 0), (1, 1), (3, 0)])
 def test_a_design_the_exact_law_cannot_carry_gives_way(
-    folder, tmp_path, monkeypatch, failing, judged
+    folder, tmp_path, monkeypatch, failing, which
 ):
-    case, load, mesh, start = _smooth_case(folder, tmp_path)
-    problem = stage_problem(case, mesh, load, start, case.optimize.stages[0])
+    case = _smooth_case(folder, tmp_path)
+    problem = stage_problem(case, case.settings.optimize.stages[0])
     designs = [np.full(problem.spline.count, x) for x in (0.9, 0.91, 0.92)]
     volumes = [problem.deformed(p).volume for p in designs]
 
-    def history(case, sole, *_):
+    def step(setup, sole, _):
         failed = sole.mesh.volume in volumes[:failing]
         return SimpleNamespace(failed_steps=int(failed))
 
-    monkeypatch.setattr(judgement, "exact_history", history)
+    monkeypatch.setattr(Step, "by_exact_law", step)
     last = Optimum(
         designs[0], status="optimal", optimal=True, former=designs[:0:-1]
     )
     at = SimpleNamespace(p=designs[0], remeshed=())
-    found = judgement.judged(case, problem, at, load, start, [last], [])
-    np.testing.assert_array_equal(found.p, designs[judged])
-    assert ("earlier" in last.status) == (judged > 0)
-    assert last.optimal == (judged == 0)
-    if judged:
-        assert last.cost == problem.cost(designs[judged])
+    found = verified(case, problem, at, [last], [])
+    np.testing.assert_array_equal(found.coefficients, designs[which])
+    assert ("earlier" in last.status) == (which > 0)
+    assert last.optimal == (which == 0)
+    if which:
+        assert last.cost == problem.cost(designs[which])
 
 
 def test_elements_stay_above_their_floor(folder):
@@ -207,14 +202,11 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
 
 
 def test_a_stage_has_its_own_roughness_or_the_cases(folder):
-    case = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
-    load, mesh, start = case.open(folder)
-    own = [
-        stage_problem(case, mesh, load, start, s).roughness
-        for s in case.optimize.stages
-    ]
-    assert own == [3.0, case.optimize.roughness]
-    free = without_limits(case).optimize
+    settings = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    case, block = Case.open(settings), settings.optimize
+    own = [stage_problem(case, s).regularization_weight for s in block.stages]
+    assert own == [3.0, block.roughness]
+    free = case.without_limits().settings.optimize
     assert (free.strain, free.tilt_deg, free.stability_n_per_m) == (None,) * 3
     assert [s.roughness for s in free.stages] == [None, None]
 
@@ -223,7 +215,7 @@ def test_case_files_are_the_studys_cases():
     cases = Path(__file__).parents[1] / "cases"
     for case in five_cases(LoadBlock(pattern=Pattern()), coarse=False):
         name = f"sole_{case.name.lower().replace('-', '_')}.yaml"
-        read = read_case(cases / name)
+        read = Settings.read(cases / name)
         assert read.optimize == case.optimize
         assert read.cost == case.cost
         assert read.material == case.material

@@ -6,16 +6,19 @@ from page_reader import clip_titles, network_addresses, player_data
 
 from drake_exo.cli import main
 from drake_exo.errors import InputError
-from drake_exo.soles.animation import SoleMotion
-from drake_exo.soles.case import MaterialBlock
+from drake_exo.soles.animation import SoleMotion, replay_soles
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.replay import FIRST_HISTORY, HISTORY, replay_soles
-from drake_exo.soles.results import write_history
-from drake_exo.soles.step.simulation import simulate
+from drake_exo.soles.settings import MaterialBlock
+from drake_exo.soles.step.simulation import (
+    FIRST_HISTORY,
+    HISTORY,
+    simulate,
+    write_history,
+)
 
 TIMES = np.linspace(0.0, 0.4, 9)
 
@@ -40,13 +43,14 @@ def step():
 @pytest.fixture
 def folder(tmp_path, step):
     (tmp_path / "summary.json").write_text('{"name": "small", "c_rot": 1}')
-    write_history(tmp_path / HISTORY, *step)
+    mesh, load, history = step
+    write_history(tmp_path / HISTORY, mesh, load.times, history)
     return tmp_path
 
 
 def test_force_and_pressure_are_those_of_the_load(step):
     mesh, load, history = step
-    motion = SoleMotion.of("small", mesh, load, history)
+    motion = SoleMotion.of("small", mesh, load.times, history)
     np.testing.assert_allclose(motion.force.sum(axis=1), load.force, atol=1e-6)
     np.testing.assert_allclose(
         motion.zero_moment_point()[:, :2], load.zmp, atol=1e-7
@@ -63,21 +67,21 @@ def test_force_and_pressure_are_those_of_the_load(step):
 
 def test_surface_lies_on_the_ground_and_under_the_foot(step):
     mesh, load, history = step
-    motion = SoleMotion.of("small", mesh, load, history)
+    motion = SoleMotion.of("small", mesh, load.times, history)
     places = motion.surface_places()
     assert places[:, :, 2].min() > -1e-9
     pressed = motion.pressure() > 1.0
     assert np.abs(places[pressed][:, 2]).max() < 1e-9
-    glued = np.isin(motion.surface, mesh.dirichlet)
-    rest = mesh.nodes[motion.surface[glued]]
+    fixed = np.isin(motion.surface, mesh.fixed)
+    rest = mesh.nodes[motion.surface[fixed]]
     expected = history.O[4] + rest @ history.R[4].T
-    np.testing.assert_allclose(places[4, glued], expected, atol=1e-12)
+    np.testing.assert_allclose(places[4, fixed], expected, atol=1e-12)
 
 
 def test_history_on_disk_is_the_same_motion(folder, step):
     mesh, load, history = step
     read = SoleMotion.read(folder / HISTORY, "small")
-    made = SoleMotion.of("small", mesh, load, history)
+    made = SoleMotion.of("small", mesh, load.times, history)
     np.testing.assert_array_equal(read.surface_places(), made.surface_places())
     np.testing.assert_array_equal(read.pressure(), made.pressure())
 
@@ -114,9 +118,9 @@ def test_failed_samples_are_left_out(folder, step):
     mesh, load, history = step
     K_c = history.K_c.copy()
     history.K_c[3] = np.nan
-    write_history(folder / HISTORY, mesh, load, history)
+    write_history(folder / HISTORY, mesh, load.times, history)
     history.K_c[:] = np.nan
-    write_history(folder / "none.npz", mesh, load, history)
+    write_history(folder / "none.npz", mesh, load.times, history)
     history.K_c[:] = K_c
     assert len(SoleMotion.read(folder / HISTORY, "").times) == 8
     assert SoleMotion.read(folder / "none.npz", "") is None
@@ -124,7 +128,7 @@ def test_failed_samples_are_left_out(folder, step):
 
 def test_thinning_keeps_both_ends(step):
     mesh, load, history = step
-    motion = SoleMotion.of("small", mesh, load, history).thinned(4)
+    motion = SoleMotion.of("small", mesh, load.times, history).thinned(4)
     assert len(motion.times) == 4
     assert (motion.times[0], motion.times[-1]) == (TIMES[0], TIMES[-1])
 

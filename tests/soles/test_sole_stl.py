@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from drake_exo.soles.mesh import brick, write_stl
-from drake_exo.soles.mould import has_star_outline, write_mould
+from drake_exo.soles.mesh import (
+    brick,
+    has_star_outline,
+    write_mould,
+    write_stl,
+)
 from drake_exo.soles.shape import SphericalSpline
 
 SIZE = (0.23, 0.13, 0.03)

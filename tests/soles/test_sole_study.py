@@ -10,17 +10,13 @@ import pytest
 from small_step import write_case, write_step
 
 from drake_exo.files.output import read_json
-from drake_exo.papers.de_magistris_cases import TABLE_2, five_cases
-from drake_exo.papers.de_magistris_tables import (
-    certainty_table,
-    paper_cost,
-    table,
-)
-from drake_exo.soles.case import LoadBlock, Pattern, Stage, read_case
-from drake_exo.soles.optimize import pareto as front
-from drake_exo.soles.optimize import workers
-from drake_exo.soles.optimize.design_folder import read_summary
+from drake_exo.papers import de_magistris as paper
+from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
+from drake_exo.soles.case import Case
+from drake_exo.soles.optimize import pareto
+from drake_exo.soles.optimize.files import read_summary
 from drake_exo.soles.optimize.optimizer import Optimum
+from drake_exo.soles.settings import LoadBlock, Pattern, Stage
 
 
 def _write(path: Path, number: int) -> None:
@@ -34,7 +30,7 @@ def _fail() -> None:
 def test_every_job_runs_and_failures_are_counted(tmp_path):
     jobs = [(_write, tmp_path / f"{k}.json", k) for k in range(3)]
     ends = []
-    failed = workers.run([*jobs, (_fail,)], 2, lambda: ends.append(1))
+    failed = paper.run_jobs([*jobs, (_fail,)], 2, lambda: ends.append(1))
     assert failed == 1
     assert len(ends) == 4
     assert [read_json(tmp_path / f"{k}.json", "") for k in range(3)] == [
@@ -49,7 +45,7 @@ def test_the_papers_optimum_is_rescaled_to_our_brick():
            "c_rot_initial": 1.0e5}  # fmt: skip
     tr0, tr, rot0, rot = TABLE_2["2-Rot"]
     expected = 2.0e6 * tr / tr0 - 1000 * 1.0e5 * rot / rot0
-    assert paper_cost(row) == pytest.approx(expected)
+    assert paper.paper_cost(row) == pytest.approx(expected)
 
 
 def test_certainty_table_marks_what_is_unknown():
@@ -88,52 +84,53 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
         tmp_path / "case.yaml", "1-Ref", intervals=[3, 3], roughness=10.0,
         strain=None,
     )  # fmt: skip
-    case = read_case(tmp_path / "case.yaml")
+    case = Case.read(tmp_path / "case.yaml")
     tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
-    monkeypatch.setattr(front, "STAGES", tiny)
+    monkeypatch.setattr(pareto, "STAGES", tiny)
     # Far above its own optimum so few elements make the search erratic.
-    (point,) = front.front(case, *case.open(tmp_path), (0.4,))
+    (point,) = pareto.pareto_front(case, (0.4,))
     assert point["violation"] < 1e-3
     assert point["ratio_rot"] > 0.39
     assert point["ratio_tr"] < 0.6
     assert point["failed_steps"] == 0
-    assert "0.400" in front.table([point])
+    assert "0.400" in paper.front_table([point])
 
 
 def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
-    def points(case, load, own, start, floors):
-        rough = case.optimize.roughness
+    def points(case, floors, say):
+        rough = case.settings.optimize.roughness
         return [
             {"case": case.name, "floor": f, "ratio_tr": 0.1, "roughness": rough}
             for f in floors
         ]
 
-    monkeypatch.setattr(front, "front", points)
-    cases = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[:3]
+    monkeypatch.setattr(paper, "pareto_front", points)
+    five = paper.five_cases(LoadBlock(pattern=Pattern()), coarse=True)
+    cases = [Case.open(settings) for settings in five[:3]]
     for case in cases[:2]:  # the third ended without
-        front.study_job(tmp_path / case.name, case, tmp_path, None)
-    found = front.study_front(tmp_path, cases)
-    assert [p["floor"] for p in found["points"]] == list(front.FLOORS)
-    assert len(front.FLOORS) >= 7
+        paper.front_job(tmp_path / case.name, case)
+    found = paper.study_front(tmp_path, cases)
+    assert [p["floor"] for p in found["points"]] == list(paper.FLOORS)
+    assert len(paper.FLOORS) >= 7
     tr0, tr, rot0, rot = TABLE_2["2-Rot"]
     first, other = found["at_paper"]
     assert first["floor"] >= TABLE_2["1-Ref"][3] / TABLE_2["1-Ref"][2]
     assert other["floor"] == rot / rot0
-    assert first["roughness"] == cases[0].optimize.roughness
+    assert first["roughness"] == cases[0].settings.optimize.roughness
     assert other["roughness"] == 3.0
     assert other["paper_ratio_tr"] == tr / tr0
     assert "paper_ratio_tr" not in found["points"][1]
 
 
 def test_no_long_leaps_between_floors():
-    steps = front._steps(0.4, 1.0)
+    steps = pareto._steps(0.4, 1.0)
     assert steps[-1] == pytest.approx(1.0)
     assert np.diff([0.4, *steps]).max() <= 0.25
-    np.testing.assert_allclose(front._steps(1.2, 1.0), [1.0])
+    np.testing.assert_allclose(pareto._steps(1.2, 1.0), [1.0])
 
 
 @pytest.mark.parametrize(
-    ("judged", "floors", "kept"),
+    ("verified", "floors", "kept"),
     [
         ([0.98, 1.001], [1.002, 1.002**2 / 0.98], 1.001),  # missed
         ([1.05, 0.99, 1.001], [1.002, 1.002**2 / 1.05,
@@ -143,15 +140,15 @@ def test_no_long_leaps_between_floors():
     ],
 )  # fmt: skip
 def test_floors_are_corrected_by_the_exact_law(
-    monkeypatch, judged, floors, kept
+    monkeypatch, verified, floors, kept
 ):
-    asked, left = [], list(judged)
+    asked, left = [], list(verified)
 
-    def problem(case, own, load, start, floor):
+    def problem(case, floor):
         asked.append(floor)
         return floor
 
-    def judge(case, problem, best, floor, *_):
+    def verify(case, problem, best, floor, *_):
         ratio = left.pop(0)
         return {
             "ratio_rot": ratio, "floor": floor, "ratio_tr": ratio,
@@ -159,16 +156,16 @@ def test_floors_are_corrected_by_the_exact_law(
         }  # fmt: skip
 
     for name, stub in (
-        ("_brick", lambda *_: None),
+        ("_initial", lambda *_: None),
         ("_without_floor", lambda case: case),
         ("_problem", problem),
-        ("_judge", judge),
-        ("_solve", lambda p, at, *_: front._At(None, None, p or 1.0)),
+        ("_verify", verify),
+        ("_solve", lambda p, at, *_: pareto._At(None, None, p or 1.0)),
+        ("stage_problem", lambda *_: None),
     ):
-        monkeypatch.setattr(front, name, stub)
-    monkeypatch.setattr(front.designs, "stage_problem", lambda *_: None)
-    case = SimpleNamespace(name="x", optimize=None)
-    (point,) = front.front(case, None, None, None, (1.0,))
+        monkeypatch.setattr(pareto, name, stub)
+    case = SimpleNamespace(settings=SimpleNamespace(optimize=None))
+    (point,) = pareto.pareto_front(case, (1.0,))
     assert point["ratio_rot"] == pytest.approx(kept, nan_ok=True)
     assert not left
     if floors is not None:
@@ -184,6 +181,6 @@ def test_a_front_goes_on_from_what_stands(monkeypatch):
 
     block = SimpleNamespace(bounds=(0.5, 1.2), tolerance=1e-4)
     best = Optimum(np.ones(3), multipliers=np.zeros(2))
-    at = front._At(best, None, 1.0)
-    monkeypatch.setattr(front, "minimise", lambda *_, **__: best)
-    assert front._solve(Problem(), at, block, 1, None) is at
+    at = pareto._At(best, None, 1.0)
+    monkeypatch.setattr(pareto, "minimise", lambda *_, **__: best)
+    assert pareto._solve(Problem(), at, block, 1, None) is at

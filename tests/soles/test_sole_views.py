@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from drake_exo.papers.de_magistris_pictures import radial_change
-from drake_exo.soles import pictures as views
+from drake_exo.soles import pictures
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.shape import SphericalSpline
 
@@ -15,7 +14,7 @@ def mesh():
     return brick((0.2, 0.1, 0.04), (4, 2, 1))
 
 
-@pytest.mark.parametrize("view", views.VIEWS, ids=lambda v: v.name)
+@pytest.mark.parametrize("view", pictures.VIEWS, ids=lambda v: v.name)
 def test_axes_are_right_handed(view):
     frame = view.axes()
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
@@ -23,25 +22,25 @@ def test_axes_are_right_handed(view):
 
 
 def test_the_heel_is_on_the_left_from_below():
-    below = views.VIEWS[0].axes()
+    below = pictures.VIEWS[0].axes()
     assert below[0] @ [1, 0, 0] == pytest.approx(1.0)
     assert below[2] @ [0, 0, -1] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
-    ("view", "colour"), [(views.VIEWS[0], 0), (views.VIEWS[2], 1)]
+    ("view", "colour"), [(pictures.VIEWS[0], 0), (pictures.VIEWS[2], 1)]
 )
 def test_only_what_faces_the_viewer_is_painted(mesh, view, colour):
     """Bottom red, back green: each view shows its own."""
     centre = mesh.nodes[mesh.boundary_faces].mean(axis=1)
     faces = mesh.boundary_faces
-    shape = views.surface(mesh.nodes, faces, np.zeros_like(mesh.nodes))
+    shape = pictures.surface(mesh.nodes, faces, np.zeros_like(mesh.nodes))
     paint = np.full((len(faces), 3, 3), 0.0)
     paint[centre[:, 2] < -0.0399, :, 0] = 1.0
     paint[centre[:, 0] < -0.0999, :, 1] = 1.0
-    shape = views.Surface(shape.corners, shape.normals, paint)
+    shape = pictures.Surface(shape.corners, shape.normals, paint)
     axis = Figure().add_subplot()
-    views.draw(axis, shape.refined(), view)
+    pictures.draw(axis, shape.refined(), view)
     seen = axis.collections[0].get_facecolor()[:, :3]
     assert (seen[:, colour] > 0.3).all()
     others = [k for k in range(3) if k != colour]
@@ -49,7 +48,7 @@ def test_only_what_faces_the_viewer_is_painted(mesh, view, colour):
 
 
 def test_creases_stay_sharp_and_flats_smooth(mesh):
-    shape = views.surface(
+    shape = pictures.surface(
         mesh.nodes, mesh.boundary_faces, np.zeros_like(mesh.nodes)
     )
     # A brick: every corner's normal is its face's.
@@ -69,7 +68,7 @@ def test_change_is_radial(mesh):
     away = np.linalg.norm(mesh.nodes, axis=1) > 0
     shaped = mesh.with_nodes(spline.deform(mesh.nodes, p))
     before, after = (np.linalg.norm(m.nodes, axis=1) for m in (mesh, shaped))
-    change = radial_change(shaped, spline, p)
+    change = pictures.radial_change(shaped, spline, p)
     np.testing.assert_allclose(
         change[away], 100 * (after[away] / before[away] - 1), atol=1e-10
     )

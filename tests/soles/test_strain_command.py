@@ -9,8 +9,9 @@ import pytest
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
-from drake_exo.soles.optimize.design_folder import find_designs, read_steps
-from drake_exo.soles.step import strain_report
+from drake_exo.soles.loads import read_columns
+from drake_exo.soles.optimize.files import find_designs
+from drake_exo.soles.step import strain_comparison
 
 
 def _write_inputs(place, name="small", element="linear"):
@@ -136,12 +137,12 @@ def test_a_sample_not_reached_is_nan_in_table_and_csv(study, tmp_path):
 
 def test_the_start_is_that_of_the_initial_shape(study):
     (design,) = find_designs(study)
-    np.testing.assert_allclose(design.start.point_L, [-0.115, 0.0, -0.03])
+    np.testing.assert_allclose(design.setup.start.point_L, [-0.115, 0.0, -0.03])
 
 
 def test_a_collapse_stands_in_the_table():
     row = {"sample": 11, "converged": False, "reached": 0.4}
-    for name in strain_report._FIGURES:
+    for name in strain_comparison._FIGURES:
         row |= {f"{name}_small": -0.5, f"{name}_finite": float("nan")}
     sole = {
         "heel_strike_samples": 21,
@@ -154,17 +155,17 @@ def test_a_collapse_stands_in_the_table():
              "message": "no equilibrium found beyond 0.400 of the way"}
         ],
     }  # fmt: skip
-    text = strain_report.table({"1-Ref": sole})
+    text = strain_comparison.table({"1-Ref": sole})
     assert "10 of 21 samples have an equilibrium" in text
     assert "no equilibrium found beyond 0.400" in text
     assert "inside out" in text
     assert "not stable" not in text
     row["stability_n_per_m_finite"] = -1.0
-    assert "not stable at sample 11" in strain_report.table({"1-Ref": sole})
+    assert "not stable at sample 11" in strain_comparison.table({"1-Ref": sole})
 
 
 def test_a_table_without_rows_is_read(tmp_path):
     """As a run leaves that had no iteration to do."""
     (tmp_path / "history.csv").write_text("stage,cost\n")
-    columns = read_steps(tmp_path / "history.csv")
+    columns = read_columns(tmp_path / "history.csv")
     assert {k: len(v) for k, v in columns.items()} == {"stage": 0, "cost": 0}

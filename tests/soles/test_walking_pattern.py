@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
 from drake_exo.soles import loads
-from drake_exo.soles.case import Pattern as PatternBlock
+from drake_exo.soles.settings import Pattern as PatternBlock
 from drake_exo.soles.walking_pattern import Robot, _least_squares, plan
 
 ROBOT = Robot(

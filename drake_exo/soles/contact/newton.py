@@ -1,10 +1,9 @@
-"""Places of the contact nodes, residuals of node law and wrench, compiled.
-
-Nodal forces and foot pose together by one semismooth Newton method.
+"""Nodal forces and foot pose together by one semismooth Newton method.
 
 Unknowns: world forces F_i of the ground on the contact nodes and the foot's
 pose (O, R). Equations: the node law at every contact node, and force and
-moment about the desired ZMP. Symbols as in docs/soles.md.
+moment about the desired ZMP. What depends on every contact node is compiled.
+Symbols as in docs/soles.md.
 """
 
 from collections.abc import Callable
@@ -13,9 +12,8 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from drake_exo.soles.contact.linearisation import Linearisation
+from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation
 from drake_exo.soles.contact.node_law import ContactLaw, project_node
-from drake_exo.soles.elasticity.active_set import ActiveSet
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.rotations import exp_rotation, hat, rotation_z, yaw_of
 

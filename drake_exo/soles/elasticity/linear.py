@@ -1,4 +1,8 @@
-"""Volume-weighted averages of element fields around edges and nodes.
+"""Linear elasticity of the sole and its condensation onto contact nodes.
+
+K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for linear tetrahedra; the
+fixed nodes do not move; K_ff N = E gives the compliance C = Eᵀ N of the
+nodes that may touch, in the sole frame (paper, (7)-(9)).
 
 The locking-free element "smoothed" takes the deviatoric strain as its
 average around each edge and the dilatation as its average around each node
@@ -6,12 +10,6 @@ average around each edge and the dilatation as its average around each node
 Int. J. Numer. Meth. Engng 78, 2009; node averages: Bonet and Burton, Commun.
 Numer. Meth. Engng 14, 1998). The unknowns stay those of linear tetrahedra,
 and so do the contact nodes.
-
-Linear elasticity of the sole and its condensation onto contact nodes.
-
-K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for linear tetrahedra; the
-glued nodes do not move; K_ff N = E gives the compliance C = Eᵀ N of the
-nodes that may touch, in the sole frame (paper, (7)-(9)).
 """
 
 from dataclasses import dataclass
@@ -22,8 +20,15 @@ import numpy as np
 from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
-from drake_exo.soles.elasticity.active_set import node_dofs
 from drake_exo.soles.mesh import TetMesh
+
+Element = Literal["linear", "smoothed"]
+_BATCH = 32  # contact nodes whose compliance is computed at a time
+
+
+def node_dofs(nodes: np.ndarray) -> np.ndarray:
+    """Dofs 3i, 3i+1, 3i+2 of nodes, (3k,)."""
+    return (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
 
 
 def edge_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
@@ -60,10 +65,6 @@ def gradient_operators(mesh: TetMesh) -> list[csr_matrix]:
         csr_matrix((mesh.gradients[:, :, k].ravel(), (rows, cols)), (e, n))
         for k in range(3)
     ]
-
-
-Element = Literal["linear", "smoothed"]
-_BATCH = 32  # contact nodes whose compliance is computed at a time
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def stiffness_matrix(
     """Assembled stiffness of all nodes [N/m], (3n, 3n).
 
     K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for "linear"; for
-    "smoothed" see `smoothing`.
+    "smoothed" see the top of this file.
     """
     if element == "smoothed":
         return _smoothed_stiffness(mesh, material)
@@ -181,9 +182,9 @@ class Sole:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Nodes that are not glued."""
+        """Nodes that are not fixed to the foot."""
         return np.setdiff1d(np.arange(len(self.mesh.nodes)),
-                            self.mesh.dirichlet)  # fmt: skip
+                            self.mesh.fixed)  # fmt: skip
 
     @cached_property
     def stiffness(self) -> csr_matrix:

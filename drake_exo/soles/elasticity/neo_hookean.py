@@ -58,7 +58,7 @@ class NeoHookeanBody:
     def free(self) -> np.ndarray:
         """Nodes that are not glued."""
         every = np.arange(len(self.mesh.nodes))
-        return np.setdiff1d(every, self.mesh.dirichlet)
+        return np.setdiff1d(every, self.mesh.fixed)
 
     def deformation_gradient(self, u: np.ndarray) -> np.ndarray:
         """F of every element under displacements u (n, 3), (e, 3, 3)."""

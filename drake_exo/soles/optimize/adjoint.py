@@ -1,13 +1,10 @@
-"""From the compliance's derivative to the node positions', element by element.
-
-dC = −Nᵀ dK N, and an element's share of vᵀ dK u follows from Eshelby's
-tensor. With energies of fields averaged around edges and nodes ("smoothed")
-the element's stress and energy are replaced by means over its own averages.
-
-Gradient of stiffness measures with respect to the shape, by the adjoint.
+"""Gradient of stiffness measures with respect to the shape, by the adjoint.
 
 Backwards through the samples (contact and pose), then once through the
-condensation and the elements. Formulas and signs as in docs/soles.md.
+condensation and the elements: dC = −Nᵀ dK N, and an element's share of
+vᵀ dK u follows from Eshelby's tensor. With energies of fields averaged around
+edges and nodes ("smoothed") the element's stress and energy are replaced by
+means over its own averages.
 """
 
 from dataclasses import dataclass
@@ -15,9 +12,13 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from drake_exo.soles.contact.linearisation import blocks
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
-from drake_exo.soles.elasticity.active_set import blocks, node_dofs
-from drake_exo.soles.elasticity.linear import Sole, displacement_gradient
+from drake_exo.soles.elasticity.linear import (
+    Sole,
+    displacement_gradient,
+    node_dofs,
+)
 from drake_exo.soles.mesh import scatter
 from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.step.simulation import StepHistory

@@ -1,50 +1,404 @@
-"""Stages of an optimisation: coarse to fine, fewer to all samples.
+"""An optimisation in stages, and the design that comes out, verified.
 
-The smoothing layer comes down from stage to stage; every stage starts from
-the best design of the one before. A stage whose elements are worn out goes on
-with new ones. Ctrl-C leaves the best so far on disk.
+Stages go from coarse to fine and from few to all samples, and the smoothing
+layer comes down; each starts from the best design of the one before. A stage
+whose elements are worn out goes on with new ones. Ctrl-C leaves the best so
+far on disk. The design is verified by the exact law from a cold start with all
+samples, and on a finer mesh.
 """
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.soles.case import Case, Stage
-from drake_exo.soles.contact.newton import Start
+from drake_exo.files.output import write_json
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
-from drake_exo.soles.optimize.checkpoint import Checkpoint
+from drake_exo.soles.mesh import (
+    TetMesh,
+    brick,
+    maximum_volume,
+    write_mould,
+    write_stl,
+    write_vtk,
+)
+from drake_exo.soles.optimize.files import (
+    DESIGN,
+    MESH,
+    STEPS,
+    SUMMARY,
+    Checkpoint,
+    write_case,
+)
 from drake_exo.soles.optimize.limits import Limits
-from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
+from drake_exo.soles.optimize.optimizer import (
+    Optimum,
+    QuasiNewton,
+    WarmStart,
+    cost_and_violation,
+    minimise,
+    minimise_by_snopt,
+)
 from drake_exo.soles.optimize.problem import ShapeProblem
-from drake_exo.soles.optimize.program import minimise_by_snopt
 from drake_exo.soles.optimize.remeshing import (
     RemeshError,
     carried,
+    in_eighths,
     is_worn,
     record,
-    renewed,
+    remesh_with,
+    untangled,
+    with_new_elements,
 )
-from drake_exo.soles.optimize.verification import Design, judged
+from drake_exo.soles.settings import Settings, Setup, Stage
 from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step.results import Step, write_csv
+from drake_exo.soles.step.simulation import (
+    FIRST_HISTORY,
+    HISTORY,
+    write_history,
+)
+from drake_exo.soles.step.strain_comparison import (
+    compare_strains,
+    write_table,
+)
 
+_SOUND = 0.15  # least quality at which a finer brick judges a design
+_FORMER = 5  # earlier designs to fall back on
+_NEEDLE = 0.02  # quality below which inner nodes are moved
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
 _WORN_OUT = "elements worn out"
 _BARRIER = 1e-4  # IPOPT's μ on new elements
+_TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
 
 
-def limits_of(case: Case) -> Limits:
+@dataclass
+class Design:
+    """An optimised sole beside the initial shape, both by the exact law.
+
+    What `Case.optimize` returns.
+
+    >>> import drake_exo as dx
+    >>> best = dx.soles.Case.from_text(dx.soles.EXAMPLE).optimize()
+    >>> best.step.c < best.first.c
+    True
+    >>> best.coefficients.shape, best.history["cost"].shape
+    ?
+
+    Attributes:
+        setup: The case.
+        problem: The last stage's problem; it gives cost, limits and
+            derivatives of any coefficients.
+        coefficients: Of the spline, (P,).
+        step: The design through the step, from a cold start.
+        first: The initial shape likewise.
+        optima: Outcome of every stage.
+        stages_seconds: What each took.
+        remeshed: When elements were made anew, see `remeshing.record`.
+        seconds: What all of it took.
+    """
+
+    setup: Setup
+    problem: ShapeProblem
+    coefficients: np.ndarray
+    step: Step
+    first: Step
+    optima: list[Optimum]
+    stages_seconds: list[float]
+    remeshed: tuple[dict, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def mesh(self) -> TetMesh:
+        """Of the design."""
+        return self.step.sole.mesh
+
+    @property
+    def shape(self) -> SphericalSpline:
+        """The spline whose coefficients were sought.
+
+        `shape.deform(points, coefficients)` moves points [m], (n, 3).
+        """
+        return self.problem.spline
+
+    @property
+    def history(self) -> dict[str, np.ndarray]:
+        """Iterations of all stages, (K,) each.
+
+        stage, iteration, cost (c/|c̄| and regularization), violation,
+        dual_infeasibility.
+        """
+        rows = [
+            [number + 1, *row]
+            for number, best in enumerate(self.optima)
+            for row in best.trace
+        ]
+        columns = np.array(rows, dtype=float).reshape(-1, len(_TRACE)).T
+        return dict(zip(_TRACE, columns, strict=True))
+
+    @property
+    def smoothed(self) -> tuple[float, float] | None:
+        """c_tr and c_rot by the last stage's smoothed law."""
+        e = self.problem.evaluate(self.coefficients)
+        return None if e is None else (e.c_tr, e.c_rot)
+
+    def summary(self) -> dict:
+        """What summary.json says of it, but for checks and seconds."""
+        w, first = self.setup.settings.cost.weight, self.first
+        now = self.step.summary()
+        last = self.optima[-1] if self.optima else None
+        row = {
+            key: now[key]
+            for key in (
+                "name", "c_tr", "c_rot", "c", "failed_steps", "failures",
+                "volume_cm3", "stable", "stability_min_n_per_m",
+                "tilt_max_deg", "max_strain", "tets", "contact_nodes",
+                "least_quality", "weight",
+            )
+        }  # fmt: skip
+        row |= {
+            "c_tr_initial": first.c_tr,
+            "c_rot_initial": first.c_rot,
+            "c_initial": first.c,
+            "ratio_tr": now["c_tr"] / first.c_tr,
+            "ratio_rot": now["c_rot"] / first.c_rot,
+            "optimal": bool(last and last.optimal),
+            "remeshed": self.remeshed,
+        }
+        if last is not None:
+            row |= {
+                "status": last.status,
+                "optimality_error": last.error,
+                "complementarity": last.complementarity,
+                "violation": last.violation,
+                "multipliers": dict(
+                    zip(self.problem.names(), last.multipliers, strict=True)
+                ),
+                "iterations": [
+                    int(o.trace[-1][0] - o.trace[0][0]) if o.trace else 0
+                    for o in self.optima
+                ],
+                "simulations": self.problem.evaluations,
+            }
+        if self.smoothed is not None:
+            c_tr, c_rot = self.smoothed
+            c = c_tr - w * c_rot
+            row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
+        return row
+
+    def check_finer(self) -> dict | None:
+        """The design on a mesh of at least twice the tets, beside the brick.
+
+        `change` and `brick_change` are those of c against the last stage's
+        mesh. None where no stage has a brick of its own.
+        """
+        stages = reversed(self.setup.settings.optimize.stages)
+        divisions = next((s.divisions for s in stages if s.divisions), None)
+        if divisions is None:
+            return None
+        size = tuple(np.ptp(self.setup.mesh.nodes, axis=0))
+        base, shaped = _finer(
+            size, divisions, self.problem, self.coefficients, self.mesh
+        )
+        soles = [self.setup.sole(mesh) for mesh in (base, shaped)]
+        r, out = soles[0].penalty, {"tets": len(shaped.tets)}
+        for sole, name, key, before in (
+            (soles[0], "brick", "brick_change", self.first),
+            (soles[1], "design", "change", self.step),
+        ):
+            step = Step.by_exact_law(self.setup, sole, r)
+            out[name] = {
+                "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
+                "failed_steps": step.failed_steps,
+            }  # fmt: skip
+            out[key] = step.c / before.c - 1
+        return out
+
+    def plot(self):
+        """Both stiffnesses over time beside the initial shape's, a figure."""
+        return self.step.plot("optimised", initial=self.first)
+
+    def write_animation(self, path: Path | str) -> None:
+        """Write a page that plays the step of both shapes."""
+        self.step.write_animation(path, **{"initial shape": self.first})
+
+    def write(
+        self, folder: Path | str, say: Callable[[str], object] | None = None
+    ) -> dict:
+        """Write all results and, last, summary.json; what that says.
+
+        The design is checked on a finer mesh and in finite strain before.
+
+        Args:
+            folder: Where to; it is there already.
+            say: Called with one line of progress now and then.
+        """
+        folder, began = Path(folder), time.perf_counter()
+        row = self.summary()
+        row["finer"] = self.check_finer()
+        row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
+        row["stages_seconds"] = [round(s, 2) for s in self.stages_seconds]
+        write_json(
+            folder / DESIGN,
+            {
+                "intervals": self.shape.intervals,
+                "fixed_top": self.shape.fixed_top,
+                "coefficients": self.coefficients,
+                "stage": len(self.setup.settings.optimize.stages),
+            },
+        )
+        write_stl(folder / "sole.stl", self.mesh)
+        write_mould(folder / "mould.stl", self.mesh)
+        for step, mesh, table, history in (
+            (self.step, MESH, STEPS, HISTORY),
+            (self.first, "initial.vtk", "initial_steps.csv", FIRST_HISTORY),
+        ):
+            write_vtk(folder / mesh, step.sole.mesh)
+            write_csv(folder / table, step.table())
+            write_history(
+                folder / history, step.sole.mesh, step.times, step.history
+            )
+        write_csv(folder / "history.csv", self.history)
+        self._draw(folder)
+        row["finite_strain"] = self._compare_strains(folder, say)
+        write_json(folder / SUMMARY, row)
+        return row
+
+    def _draw(self, folder: Path) -> None:
+        # matplotlib takes half a second to load.
+        from drake_exo.soles import pictures
+
+        self.step.draw(folder, "optimised", initial=self.first)
+        drawn = pictures.DrawnSole(
+            self.setup.name,
+            f"{1e6 * self.mesh.volume:.0f} cm³",
+            self.first.sole.mesh,
+            self.mesh,
+            pictures.radial_change(self.mesh, self.shape, self.coefficients),
+        )
+        pictures.save(pictures.soles_figure([drawn]), folder / "shape.png")
+        pictures.save(
+            pictures.trace_figure(self.optima), folder / "history.png"
+        )
+
+    def _compare_strains(self, folder: Path, say) -> dict:
+        """Write the case, and the table of both strains."""
+        settings = write_case(folder, self.setup.settings, self.setup.start)
+        if settings.mesh.element != "linear":
+            return {"left_out": "finite strain is for linear elements"}
+        began = time.perf_counter()
+        found = compare_strains(replace(self.setup, mesh=self.mesh), say)
+        write_table(folder, {self.setup.name: found})
+        found["solve_seconds"] = round(time.perf_counter() - began, 2)
+        return found
+
+
+def by_exact_law(
+    setup: Setup, problem: ShapeProblem, p: np.ndarray, former
+) -> tuple[np.ndarray, Step]:
+    """A design by the exact law; where that fails, one of the last before.
+
+    Args:
+        setup: Sole and step.
+        problem: Whose mesh it is.
+        p: The design.
+        former: Those before it, the last one last.
+
+    Returns:
+        p and its step, or those of the last former design without failed
+        samples.
+    """
+
+    def verify(p):
+        sole = setup.sole(problem.deformed(p))
+        return p, Step.by_exact_law(setup, sole, problem.law.penalty)
+
+    last = verify(p)
+    if last[1].failed_steps == 0:
+        return last
+    others = map(verify, former[: -_FORMER - 1 : -1])
+    return next((x for x in others if x[1].failed_steps == 0), last)
+
+
+def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
+    """The design where a search stands, see `by_exact_law`.
+
+    Args:
+        setup: Sole and step.
+        problem: The last stage's problem.
+        at: The last checkpoint.
+        optima, seconds: Of every stage.
+    """
+    former = optima[-1].former if optima else []
+    p, step = by_exact_law(setup, problem, at.p, former)
+    if p is not at.p:
+        optima[-1].status += ", an earlier design by the exact law"
+        optima[-1].optimal = False
+        optima[-1].cost, optima[-1].violation = cost_and_violation(problem, p)
+    first = Step.by_exact_law(setup, problem.first.sole, problem.law.penalty)
+    return Design(setup, problem, p, step, first, optima, seconds, at.remeshed)
+
+
+def _at_least_twice(divisions) -> tuple[int, int, int]:
+    """Divisions with at least twice, and little more, cells."""
+    wanted = 2 * int(np.prod(divisions))
+    finer = [int(np.ceil(2 ** (1 / 3) * n)) for n in divisions]
+    for axis in range(3):
+        fewer = [n - (k == axis) for k, n in enumerate(finer)]
+        if np.prod(fewer) >= wanted:
+            finer = fewer
+    return tuple(finer)
+
+
+def _finer(size, divisions, problem, p, own) -> tuple[TetMesh, TetMesh]:
+    """A finer brick and the design on a mesh as fine.
+
+    The brick's own elements where they are sound at the design, else new ones,
+    else the brick's, where inverted of one finer in plan with inner nodes
+    moved, else eighths of the design's own.
+
+    Args:
+        size, divisions: Of the last stage's brick.
+        problem, p: The design.
+        own: Its mesh.
+    """
+    mesh, spline = problem.mesh, problem.spline
+
+    def shape(finer):
+        base = brick(size, finer)
+        return base, base.with_nodes(spline.deform(base.nodes, p))
+
+    base, shaped = shape(_at_least_twice(divisions))
+    if shaped.quality().min() >= _SOUND:
+        return base, shaped
+    try:
+        other = remesh_with(mesh, spline, p, 2 * len(own.tets))
+        return base, other.with_nodes(spline.deform(other.nodes, p))
+    except RemeshError:
+        if shaped.volumes.min() > 0:
+            return base, shaped
+    nx, ny, nz = divisions
+    flat, shaped = shape((_times_root_two(nx), _times_root_two(ny), nz))
+    shaped = untangled(shaped, _NEEDLE)
+    if shaped.volumes.min() > 0:
+        return flat, shaped
+    return base, in_eighths(mesh, spline, p)[0]
+
+
+def _times_root_two(cells: int) -> int:
+    return int(np.ceil(np.sqrt(2) * cells))
+
+
+def limits_of(settings: Settings) -> Limits:
     """The case's constraints."""
-    block = case.optimize
-    density = case.material.material().density_kg_per_m3
+    block = settings.optimize
+    density = settings.material.material().density_kg_per_m3
     return Limits(
-        maximum_volume(case.cost.mass_limit_kg, density),
+        maximum_volume(settings.cost.mass_limit_kg, density),
         block.stability_n_per_m,
         block.tilt_deg,
         block.strain,
@@ -52,7 +406,7 @@ def limits_of(case: Case) -> Limits:
     )
 
 
-def stage_mesh(case: Case, own: TetMesh, stage: Stage) -> TetMesh:
+def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
     """The stage's brick in the own mesh's bounding box, or the own mesh."""
     if stage.divisions is None:
         return own
@@ -66,97 +420,101 @@ def stage_mesh(case: Case, own: TetMesh, stage: Stage) -> TetMesh:
     return brick(size, stage.divisions)
 
 
-def stage_problem(
-    case: Case, own: TetMesh, load: Load, start: Start, stage: Stage
-) -> ShapeProblem:
+def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
     """The shape problem of one stage."""
-    block = case.optimize
-    mesh = stage_mesh(case, own, stage)
-    material = case.material.material()
-    r = Sole(mesh, material, case.mesh.element).penalty
+    settings, mesh = setup.settings, stage_mesh(setup.mesh, stage)
+    block, sole = settings.optimize, setup.sole(mesh)
     return ShapeProblem(
         mesh,
         SphericalSpline(tuple(block.intervals), block.fixed_top),
-        material,
-        ContactLaw(case.contact.friction, r, stage.layer_m, stage.kappa),
-        load,
-        start,
-        case.cost.weight,
-        limits_of(case),
-        case.mesh.element,
+        sole.material,
+        ContactLaw(
+            settings.contact.friction, sole.penalty, stage.layer_m, stage.kappa
+        ),
+        setup.load,
+        setup.start,
+        settings.cost.weight,
+        limits_of(settings),
+        settings.mesh.element,
         block.roughness if stage.roughness is None else stage.roughness,
-        case.cost.heel_strike_fraction,
+        settings.cost.heel_strike_fraction,
         stage.samples,
         use_tr=block.use_tr,
     )
 
 
 def optimise(
-    case: Case,
-    own: TetMesh,
-    load: Load,
-    start: Start,
-    out: Path,
-    say,
+    setup: Setup,
+    out: Path | None,
+    say: Callable[[str], object],
     resume: Checkpoint | None = None,
 ) -> Design:
     """Run the case's stages.
 
     Args:
-        case: With its block `optimize`.
-        own: The case's mesh, the initial shape.
-        load, start: As for a simulation.
-        out: Folder for checkpoint.json.
+        setup: The initial shape and its step; settings with the stages.
+        out: Folder for checkpoint.json; None for none.
         say: Called with one line of progress now and then.
         resume: An earlier checkpoint to go on from.
     """
-    stages = case.optimize.stages
+    whole, block = time.perf_counter(), setup.settings.optimize
+    stages = block.stages
     optima, seconds = [], []
     at = resume or Checkpoint()
     for number in range(at.stage, len(stages)):
         began = time.perf_counter()
-        problem = stage_problem(case, own, load, start, stages[number])
+        problem = stage_problem(setup, stages[number])
         if at.p is None:
-            first = first_design(problem, tuple(case.optimize.bounds))
+            first = first_design(problem, tuple(block.bounds))
             at = Checkpoint(p=first, latest=first)
         at.check_fits(problem)
-        problem, at = _on_mesh(problem, case, own, number, at, say)
-        best, learnt, problem, at = _run_rounds(
-            problem, case.optimize, number, at, out, say
+        problem, at = _on_mesh(problem, setup, number, at, say)
+        best, approximation, problem, at = _run_rounds(
+            problem, block, number, at, out, say
         )
         optima.append(best)
         seconds.append(time.perf_counter() - began)
         best.latest = (best.p, best.multipliers, WarmStart.barrier)
         following = min(number + 1, len(stages) - 1)
-        at = Checkpoint.of(following, 0, best, learnt, problem, at.remeshed)
+        at = Checkpoint.of(
+            following, 0, best, approximation, problem, at.remeshed
+        )
+        _keep(at, out)
+    design = verified(setup, problem, at, optima, seconds)
+    design.seconds = time.perf_counter() - whole
+    return design
+
+
+def _keep(at: Checkpoint, out: Path | None) -> None:
+    if out is not None:
         at.write(out)
-    return judged(case, problem, at, load, start, optima, seconds)
 
 
-def _on_mesh(problem, case, own, number, at: Checkpoint, say):
+def _on_mesh(problem, setup: Setup, number, at: Checkpoint, say):
     """The stage's problem on elements that carry the design it starts from.
 
     Its own brick's where they are sound, else new ones made from those of the
     stage before, else the brick's where they do at all, else those of the
     stage before.
     """
-    stages = case.optimize.stages
+    block = setup.settings.optimize
+    stages = block.stages
     last = stages[max(number - 1, 0)]
     same = stages[number].divisions == last.divisions
     if at.iteration > 0 or same:
         return at.on_its_mesh(problem), at
-    before = at.mesh or stage_mesh(case, own, last)
+    before = at.mesh or stage_mesh(setup.mesh, last)
     at = replace(at, mesh=None, meshed_at=None)
-    p, renewable = at.latest, case.optimize.remeshes > 0
+    p, remeshable = at.latest, block.remeshes > 0
     if not is_worn(problem, p):
         return problem, at
     new = None
-    if renewable:
+    if remeshable:
         try:
             new = carried(problem, before, p)
         except RemeshError as error:
             say(f"stage {number + 1}: elements stay as they are: {error}")
-    begin = p if renewable else settle(problem, p)
+    begin = p if remeshable else settle(problem, p)
     if new is None and problem.evaluate(begin) is not None:
         return problem, at
     new = new or problem.with_mesh(before, p)
@@ -169,7 +527,8 @@ def _run_rounds(problem, block, number, at: Checkpoint, out, say):
     """One stage, on new elements whenever a design has worn them out.
 
     Returns:
-        Its optimum, what was learnt, the last problem and where it stands.
+        Its optimum, the approximated Hessian, the last problem and where it
+        stands.
     """
     trace = []
     rounds = block.remeshes - sum(
@@ -177,7 +536,7 @@ def _run_rounds(problem, block, number, at: Checkpoint, out, say):
         for row in at.remeshed
     )
     while True:
-        best, learnt = _run_stage(
+        best, approximation = _run_stage(
             problem, block, number, at, out, say, rounds > 0
         )
         done = at.iteration + (best.trace[-1][0] if best.trace else 0)
@@ -185,22 +544,22 @@ def _run_rounds(problem, block, number, at: Checkpoint, out, say):
         worn = rounds > 0 and is_worn(problem, best.p)
         if not worn or done >= block.stages[number].iterations:
             best.trace = trace
-            return best, learnt, problem, at
+            return best, approximation, problem, at
         try:
-            new = renewed(problem, best.p)
+            new = with_new_elements(problem, best.p)
         except RemeshError as error:
             say(f"stage {number + 1}: elements stay as they are: {error}")
             if best.status != _WORN_OUT:
                 best.trace = trace
-                return best, learnt, problem, at
+                return best, approximation, problem, at
             rounds, new, rows = 0, problem, at.remeshed
         else:
             row = record(number + 1, done, problem, new, best.p)
             say(_remeshed_line(row))
             rounds, rows = rounds - 1, (*at.remeshed, row)
         best.latest = (best.p, _without_floor(best.multipliers), _BARRIER)
-        at = Checkpoint.of(number, done, best, learnt, new, rows)
-        at.write(out)
+        at = Checkpoint.of(number, done, best, approximation, new, rows)
+        _keep(at, out)
         # As after an interruption: a resumed run goes the same way.
         problem = at.on_its_mesh(new)
 
@@ -224,14 +583,14 @@ def _remeshed_line(row: dict) -> str:
 
 
 def _run_stage(
-    problem, block, number, at: Checkpoint, out: Path, say, renewable
+    problem, block, number, at: Checkpoint, out: Path, say, remeshable
 ):
-    """One stage from where it stands; its optimum, what it learnt.
+    """One stage from where it stands; its optimum and Hessian.
 
     Where elements can be made anew it ends once they are worn out.
     """
     stage, bounds = block.stages[number], tuple(block.bounds)
-    learnt = QuasiNewton(problem.spline.count, at.curvature)
+    approximation = QuasiNewton(problem.spline.count, at.curvature)
     begin = settle(problem, at.latest)
 
     def note(iteration, best):
@@ -243,11 +602,18 @@ def _run_stage(
             f"{problem.evaluations} simulations"
         )
         if iteration and iteration % _CHECKPOINT_EVERY == 0:
-            Checkpoint.of(
-                number, at.iteration + iteration, best, learnt, problem,
-                at.remeshed,
-            ).write(out)  # fmt: skip
-        if renewable and iteration >= _LEAST_ROUND and is_worn(problem, best.p):
+            done = at.iteration + iteration
+            _keep(
+                Checkpoint.of(
+                    number, done, best, approximation, problem, at.remeshed
+                ),
+                out,
+            )
+        if (
+            remeshable
+            and iteration >= _LEAST_ROUND
+            and is_worn(problem, best.p)
+        ):
             return _WORN_OUT
         return None
 
@@ -256,12 +622,13 @@ def _run_stage(
         found = minimise_by_snopt(
             problem, begin, bounds, left, block.tolerance, note
         )
-        return found, learnt
+        return found, approximation
     best = minimise(
         problem, begin, bounds, left, block.tolerance, note,
-        refining=number > 0, learnt=learnt, warm=at.warm_start(bounds),
+        refining=number > 0, hessian_approximation=approximation,
+        warm=at.warm_start(bounds),
     )  # fmt: skip
-    return best, learnt
+    return best, approximation
 
 
 def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
@@ -271,7 +638,7 @@ def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
     least smoothing that leaves them room and lets the step be simulated is
     taken (a heat equation on the coefficients).
     """
-    H = problem.smoothness(p)[2]
+    H = problem.regularization(p)[2]
     eye = np.eye(len(p)) * np.abs(H).max()
     if not H.any():
         return p
@@ -292,39 +659,3 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
             break
         p = 0.99 * p
     return np.clip(p, *bounds)
-
-
-def finish_on_own_mesh(case: Case) -> Case:
-    """The last stage on the case's own mesh, such as one given by --mesh."""
-    return _with_last_stage(case, divisions=None)
-
-
-def with_iterations(case: Case, iterations: int | None) -> Case:
-    """So many iterations in the last stage; None: the case's."""
-    if iterations is None:
-        return case
-    return _with_last_stage(case, iterations=iterations)
-
-
-def _with_last_stage(case: Case, **changes) -> Case:
-    stages = case.optimize.stages
-    last = replace(stages[-1], **changes)
-    return replace(
-        case, optimize=replace(case.optimize, stages=(*stages[:-1], last))
-    )
-
-
-def without_limits(case: Case) -> Case:
-    """The paper's own problem: neither stability, tilt nor strain limited.
-
-    Every stage has the block's roughness: it alone holds the shape there.
-    """
-    block = case.optimize
-    block = replace(
-        block,
-        stability_n_per_m=None,
-        tilt_deg=None,
-        strain=None,
-        stages=tuple(replace(s, roughness=None) for s in block.stages),
-    )
-    return replace(case, optimize=block)

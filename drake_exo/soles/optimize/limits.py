@@ -1,15 +1,14 @@
-"""A differentiable measure of the largest strain over elements and samples.
-
-Φ = (Σ_q n_q Σ_e tr ε_qe^p)^(1/p) with even p: the p-norm of all principal
-strains, never below the largest |principal strain| and smooth without
-eigenvalues. A sample that stands for n_q counts so often: thinned samples
-then give about the norm of all. Small strain ε of u = N f, with f the nodal
-forces in the sole frame.
-
-Limits on a design that take a simulation: value and what the adjoint needs.
+"""Limits on a design that take a simulation: value and what the adjoint needs.
 
 Every limit is scaled and at least 0 where met. Minima over samples are soft
-and err on the safe side.
+and err on the safe side. The largest strain over elements and samples is
+measured by
+
+    Φ = (Σ_q n_q Σ_e tr ε_qe^p)^(1/p), p even,
+
+the p-norm of all principal strains, never below the largest |principal
+strain| and smooth without eigenvalues. A sample that stands for n_q counts so
+often: thinned samples then give about the norm of all.
 """
 
 from dataclasses import dataclass
@@ -217,8 +216,8 @@ class TiltLimit:
     name = "tilt_deg"
 
     def _excess(self, e: Evaluation):
-        room = e.history.R[:, 2, 2] - np.cos(np.deg2rad(self.largest_deg))
-        return soft_minimum(room / _TILT_SCALE)
+        margin = e.history.R[:, 2, 2] - np.cos(np.deg2rad(self.largest_deg))
+        return soft_minimum(margin / _TILT_SCALE)
 
     def value(self, e: Evaluation) -> float:
         """Scaled difference of cosines, soft minimum over samples."""

@@ -1,15 +1,14 @@
-"""What is learnt of the Lagrangian's curvature, carried from stage to stage.
+"""Solve a shape problem, with IPOPT or SNOPT.
 
-IPOPT asks for a Hessian; it gets the exact one of the smoothness term plus a
-dense BFGS matrix for all that comes out of simulations (Nocedal and Wright,
-Numerical Optimization, 2nd ed., procedure 18.2: Powell's damping keeps it
-positive definite). Unlike IPOPT's own limited-memory matrix nothing is
-forgotten, and what cheap coarse stages taught serves the fine ones.
+IPOPT is called directly (its wheel brings MUMPS). It asks for a Hessian; it
+gets the exact one of the regularization plus a dense BFGS matrix for all that
+comes out of simulations (Nocedal and Wright, Numerical Optimization, 2nd ed.,
+procedure 18.2: Powell's damping keeps it positive definite). Unlike IPOPT's
+own limited-memory matrix nothing is forgotten, and what cheap coarse stages
+taught serves the fine ones.
 
-Solve a shape problem with IPOPT.
-
-IPOPT is called directly (its wheel brings MUMPS) with a Hessian learnt from
-gradients, see `quasi_newton`.
+SNOPT gets the problem as a MathematicalProgram. It needs more simulations and
+is there to compare with.
 """
 
 from collections.abc import Callable
@@ -185,7 +184,7 @@ class Optimum:
         self.status, self.optimal = "only followed from a neighbour", False
         while problem.evaluate(self.p) is None and self.former:
             self.p = self.former.pop()
-        self.cost, self.violation = merits(problem, self.p)
+        self.cost, self.violation = cost_and_violation(problem, self.p)
 
 
 class AcceptedDesigns:
@@ -202,13 +201,13 @@ class AcceptedDesigns:
         self._point, self._derivatives = None, None
 
     def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of cost (without smoothness) and constraints."""
+        """Derivatives of cost (without regularization) and constraints."""
         key = p.tobytes()
         if key != self._point:
             self._derivatives = self.problem.derivatives(p)
             self._point = key
             self.problem.accept(p)
-            found = merits(self.problem, p)
+            found = cost_and_violation(self.problem, p)
             self.best.consider(p, *found)
             if self.on_new is not None:
                 self.on_new(p, *found)
@@ -219,9 +218,18 @@ class _Callbacks:
     """What IPOPT calls; derivatives are asked for at accepted points only."""
 
     def __init__(
-        self, problem, learnt: QuasiNewton, best: Optimum, say, refining=False
+        self,
+        problem,
+        hessian_approximation: QuasiNewton,
+        best: Optimum,
+        say,
+        refining=False,
     ):
-        self.problem, self.learnt, self.best = problem, learnt, best
+        self.problem, self.hessian_approximation, self.best = (
+            problem,
+            hessian_approximation,
+            best,
+        )
         self.say = say
         self.stopped = self.stalled = False
         self.ended = ""  # why it was told to
@@ -249,7 +257,7 @@ class _Callbacks:
 
     def gradient(self, p, out):
         """Gradient of the cost."""
-        out[()] = self.at(p)[0] + self.problem.smoothness(p)[1]
+        out[()] = self.at(p)[0] + self.problem.regularization(p)[1]
 
     def constraints(self, p, out):
         """Values of the constraints."""
@@ -262,13 +270,18 @@ class _Callbacks:
     def hessian(self, p, multipliers, factor, out):
         """Lower triangle; a factor of 0 is IPOPT's restoration."""
         if factor > 0:
-            self.learnt.update(p, *self.at(p), multipliers / factor)
+            self.hessian_approximation.update(
+                p, *self.at(p), multipliers / factor
+            )
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
             self._adapt()
             factor *= self._caution
         else:
             self._before = None  # what it simulates says nothing of steps
-        B = self.learnt.matrix + self.problem.smoothness(p)[2]
+        B = (
+            self.hessian_approximation.matrix
+            + self.problem.regularization(p)[2]
+        )
         out[()] = max(factor, 1e-3) * B[self._lower]
 
     def _adapt(self) -> None:
@@ -305,7 +318,7 @@ def _furthest(problem, p) -> float:
     return max(0.1, 1.5 * float(violation))
 
 
-def merits(problem, p) -> tuple[float, float]:
+def cost_and_violation(problem, p) -> tuple[float, float]:
     """Cost and largest violation."""
     violation = -float(problem.constraints(p).min())
     return problem.cost(p), max(0.0, violation)
@@ -319,7 +332,7 @@ def minimise(
     tolerance: float = 1e-4,
     on_iterate: Callable[[int, "Optimum"], object] | None = None,
     refining: bool = False,
-    learnt: QuasiNewton | None = None,
+    hessian_approximation: QuasiNewton | None = None,
     warm: WarmStart | None = None,
 ) -> Optimum:
     """Run IPOPT from p0.
@@ -334,16 +347,18 @@ def minimise(
             ends the run, as its status.
         refining: p0 is good already: no second-order corrections, and
             rejected trials shorten the steps that follow.
-        learnt: Curvature known already; learns more.
+        hessian_approximation: Curvature known already; learns more.
         warm: Multipliers of a neighbouring problem, or of this one before
             an interruption.
     """
     n, m = problem.spline.count, len(problem.names())
     p0 = np.clip(p0, *bounds)
     best = Optimum(p0.copy())
-    learnt = learnt or QuasiNewton(n)
-    learnt.forget_point()
-    calls = _Callbacks(problem, learnt, best, on_iterate, refining)
+    hessian_approximation = hessian_approximation or QuasiNewton(n)
+    hessian_approximation.forget_point()
+    calls = _Callbacks(
+        problem, hessian_approximation, best, on_iterate, refining
+    )
     solver = _ipopt(
         problem,
         calls,
@@ -361,7 +376,7 @@ def minimise(
     if warm is not None:
         multipliers[:], low[:], high[:] = warm.multipliers, warm.low, warm.high
         if warm.best is not None and problem.evaluate(warm.best) is not None:
-            best.consider(warm.best, *merits(problem, warm.best))
+            best.consider(warm.best, *cost_and_violation(problem, warm.best))
     p, _, status = solver.solve(
         p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
     )
@@ -402,7 +417,7 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
 
 
 def conclude(problem, best, p, bounds, derivatives) -> None:
-    """Judge the solver's last point; what comes next may be on any branch.
+    """Verify the solver's last point; what comes next may be on any branch.
 
     Args:
         problem: The problem.
@@ -410,19 +425,19 @@ def conclude(problem, best, p, bounds, derivatives) -> None:
             and p itself where it is optimal.
         p: The last point.
         bounds: Of every coefficient.
-        derivatives: Gives gradient, without smoothness, and Jacobian at p.
+        derivatives: Gives gradient, without regularization, and Jacobian at p.
     """
     if problem.evaluate(p) is not None:
-        _judge(problem, best, p, bounds, derivatives)
+        _verify(problem, best, p, bounds, derivatives)
     problem.leave_branch()
     best.fall_back(problem)
 
 
-def _judge(problem, best, p, bounds, derivatives) -> None:
+def _verify(problem, best, p, bounds, derivatives) -> None:
     """Optimality at p, by IPOPT's own formula, (5)."""
     low, high = best.at_bounds
     gradient, jacobian = derivatives(p)
-    gradient = gradient + problem.smoothness(p)[1]
+    gradient = gradient + problem.regularization(p)[1]
     values, lam = problem.constraints(p), best.multipliers
     dual = gradient + jacobian.T @ lam - low + high
     products = np.concatenate(
@@ -431,9 +446,134 @@ def _judge(problem, best, p, bounds, derivatives) -> None:
     best.complementarity = float(np.abs(products).max())
     size = np.abs(np.concatenate([lam, low, high]))
     s_d = max(100.0, size.mean()) / 100.0
-    cost, violation = merits(problem, p)
+    cost, violation = cost_and_violation(problem, p)
     best.error = max(
         float(np.abs(dual).max()) / s_d, best.complementarity / s_d, violation
     )
     if best.optimal:
         best.p, best.cost, best.violation = p.copy(), cost, violation
+
+
+_SNOPT_STATUS = {
+    1: "optimal",
+    3: "optimal, but not to the accuracy asked for",
+    13: "infeasible",
+    32: "iteration limit",
+    41: "no better point found",
+}
+
+
+class Program:
+    """The problem as a MathematicalProgram.
+
+    Where a simulation fails cost and constraints are NaN, which SNOPT takes
+    as a rejected step.
+
+    Args:
+        problem: What to minimise.
+        bounds: Lower and upper bound of every coefficient.
+        derivatives: Gives gradient, without regularization, and Jacobian at a
+            design.
+
+    Attributes:
+        prog: The program.
+        p: Its decision variables, (P,).
+        stopped: Ctrl-C came, which must not surface in the solver's code;
+            all is NaN from then on, so that it ends.
+    """
+
+    def __init__(self, problem: ShapeProblem, bounds, derivatives):
+        from pydrake.solvers import MathematicalProgram
+
+        self.problem, self.derivatives = problem, derivatives
+        self.stopped = False
+        self.prog = prog = MathematicalProgram()
+        self.p = prog.NewContinuousVariables(problem.spline.count, "p")
+        prog.AddBoundingBoxConstraint(*bounds, self.p)
+        cost = self._with_gradient(problem.cost, 1, 0)
+        prog.AddCost(lambda x: cost(x)[0], vars=self.p, description="c")
+        m = len(problem.names())
+        prog.AddConstraint(
+            self._with_gradient(problem.constraints, m, 1),
+            np.zeros(m),
+            np.full(m, np.inf),
+            vars=self.p,
+            description=", ".join(problem.names()),
+        )
+
+    def _with_gradient(self, function, count: int, which: int):
+        from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
+
+        problem = self.problem
+
+        def values(p, dx):
+            y = np.atleast_1d(function(p))
+            if dx is None or not np.isfinite(y).all():
+                return y, np.nan
+            gradient, jacobian = self.derivatives(p)
+            gradient = gradient + problem.regularization(p)[1]
+            rows = jacobian if which else gradient
+            # A linear chain: derivatives of x need not be the identity.
+            return y, np.atleast_2d(rows) @ dx
+
+        def evaluate(x):
+            plain = x.dtype == float
+            p = x if plain else ExtractValue(x).ravel()
+            dx = None if plain else np.array([xi.derivatives() for xi in x])
+            y = J = np.nan
+            try:
+                if not self.stopped:
+                    y, J = values(p, dx)
+            except KeyboardInterrupt:
+                self.stopped = True
+            y = np.broadcast_to(y, count)
+            if plain:
+                return y
+            J = np.broadcast_to(J, (count, dx.shape[1]))
+            return InitializeAutoDiff(y, gradient=J).ravel()
+
+        return evaluate
+
+
+def minimise_by_snopt(
+    problem: ShapeProblem,
+    p0: np.ndarray,
+    bounds: tuple[float, float],
+    iterations: int,
+    tolerance: float,
+    on_iterate=None,
+) -> Optimum:
+    """Run SNOPT from p0; arguments as for `minimise`.
+
+    `on_iterate` is called at designs whose derivatives SNOPT asks for.
+    """
+    from pydrake.solvers import SnoptSolver, SolverOptions
+
+    best = Optimum(np.clip(p0, *bounds))
+    p = best.p
+
+    def note(design, cost, violation):
+        best.trace.append((len(best.trace), cost, violation, np.nan))
+        if on_iterate is not None:
+            on_iterate(len(best.trace) - 1, best)
+
+    options = SolverOptions()
+    for name, value in (
+        ("Major iterations limit", iterations),
+        ("Major optimality tolerance", tolerance),
+        ("Verify level", -1),
+    ):
+        options.SetOption(SnoptSolver.id(), name, value)
+    derivatives = AcceptedDesigns(problem, best, note).at
+    program = Program(problem, bounds, derivatives)
+    result = SnoptSolver().Solve(program.prog, p, options)
+    if program.stopped:
+        raise KeyboardInterrupt
+    details = result.get_solver_details()
+    best.optimal = details.info == 1
+    best.status = _SNOPT_STATUS.get(details.info, f"SNOPT info {details.info}")
+    # Its multipliers are derivatives of the cost by the bounds.
+    best.multipliers = -details.Fmul[1:]
+    best.at_bounds = np.maximum(details.xmul, 0), np.maximum(-details.xmul, 0)
+    conclude(problem, best, result.get_x_val(), bounds, derivatives)
+    return best

@@ -3,37 +3,31 @@
 An epsilon-constraint: c_tr alone is minimised under c_rot >= floor, from the
 lowest floor to the highest. The first point starts from the case's own
 optimum, each further one from the point before, with what was learnt of the
-curvature. On the coarse mesh with a few samples, judged by the exact law there
-with all samples.
+curvature. On the coarse mesh with a few samples, verified by the exact law
+there with all samples.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import (
-    Progress,
-    prepare_output_folder,
-    read_json,
-    write_json,
+from drake_exo.soles.optimize.design import (
+    by_exact_law,
+    first_design,
+    stage_mesh,
+    stage_problem,
 )
-from drake_exo.papers.de_magistris_cases import TABLE_2
-from drake_exo.soles.case import Case, Stage, open_case
-from drake_exo.soles.contact.newton import Start
-from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.optimize import design as designs
 from drake_exo.soles.optimize.optimizer import (
     Optimum,
     QuasiNewton,
     WarmStart,
-    merits,
+    cost_and_violation,
     minimise,
 )
-from drake_exo.soles.optimize.verification import by_exact_law, exact_history
+from drake_exo.soles.settings import Setup, Stage
+from drake_exo.soles.step.results import Step
 
 # A thick layer for the case's own optimum, then a thin one for all points.
 STAGES = (
@@ -44,75 +38,40 @@ STAGES = (
 _CORRECTIONS, _OVERSHOOT = 2, 1.005
 _FEASIBLE = 1e-3  # a point is worked on until its violation is below
 _AIM = 1.002  # above the floor
-_LEAP = 0.25  # of the brick's c_rot at a time
-# Of a study: where a case's points are, and the case with the whole front.
-_FILE, _WHOLE = "front.json", "1-Ref"
-_ROUGHNESS = 3.0  # of single points: their designs bend but once
-# Floors over the brick's c_rot; the first is the paper's 1-Ref.
-FLOORS = (0.9721, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
+_LEAP = 0.25  # of the initial shape's c_rot at a time
 
 
-def run_front(args) -> int:
-    """`drake-exo sole front CASE.yaml`; 0 where every point simulates."""
-    case, load, own, start = open_case(args.case, args.data_root, args.mesh)
-    if args.limits == "none":
-        case = designs.without_limits(case)
-    with prepare_output_folder(args.out, args.force) as out:
-        points = front(case, load, own, start, FLOORS)
-        _write(out, case, points)
-    print(table(points))
-    print(f"{case.name}: results in {args.out}")
-    return 1 if any(p["failed_steps"] for p in points) else 0
-
-
-def study_job(folder: Path, case: Case, root: Path, mesh_file) -> None:
-    """Write a case's part of a study: front.json.
-
-    The front of 1-Ref; of every other case the paper's own ratio.
-    """
-    tr0, tr, rot0, rot = TABLE_2[case.name]
-    floors = FLOORS
-    if case.name != _WHOLE:
-        floors = (rot / rot0,)
-        block = replace(case.optimize, roughness=_ROUGHNESS)
-        case = replace(case, optimize=block)
-    points = front(case, *case.open(root, mesh_file), floors)
-    points[0]["paper_ratio_tr"] = tr / tr0
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / _FILE, points)
-
-
-def study_front(folder: Path, cases: list[Case]) -> dict:
-    """The points on disk: those of 1-Ref, the first of every case."""
-    found = {"points": [], "at_paper": []}
-    for case in cases:
-        file = folder / case.name / _FILE
-        if not file.is_file():
-            continue
-        points = read_json(file, "run the study again")
-        if case.name == _WHOLE:
-            found["points"] = points
-        found["at_paper"] += points[:1]
-    return found
-
-
-def front(
-    case: Case, load: Load, own: TetMesh, start: Start, floors
+def pareto_front(
+    setup: Setup,
+    floors: Sequence[float],
+    say: Callable[[str], object] | None = None,
 ) -> list[dict]:
-    """Least c_tr for every floor of c_rot (over the brick's), lowest first.
+    """Least c_tr for every floor of c_rot, lowest first.
+
+    >>> import drake_exo as dx
+    >>> from drake_exo.soles.optimize import pareto
+    >>> pareto._steps(0.9, 1.3)
+    array([1.1, 1.3])
+
+    Args:
+        setup: A sole and its step.
+        floors: Of c_rot, over the initial shape's.
+        say: Called with one line of progress now and then.
 
     Returns:
-        For every floor: floor, c_tr, c_rot and their ratios to the brick's,
-        by the exact law; optimality_error; failed_steps.
+        For every floor: case, floor, c_tr [N/m], c_rot [N·m/rad] and their
+        ratios to the initial shape's by the exact law, ratio_tr and
+        ratio_rot; coefficients; optimality_error; violation; failed_steps.
+
+    Raises:
+        InputError: The first design cannot be simulated.
     """
-    base = _brick(case, own, load, start)
-    progress = Progress(f"{case.name}, front", interval_seconds=2.0)
+    say, block = say or (lambda text: None), setup.settings.optimize
+    base = _initial(setup)
     at = _solve(
-        designs.stage_problem(
-            _without_floor(case), own, load, start, STAGES[0]
-        ),
-        None, case.optimize, STAGES[0].iterations,
-        lambda iteration, best: progress.update(
+        stage_problem(_without_floor(setup), STAGES[0]),
+        None, block, STAGES[0].iterations,
+        lambda iteration, best: say(
             f"own optimum, iteration {iteration}: c/|c0| "
             f"{best.trace[-1][1]:+.4f}"
         ),
@@ -120,8 +79,8 @@ def front(
     points, margin = [], _AIM
     for floor in sorted(floors):
 
-        def say(iteration, best, floor=floor):
-            progress.update(
+        def note(iteration, best, floor=floor):
+            say(
                 f"c_rot above {floor:.3f} of the brick's, iteration "
                 f"{iteration}: c_tr {best.trace[-1][1]:.4f} of the brick's"
             )
@@ -129,11 +88,9 @@ def front(
         tried, iterations = [], STAGES[1].iterations
         for _ in range(_CORRECTIONS + 1):
             for aim in _steps(at.ratio, floor * margin):
-                problem = _problem(case, own, load, start, aim)
-                at = _solve(problem, at, case.optimize, iterations, say)
-            tried.append(
-                _judge(case, problem, at.best, floor, base, load, start)
-            )
+                problem = _problem(setup, aim)
+                at = _solve(problem, at, block, iterations, note)
+            tried.append(_verify(setup, problem, at.best, floor, base))
             ratio = tried[-1]["ratio_rot"]
             held = at.ratio < _OVERSHOOT * floor * margin
             over = held and ratio > _OVERSHOOT * floor
@@ -154,20 +111,22 @@ def _rank(point: dict) -> tuple:
     return below, outside, point["ratio_tr"]
 
 
-def _problem(case, own, load, start, floor):
-    """c_tr alone with c_rot at least `floor` times the brick's.
+def _problem(setup: Setup, floor: float):
+    """c_tr alone with c_rot at least `floor` times the initial shape's.
 
     The floor is in the smoothed measures of this very problem.
     """
-    alone = replace(_without_floor(case), cost=replace(case.cost, weight=0.0))
-    problem = designs.stage_problem(alone, own, load, start, STAGES[1])
+    alone = _without_floor(setup)
+    cost = replace(alone.settings.cost, weight=0.0)
+    alone = replace(alone, settings=replace(alone.settings, cost=cost))
+    problem = stage_problem(alone, STAGES[1])
     problem.add_rotation_floor(floor * problem.first.c_rot)
     return problem
 
 
-def _without_floor(case: Case) -> Case:
-    block = replace(case.optimize, c_rot_nm_per_rad=None)
-    return replace(case, optimize=block)
+def _without_floor(setup: Setup) -> Setup:
+    block = replace(setup.settings.optimize, c_rot_nm_per_rad=None)
+    return replace(setup, settings=replace(setup.settings, optimize=block))
 
 
 def _steps(reached: float, floor: float) -> np.ndarray:
@@ -181,23 +140,24 @@ class _At:
     """Where the continuation stands."""
 
     best: Optimum
-    learnt: QuasiNewton
-    ratio: float  # c_rot over the brick's, smoothed law
+    hessian_approximation: QuasiNewton
+    ratio: float  # c_rot over the initial shape's, smoothed law
 
 
 def _solve(problem, at: _At | None, block, iterations, say) -> _At:
     bounds = tuple(block.bounds)
     if at is None:
-        p, warm = designs.first_design(problem, bounds), None
-        learnt = QuasiNewton(len(p))
+        p, warm = first_design(problem, bounds), None
+        approximation = QuasiNewton(len(p))
     else:
-        p, learnt = at.best.p, at.learnt
+        p, approximation = at.best.p, at.hessian_approximation
         warm = None
         if len(at.best.multipliers) == len(problem.names()):
             warm = WarmStart(at.best.multipliers, *at.best.at_bounds)
     best = minimise(
         problem, p, bounds, iterations, block.tolerance, say,
-        refining=at is not None, learnt=learnt, warm=warm,
+        refining=at is not None, hessian_approximation=approximation,
+        warm=warm,
     )  # fmt: skip
     found = problem.evaluate(best.p)
     if found is None:
@@ -208,59 +168,29 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
             )
         return at  # what stands stays
     ratio = found.c_rot / problem.first.c_rot
-    return _At(best, learnt, ratio)
+    return _At(best, approximation, ratio)
 
 
-def _brick(case, own, load, start):
-    """c_tr and c_rot of the initial shape on the front's mesh, exact law."""
-    mesh = designs.stage_mesh(case, own, STAGES[-1])
-    sole = Sole(mesh, case.material.material(), case.mesh.element)
-    history = exact_history(case, sole, load, start, sole.penalty)
-    return history.costs(0.0, case.cost.heel_strike_fraction)[:2]
+def _initial(setup: Setup) -> Step:
+    """The initial shape on the front's mesh, exact law."""
+    sole = setup.sole(stage_mesh(setup.mesh, STAGES[-1]))
+    return Step.by_exact_law(setup, sole, sole.penalty)
 
 
-def _judge(case, problem, best, floor, base, load, start) -> dict:
-    p, _, history = by_exact_law(
-        case, problem, load, start, best.p, best.former
-    )
-    violation = best.violation if p is best.p else merits(problem, p)[1]
-    c_tr, c_rot, _ = history.costs(0.0, case.cost.heel_strike_fraction)
+def _verify(setup: Setup, problem, best, floor, base: Step) -> dict:
+    p, step = by_exact_law(setup, problem, best.p, best.former)
+    violation = best.violation
+    if p is not best.p:
+        violation = cost_and_violation(problem, p)[1]
     return {
-        "case": case.name,
+        "case": setup.name,
         "floor": floor,
-        "c_tr": c_tr,
-        "c_rot": c_rot,
-        "ratio_tr": c_tr / base[0],
-        "ratio_rot": c_rot / base[1],
+        "c_tr": step.c_tr,
+        "c_rot": step.c_rot,
+        "ratio_tr": step.c_tr / base.c_tr,
+        "ratio_rot": step.c_rot / base.c_rot,
         "optimality_error": best.error,
         "violation": violation,
-        "failed_steps": history.failed_steps,
+        "failed_steps": step.failed_steps,
         "coefficients": p,
     }
-
-
-def table(points: list[dict]) -> str:
-    """One line for every point."""
-    lines = [
-        f"{'case':11s} {'floor':>6s} {'c_tr':>9s} {'ratio':>6s} "
-        f"{'paper':>6s} {'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
-    ]
-    lines += [
-        f"{p['case']:11s} {p['floor']:6.3f} {p['c_tr']:9.2e} "
-        f"{p['ratio_tr']:6.3f} {_paper(p):6s} {p['c_rot']:9.2e} "
-        f"{p['ratio_rot']:6.3f} {p['optimality_error']:8.1e}"
-        for p in points
-    ]
-    return "\n".join(lines)
-
-
-def _paper(point: dict) -> str:
-    ratio = point.get("paper_ratio_tr")
-    return "" if ratio is None else f"{ratio:6.3f}"
-
-
-def _write(out: Path, case: Case, points: list[dict]) -> None:
-    from drake_exo.papers.de_magistris_pictures import front_figure
-
-    write_json(out / "summary.json", {"name": case.name, "front": points})
-    front_figure(out / "front.png", [], {}, {"front": points})

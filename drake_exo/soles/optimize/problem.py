@@ -47,7 +47,7 @@ class ShapeProblem:
         start: Just before contact.
         weight: w.
         limits: Constraints.
-        roughness: Factor of the regulariser, mean squared second difference
+        regularization_weight: Factor of the mean squared second difference
             of the coefficients.
         fraction: Heel strike's part of the samples.
         samples: How many samples to simulate.
@@ -68,7 +68,7 @@ class ShapeProblem:
     weight: float
     limits: Limits
     element: Element = "linear"
-    roughness: float = 0.0
+    regularization_weight: float = 0.0
     fraction: float = 0.1
     samples: int | None = None
     use_tr: float = 1.0
@@ -84,7 +84,7 @@ class ShapeProblem:
         self.picked, self.by_tr, self.by_rot = sample_weights(
             len(self.load.times), self.samples, self.fraction
         )
-        self._rough = second_differences(self.spline)
+        self._bends = second_differences(self.spline)
         self._rest = self.mesh.volumes
         if self.meshed_at is not None:
             self._rest = self.deformed(self.meshed_at).volumes
@@ -118,7 +118,7 @@ class ShapeProblem:
         """The mesh of a design; elements may be inverted."""
         return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
 
-    def room(self, p: np.ndarray) -> float:
+    def margin(self, p: np.ndarray) -> float:
         """How far the least volume ratio is above its floor."""
         return self._elements(self.deformed(p))[0]
 
@@ -165,12 +165,12 @@ class ShapeProblem:
         )
 
     def cost(self, p: np.ndarray) -> float:
-        """Scaled c plus roughness; NaN where the simulation fails."""
+        """Scaled c plus the regularization; NaN where the simulation fails."""
         e = self.evaluate(p)
         if e is None:
             return np.nan
         c = self.use_tr * e.c_tr - self.weight * e.c_rot
-        return c / self.scale + self.smoothness(p)[0]
+        return c / self.scale + self.regularization(p)[0]
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
@@ -201,8 +201,8 @@ class ShapeProblem:
     def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient of the cost (P,) and Jacobian of the constraints.
 
-        The roughness is left out: its derivatives are known exactly, see
-        `smoothness`.
+        The regularization is left out: its derivatives are known exactly,
+        see `regularization`.
         """
         e = self.evaluate(p)
         if e is None:
@@ -232,10 +232,10 @@ class ShapeProblem:
             [volume / self.limits.volume, elements, *rows[1:]]
         )
 
-    def smoothness(self, p: np.ndarray):
-        """Roughness times its factor: value, gradient (P,), Hessian (P, P)."""
-        d, d0 = self._rough
-        bend, factor = d @ p + d0, self.roughness / len(d)
+    def regularization(self, p: np.ndarray):
+        """Of the shape: value, gradient (P,), Hessian (P, P)."""
+        d, d0 = self._bends
+        bend, factor = d @ p + d0, self.regularization_weight / len(d)
         return (
             factor * float(bend @ bend),
             2 * factor * (d.T @ bend),

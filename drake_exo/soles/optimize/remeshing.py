@@ -1,10 +1,8 @@
-"""Poor elements made better by moving the inner nodes of their patch.
+"""New elements for a sole whose elements a design has worn out.
 
-Towards the centre of its neighbours, or off the face opposite in its worst
-element, as far as the worst gains most (constrained Laplacian and
-optimisation-based smoothing; Freitag, AMD 220, 1997).
-
-New elements for a sole whose elements a design has worn out.
+A coarse element inverts once s varies within it, though the map does not;
+the element floor then stops the search, not the physics. Elements near the
+floor also flatter a design: its cost on new ones is higher.
 
 X' = s(p, θ, φ) X is radial and s depends on the direction alone, so that any
 mesh of the deformed sole comes from one of the undeformed: X = X'/s. The
@@ -14,13 +12,12 @@ Phys. 262, 2014), pulled back, and the same coefficients go on with it.
 The surface is kept where that gives sound elements; the volume is then the
 same to rounding. Else the surface is meshed anew, too, with all corners and
 sharp edges. Its nodes are put back on the undeformed surface along their
-rays, so that they lie on the true shape s X and the glued plane stays plane.
+rays, so that they lie on the true shape s X and the fixed plane stays plane.
 
-When a design has worn out its elements: the same problem on new ones.
-
-A coarse element inverts once s varies within it, though the map does not;
-the element floor then stops the search, not the physics. Elements near the
-floor also flatter a design: its cost on new ones is higher.
+Poor elements are made better by moving the inner nodes of their patch:
+towards the centre of its neighbours, or off the face opposite in its worst
+element, as far as the worst gains most (constrained Laplacian and
+optimisation-based smoothing; Freitag, AMD 220, 1997).
 """
 
 import io
@@ -164,7 +161,7 @@ _CARRIES = 0.1  # quality from which on elements of another number do
 _TRIES, _FIRST, _SHORTER, _AIM = 6, 1.1, 0.94, 1.05
 _UPRIGHT = 0.2  # least volume of a half, of that of plain halves
 _SHARP_DEG = 30.0  # angle between faces' normals at a sharp edge
-_GLUED, _BARE = 1, 2  # references of triangles in Mmg
+_FIXED, _BARE = 1, 2  # references of triangles in Mmg
 _DISTANCE = 0.02  # from the surface, of the sole's length
 _EDGES = np.stack(np.triu_indices(4, 1), axis=-1)  # of a tetrahedron
 # A tetrahedron's corners 0-3 and middles 4-9 (of _EDGES) into eight.
@@ -279,7 +276,7 @@ class _Choice:
             return None
         shaped = _at(new, self._spline, self._p)
         try:
-            checked_mesh(shaped.nodes, shaped.tets, shaped.dirichlet, "Mmg")
+            checked_mesh(shaped.nodes, shaped.tets, shaped.fixed, "Mmg")
         except InputError as error:
             self._reason = str(error)
             return new
@@ -314,8 +311,8 @@ def _with_surface(mesh: TetMesh, spline, p) -> TetMesh:
     if not same or away.max() > 1e-9 * np.ptp(nodes, axis=0).max():
         raise RemeshError("Mmg has moved nodes of a surface to be kept")
     X[new] = mesh.nodes[old[which]]
-    glued = new[np.isin(old[which], mesh.dirichlet)]
-    return TetMesh(X, tets, np.sort(glued))
+    fixed = new[np.isin(old[which], mesh.fixed)]
+    return TetMesh(X, tets, np.sort(fixed))
 
 
 def in_eighths(mesh: TetMesh, spline: SphericalSpline, p: np.ndarray):
@@ -365,8 +362,8 @@ def _with_sharp_edges(mesh: TetMesh, spline, p) -> TetMesh:
 def _put_back(mesh: TetMesh, spline, p, got) -> TetMesh:
     """Pull back; the surface's nodes onto its own faces, edges and plane."""
     nodes, of = got["nodes"], got["references"]
-    glued = np.unique(got["triangles"][of == _GLUED])
-    nodes[glued, 2] = 0.0
+    fixed = np.unique(got["triangles"][of == _FIXED])
+    nodes[fixed, 2] = 0.0
     X = pull_back(nodes, spline, p)
     # Nodes inside follow those of the surface, by how far out they are.
     out = reach(X, X[got["triangles"][of == _BARE]])
@@ -376,8 +373,8 @@ def _put_back(mesh: TetMesh, spline, p, got) -> TetMesh:
     X[there] *= 1.0 + ((wanted / out - 1.0) / out)[:, None]
     sharp = got["sharp"]
     X[sharp] = onto_edges(X[sharp], mesh.nodes[sharp_edges(mesh)])
-    X[glued, 2] = 0.0
-    new = TetMesh(X, got["tets"], glued)
+    X[fixed, 2] = 0.0
+    new = TetMesh(X, got["tets"], fixed)
     # The surface has moved: some of the elements under it are poor now.
     shaped = _at(new, spline, p)
     better = untangled(shaped, _SOUND).nodes
@@ -393,13 +390,13 @@ def sharp_edges(mesh: TetMesh) -> np.ndarray:
     a, b, c = mesh.nodes[faces].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    glued = np.isin(faces, mesh.dirichlet).all(axis=1)
+    fixed = np.isin(faces, mesh.fixed).all(axis=1)
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     # On a closed surface every edge belongs to two faces.
     pair = np.lexsort(edges.T[::-1]).reshape(-1, 2)
     i, j = pair.T // 3
     bent = (normal[i] * normal[j]).sum(axis=1) < np.cos(np.deg2rad(_SHARP_DEG))
-    return edges[pair[bent | (glued[i] != glued[j]), 0]]
+    return edges[pair[bent | (fixed[i] != fixed[j]), 0]]
 
 
 def edge_lengths(mesh: TetMesh) -> np.ndarray:
@@ -419,11 +416,11 @@ def halved(mesh: TetMesh, values: np.ndarray) -> tuple[TetMesh, np.ndarray]:
     )
     n = len(mesh.nodes)
     local = np.concatenate([mesh.tets, n + middle.reshape(-1, 6)], axis=1)
-    glued = np.isin(ends, mesh.dirichlet).all(axis=1)
+    fixed = np.isin(ends, mesh.fixed).all(axis=1)
     fine = TetMesh(
         np.concatenate([mesh.nodes, mesh.nodes[ends].mean(axis=1)]),
         local[:, _HALVES].reshape(-1, 4),
-        np.concatenate([mesh.dirichlet, n + np.flatnonzero(glued)]),
+        np.concatenate([mesh.fixed, n + np.flatnonzero(fixed)]),
     )
     return fine, np.concatenate([values, values[ends].mean(axis=1)])
 
@@ -433,7 +430,7 @@ def _mmg(
 ) -> dict[str, np.ndarray]:
     """What mmg_child.py makes of a deformed mesh."""
     faces = mesh.boundary_faces
-    glued = np.isin(faces, mesh.dirichlet).all(axis=1)
+    fixed = np.isin(faces, mesh.fixed).all(axis=1)
     node, count = np.unique(edges, return_counts=True)
     whole = io.BytesIO()
     np.savez(
@@ -441,7 +438,7 @@ def _mmg(
         nodes=mesh.nodes,
         tets=mesh.tets,
         triangles=faces,
-        references=np.where(glued, _GLUED, _BARE),
+        references=np.where(fixed, _FIXED, _BARE),
         edges=edges,
         corners=node[count != 2],
         sizes=np.asarray(sizes, float),
@@ -472,10 +469,10 @@ _WORN = 0.02  # least volume ratio above the element floor
 
 def is_worn(problem: ShapeProblem, p: np.ndarray) -> bool:
     """Whether a design's elements are at their floor."""
-    return problem.room(p) < _WORN
+    return problem.margin(p) < _WORN
 
 
-def renewed(problem: ShapeProblem, p: np.ndarray) -> ShapeProblem:
+def with_new_elements(problem: ShapeProblem, p: np.ndarray) -> ShapeProblem:
     """The problem on new elements, on which the design can be simulated.
 
     Raises:

@@ -1,15 +1,20 @@
-"""What an interrupted optimisation needs to go on as if nothing had been."""
+"""What an optimisation leaves on disk: its checkpoint and its design."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.files import schema
 from drake_exo.files.output import read_json, write_json
-from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.contact.newton import Start
+from drake_exo.soles.loads import read_csv
+from drake_exo.soles.mesh import TetMesh, read_mesh
 from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.settings import Settings, Setup, StartBlock
+from drake_exo.soles.shape import SphericalSpline
 
 _FILE = "checkpoint.json"
 _LARGEST = 1e30
@@ -69,14 +74,15 @@ class Checkpoint:
 
     @classmethod
     def of(
-        cls, stage, iteration, best, learnt, problem, remeshed=()
+        cls, stage, iteration, best, hessian_approximation, problem, remeshed=()
     ) -> "Checkpoint":
         """Of a running stage."""
         mesh = None if problem.meshed_at is None else problem.mesh
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
-            learnt.matrix, mesh, problem.meshed_at, tuple(remeshed),
+            hessian_approximation.matrix, mesh, problem.meshed_at,
+            tuple(remeshed),
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -130,7 +136,7 @@ class Checkpoint:
                 else {
                     "nodes_m": self.mesh.nodes,
                     "tets": self.mesh.tets,
-                    "glued": self.mesh.dirichlet,
+                    "glued": self.mesh.fixed,
                     "coefficients": self.meshed_at,
                 },
                 "remeshed": self.remeshed,
@@ -183,9 +189,136 @@ def is_whole(mesh: TetMesh) -> bool:
     """Whether its elements and glued nodes are of nodes that it has."""
     return all(
         x.size > 0 and x.min() >= 0 and x.max() < len(mesh.nodes)
-        for x in (mesh.tets, mesh.dirichlet)
+        for x in (mesh.tets, mesh.fixed)
     )
 
 
 def _optional(value, convert):
     return None if value is None else convert(value)
+
+
+CASE, MESH, STEPS, SUMMARY, DESIGN = (
+    "case.yaml",
+    "sole.vtk",
+    "steps.csv",
+    "summary.json",
+    "design.json",
+)
+_COSTS = ("c_tr", "c_rot", "c", "ratio_tr", "ratio_rot")
+
+
+@dataclass
+class StoredDesign:
+    """An optimised sole as its folder holds it.
+
+    >>> import tempfile
+    >>> import drake_exo as dx
+    >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     case.optimize().write(folder)
+    ...     (stored,) = dx.soles.find_designs(folder)
+    >>> stored.name, stored.setup.mesh.volume < case.mesh.volume
+    ('example', True)
+
+    Attributes:
+        folder: Where it lies.
+        setup: Its settings with the start filled in, its mesh, its load.
+    """
+
+    folder: Path
+    setup: Setup
+
+    @property
+    def name(self) -> str:
+        """The case's name."""
+        return self.setup.name
+
+    def summary(self) -> dict:
+        """Its summary.json."""
+        return read_summary(self.folder)
+
+    def shape(self) -> tuple[SphericalSpline, np.ndarray]:
+        """Its spline and free coefficients.
+
+        Raises:
+            InputError: design.json is missing or damaged.
+        """
+        path, remedy = self.folder / DESIGN, "optimise the sole again"
+        data = read_json(path, remedy)
+        try:
+            n_theta, n_phi = map(int, data["intervals"])
+            spline = SphericalSpline((n_theta, n_phi), bool(data["fixed_top"]))
+            p = np.array(data["coefficients"], dtype=float)
+        except (ValueError, KeyError, TypeError, OverflowError):
+            raise InputError(f"{path}: holds no design; {remedy}") from None
+        if p.shape != (spline.count,):
+            raise InputError(f"{path}: coefficients do not fit; {remedy}")
+        return spline, p
+
+
+def write_case(folder: Path, settings: Settings, start: Start) -> Settings:
+    """Write the case beside its design, as `sole simulate` reads it.
+
+    The start is written out: its default depends on the initial mesh, which
+    the folder does not hold.
+
+    Returns:
+        The settings with their start written out.
+    """
+    block = StartBlock(
+        tuple(map(float, start.point_L)),
+        tuple(map(float, start.point_W[:2])),
+        float(start.yaw),
+    )
+    settings = replace(settings, start=block)
+    (folder / CASE).write_text(schema.dump_text(settings), encoding="utf-8")
+    return settings
+
+
+def find_designs(folder: Path | str) -> list[StoredDesign]:
+    """The design in a folder, or those in a study's folders, in order.
+
+    Raises:
+        InputError: There is none.
+    """
+    folder = Path(folder)
+    if (folder / CASE).is_file():
+        return [read_design(folder)]
+    names = []
+    if (folder / SUMMARY).is_file():
+        rows = read_summary(folder).get("cases", [])
+        names = [r["name"] for r in rows if (folder / r["name"]).is_dir()]
+    if not names:
+        raise InputError(
+            f"{folder}: holds no design; give a folder that 'sole optimize' "
+            "or 'sole study' has written"
+        )
+    return [read_design(folder / name) for name in names]
+
+
+def read_design(folder: Path) -> StoredDesign:
+    """Read one design.
+
+    Raises:
+        InputError: A file is missing or damaged.
+    """
+    for name in (CASE, MESH, STEPS):
+        if not (folder / name).is_file():
+            raise InputError(
+                f"{folder / name}: is missing; optimise the sole again"
+            )
+    settings = Settings.read(folder / CASE)
+    mesh = read_mesh(folder / MESH, (0.0, 0.0, 0.0))
+    load, start = read_csv(folder / STEPS), settings.start_pose(mesh)
+    return StoredDesign(folder, Setup(settings, load, mesh, start))
+
+
+def read_summary(folder: Path) -> dict:
+    """The summary.json of a folder; costs not found are NaN.
+
+    Raises:
+        InputError: It cannot be read, or is no JSON.
+    """
+    data = read_json(folder / SUMMARY, "optimise the sole again")
+    missing = [key for key in _COSTS if key in data and data[key] is None]
+    return data | dict.fromkeys(missing, np.nan)

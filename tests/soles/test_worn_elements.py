@@ -9,37 +9,39 @@ import pytest
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
-from drake_exo.soles.case import read_case
+from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize import design as designs
-from drake_exo.soles.optimize import remeshing as renewal
-from drake_exo.soles.optimize.checkpoint import Checkpoint, read_checkpoint
-from drake_exo.soles.optimize.design import optimise, stage_problem
-from drake_exo.soles.optimize.design_folder import find_designs
-from drake_exo.soles.optimize.remeshing import RemeshError, renewed
+from drake_exo.soles.optimize import remeshing
+from drake_exo.soles.optimize.design import stage_problem
+from drake_exo.soles.optimize.files import (
+    Checkpoint,
+    find_designs,
+    read_checkpoint,
+)
+from drake_exo.soles.optimize.remeshing import RemeshError, with_new_elements
+
+
+def _with_block(case, **changes):
+    block = replace(case.settings.optimize, **changes)
+    return replace(case, settings=replace(case.settings, optimize=block))
 
 
 def _case(folder, remeshes=3, iterations=40):
-    case = read_case(folder / "case.yaml")
-    stages = tuple(
-        replace(s, iterations=iterations) for s in case.optimize.stages
-    )
-    block = replace(case.optimize, remeshes=remeshes, stages=stages)
-    return replace(case, optimize=block)
+    case = Case.read(folder / "case.yaml").with_iterations(iterations)
+    return _with_block(case, remeshes=remeshes)
 
 
 def _optimise(folder, out, resume=None, **kinds):
     case, lines = _case(folder, **kinds), []
     out.mkdir(exist_ok=True)
-    load, mesh, start = case.open(folder)
-    design = optimise(case, mesh, load, start, out, lines.append, resume)
-    return design, lines
+    return case.optimize(out, lines.append, resume), lines
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A run by the command line; its first checkpoint on new elements."""
-    place = tmp_path_factory.mktemp("renewal")
+    place = tmp_path_factory.mktemp("worn")
     write_step(place / "load.csv", 10)
     write_case(
         place / "case.yaml", divisions=(6, 4, 2), intervals=[6, 6],
@@ -71,7 +73,7 @@ def without(folder):
 
 
 def test_the_floor_stops_the_search_without_new_elements(without):
-    assert renewal.is_worn(without.problem, without.p)
+    assert remeshing.is_worn(without.problem, without.coefficients)
     assert without.optima[-1].multipliers[1] < -0.05
     assert without.remeshed == ()
 
@@ -81,8 +83,8 @@ def test_with_new_elements_it_comes_to_a_lower_cost(folder, row, without):
         w * c for w, c in zip((1, -1), without.smoothed, strict=True)
     )
     # On sound elements the design without is dearer still.
-    problem = renewed(without.problem, without.p)
-    e = problem.evaluate(without.p)
+    problem = with_new_elements(without.problem, without.coefficients)
+    e = problem.evaluate(without.coefficients)
     assert row["c_smoothed"] < 0.95 * (e.c_tr - e.c_rot)
     assert abs(row["multipliers"]["elements"]) < 0.02
 
@@ -103,7 +105,7 @@ def test_a_resumed_run_goes_the_same_way(folder):
     assert at.iteration > 0
     design, _ = _optimise(folder, folder / "resumed", at)
     first = json.loads((folder / "out" / "design.json").read_text())
-    np.testing.assert_array_equal(design.p, first["coefficients"])
+    np.testing.assert_array_equal(design.coefficients, first["coefficients"])
     mesh = read_mesh(folder / "out" / "sole.vtk")
     np.testing.assert_array_equal(design.mesh.nodes, mesh.nodes)
     np.testing.assert_array_equal(design.mesh.tets, mesh.tets)
@@ -112,13 +114,15 @@ def test_a_resumed_run_goes_the_same_way(folder):
 
 def test_the_folder_is_that_of_any_design(folder, row):
     (stored,) = find_designs(folder / "out")
-    assert len(stored.mesh.tets) == row["tets"] != 6 * 6 * 4 * 2
+    assert len(stored.setup.mesh.tets) == row["tets"] != 6 * 6 * 4 * 2
     brick = read_mesh(folder / "out" / "initial.vtk")
     assert len(brick.tets) == 6 * 6 * 4 * 2
     spline, p = stored.shape()
     np.testing.assert_allclose(
-        spline.stretch(stored.mesh.nodes[stored.mesh.contact], p),
-        spline.stretch(0.5 * stored.mesh.nodes[stored.mesh.contact], p),
+        spline.stretch(stored.setup.mesh.nodes[stored.setup.mesh.contact], p),
+        spline.stretch(
+            0.5 * stored.setup.mesh.nodes[stored.setup.mesh.contact], p
+        ),
     )
     code = cli.main(["sole", "report", str(folder / "out"), "--force"])
     assert code == 0
@@ -155,7 +159,7 @@ def test_where_the_remesher_fails_the_search_goes_on(folder, monkeypatch):
     def fail(problem, p):
         raise RemeshError("no memory")
 
-    monkeypatch.setattr(designs, "renewed", fail)
+    monkeypatch.setattr(designs, "with_new_elements", fail)
     design, lines = _optimise(folder, folder / "failed", iterations=20)
     told = [line for line in lines if "no memory" in line]
     assert told == ["stage 1: elements stay as they are: no memory"]
@@ -167,17 +171,15 @@ def test_where_the_remesher_fails_the_search_goes_on(folder, monkeypatch):
 def refining(folder, without, monkeypatch):
     """Begins a stage of more elements, none of which count as sound."""
     case = _case(folder)
-    load, mesh, start = case.open(folder)
-    coarse = case.optimize.stages[0]
+    coarse = case.settings.optimize.stages[0]
     stages = (coarse, replace(coarse, divisions=(8, 5, 2)))
-    at = Checkpoint(1, 0, without.p, without.p)
+    at = Checkpoint(1, 0, without.coefficients, without.coefficients)
     monkeypatch.setattr(designs, "is_worn", lambda *_: True)
 
     def begin(say, **block):
-        block = replace(case.optimize, stages=stages, **block)
-        problem = stage_problem(case, mesh, load, start, stages[1])
-        changed = replace(case, optimize=block)
-        return designs._on_mesh(problem, changed, mesh, 1, at, say)
+        changed = _with_block(case, stages=stages, **block)
+        problem = stage_problem(changed, stages[1])
+        return designs._on_mesh(problem, changed, 1, at, say)
 
     return begin
 
@@ -185,7 +187,7 @@ def refining(folder, without, monkeypatch):
 def test_a_finer_stage_gets_elements_made_from_the_coarser(refining, without):
     lines = []
     new, at = refining(lines.append)
-    tets, p = 6 * 8 * 5 * 2, without.p
+    tets, p = 6 * 8 * 5 * 2, without.coefficients
     assert tets <= len(new.mesh.tets) < 1.5 * tets
     assert new.deformed(p).quality().min() > 0.2
     assert new.evaluate(p) is not None
@@ -208,17 +210,17 @@ def test_where_none_carry_the_design_those_there_are_go_on(
     assert at.remeshed == ()
 
     evaluate = designs.ShapeProblem.evaluate
-    monkeypatch.setattr(
-        designs.ShapeProblem,
-        "evaluate",
-        lambda problem, p: (
-            None if problem.meshed_at is None and (p == without.p).all()
-            else evaluate(problem, p)
-        ),
-    )  # fmt: skip
+
+    def fails_on_the_brick(problem, p):
+        same = (p == without.coefficients).all()
+        if problem.meshed_at is None and same:
+            return None
+        return evaluate(problem, p)
+
+    monkeypatch.setattr(designs.ShapeProblem, "evaluate", fails_on_the_brick)
     new, at = refining(lines.append)
     assert len(new.mesh.tets) == len(without.mesh.tets)
-    assert new.evaluate(without.p) is not None
+    assert new.evaluate(without.coefficients) is not None
     assert lines[0] == "stage 2: elements stay as they are: no memory"
     assert len(at.remeshed) == 1
 

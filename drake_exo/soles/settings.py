@@ -1,0 +1,487 @@
+"""What a case file says, and what its files hold.
+
+A dataclass for each block of keys; docs/soles.md explains them all. Paths are
+relative to --data-root where given, else to the case file's folder.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.soles import loads
+from drake_exo.soles.contact.newton import Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
+from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh, brick, read_mesh
+from drake_exo.soles.walking_pattern import Robot, plan
+
+Vector3 = tuple[float, float, float]
+Vector2 = tuple[float, float]
+
+
+def positive(unit: str, default=None):
+    """A field above 0."""
+    meta = {"unit": unit, "above": 0.0}
+    return field(default=default, metadata=meta)
+
+
+def not_negative(unit: str, default: float | None):
+    """A field of at least 0."""
+    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
+
+
+def exactly_one(block, names) -> None:
+    """Refuse a block with none or several of the keys `names`."""
+    given = [n for n in names if getattr(block, n) is not None]
+    if len(given) != 1:
+        raise InputError(
+            f"give exactly one of {', '.join(names)}, not "
+            f"{' and '.join(given) or 'none'}"
+        )
+
+
+@dataclass(frozen=True)
+class OneFoot:
+    """The soft-sole authors' file of one foot."""
+
+    file: str
+    origin_m: Vector2
+    skip_first: int = 10
+    skip_last: int = 11
+
+
+@dataclass(frozen=True)
+class Csv:
+    """A plain CSV of force and ZMP."""
+
+    file: str
+    origin_m: Vector2 = (0.0, 0.0)
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class ForcePlate:
+    """One foot's force plate in an OpenSim .mot file."""
+
+    file: str
+    prefix: str
+    start_s: float
+    end_s: float
+    origin_m: Vector2
+    yaw_rad: float = 0.0
+    least_force_n: float = positive("N", 20.0)
+
+
+@dataclass(frozen=True)
+class Playback:
+    """One stance of an HRP-4 playback file."""
+
+    file: str
+    foot: Literal["left", "right"]
+    step: int
+    mass_kg: float = positive("kg", 43.0)
+    period_s: float = positive("s", 0.005)
+    gravity_m_per_s2: float = positive("m/s²", 9.81)
+    ankle_to_centre_m: Vector2 = (0.015, 0.011)
+    least_force_n: float = positive("N", 20.0)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Ground reaction of a prediction of the exoskeleton half, both feet."""
+
+    file: str
+    origin_m: Vector2
+    share: float = field(
+        default=0.5, metadata={"above": 0.0, "maximum": 1.0}
+    )  # fmt: skip
+    least_force_n: float = positive("N", 20.0)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same force and ZMP at every sample."""
+
+    force_n: Vector3
+    zmp_m: Vector2
+    samples: int = field(default=1, metadata={"minimum": 1})
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Own walking pattern; the defaults are the authors' 80 kg robot's.
+
+    The ZMP bounds leave 15 mm to the sole's edges.
+    """
+
+    mass_kg: float = positive("kg", 80.0)
+    com_height_m: float = positive("m", 0.8085)
+    step_length_m: float = positive("m", 0.2633)
+    step_width_m: float = positive("m", 0.162)
+    step_time_s: float = positive("s", 1.0)
+    double_support_s: float = positive("s", 0.195)
+    back_m: float = -0.1
+    front_m: float = 0.1
+    inner_m: float = 0.05
+    outer_m: float = -0.05
+    ankle_m: Vector2 = (-0.017, 0.011)
+    torque_weight: float = not_negative("", 0.6)
+    gravity_m_per_s2: float = positive("m/s²", 9.81)
+    period_s: float = positive("s", 0.005)
+    least_share: float = field(
+        default=0.13, metadata={"above": 0.0, "below": 1.0}
+    )
+
+    def load(self) -> Load:
+        """Plan the step; the right foot's load."""
+        robot = Robot(
+            self.mass_kg,
+            self.com_height_m,
+            self.step_length_m,
+            self.step_width_m,
+            self.step_time_s,
+            self.double_support_s,
+            self.back_m,
+            self.front_m,
+            self.inner_m,
+            self.outer_m,
+            self.ankle_m,
+            self.torque_weight,
+            self.gravity_m_per_s2,
+        )
+        return plan(robot).foot_load(self.period_s, self.least_share)
+
+
+_KINDS = (
+    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
+    "constant",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoadBlock:
+    """Where force and ZMP come from: exactly one kind."""
+
+    pattern: Pattern | None = None
+    one_foot: OneFoot | None = None
+    csv: Csv | None = None
+    force_plate: ForcePlate | None = None
+    playback: Playback | None = None
+    prediction: Prediction | None = None
+    constant: Constant | None = None
+    straight: bool = False
+
+    def __post_init__(self):
+        exactly_one(self, _KINDS)
+
+    def load(self, root: Path) -> Load:
+        """Read the load; files are relative to `root`."""
+        load = self._read(root)
+        return load.straight() if self.straight else load
+
+    def _read(self, root: Path) -> Load:
+        if self.pattern is not None:
+            return self.pattern.load()
+        if (c := self.one_foot) is not None:
+            load = loads.read_one_foot(root / c.file, c.skip_first, c.skip_last)
+            return load.placed(c.origin_m, 0.0)
+        if (c := self.csv) is not None:
+            return loads.read_csv(root / c.file).placed(c.origin_m, c.yaw_rad)
+        if (c := self.force_plate) is not None:
+            load = loads.read_force_plate(
+                root / c.file, c.prefix, c.start_s, c.end_s, c.least_force_n
+            )
+            return load.placed(c.origin_m, c.yaw_rad)
+        if (c := self.playback) is not None:
+            return loads.read_playback(
+                root / c.file,
+                c.foot,
+                c.step,
+                c.mass_kg,
+                c.period_s,
+                c.gravity_m_per_s2,
+                c.ankle_to_centre_m,
+                c.least_force_n,
+            )
+        if (c := self.prediction) is not None:
+            load = loads.read_prediction(
+                root / c.file, c.share, c.least_force_n
+            )
+            return load.placed(c.origin_m, 0.0)
+        c = self.constant
+        return loads.constant(c.force_n, c.zmp_m, c.samples)
+
+
+@dataclass(frozen=True)
+class Brick:
+    """A brick meshed by code."""
+
+    size_m: Vector3
+    divisions: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class MeshBlock:
+    """Where the mesh comes from: a file or a brick."""
+
+    file: str | None = None
+    brick: Brick | None = None
+    origin_m: Vector3 | None = None
+    element: Literal["linear", "smoothed"] = "linear"
+
+    def __post_init__(self):
+        exactly_one(self, ("file", "brick"))
+
+
+@dataclass(frozen=True)
+class MaterialBlock:
+    """A named material; numbers given replace the named one's."""
+
+    name: str
+    youngs_modulus_pa: float | None = positive("Pa")
+    poissons_ratio: float | None = None
+    density_kg_per_m3: float | None = positive("kg/m³")
+
+    def material(self) -> Material:
+        """The material with its numbers filled in."""
+        known = MATERIALS.get(self.name)
+        values = []
+        for key in ("youngs_modulus_pa", "poissons_ratio",
+                    "density_kg_per_m3"):  # fmt: skip
+            value = getattr(self, key)
+            if value is None and known is None:
+                raise InputError(
+                    f"material {self.name!r} is not one of "
+                    f"{', '.join(MATERIALS)}; give its {key}"
+                )
+            values.append(getattr(known, key) if value is None else value)
+        return Material(self.name, *values)
+
+
+@dataclass(frozen=True)
+class ContactBlock:
+    """Contact law and solver."""
+
+    friction: float = not_negative("", 0.8)
+    law: Literal["exact", "smoothed"] = "exact"
+    layer_m: float = not_negative("m", 1e-5)
+    kappa: float = not_negative("", 0.1)
+    method: Literal["newton", "gauss_seidel"] = "newton"
+
+
+@dataclass(frozen=True)
+class StartBlock:
+    """How the sole is held just before the first contact."""
+
+    point_in_sole_m: Vector3 | None = None
+    point_in_world_m: Vector2 | None = None
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class CostBlock:
+    """The paper's cost c = c_tr − w c_rot."""
+
+    weight: float = not_negative("", 1.0)
+    heel_strike_fraction: float = field(
+        default=0.1, metadata={"above": 0.0, "maximum": 1.0}
+    )
+    mass_limit_kg: float = positive("kg", 1.0)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One run of the optimiser; roughness left out: that of the block."""
+
+    divisions: tuple[int, int, int] | None = None
+    samples: int | None = None
+    layer_m: float = positive("m", 1e-5)
+    kappa: float = not_negative("", 0.1)
+    iterations: int = field(default=40, metadata={"minimum": 0})
+    roughness: float | None = not_negative("", None)
+
+
+_FINE = (18, 12, 4)
+# Strains and poses depend on the mesh: the fine one from the start.
+STAGES = (
+    Stage(_FINE, 24, 3e-4, 0.2, 50),
+    Stage(_FINE, None, 3e-5, 0.2, 20),
+    Stage(_FINE, None, 5e-6, 0.2, 25),
+)
+
+
+@dataclass(frozen=True)
+class OptimizeBlock:
+    """Shape parametrisation, limits and stages of an optimisation."""
+
+    intervals: tuple[int, int] = (10, 10)
+    fixed_top: bool = False
+    bounds: Vector2 = (0.3, 1.4)
+    stability_n_per_m: float | None = positive("N/m", 1000.0)
+    tilt_deg: float | None = positive("°", 20.0)
+    strain: float | None = positive("", 0.3)
+    c_rot_nm_per_rad: float | None = positive("N·m/rad")
+    use_tr: float = not_negative("", 1.0)
+    roughness: float = not_negative("", 5.0)
+    tolerance: float = positive("", 1e-4)
+    solver: Literal["ipopt", "snopt"] = "ipopt"
+    remeshes: int = field(default=3, metadata={"minimum": 0})
+    stages: tuple[Stage, ...] = STAGES
+
+    def __post_init__(self):
+        if not 0 < self.bounds[0] < 1 < self.bounds[1]:
+            raise InputError(
+                f"bounds {list(self.bounds)} must lie around 1, the initial "
+                "shape, and above 0"
+            )
+        if not self.stages:
+            raise InputError("stages: give at least one")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that a case file says; its fields are its keys."""
+
+    name: str
+    mesh: MeshBlock
+    material: MaterialBlock
+    load: LoadBlock
+    contact: ContactBlock = ContactBlock()
+    start: StartBlock = StartBlock()
+    cost: CostBlock = CostBlock()
+    optimize: OptimizeBlock = OptimizeBlock()
+
+    def __post_init__(self):
+        self.material.material()
+        if self.contact.friction == 0:
+            raise InputError(
+                "contact.friction is 0: without friction nothing holds a "
+                "foot whose pose is free; give a value above 0"
+            )
+
+    @classmethod
+    def read(cls, path: Path | str) -> "Settings":
+        """Read a case file alone, not the files that it names.
+
+        Raises:
+            InputError: With file, line, key and remedy.
+        """
+        return schema.load(path, cls)
+
+    def read_mesh(self, root: Path, replacement: Path | None = None) -> TetMesh:
+        """The case's mesh, or that of a file given instead."""
+        if replacement is not None:
+            guess = None
+            if self.mesh.file is not None:
+                guess = self.mesh.origin_m
+            return read_mesh(replacement, guess)
+        if self.mesh.brick is not None:
+            return brick(self.mesh.brick.size_m, self.mesh.brick.divisions)
+        return read_mesh(root / self.mesh.file, self.mesh.origin_m)
+
+    def start_pose(self, mesh: TetMesh) -> Start:
+        """How the sole is held; by default at its lowest back edge.
+
+        The default point is the middle of the lower back edge of the
+        mesh's bounding box, held where a level sole at the world's origin
+        has it.
+        """
+        point = self.start.point_in_sole_m
+        if point is None:
+            low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+            point = (low[0], 0.5 * (low[1] + high[1]), low[2])
+        place = self.start.point_in_world_m or point[:2]
+        return Start(
+            np.array(point), np.array([*place, 0.0]), self.start.yaw_rad
+        )
+
+    def without_limits(self) -> "Settings":
+        """The paper's own problem: stability, tilt and strain are free.
+
+        Every stage has the block's roughness: it alone holds the shape there.
+        """
+        block = self.optimize
+        block = replace(
+            block,
+            stability_n_per_m=None,
+            tilt_deg=None,
+            strain=None,
+            stages=tuple(replace(s, roughness=None) for s in block.stages),
+        )
+        return replace(self, optimize=block)
+
+    def with_last_stage(self, **changes) -> "Settings":
+        """The last stage of an optimisation changed."""
+        *stages, last = self.optimize.stages
+        stages = (*stages, replace(last, **changes))
+        return replace(self, optimize=replace(self.optimize, stages=stages))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A sole, how it is held, and the step that it takes.
+
+    Attributes:
+        settings: What the case file says.
+        load: Force and ZMP of every sample.
+        mesh: Of the sole; the initial shape of an optimisation.
+        start: How the sole is held just before the first contact.
+    """
+
+    settings: Settings
+    load: Load
+    mesh: TetMesh
+    start: Start
+
+    @classmethod
+    def open(
+        cls,
+        settings: Settings,
+        data_root: Path | str = ".",
+        mesh_file: Path | None = None,
+    ) -> "Setup":
+        """What settings name, read.
+
+        Args:
+            settings: Of the case.
+            data_root: Folder that their paths are relative to.
+            mesh_file: Used instead of the case's mesh.
+
+        Raises:
+            InputError: A file cannot be read, or the ZMP leaves the sole.
+        """
+        root = Path(data_root)
+        load = settings.load.load(root)
+        mesh = settings.read_mesh(root, mesh_file)
+        load.check_inside(mesh.nodes[mesh.contact])
+        return cls(settings, load, mesh, settings.start_pose(mesh))
+
+    @property
+    def name(self) -> str:
+        """Of the case."""
+        return self.settings.name
+
+    def sole(self, mesh: TetMesh | None = None) -> Sole:
+        """Mesh, by default the case's, and material as finite elements."""
+        block = self.settings
+        return Sole(
+            self.mesh if mesh is None else mesh,
+            block.material.material(),
+            block.mesh.element,
+        )
+
+    def law(self, sole: Sole) -> ContactLaw:
+        """The contact law with the sole's own scale r."""
+        block = self.settings.contact
+        smooth = block.law == "smoothed"
+        return ContactLaw(
+            block.friction,
+            sole.penalty,
+            block.layer_m if smooth else 0.0,
+            block.kappa if smooth else 0.0,
+        )

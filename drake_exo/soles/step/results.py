@@ -1,0 +1,436 @@
+"""One simulated step: its figures by name, tables, pictures, files."""
+
+import csv
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.files.output import write_json
+from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.rotations import angles_xyz, tilt_deg
+from drake_exo.soles.settings import Setup
+from drake_exo.soles.step import stiffness
+from drake_exo.soles.step.simulation import (
+    HISTORY,
+    StepHistory,
+    simulate,
+    write_history,
+)
+
+
+@dataclass
+class Step:
+    """A sole through one contact phase of N samples.
+
+    What `Case.simulate` returns. World frame: x forward, y left, z up; SI
+    units. A sample that did not converge has NaN stiffness.
+
+    >>> import drake_exo as dx
+    >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
+    >>> step.converged.all(), step.stiffness.shape
+    (np.True_, (5, 6, 6))
+    >>> print(f"{step.c_tr:.3g} N/m, {step.c_rot:.3g} N·m/rad")
+    ?
+
+    Attributes:
+        setup: What was simulated: settings, load, mesh, start.
+        sole: Its finite elements.
+        law: The contact law.
+        history: Nodal forces, poses and convergence as they were computed.
+        seconds: What took how long.
+    """
+
+    setup: Setup
+    sole: Sole
+    law: ContactLaw
+    history: StepHistory
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, setup: Setup, progress: Callable[[int, int], None] | None = None
+    ) -> "Step":
+        """Simulate a case by the contact law and method that it asks for."""
+        began = time.perf_counter()
+        sole = setup.sole()
+        compliance = sole.compliance
+        law = setup.law(sole)
+        ready = time.perf_counter()
+        kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
+        kind = kinds[setup.settings.contact.method]
+        load = setup.load
+        history = simulate(
+            kind(compliance, sole.positions, law),
+            load.force, load.zmp, setup.start, progress=progress,
+        )  # fmt: skip
+        seconds = {
+            "condensation_seconds": round(ready - began, 4),
+            "simulation_seconds": round(time.perf_counter() - ready, 4),
+        }
+        return cls(setup, sole, law, history, seconds)
+
+    @classmethod
+    def by_exact_law(cls, setup: Setup, sole: Sole, r: float) -> "Step":
+        """Simulate a sole by the exact law, with the law's scale r [N/m]."""
+        law = ContactLaw(setup.settings.contact.friction, r)
+        solver, load = ContactSolver.of(sole, law), setup.load
+        history = simulate(solver, load.force, load.zmp, setup.start)
+        return cls(setup, sole, law, history)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of the samples [s], (N,)."""
+        return self.setup.load.times
+
+    @property
+    def force(self) -> np.ndarray:
+        """Of the ground on the sole, its nodes' sum [N], (N, 3)."""
+        return self.history.F.sum(axis=1)
+
+    @property
+    def zmp(self) -> np.ndarray:
+        """Zero-moment point of the contact forces, on the ground [m], (N, 2).
+
+        NaN where nothing touches.
+        """
+        up = self.history.F[:, :, 2]
+        with np.errstate(invalid="ignore"):
+            share = up / up.sum(axis=1, keepdims=True)
+        return np.einsum("qm,qmi->qi", share, self.history.P[:, :, :2])
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Place of the sole frame's origin [m], (N, 3)."""
+        return self.history.O
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Orientation of the sole frame, (N, 3, 3)."""
+        return self.history.R
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Roll, pitch and yaw of R = Rx·Ry·Rz [rad], (N, 3)."""
+        return angles_xyz(self.history.R)
+
+    @property
+    def tilt_deg(self) -> np.ndarray:
+        """Angle between the sole's normal and the vertical [°], (N,)."""
+        return tilt_deg(self.history.R)
+
+    @property
+    def node_forces(self) -> np.ndarray:
+        """Of the ground on the m nodes that may touch [N], (N, m, 3)."""
+        return self.history.F
+
+    @property
+    def node_places(self) -> np.ndarray:
+        """Of these nodes [m], (N, m, 3)."""
+        return self.history.P
+
+    @property
+    def pressure(self) -> np.ndarray:
+        """At these nodes, over their area at rest [Pa], (N, m)."""
+        return self.history.F[:, :, 2] / self.sole.mesh.contact_areas
+
+    @property
+    def touching(self) -> np.ndarray:
+        """Which of these nodes carry load, (N, m)."""
+        return self.history.F[:, :, 2] > 0
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """K_c about the ZMP, [dF; dΓ] = K_c [dO; dω], (N, 6, 6)."""
+        return self.history.K_c
+
+    @property
+    def sigma_max_translation(self) -> np.ndarray:
+        """Largest singular value of its translational block [N/m], (N,)."""
+        return stiffness.sigma_max_translation(self.history.K_c)
+
+    @property
+    def sigma_min_rotation(self) -> np.ndarray:
+        """Least singular value of its rotational block [N·m/rad], (N,)."""
+        return stiffness.sigma_min_rotation(self.history.K_c)
+
+    @property
+    def stability(self) -> np.ndarray:
+        """Least eigenvalue of −K_c, lengths over 0.05 m [N/m], (N,).
+
+        Above 0 is sufficient for stability under a dead wrench.
+        """
+        return stiffness.stability(self.history.K_c)
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which samples converged, (N,)."""
+        return self.history.converged
+
+    @property
+    def failed_steps(self) -> int:
+        """Number of samples without a solution."""
+        return self.history.failed_steps
+
+    @property
+    def heel_strike(self) -> int:
+        """Number of samples of heel strike, the first of the step."""
+        fraction = self.setup.settings.cost.heel_strike_fraction
+        return stiffness.heel_strike_count(len(self.times), fraction)
+
+    @cached_property
+    def costs(self) -> tuple[float, float, float]:
+        """c_tr [N/m], c_rot [N·m/rad] and c = c_tr − w c_rot."""
+        cost = self.setup.settings.cost
+        return self.history.costs(cost.weight, cost.heel_strike_fraction)
+
+    @property
+    def c_tr(self) -> float:
+        """Sum of `sigma_max_translation` over heel strike [N/m]."""
+        return self.costs[0]
+
+    @property
+    def c_rot(self) -> float:
+        """Sum of `sigma_min_rotation` over all samples [N·m/rad]."""
+        return self.costs[1]
+
+    @property
+    def c(self) -> float:
+        """The cost c_tr − w c_rot, w of the case."""
+        return self.costs[2]
+
+    @cached_property
+    def largest_strain(self) -> float:
+        """Largest |principal strain| over elements and converged samples."""
+        return largest_strain(self.sole, self.history)
+
+    def complementarity(self) -> float:
+        """How well the contact laws hold, see `complementarity`."""
+        lP = self.sole.positions
+        return complementarity(self.history, self.law, self.setup.start, lP)
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns over time, by name with unit, (N,) each."""
+        load, reports = self.setup.load, self.history.reports
+        angles = np.rad2deg(self.angles)
+        columns = {"time_s": load.times}
+        for k, axis in enumerate("xyz"):
+            columns[f"force_{axis}_n"] = load.force[:, k]
+        columns["zmp_x_m"], columns["zmp_y_m"] = load.zmp.T
+        for k, axis in enumerate("xyz"):
+            columns[f"origin_{axis}_m"] = self.origin[:, k]
+        for k, name in enumerate(("roll", "pitch", "yaw")):
+            columns[f"{name}_deg"] = angles[:, k]
+        columns["tilt_deg"] = self.tilt_deg
+        columns["sigma_max_tr_n_per_m"] = self.sigma_max_translation
+        columns["sigma_min_rot_nm_per_rad"] = self.sigma_min_rotation
+        columns["stability_n_per_m"] = self.stability
+        columns["nodes_in_contact"] = self.touching.sum(axis=1)
+        columns["newton_iterations"] = np.array([r.iterations for r in reports])
+        columns["residual"] = np.array([r.residual for r in reports])
+        columns["converged"] = self.converged.astype(int)
+        return columns
+
+    def summary(self) -> dict:
+        """What summary.json says of the simulation (no seconds)."""
+        margin, mesh = self.stability, self.sole.mesh
+        density = self.sole.material.density_kg_per_m3
+        reports = self.history.reports
+        failures = [
+            {"step": q, "message": report.message}
+            for q, report in enumerate(reports)
+            if not report.converged
+        ]
+        iterations = [r.iterations for r in reports]
+        return {
+            "name": self.setup.name,
+            "c_tr": self.c_tr,
+            "c_rot": self.c_rot,
+            "c": self.c,
+            "weight": self.setup.settings.cost.weight,
+            "steps": len(reports),
+            "failed_steps": self.failed_steps,
+            "failures": failures[:20],
+            "contact_nodes": len(mesh.contact),
+            "nodes": len(mesh.nodes),
+            "tets": len(mesh.tets),
+            "volume_cm3": 1e6 * mesh.volume,
+            "mass_kg": mesh.volume * density,
+            "least_quality": float(mesh.quality().min()),
+            "stable": bool(self.failed_steps == 0 and margin.min() > 0),
+            "stability_min_n_per_m": float(np.min(margin)),
+            "tilt_max_deg": float(self.tilt_deg.max()),
+            "max_strain": self.largest_strain,
+            "newton_iterations_mean": float(np.mean(iterations)),
+            "newton_iterations_max": int(np.max(iterations)),
+        }
+
+    def plot(self, label: str = "", **beside: "Step"):
+        """Both stiffnesses over time; a matplotlib figure.
+
+        Args:
+            label: Of this step; by default the case's name.
+            beside: Other steps to draw, by label.
+        """
+        # matplotlib takes half a second to load.
+        from drake_exo.soles import pictures
+
+        steps = beside | {label or self.setup.name: self}
+        curves = {
+            label: (s.times, s.sigma_max_translation, s.sigma_min_rotation)
+            for label, s in steps.items()
+        }
+        return pictures.stiffness_figure(
+            curves, self.times[self.heel_strike - 1]
+        )
+
+    def write_animation(self, path: Path | str, **beside: "Step") -> None:
+        """Write a page that plays the step, and others by label."""
+        from drake_exo.soles.animation import SoleMotion, write_animation
+
+        name = self.setup.name
+        steps = {name: self} | beside
+        motions = [
+            SoleMotion.of(label, s.sole.mesh, s.times, s.history)
+            for label, s in steps.items()
+        ]
+        shown = [motion for motion in motions if motion is not None]
+        if shown:
+            write_animation(Path(path), shown, name)
+
+    def draw(self, folder: Path, label: str = "", **beside: "Step") -> None:
+        """All pictures of the step and its animation.
+
+        Args:
+            folder: For load.png, stiffness.png, pose.png, pressure.png and
+                animation.html.
+            label: Of this step in stiffness.png.
+            beside: Other steps there, by label.
+        """
+        from drake_exo.soles import pictures
+
+        load, mesh = self.setup.load, self.sole.mesh
+        drawn = {
+            "load": pictures.load_figure(load, mesh),
+            "stiffness": self.plot(label, **beside),
+            "pose": pictures.pose_figure(self.table()),
+            "pressure": pictures.pressure_figure(
+                mesh, load, self.pressure, self.converged
+            ),
+        }
+        for name, figure in drawn.items():
+            if figure is not None:
+                pictures.save(figure, folder / f"{name}.png")
+        self.write_animation(folder / "animation.html")
+
+    def write(self, folder: Path, seconds: dict | None = None) -> None:
+        """Tables, arrays, pictures, animation and, last, summary.json.
+
+        Args:
+            folder: Where to.
+            seconds: Further times to note there.
+        """
+        began = time.perf_counter()
+        numbers = self.summary()
+        numbers["complementarity"] = self.complementarity()
+        moment = self.setup.load.free_moment
+        if moment is not None:
+            numbers["measured_free_moment_nm"] = {
+                "mean": float(moment.mean()),
+                "largest": float(np.abs(moment).max()),
+                "simulated": 0.0,
+            }
+        write_csv(folder / "steps.csv", self.table())
+        write_history(
+            folder / HISTORY, self.sole.mesh, self.times, self.history
+        )
+        tables = time.perf_counter()
+        self.draw(folder)
+        numbers |= self.seconds | (seconds or {})
+        numbers["tables_seconds"] = round(tables - began, 4)
+        numbers["pictures_seconds"] = round(time.perf_counter() - tables, 4)
+        write_json(folder / "summary.json", numbers)
+
+
+def principal_strains(eps: np.ndarray) -> np.ndarray:
+    """Eigenvalues of symmetric 3 × 3 matrices, largest first, (..., 3).
+
+    Trigonometric closed form (Smith, Comm. ACM 4, 1961).
+    """
+    q = np.trace(eps, axis1=-2, axis2=-1) / 3
+    dev = eps - q[..., None, None] * np.eye(3)
+    p = np.sqrt((dev**2).sum(axis=(-2, -1)) / 6)
+    safe = np.where(p > 0, p, 1.0)
+    r = np.linalg.det(dev / safe[..., None, None]) / 2
+    phi = np.arccos(np.clip(r, -1.0, 1.0)) / 3
+    angle = phi[..., None] + 2 * np.pi / 3 * np.array([0, 2, 1])
+    values = q[..., None] + 2 * p[..., None] * np.cos(angle)
+    return -np.sort(-values, axis=-1)
+
+
+def largest_strain(sole: Sole, history: StepHistory) -> float:
+    """Largest |principal strain| over elements and converged samples."""
+    f_L = history.F @ history.R
+    largest = 0.0
+    for q in np.flatnonzero(history.converged):
+        eps = sole.strain(sole.displacement(f_L[q]))
+        # |λ| <= Frobenius norm: most elements need no eigenvalues.
+        norm = np.sqrt((eps**2).sum(axis=(1, 2)))
+        able = norm > largest
+        if able.any():
+            values = np.abs(principal_strains(eps[able]))
+            largest = max(largest, float(values.max()))
+    return largest
+
+
+def complementarity(
+    history: StepHistory, law: ContactLaw, start: Start, lP: np.ndarray
+) -> float:
+    """Largest violation of Signorini's and Coulomb's laws, normalised.
+
+    Forces by |F| of the sample, lengths by |F|/r: negative force, gap,
+    force times gap, force outside the cone, and force not opposite to the
+    slip.
+    """
+    worst = 0.0
+    before = None
+    for q in np.flatnonzero(history.converged):
+        F, P, R = history.F[q], history.P[q], history.R[q]
+        scale = np.linalg.norm(F.sum(axis=0))
+        Q = start.reference(R, lP) if before is None else before[:, :2]
+        f = F / scale
+        gap = P[:, 2] * law.penalty / scale
+        slip = (P[:, :2] - Q) * law.penalty / scale
+        size = np.linalg.norm(f[:, :2], axis=1)
+        margin = law.friction * f[:, 2] - size
+        speed = np.linalg.norm(slip, axis=1)
+        touching = f[:, 2] > 0
+        # Slip with room in the cone, or not against the force.
+        free = np.minimum(margin, speed)[touching]
+        along = (f[:, :2] * slip).sum(axis=1) + size * speed
+        worst = max(
+            worst,
+            -f[:, 2].min(),
+            -gap.min(),
+            np.abs(f[:, 2] * gap).max(),
+            -margin.min(),
+            free.max(initial=0.0),
+            along[touching].max(initial=0.0),
+        )
+        before = P
+    return float(worst)
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """Columns of equal length under a header line."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([f"{float(v):.10g}" for v in row])
