@@ -1,312 +1,61 @@
-"""The study file: one subject, its laboratory files, and what to make of them.
+"""A study: one subject, its trials, and what to make of them.
 
-Read with `load_study`. Paths stay as the file says them, so that nothing that
-is written later depends on the machine; `root / path` finds the file. Signals
-that only one leg was measured for are told by what is left out: a trial with
-a plate under the right foot alone counts as one leg, and is doubled.
+On top of everything else: read recordings, calibrate, predict, look at it.
+Nothing below imports this module; the commands call exactly this.
 """
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Literal
+from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import System
+
+from drake_exo.calibration import audit as audits
+from drake_exo.calibration import scores
+from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.interaction import (
+    InteractionCalibration,
+    check_has_cuffs,
+)
+from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.results import (
+    phase_summary,
+    write_contact,
+    write_model,
+    write_trial,
+)
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     InteractionSettings,
     PredictionSettings,
 )
+from drake_exo.calibration.solving import solve
+from drake_exo.calibration.uncertainty import Uncertainty, uncertainty
+from drake_exo.contact.parameters import ContactModel, ContactParameter
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.measurement.instruments import Axes, Device, Mat, PressureFile
-from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
-
-Side = Literal["left", "right"]
-Use = Literal["calibration", "prediction"]
-SIDES: tuple[Side, Side] = ("left", "right")
-
-_SECONDS = {"unit": "s"}
-
-
-@dataclass(frozen=True)
-class Subject:
-    """Who was measured.
-
-    Attributes:
-        height_m: stature.
-        sex: which of de Leva's tables.
-        mass_kg: body mass without the exoskeleton; left out, it is taken
-            from the forces of quiet standing.
-        segments: values that replace those scaled from mass and height, as
-            sums over both legs.
-    """
-
-    name: str
-    height_m: float = field(
-        metadata={"unit": "m", "above": 0.0, "maximum": 3.0}
-    )
-    mass_kg: float | None = field(
-        default=None, metadata={"unit": "kg", "above": 0.0}
-    )
-    sex: Literal["male", "female"] = "male"
-    segments: HumanOverrides = field(default_factory=HumanOverrides)
+from drake_exo.files.output import Progress
+from drake_exo.measurement.processing import load_trials
+from drake_exo.measurement.quality import Quality, assess
+from drake_exo.measurement.settings import Filter, RecordingSettings, Use
+from drake_exo.measurement.subject import SubjectModel, fit_subject
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model
+from drake_exo.nlp.ipopt import Solution
+from drake_exo.report import figures
+from drake_exo.report.replay import show_trial
 
 
 @dataclass(frozen=True)
-class Laboratory:
-    """Frames and clocks of the laboratory's files.
+class StudyFile(RecordingSettings):
+    """What a study file says; see the attributes' own classes."""
 
-    Attributes:
-        force_delay_s: lag of the plates' clock behind the markers'.
-        estimate_force_delay: find what lag is left from Newton's law; the
-            trial's provenance reports it.
-        forces_act_on: whether files hold the forces on the body, or on the
-            plate (equal and opposite).
-        fill_gaps_s: longest gap of a marker that is filled; none by default.
-        encoder_delay_s, pressure_delay_s: lag of their clocks behind the
-            markers'.
-        estimate_encoder_delay: find what lag is left from the device's
-            equations of motion, the cuffs being springs.
-        estimate_pressure_delay: likewise from the cuffs' deflection; needs
-            encoders.
-        largest_delay_s: how far estimates look to either side.
-        remove_plate_drift: level the plates where nothing stands on them.
-        chair_on_thighs: share of the chair's wrench on the thighs, the rest
-            acts on the pelvis.
-    """
-
-    marker_axes: Axes = field(default_factory=Axes)
-    force_axes: Axes = field(default_factory=Axes)
-    force_delay_s: float = field(default=0.0, metadata=_SECONDS)
-    estimate_force_delay: bool = False
-    forces_act_on: Literal["body", "plate"] = "body"
-    fill_gaps_s: float = field(
-        default=0.0, metadata={"unit": "s", "minimum": 0.0}
-    )
-    encoder_delay_s: float = field(default=0.0, metadata=_SECONDS)
-    estimate_encoder_delay: bool = False
-    pressure_delay_s: float = field(default=0.0, metadata=_SECONDS)
-    estimate_pressure_delay: bool = False
-    largest_delay_s: float = field(
-        default=0.05, metadata={"unit": "s", "above": 0.0, "maximum": 1.0}
-    )
-    remove_plate_drift: bool = False
-    chair_on_thighs: float = field(
-        default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
-    )
-
-
-@dataclass(frozen=True)
-class SidedMarkers:
-    """Names of markers on the left, on the right, and on the midline."""
-
-    left: tuple[str, ...] = ()
-    right: tuple[str, ...] = ()
-    middle: tuple[str, ...] = ()
-
-    def of(self, side: Side) -> tuple[str, ...]:
-        """The names on one side."""
-        return self.left if side == "left" else self.right
-
-
-@dataclass(frozen=True)
-class JointCentres:
-    """Markers whose mean is a joint's centre in the standing trial."""
-
-    ankle: SidedMarkers
-    knee: SidedMarkers
-    hip: SidedMarkers
-
-
-@dataclass(frozen=True)
-class SegmentMarkers:
-    """Markers fixed to each segment, which inverse kinematics follows."""
-
-    foot: SidedMarkers
-    shank: SidedMarkers
-    thigh: SidedMarkers
-    pelvis: SidedMarkers
-
-
-@dataclass(frozen=True)
-class Markers:
-    """The marker set.
-
-    Attributes:
-        weights: weight of single markers in inverse kinematics, 1 if absent.
-    """
-
-    joint_centres: JointCentres
-    segments: SegmentMarkers
-    weights: dict[str, float] = field(
-        default_factory=dict, metadata={"minimum": 0.0}
-    )
-
-
-@dataclass(frozen=True)
-class Plates:
-    """Numbers of the force plates, from 1: under each foot, or under both.
-
-    Attributes:
-        left, right: under that foot; one of them alone counts twice.
-        both: under both feet.
-        chair: under the chair, whose weight is tared.
-    """
-
-    left: int | None = field(default=None, metadata={"minimum": 1})
-    right: int | None = field(default=None, metadata={"minimum": 1})
-    both: int | None = field(default=None, metadata={"minimum": 1})
-    chair: int | None = field(default=None, metadata={"minimum": 1})
-
-    def __post_init__(self):
-        if (self.both is None) == (self.left is None and self.right is None):
-            raise InputError(
-                "name the plates of the feet as left and right, or as both"
-            )
-        if self.left is not None and self.left == self.right:
-            raise InputError(
-                f"plate {self.left} cannot be left and right; say "
-                f"'both: {self.left}' if both feet stand on it"
-            )
-        feet = (self.left, self.right, self.both)
-        if self.chair is not None and self.chair in feet:
-            raise InputError(
-                f"plate {self.chair} cannot be under the chair and a foot"
-            )
-
-
-@dataclass(frozen=True)
-class Standing:
-    """Quiet, upright standing: scales the model, gives the body mass.
-
-    Attributes:
-        markers: marker file; the standing posture is its mean.
-        forces: force file of the same trial, if plates were recorded.
-        empty_plates: the same plates with nothing on them.
-        start_s, end_s: quiet part; the whole file by default.
-    """
-
-    markers: Path
-    forces: Path | None = None
-    plates: Plates | None = None
-    empty_plates: Path | None = None
-    start_s: float | None = field(default=None, metadata=_SECONDS)
-    end_s: float | None = field(default=None, metadata=_SECONDS)
-
-    def __post_init__(self):
-        _check_window(self.start_s, self.end_s)
-        if (self.forces is None) != (self.plates is None):
-            raise InputError("forces and plates must be given together")
-
-
-@dataclass(frozen=True)
-class Filter:
-    """Zero-lag Butterworth low-pass filter.
-
-    Attributes:
-        cutoff_hz: frequency that is damped to 1/sqrt(2) after both passes.
-        order: in effect, after both passes; each pass has half of it.
-    """
-
-    cutoff_hz: float = field(default=6.0, metadata={"unit": "Hz", "above": 0})
-    order: int = field(default=4, metadata={"minimum": 2, "maximum": 12})
-
-    def __post_init__(self):
-        if self.order % 2:
-            raise InputError(
-                f"order is {self.order}, but two passes make it even"
-            )
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """How the subject's model is fitted to the standing trial.
-
-    Attributes:
-        lengths: of shank and thigh: "markers" (between joint centres) or
-            "table" (from height). Centres of mass and radii of gyration
-            follow in proportion.
-        trunk_com: fore-aft place of the centre of mass of pelvis, trunk,
-            head and arms: "table" (straight above the hip), or "standing"
-            (so that the body's centre of mass stands above the centre of
-            pressure).
-    """
-
-    lengths: Literal["markers", "table"] = "markers"
-    trunk_com: Literal["table", "standing"] = "table"
-
-
-@dataclass(frozen=True)
-class TrialFiles:
-    """One movement: its files, and the part of them that is used.
-
-    Attributes:
-        plates: which plate is under which foot.
-        use: contact is calibrated with it (Phases A and B), or it is
-            predicted and compared with (Phase C).
-        encoders: angles of the exoskeleton's joints.
-        exo_moments: moments of its joints, as recorded; by the model of
-            `device` if left out.
-        pressure: recordings of the mats.
-        empty_plates: the same plates with nothing on them, which levels
-            those that are never unloaded in the trial.
-        rise: number of the sit-to-stand rise found in the recording, from 1.
-        seated_s: how long before seat-off the used part starts; needs the
-            chair's plate.
-        start_s, end_s: used part, instead of (or bounding) a rise found.
-    """
-
-    name: str
-    markers: Path
-    forces: Path
-    plates: Plates
-    use: Use = "calibration"
-    encoders: Path | None = None
-    exo_moments: Path | None = None
-    pressure: tuple[PressureFile, ...] = ()
-    empty_plates: Path | None = None
-    rise: int | None = field(default=None, metadata={"minimum": 1})
-    seated_s: float = field(default=0.0, metadata={"unit": "s", "minimum": 0.0})
-    start_s: float | None = field(default=None, metadata=_SECONDS)
-    end_s: float | None = field(default=None, metadata=_SECONDS)
-
-    def __post_init__(self):
-        _check_window(self.start_s, self.end_s)
-        if self.seated_s > 0.0 and self.rise is None:
-            raise InputError("seated_s counts back from a rise; name it")
-        if self.seated_s > 0.0 and self.plates.chair is None:
-            raise InputError(
-                "seated_s needs the chair's plate; name it in plates.chair"
-            )
-
-
-@dataclass(frozen=True)
-class Study:
-    """A study; see the attributes' own classes.
-
-    Attributes:
-        model: with the exoskeleton, or the human alone.
-        gravity_m_s2: acceleration of gravity.
-        device: how the exoskeleton was measured and what its drives do; left
-            out, joint moments are known only where they were recorded.
-        mats: pressure matrices by name.
-    """
-
-    subject: Subject
-    standing: Standing
-    markers: Markers
-    trials: tuple[TrialFiles, ...]
-    model: Literal["coupled", "human"] = "coupled"
-    exoskeleton: ExoskeletonOverrides = field(
-        default_factory=ExoskeletonOverrides
-    )
-    device: Device | None = None
-    mats: dict[str, Mat] = field(default_factory=dict)
-    gravity_m_s2: float = field(
-        default=9.81, metadata={"unit": "m/s^2", "above": 0.0}
-    )
-    laboratory: Laboratory = Laboratory()
-    filter: Filter = Filter()
-    scaling: Scaling = Scaling()
     foot_ground: FootGroundSettings = field(default_factory=FootGroundSettings)
     interaction: InteractionSettings = field(
         default_factory=InteractionSettings
@@ -314,60 +63,394 @@ class Study:
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
     def __post_init__(self):
-        names = [trial.name for trial in self.trials]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"two trials are named {name!r}; rename one")
-        if not names:
-            raise InputError("trials is empty; list at least one")
-        for trial in self.trials:
-            for name in (m for p in trial.pressure for m in p.mats):
-                if name not in self.mats:
-                    raise InputError(
-                        f"trial {trial.name}: {name!r} is none of the mats "
-                        f"({', '.join(self.mats) or 'there are none'})"
-                    )
+        super().__post_init__()
+        self.foot_ground.law_constants()
 
 
-def trials_for(study: Study, use: Use) -> Study:
-    """The same study with the trials of one use alone.
+class Study:
+    """A subject with its trials, and the settings of the phases.
 
-    Raises:
-        InputError: it has none.
+    Args:
+        model: subject and device.
+        trials: measured, simulated or made in any other way.
+        name: of the subject.
+        foot_ground, interaction, prediction: settings of Phases A, B, C.
+        filter: that the trials' signals went through.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, trials = synthetic.rises_on_spheres(2, nodes_per_second=40)
+    >>> study = Study(model, trials, name="two rises")
+    >>> [trial.name for trial in study.trials()]
+    ['rise1', 'rise2']
     """
-    trials = tuple(t for t in study.trials if t.use == use)
-    if not trials:
-        raise InputError(
-            f"no trial is for {use}; give those that are 'use: {use}'"
-        )
-    return replace(study, trials=trials)
+
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        *,
+        name: str = "subject",
+        foot_ground: FootGroundSettings | None = None,
+        interaction: InteractionSettings | None = None,
+        prediction: PredictionSettings | None = None,
+        filter: Filter | None = None,
+    ):
+        self.model = model
+        self.name = name
+        self.foot_ground = foot_ground or FootGroundSettings()
+        self.interaction = interaction or InteractionSettings()
+        self.prediction = prediction or PredictionSettings()
+        self.filter = filter or Filter()
+        self._trials = tuple(trials)
+
+    def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
+        """The trials; of a study file those of one use, or all of them.
+
+        Raises:
+            InputError: there are none, or their files are not as they should
+                be.
+        """
+        return self._trials
 
 
-def load_study(
+class RecordedStudy(Study):
+    """A study whose trials are cut from recordings when they are asked for.
+
+    Attributes:
+        file: what the study file says.
+        root: folder that its paths start from.
+    """
+
+    def __init__(self, file: StudyFile, root: Path):
+        self.file = file
+        self.root = root
+        self.name = file.subject.name
+        self.foot_ground = file.foot_ground
+        self.interaction = file.interaction
+        self.prediction = file.prediction
+        self.filter = file.filter
+        self._loaded: dict[str, Trial] = {}
+
+    @cached_property
+    def subject(self) -> SubjectModel:
+        """The subject, fitted to the standing trial."""
+        return fit_subject(self.file, self.root)
+
+    @property
+    def model(self) -> Model:
+        """Subject and device."""
+        return self.subject.model
+
+    def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
+        """See Study."""
+        files = tuple(t for t in self.file.trials if use in (None, t.use))
+        if not files:
+            raise InputError(
+                f"no trial is for {use}; give those that are 'use: {use}'"
+            )
+        missing = tuple(f for f in files if f.name not in self._loaded)
+        found = load_trials(self.file, self.root, self.subject, missing)
+        self._loaded |= {trial.name: trial for trial in found}
+        return tuple(self._loaded[f.name] for f in files)
+
+    def quality(self) -> Quality:
+        """How good the recordings are, without solving anything."""
+        return assess(self.subject, self.trials())
+
+
+def read_study(
     path: str | Path, data_root: str | Path | None = None
-) -> tuple[Study, Path]:
-    """Read a study file.
+) -> RecordedStudy:
+    """Read a study file; recordings are read when trials are asked for.
 
     Args:
         path: the YAML file.
         data_root: folder that its relative paths start from; by default the
             folder of the study file.
 
-    Returns:
-        The study and the folder that its paths start from.
-
     Raises:
-        InputError: as `schema.load`, or `data_root` is no folder.
+        InputError: the file says something that is not allowed, or
+            `data_root` is no folder.
+
+    >>> read_study("nowhere.yaml")
+    Traceback (most recent call last):
+    drake_exo.errors.InputError: nowhere.yaml: cannot be read (No such file \
+or directory); check the path
     """
-    study = schema.load(path, Study)
+    file = schema.load(path, StudyFile)
     root = Path(path).parent if data_root is None else Path(data_root)
     if not root.is_dir():
         raise InputError(f"{root}: is not a folder; check --data-root")
-    return study, root
+    return RecordedStudy(file, root)
 
 
-def _check_window(start_s: float | None, end_s: float | None) -> None:
-    if start_s is not None and end_s is not None and end_s <= start_s:
-        raise InputError(
-            f"end_s ({end_s:g}) must be after start_s ({start_s:g})"
+@dataclass(frozen=True)
+class Calibration:
+    """What Phase A or B found.
+
+    Attributes:
+        phase: "foot-ground" or "interaction".
+        study: that was calibrated.
+        result: of the solve; `result.problem.program.prog` is Drake's
+            MathematicalProgram.
+    """
+
+    phase: str
+    study: Study
+    result: PhaseResult
+
+    @property
+    def solution(self) -> Solution:
+        """State of the solve."""
+        return self.result.solution
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.result.success
+
+    @property
+    def contact(self) -> ContactModel:
+        """The contact as far as it is known now."""
+        return self.result.contact
+
+    @property
+    def trials(self) -> list[Trial]:
+        """The solution of each trial."""
+        return self.result.trials
+
+    def parameter(self, name: str) -> ContactParameter:
+        """A calibrated parameter, its value as nominal.
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        known = {p.name: p for p in self.result.parameters}
+        if name not in known:
+            raise InputError(
+                f"there is no parameter {name!r}; known are {', '.join(known)}"
+            )
+        return known[name]
+
+    def uncertainty(self) -> Uncertainty | None:
+        """95 % intervals; None where nothing can be told."""
+        f = self.study.filter
+        return uncertainty(self.result, f.cutoff_hz, f.order)
+
+    def rmsd(self) -> list[dict]:
+        """Differences from what was measured, a dictionary for each trial."""
+        return [
+            scores.rmsd(found, measured, self.phase != "foot-ground")
+            for found, measured in zip(
+                self.trials, self.result.problem.trials, strict=True
+            )
+        ]
+
+    def audit(self) -> list[audits.Audit]:
+        """Whether each trial holds between its nodes, and simulates."""
+        return audit_all([self.result])
+
+    def plot(self) -> Figure:
+        """Joint angles and velocities beside what was measured."""
+        return figures.kinematics_figure(
+            {"model": self.trials}, self.result.problem.trials
         )
+
+    def summary(self) -> dict:
+        """What summary.json holds, but for the audit."""
+        summary = phase_summary(self.phase, self.study.name, self.result)
+        found = self.uncertainty() if self.success else None
+        if found is not None:
+            rows = {row["name"]: row for row in summary["parameters"]}
+            for k, name in enumerate(found.names):
+                rows[name] |= {
+                    "sd": found.sd[k],
+                    "pull": found.pull[k],
+                    "half_width_95": found.half_width[k],
+                    "identifiable": bool(found.identifiable[k]),
+                }
+        return summary
+
+    def write(self, folder: Path) -> None:
+        """Model, contact, trajectories and figures into a folder."""
+        write_inputs(folder, self.study.model, self.result.problem.trials)
+        write_contact(folder, self.contact)
+        for trial in self.trials:
+            write_trial(folder, trial)
+        figures.draw_figures(folder, self.trials, self.result.problem.trials)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction(Trial):
+    """A predicted trial: see Trial for its signals.
+
+    Attributes:
+        result: of the solve.
+    """
+
+    result: PhaseResult
+
+    @property
+    def solution(self) -> Solution:
+        """State of the solve."""
+        return self.result.solution
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.result.success
+
+    def rmsd(self, measured: Trial) -> dict:
+        """Differences from the trial as measured; see `scores.rmsd`."""
+        return scores.rmsd(self, measured)
+
+    def audit(self) -> audits.Audit:
+        """Whether it holds between its nodes, and simulates."""
+        return audits.audit(self.result)
+
+    def plot(self, measured: Trial | None = None) -> Figure:
+        """Joint angles and velocities, beside the measured ones."""
+        beside = measured or self.result.problem.trials[0]
+        return figures.kinematics_figure({"predicted": [self]}, [beside])
+
+    def view(self, meshcat: Meshcat) -> None:
+        """Show it as an animation with its forces in meshcat."""
+        show_trial(meshcat, self.result.problem.model, self)
+
+
+def calibrate_foot_ground(
+    study: Study,
+    trials: Sequence[Trial] | None = None,
+    *,
+    folder: Path | None = None,
+    resume: bool = False,
+) -> Calibration:
+    """Phase A: the contact of foot and ground, from several trials at once.
+
+    Args:
+        study: says the settings.
+        trials: to calibrate with; those for calibration by default.
+        folder: keeps the newest iterate (checkpoint.npz) while solving.
+        resume: start from the iterate found there.
+
+    Raises:
+        InputError: trials or settings are not as they should be.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    >>> contact = calibrate_foot_ground(Study(model, trials))
+    >>> contact.success, contact.parameter("heel.x").unit
+    (True, 'm')
+    """
+    trials = study.trials("calibration") if trials is None else trials
+    problem = FootGroundCalibration(study.model, trials, study.foot_ground)
+    result = solve(problem, "calibrate foot-ground", folder, resume)
+    return Calibration("foot-ground", study, result)
+
+
+def calibrate_interaction(
+    study: Study,
+    trials: Sequence[Trial] | None = None,
+    contact: Calibration | ContactModel | None = None,
+    *,
+    folder: Path | None = None,
+    resume: bool = False,
+) -> Calibration:
+    """Phase B: the contact of human and exoskeleton.
+
+    Args:
+        study: says the settings.
+        trials: to calibrate with; those for calibration by default.
+        contact: of foot and ground; calibrated first if None.
+        folder, resume: as `calibrate_foot_ground`.
+
+    Raises:
+        InputError: the model has no exoskeleton; or likewise.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> study = Study(made.model, made.trials)
+    >>> cuffs = calibrate_interaction(study, made.trials, made.contact)
+    >>> cuffs.success, cuffs.parameter("thigh.normal_stiffness").unit
+    (True, 'N/m')
+    """
+    check_has_cuffs(study.model)
+    trials = study.trials("calibration") if trials is None else trials
+    if contact is None:
+        contact = calibrate_foot_ground(study, trials)
+    problem = InteractionCalibration(
+        study.model, trials, contact_of(contact), study.interaction
+    )
+    result = solve(problem, "calibrate interaction", folder, resume)
+    return Calibration("interaction", study, result)
+
+
+def predict(
+    study: Study,
+    trial: Trial,
+    contact: Calibration | ContactModel,
+    *,
+    settings: PredictionSettings | None = None,
+    scale_interaction: float = 1.0,
+    controller: System | None = None,
+    folder: Path | None = None,
+    resume: bool = False,
+) -> Prediction:
+    """Phase C: a movement and its interaction forces from its end states.
+
+    Args:
+        study: says the settings.
+        trial: whose ends are given; it is compared with, not tracked.
+        contact: calibrated, of foot and ground and of the cuffs.
+        settings: instead of the study's.
+        scale_interaction: of the cuffs' stiffness and damping; 1.4 is Phase
+            C2.
+        controller: a stateless LeafSystem that gives the exoskeleton's
+            torques; without it they are as measured.
+        folder, resume: as `calibrate_foot_ground`.
+
+    Raises:
+        InputError: the contact knows nothing of the model's cuffs; or
+            likewise.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> study = Study(made.model, made.trials)
+    >>> found = predict(study, made.trials[0], made.contact)
+    >>> found.success, found.coordinate("exo_hip").shape == found.times.shape
+    (True, True)
+    """
+    problem = PredictionProblem(
+        study.model,
+        [trial],
+        contact_of(contact).scaled(scale_interaction),
+        settings or study.prediction,
+        controller=controller,
+    )
+    result = solve(problem, f"predict {trial.name}", folder, resume)
+    (found,) = result.trials
+    own = {f.name: getattr(found, f.name) for f in fields(found)}
+    return Prediction(**own, result=result)
+
+
+def contact_of(contact: Calibration | ContactModel) -> ContactModel:
+    """The contact itself, of a calibration or as it is."""
+    return contact.contact if isinstance(contact, Calibration) else contact
+
+
+def audit_all(results: Sequence[PhaseResult]) -> list[audits.Audit]:
+    """Audit every trial of some results, with progress."""
+    todo = [(r, i) for r in results for i in range(len(r.trials))]
+    progress = Progress("simulate", total=len(todo))
+    rows = []
+    for result, i in todo:
+        rows.append(audits.audit(result, i))
+        progress.update(rows[-1].trial, done=len(rows))
+    return rows
+
+
+def write_inputs(folder: Path, model: Model, trials: Sequence[Trial]) -> None:
+    """Model and measured trials, beside the results that come of them."""
+    write_model(folder, model)
+    for trial in trials:
+        trial.save(folder / f"measured_{trial.name}")

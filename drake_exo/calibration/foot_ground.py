@@ -6,95 +6,65 @@ all trials; initial and final states are given; human and exoskeleton do not
 touch.
 """
 
-import numpy as np
+from collections.abc import Sequence
 
-from drake_exo.calibration.measured import MeasuredMovement
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    chair_wrench,
     fix_ends,
     ground_terms,
     kinematic_terms,
 )
-from drake_exo.collocation.initial_guess import settle_foot
-from drake_exo.collocation.kernels import FootGroundKernel
-from drake_exo.collocation.trial_program import (
-    Movement,
-    add_parameters,
-    minimised,
-)
+from drake_exo.calibration.settings import FootGroundSettings
+from drake_exo.collocation.trial_program import TrialProgram, minimised
+from drake_exo.contact.parameters import ContactParameter
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model
 
 
-class FootGroundProblem(PhaseProblem):
-    """Phase A posed; `settings` are FootGroundSettings."""
+class FootGroundCalibration(PhaseProblem):
+    """Phase A posed as a MathematicalProgram.
 
-    @property
-    def foot(self):
-        """Settings of this phase."""
-        return self.settings
+    Args:
+        model: subject and device.
+        trials: measured.
+        settings: noise, bounds, grid.
+        parameters: to calibrate; those of the settings by default.
 
-    def contact_values(self, values):
-        """See PhaseProblem."""
-        return values, np.zeros((0, 5))
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    >>> posed = FootGroundCalibration(model, [trial])
+    >>> posed.program.prog.num_vars() > 1000
+    True
+    """
 
-    def _add_parameters(self):
-        settings = self.settings
-        self.kernel = FootGroundKernel(settings.law, settings.law_constants())
-        self.parameter_variables = add_parameters(
-            self.program, self.parameters, settings.prior_weight
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        settings: FootGroundSettings | None = None,
+        parameters: list[ContactParameter] | None = None,
+    ):
+        settings = settings or FootGroundSettings()
+        self.prior_weight = settings.prior_weight
+        super().__init__(
+            model,
+            trials,
+            settings.contact(model.spheres),
+            parameters or settings.parameters(model.spheres),
+            settings,
         )
 
-    def _add(self, trial: MeasuredMovement) -> Movement:
-        movement = Movement(
-            self.program,
-            trial.name,
-            self.tree,
-            trial.duration,
-            self._solver.nodes_per_second,
-            self._solver.transcription,
-            chair=chair_wrench(self.tree, trial),
-        )
-        movement.stand_on(self.kernel, self.parameter_variables)
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = self._movement(trial)
         at = trial.sample(movement.grid.times)
         noise = self.settings.noise
         fix_ends(movement, at, self.settings.end_tolerance)
-        movement.track(
+        movement.add_tracking_cost(
             [
                 *kinematic_terms(movement, at, noise),
                 *ground_terms(movement, at, noise),
                 minimised(movement.torque, noise.torque_nm),
             ]
         )
-        movement.damp_jerk(noise.jerk)
+        movement.add_jerk_cost(noise.jerk)
         return movement
-
-    def guess(self, values: np.ndarray | None = None) -> np.ndarray:
-        """Program variables near the data, with the foot settled.
-
-        Args:
-            values: contact parameters; nominal ones by default.
-        """
-        if values is None:
-            values = np.array([p.nominal for p in self.parameters])
-        x = np.zeros(self.program.prog.num_vars())
-        x[self.program.indices(self.parameter_variables)] = values
-        for movement, trial in zip(self.movements, self.trials, strict=True):
-            grid = movement.grid
-            at = trial.sample(grid.times)
-            q, v = at.q.copy(), at.v.copy()
-            q[:, :3], v[:, :3] = settle_foot(
-                self.kernel, values, grid.times, at.q[:, :3], at.ground
-            )
-            a = at.a.copy()
-            a[:, :3] = np.gradient(v[:, :3], grid.times, axis=0)
-            forces = self.tree.inverse_dynamics(q, v, a)
-            forces -= movement.applied(q)
-            for variables, numbers in (
-                (grid.q, q),
-                (grid.v, v),
-                (grid.a, a),
-                (movement.torque, forces[:, 3:]),
-                (movement.ground, at.ground),
-            ):
-                x[self.program.indices(variables)] = numbers
-        return x

@@ -4,61 +4,31 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from drake_exo.calibration.measured import LEAST_FORCE, MeasuredMovement
-from drake_exo.calibration.settings import (
-    EndTolerance,
-    FootGroundSettings,
-    Solver,
-    TrackingNoise,
-)
-from drake_exo.collocation.bushing_kernels import Bushing, BushingKernel
+from drake_exo.calibration.settings import EndTolerance, TrackingNoise
+from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
+from drake_exo.collocation.initial_guess import settle_foot
 from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.collocation.loads import AppliedWrench
-from drake_exo.collocation.trial_program import Movement, Tracking
-from drake_exo.contact.parameters import ContactParameter
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.nlp import drake_ipopt, ipopt
-from drake_exo.nlp import infeasibility as preflight
+from drake_exo.collocation.trial_program import (
+    Tracking,
+    TrialProgram,
+    add_parameters,
+    minimised,
+)
+from drake_exo.contact.bushing import CALIBRATED, NORMAL, BushingKinematics
+from drake_exo.contact.parameters import ContactModel, ContactParameter
+from drake_exo.errors import InputError
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.plant import Model
+from drake_exo.nlp import drake_ipopt, infeasibility, ipopt
 from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """One trial of a solution.
-
-    Attributes:
-        name: of the trial.
-        times: (n,) [s].
-        q, v, a: (n, nq) coordinates and derivatives [m, rad, s].
-        jerk: (n_controls, nq).
-        torque: (n, nq - 3) joint torques [N m].
-        ground: (n, 3) F_x, F_z [N], M_y about the laboratory origin [N m].
-        interaction: (n, 9) forces on the human's shank, thigh, pelvis:
-            tangential, normal [N], moment [N m] each; None without cuffs.
-    """
-
-    name: str
-    times: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    jerk: np.ndarray
-    torque: np.ndarray
-    ground: np.ndarray
-    interaction: np.ndarray | None = None
-
-    @property
-    def cop_x(self) -> np.ndarray:
-        """Centre of pressure (n,) [m]; NaN where the foot hardly loads."""
-        load = np.where(
-            self.ground[:, 1] > LEAST_FORCE, self.ground[:, 1], np.nan
-        )
-        return -self.ground[:, 2] / load
 
 
 @dataclass(frozen=True)
@@ -66,100 +36,239 @@ class PhaseResult:
     """What a phase found.
 
     Attributes:
+        problem: that was solved.
         solution: state of the solve.
         parameters: calibrated ones with their value as nominal.
-        trajectories: one for each trial.
-        settings: of the phase.
+        contact: the contact with those values.
+        trials: the solution of each trial.
     """
 
+    problem: "PhaseProblem"
     solution: Solution
     parameters: list[ContactParameter]
-    trajectories: list[Trajectory]
-    settings: object
+    contact: ContactModel
+    trials: list[Trial]
 
-    def values(self) -> np.ndarray:
-        """Parameter values in the order of `parameters`."""
-        return np.array([p.nominal for p in self.parameters])
+    @property
+    def success(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.solution.success
 
 
 class PhaseProblem(ABC):
     """One phase posed as one MathematicalProgram.
 
+    Args:
+        model: subject and device.
+        trials: measured.
+        contact: of the foot and, where they touch, of the cuffs. Values of
+            `parameters` take the place of its own.
+        parameters: of the contact that are calibrated; the others are known.
+        settings: of the phase, with solver and noise.
+
     Attributes:
-        program: may be added to before `solve`.
+        program: `program.prog` is a MathematicalProgram that may be added to
+            before `solve`.
         movements: one for each trial.
-        parameters: calibrated and fixed contact parameters.
-        parameter_variables: their decision variables.
-        foot: settings of Phase A, for the law under the foot.
-        kernel: that law.
-        bushings, laws: geometry and law of each human-exoskeleton contact;
-            empty where the chains do not touch.
+        kernel: law under the foot.
+        bushings, laws: cuff -> geometry and law.
         build_seconds: time to pose and compile; a solve adds that of its
             guess and checks.
     """
 
-    parameter_variables: np.ndarray
-    foot: FootGroundSettings
-    kernel: FootGroundKernel
-    bushings: Sequence[Bushing] = ()
-    laws: Sequence[BushingKernel] = ()
+    # Weight of the parameters' prior.
+    prior_weight = 0.0
 
     def __init__(
         self,
-        tree: PlanarTree,
-        trials: list[MeasuredMovement],
+        model: Model,
+        trials: Sequence[Trial],
+        contact: ContactModel,
         parameters: list[ContactParameter],
         settings,
     ):
         start = time.perf_counter()
-        self.tree = tree
-        self.trials = trials
+        self.model = model
+        self.tree = model.tree
+        self.trials = list(trials)
+        self.contact = contact = _in_order(contact, model)
         self.parameters = parameters
         self.settings = settings
+        self.kernel = FootGroundKernel(contact.ground)
+        self.bushings = {
+            cuff: BushingKinematics(self.tree, cuff, bushing.preload)
+            for cuff, bushing in contact.bushings.items()
+        }
+        self.laws = {
+            cuff: BushingKernel(self.bushings[cuff], bushing.damping)
+            for cuff, bushing in contact.bushings.items()
+        }
         self.program = BatchedProgram()
         self._add_parameters()
-        self.movements = [self._add(trial) for trial in trials]
+        self.movements = [self._add(trial) for trial in self.trials]
         self.build_seconds = time.perf_counter() - start
-        self._compiled: SparseProgram | None = None
+
+    def _add_parameters(self) -> None:
+        """Decision variables of the whole contact, by sphere and cuff."""
+        chosen = {p.name: p for p in self.parameters}
+        self._variables: dict[str, np.ndarray] = {}
+        for group in (*self.contact.ground.spheres, *self.contact.bushings):
+            parameters = [
+                chosen.get(p.name, p) for p in self.contact.fixed(group)
+            ]
+            self._variables[group] = add_parameters(
+                self.program, parameters, self.prior_weight
+            )
+        known = list(self.contact.values())
+        every = np.concatenate(list(self._variables.values()))
+        place = [known.index(p.name) for p in self.parameters]
+        self.parameter_variables = every[place]
 
     @property
-    def _solver(self) -> Solver:
-        return self.settings.solver
+    def _sphere_variables(self) -> np.ndarray:
+        """Variables of all spheres, in the kernel's order."""
+        spheres = self.contact.ground.spheres
+        return np.concatenate([self._variables[name] for name in spheres])
 
     @abstractmethod
-    def contact_values(self, values: np.ndarray):
-        """Parameters of spheres (10,) and of bushings (len(bushings), 5).
-
-        Args:
-            values: of `parameters`.
-        """
-
-    @abstractmethod
-    def _add_parameters(self) -> None:
-        """Set `parameter_variables`."""
-
-    @abstractmethod
-    def _add(self, trial: MeasuredMovement) -> Movement:
+    def _add(self, trial: Trial) -> TrialProgram:
         """Add a trial: dynamics, contact, ends, cost."""
 
-    @abstractmethod
-    def guess(self, values: np.ndarray | None = None) -> np.ndarray:
-        """Program variables to start from, given parameter values."""
+    def _movement(self, trial: Trial) -> TrialProgram:
+        """Variables, dynamics and contact of a trial, without its cost."""
+        solver = self.settings.solver
+        n_origin = sum(name.startswith("origin") for name in CALIBRATED)
+        movement = TrialProgram(
+            self.program,
+            trial.name,
+            self.tree,
+            trial.duration,
+            solver.nodes_per_second,
+            solver.transcription,
+            {
+                cuff: (bushing, self._variables[cuff][:n_origin])
+                for cuff, bushing in self.bushings.items()
+            },
+            _chair(self.tree, trial),
+        )
+        movement.add_ground_contact(self.kernel, self._sphere_variables)
+        for cuff, law in self.laws.items():
+            movement.add_bushing(cuff, law, self._variables[cuff])
+        return movement
 
-    def compile(self) -> SparseProgram:
-        """The sparse problem; computed once."""
-        if self._compiled is None:
-            start = time.perf_counter()
-            substitutions = (
-                tuple(m.grid.substitution(self.program) for m in self.movements)
-                if self._solver.reduce
-                else ()
+    def minimise_energy(
+        self, movement: TrialProgram, components: dict[str, list[int]], sigma
+    ) -> None:
+        """Add the squared contact energy of components as a cost.
+
+        Args:
+            movement: the trial.
+            components: cuff -> its components, see `bushing.COMPONENTS`.
+            sigma: typical energy [J].
+        """
+        grid = movement.grid
+        # The integral's weights belong inside the square.
+        used = grid.quadrature > 0.0
+        for cuff, chosen in components.items():
+            if not chosen:
+                continue
+            parameters = self._variables[cuff]
+            self.program.add_residuals(
+                f"{movement.name} energy {cuff}",
+                _Weighted(EnergyKernel(self.bushings[cuff], chosen, sigma)),
+                np.hstack(
+                    [
+                        grid.q,
+                        np.broadcast_to(
+                            parameters, (len(grid.q), len(parameters))
+                        ),
+                    ]
+                )[used],
+                np.sqrt(grid.quadrature[used])[:, None],
             )
-            self._compiled = SparseProgram(
-                self.program, substitutions, self._solver.hessian == "exact"
+
+    def with_values(self, values: np.ndarray) -> ContactModel:
+        """The contact with values of `parameters`, in their order."""
+        names = [p.name for p in self.parameters]
+        return self.contact.with_values(dict(zip(names, values, strict=True)))
+
+    def guess(self, values: np.ndarray | None = None) -> np.ndarray:
+        """Program variables near the data, with the foot settled.
+
+        Args:
+            values: of `parameters`; nominal ones by default.
+        """
+        if values is None:
+            values = np.array([p.nominal for p in self.parameters])
+        contact = self.with_values(values)
+        x = np.zeros(self.program.prog.num_vars())
+        for group, variables in self._variables.items():
+            x[self.program.indices(variables)] = [
+                p.nominal for p in contact.fixed(group)
+            ]
+        for movement, trial in zip(self.movements, self.trials, strict=True):
+            self._fill(x, movement, self._start(movement, trial), contact)
+        return x
+
+    def _start(self, movement: TrialProgram, trial: Trial) -> Trial:
+        """Motion that the guess follows."""
+        return trial.sample(movement.grid.times)
+
+    def _fill(self, x, movement: TrialProgram, at: Trial, contact) -> None:
+        """Variables of one trial, so that the equations of motion hold."""
+        names, grid = self.tree.coordinates, movement.grid
+        root = names.root_columns
+        q, v, a = at.q.copy(), at.v.copy(), at.a.copy()
+        ground = at.ground.array
+        if not ground.any():  # not measured
+            forces = self.tree.inverse_dynamics(q, v, a)
+            forces -= movement.applied(q)
+            ground = self.tree.ground_reaction(q, forces)
+        spheres = [p for s in contact.ground.spheres for p in contact.fixed(s)]
+        q[:, root], v[:, root] = settle_foot(
+            self.kernel,
+            np.array([p.nominal for p in spheres]),
+            grid.times,
+            at.q[:, root],
+            ground,
+        )
+        a[:, root] = np.gradient(v[:, root], grid.times, axis=0)
+        forces = self.tree.inverse_dynamics(q, v, a)
+        forces -= movement.applied(q)
+        filled = [
+            (grid.q, q),
+            (grid.v, v),
+            (grid.a, a),
+            (movement.ground, ground),
+        ]
+        for cuff, kinematics in self.bushings.items():
+            bushing = contact.bushings[cuff]
+            origin = np.broadcast_to(bushing.origin, (len(q), 2))
+            terms = kinematics.terms(q, origin)
+            force = bushing.stiffness * kinematics.deflection(q, terms)
+            filled.append((movement.cuffs[cuff], force))
+            forces += np.einsum(
+                "nc,ncq->nq", force, kinematics.deflection_jacobian(terms)
             )
-            self.build_seconds += time.perf_counter() - start
-        return self._compiled
+        filled.append((movement.torque, forces[:, names.joint_columns]))
+        for variables, numbers in filled:
+            x[self.program.indices(variables)] = numbers
+
+    @cached_property
+    def compiled(self) -> SparseProgram:
+        """The sparse problem, as the solver sees it."""
+        solver = self.settings.solver
+        start = time.perf_counter()
+        substitutions = (
+            tuple(m.grid.substitution(self.program) for m in self.movements)
+            if solver.reduce
+            else ()
+        )
+        compiled = SparseProgram(
+            self.program, substitutions, solver.hessian == "exact"
+        )
+        self.build_seconds += time.perf_counter() - start
+        return compiled
 
     def solve(
         self,
@@ -171,7 +280,7 @@ class PhaseProblem(ABC):
         Raises:
             InputError: from the pre-flight check.
         """
-        problem = self.compile()
+        problem, solver = self.compiled, self.settings.solver
         start = time.perf_counter()
         guess = self.guess() if guess is None else guess
         index = self.program.indices(self.parameter_variables)
@@ -180,18 +289,16 @@ class PhaseProblem(ABC):
             for p, i in zip(self.parameters, index, strict=True)
             if p.free
         }
-        preflight.check(problem, guess, free)
+        infeasibility.check(problem, guess, free)
         prepared = time.perf_counter() - start
-        if self._solver.solver == "drake":
+        if solver.solver == "drake":
             solution = drake_ipopt.solve(
                 self.program,
                 problem.expand(problem.restrict(guess)),
-                self._solver.options(),
+                solver.options(),
             )
         else:
-            solution = ipopt.solve(
-                problem, guess, self._solver.options(), on_iterate
-            )
+            solution = ipopt.solve(problem, guess, solver.options(), on_iterate)
         solution.seconds["build"] = self.build_seconds + prepared
         return self.result(solution)
 
@@ -209,31 +316,72 @@ class PhaseProblem(ABC):
         solution.active_bounds = [
             p.name for p in parameters if p.free and p.at_bound(p.nominal)
         ]
-        trajectories = [self._read(m, x) for m in self.movements]
-        return PhaseResult(solution, parameters, trajectories, self.settings)
+        contact = self.with_values(np.array([p.nominal for p in parameters]))
+        trials = [
+            self._read(m, t, x)
+            for m, t in zip(self.movements, self.trials, strict=True)
+        ]
+        return PhaseResult(self, solution, parameters, contact, trials)
 
-    def _read(self, movement: Movement, x: np.ndarray) -> Trajectory:
+    def _read(self, movement: TrialProgram, trial: Trial, x) -> Trial:
+        """A trial's solution; what acted on it is as measured."""
+
         def read(variables):
             return x[self.program.indices(variables)]
 
         grid = movement.grid
-        return Trajectory(
-            movement.name,
+        chair = trial.sample(grid.times).chair if trial.chair_shares else None
+        return Trial(
+            trial.name,
+            self.tree.coordinates,
             grid.times,
             read(grid.q),
             read(grid.v),
             read(grid.a),
-            read(grid.jerk),
-            read(movement.torque),
-            read(movement.ground),
-            None
-            if movement.interaction is None
-            else read(movement.interaction),
+            PlanarWrench.of(read(movement.ground)),
+            source="solved",
+            moments=read(movement.torque),
+            cuffs={
+                cuff: CuffForce.of(read(variables))
+                for cuff, variables in movement.cuffs.items()
+            },
+            chair=chair,
+            chair_on_thighs=trial.chair_on_thighs,
+            jerk=read(grid.jerk),
+            mass_kg=trial.mass_kg,
         )
 
 
+def _in_order(contact: ContactModel, model: Model) -> ContactModel:
+    """The contact with its cuffs in the order of the model's.
+
+    Raises:
+        InputError: it has other spheres than the model, or other cuffs.
+    """
+    for what, own, known in (
+        ("spheres", contact.ground.spheres, model.spheres),
+        ("cuffs", contact.bushings, model.tree.cuffs),
+    ):
+        if not set(own) <= set(known) or (what == "spheres" and len(own) < 2):
+            raise InputError(
+                f"the contact has the {what} {', '.join(own) or 'none'}, the "
+                f"model {', '.join(known) or 'none'}; calibrate with this "
+                "model"
+            )
+    cuffs = [cuff for cuff in model.tree.cuffs if cuff in contact.bushings]
+    return replace(contact, bushings={c: contact.bushings[c] for c in cuffs})
+
+
+def _chair(tree, trial: Trial) -> AppliedWrench | None:
+    """The measured wrench of a chair in a trial that starts seated."""
+    shares = trial.chair_shares
+    if not shares:
+        return None
+    return AppliedWrench(tree, shares, trial.times, trial.chair.array)
+
+
 def fix_ends(
-    movement: Movement, at: MeasuredMovement, tolerance: EndTolerance
+    movement: TrialProgram, at: Trial, tolerance: EndTolerance
 ) -> None:
     """Give initial and final states; the foot within a tolerance (II-C)."""
     reach = np.array(
@@ -248,16 +396,19 @@ def fix_ends(
             else np.deg2rad(tolerance.pitch_rate_deg_s)
         ]
     )
-    grid = movement.grid
+    grid, names = movement.grid, movement.coordinates
+    root, joints = names.root_columns, names.joint_columns
     for i in (0, -1):
-        movement.bound(grid.q[i, 3:], at.q[i, 3:], at.q[i, 3:])
-        movement.bound(grid.v[i, 3:], at.v[i, 3:], at.v[i, 3:])
-        foot, moving = at.q[i, :3], at.v[i, :3]
-        movement.bound(grid.q[i, :3], foot - reach, foot + reach)
-        movement.bound(grid.v[i, :3], moving - speed, moving + speed)
+        movement.bound(grid.q[i, joints], at.q[i, joints], at.q[i, joints])
+        movement.bound(grid.v[i, joints], at.v[i, joints], at.v[i, joints])
+        foot, moving = at.q[i, root], at.v[i, root]
+        movement.bound(grid.q[i, root], foot - reach, foot + reach)
+        movement.bound(grid.v[i, root], moving - speed, moving + speed)
 
 
-def kinematic_terms(movement, at, noise: TrackingNoise) -> list[Tracking]:
+def kinematic_terms(
+    movement: TrialProgram, at: Trial, noise: TrackingNoise
+) -> list[Tracking]:
     """Tracking of coordinates and velocities.
 
     Args:
@@ -265,64 +416,81 @@ def kinematic_terms(movement, at, noise: TrackingNoise) -> list[Tracking]:
         at: measured values at the nodes.
         noise: standard deviations.
     """
-    grid = movement.grid
-    device = grid.q.shape[1] - 6
-    sigma_q = np.r_[
-        noise.foot_m,
-        noise.foot_m,
-        np.deg2rad(noise.foot_pitch_deg),
-        np.full(3, np.deg2rad(noise.angle_deg)),
-        np.full(device, np.deg2rad(noise.exo_angle_deg)),
-    ]
-    sigma_v = np.r_[
+    grid, names = movement.grid, movement.coordinates
+    device = names.is_device_joint
+    foot_q = (noise.foot_m, noise.foot_m, np.deg2rad(noise.foot_pitch_deg))
+    foot_v = (
         noise.foot_velocity_m_s,
         noise.foot_velocity_m_s,
         np.deg2rad(noise.foot_pitch_rate_deg_s),
-        np.full(3, np.deg2rad(noise.velocity_deg_s)),
-        np.full(device, np.deg2rad(noise.exo_velocity_deg_s)),
-    ]
+    )
+    joint_q = np.where(device, noise.exo_angle_deg, noise.angle_deg)
+    joint_v = np.where(device, noise.exo_velocity_deg_s, noise.velocity_deg_s)
+    sigma_q = np.r_[foot_q, np.deg2rad(joint_q)]
+    sigma_v = np.r_[foot_v, np.deg2rad(joint_v)]
     return [
         Tracking(grid.q, at.q, sigma_q, role="position"),
         Tracking(grid.v, at.v, sigma_v, role="velocity"),
     ]
 
 
-def ground_terms(movement, at, noise: TrackingNoise) -> list[Tracking]:
+def ground_terms(
+    movement: TrialProgram, at: Trial, noise: TrackingNoise
+) -> list[Tracking]:
     """Tracking of ground reaction and centre of pressure.
 
     The latter as (M_y + CoP F_z)/F_ref, without dividing by a force that
     varies; samples that hardly load are left out.
     """
-    load = at.ground[:, 1]
-    loaded = load > LEAST_FORCE
-    reference = load[loaded].mean()
-    cop = np.where(loaded, -at.ground[:, 2] / np.where(loaded, load, 1.0), 0.0)
-    rows = np.zeros((len(load), 1, 2))
-    rows[:, 0, 0], rows[:, 0, 1] = cop, 1.0
+    loaded = at.ground.is_loaded
+    reference = at.ground.force_z[loaded].mean()
+    rows = np.zeros((len(loaded), 1, 2))
+    rows[:, 0, 0] = np.where(loaded, at.ground.cop_x, 0.0)
+    rows[:, 0, 1] = 1.0
     spread = np.where(loaded, noise.cop_m * reference, np.inf)[:, None]
     return [
-        Tracking(movement.ground[:, :2], at.ground[:, :2], noise.force_n),
+        Tracking(movement.ground[:, :2], at.ground.force, noise.force_n),
         Tracking(
-            movement.ground[:, 1:], np.zeros((len(load), 1)), spread, rows
+            movement.ground[:, 1:], np.zeros((len(loaded), 1)), spread, rows
         ),
     ]
 
 
-def chair_wrench(
-    tree: PlanarTree, trial: MeasuredMovement
-) -> AppliedWrench | None:
-    """The measured wrench of a chair in a trial that starts seated."""
-    if trial.chair is None:
-        return None
-    return AppliedWrench(tree, trial.chair_shares, trial.times, trial.chair)
+def torque_terms(movement: TrialProgram, at: Trial, noise) -> list[Tracking]:
+    """Joint moments tracked where known, minimised otherwise."""
+    if at.moments is None:
+        return [minimised(movement.torque, noise.torque_nm)]
+    device = movement.coordinates.is_device_joint
+    sigma = np.where(device, noise.exo_moment_nm, noise.moment_nm)
+    return [Tracking(movement.torque, at.moments, sigma)]
 
 
-def needed_ground(q: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Ground reaction (n, 3) that balances root forces of inverse dynamics.
+def normal_force_terms(
+    movement: TrialProgram, at: Trial, noise
+) -> list[Tracking]:
+    """Normal forces tracked where a mat measured them."""
+    return [
+        Tracking(
+            variables[:, [NORMAL]],
+            at.cuffs[cuff].normal[:, None],
+            noise.normal_force_n,
+        )
+        for cuff, variables in movement.cuffs.items()
+        if cuff in at.cuffs
+    ]
 
-    Args:
-        q: (n, nq) positions.
-        forces: (n, nq) generalized forces.
-    """
-    moment = -forces[:, 2] + q[:, 1] * forces[:, 0] - q[:, 0] * forces[:, 1]
-    return np.column_stack([forces[:, :2], moment])
+
+class _Weighted:
+    """A kernel times a weight for each instance, given as its data."""
+
+    def __init__(self, kernel):
+        self._kernel = kernel
+        self.sparsity = kernel.sparsity
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        return data * self._kernel.evaluate(x, None)
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        return data[:, :, None] * self._kernel.jacobian(x, None)

@@ -1,11 +1,8 @@
-"""How far a solution is from what was measured."""
+"""How far one movement is from another, and how far trials are apart."""
 
 import numpy as np
 
-from drake_exo.calibration.measured import MeasuredMovement
-from drake_exo.calibration.problem import Trajectory
-from drake_exo.collocation.bushing_kernels import BUSHINGS, NORMAL
-from drake_exo.model.plant import COUPLED_COORDINATES
+from drake_exo.measurement.trial import Trial
 
 _PHASE_SAMPLES = 101
 
@@ -15,14 +12,12 @@ def rms(values: np.ndarray) -> np.ndarray:
     return np.sqrt(np.nanmean(np.square(values), axis=0))
 
 
-def rmsd(
-    trajectory: Trajectory, trial: MeasuredMovement, loads: bool = True
-) -> dict:
+def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
     """Root mean square differences of one trial.
 
     Args:
-        trajectory: of the model.
-        trial: as measured.
+        found: of the model.
+        measured: the same trial as measured.
         loads: compare joint moments and interaction forces, which mean
             nothing while human and exoskeleton do not touch (Phase A).
 
@@ -30,97 +25,79 @@ def rmsd(
         trial, angles_deg and velocities_deg_s by joint, foot (x_mm, z_mm,
         pitch_deg), grf_n (horizontal, vertical), cop_mm; where they were
         measured, moments_nm by joint and interaction_n (normal force) by
-        segment, empty otherwise.
+        cuff, empty otherwise.
     """
-    at = trial.sample(trajectory.times)
-    joints = COUPLED_COORDINATES[3 : trajectory.q.shape[1]]
-    d_q = rms(trajectory.q - at.q)
-    d_v = rms(trajectory.v - at.v)
-    d_ground = rms(trajectory.ground[:, :2] - at.ground[:, :2])
-    cop = (trajectory.cop_x - measured_cop(at))[:, None]
+    at, names = measured.sample(found.times), found.coordinates
+    d_q, d_v = rms(found.q - at.q), rms(found.v - at.v)
+    d_ground = rms(found.ground.force - at.ground.force)
+    cop = (found.ground.cop_x - at.ground.cop_x)[:, None]
+    x, z, pitch = d_q[names.root_columns]
+    moments, interaction = {}, {}
+    if at.moments is not None and loads:
+        moments = _by_name(names.joints, rms(found.moments - at.moments))
+    for cuff, force in at.cuffs.items():
+        if cuff in found.cuffs:
+            off = found.cuffs[cuff].normal - force.normal
+            interaction[cuff] = float(rms(off))
     return {
-        "trial": trajectory.name,
-        "angles_deg": _by_joint(joints, np.rad2deg(d_q[3:])),
-        "velocities_deg_s": _by_joint(joints, np.rad2deg(d_v[3:])),
+        "trial": found.name,
+        "angles_deg": _of_joints(names, d_q),
+        "velocities_deg_s": _of_joints(names, d_v),
         "foot": {
-            "x_mm": 1e3 * d_q[0],
-            "z_mm": 1e3 * d_q[1],
-            "pitch_deg": np.rad2deg(d_q[2]),
+            "x_mm": 1e3 * x,
+            "z_mm": 1e3 * z,
+            "pitch_deg": np.rad2deg(pitch),
         },
         "grf_n": {"horizontal": d_ground[0], "vertical": d_ground[1]},
         "cop_mm": 1e3 * rms(cop)[0],
-        "moments_nm": (
-            {}
-            if at.moments is None or not loads
-            else _by_joint(joints, rms(trajectory.torque - at.moments))
-        ),
-        "interaction_n": (
-            {}
-            if trajectory.interaction is None
-            else {
-                name: float(rms(normal_force(trajectory, name) - force))
-                for name, force in at.normal_force.items()
-            }
-        ),
+        "moments_nm": moments,
+        "interaction_n": interaction,
     }
 
 
-def normal_force(trajectory: Trajectory, segment: str) -> np.ndarray:
-    """Normal force (n,) of a cuff on the human's segment [N]."""
-    return trajectory.interaction[:, 3 * BUSHINGS.index(segment) + NORMAL]
-
-
-def measured_cop(at: MeasuredMovement) -> np.ndarray:
-    """Measured centre of pressure (n,) [m]; NaN where hardly loaded."""
-    load = np.where(at.ground[:, 1] > 20.0, at.ground[:, 1], np.nan)
-    return -at.ground[:, 2] / load
-
-
-def spread(trials: list[MeasuredMovement]) -> dict:
+def spread(trials: list[Trial]) -> dict:
     """One standard deviation over the measured trials, time-normalised.
 
     The mean over the movement of the standard deviation at each percent of
     it; the paper compares its RMSD with that. NaN for a single trial. Keys as
     in `rmsd`; the centre of pressure is taken from the foot.
     """
-    joints = COUPLED_COORDINATES[3 : trials[0].q.shape[1]]
+    names = trials[0].coordinates
     sampled = [
         t.sample(np.linspace(0.0, t.duration, _PHASE_SAMPLES)) for t in trials
     ]
 
-    def deviation(signal):
-        values = np.stack([signal(t) for t in sampled])
+    def deviation(signal, of=sampled):
+        values = np.stack([signal(t) for t in of])
         if len(values) < 2:
-            return np.full(values.shape[2], np.nan)
+            return np.full(values.shape[2:], np.nan)
         return values.std(axis=0, ddof=1).mean(axis=0)
 
     moments, interaction = {}, {}
     if all(t.moments is not None for t in trials):
-        moments = _by_joint(joints, deviation(lambda t: t.moments))
-    for name in BUSHINGS:
-        having = [t for t in sampled if name in t.normal_force]
-        if having:
-            values = np.stack([t.normal_force[name] for t in having])
-            interaction[name] = (
-                float(values.std(axis=0, ddof=1).mean())
-                if len(values) > 1
-                else None
-            )
-    force = deviation(lambda t: t.ground[:, :2])
-    cop = deviation(lambda t: (measured_cop(t) - t.q[:, 0])[:, None])
+        found = deviation(lambda t: t.moments)
+        moments = _by_name(names.joints, found)
+    for cuff in dict.fromkeys(c for t in trials for c in t.cuffs):
+        having = [t for t in sampled if cuff in t.cuffs]
+        found = deviation(lambda t, c=cuff: t.cuffs[c].normal, having)
+        interaction[cuff] = None if np.isnan(found) else float(found)
+    force = deviation(lambda t: t.ground.force)
+    foot = names.root[0]
     return {
-        "angles_deg": _by_joint(
-            joints, np.rad2deg(deviation(lambda t: t.q[:, 3:]))
-        ),
-        "velocities_deg_s": _by_joint(
-            joints, np.rad2deg(deviation(lambda t: t.v[:, 3:]))
-        ),
+        "angles_deg": _of_joints(names, deviation(lambda t: t.q)),
+        "velocities_deg_s": _of_joints(names, deviation(lambda t: t.v)),
         "grf_n": {"horizontal": force[0], "vertical": force[1]},
-        "cop_mm": 1e3 * cop[0],
+        "cop_mm": 1e3
+        * deviation(lambda t: t.ground.cop_x - t.coordinate(foot)),
         "moments_nm": moments,
         "interaction_n": interaction,
     }
 
 
-def _by_joint(joints, values) -> dict[str, float]:
-    return {name: float(v) for name, v in zip(joints, values, strict=True)}
+def _of_joints(names, values) -> dict[str, float]:
+    """Values (nq,) [rad] of the joints, in degrees."""
+    return _by_name(names.joints, np.rad2deg(values[names.joint_columns]))
+
+
+def _by_name(names, values) -> dict[str, float]:
+    return {name: float(v) for name, v in zip(names, values, strict=True)}

@@ -3,17 +3,23 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import (
     Constants,
     PaperConstants,
     SimbodyConstants,
     paper_stiffness,
 )
-from drake_exo.contact.parameters import ContactParameter, check_range
+from drake_exo.contact.parameters import (
+    STIFFNESS_UNIT,
+    ContactModel,
+    ContactParameter,
+    ContactSphere,
+    GroundContact,
+    check_range,
+)
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.nlp.ipopt import SolverOptions
-
-_NEWTON_PER_M2 = "N/m^2"
 
 
 @dataclass(frozen=True)
@@ -206,18 +212,38 @@ class FootGroundSettings:
             check_bounds(f"foot_ground.constants.{name}", value, known[name])
         return law(**self.constants)
 
+    @property
+    def spheres(self) -> dict[str, SphereSettings]:
+        """Of each sphere by name."""
+        return {"heel": self.heel, "toe": self.toe}
+
     def parameters(
-        self, heel_m: tuple[float, float], toe_m: tuple[float, float]
+        self, places: dict[str, tuple[float, float]]
     ) -> list[ContactParameter]:
-        """Contact parameters of both spheres, in the kernel's order.
+        """Contact parameters of the spheres, in the kernel's order.
 
         Args:
-            heel_m, toe_m: the model's sphere centres in the foot frame.
+            places: sphere -> the model's centre (x, z) in the foot frame [m].
         """
         return [
-            *_sphere("heel", self.heel, heel_m, self.law),
-            *_sphere("toe", self.toe, toe_m, self.law),
+            p
+            for name, place in places.items()
+            for p in _sphere(name, self.spheres[name], place, self.law)
         ]
+
+    def contact(self, places: dict[str, tuple[float, float]]) -> ContactModel:
+        """Contact with nominal values; arguments as above."""
+        spheres: dict[str, dict[str, float]] = {}
+        for p in self.parameters(places):
+            name, _, what = p.name.partition(".")
+            spheres.setdefault(name, {})[what] = p.nominal
+        return ContactModel(
+            GroundContact(
+                self.law,
+                {name: ContactSphere(**v) for name, v in spheres.items()},
+                self.law_constants(),
+            )
+        )
 
 
 def _placed(name, spread, model):
@@ -237,13 +263,12 @@ def _sphere(name, settings, place, law):
         values = (convert(v) for v in (r.nominal, r.lower, r.upper))
         return ContactParameter(f"{name}.{field_name}", unit, *values, r.free)
 
-    paper = law == "paper"
     return [
         ranged(
             "stiffness",
-            "(N/m^2)^(2/3)" if paper else _NEWTON_PER_M2,
+            STIFFNESS_UNIT[law],
             settings.modulus_n_m2,
-            paper_stiffness if paper else float,
+            paper_stiffness if law == "paper" else float,
         ),
         ranged("dissipation", "s/m", settings.dissipation_s_m),
         _placed(f"{name}.x", settings.x_m, place[0]),
@@ -277,13 +302,13 @@ class BushingSettings:
     rotational_damping: float = _damping(0.1, "N m s/rad")
 
     @property
-    def damping(self) -> tuple[float, float, float]:
-        """In the order of the bushing's components."""
-        return (
-            self.tangential_damping,
-            self.normal_damping,
-            self.rotational_damping,
-        )
+    def damping(self) -> dict[str, float]:
+        """By the names of `BushingParameters`."""
+        return {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name.endswith("_damping")
+        }
 
 
 @dataclass(frozen=True)
@@ -322,27 +347,32 @@ class InteractionSettings:
     prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
     solver: Solver = Solver()
 
-    @property
-    def damping(self) -> dict[str, tuple[float, float, float]]:
-        """Of each segment's bushing, in the order of its components."""
-        return {
-            name: getattr(self, name).damping
-            for name in ("shank", "thigh", "pelvis")
-        }
-
     def parameters(
         self, places: dict[str, tuple[float, float]]
     ) -> list[ContactParameter]:
-        """Parameters of the three bushings, five each, in kernel order.
+        """Parameters of the bushings, five each, in kernel order.
 
         Args:
-            places: segment -> cuff (x, z) in the human segment [m].
+            places: cuff -> the model's place (x, z) in the human segment [m].
         """
         return [
             p
             for name, place in places.items()
             for p in _bushing(name, getattr(self, name), place)
         ]
+
+    def bushings(
+        self, places: dict[str, tuple[float, float]]
+    ) -> dict[str, BushingParameters]:
+        """Bushings with nominal values by cuff; arguments as above."""
+        found: dict[str, dict[str, float]] = {}
+        for p in self.parameters(places):
+            name, _, what = p.name.partition(".")
+            found.setdefault(name, {})[what] = p.nominal
+        return {
+            name: BushingParameters(**values, **getattr(self, name).damping)
+            for name, values in found.items()
+        }
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,16 @@ class SolveWatch:
 
     Args:
         title: begins every line.
-        checkpoint: file that keeps the newest iterate.
+        checkpoint: file that keeps the newest iterate, if any.
         fingerprint: of the problem, kept with it.
     """
 
-    def __init__(self, title: str, checkpoint: Path, fingerprint: str):
+    def __init__(
+        self,
+        title: str,
+        checkpoint: Path | None = None,
+        fingerprint: str = "",
+    ):
         self._progress = Progress(title)
         self._checkpoint = checkpoint
         self._fingerprint = fingerprint
@@ -39,7 +44,9 @@ class SolveWatch:
             f"{iterate.infeasibility:.1e}"
         )
         now = time.monotonic()
-        if iterate.x is None or now - self._saved < _CHECKPOINT_SECONDS:
+        if self._checkpoint is None or iterate.x is None:
+            return
+        if now - self._saved < _CHECKPOINT_SECONDS:
             return
         self._saved = now
         draft = self._checkpoint.with_name("checkpoint.tmp.npz")
@@ -48,7 +55,10 @@ class SolveWatch:
 
 
 def solve(
-    problem: PhaseProblem, title: str, folder: Path, resume: bool
+    problem: PhaseProblem,
+    title: str,
+    folder: Path | None = None,
+    resume: bool = False,
 ) -> PhaseResult:
     """Solve with progress; the newest iterate is kept in `folder`.
 
@@ -56,15 +66,17 @@ def solve(
         problem: the phase.
         title: begins every line of progress.
         folder: where checkpoint.npz is written while solving; it stays there
-            if the solve does not succeed.
+            if the solve does not succeed. None keeps nothing.
         resume: start from the checkpoint found there, if there is one.
 
     Raises:
         InputError: the checkpoint belongs to another problem, or is damaged;
             or from the pre-flight check.
     """
+    if folder is None:
+        return problem.solve(on_iterate=SolveWatch(title))
     checkpoint = folder / CHECKPOINT
-    fingerprint = problem.compile().fingerprint()
+    fingerprint = problem.compiled.fingerprint()
     guess = None
     if resume and checkpoint.is_file():
         size = problem.program.prog.num_vars()
@@ -72,7 +84,7 @@ def solve(
         print(f"{title}: resumed from {CHECKPOINT}")
     watch = SolveWatch(title, checkpoint, fingerprint)
     result = problem.solve(guess, on_iterate=watch)
-    if result.solution.success:
+    if result.success:
         checkpoint.unlink(missing_ok=True)
     return result
 
@@ -101,14 +113,3 @@ def read_checkpoint(path: Path, fingerprint: str, size: int) -> np.ndarray:
             "to start afresh"
         )
     return x
-
-
-def report_failure(result: PhaseResult) -> int:
-    """Say why a solve failed; returns the command's exit code."""
-    solution = result.solution
-    print(
-        f"not solved: {solution.status} after {solution.iterations} "
-        f"iterations. {solution.explain()} What was reached so far is "
-        "written, marked as failed."
-    )
-    return 130 if solution.status == "stopped by the user" else 1

@@ -8,25 +8,25 @@ carry it too. The prior counts as one more measurement, of the nominal value.
 What tracks no measurement (energy, jerk) adds no noise but pulls parameters
 away from what the data say; the pull is reported beside.
 
-Which contact parameters do the data determine?
-
-After Van den Hof et al., as the paper uses it (II-C): singular values and
-vectors of the sensitivity of the predicted contact forces to the parameters.
+Which parameters the data determine at all is told after Van den Hof et al., as
+the paper uses it (II-C): singular values and vectors of the sensitivity of the
+predicted contact forces to the parameters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.problem import PhaseProblem, PhaseResult
+from drake_exo.calibration.scores import rms
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
     GROUND_MOMENT_UNIT,
-    FootGroundKernel,
 )
-from drake_exo.collocation.trial_program import Movement
+from drake_exo.collocation.trial_program import TrialProgram
 from drake_exo.nlp.sensitivity import Response, response
 from drake_exo.nlp.sparse import SparseProgram
 
@@ -76,7 +76,6 @@ class Uncertainty:
 
 
 def uncertainty(
-    problem: PhaseProblem,
     result: PhaseResult,
     cutoff_hz: float = 6.0,
     order: int = 4,
@@ -84,18 +83,18 @@ def uncertainty(
     """Covariance of the free parameters of a calibration.
 
     Args:
-        problem: with its collocation constraints substituted.
-        result: its solution.
+        result: of a problem with its collocation constraints substituted.
         cutoff_hz, order: of the filter that the signals went through.
 
     Returns:
         None if nothing is free, or the collocation constraints were kept
         (`reduce: false`): then given end states are no constraints.
     """
+    problem = result.problem
     free = [k for k, p in enumerate(problem.parameters) if p.free]
-    if not free or not result.settings.solver.reduce:
+    if not free or not problem.settings.solver.reduce:
         return None
-    program = problem.compile()
+    program = problem.compiled
     y = program.restrict(result.solution.raw_values())
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
@@ -110,7 +109,7 @@ def uncertainty(
     for movement in problem.movements:
         for part in _noise(movement, program, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
-    weight = getattr(result.settings, "prior_weight", 0.0)
+    weight = problem.prior_weight
     spans = np.array([problem.parameters[k].span for k in free])
     by_prior = by_x[:, index] * (np.sqrt(weight) / spans)
     covariance += by_prior @ by_prior.T
@@ -122,7 +121,9 @@ def uncertainty(
     )
 
 
-def _noise(movement: Movement, program: SparseProgram, found, by_x, cut, order):
+def _noise(
+    movement: TrialProgram, program: SparseProgram, found, by_x, cut, order
+):
     """Response (m, k) to independent unit noises, for each signal."""
     times, weights = movement.grid.times, movement.grid.quadrature
     values, slopes = noise_basis(times, cut, order)
@@ -205,7 +206,6 @@ def noise_basis(
 
 # Parameters whose sensitivities point this nearly the same way are coupled.
 COUPLED = 0.99
-_LEAST_FORCE = 20.0
 
 
 @dataclass(frozen=True)
@@ -255,22 +255,27 @@ def contact_sensitivity(result: PhaseResult) -> Identifiability:
 
     All parameters of the spheres are looked at, fixed ones included.
     """
-    settings = result.settings
-    kernel = FootGroundKernel(settings.law, settings.law_constants())
+    problem, noise = result.problem, result.problem.settings.noise
     scale = np.array([p.span / 4.0 for p in result.parameters])
+    values = [p.nominal for p in result.parameters]
+    names = problem.tree.coordinates
     blocks = []
-    for t in result.trajectories:
-        n = len(t.times)
-        values = np.broadcast_to(result.values(), (n, len(scale)))
-        x = np.hstack([t.q[:, :3], t.v[:, :3], t.ground, values])
-        J = kernel.jacobian(x, None)[:, :, 9:]
+    for trial in result.trials:
+        n = len(trial.times)
+        x = np.hstack(
+            [
+                trial.q[:, names.root_columns],
+                trial.v[:, names.root_columns],
+                trial.ground.array,
+                np.broadcast_to(values, (n, len(values))),
+            ]
+        )
+        J = problem.kernel.jacobian(x, None)[:, :, -len(values) :]
         J = J * np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])[:, None]
-        load = t.ground[:, 1]
-        keep = load > _LEAST_FORCE
-        J, load = J[keep], load[keep]
-        cop = -t.ground[keep, 2] / load
-        d_cop = -(J[:, 2] + cop[:, None] * J[:, 1]) / load[:, None]
-        noise = settings.noise
+        ground = trial.ground.cut(trial.ground.is_loaded)
+        J = J[trial.ground.is_loaded]
+        load, cop = ground.force_z[:, None], ground.cop_x[:, None]
+        d_cop = -(J[:, 2] + cop * J[:, 1]) / load
         scaled = np.stack(
             [
                 J[:, 0] / noise.force_n,
@@ -295,3 +300,56 @@ def analyse(names: list[str], sensitivity: np.ndarray) -> Identifiability:
         directions=directions,
         cosines=unit.T @ unit,
     )
+
+
+def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
+    """Phase A again with other radii: what moves is the spheres' centres.
+
+    The prior follows the spheres' lowest points.
+
+    Args:
+        result: of Phase A.
+        factors: of all radii.
+
+    Yields:
+        For each factor a row: radius_factor, success, objective,
+        vertical_force_rmsd_n, and radius and z of every sphere by name.
+    """
+    problem = result.problem
+    for factor in factors:
+        rise = {
+            p.name.removesuffix("radius"): (factor - 1.0) * p.nominal
+            for p in problem.parameters
+            if p.name.endswith(".radius")
+        }
+        parameters = []
+        for p in problem.parameters:
+            if p.name.endswith(".radius"):
+                p = replace(p, nominal=factor * p.nominal, free=False)
+            elif p.name.endswith(".z"):
+                dz = rise[p.name.removesuffix("z")]
+                p = replace(
+                    p,
+                    nominal=p.nominal + dz,
+                    lower=p.lower + dz,
+                    upper=p.upper + dz,
+                )
+            parameters.append(p)
+        found = FootGroundCalibration(
+            problem.model, problem.trials, problem.settings, parameters
+        ).solve()
+        errors = [
+            rms(t.ground.force_z - trial.sample(t.times).ground.force_z)
+            for t, trial in zip(found.trials, problem.trials, strict=True)
+        ]
+        yield {
+            "radius_factor": factor,
+            "success": found.success,
+            "objective": found.solution.objective,
+            "vertical_force_rmsd_n": float(np.mean(errors)),
+            **{
+                p.name: p.nominal
+                for p in found.parameters
+                if p.name.endswith((".radius", ".z"))
+            },
+        }

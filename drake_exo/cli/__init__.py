@@ -18,7 +18,7 @@ _COMMANDS = {
     "predict": "drake_exo.cli.predict",
     "report": "drake_exo.cli.report",
     "sensitivity": "drake_exo.cli.sensitivity",
-    "contact": "drake_exo.report.contact_figures",
+    "contact": "drake_exo.cli.contact",
     "demo": "drake_exo.cli.demo",
     "lab": "drake_exo.cli.lab",
     "sole": "drake_exo.cli.sole",

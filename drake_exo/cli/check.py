@@ -3,10 +3,14 @@
 import argparse
 from pathlib import Path
 
-from drake_exo.files.output import Progress, prepare_output_folder, write_json
-from drake_exo.measurement.processing import load_trials
-from drake_exo.measurement.quality import assess, text_of
-from drake_exo.study import load_study
+from drake_exo.files.output import (
+    Progress,
+    prepare_output_folder,
+    write_json,
+)
+from drake_exo.measurement.quality import text_of
+from drake_exo.report.figures import quality_figure, save_figure
+from drake_exo.study import RecordedStudy, read_study
 
 
 def add_parser(subparsers) -> None:
@@ -34,33 +38,31 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the report; write it with pictures to --out, if given."""
-    study, root = load_study(args.study, args.data_root)
+    study = read_study(args.study, args.data_root)
     folder = None
     if args.out is not None:
         folder = prepare_output_folder(args.out, args.force)
-    subject, trials = load_trials(study, root)
-    quality = assess(subject, trials)
+    quality = study.quality()
     print(text_of(quality))
     if folder is not None:
         with folder as out:
-            _write(out, subject, trials, quality)
+            _write(out, study, quality)
         print(f"report in {args.out}")
     return 0
 
 
-def _write(out: Path, subject, trials, quality) -> None:
-    # Drawing is the slow part of starting: only where it is asked for.
-    from drake_exo.report.figures import quality_figure
-
+def _write(out: Path, study: RecordedStudy, quality) -> None:
     (out / "quality.txt").write_text(text_of(quality) + "\n", encoding="utf-8")
     write_json(
         out / "quality.json",
-        {**quality.summary(), "standing": subject.report},
+        {**quality.summary(), "standing": study.subject.report},
     )
+    trials = study.trials()
     progress = Progress("drawing", total=len(trials))
     for i, (trial, found) in enumerate(
         zip(trials, quality.trials, strict=True)
     ):
         trial.save(out / trial.name)
-        quality_figure(out / f"{trial.name}.png", trial, found)
+        figure = quality_figure(trial, found)
+        save_figure(out / f"{trial.name}.png", figure)
         progress.update(trial.name, done=i + 1)

@@ -9,7 +9,7 @@ from drake_exo.virtual_laboratory.campaign import (
     NUM_USED,
     write_campaign,
 )
-from drake_exo.virtual_laboratory.disturbances import DISTURBANCES
+from drake_exo.virtual_laboratory.truth import DISTURBANCES
 
 _PROCESSES = 2  # a core for each; more memory is not worth it
 

@@ -4,8 +4,6 @@ Each trial with `use: prediction` is predicted by itself from its initial and
 final state (Phase C1; C2 with --scale-interaction 1.4).
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import re
@@ -15,22 +13,32 @@ from types import FunctionType
 
 from pydrake.systems.framework import System
 
-from drake_exo.calibration.audit import audit_trials
-from drake_exo.calibration.inputs import load_inputs
 from drake_exo.calibration.results import (
     PARAMETERS,
-    read_calibration,
+    read_contact,
     solve_summary,
-    write_model,
-    write_trajectories,
+    write_trial,
 )
-from drake_exo.calibration.scores import rmsd, spread
-from drake_exo.calibration.solving import report_failure, solve
-from drake_exo.cli.calibrate import add_study_arguments
+from drake_exo.calibration.scores import spread
+from drake_exo.cli.calibrate import add_study_arguments, report_failure
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.report.figures import draw_figures
-from drake_exo.report.tables import format_table, rmsd_table
+from drake_exo.report.tables import audit_table, format_table, rmsd_table
+from drake_exo.study import (
+    Prediction,
+    audit_all,
+    predict,
+    read_study,
+    write_inputs,
+)
+
+# Where the example stood before; its name may be in somebody's scripts.
+_FORMER = {
+    "drake_exo.forces.assist_controller:AssistController": (
+        "drake_exo:AssistController"
+    )
+}
 
 
 def add_parser(subparsers) -> None:
@@ -70,57 +78,63 @@ def add_parser(subparsers) -> None:
         "--controller",
         metavar="MODULE:NAME",
         help="a stateless LeafSystem that gives the exoskeleton's torques, "
-        "such as drake_exo.contact.controllers:AssistController; "
-        "without it they are as measured",
+        "such as drake_exo:AssistController; without it they are as measured",
     )
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Predict every trial, audit, and write everything to --out."""
-    settings_of = _settings(args)
-    contact = read_calibration(args.calibration)
+    changes = _changes(args)
+    contact = read_contact(args.calibration)
     contact_text = (args.calibration / PARAMETERS).read_text("utf-8")
     controller = load_controller(args.controller)
-    inputs = load_inputs(args.study, args.data_root, "prediction")
-    settings = settings_of(inputs.study.prediction)
-    solved, pairs, code = [], [], 0
+    study = read_study(args.study, args.data_root)
+    settings = replace(study.prediction, **changes)
+    trials = study.trials("prediction")
+    found: list[Prediction] = []
+    code = 0
     with prepare_output_folder(args.out, args.force, args.resume) as out:
-        write_model(out, inputs.model)
+        write_inputs(out, study.model, trials)
         (out / PARAMETERS).write_text(contact_text, encoding="utf-8")
-        for loaded, trial in zip(inputs.loaded, inputs.trials, strict=True):
-            loaded.save(out / f"measured_{loaded.name}")
-            problem = inputs.prediction_problem(
-                trial, contact, settings, args.scale_interaction, controller
-            )
+        for trial in trials:
             folder = out / f"unfinished_{trial.name}"
             folder.mkdir(exist_ok=True)
-            result = solve(
-                problem, f"predict {trial.name}", folder, args.resume
+            prediction = predict(
+                study,
+                trial,
+                contact,
+                settings=settings,
+                scale_interaction=args.scale_interaction,
+                controller=controller,
+                folder=folder,
+                resume=args.resume,
             )
-            solved.append((trial, result))
-            if result.solution.success:
+            found.append(prediction)
+            if prediction.success:
                 folder.rmdir()
-                pairs.append((problem, result))
                 continue
             print(trial.name, end=": ")
-            code = report_failure(result)
+            code = report_failure(prediction.solution)
             if code == 130:
                 break
-        summary = _summary(args, settings, solved, inputs)
-        _write(out, solved, summary)
-        if pairs:
-            summary["audit"] = audit_trials(
-                inputs.model, inputs.study.gravity_m_s2, pairs
-            )
+        summary = _summary(args, study, settings, found, trials)
+        good = [
+            (p, t) for p, t in zip(found, trials, strict=False) if p.success
+        ]
+        if good:
+            _write(out, good, summary)
+            audits = audit_all([p.result for p, _ in good])
+            summary["audit"] = [audit.summary() for audit in audits]
+            print(audit_table(summary["audit"]))
         write_json(out / "summary.json", summary)
     if not code:
         print(f"results in {args.out}")
     return code
 
 
-def _settings(args):
-    """Function that puts options in the place of the study's settings.
+def _changes(args: argparse.Namespace) -> dict:
+    """What options put in the place of the study's settings.
 
     Raises:
         InputError: an option is out of bounds.
@@ -134,8 +148,7 @@ def _settings(args):
         "objective": args.objective,
         "torque_limit_nm": args.torque_limit,
     }
-    changes = {k: v for k, v in changes.items() if v is not None}
-    return lambda settings: replace(settings, **changes)
+    return {k: v for k, v in changes.items() if v is not None}
 
 
 def load_controller(name: str | None) -> System | None:
@@ -146,6 +159,7 @@ def load_controller(name: str | None) -> System | None:
     """
     if name is None:
         return None
+    name = _FORMER.get(name, name)
     if not re.fullmatch(r"[\w.]+:\w+", name):
         raise InputError(f"--controller is {name!r}; write it as MODULE:NAME")
     module, _, attribute = name.partition(":")
@@ -167,12 +181,8 @@ def load_controller(name: str | None) -> System | None:
     return found
 
 
-def _summary(args, settings, solved, inputs) -> dict:
-    solves = [
-        {"trial": trial.name, **solve_summary(result.solution)}
-        for trial, result in solved
-    ]
-    complete = len(solves) == len(inputs.trials)
+def _summary(args, study, settings, found: list[Prediction], trials) -> dict:
+    solves = [{"trial": p.name, **solve_summary(p.solution)} for p in found]
     failed = [s for s in solves if not s["success"]]
     total = {
         key: sum(s[key] for s in solves)
@@ -187,41 +197,32 @@ def _summary(args, settings, solved, inputs) -> dict:
     }
     return {
         "phase": "prediction",
-        "subject": inputs.study.subject.name,
+        "subject": study.name,
         "objective": settings.objective,
         "scale_interaction": args.scale_interaction,
         "controller": args.controller,
-        "success": complete and not failed,
+        "success": len(solves) == len(trials) and not failed,
         "status": failed[0]["status"] if failed else "solved",
         **total,
         "solves": solves,
         "settings": asdict(settings),
         "parameters": [],
         "rmsd": [
-            rmsd(result.trajectories[0], trial)
-            for trial, result in solved
-            if result.solution.success
+            p.rmsd(t) for p, t in zip(found, trials, strict=False) if p.success
         ],
-        "measured_sd": spread(inputs.trials),
+        "measured_sd": spread(trials),
         "starts_from": (
             "the measured chair force"
-            if any(t.chair is not None for t in inputs.loaded)
+            if any(t.chair is not None for t in trials)
             else "seat-off or later, without a chair"
         ),
     }
 
 
-def _write(
-    out: Path,
-    solved: list[tuple],
-    summary: dict,
-) -> None:
+def _write(out: Path, good: list[tuple], summary: dict) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
-    good = [(t, r) for t, r in solved if r.solution.success]
-    if not good:
-        return
-    trajectories = [r.trajectories[0] for _, r in good]
-    write_trajectories(out, trajectories)
+    for prediction, _ in good:
+        write_trial(out, prediction)
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
     text += f"\nmovements start from {summary['starts_from']}"
     (out / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
@@ -237,4 +238,4 @@ def _write(
         for s in summary["solves"]
     ]
     print(format_table(["trial", "iterations", "build s", "solve s", ""], rows))
-    draw_figures(out, trajectories, [t for t, _ in good])
+    draw_figures(out, [p for p, _ in good], [t for _, t in good])

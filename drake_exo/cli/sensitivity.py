@@ -5,22 +5,22 @@ and calibrates again with other radii: the same forces come out with the
 spheres' centres moved.
 """
 
-from __future__ import annotations
-
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from drake_exo.calibration.foot_ground import FootGroundProblem
-from drake_exo.calibration.inputs import load_inputs
-from drake_exo.calibration.scores import rms
-from drake_exo.calibration.uncertainty import contact_sensitivity
-from drake_exo.files.output import Progress, prepare_output_folder, write_json
+from drake_exo.calibration.uncertainty import (
+    contact_sensitivity,
+    radius_profile,
+)
+from drake_exo.files.output import (
+    Progress,
+    prepare_output_folder,
+    write_json,
+)
 from drake_exo.report.tables import format_table
-
-_RADIUS_FACTORS = (0.75, 1.0, 1.25)
+from drake_exo.study import calibrate_foot_ground, read_study
 
 
 def add_parser(subparsers) -> None:
@@ -39,16 +39,17 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Solve, analyse, print and write sensitivity.json."""
-    inputs = load_inputs(args.study, args.data_root)
+    study = read_study(args.study, args.data_root)
+    trials = study.trials("calibration")
     with prepare_output_folder(args.out, args.force) as out:
-        progress = Progress("sensitivity", total=len(_RADIUS_FACTORS) + 1)
-        result = inputs.problem().solve()
-        progress.update("calibrated", done=1)
+        result = calibrate_foot_ground(study, trials).result
         found = contact_sensitivity(result)
-        rows = [
-            _with_radius(inputs, factor, progress, i + 2)
-            for i, factor in enumerate(_RADIUS_FACTORS)
-        ]
+        progress = Progress("sensitivity")
+        rows = []
+        for row in radius_profile(result):
+            rows.append(row)
+            factor = row["radius_factor"]
+            progress.update(f"radius x {factor:g}", done=len(rows))
         _print(found, rows)
         write_json(
             out / "sensitivity.json",
@@ -64,45 +65,6 @@ def run(args: argparse.Namespace) -> int:
         )
     print(f"results in {args.out}")
     return 0
-
-
-def _with_radius(inputs, factor, progress, done) -> dict:
-    """Calibrate with both radii scaled; the prior follows the lowest point."""
-    parameters = []
-    shift = {}
-    for p in inputs.parameters:
-        sphere, what = p.name.split(".")
-        if what == "radius":
-            shift[sphere] = (factor - 1.0) * p.nominal
-            p = replace(p, nominal=factor * p.nominal, free=False)
-        parameters.append(p)
-    parameters = [
-        replace(
-            p,
-            nominal=p.nominal + shift[p.name.split(".")[0]],
-            lower=p.lower + shift[p.name.split(".")[0]],
-            upper=p.upper + shift[p.name.split(".")[0]],
-        )
-        if p.name.endswith(".z")
-        else p
-        for p in parameters
-    ]
-    result = FootGroundProblem(
-        inputs.tree, inputs.trials, parameters, inputs.settings
-    ).solve()
-    values = {p.name: p.nominal for p in result.parameters}
-    errors = [
-        rms(t.ground[:, 1:2] - trial.sample(t.times).ground[:, 1:2])[0]
-        for t, trial in zip(result.trajectories, inputs.trials, strict=True)
-    ]
-    progress.update(f"radius x {factor:g}", done=done)
-    return {
-        "radius_factor": factor,
-        "success": result.solution.success,
-        "objective": result.solution.objective,
-        "vertical_force_rmsd_n": float(np.mean(errors)),
-        **{k: values[k] for k in values if k.endswith((".radius", ".z"))},
-    }
 
 
 def _print(found, rows) -> None:

@@ -1,16 +1,21 @@
-"""A start from which nothing springs: the foot where its contact carries it.
+"""Starts of a program: a foot that its contact carries, and a straight line.
 
 Measured feet are off by millimetres, which is kilonewtons on stiff spheres.
 Before a solve the foot is lowered, tilted and made to creep at each node, so
-that the contact law gives the ground reaction that was measured. The force on
-each sphere follows from statics, and the law is monotone in the indentation
-and in the slip velocity, so both are found by bisection: nothing can diverge.
+that the contact law gives the ground reaction that was measured and nothing
+springs. The force on each sphere follows from statics, and the law is monotone
+in the indentation and in the slip velocity, so both are found by bisection:
+nothing can diverge.
 """
 
 import numpy as np
 
-from drake_exo.collocation.kernels import SPHERE_PARAMETERS, FootGroundKernel
+from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.contact.hunt_crossley import contact_arm, sphere_force
+from drake_exo.contact.parameters import SPHERE_PARAMETERS
+from drake_exo.measurement.filters import minimum_jerk
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
 
 # Each sphere bears at least this share, so that the foot stays on both.
 _LEAST_SHARE = 0.02
@@ -22,6 +27,10 @@ _FASTEST = 0.2
 _BISECTIONS = 45
 _LARGEST_SLOPE = 0.5  # sine of the foot's tilt
 _PASSES = 3
+# Where all of more than two spheres carry the foot.
+_NEWTON_STEPS = 25
+_STEP, _LARGEST_STEP = 1e-7, 5e-3
+_X, _Z, _RADIUS = (SPHERE_PARAMETERS.index(k) for k in ("x", "z", "radius"))
 
 
 def settle_foot(
@@ -34,9 +43,11 @@ def settle_foot(
     """Foot motion whose contact forces are the given ones.
 
     Sinking is taken as slow: the dissipative part of the force is left out.
+    Statics shares the force between the foremost and the hindmost sphere; if
+    there are more, the foot is then moved until all of them give it together.
 
     Args:
-        kernel: the contact law, of two spheres.
+        kernel: the contact law, of two spheres or more.
         parameters: its parameters, in the kernel's order.
         times: (n,) [s].
         foot: (n, 3) x, z, pitch of the foot as measured [m, rad].
@@ -47,17 +58,20 @@ def settle_foot(
         give the force (centre of pressure off the foot, more than friction
         holds), the nearest is returned: it is only a guess.
     """
-    count = len(SPHERE_PARAMETERS)
-    spheres = np.asarray(parameters[: 2 * count], float).reshape(2, count)
-    spheres = spheres[np.argsort(spheres[:, 2])]
+    spheres = np.asarray(parameters, float)
+    spheres = spheres.reshape(kernel.num_spheres, len(SPHERE_PARAMETERS))
+    spheres = spheres[np.argsort(spheres[:, _X])]
+    ends = spheres[[0, -1]]
     q = foot.astype(float)
     drift, height = np.zeros(len(times)), np.zeros(len(times))
     for _ in range(_PASSES):
         # The drift is kept about the measured place.
         q[:, 0] = foot[:, 0].mean() + drift - drift.mean()
-        loads = _loads(spheres, q, ground, height)
-        depths = _depths(kernel, spheres, loads)
-        q[:, 1:] = _pose(spheres, depths)
+        loads = _loads(ends, q, ground, height)
+        depths = _depths(kernel, ends, loads)
+        q[:, 1:] = _pose(ends, depths)
+        if len(spheres) > 2:
+            q[:, 1:], loads, depths = _together(kernel, spheres, q, loads)
         height = _height(kernel.law, spheres, loads, depths)
         slip = _slip(kernel, spheres, loads, ground[:, 0])
         v = np.gradient(q, times, axis=0)
@@ -65,6 +79,28 @@ def settle_foot(
         steps = 0.5 * np.diff(times) * (v[1:, 0] + v[:-1, 0])
         drift = np.r_[0.0, np.cumsum(steps)]
     return q, v
+
+
+def straight_line(trial: Trial, times: np.ndarray) -> Trial:
+    """Minimum-jerk line between a trial's end states, without its data.
+
+    Args:
+        trial: first and last positions are used.
+        times: (n,) from 0 [s].
+    """
+    start, change = trial.q[0], trial.q[-1] - trial.q[0]
+    T = times[-1]
+    p, dp, ddp = (x[:, None] for x in minimum_jerk(times / T))
+    return Trial(
+        trial.name,
+        trial.coordinates,
+        times,
+        start + p * change,
+        dp * change / T,
+        ddp * change / T**2,
+        PlanarWrench.of(np.zeros((len(times), 3))),
+        source="solved",
+    )
 
 
 def _loads(spheres, q, ground, height):
@@ -77,8 +113,8 @@ def _loads(spheres, q, ground, height):
         height: (n,) of the point where it acts [m].
     """
     sine, cosine = np.sin(q[:, 2]), np.cos(q[:, 2])
-    x = q[:, :1] + np.outer(cosine, spheres[:, 2])
-    x -= np.outer(sine, spheres[:, 3])
+    x = q[:, :1] + np.outer(cosine, spheres[:, _X])
+    x -= np.outer(sine, spheres[:, _Z])
     total = np.maximum(ground[:, 1], 2.0 * _LEAST_FORCE)
     center = (height * ground[:, 0] - ground[:, 2]) / total
     share = (center - x[:, 0]) / (x[:, 1] - x[:, 0])
@@ -91,26 +127,68 @@ def _depths(kernel, spheres, loads):
     """Indentations (n, 2) that carry the loads [m]."""
 
     def excess(depth):
-        force, _ = sphere_force(
-            kernel.law,
-            depth,
-            0.0,
-            0.0,
-            spheres[:, 0],
-            spheres[:, 1],
-            spheres[:, 4],
-            kernel.constants,
-        )
-        return force - loads
+        return _static(kernel, spheres, depth) - loads
 
     return _root(excess, -_CLEARANCE, _DEEPEST, loads.shape)
 
 
 def _height(law, spheres, loads, depths):
     """Mean height (n,) of the contact points, weighted by load [m]."""
-    r = spheres[:, 4]
+    r = spheres[:, _RADIUS]
     points = r - depths - contact_arm(law, depths, r)
     return np.sum(loads * points, axis=1) / np.sum(loads, axis=1)
+
+
+def _together(kernel, spheres, q, loads):
+    """The pose at which all spheres give what the outer two should.
+
+    Args:
+        kernel: the law.
+        spheres: parameters (m, 5), hindmost first.
+        q: (n, 3) of the foot, on the outer two alone.
+        loads: (n, 2) that those would bear [N].
+
+    Returns:
+        Height and pitch (n, 2), loads and indentations (n, m).
+    """
+    px, pz = spheres[:, _X], spheres[:, _Z]
+    pose, total = q[:, 1:].copy(), loads.sum(axis=1)
+    moment = loads @ px[[0, -1]]
+    for _ in range(_NEWTON_STEPS):
+        c, s = np.cos(pose[:, 1:]), np.sin(pose[:, 1:])
+        depths = spheres[:, _RADIUS] - pose[:, :1] - s * px - c * pz
+        force = _static(kernel, spheres, depths)
+        stiff = (_static(kernel, spheres, depths + _STEP) - force) / _STEP
+        lever = c * px - s * pz  # of the pitch
+        excess = np.stack(
+            [force.sum(axis=1) - total, force @ px - moment], axis=1
+        )
+        J = -np.stack(
+            [
+                np.stack([stiff.sum(axis=1), (stiff * lever).sum(axis=1)], 1),
+                np.stack([stiff @ px, (stiff * lever) @ px], 1),
+            ],
+            axis=1,
+        )
+        step = -np.linalg.solve(J, excess[:, :, None])[:, :, 0]
+        pose += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    return pose, force, depths
+
+
+def _static(kernel, spheres, depths):
+    """Normal force (n, m) of spheres at rest at indentations (n, m) [N]."""
+    stiffness, dissipation, _, _, radius = spheres.T
+    force, _ = sphere_force(
+        kernel.law,
+        depths,
+        0.0,
+        0.0,
+        stiffness,
+        dissipation,
+        radius,
+        kernel.constants,
+    )
+    return force
 
 
 def _slip(kernel, spheres, loads, force_x):
@@ -118,14 +196,15 @@ def _slip(kernel, spheres, loads, force_x):
 
     def excess(slip):
         # Friction is proportional to the normal force: one sphere's will do.
+        stiffness, dissipation, _, _, radius = spheres[0]
         normal, friction = sphere_force(
             kernel.law,
             0.01,
             0.0,
             slip,
-            spheres[0, 0],
-            spheres[0, 1],
-            spheres[0, 4],
+            stiffness,
+            dissipation,
+            radius,
             kernel.constants,
         )
         return force_x - loads.sum(axis=1) * friction / normal
@@ -146,7 +225,7 @@ def _root(increasing, lower, upper, shape):
 
 def _pose(spheres, depths):
     """Height and pitch (n, 2) of the foot at given indentations."""
-    (px, pz), r = spheres[:, 2:4].T, spheres[:, 4]
+    _, _, px, pz, r = spheres.T
     heights = r - depths
     dx, dz = np.diff(px)[0], np.diff(pz)[0]
     rise = np.diff(heights, axis=1)[:, 0] / np.hypot(dx, dz)

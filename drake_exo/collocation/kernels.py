@@ -7,11 +7,10 @@ and the contact laws are two algebraic constraints at each node.
 import numpy as np
 
 from drake_exo.contact.hunt_crossley import (
-    Constants,
-    Law,
     sphere_wrench,
     sphere_wrench_derivatives,
 )
+from drake_exo.contact.parameters import SPHERE_PARAMETERS, GroundContact
 from drake_exo.model.planar_tree import PlanarTree
 
 # Residuals are divided by these, so that all are of order one.
@@ -19,15 +18,13 @@ FORCE_UNIT = 100.0  # N
 MOMENT_UNIT = 100.0  # N m
 GROUND_MOMENT_UNIT = 10.0  # N m
 
-SPHERE_PARAMETERS = ("stiffness", "dissipation", "x", "z", "radius")
-
 
 class DynamicsKernel:
-    """Inverse-dynamics residual of a model that stands on its foot.
+    """Inverse-dynamics residual of a model that stands on its root.
 
-    Inputs: q, v, a (nq each), joint torques (nq - 3), then ground reaction
-    F_x, F_z and M_y about the laboratory origin. Outputs (nq): generalized
-    force missing in each coordinate, in units of 100 N and 100 N m.
+    Inputs: q, v, a (nq each), joint torques (nj), then ground reaction F_x,
+    F_z and M_y about the laboratory origin. Outputs (nq): generalized force
+    missing in each coordinate, in units of 100 N and 100 N m.
 
     Data, if any: (n, nq) generalized forces applied by others.
     """
@@ -36,55 +33,61 @@ class DynamicsKernel:
         self.tree = tree
         nq = tree.num_positions
         self.num_positions = nq
-        pattern = np.zeros((nq, 4 * nq), bool)
+        self._root = tree.coordinates.root_columns
+        self._joints = tree.coordinates.joint_columns
+        sizes = [nq, nq, nq, len(self._joints), 3]
+        *self._cuts, n_in = np.cumsum(sizes)
+        pattern = np.zeros((nq, n_in), bool)
         pattern[:, : 3 * nq] = True
         # No force depends on where the model stands or drifts.
-        for column in (0, 1, nq, nq + 1):
+        x, z, pitch = self._root
+        for column in (x, z, nq + x, nq + z):
             pattern[:, column] = False
-        pattern[2, :2] = True
-        pattern[np.arange(3, nq), 3 * nq + np.arange(nq - 3)] = True
-        pattern[0, 4 * nq - 3] = pattern[1, 4 * nq - 2] = True
-        pattern[2, 4 * nq - 3 :] = True
+        pattern[pitch, [x, z]] = True
+        torques, ground = self._columns()
+        pattern[self._joints, torques] = True
+        pattern[x, ground[0]] = pattern[z, ground[1]] = True
+        pattern[pitch, ground] = True
         self.sparsity = pattern
 
-    def _split(self, x):
-        nq = self.num_positions
-        return np.split(x, [nq, 2 * nq, 3 * nq, 4 * nq - 3], axis=1)
+    def _columns(self):
+        """Columns of the torques and of the ground reaction."""
+        first = self._cuts[2]
+        count = len(self._joints)
+        return first + np.arange(count), first + count + np.arange(3)
 
     def evaluate(self, x, data):
         """See Kernel."""
-        q, v, a, torque, ground = self._split(x)
+        q, v, a, torque, ground = np.split(x, self._cuts, axis=1)
         r = self.tree.inverse_dynamics(q, v, a)
-        r[:, :2] -= ground[:, :2]
-        r[:, 2] += ground[:, 2] - _moment(q, ground)
-        r[:, 3:] -= torque
+        i, k, pitch = self._root
+        r[:, [i, k]] -= ground[:, :2]
+        # M_y about the origin of a force that acts at the root's origin.
+        moment = q[:, k] * ground[:, 0] - q[:, i] * ground[:, 1]
+        r[:, pitch] += ground[:, 2] - moment
+        r[:, self._joints] -= torque
         if data is not None:
             r -= data
         return r / FORCE_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
-        q, v, a, _, ground = self._split(x)
+        q, v, a, _, ground = np.split(x, self._cuts, axis=1)
         nq = self.num_positions
-        J = np.zeros((len(x), nq, 4 * nq))
+        J = np.zeros((len(x), *self.sparsity.shape))
         parts = self.tree.inverse_dynamics_jacobians(q, v, a)
-        for k, part in enumerate(parts):
-            J[:, :, k * nq : (k + 1) * nq] = part
-        J[:, 2, 0] += ground[:, 1]
-        J[:, 2, 1] -= ground[:, 0]
-        first = 4 * nq - 3
-        J[:, 0, first] = J[:, 1, first + 1] = -1.0
-        J[:, 2, first] = -q[:, 1]
-        J[:, 2, first + 1] = q[:, 0]
-        J[:, 2, first + 2] = 1.0
-        joints = np.arange(nq - 3)
-        J[:, 3 + joints, 3 * nq + joints] = -1.0
+        for n, part in enumerate(parts):
+            J[:, :, n * nq : (n + 1) * nq] = part
+        i, k, pitch = self._root
+        torques, (F_x, F_z, M_y) = self._columns()
+        J[:, pitch, i] += ground[:, 1]
+        J[:, pitch, k] -= ground[:, 0]
+        J[:, i, F_x] = J[:, k, F_z] = -1.0
+        J[:, pitch, F_x] = -q[:, k]
+        J[:, pitch, F_z] = q[:, i]
+        J[:, pitch, M_y] = 1.0
+        J[:, self._joints, torques] = -1.0
         return J / FORCE_UNIT
-
-
-def _moment(q, ground):
-    """M_y about the origin of a force that acts at the foot's origin."""
-    return q[:, 1] * ground[:, 0] - q[:, 0] * ground[:, 1]
 
 
 class FootGroundKernel:
@@ -94,12 +97,16 @@ class FootGroundKernel:
     laboratory origin), then for each sphere stiffness, dissipation, x and z
     of its centre in the foot frame, and radius (SPHERE_PARAMETERS).
     Outputs: differences in units of 100 N, 100 N, 10 N m.
+
+    Args:
+        contact: law, constants, and how many spheres; their parameters are
+            inputs.
     """
 
-    def __init__(self, law: Law, constants: Constants, num_spheres: int = 2):
-        self.law = law
-        self.constants = constants
-        self.num_spheres = num_spheres
+    def __init__(self, contact: GroundContact):
+        self.law = contact.law
+        self.constants = contact.checked().constants
+        self.num_spheres = num_spheres = len(contact.spheres)
         n_in = 9 + len(SPHERE_PARAMETERS) * num_spheres
         self.sparsity = np.ones((3, n_in), bool)
         self.sparsity[:2, 0] = False

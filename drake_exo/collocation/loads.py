@@ -1,11 +1,11 @@
-"""Measured wrenches on bodies, such as the chair's, in equations of motion.
+"""What acts on a model besides ground and cuffs, inside a program.
 
-The wrench is data at each node, but where the body is is not: a chair bears
-hundreds of newtons, and a hip that lies a centimetre from where markers saw
-it changes joint moments by newton metres. So the generalized force depends
-on q as in the Diagram, instead of being evaluated along the measured motion.
-
-An assist controller, written as a LeafSystem, inside a program.
+A measured wrench, such as the chair's, is data at each node, but where the
+body is is not: a chair bears hundreds of newtons, and a hip that lies a
+centimetre from where markers saw it changes joint moments by newton metres. So
+its generalized force depends on q as in the Diagram, instead of being
+evaluated along the measured motion. A controller is a LeafSystem that gives
+the device's torques.
 """
 
 from collections.abc import Mapping
@@ -144,19 +144,21 @@ TORQUE_PORT = "exoskeleton_torques"
 class ControllerKernel:
     """Torques that a stateless controller gives, minus the control.
 
-    Inputs: the exoskeleton's angles (3) and rates (3), its torques (3). Data:
-    (n, 1) time [s]. Outputs: differences in units of 100 N m.
+    Inputs: the angles, rates and torques of the device's m joints. Data:
+    (n, 1) time [s]. Outputs (m): differences in units of 100 N m.
 
     Args:
-        controller: has the input port exoskeleton_state (6: angles, rates)
-            and the output port exoskeleton_torques (3) [N m], no state, and
+        controller: has the input port exoskeleton_state (2 m: angles, rates)
+            and the output port exoskeleton_torques (m) [N m], no state, and
             converts to AutoDiffXd.
+        num_joints: m.
 
     Raises:
         InputError: it is not such a system.
     """
 
-    def __init__(self, controller: System):
+    def __init__(self, controller: System, num_joints: int):
+        self._m = m = num_joints
         if not controller.HasInputPort(STATE_PORT):
             raise InputError(f"the controller has no input port '{STATE_PORT}'")
         if not controller.HasOutputPort(TORQUE_PORT):
@@ -183,7 +185,7 @@ class ControllerKernel:
         }
         self._try()
         self.sparsity = np.hstack(
-            [np.ones((3, 6), bool), np.eye(3, dtype=bool)]
+            [np.ones((m, 2 * m), bool), np.eye(m, dtype=bool)]
         )
 
     def _try(self) -> None:
@@ -193,16 +195,18 @@ class ControllerKernel:
             InputError: ports of other sizes, or it cannot say.
         """
         try:
-            at_rest = self._torque(np.zeros(6), 0.0, False)
-            self._torque(InitializeAutoDiff(np.zeros(6)).ravel(), 0.0, True)
+            rest = np.zeros(2 * self._m)
+            at_rest = self._torque(rest, 0.0, False)
+            self._torque(InitializeAutoDiff(rest).ravel(), 0.0, True)
         except Exception as error:  # it is the user's own code
             raise InputError(
                 f"the controller gives no torques at rest ({reason(error)}); "
-                f"{STATE_PORT} must have 6 values, and all it needs"
+                f"{STATE_PORT} must have {2 * self._m} values, and all it needs"
             ) from error
-        if at_rest.shape != (3,) or not np.isfinite(at_rest).all():
+        if at_rest.shape != (self._m,) or not np.isfinite(at_rest).all():
             raise InputError(
-                f"the controller's {TORQUE_PORT} must be 3 finite numbers"
+                f"the controller's {TORQUE_PORT} must be {self._m} finite "
+                "numbers"
             )
 
     def _torque(self, state, time, derivatives):
@@ -215,22 +219,23 @@ class ControllerKernel:
         """See Kernel."""
         torque = np.stack(
             [
-                self._torque(row[:6], float(t), False)
+                self._torque(row[: 2 * self._m], float(t), False)
                 for row, t in zip(x, data[:, 0], strict=True)
             ]
         )
-        return (torque - x[:, 6:]) / MOMENT_UNIT
+        return (torque - x[:, 2 * self._m :]) / MOMENT_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
-        J = np.zeros((len(x), 3, 9))
+        m = self._m
+        J = np.zeros((len(x), m, 3 * m))
         for i, (row, t) in enumerate(zip(x, data[:, 0], strict=True)):
             torque = self._torque(
-                InitializeAutoDiff(row[:6]).ravel(), float(t), True
+                InitializeAutoDiff(row[: 2 * m]).ravel(), float(t), True
             )
             gradient = ExtractGradient(torque)
             # Empty where the controller depends on time alone.
             if gradient.size:
-                J[i, :, :6] = gradient
-        J[:, np.arange(3), 6 + np.arange(3)] = -1.0
+                J[i, :, : 2 * m] = gradient
+        J[:, np.arange(m), 2 * m + np.arange(m)] = -1.0
         return J / MOMENT_UNIT

@@ -1,17 +1,16 @@
-"""A movement of a planar model on the ground, as part of a program.
+"""A trial of a planar model on the ground, as part of a program.
 
-One `Movement` is one trial: trajectories on a collocation grid, joint torques
-and ground reaction as controls, and the equations that tie them. Several
-movements share one program and one set of contact parameters.
+Trajectories on a collocation grid, joint torques, ground reaction and cuff
+forces as controls, and the equations that tie them. Several trials share one
+program and one set of contact parameters.
 """
 
 from typing import Literal
 
 import numpy as np
 
-from drake_exo.collocation.bushing_kernels import UNITS as INTERACTION_UNITS
+from drake_exo.collocation.bushing_kernels import UNITS as CUFF_UNITS
 from drake_exo.collocation.bushing_kernels import (
-    Bushing,
     BushingKernel,
     CoupledDynamicsKernel,
 )
@@ -24,28 +23,28 @@ from drake_exo.collocation.kernels import (
 )
 from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
 from drake_exo.collocation.transcription import TRANSCRIPTIONS, Transcription
+from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.nlp.program import BatchedProgram
 
 Role = Literal["position", "velocity", "measured", "regulariser"]
 
 
-class Movement:
+class TrialProgram:
     """Variables and constraints of one trial.
 
     Attributes:
         name: of the trial.
+        coordinates: of the model.
         grid: transcription with q, v, a and jerk.
-        torque: (n, nq - 3) joint torques [N m].
+        torque: (n, n_joints) joint torques [N m].
         ground: (n, 3) ground reaction F_x, F_z [N] and M_y about the
             laboratory origin [N m].
-        interaction: (n, 9) forces of the bushings on the human's shank,
-            thigh and pelvis (tangential, normal [N], moment [N m] each), or
-            None where the model has no bushings.
+        cuffs: cuff -> (n, 3) force of its bushing on the human: tangential,
+            normal [N], moment [N m].
         dynamics: kernel of the equations of motion; its inputs are q, v, a,
-            torque, ground and, with bushings, interaction and origins.
+            torque, ground and, with bushings, their forces and origins.
         tracked: terms of the cost.
 
     Args:
@@ -55,8 +54,8 @@ class Movement:
         duration: of the movement [s].
         nodes_per_second: mesh intervals per second.
         transcription: name in TRANSCRIPTIONS.
-        bushings: couple human and exoskeleton, with `origins` (2 each) as
-            decision variables.
+        bushings: cuff -> what couples human and device there, and its origin
+            (2,) as decision variables.
         chair: wrench of the chair, if the movement starts seated.
     """
 
@@ -68,39 +67,36 @@ class Movement:
         duration: float,
         nodes_per_second: float,
         transcription: str = "hermite_simpson",
-        bushings: list[Bushing] | None = None,
-        origins: np.ndarray | None = None,
+        bushings: dict[str, tuple[BushingKinematics, np.ndarray]] | None = None,
         chair: AppliedWrench | None = None,
     ):
         self.name = name
         self.program = program
-        nq = tree.num_positions
+        self.coordinates = tree.coordinates
         intervals = max(round(duration * nodes_per_second), 1)
         self.grid: Transcription = TRANSCRIPTIONS[transcription](
-            program, name, nq, duration, intervals
+            program, name, tree.num_positions, duration, intervals
         )
-        n = len(self.grid.times)
-        prog = program.prog
-        torque = prog.NewContinuousVariables(n * (nq - 3), f"{name} torque")
-        self.torque = torque.reshape(n, nq - 3)
-        ground = prog.NewContinuousVariables(n * 3, f"{name} ground")
-        self.ground = ground.reshape(n, 3)
-        for variable in torque:
-            prog.SetVariableScaling(variable, MOMENT_UNIT)
-        units = (FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT)
-        for column, unit in zip(self.ground.T, units, strict=True):
-            for variable in column:
-                prog.SetVariableScaling(variable, unit)
-        self._label(tree)
+        moments = np.full(tree.coordinates.num_joints, MOMENT_UNIT)
+        self.torque = self._new("torque", moments)
+        self.ground = self._new(
+            "ground", (FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT)
+        )
+        self._label()
         grid = self.grid
         inputs = [grid.q, grid.v, grid.a, self.torque, self.ground]
         kernel = DynamicsKernel(tree)
-        self.interaction = None
+        bushings = bushings or {}
+        units = np.tile(CUFF_UNITS, len(bushings))
         if bushings:
-            kernel = CoupledDynamicsKernel(tree, bushings)
-            self.interaction = self._interaction_variables(len(bushings))
-            inputs.append(self.interaction)
-            inputs.append(np.broadcast_to(origins, (n, len(origins))))
+            kinematics, origins = zip(*bushings.values(), strict=True)
+            kernel = CoupledDynamicsKernel(tree, list(kinematics))
+            forces = self._new("interaction", units)
+            inputs += [forces, self._at_nodes(np.concatenate(origins))]
+            parts = np.split(forces, len(bushings), axis=1)
+            self.cuffs = dict(zip(bushings, parts, strict=True))
+        else:
+            self.cuffs = {}
         self._chair = chair
         if chair is not None:
             kernel = LoadedDynamicsKernel(kernel, chair)
@@ -113,6 +109,23 @@ class Movement:
             data=self.loads(grid.times),
         )
 
+    def _new(self, what: str, units) -> np.ndarray:
+        """New variables (n, len(units)) of given typical sizes."""
+        prog, n = self.program.prog, len(self.grid.times)
+        variables = prog.NewContinuousVariables(
+            n * len(units), f"{self.name} {what}"
+        ).reshape(n, len(units))
+        for column, unit in zip(variables.T, units, strict=True):
+            for variable in column:
+                prog.SetVariableScaling(variable, unit)
+        return variables
+
+    def _at_nodes(self, variables: np.ndarray) -> np.ndarray:
+        """The same variables (m,) at every node, (n, m)."""
+        return np.broadcast_to(
+            variables, (len(self.grid.times), len(variables))
+        )
+
     def loads(self, times: np.ndarray) -> np.ndarray | None:
         """Data of the dynamics kernel: the chair's wrench (n, 3), if any."""
         return None if self._chair is None else self._chair.at(times)
@@ -123,102 +136,70 @@ class Movement:
             return 0.0
         return self._chair.generalized(q, self._chair.at(self.grid.times))
 
-    def _label(self, tree):
+    def _label(self) -> None:
         """Name what may be bounded, for reports of infeasible problems."""
-        joints = COUPLED_COORDINATES[: tree.num_positions]
+        names = self.coordinates
         at = [f"at {t:.3g} s" for t in self.grid.times]
-        turns = len(joints) - 2
         degrees = np.rad2deg(1.0)
-        for kind, variables, names, what, units in (
-            (
-                "state",
-                self.grid.q,
-                joints,
-                "",
-                [("m", 1.0)] * 2 + [("deg", degrees)] * turns,
-            ),
-            (
-                "state",
-                self.grid.v,
-                joints,
-                " velocity",
-                [("m/s", 1.0)] * 2 + [("deg/s", degrees)] * turns,
-            ),
-            (
-                "limit",
-                self.torque,
-                joints[3:],
-                " torque",
-                [("N m", 1.0)] * (turns - 1),
-            ),
+        positions = [
+            ("deg", degrees) if angle else ("m", 1.0)
+            for angle in names.is_angle
+        ]
+        rates = [(f"{unit}/s", factor) for unit, factor in positions]
+        moments = [("N m", 1.0)] * names.num_joints
+        for kind, variables, of, what, units in (
+            ("state", self.grid.q, names.names, "", positions),
+            ("state", self.grid.v, names.names, " velocity", rates),
+            ("limit", self.torque, names.joints, " torque", moments),
         ):
-            columns = [f"{self.name} {joint}{what}" for joint in names]
+            columns = [f"{self.name} {name}{what}" for name in of]
             self.program.label(kind, variables, columns, at, units)
 
-    def _interaction_variables(self, num_bushings):
-        prog = self.program.prog
-        n = len(self.grid.times)
-        variables = prog.NewContinuousVariables(
-            n * 3 * num_bushings, f"{self.name} interaction"
-        ).reshape(n, -1)
-        units = np.tile(INTERACTION_UNITS, num_bushings)
-        for column, unit in zip(variables.T, units, strict=True):
-            for variable in column:
-                prog.SetVariableScaling(variable, unit)
-        return variables
-
-    def stand_on(self, kernel: FootGroundKernel, parameters: np.ndarray):
+    def add_ground_contact(
+        self, kernel: FootGroundKernel, parameters: np.ndarray
+    ) -> None:
         """Tie the ground reaction to the contact law.
 
         Args:
             kernel: the law.
             parameters: its decision variables, in the kernel's order.
         """
-        grid = self.grid
-        n = len(grid.times)
+        grid, root = self.grid, self.coordinates.root_columns
         variables = np.hstack(
             [
-                grid.q[:, :3],
-                grid.v[:, :3],
+                grid.q[:, root],
+                grid.v[:, root],
                 self.ground,
-                np.broadcast_to(parameters, (n, len(parameters))),
+                self._at_nodes(parameters),
             ]
         )
         self.program.add_constraints(
             f"{self.name} foot-ground", kernel, variables
         )
 
-    def strap(self, index: int, kernel: BushingKernel, parameters) -> None:
-        """Tie the forces of one bushing to its law.
+    def add_bushing(self, cuff: str, kernel: BushingKernel, parameters) -> None:
+        """Tie the force of one cuff to its law.
 
         Args:
-            index: of the bushing.
+            cuff: its name.
             kernel: the law.
-            parameters: its decision variables, as BUSHING_PARAMETERS.
+            parameters: its decision variables, as `bushing.CALIBRATED`.
         """
         grid = self.grid
-        n = len(grid.times)
-        force = self.interaction[:, 3 * index : 3 * index + 3]
+        variables = [grid.q, grid.v, self.cuffs[cuff]]
         self.program.add_constraints(
-            f"{self.name} bushing {index}",
+            f"{self.name} bushing {cuff}",
             kernel,
-            np.hstack(
-                [
-                    grid.q,
-                    grid.v,
-                    force,
-                    np.broadcast_to(parameters, (n, len(parameters))),
-                ]
-            ),
+            np.hstack([*variables, self._at_nodes(parameters)]),
         )
 
     def bound(self, variables, lower, upper) -> None:
-        """Bound variables of this movement; equal bounds fix them."""
+        """Bound variables of this trial; equal bounds fix them."""
         self.program.prog.AddBoundingBoxConstraint(
             np.asarray(lower, float), np.asarray(upper, float), variables
         )
 
-    def track(self, terms: "list[Tracking]") -> None:
+    def add_tracking_cost(self, terms: "list[Tracking]") -> None:
         """Add 1/2 integral of sum ((A z - target)/sigma)^2 dt as cost."""
         grid = self.grid
         self.tracked.extend(terms)
@@ -245,11 +226,11 @@ class Movement:
                 )
                 cost.evaluator().set_description(f"{self.name} cost[{t}]")
 
-    def damp_jerk(self, sigma) -> None:
+    def add_jerk_cost(self, sigma) -> None:
         """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
-        Q = np.diag(1.0 / np.broadcast_to(sigma, jerk.shape[1:]) ** 2)
+        Q = np.diag(1.0 / self.jerk_sigma**2)
         weight = self.jerk_weight
         zero = np.zeros(len(Q))
         for row in jerk:
@@ -300,7 +281,7 @@ def minimised(variables: np.ndarray, sigma) -> Tracking:
 def add_parameters(
     program: BatchedProgram,
     parameters: list[ContactParameter],
-    prior_weight: float,
+    prior_weight: float = 0.0,
 ) -> np.ndarray:
     """Add contact parameters as decision variables.
 
@@ -317,7 +298,8 @@ def add_parameters(
     for variable, p in zip(variables, parameters, strict=True):
         bounds = (p.lower, p.upper) if p.free else (p.nominal, p.nominal)
         prog.AddBoundingBoxConstraint(*bounds, variable)
-        prog.SetVariableScaling(variable, max(abs(p.nominal), 0.1 * p.span))
+        size = max(abs(p.nominal), 0.1 * p.span)
+        prog.SetVariableScaling(variable, size or 1.0)
         if p.free and prior_weight > 0.0:
             weight = prior_weight / p.span**2
             prog.AddQuadraticErrorCost(

@@ -24,9 +24,21 @@ frames in the world, angle counter-clockwise seen from the right side.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from drake_exo.contact.scalars import any_scalar, cos, sin
+from drake_exo.model.planar_tree import PlanarTree
 
 COMPONENTS = ("tangential", "normal", "rotation")
+TANGENTIAL, NORMAL, ROTATION = range(3)
+# What is calibrated of a bushing, in this order; see `BushingParameters`.
+CALIBRATED = (
+    "origin_x",
+    "origin_z",
+    "tangential_stiffness",
+    "normal_stiffness",
+    "rotational_stiffness",
+)
 
 
 def _parameter(default: float, unit: str, **bounds):
@@ -209,3 +221,109 @@ def bushing_wrench(
         x_e + cos_e * a_x - sin_e * a_z,
         z_e + sin_e * a_x + cos_e * a_z,
     )
+
+
+class BushingKinematics:
+    """Deflection of a tree's bushing, and derivatives, for all nodes at once.
+
+    With complex numbers, the deflection of the device's frame seen from the
+    human's is delta = sum_k D_k exp(i psi_k), psi_k = phi_k - phi_human:
+    constant coefficients D, and angles relative to the human segment. Its
+    real part is the normal deflection, the imaginary part the tangential one,
+    as `bushing_deflection` has it; all derivatives follow term by term. The
+    generalized force of a bushing is -(dd/dq)^T F.
+
+    Args:
+        tree: the coupled model.
+        cuff: a name in `tree.cuffs`.
+        preload: (x, z, angle) of the device's frame beyond the human's
+            when both chains are aligned [m, m, rad].
+    """
+
+    def __init__(self, tree: PlanarTree, cuff: str, preload=(0, 0, 0)):
+        human, device = map(tree.body_index, tree.cuffs[cuff])
+        self.nq = tree.num_positions
+        self._h = tree.segment_of[human]
+        self._e = tree.segment_of[device]
+        self._D0 = tree.origins[device] - tree.origins[human]
+        self._D0 = self._D0.astype(complex)
+        self._D0[self._e] += preload[0] + 1j * preload[1]
+        self._angle = preload[2]
+        T = tree.angle_map
+        self.relative = T - T[self._h]
+        self.rotation = np.zeros(self.nq)
+        self.rotation[2:] = T[self._e] - T[self._h]
+
+    def terms(self, q, origin):
+        """D_k exp(i psi_k), (n, ns), at q (n, nq), origin (n, 2)."""
+        w = np.exp(1j * (q[:, 2:] @ self.relative.T))
+        o = origin[:, 0] + 1j * origin[:, 1]
+        terms = self._D0 * w
+        terms[:, self._e] += o * w[:, self._e]
+        terms[:, self._h] -= o
+        return terms
+
+    def turn(self, q):
+        """exp(i psi) of the device's segment, (n,)."""
+        return np.exp(1j * (q[:, 2:] @ self.relative[self._e]))
+
+    def spin(self, v):
+        """Rate of that psi, (n,) [rad/s]."""
+        return v[:, 2:] @ self.relative[self._e]
+
+    @property
+    def moved_by(self) -> np.ndarray:
+        """Coordinates that move the deflection, (nq,) bool."""
+        moved = np.zeros(self.nq, bool)
+        moved[2:] = (self.relative != 0.0).any(axis=0)
+        return moved
+
+    def deflection(self, q, terms):
+        """Tangential, normal [m], rotation [rad]: (n, 3)."""
+        delta = terms.sum(axis=1)
+        angle = q @ self.rotation + self._angle
+        return np.stack([delta.imag, delta.real, angle], axis=1)
+
+    def deflection_jacobian(self, terms):
+        """By q: (n, 3, nq)."""
+        d = (1j * terms) @ self.relative
+        J = np.zeros((len(terms), 3, self.nq))
+        J[:, 0, 2:], J[:, 1, 2:] = d.imag, d.real
+        J[:, 2] = self.rotation
+        return J
+
+    def rate_jacobian(self, terms, v):
+        """Of the deflection's rate by q, (n, 3, nq)."""
+        speed = v[:, 2:] @ self.relative.T
+        d = (-terms * speed) @ self.relative
+        J = np.zeros((len(terms), 3, self.nq))
+        J[:, 0, 2:], J[:, 1, 2:] = d.imag, d.real
+        return J
+
+    def by_origin(self, turn):
+        """Of tangential and normal deflection by origin x, z: (n, 2, 2)."""
+        g = turn - 1.0
+        return np.stack(
+            [
+                np.stack([g.imag, g.real], axis=1),
+                np.stack([g.real, -g.imag], axis=1),
+            ],
+            axis=1,
+        )
+
+    def curvature(self, terms, force):
+        """Hessian by the angles of F . d, (n, nq - 2, nq - 2)."""
+        f = force[:, 1] + 1j * force[:, 0]
+        c = -(np.conj(f)[:, None] * terms).real
+        return np.einsum(
+            "nk,ki,kj->nij", c, self.relative, self.relative, optimize=True
+        )
+
+    def gradient_by_origin(self, turn, force):
+        """d2(F . d)/(dq d origin), (n, nq, 2): how the moment arm moves."""
+        f = force[:, 1] + 1j * force[:, 0]
+        g = (np.conj(f) * 1j * turn)[:, None] * self.relative[self._e]
+        result = np.zeros((len(turn), self.nq, 2))
+        result[:, 2:, 0] = g.real
+        result[:, 2:, 1] = (1j * g).real
+        return result

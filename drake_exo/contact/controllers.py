@@ -1,12 +1,10 @@
-"""A joint-torque controller that follows a trajectory.
+"""Controllers of joint torques: one that tracks, one that assists.
 
-An assist controller for predictions: a pulse of hip and knee extension.
-
-An example to start from: a controller is a LeafSystem without state, with the
-input exoskeleton_state (angles, then rates of ankle, knee, hip) and the
-output exoskeleton_torques [N m], defined with TemplateSystem so that it
-converts to AutoDiffXd. `drake-exo predict --controller MODULE:NAME` puts it
-into the program itself.
+The second is an example to start from: an assist controller for predictions
+is a LeafSystem without state, with the input exoskeleton_state (angles, then
+rates of the device's joints) and the output exoskeleton_torques [N m], defined
+with TemplateSystem so that it converts to AutoDiffXd. `drake-exo predict
+--controller MODULE:NAME` puts it into the program itself.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Plant, contact, bushings and a controller as one Drake diagram.
 
-    model = build_diagram("coupled")
+    model = build_diagram(nominal_model("coupled"))
     simulator = build_simulator(model)
     model.plant.SetPositions(model.plant_context(simulator.get_context()), q)
     simulator.AdvanceTo(1.0)
@@ -9,7 +9,7 @@ Keep apart the diagram for planning and the one for viewing: with a meshcat
 inside, the diagram converts to no other scalar type.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pydrake.geometry import Meshcat, MeshcatVisualizer
@@ -33,22 +33,13 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from drake_exo.contact.bushing import BushingParameters
-from drake_exo.contact.parameters import ContactParameters, nominal_contact
+from drake_exo.contact.parameters import ContactModel, nominal_contact
 from drake_exo.contact.systems import (
     FootGroundContact,
     HumanExoskeletonBushings,
 )
 from drake_exo.errors import InputError
-from drake_exo.model.description import fit_exoskeleton, nominal_human
-from drake_exo.model.plant import GRAVITY, build_plant
-from drake_exo.model.segments import (
-    CONTACT_RADIUS_M,
-    ExoskeletonParameters,
-    HumanParameters,
-)
-
-BUSHINGS = ("shank", "thigh", "pelvis")
+from drake_exo.model.plant import Model
 
 # Ports that a force or controller may have as inputs, fed by the diagram.
 _PLANT_PORTS = ("body_poses", "body_spatial_velocities", "state")
@@ -59,12 +50,12 @@ class ExoskeletonDiagram:
     """A diagram with its parts.
 
     Attributes:
-        diagram: outputs state, ground_reaction, sphere_wrenches and, for the
-            coupled kind, interaction_forces, deflections, energies; input
+        diagram: outputs state, ground_reaction, sphere_wrenches and, with
+            bushings, interaction_forces, deflections, energies; input
             joint_torques if there is no controller.
         plant: finalized.
         contact: `FootGroundContact`.
-        bushings: `HumanExoskeletonBushings`, None unless coupled.
+        bushings: `HumanExoskeletonBushings`, None where there are none.
         controller: as given.
     """
 
@@ -79,90 +70,54 @@ class ExoskeletonDiagram:
         return self.plant.GetMyMutableContextFromRoot(context)
 
 
-def nominal_bushings(
-    human: HumanParameters, exoskeleton: ExoskeletonParameters
-) -> dict[str, BushingParameters]:
-    """Bushings of usual stiffness at the cuffs.
-
-    A cuff of the exoskeleton that is not where the human's is makes a preload.
-    """
-    bushings = {}
-    for name in BUSHINGS:
-        x, z = getattr(human, f"{name}_cuff_m")
-        device_x, device_z = getattr(exoskeleton, f"{name}_cuff_m")
-        bushings[name] = BushingParameters(
-            origin_x=x,
-            origin_z=z,
-            preload_x=device_x - x,
-            preload_z=device_z - z,
-        )
-    return bushings
-
-
 def build_diagram(
-    kind: str,
-    human: HumanParameters | None = None,
-    exoskeleton: ExoskeletonParameters | None = None,
+    model: Model,
+    contact: ContactModel | None = None,
     *,
-    contact: ContactParameters | None = None,
-    bushings: Mapping[str, BushingParameters] | None = None,
     controller: LeafSystem | None = None,
     forces: Sequence[LeafSystem] = (),
-    gravity: float = GRAVITY,
     meshcat: Meshcat | None = None,
 ) -> ExoskeletonDiagram:
     """Builds the plant with its forces, ready to simulate.
 
     Args:
-        kind: "coupled", "rigid" or "human", as in `plant.build_plant`.
-        human: the subject; the nominal adult if None.
-        exoskeleton: the device; fitted to the human if None.
-        contact: foot–ground contact; the simbody law with usual values at the
-            plate's (kind "human": the foot's) heel and toe if None.
-        bushings: by "shank", "thigh", "pelvis"; `nominal_bushings` if None.
-            A missing name is a missing bushing. Only for the kind "coupled".
+        model: subject and device.
+        contact: of the foot and of the cuffs; `nominal_contact` if None. A
+            cuff without a bushing does not touch.
         controller: has the output port joint_torques [N·m], one for each
-            coordinate after the foot's three, and any of the inputs state,
-            body_poses, body_spatial_velocities, ground_reaction,
-            interaction_forces, which are connected by name.
+            hinge, and any of the inputs state, body_poses,
+            body_spatial_velocities, ground_reaction, interaction_forces,
+            which are connected by name.
         forces: further systems with the output spatial_forces and inputs
             named as the controller's, such as a chair.
-        gravity: magnitude, downwards [m/s²].
         meshcat: shows the motion there; forbids scalar conversion.
 
     Raises:
-        InputError: parameters out of bounds, bushings where there are none.
-        ValueError: as `plant.build_plant`.
+        InputError: parameters out of bounds, bushings where there are no
+            such cuffs.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> built = build_diagram(nominal_model("coupled"))
+    >>> built.diagram.GetOutputPort("interaction_forces").size()
+    9
     """
-    human = human or nominal_human()
-    if kind != "human":
-        exoskeleton = exoskeleton or fit_exoskeleton(human)
-    if bushings is not None and kind != "coupled":
-        raise InputError(f"a diagram of kind '{kind}' takes no bushings")
+    contact = contact or nominal_contact(model)
     builder = DiagramBuilder()
-    plant = _add_plant(builder, kind, human, exoskeleton, gravity, meshcat)
-    foot = exoskeleton or human
-    contact_system = builder.AddSystem(
+    plant = _add_plant(builder, model, meshcat)
+    ground = builder.AddSystem(
         FootGroundContact(
-            plant.GetBodyByName("exo_foot" if exoskeleton else "foot").index(),
-            contact
-            or nominal_contact(
-                "simbody", foot.heel_m, foot.toe_m, CONTACT_RADIUS_M
-            ),
+            plant.GetBodyByName(model.tree.foot).index(), contact.ground
         )
     )
-    systems = [contact_system]
-    bushing_system = None
-    if kind == "coupled":
-        if bushings is None:
-            bushings = nominal_bushings(human, exoskeleton)
-        if bushings:
-            bushing_system = builder.AddSystem(_bushings(plant, bushings))
-            systems.append(bushing_system)
+    systems = [ground]
+    bushings = None
+    if contact.bushings:
+        bushings = builder.AddSystem(_bushings(plant, model, contact.bushings))
+        systems.append(bushings)
     systems.extend(builder.AddSystem(force) for force in forces)
-    _connect(builder, plant, systems, controller, bushing_system)
+    _connect(builder, plant, systems, controller, bushings)
     return ExoskeletonDiagram(
-        builder.Build(), plant, contact_system, bushing_system, controller
+        builder.Build(), plant, ground, bushings, controller
     )
 
 
@@ -238,34 +193,34 @@ def JointTorques_(T):
 JointTorques = JointTorques_[None]
 
 
-def _add_plant(builder, kind, human, exoskeleton, gravity, meshcat):
+def _add_plant(builder, model: Model, meshcat):
     if meshcat is None:
-        plant = build_plant(kind, human, exoskeleton, gravity=gravity)
+        plant = model.plant()
         plant.set_name("plant")
         return builder.AddSystem(plant)
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-    build_plant(kind, human, exoskeleton, gravity=gravity, plant=plant)
+    model.plant(plant)
     plant.Finalize()
     MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
     return plant
 
 
-def _bushings(plant, bushings) -> LeafSystem:
-    unknown = set(bushings) - set(BUSHINGS)
+def _bushings(plant, model: Model, bushings) -> LeafSystem:
+    cuffs = model.tree.cuffs
+    unknown = set(bushings) - set(cuffs)
     if unknown:
         raise InputError(
-            f"no bushing is called {', '.join(sorted(unknown))}; "
-            f"known are {', '.join(BUSHINGS)}"
+            f"no cuff is called {', '.join(sorted(unknown))}; this model of "
+            f"kind '{model.kind}' has {', '.join(cuffs) or 'none'}"
         )
-    ordered = {name: bushings[name] for name in BUSHINGS if name in bushings}
     pairs = {
-        name: tuple(
-            plant.GetBodyByName(prefix + name).index()
-            for prefix in ("", "exo_")
-        )
-        for name in ordered
+        name: tuple(plant.GetBodyByName(link).index() for link in links)
+        for name, links in cuffs.items()
+        if name in bushings
     }
-    return HumanExoskeletonBushings(pairs, ordered)
+    return HumanExoskeletonBushings(
+        pairs, {name: bushings[name] for name in pairs}
+    )
 
 
 def _connect(builder, plant, systems, controller, bushing_system) -> None:

@@ -1,9 +1,4 @@
-"""Friction and smoothing constants of the two contact laws.
-
-Field metadata hold unit and bounds, so that a study file can be read straight
-into these classes. Fields may also hold AutoDiffXd or Expression values.
-
-Smooth Hunt–Crossley force between a sphere and the ground plane z = 0.
+"""Smooth Hunt–Crossley force between a sphere and the ground plane z = 0.
 
 Two laws, chosen by name. They are not interchangeable: a stiffness calibrated
 with one is wrong in the other.
@@ -17,20 +12,17 @@ with one is wrong in the other.
     `SmoothSphereHalfSpaceForce` of OpenSim and Simbody. Its stiffness is the
     plane-strain modulus E in N/m².
 
-Everything here is a pure function of arrays that broadcast, for float and
-complex numpy arrays, AutoDiffXd and Expression (`forces.scalars`). The
-derivatives are in `hunt_crossley_derivatives`.
-
 Signs: indentation is positive inside the ground, its rate is positive while
 the sphere sinks, slip velocity is along world x, normal force is along world
 z, friction along world x.
 
-First derivatives of the contact laws, analytic, for whole float arrays.
-
-The collocation evaluates every sphere at every node in each iteration, so
-intermediate results are shared and each tanh, exp and root is taken once.
-Tests hold these functions to complex-step derivatives of
-`hunt_crossley.sphere_force`.
+Constants come first; their fields' metadata hold unit and bounds, so that a
+study file is read straight into them. Then the laws: pure functions of arrays
+that broadcast, for float and complex numpy arrays, AutoDiffXd and Expression
+(`contact.scalars`). At last their first derivatives, analytic, for float
+arrays: the collocation evaluates every sphere at every node in each
+iteration, so intermediate results are shared. Tests hold them to complex-step
+derivatives of the laws.
 """
 
 from dataclasses import dataclass, field

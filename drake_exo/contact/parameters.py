@@ -1,12 +1,16 @@
-"""A contact parameter: one object for simulation, calibration and report.
+"""Contacts of foot and ground, and of human and device, as sets of values.
 
-Spheres and constants of a foot–ground contact, as one set of values.
+`ContactModel` is what a calibration finds and what simulation and prediction
+take; single scalars of it are called "heel.stiffness" or "thigh.origin_x". A
+`ContactParameter` is such a scalar with its bounds.
 """
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from drake_exo.contact.bushing import CALIBRATED, BushingParameters
 from drake_exo.contact.hunt_crossley import (
     Constants,
     Law,
@@ -14,6 +18,8 @@ from drake_exo.contact.hunt_crossley import (
     paper_stiffness,
 )
 from drake_exo.errors import InputError
+from drake_exo.model.plant import Model
+from drake_exo.model.segments import CONTACT_RADIUS_M
 
 
 def check_range(nominal: float, lower: float, upper: float) -> None:
@@ -53,7 +59,14 @@ class ContactParameter:
     upper: float
     free: bool = True
 
+    @staticmethod
+    def fixed(name: str, unit: str, value: float) -> "ContactParameter":
+        """One that is known."""
+        return ContactParameter(name, unit, value, value, value, free=False)
+
     def __post_init__(self):
+        if not self.free and self.lower == self.nominal == self.upper:
+            return
         try:
             check_range(self.nominal, self.lower, self.upper)
         except InputError as error:
@@ -72,6 +85,7 @@ class ContactParameter:
 
 NOMINAL_MODULUS = 5e6  # N/m², both legs' soles together
 NOMINAL_DISSIPATION = 2.0  # s/m
+STIFFNESS_UNIT = {"paper": "(N/m^2)^(2/3)", "simbody": "N/m^2"}
 
 
 @dataclass(frozen=True)
@@ -82,27 +96,27 @@ class ContactSphere:
     simbody's; `x` and `z` place the centre in the link's frame.
     """
 
+    stiffness: float = field(metadata={"unit": "", "above": 0.0})
+    dissipation: float = field(metadata={"unit": "s/m", "minimum": 0.0})
     x: float = field(metadata={"unit": "m"})
     z: float = field(metadata={"unit": "m"})
     radius: float = field(metadata={"unit": "m", "above": 0.0})
-    stiffness: float = field(metadata={"unit": "", "above": 0.0})
-    dissipation: float = field(metadata={"unit": "s/m", "minimum": 0.0})
 
 
-# Numeric parameters of a sphere, in this order.
+# Parameters of a sphere in the order of arrays and numeric parameters.
 SPHERE_PARAMETERS = tuple(f.name for f in fields(ContactSphere))
 
 
 @dataclass(frozen=True)
-class ContactParameters:
+class GroundContact:
     """Law, constants (the law's defaults if None) and spheres by name."""
 
     law: Law
     spheres: dict[str, ContactSphere]
     constants: Constants | None = None
 
-    def checked(self) -> "ContactParameters":
-        """These parameters with constants filled in.
+    def checked(self) -> "GroundContact":
+        """The same with constants filled in.
 
         Raises:
             InputError: a value is out of its bounds, or the constants are
@@ -114,32 +128,120 @@ class ContactParameters:
         for name, sphere in self.spheres.items():
             check_bounds(sphere, f"contact sphere '{name}'")
         check_bounds(constants, f"constants of contact law '{self.law}'")
-        return ContactParameters(self.law, dict(self.spheres), constants)
+        return GroundContact(self.law, dict(self.spheres), constants)
 
 
-def nominal_contact(
-    law: Law,
-    heel: tuple[float, float],
-    toe: tuple[float, float],
-    radius: float,
-    constants: Constants | None = None,
-) -> ContactParameters:
-    """Two equal spheres of usual stiffness (both legs) and dissipation.
+@dataclass(frozen=True)
+class ContactModel:
+    """Contact of foot and ground and, once calibrated, of the cuffs.
+
+    Attributes:
+        ground: of the foot.
+        bushings: cuff -> its bushing; empty where human and device do not
+            touch, or nothing is known of it.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> contact = nominal_contact(nominal_model("coupled"))
+    >>> contact.values()["thigh.normal_stiffness"]
+    5000.0
+    >>> contact.scaled(1.4).values()["thigh.normal_stiffness"]
+    7000.0
+    """
+
+    ground: GroundContact
+    bushings: dict[str, BushingParameters] = field(default_factory=dict)
+
+    def values(self) -> dict[str, float]:
+        """Parameters by name: spheres', then bushings' that are calibrated."""
+        found = {}
+        for name, sphere in self.ground.spheres.items():
+            found |= {
+                f"{name}.{k}": getattr(sphere, k) for k in SPHERE_PARAMETERS
+            }
+        for name, bushing in self.bushings.items():
+            for k in CALIBRATED:
+                found[f"{name}.{k}"] = getattr(bushing, k)
+        return {name: float(value) for name, value in found.items()}
+
+    def units(self) -> dict[str, str]:
+        """Units of `values`."""
+        found = {}
+        for names, kind in (
+            (self.ground.spheres, ContactSphere),
+            (self.bushings, BushingParameters),
+        ):
+            units = {f.name: f.metadata["unit"] for f in fields(kind)}
+            for name in (v for v in self.values() if v.split(".")[0] in names):
+                found[name] = units[name.split(".")[1]]
+                if not found[name]:
+                    found[name] = STIFFNESS_UNIT[self.ground.law]
+        return found
+
+    def fixed(self, group: str) -> list[ContactParameter]:
+        """Parameters of one sphere or cuff, as known ones."""
+        units = self.units()
+        return [
+            ContactParameter.fixed(name, units[name], value)
+            for name, value in self.values().items()
+            if name.startswith(f"{group}.")
+        ]
+
+    def with_values(self, values: Mapping[str, float]) -> "ContactModel":
+        """The same with some values replaced.
+
+        Args:
+            values: by name, as `values` gives them.
+        """
+
+        def changed(group, part):
+            own = {
+                name.partition(".")[2]: float(value)
+                for name, value in values.items()
+                if name.startswith(f"{group}.")
+            }
+            return replace(part, **own)
+
+        spheres = {n: changed(n, s) for n, s in self.ground.spheres.items()}
+        return ContactModel(
+            replace(self.ground, spheres=spheres),
+            {n: changed(n, b) for n, b in self.bushings.items()},
+        )
+
+    def scaled(self, factor: float) -> "ContactModel":
+        """Bushings' stiffness and damping times `factor` (Phase C2)."""
+        bushings = {n: b.scaled(factor) for n, b in self.bushings.items()}
+        return replace(self, bushings=bushings)
+
+
+def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
+    """Equal spheres and equal bushings of usual values.
+
+    A cuff of the exoskeleton that is not where the human's is makes a
+    preload.
 
     Args:
-        law: "paper" or "simbody".
-        heel, toe: centres (x, z) in the foot link [m].
-        radius: of both [m].
-        constants: friction and smoothing; the law's defaults if None.
+        model: says where spheres and cuffs are.
+        law: of the foot-ground contact.
     """
     stiffness = NOMINAL_MODULUS
     if law == "paper":
         stiffness = paper_stiffness(NOMINAL_MODULUS)
     spheres = {
-        name: ContactSphere(x, z, radius, stiffness, NOMINAL_DISSIPATION)
-        for name, (x, z) in (("heel", heel), ("toe", toe))
+        name: ContactSphere(
+            stiffness, NOMINAL_DISSIPATION, x, z, CONTACT_RADIUS_M
+        )
+        for name, (x, z) in model.spheres.items()
     }
-    return ContactParameters(law, spheres, constants).checked()
+    bushings = {}
+    for name, (x, z) in model.cuffs.items():
+        device_x, device_z = model.exoskeleton.cuff_m(name)
+        bushings[name] = BushingParameters(
+            origin_x=x,
+            origin_z=z,
+            preload_x=device_x - x,
+            preload_z=device_z - z,
+        )
+    return ContactModel(GroundContact(law, spheres).checked(), bushings)
 
 
 def check_bounds(values, what: str) -> None:

@@ -1,14 +1,8 @@
-"""Between Drake's spatial quantities and the sagittal plane.
+"""LeafSystems of the contacts, for a Drake diagram.
 
-A planar pose is (x, z, angle), a planar motion (v_x, v_z, rate): x forward,
-z up, angle toes-up positive (counter-clockwise seen from the right, about
-world −y).
-
-Foot–ground contact as a LeafSystem of a Drake diagram.
-
-Bushings between human and exoskeleton as a LeafSystem of a diagram.
-
-The chair in simulation: its measured wrench, played on pelvis and thighs.
+Foot and ground, human and device, and the chair's measured wrench. A planar
+pose is (x, z, angle), a planar motion (v_x, v_z, rate): x forward, z up,
+angle toes-up positive (counter-clockwise seen from the right, about world −y).
 """
 
 import functools
@@ -41,8 +35,8 @@ from drake_exo.contact.hunt_crossley import (
     sphere_wrench,
 )
 from drake_exo.contact.parameters import (
-    ContactParameters,
     ContactSphere,
+    GroundContact,
     check_bounds,
 )
 from drake_exo.contact.scalars import any_scalar, arctan2
@@ -174,7 +168,7 @@ def foot_contact(
     Returns:
         Wrenches with entries of shape (n,).
     """
-    x, z, radius, stiffness, dissipation = spheres
+    stiffness, dissipation, x, z, radius = spheres
     center_x, center_z = to_world(position, direction, x, z)
     v_x, v_z, rate = motion
     return sphere_wrench(
@@ -213,7 +207,7 @@ def ground_reaction(wrenches: SphereWrench) -> np.ndarray:
 class _FootGroundContact:
     """What `FootGroundContact_` does for every scalar type."""
 
-    def _declare(self, T, body: BodyIndex, parameters: ContactParameters):
+    def _declare(self, T, body: BodyIndex, parameters: GroundContact):
         self._T = T
         self._body = body
         self._parameters = parameters = parameters.checked()
@@ -231,19 +225,19 @@ class _FootGroundContact:
             self._calc_sphere_wrenches,
         )
 
-    def parameters(self, context=None) -> ContactParameters:
+    def parameters(self, context=None) -> GroundContact:
         """Parameters in a context, or those of the construction."""
         if context is None:
             return self._parameters
         *vectors, constants = self._vectors(context)
         spheres = zip(self._parameters.spheres, vectors, strict=True)
-        return ContactParameters(
+        return GroundContact(
             self._parameters.law,
             {name: ContactSphere(*vector) for name, vector in spheres},
             self._constants(constants),
         )
 
-    def set_parameters(self, context, parameters: ContactParameters) -> None:
+    def set_parameters(self, context, parameters: GroundContact) -> None:
         """Writes parameters into a context: same law, same spheres.
 
         Raises:
@@ -327,7 +321,7 @@ def FootGroundContact_(T):
 
     Args of the constructor:
         body: index of the foot link in the plant.
-        parameters: `ContactParameters`; a context starts with these values.
+        parameters: `GroundContact`; a context starts with these values.
     """
 
     class Impl(_FootGroundContact, LeafSystem_[T]):

@@ -3,15 +3,13 @@
 Systems that are started by hand, or filtered on their way, are milliseconds
 apart; in a fast rise ten of them are tens of newtons. What the feet must bear
 by Newton's law, from the markers alone, tells the plates' offset; that of
-encoders and mats is found in `cuff_clock`.
-
-Clock offsets of encoders and mats, from the cuffs between the two chains.
+encoders and mats comes from the cuffs between the two chains.
 
 Encoders cannot be timed by the human's joint angles: soft cuffs let the
 device lag or lead by tens of milliseconds, as its weight and inertia ask. But
 what it asks for must be what springs between it and the human give. With
 their stiffnesses free (and not negative), the equations of motion of the
-device's three joints hold for one offset only. The deflection found there
+device's joints hold for one offset only. The deflection found there
 tells the offset of the mats in turn.
 """
 
@@ -21,8 +19,9 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import nnls
 
+from drake_exo.contact.bushing import NORMAL, BushingKinematics
 from drake_exo.measurement.exoskeleton import Signal
-from drake_exo.measurement.subject import SubjectModel
+from drake_exo.model.plant import Model
 
 _STEP_S = 0.001
 _COARSE = 4  # steps of the first search
@@ -83,66 +82,51 @@ def search_delay(
     return round(float(fine[found]), 6), 1.0 - values[found]
 
 
-CUFFS = ("shank", "thigh", "pelvis")
-_FIRST = 6  # of the device's coordinates
-
-
 def cuff_deflections(
-    subject: SubjectModel, q: np.ndarray
+    model: Model, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How the cuffs are strained, and what that does to the device.
 
     Args:
-        subject: with exoskeleton.
-        q: (N, 9) coordinates.
+        model: with exoskeleton.
+        q: (N, nq) coordinates.
 
     Returns:
-        Tangential, normal [m] and rotational [rad] deflection (N, 3 cuffs,
-        3), of the device seen from the human; and the moments (N, 3 joints,
-        3, 3) at the device's joints for unit stiffness of each.
+        Tangential, normal [m] and rotational [rad] deflection (N, cuffs, 3),
+        of the device seen from the human; and the moments (N, device's
+        joints, cuffs, 3) at the device's joints for unit stiffness of each.
     """
-    tree = subject.coupled
-    d = np.empty((len(q), len(CUFFS), 3))
-    Q = np.empty((len(q), 3, len(CUFFS), 3))
-    for i, name in enumerate(CUFFS):
-        exo = f"exo_{name}"
-        origin = getattr(subject.human, f"{name}_cuff_m")
-        place = getattr(subject.exoskeleton, f"{name}_cuff_m")
-        gap = tree.point_positions(q, exo, place)
-        gap = gap - tree.point_positions(q, name, origin)
-        angle = tree.body_angles(q, name)
-        c, s = np.cos(angle), np.sin(angle)
-        normal, tangential = np.array([c, s]).T, np.array([-s, c]).T
-        d[:, i, 0] = (tangential * gap).sum(axis=1)
-        d[:, i, 1] = (normal * gap).sum(axis=1)
-        d[:, i, 2] = tree.body_angles(q, exo) - angle
-        J = tree.point_jacobian(q, exo, place)[:, :, _FIRST:]
-        segment = tree.segment_of[tree.body_index(exo)]
-        turn = tree.angle_map[segment][_FIRST - 2 :]
-        for k, direction in enumerate((tangential, normal)):
-            lever = np.einsum("nx,nxj->nj", direction, J)
-            Q[:, :, i, k] = -d[:, i, k, None] * lever
-        Q[:, :, i, 2] = -d[:, i, 2, None] * turn
+    tree = model.tree
+    device = tree.coordinates.device_columns
+    d = np.empty((len(q), len(tree.cuffs), 3))
+    Q = np.empty((len(q), len(device), len(tree.cuffs), 3))
+    for i, (cuff, origin) in enumerate(model.cuffs.items()):
+        gap = np.subtract(model.exoskeleton.cuff_m(cuff), origin)
+        bushing = BushingKinematics(tree, cuff, (*gap, 0.0))
+        terms = bushing.terms(q, np.broadcast_to(origin, (len(q), 2)))
+        d[:, i] = bushing.deflection(q, terms)
+        J = bushing.deflection_jacobian(terms)[:, :, device]
+        Q[:, :, i] = -(d[:, i, :, None] * J).transpose(0, 2, 1)
     return d, Q
 
 
 def encoder_delay(
     time: np.ndarray,
-    human: tuple[np.ndarray, ...],
+    body: tuple[np.ndarray, ...],
     angles: Signal,
     drive: Callable,
-    subject: SubjectModel,
+    model: Model,
     reach_s: float,
 ) -> tuple[float, float]:
     """By how much encoders lag behind the markers [s].
 
     Args:
         time: (N,) of the markers [s].
-        human: q, v, a (N, 6) of the rigid model.
+        body: q, v, a (N, .) of the rigid model.
         angles: encoders on their own clock.
-        drive: function of time on that clock and of q, v, a (n, 9) to the
-            moments (n, 3) of the device's joints.
-        subject: with exoskeleton.
+        drive: function of time on that clock and of q, v, a (n, nq) to the
+            moments (n, joints) of the device's joints.
+        model: with exoskeleton.
         reach_s: largest delay either way.
 
     Returns:
@@ -155,7 +139,8 @@ def encoder_delay(
     )
     if inside.sum() < 20:
         return 0.0, 0.0
-    t, motion = time[inside], [x[inside] for x in human]
+    t, motion = time[inside], [x[inside] for x in body]
+    tree, device = model.tree, model.coordinates.device_columns
     spline = make_interp_spline(angles.time, angles.values, k=5)
 
     def left(delay: float) -> float:
@@ -164,9 +149,9 @@ def encoder_delay(
             np.hstack([x, spline.derivative(k)(at) if k else spline(at)])
             for k, x in enumerate(motion)
         )
-        demand = subject.coupled.inverse_dynamics(q, v, a)[:, _FIRST:]
+        demand = tree.inverse_dynamics(q, v, a)[:, device]
         demand = (demand - drive(at, q, v, a)).ravel()
-        A = cuff_deflections(subject, q)[1].reshape(len(demand), -1)
+        A = cuff_deflections(model, q)[1].reshape(len(demand), -1)
         size = np.linalg.norm(A, axis=0)
         _, rest = nnls(A / np.maximum(size, 1e-12), demand)
         return float((rest / np.linalg.norm(demand)) ** 2)
@@ -178,30 +163,31 @@ def mat_delay(
     time: np.ndarray,
     q: np.ndarray,
     mats: list[tuple[str, np.ndarray, np.ndarray]],
-    subject: SubjectModel,
+    model: Model,
     reach_s: float,
 ) -> tuple[float, float]:
     """By how much mats lag behind the cuffs' normal deflection [s].
 
     Args:
         time: (N,) [s].
-        q: (N, 9) motion with encoders on the right clock.
-        mats: segment, time and normal force of each.
-        subject: with exoskeleton.
+        q: (N, nq) motion with encoders on the right clock.
+        mats: cuff, time and normal force of each.
+        model: with exoskeleton.
         reach_s: largest delay either way.
 
     Returns:
         The delay, and the share of the mats' variance that is explained.
     """
-    d = cuff_deflections(subject, q)[0][:, :, 1]
+    d = cuff_deflections(model, q)[0][:, :, NORMAL]
     cases = []
-    for segment, signal_time, force in mats:
+    cuffs = list(model.cuffs)
+    for cuff, signal_time, force in mats:
         inside = (time > signal_time[0] + reach_s) & (
             time < signal_time[-1] - reach_s
         )
         if inside.sum() < 20:
             continue
-        x = d[inside, CUFFS.index(segment)]
+        x = d[inside, cuffs.index(cuff)]
         # Cuffs may stiffen: a cubic with a constant, orthonormal.
         x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
         U = np.linalg.qr(np.vander(x, 4))[0]

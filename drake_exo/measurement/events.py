@@ -1,21 +1,20 @@
-"""Finding sit-to-stand rises: from seat-off to standing.
+"""Events of a sit-to-stand: seat-off and standing, and the chair until then.
 
 Seat-off is where the feet carry the whole body by Newton's law: what the
 chair must bear, m (a_com + g) - F_z, has fallen to a small share of body
 weight. A bare threshold on F_z would be passed while still seated, since the
 rise begins with a push well above body weight.
 
-What the plate under the chair says of the body on it.
-
-Its wrench acts on the pelvis (a share on the thighs, if the study says so)
-until its vertical force has fallen to 5 % of body weight. What is left then
-is faded out within 50 ms, so that no step remains in the dynamics.
+The wrench of a plate under the chair counts until its vertical force has
+fallen to 5 % of body weight. What is left then is faded out within 50 ms, so
+that no step remains in the dynamics.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.sagittal import PlanarWrench
 
 SEATED_SHARE = 0.5  # of body weight on the chair: clearly seated
@@ -133,17 +132,5 @@ def until_seat_off(
     later = time[seated[np.minimum(after, len(seated) - 1)]]
     earlier = time[seated[np.maximum(after - 1, 0)]]
     away = np.minimum(np.abs(later - time), np.abs(time - earlier))
-    s = np.clip(away / _FADE_S, 0.0, 1.0)
-    share = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    share = 1.0 - minimum_jerk(away / _FADE_S)[0]
     return PlanarWrench(share[:, None] * wrench.force, share * wrench.moment)
-
-
-def on_segments(chair: np.ndarray, on_thighs: float) -> dict[str, PlanarWrench]:
-    """The chair's wrench (N, 3) as loads of inverse dynamics, by segment."""
-    loads = {}
-    for segment, share in (("pelvis", 1.0 - on_thighs), ("thigh", on_thighs)):
-        if share > 0.0:
-            loads[segment] = PlanarWrench(
-                share * chair[:, :2], share * chair[:, 2]
-            )
-    return loads

@@ -26,22 +26,19 @@ from drake_exo.measurement.filters import (
     low_pass,
     resample,
 )
-from drake_exo.measurement.instruments import Device, Legs
+from drake_exo.measurement.settings import SIDES, Device, Filter, Legs
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import COUPLED_COORDINATES, RIGID_COORDINATES
-from drake_exo.study import SIDES, Filter
 
-EXO_JOINTS = COUPLED_COORDINATES[len(RIGID_COORDINATES) :]
 _MOMENT = "_moment"
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A filtered signal of the three joints at its own rate.
+    """A filtered signal of the device's joints at its own rate.
 
     Attributes:
         time: (N,) evenly spaced [s].
-        values: (N, 3) ankle, knee, hip.
+        values: (N, joints).
         source: file name.
         one_leg: the leg that was measured, None for both.
     """
@@ -56,14 +53,14 @@ class Signal:
         return replace(self, time=self.time - delay_s)
 
     def at(self, time: np.ndarray, what: str) -> np.ndarray:
-        """Values (N, 3) at other times; see `check_covers`."""
+        """Values (N, joints) at other times; see `check_covers`."""
         check_covers(self.source, self.time, time, what)
         return resample(
             self.time, self.values, np.clip(time, self.time[0], self.time[-1])
         )
 
     def motion(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Values and two derivatives, each (N, 3), at other times."""
+        """Values and two derivatives, each (N, joints), at other times."""
         check_covers(self.source, self.time, time, "encoder angles")
         time = np.clip(time, self.time[0], self.time[-1])
         v, a = derivatives(self.time, self.values)
@@ -85,28 +82,38 @@ def check_covers(source: str, time, wanted, what: str) -> None:
         )
 
 
-def read_angles(path: Path, legs: Legs, settings: Filter) -> Signal:
+def read_angles(
+    path: Path, joints: tuple[str, ...], legs: Legs, settings: Filter
+) -> Signal:
     """Read encoders (.mot, .sto, .csv), filtered, in radians.
+
+    Args:
+        path: the file.
+        joints: of the device, by name.
+        legs: that the file holds.
+        settings: of the filter.
 
     Raises:
         InputError: unreadable, a joint missing, gaps, uneven time, too
             short or too slow for the filter.
     """
-    return _read(path, legs, settings, "")
+    return _read(path, joints, legs, settings, "")
 
 
-def read_moments(path: Path, legs: Legs, settings: Filter) -> Signal:
+def read_moments(
+    path: Path, joints: tuple[str, ...], legs: Legs, settings: Filter
+) -> Signal:
     """Read joint moments of both legs [N m]; raises as `read_angles`."""
-    return _read(path, legs, settings, _MOMENT)
+    return _read(path, joints, legs, settings, _MOMENT)
 
 
-def _read(path: Path, legs: Legs, settings: Filter, ending: str) -> Signal:
-    table = _table(path, ending)
+def _read(path, joints, legs, settings: Filter, ending: str) -> Signal:
+    table = _table(path, joints, ending)
     time = uniform_time(table.source, table.time)
     rate = (len(time) - 1) / (time[-1] - time[0])
     check_filterable(table.source, len(time), rate, settings.cutoff_hz)
     values = np.column_stack(
-        [_of_legs(table, joint + ending, legs) for joint in EXO_JOINTS]
+        [_of_legs(table, joint + ending, legs) for joint in joints]
     )
     if ending == _MOMENT:
         values = 2.0 * values
@@ -117,7 +124,7 @@ def _read(path: Path, legs: Legs, settings: Filter, ending: str) -> Signal:
     return Signal(time, values, table.source, one_leg)
 
 
-def _table(path: Path, ending: str) -> Table:
+def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
     kind = Path(path).suffix.lower()
     if kind == ".csv":
         return read_csv_table(path)
@@ -129,7 +136,7 @@ def _table(path: Path, ending: str) -> Table:
     table = read_table(path)
     if ending:
         return table
-    angles = tuple(n for n in table.names if n.startswith(EXO_JOINTS))
+    angles = tuple(n for n in table.names if n.startswith(joints))
     others = [n for n in table.names if n not in angles or _MOMENT in n]
     return table.in_radians(tuple(n for n in others if not is_translation(n)))
 
@@ -154,8 +161,8 @@ def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:
     return table.column(name)
 
 
-def drive_moments(device: Device, coupled: PlanarTree, q, v, a) -> np.ndarray:
-    """Moments (N, 3) of the device's joints from its identified dynamics.
+def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
+    """Moments (N, joints) of the device's joints from identified dynamics.
 
     The drives bear a share of the inertia and gravity of the links that they
     move, less what rotors, friction and springs take:
@@ -164,22 +171,25 @@ def drive_moments(device: Device, coupled: PlanarTree, q, v, a) -> np.ndarray:
 
     Args:
         device: identified parameters.
-        coupled: dynamics of human and exoskeleton as two chains.
-        q, v, a: (N, 9) motion.
+        tree: dynamics of human and exoskeleton as two chains.
+        q, v, a: (N, nq) motion.
     """
-    first = len(RIGID_COORDINATES)
-    moments = np.zeros((len(q), len(EXO_JOINTS)))
+    names = tree.coordinates
+    moments = np.zeros((len(q), len(names.device)))
     if device.carries_itself:
-        needed = coupled.inverse_dynamics(q, v, a)[:, first:]
+        needed = tree.inverse_dynamics(q, v, a)[:, names.device_columns]
         moments += device.carries_itself * needed
-    for i, joint in enumerate((device.ankle, device.knee, device.hip)):
-        angle, rate = q[:, first + i], v[:, first + i]
-        moments[:, i] -= joint.inertia_kg_m2 * a[:, first + i]
+    for i, (name, k) in enumerate(
+        zip(names.device, names.device_columns, strict=True)
+    ):
+        joint = getattr(device, names.follows(name))
+        rate = v[:, k]
+        moments[:, i] -= joint.inertia_kg_m2 * a[:, k]
         moments[:, i] -= joint.viscous_nm_s * rate
         moments[:, i] -= joint.coulomb_nm * np.tanh(
             rate / joint.coulomb_speed_rad_s
         )
         moments[:, i] -= joint.stiffness_nm_rad * (
-            angle - np.deg2rad(joint.rest_deg)
+            q[:, k] - np.deg2rad(joint.rest_deg)
         )
     return moments

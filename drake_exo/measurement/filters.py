@@ -84,3 +84,20 @@ def resample(
 ) -> np.ndarray:
     """Values of smooth signals (N, ...) at other times, by cubic spline."""
     return make_interp_spline(time, values, k=3, axis=0)(new_time)
+
+
+def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The quintic step s^3 (10 - 15 s + 6 s^2), at rest at both ends.
+
+    Args:
+        s: share of the way; held at 0 and 1 beyond.
+
+    Returns:
+        The step and its first and second derivatives by s.
+    """
+    s = np.clip(s, 0.0, 1.0)
+    return (
+        s**3 * (10.0 - 15.0 * s + 6.0 * s**2),
+        30.0 * s**2 * (1.0 - s) ** 2,
+        60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
+    )

@@ -1,4 +1,4 @@
-"""The planar body with its markers, measured in quiet standing.
+"""From markers to joint angles of the planar body.
 
 Seven segments in the sagittal plane: pelvis (with trunk, head and arms),
 and thigh, shank and foot of each leg. With complex numbers p = x + i z, and
@@ -7,10 +7,9 @@ seen from the right), every marker is p_0 + C w with constant C, p_0 being the
 middle of the hips. Angles are zero for vertical thighs and shanks, a trunk as
 upright as in standing and feet as flat as there.
 
-Joint angles from markers: weighted least squares over all frames at once.
-
-Each leg is followed on its own; the planar model's leg is their mean, since
-feet that stand apart fore and aft give the legs different angles.
+Joint angles follow by weighted least squares over all frames at once. Each
+leg is followed on its own; the planar model's leg is their mean, since feet
+that stand apart fore and aft give the legs different angles.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.sagittal import SagittalFrame
-from drake_exo.study import SIDES, Markers
+from drake_exo.measurement.settings import SIDES, Markers
 
 LEG = ("thigh", "shank", "foot")
 _JOINTS = ("ankle", "knee", "hip")

@@ -1,8 +1,7 @@
-"""The scanned body: where the cells of a mat lie and which way they face.
+"""From the pressure of a mat's cells to the force on a segment.
 
-From the pressure of a mat's cells to the force on a segment.
-
-Pressure times area acts along the inward normal of the body's surface. The
+Where cells lie and which way they face comes from the scanned body. Pressure
+times area acts along the inward normal of the body's surface. The
 vectors are summed, and turned into the segment's axes: what is across the
 segment in the sagittal plane (its x) is the normal force of the paper. Shear
 is not measured.
@@ -26,9 +25,8 @@ from drake_exo.files.pressure import (
 from drake_exo.files.tables import uniform_time
 from drake_exo.files.text import number_rows, read_text
 from drake_exo.measurement.filters import check_filterable, low_pass
-from drake_exo.measurement.instruments import Mat, PressureFile, Scan
 from drake_exo.measurement.sagittal import SagittalFrame
-from drake_exo.study import Filter
+from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 # A body or a part of it, largest extent [m].

@@ -1,7 +1,4 @@
-"""A whole recording, processed: what trials are cut from.
-
-From a study's files to its trials.
-"""
+"""From a study's files to its trials."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +15,7 @@ from drake_exo.measurement.clocks import (
     force_delay,
     mat_delay,
 )
-from drake_exo.measurement.events import (
-    Rise,
-    find_rises,
-    on_segments,
-    until_seat_off,
-)
+from drake_exo.measurement.events import Rise, find_rises, until_seat_off
 from drake_exo.measurement.exoskeleton import (
     Signal,
     check_covers,
@@ -32,7 +24,6 @@ from drake_exo.measurement.exoskeleton import (
     read_moments,
 )
 from drake_exo.measurement.filters import derivatives, low_pass, resample
-from drake_exo.measurement.instruments import Device
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
@@ -47,163 +38,191 @@ from drake_exo.measurement.recording import (
     FootForces,
     common_time,
     fill_gaps,
-    read_foot_forces,
+    merge_plates,
+    read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import (
-    PlanarWrench,
-    SagittalFrame,
-    merge_feet,
+from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.settings import (
+    Device,
+    RecordingSettings,
+    TrialFiles,
 )
-from drake_exo.measurement.subject import SubjectModel, fit_subject
-from drake_exo.measurement.trial import Trial
-from drake_exo.model.plant import COUPLED_COORDINATES, RIGID_COORDINATES
-from drake_exo.study import Study, TrialFiles
+from drake_exo.measurement.subject import SubjectModel
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.plant import Model
 
 
 @dataclass(frozen=True)
-class Movement:
-    """A whole recording, processed: what trials are cut from.
+class Clock:
+    """Lag of a system's clock behind the markers'.
+
+    Attributes:
+        lag_s: that was taken out.
+        said: what its estimate is worth, in words; None if not estimated.
+    """
+
+    lag_s: float
+    said: str | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Markers, made coordinates of the model without a device.
 
     Attributes:
         time: (N,) [s].
-        q, v, a: (N, 6) filtered motion of the rigid model.
+        q, v, a: (N, .) filtered motion.
         ankles: side -> (N, 2) filtered ankle centres [m].
         hip_z: (N,) height of the middle of the hips [m].
-        forces: foot -> filtered wrench (N,).
-        chair: filtered wrench (N,) of the chair until seat-off, None where
-            no plate is under it.
-        is_one_leg: whether only one foot stood on a plate.
-        delays_s: "forces", "encoders", "pressure" -> lag of the clock that
-            was taken out [s].
-        clocks: what the estimates of those say of themselves.
-        plate_levels: plate -> offset and drift that were taken out.
+        residuals_m: marker -> RMS distance from the model.
+        gaps: marker -> share of frames that was filled.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    ankles: dict[str, np.ndarray]
+    hip_z: np.ndarray
+    residuals_m: dict[str, float]
+    gaps: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A whole recording, processed: what trials are cut from.
+
+    Attributes:
+        motion: of the body.
+        forces: filtered plates on the markers' clock.
+        feet: foot -> wrench (N,) at the markers' times.
+        chair: wrench (N,) of the chair until seat-off, None where no plate
+            is under it.
         rises: sit-to-stand rises found in it.
-        marker_residuals_m: marker -> RMS distance from the model.
-        gaps_filled: marker -> share of frames that was filled.
         angles: encoders, None for none.
         moments: recorded exoskeleton moments, None for none.
         mats: force of each mat.
+        clocks: "forces", "encoders", "pressure", as far as there are such.
     """
 
-    time: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    ankles: dict[str, np.ndarray]
-    hip_z: np.ndarray
-    forces: dict[str, PlanarWrench]
+    motion: Motion
+    forces: FootForces
+    feet: dict[str, PlanarWrench]
     chair: PlanarWrench | None
-    is_one_leg: bool
-    delays_s: dict[str, float]
-    clocks: dict[str, str]
-    plate_levels: dict[str, dict]
     rises: list[Rise]
-    marker_residuals_m: dict[str, float]
-    gaps_filled: dict[str, float]
-    angles: Signal | None = None
-    moments: Signal | None = None
-    mats: tuple[MatForce, ...] = ()
+    angles: Signal | None
+    moments: Signal | None
+    mats: tuple[MatForce, ...]
+    clocks: dict[str, Clock]
 
 
-@dataclass
-class _Motion:
-    """Markers, made coordinates."""
+def load_trials(
+    settings: RecordingSettings,
+    root: Path,
+    subject: SubjectModel,
+    files: tuple[TrialFiles, ...],
+) -> tuple[Trial, ...]:
+    """Read and process files, and cut out their trials.
 
-    time: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    ankles: dict[str, np.ndarray]
-    hip_z: np.ndarray
-    residuals: dict[str, float]
+    Trials from the same recording share its inverse kinematics.
+
+    Args:
+        settings: of the study.
+        root: folder that its paths start from.
+        subject: fitted to the standing trial.
+        files: of the trials.
+
+    Raises:
+        InputError: a file or the study is not as it should be.
+    """
+    recordings: dict[Any, Recording] = {}
+    trials = []
+    for one in files:
+        key = _recording(one)
+        if key not in recordings:
+            recordings[key] = process(one, subject, settings, root)
+        trials.append(cut(one, recordings[key], subject, settings))
+    return tuple(trials)
+
+
+def _recording(files: TrialFiles) -> TrialFiles:
+    """What trials of one recording have in common."""
+    return replace(
+        files,
+        name="",
+        use="calibration",
+        rise=None,
+        seated_s=0.0,
+        start_s=None,
+        end_s=None,
+    )
 
 
 def process(
-    files: TrialFiles, subject: SubjectModel, study: Study, root: Path
-) -> Movement:
+    files: TrialFiles,
+    subject: SubjectModel,
+    settings: RecordingSettings,
+    root: Path,
+) -> Recording:
     """Read, clean, synchronise and filter a whole recording.
 
     Raises:
-        InputError: as `loading.load_trials`.
+        InputError: as `load_trials`.
     """
+    laboratory, low_pass_filter = settings.laboratory, settings.filter
+    model = subject.model
     markers, gaps = fill_gaps(
-        read_markers(root / files.markers, study.filter),
+        read_markers(root / files.markers, low_pass_filter),
         subject.markers.names,
-        study.laboratory.fill_gaps_s,
+        laboratory.fill_gaps_s,
     )
-    forces = _read_forces(files, study, root)
-    time = common_time(markers, forces, study.filter)
-    motion = _follow(files.name, markers, time, subject, study)
-    forces = forces.filtered(study.filter)
-    delays = {"forces": study.laboratory.force_delay_s}
-    clocks: dict[str, str] = {}
-    if study.laboratory.estimate_force_delay:
-        late = _force_delay(
-            motion, forces.delayed(delays["forces"]), subject, study
-        )
-        delays["forces"] += late
-        clocks["forces"] = _said(late, study, None)
-    forces = forces.delayed(delays["forces"])
-    wrenches, chair = forces.at(time), forces.chair_at(time)
-    weight = subject.rigid.mass * subject.rigid.gravity
+    forces = read_feet(files, laboratory, low_pass_filter, root)
+    time = common_time(markers, forces, low_pass_filter)
+    motion = _follow(files.name, markers, gaps, time, subject, settings)
+    forces, force_clock = _on_marker_clock(
+        motion, forces.filtered(low_pass_filter), model.rigid, laboratory
+    )
+    feet, chair = forces.at(time), forces.chair_at(time)
     if chair is not None:
-        chair = until_seat_off(time, chair, weight)
-    angles, moments = _exoskeleton(
-        files, motion, subject, study, root, delays, clocks
-    )
-    mats = _mats(files, motion, angles, subject, study, root, delays, clocks)
-    return Movement(
-        time=time,
-        q=motion.q,
-        v=motion.v,
-        a=motion.a,
-        ankles=motion.ankles,
-        hip_z=motion.hip_z,
-        forces=wrenches,
-        chair=chair,
-        is_one_leg=forces.is_one_leg,
-        delays_s=delays,
-        clocks=clocks,
-        plate_levels=forces.levels,
-        rises=_rises(motion, wrenches, chair, forces.is_one_leg, subject),
-        marker_residuals_m=motion.residuals,
-        gaps_filled=gaps,
-        angles=angles,
-        moments=moments,
-        mats=mats,
-    )
-
-
-def _read_forces(files: TrialFiles, study: Study, root: Path) -> FootForces:
-    laboratory, settings = study.laboratory, study.filter
-    forces = read_foot_forces(
-        root / files.forces, files.plates, laboratory, settings
-    )
-    if files.empty_plates is not None:
-        forces = forces.without(
-            read_foot_forces(
-                root / files.empty_plates,
-                files.plates,
-                laboratory,
-                settings,
-                loaded=False,
-            )
+        chair = until_seat_off(time, chair, model.tree.weight)
+    clocks = {"forces": force_clock}
+    angles = moments = None
+    if model.exoskeleton is not None:
+        angles, moments, encoder_clock = _device(
+            files, motion, model, settings, root
         )
-    return forces.levelled() if laboratory.remove_plate_drift else forces
+        if encoder_clock is not None:
+            clocks["encoders"] = encoder_clock
+    mats = read_mat_forces(files.pressure, settings.mats, root, low_pass_filter)
+    if mats:
+        clocks["pressure"] = _mat_clock(motion, angles, mats, model, laboratory)
+        lag = clocks["pressure"].lag_s
+        mats = tuple(mat.delayed(lag) for mat in mats)
+    return Recording(
+        motion,
+        forces,
+        feet,
+        chair,
+        _rises(motion, feet, chair, forces, model.rigid),
+        angles,
+        moments,
+        mats,
+        clocks,
+    )
 
 
 def _follow(
     name: str,
     markers: MarkerData,
+    gaps: dict[str, float],
     time: np.ndarray,
     subject: SubjectModel,
-    study: Study,
-) -> _Motion:
+    settings: RecordingSettings,
+) -> Motion:
     """Inverse kinematics of the frames at `time`, filtered."""
-    frame = SagittalFrame(
-        study.laboratory.marker_axes.forward, study.laboratory.marker_axes.up
-    )
+    axes = settings.laboratory.marker_axes
+    frame = SagittalFrame(axes.forward, axes.up)
     points = frame.points(markers.of(subject.markers.names))
     inside = np.searchsorted(markers.time, time[0] - 1e-9)
     points = points[inside : inside + len(time)]
@@ -215,14 +234,14 @@ def _follow(
         return low_pass(
             values,
             markers.rate_hz,
-            study.filter.cutoff_hz,
-            study.filter.order,
+            settings.filter.cutoff_hz,
+            settings.filter.order,
             markers.source,
         )
 
     q = smooth(q)
     v, a = derivatives(time, q)
-    return _Motion(
+    return Motion(
         time,
         q,
         v,
@@ -230,96 +249,111 @@ def _follow(
         {side: smooth(p) for side, p in ankles.items()},
         smooth(poses.hip.imag),
         residual_rms(subject.markers, poses),
+        gaps,
     )
 
 
-def _vertical(wrenches: dict[str, PlanarWrench], is_one_leg: bool):
-    F_z = sum(w.force[:, 1] for w in wrenches.values())
-    return 2.0 * F_z if is_one_leg else F_z
+def _needed(rigid: Model, motion: Motion) -> np.ndarray:
+    """Vertical force (N,) that somebody must bear by Newton's law [N]."""
+    Q = inverse_dynamics(rigid.tree, motion.q, motion.v, motion.a, {})
+    return rigid.tree.ground_reaction(motion.q, Q)[:, 1]
 
 
-def _rises(motion, wrenches, chair, is_one_leg, subject) -> list[Rise]:
+def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     """Rises, by the chair's plate or else by what the feet leave over."""
-    tree = subject.rigid
-    F_z = _vertical(wrenches, is_one_leg)
-    if chair is None:
-        needed = inverse_dynamics(tree, motion.q, motion.v, motion.a, {})[:, 1]
-        on_chair = needed - F_z
-    else:
-        on_chair = chair.force[:, 1]
-    weight = tree.mass * tree.gravity
+    F_z = forces.total(feet)
+    on_chair = (
+        _needed(rigid, motion) - F_z if chair is None else chair.force_z
+    )
+    weight = rigid.tree.weight
     return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
 
 
-def _force_delay(motion, forces: FootForces, subject, study) -> float:
+def _on_marker_clock(
+    motion, forces: FootForces, rigid: Model, laboratory
+) -> tuple[FootForces, Clock]:
+    """The forces without the lag of their clock, and that clock."""
+    lag, said = laboratory.force_delay_s, None
+    if laboratory.estimate_force_delay:
+        late = _force_delay(motion, forces.delayed(lag), rigid, laboratory)
+        lag, said = lag + late, _said(late, laboratory, None)
+    return forces.delayed(lag), Clock(lag, said)
+
+
+def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
     """Lag of the forces, from the rises (or from all loaded frames)."""
-    time, tree = motion.time, subject.rigid
-    wrenches, chair = forces.at(time), forces.chair_at(time)
-    weight = tree.mass * tree.gravity
-    needed = inverse_dynamics(tree, motion.q, motion.v, motion.a, {})[:, 1]
-    F_z = _vertical(wrenches, forces.is_one_leg)
-    reach = study.laboratory.largest_delay_s
+    time = motion.time
+    feet, chair = forces.at(time), forces.chair_at(time)
+    needed, F_z = _needed(rigid, motion), forces.total(feet)
+    reach = laboratory.largest_delay_s
     if chair is not None:  # together they bear the body all the time
         everywhere = np.ones(len(time), bool)
-        total = F_z + chair.force[:, 1]
+        total = F_z + chair.force_z
         return force_delay(time, needed, total, everywhere, reach)
-    rises = _rises(motion, wrenches, chair, forces.is_one_leg, subject)
+    rises = _rises(motion, feet, chair, forces, rigid)
     used = np.zeros(len(time), bool)
     for rise in rises:
         used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
     if not rises:
-        used = F_z > 0.5 * weight
+        used = F_z > 0.5 * rigid.tree.weight
     return force_delay(time, needed, F_z, used, reach)
 
 
-def _said(delay: float, study: Study, explained: float | None) -> str:
+def _said(late: float, laboratory, explained: float | None) -> str:
     """What an estimated delay is worth, in words."""
-    reach = study.laboratory.largest_delay_s
-    text = f"estimated {1e3 * delay:+.0f} ms"
+    text = f"estimated {1e3 * late:+.0f} ms"
     if explained is not None:
         text += f", {100.0 * explained:.0f} % explained"
-    if abs(delay) > reach - 1.5e-3:
+    if abs(late) > laboratory.largest_delay_s - 1.5e-3:
         text += "; at the edge of the search, raise laboratory.largest_delay_s"
     return text
 
 
-def _exoskeleton(files, motion, subject, study: Study, root, delays, clocks):
-    """Encoders and recorded moments, on the markers' clock."""
-    if study.model == "human":
-        return None, None
-    device = study.device or Device()
-    angles, moments = None, None
+def _believed(lag, late, explained, laboratory) -> Clock:
+    """The clock with the estimate, or without if it explains too little."""
+    said = _said(late, laboratory, explained)
+    if explained >= EXPLAINED:
+        return Clock(lag + late, said)
+    return Clock(lag, said + "; too little, not applied")
+
+
+def _device(files, motion, model: Model, settings, root):
+    """Encoders and recorded moments, on the markers' clock, and theirs."""
+    laboratory, device = settings.laboratory, settings.device or Device()
+    joints = model.coordinates.device
+    moments = angles = clock = None
     if files.exo_moments is not None:
         path = root / files.exo_moments
-        moments = read_moments(path, device.moment_legs, study.filter)
-    delay = study.laboratory.encoder_delay_s
+        legs = device.moment_legs
+        moments = read_moments(path, joints, legs, settings.filter)
+    lag = laboratory.encoder_delay_s
     if files.encoders is not None:
         path = root / files.encoders
-        angles = read_angles(path, device.encoder_legs, study.filter)
-        if study.laboratory.estimate_encoder_delay:
+        legs = device.encoder_legs
+        angles = read_angles(path, joints, legs, settings.filter)
+        clock = Clock(lag)
+        if laboratory.estimate_encoder_delay:
             late, explained = encoder_delay(
                 motion.time,
                 (motion.q, motion.v, motion.a),
-                angles.delayed(delay),
-                _drive(device, moments, delay, subject),
-                subject,
-                study.laboratory.largest_delay_s,
+                angles.delayed(lag),
+                _drive(device, moments, lag, model),
+                model,
+                laboratory.largest_delay_s,
             )
-            delay += _believed("encoders", late, explained, study, clocks)
-        angles = angles.delayed(delay)
-        delays["encoders"] = delay
+            clock = _believed(lag, late, explained, laboratory)
+        lag = clock.lag_s
+        angles = angles.delayed(lag)
     if moments is not None:
-        moments = moments.delayed(delay)
-    return angles, moments
+        moments = moments.delayed(lag)
+    return angles, moments, clock
 
 
-def _drive(device: Device, moments: Signal | None, delay: float, subject):
+def _drive(device: Device, moments: Signal | None, lag: float, model: Model):
     """The device's joint moments as a function of its time and motion."""
     if moments is None:
-        return lambda _, q, v, a: drive_moments(
-            device, subject.coupled, q, v, a
-        )
-    time = moments.time - delay
+        return lambda _, q, v, a: drive_moments(device, model.tree, q, v, a)
+    time = moments.time - lag
 
     def recorded(at, *_):
         return np.column_stack(
@@ -329,80 +363,28 @@ def _drive(device: Device, moments: Signal | None, delay: float, subject):
     return recorded
 
 
-def _believed(name, late, explained, study: Study, clocks) -> float:
-    """The estimate, or none if it explains too little; says which."""
-    clocks[name] = _said(late, study, explained)
-    if explained >= EXPLAINED:
-        return late
-    clocks[name] += "; too little, not applied"
-    return 0.0
-
-
-def _mats(files, motion, angles, subject, study: Study, root, delays, clocks):
-    """Force of each mat, on the markers' clock."""
-    mats = read_mat_forces(files.pressure, study.mats, root, study.filter)
-    if not mats:
-        return ()
-    laboratory = study.laboratory
-    delay = laboratory.pressure_delay_s
-    if laboratory.estimate_pressure_delay:
-        if angles is None:
-            clocks["pressure"] = "not estimated: there are no encoders"
-        else:
-            late, explained = _pressure_delay(
-                motion, angles, mats, delay, subject, laboratory
-            )
-            delay += _believed("pressure", late, explained, study, clocks)
-    delays["pressure"] = delay
-    return tuple(mat.delayed(delay) for mat in mats)
-
-
-def _pressure_delay(motion, angles: Signal, mats, delay, subject, laboratory):
+def _mat_clock(motion, angles: Signal | None, mats, model, laboratory):
     """Lag of the mats behind the deflection between device and human."""
+    lag = laboratory.pressure_delay_s
+    if not laboratory.estimate_pressure_delay:
+        return Clock(lag)
+    if angles is None:
+        return Clock(lag, "not estimated: there are no encoders")
     seen = (motion.time >= angles.time[0]) & (motion.time <= angles.time[-1])
     time = motion.time[seen]
     q = np.hstack([motion.q[seen], angles.at(time, "encoder angles")])
-    signals = [(m.segment, m.time - delay, m.normal) for m in mats]
-    return mat_delay(time, q, signals, subject, laboratory.largest_delay_s)
-
-
-__all__ = ["Movement", "cut", "load_trial", "load_trials", "process"]
-
-
-def load_trials(
-    study: Study, root: Path
-) -> tuple[SubjectModel, tuple[Trial, ...]]:
-    """Read a study's files, fit the subject, and cut out its trials.
-
-    Trials from the same recording share its inverse kinematics.
-
-    Raises:
-        InputError: a file or the study is not as it should be.
-    """
-    subject = fit_subject(study, root)
-    movements: dict[Any, Movement] = {}
-    trials = []
-    for files in study.trials:
-        key = _recording(files)
-        if key not in movements:
-            movements[key] = process(files, subject, study, root)
-        trials.append(cut(files, movements[key], subject, study))
-    return subject, tuple(trials)
-
-
-def load_trial(
-    files: TrialFiles, subject: SubjectModel, study: Study, root: Path
-) -> Trial:
-    """Read, process and cut one trial; raises as `load_trials`."""
-    movement = process(files, subject, study, root)
-    return cut(files, movement, subject, study)
+    signals = [(m.segment, m.time - lag, m.normal) for m in mats]
+    reach = laboratory.largest_delay_s
+    return _believed(
+        lag, *mat_delay(time, q, signals, model, reach), laboratory
+    )
 
 
 def cut(
     files: TrialFiles,
-    movement: Movement,
+    recording: Recording,
     subject: SubjectModel,
-    study: Study,
+    settings: RecordingSettings,
 ) -> Trial:
     """Cut one trial out of a processed recording.
 
@@ -410,78 +392,83 @@ def cut(
         InputError: no such rise, a part outside the recording, or encoders,
             moments or mats that do not cover it.
     """
-    start, end, how = _bounds(files, movement)
-    inside = (movement.time >= start - 1e-9) & (movement.time <= end + 1e-9)
+    motion = recording.motion
+    start, end, how = _bounds(files, recording)
+    inside = (motion.time >= start - 1e-9) & (motion.time <= end + 1e-9)
     if inside.sum() < 2:
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s holds no part of "
-            f"the recording ({movement.time[0]:g} to "
-            f"{movement.time[-1]:g} s); correct start_s and end_s"
+            f"the recording ({motion.time[0]:g} to {motion.time[-1]:g} s); "
+            "correct start_s and end_s"
         )
-    wrench, shifts = _merge(movement, inside)
-    time = movement.time[inside]
-    q, v, a, names, exo = _coordinates(files, movement, inside, study)
-    chair, on_thighs = _chair(movement, inside, study)
-    moments, source = _moments(
-        movement, subject, study, (time, q, v, a), wrench, chair
+    wrench, shifts = merge_plates(
+        {foot: w.cut(inside) for foot, w in recording.feet.items()},
+        {side: p[inside] for side, p in motion.ankles.items()},
     )
-    normal_force, mats = _normal_forces(movement, time)
-    provenance = {
-        **_provenance(files, movement, subject, study),
-        "part": how,
-        "plate_shift_m": shifts,
-        "moments": source,
-        "chair": "plate" if chair is not None else "not measured",
-        "mats": mats,
-        **exo,
-    }
-    return Trial(
+    time = motion.time[inside]
+    (q, v, a), exo = _coordinates(files, recording, inside, subject.model)
+    cuffs, mats = _cuff_forces(recording, time)
+    trial = Trial(
         name=files.name,
-        coordinates=names,
-        time=time,
+        coordinates=subject.model.coordinates,
+        times=time - time[0],
+        start_s=float(time[0]),
         q=q,
         v=v,
         a=a,
-        grf=wrench.force,
-        moment_y=wrench.moment,
+        ground=wrench,
+        cuffs=cuffs,
+        chair=None if recording.chair is None else recording.chair.cut(inside),
+        chair_on_thighs=settings.laboratory.chair_on_thighs,
         mass_kg=subject.mass_kg,
-        provenance=provenance,
-        moments=moments,
-        normal_force=normal_force,
-        chair=chair,
-        chair_on_thighs=on_thighs,
     )
+    moments, source = _moments(recording, subject.model, settings, trial, time)
+    provenance = {
+        **_provenance(files, recording, subject, settings),
+        "part": how,
+        "plate_shift_m": shifts,
+        "moments": source,
+        "chair": "plate" if recording.chair is not None else "not measured",
+        "mats": mats,
+        **exo,
+    }
+    return replace(trial, moments=moments, provenance=provenance)
 
 
 def _provenance(
-    files: TrialFiles, movement: Movement, subject: SubjectModel, study: Study
+    files: TrialFiles,
+    recording: Recording,
+    subject: SubjectModel,
+    settings: RecordingSettings,
 ) -> dict[str, Any]:
     """Which files, which filter, what was done to the whole recording."""
+    clocks = recording.clocks
     return {
         "markers": files.markers.as_posix(),
         "forces": files.forces.as_posix(),
         "filter": {
             "kind": "Butterworth, zero lag",
-            "cutoff_hz": study.filter.cutoff_hz,
-            "order": study.filter.order,
+            "cutoff_hz": settings.filter.cutoff_hz,
+            "order": settings.filter.order,
         },
-        "force_delay_s": movement.delays_s["forces"],
-        "delays_s": movement.delays_s,
-        "clocks": movement.clocks,
-        "plate_levels": movement.plate_levels,
-        "one_leg_doubled": movement.is_one_leg,
+        "force_delay_s": clocks["forces"].lag_s,
+        "delays_s": {name: c.lag_s for name, c in clocks.items()},
+        "clocks": {name: c.said for name, c in clocks.items() if c.said},
+        "plate_levels": recording.forces.levels,
+        "one_leg_doubled": recording.forces.is_one_leg,
         "legs_followed": list(subject.markers.sides),
-        "marker_residual_rms_m": movement.marker_residuals_m,
-        "gaps_filled": movement.gaps_filled,
+        "marker_residual_rms_m": recording.motion.residuals_m,
+        "gaps_filled": recording.motion.gaps,
     }
 
 
-def _bounds(files: TrialFiles, movement: Movement):
+def _bounds(files: TrialFiles, recording: Recording):
     """Start and end of a trial, and how they came about."""
-    start, end = float(movement.time[0]), float(movement.time[-1])
+    time = recording.motion.time
+    start, end = float(time[0]), float(time[-1])
     how: dict[str, Any] = {"from": "whole recording"}
     if files.rise is not None:
-        found = movement.rises
+        found = recording.rises
         if files.rise > len(found):
             raise InputError(
                 f"trial {files.name}: rise {files.rise} was asked for, but "
@@ -505,112 +492,77 @@ def _bounds(files: TrialFiles, movement: Movement):
         start, how["start_s"] = files.start_s, files.start_s
     if files.end_s is not None:
         end, how["end_s"] = files.end_s, files.end_s
-    outside = max(movement.time[0] - start, end - movement.time[-1])
-    if outside > movement.time[1] - movement.time[0]:
+    outside = max(time[0] - start, end - time[-1])
+    if outside > time[1] - time[0]:
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s reaches beyond the "
-            f"recording ({movement.time[0]:g} to {movement.time[-1]:g} s); "
-            "correct start_s and end_s"
+            f"recording ({time[0]:g} to {time[-1]:g} s); correct start_s and "
+            "end_s"
         )
     return start, end, how
 
 
-def _merge(movement: Movement, inside: np.ndarray):
-    """Both feet's wrench in the part, and the shift of each plate [m]."""
-    part = {
-        foot: PlanarWrench(w.force[inside], w.moment[inside])
-        for foot, w in movement.forces.items()
-    }
-    if "both" in part:
-        return part["both"], {"both": 0.0}
-    places = {
-        side: float(p[inside, 0].mean()) for side, p in movement.ankles.items()
-    }
-    middle = float(np.mean(list(places.values())))
-    return merge_feet(part, {side: places.get(side, middle) for side in part})
-
-
-def _recording(files: TrialFiles) -> TrialFiles:
-    """What trials of one recording have in common."""
-    return replace(
-        files,
-        name="",
-        use="calibration",
-        rise=None,
-        seated_s=0.0,
-        start_s=None,
-        end_s=None,
-    )
-
-
-def _coordinates(files, movement: Movement, inside, study: Study):
-    """Coordinates of the study's model; adds the exoskeleton's angles."""
-    q, v, a = (x[inside] for x in (movement.q, movement.v, movement.a))
-    if study.model == "human":
-        return q, v, a, RIGID_COORDINATES, {}
-    if movement.angles is None:
-        parts = [np.hstack([x, x[:, 3:]]) for x in (q, v, a)]
-        note = {"exoskeleton_angles": "as the human's (no encoders)"}
-        return *parts, COUPLED_COORDINATES, note
-    exo = movement.angles.motion(movement.time[inside])
-    parts = [np.hstack([x, y]) for x, y in zip((q, v, a), exo, strict=True)]
-    note = {
+def _coordinates(files, recording: Recording, inside, model: Model):
+    """q, v, a (n, nq) of the model, and whose the device's angles are."""
+    motion = recording.motion
+    body = [x[inside] for x in (motion.q, motion.v, motion.a)]
+    if model.exoskeleton is None:
+        return body, {}
+    if recording.angles is None:
+        aligned = [model.coordinates.aligned(x) for x in body]
+        return aligned, {"exoskeleton_angles": "as the human's (no encoders)"}
+    exo = recording.angles.motion(motion.time[inside])
+    return [np.hstack(pair) for pair in zip(body, exo, strict=True)], {
         "encoders": files.encoders.as_posix(),
-        "encoder_legs": movement.angles.one_leg or "both",
+        "encoder_legs": recording.angles.one_leg or "both",
     }
-    return *parts, COUPLED_COORDINATES, note
 
 
-def _chair(movement: Movement, inside, study: Study):
-    """Wrench (n, 3) of the chair in the part, and the thighs' share."""
-    if movement.chair is None:
-        return None, 0.0
-    w = movement.chair
-    chair = np.column_stack([w.force, w.moment])[inside]
-    return chair, study.laboratory.chair_on_thighs
-
-
-def _moments(movement, subject, study: Study, motion, wrench, chair):
-    """Joint moments (n, nq - 3), and where they come from.
+def _moments(recording, model: Model, settings, trial: Trial, time):
+    """Joint moments (n, n_joints), and where they come from.
 
     The resultant is that of the rigid model, from the ground up; the human's
     is what the exoskeleton's leaves of it.
     """
-    time, q, v, a = motion
-    loads = {"foot": wrench}
-    if chair is not None:
-        loads |= on_segments(chair, study.laboratory.chair_on_thighs)
-    rigid = [x[:, :6] for x in (q, v, a)]
-    Q = inverse_dynamics(subject.rigid, *rigid, loads)
-    resultant = from_the_ground_up(subject.rigid, rigid[0], Q)[:, 3:]
-    if study.model == "human":
+    names, tree = model.coordinates, model.rigid.tree
+    body = [x[:, names.body_columns] for x in (trial.q, trial.v, trial.a)]
+    loads = {tree.foot: trial.ground, **trial.chair_loads()}
+    Q = inverse_dynamics(tree, *body, loads)
+    resultant = from_the_ground_up(tree, body[0], Q)
+    resultant = resultant[:, tree.coordinates.joint_columns]
+    if model.exoskeleton is None:
         return resultant, {"human": "resultant"}
-    if movement.moments is not None:
-        exo = movement.moments.at(time, "exoskeleton moments")
+    if recording.moments is not None:
+        exo = recording.moments.at(time, "exoskeleton moments")
         source = "recorded"
-        if movement.moments.one_leg:
-            source += f", {movement.moments.one_leg} leg doubled"
-    elif study.device is not None:
-        exo = drive_moments(study.device, subject.coupled, q, v, a)
+        if recording.moments.one_leg:
+            source += f", {recording.moments.one_leg} leg doubled"
+    elif settings.device is not None:
+        exo = drive_moments(
+            settings.device, model.tree, trial.q, trial.v, trial.a
+        )
         source = "device model"
-        if movement.angles is None:
+        if recording.angles is None:
             source += " at the human's angles"
     else:
         return None, {
             "human": "unknown: neither exo_moments nor device are given"
         }
-    moments = np.hstack([resultant - exo, exo])
-    return moments, {"human": "resultant - exoskeleton", "exoskeleton": source}
+    beside = [names.human.index(names.follows(name)) for name in names.device]
+    human = resultant.copy()
+    human[:, beside] -= exo
+    said = {"human": "resultant - exoskeleton", "exoskeleton": source}
+    return np.hstack([human, exo]), said
 
 
-def _normal_forces(movement: Movement, time):
-    """Normal force by segment, both legs, and what was doubled."""
+def _cuff_forces(recording: Recording, time):
+    """Normal force by cuff, both legs, and what was doubled."""
     total: dict[str, np.ndarray] = {}
     notes: dict[str, Any] = {}
-    for mat in movement.mats:
+    for mat in recording.mats:
         check_covers(mat.source, mat.time, time, f"pressures of {mat.name}")
         at = np.clip(time, mat.time[0], mat.time[-1])
         force = resample(mat.time, mat.normal, at)
         total[mat.segment] = total.get(mat.segment, 0.0) + force
         notes[mat.name] = mat.report
-    return total, notes
+    return {name: CuffForce(force) for name, force in total.items()}, notes

@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_exo.measurement.events import on_segments
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
-from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 
@@ -84,11 +82,12 @@ def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
     Returns:
         (N, 3) F_x, F_z [N] and pitch moment about the ankle [N m].
     """
-    q, v, a = (x[:, :6] for x in (trial.q, trial.v, trial.a))
-    loads = {"foot": PlanarWrench(trial.grf, trial.moment_y)}
-    if trial.chair is not None:
-        loads |= on_segments(trial.chair, trial.chair_on_thighs)
-    return inverse_dynamics(subject.rigid, q, v, a, loads)[:, :3]
+    tree = subject.model.rigid.tree
+    columns = trial.coordinates.body_columns
+    body = [x[:, columns] for x in (trial.q, trial.v, trial.a)]
+    loads = {tree.foot: trial.ground, **trial.chair_loads()}
+    Q = inverse_dynamics(tree, *body, loads)
+    return Q[:, tree.coordinates.root_columns]
 
 
 def assess(subject: SubjectModel, trials: tuple[Trial, ...]) -> Quality:
@@ -123,7 +122,7 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
     size = np.sqrt(np.mean(residual**2, axis=0))
     gaps = sum(said["gaps_filled"].values()) / max(len(markers), 1)
     worst = max(markers, key=markers.get)
-    weight = subject.rigid.mass * subject.rigid.gravity
+    weight = subject.model.tree.weight
     warnings = []
     if markers[worst] > LARGEST_MARKER_RMS_M:
         warnings.append(
@@ -143,8 +142,8 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
     ]
     return TrialQuality(
         name=trial.name,
-        start_s=float(trial.time[0]),
-        end_s=float(trial.time[-1]),
+        start_s=trial.start_s,
+        end_s=trial.start_s + trial.duration,
         marker_rms_m=markers,
         worst_marker=worst,
         marker_rms_all_m=_mean_square(markers),

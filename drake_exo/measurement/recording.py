@@ -1,8 +1,6 @@
-"""Filling short gaps of markers, and saying how much was filled.
+"""Marker and force files on one time base: gaps filled, plates levelled.
 
-Offset and drift of force plates, from samples with nothing on them.
-
-One recording: marker and force files on one time base, unfiltered.
+Nothing is filtered here but what judges whether a plate is loaded.
 """
 
 from dataclasses import dataclass, field, replace
@@ -25,9 +23,17 @@ from drake_exo.measurement.filters import check_filterable, low_pass, resample
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
+    merge_feet,
     planar_wrench,
 )
-from drake_exo.study import SIDES, Filter, Laboratory, Plates
+from drake_exo.measurement.settings import (
+    SIDES,
+    Filter,
+    Laboratory,
+    Plates,
+    Standing,
+    TrialFiles,
+)
 
 _NEIGHBOURS = 10  # seen frames on each side that carry the spline
 
@@ -269,10 +275,9 @@ class FootForces:
             for foot, w in self.wrenches.items()
         }
 
-    def vertical(self) -> np.ndarray:
-        """Total vertical force (N,), one foot alone counting twice [N]."""
-        feet = list(self.wrenches.values())
-        total = sum(w.force[:, 1] for w in feet)
+    def total(self, feet: dict[str, PlanarWrench]) -> np.ndarray:
+        """Vertical force (N,) of all feet, one alone counting twice [N]."""
+        total = sum(w.force_z for w in feet.values())
         return 2.0 * total if self.is_one_leg else total
 
     @property
@@ -399,13 +404,55 @@ def _plate(path, recorded: list[PlateRecording], number: int):
 
 def _check_direction(forces: FootForces) -> None:
     """Forces must be those on the body: upwards when standing."""
-    F_z = forces.vertical()
+    F_z = forces.total(forces.wrenches)
     if -F_z.min() > max(F_z.max(), 50.0):
         raise InputError(
             f"{forces.source}: the vertical force reaches {F_z.min():.0f} N, "
             "downwards; say 'forces_act_on: plate' in laboratory if these "
             "are the forces on the plate, or correct force_axes"
         )
+
+
+def read_feet(
+    files: TrialFiles | Standing,
+    laboratory: Laboratory,
+    settings: Filter,
+    root: Path,
+) -> FootForces:
+    """Forces of a trial's plates, levelled as the study says.
+
+    Raises:
+        InputError: as `read_foot_forces`.
+    """
+    forces = read_foot_forces(
+        root / files.forces, files.plates, laboratory, settings
+    )
+    if files.empty_plates is not None:
+        empty = read_foot_forces(
+            root / files.empty_plates,
+            files.plates,
+            laboratory,
+            settings,
+            loaded=False,
+        )
+        forces = forces.without(empty)
+    return forces.levelled() if laboratory.remove_plate_drift else forces
+
+
+def merge_plates(
+    feet: dict[str, PlanarWrench], ankles: dict[str, np.ndarray]
+) -> tuple[PlanarWrench, dict[str, float]]:
+    """Both feet's wrench, and the shift of each plate [m]; see `merge_feet`.
+
+    Args:
+        feet: "left" and "right", one of them, or "both".
+        ankles: side -> (N, 2) ankle centres [m], of the legs that are known.
+    """
+    if "both" in feet:
+        return feet["both"], {"both": 0.0}
+    places = {side: float(p[:, 0].mean()) for side, p in ankles.items()}
+    middle = float(np.mean(list(places.values())))
+    return merge_feet(feet, {side: places.get(side, middle) for side in feet})
 
 
 def common_time(

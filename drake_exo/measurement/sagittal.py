@@ -58,6 +58,38 @@ class PlanarWrench:
     force: np.ndarray
     moment: np.ndarray
 
+    @staticmethod
+    def of(array: np.ndarray) -> "PlanarWrench":
+        """From F_x, F_z, M_y (N, 3)."""
+        return PlanarWrench(array[:, :2], array[:, 2])
+
+    @property
+    def array(self) -> np.ndarray:
+        """F_x, F_z, M_y (N, 3)."""
+        return np.column_stack([self.force, self.moment])
+
+    @property
+    def force_x(self) -> np.ndarray:
+        """Forward (N,) [N]."""
+        return self.force[:, 0]
+
+    @property
+    def force_z(self) -> np.ndarray:
+        """Upward (N,) [N]."""
+        return self.force[:, 1]
+
+    @property
+    def is_loaded(self) -> np.ndarray:
+        """Where a centre of pressure means something (N,) bool."""
+        return self.force_z > COP_THRESHOLD_N
+
+    @property
+    def cop_x(self) -> np.ndarray:
+        """Centre of pressure -M_y/F_z (N,) [m]; NaN where below 20 N."""
+        loaded = self.is_loaded
+        load = np.where(loaded, self.force_z, 1.0)
+        return np.where(loaded, -self.moment / load, np.nan)
+
     def __add__(self, other: "PlanarWrench") -> "PlanarWrench":
         return PlanarWrench(
             self.force + other.force, self.moment + other.moment
@@ -65,7 +97,7 @@ class PlanarWrench:
 
     def shifted(self, dx: float | np.ndarray) -> "PlanarWrench":
         """The same wrench acting `dx` further forward [m]."""
-        return PlanarWrench(self.force, self.moment - dx * self.force[:, 1])
+        return PlanarWrench(self.force, self.moment - dx * self.force_z)
 
     def reversed(self) -> "PlanarWrench":
         """Equal and opposite: on the plate instead of on the body."""
@@ -75,15 +107,9 @@ class PlanarWrench:
         """One leg's wrench taken for both."""
         return PlanarWrench(2.0 * self.force, 2.0 * self.moment)
 
-    def cop_x(self) -> np.ndarray:
-        """Centre of pressure (N,) [m], NaN where the foot is unloaded."""
-        return cop_x(self.force[:, 1], self.moment)
-
-
-def cop_x(F_z: np.ndarray, M_y: np.ndarray) -> np.ndarray:
-    """CoP_x = -M_y / F_z [m]; NaN below 20 N."""
-    loaded = F_z > COP_THRESHOLD_N
-    return np.where(loaded, -M_y / np.where(loaded, F_z, 1.0), np.nan)
+    def cut(self, rows) -> "PlanarWrench":
+        """Some of its samples."""
+        return PlanarWrench(self.force[rows], self.moment[rows])
 
 
 def planar_wrench(plate: PlateRecording, frame: SagittalFrame) -> PlanarWrench:

@@ -17,27 +17,21 @@ from drake_exo.measurement.kinematics import (
 )
 from drake_exo.measurement.recording import (
     fill_gaps,
-    read_foot_forces,
+    merge_plates,
+    read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import (
-    PlanarWrench,
-    SagittalFrame,
-    cop_x,
-    merge_feet,
-)
+from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.settings import Markers, RecordingSettings, Standing
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton, nominal_exoskeleton
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
-    ExoskeletonParameters,
     HumanParameters,
     SegmentParameters,
     with_overrides,
 )
-from drake_exo.study import Markers, Standing, Study
 
 
 @dataclass(frozen=True)
@@ -45,68 +39,56 @@ class SubjectModel:
     """What a standing trial and the study say about the subject.
 
     Attributes:
-        human: segment parameters.
-        exoskeleton: the device, None for the model "human".
+        model: subject and device.
         markers: places of the markers on the segments.
         mass_kg: body mass without the exoskeleton.
-        rigid: batched dynamics of the 6-DOF plant, exoskeleton welded.
-        coupled: of the 9-DOF plant, None for the model "human".
         report: where values come from, for the quality report.
     """
 
-    human: HumanParameters
-    exoskeleton: ExoskeletonParameters | None
+    model: Model
     markers: MarkerModel
     mass_kg: float
-    rigid: PlanarTree
-    coupled: PlanarTree | None
     report: dict[str, Any]
 
 
-def fit_subject(study: Study, root: Path) -> SubjectModel:
+def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """Scale the model to the subject and the standing trial.
 
     Raises:
         InputError: unreadable or unsuitable standing trial, or no body mass.
     """
-    frame = SagittalFrame(
-        study.laboratory.marker_axes.forward, study.laboratory.marker_axes.up
-    )
+    axes = settings.laboratory.marker_axes
+    frame = SagittalFrame(axes.forward, axes.up)
     standing = _quiet_part(
-        read_markers(root / study.standing.markers, study.filter),
-        study.standing,
+        read_markers(root / settings.standing.markers, settings.filter),
+        settings.standing,
     )
     standing, gaps = fill_gaps(
-        standing, _all_names(study.markers), study.laboratory.fill_gaps_s
+        standing, _all_names(settings.markers), settings.laboratory.fill_gaps_s
     )
-    model = build_marker_model(standing, study.markers, frame)
-    points = frame.points(standing.of(model.names)).mean(axis=0)[None]
-    poses = solve_poses(model, points, standing.source)
-    q, ankles = merge_legs(model, poses)
-    wrench = _standing_wrench(study, root, ankles)
+    markers = build_marker_model(standing, settings.markers, frame)
+    points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
+    poses = solve_poses(markers, points, standing.source)
+    q, ankles = merge_legs(markers, poses)
+    wrench = _standing_wrench(settings, root, ankles)
     report: dict[str, Any] = {
-        "stated_mass_kg": study.subject.mass_kg,
+        "stated_mass_kg": settings.subject.mass_kg,
         "standing_angles_deg": np.rad2deg(q[0, 2:]),
-        "standing_residual_rms_m": residual_rms(model, poses),
+        "standing_residual_rms_m": residual_rms(markers, poses),
         "standing_gaps_filled": gaps,
-        "ankle_height_m": model.ankle_height_m,
-        "lengths_m": dict(model.lengths_m),
+        "ankle_height_m": markers.ankle_height_m,
+        "lengths_m": dict(markers.lengths_m),
     }
-    mass = _body_mass(study, wrench, report)
-    human = _scaled(study, mass, model)
-    human, device, tree = _plants(study, human)
-    if study.scaling.trunk_com == "standing":
-        human = _over_the_cop(study, human, tree, q, wrench, report)
-        human, device, tree = _plants(study, human)
+    mass = _body_mass(settings, wrench, report)
+    model = _with_device(settings, _scaled(settings, mass, markers))
+    if settings.scaling.trunk_com == "standing":
+        human = _over_the_cop(settings, model, q, wrench, report)
+        model = _with_device(settings, human)
     if wrench is not None:
-        report["standing_cop_x_m"] = _cop(wrench)
-        report["standing_com_x_m"] = float(tree.center_of_mass(q)[0, 0])
-    coupled = None
-    if device is not None:
-        gravity = study.gravity_m_s2
-        plant = build_plant("coupled", human, device, gravity=gravity)
-        coupled = PlanarTree.from_plant(plant)
-    return SubjectModel(human, device, model, mass, tree, coupled, report)
+        com = model.rigid.tree.center_of_mass(q)[0, 0]
+        report["standing_cop_x_m"] = float(wrench.cop_x[0])
+        report["standing_com_x_m"] = float(com)
+    return SubjectModel(model, markers, mass, report)
 
 
 def _all_names(markers: Markers) -> list[str]:
@@ -137,29 +119,12 @@ def _inside(time: np.ndarray, standing: Standing) -> np.ndarray:
     return (time >= start - 1e-9) & (time <= end + 1e-9)
 
 
-def _standing_wrench(study, root, ankles) -> PlanarWrench | None:
+def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
     """Mean wrench of both feet in standing (N = 1), merged at the ankles."""
-    standing = study.standing
+    standing = settings.standing
     if standing.forces is None:
         return None
-    forces = read_foot_forces(
-        root / standing.forces,
-        standing.plates,
-        study.laboratory,
-        study.filter,
-    )
-    if standing.empty_plates is not None:
-        forces = forces.without(
-            read_foot_forces(
-                root / standing.empty_plates,
-                standing.plates,
-                study.laboratory,
-                study.filter,
-                loaded=False,
-            )
-        )
-    if study.laboratory.remove_plate_drift:
-        forces = forces.levelled()
+    forces = read_feet(standing, settings.laboratory, settings.filter, root)
     inside = _inside(forces.time, standing)
     if not inside.any():
         raise InputError(
@@ -167,35 +132,23 @@ def _standing_wrench(study, root, ankles) -> PlanarWrench | None:
             "end_s; correct them"
         )
     means = {
-        foot: PlanarWrench(
-            w.force[inside].mean(axis=0, keepdims=True),
-            w.moment[inside].mean(keepdims=True),
-        )
+        foot: PlanarWrench.of(w.array[inside].mean(axis=0, keepdims=True))
         for foot, w in forces.wrenches.items()
     }
-    if "both" in means:
-        return means["both"]
-    known = {side: float(p[:, 0].mean()) for side, p in ankles.items()}
-    middle = float(np.mean(list(known.values())))
-    places = {side: known.get(side, middle) for side in means}
-    return merge_feet(means, places)[0]
+    return merge_plates(means, ankles)[0]
 
 
-def _cop(wrench: PlanarWrench) -> float:
-    return float(cop_x(wrench.force[:, 1], wrench.moment)[0])
-
-
-def _body_mass(study: Study, wrench, report) -> float:
+def _body_mass(settings: RecordingSettings, wrench, report) -> float:
     device = 0.0
-    if study.model == "coupled":
+    if settings.model == "coupled":
         device = with_overrides(
-            nominal_exoskeleton(), study.exoskeleton, "exoskeleton"
+            nominal_exoskeleton(), settings.exoskeleton, "exoskeleton"
         ).mass_kg
     measured = None
     if wrench is not None:
-        measured = float(wrench.force[0, 1]) / study.gravity_m_s2 - device
+        measured = float(wrench.force[0, 1]) / settings.gravity_m_s2 - device
         report["standing_mass_kg"] = measured
-    stated = study.subject.mass_kg
+    stated = settings.subject.mass_kg
     if stated is None and measured is None:
         raise InputError(
             "the body mass is unknown: give subject.mass_kg, or "
@@ -205,17 +158,19 @@ def _body_mass(study: Study, wrench, report) -> float:
     mass = measured if stated is None else stated
     if not mass > 0.0:
         raise InputError(
-            f"{study.standing.forces}: standing gives a body mass of "
+            f"{settings.standing.forces}: standing gives a body mass of "
             f"{mass:.1f} kg; check standing.plates"
         )
     return mass
 
 
-def _scaled(study: Study, mass: float, model: MarkerModel) -> HumanParameters:
+def _scaled(
+    settings: RecordingSettings, mass: float, model: MarkerModel
+) -> HumanParameters:
     """Table values, lengths and ankle height as measured, then overrides."""
-    subject = study.subject
+    subject = settings.subject
     human = scale_human(mass, subject.height_m, subject.sex)
-    if study.scaling.lengths == "markers":
+    if settings.scaling.lengths == "markers":
         human = replace(
             human,
             shank=_stretched(human.shank, model.lengths_m["shank"]),
@@ -258,29 +213,28 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
     )
 
 
-def _plants(study: Study, human: HumanParameters):
-    device, kind = None, "human"
-    if study.model == "coupled":
-        device = fit_exoskeleton(human, study.exoskeleton)
-        kind = "rigid"
-    plant = build_plant(kind, human, device, gravity=study.gravity_m_s2)
-    return human, device, PlanarTree.from_plant(plant)
+def _with_device(settings: RecordingSettings, human: HumanParameters) -> Model:
+    device = None
+    if settings.model == "coupled":
+        device = fit_exoskeleton(human, settings.exoskeleton)
+    return Model(settings.model, human, device, settings.gravity_m_s2)
 
 
-def _over_the_cop(study, human, tree, q, wrench, report) -> HumanParameters:
+def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
     """Move the trunk's centre of mass so that standing is in balance."""
     if wrench is None:
         raise InputError(
             "scaling.trunk_com is 'standing', which needs standing.forces "
             "and standing.plates; add them or say 'table'"
         )
-    gap = _cop(wrench) - tree.center_of_mass(q)[0, 0]
+    human, tree = model.human, model.rigid.tree
+    gap = wrench.cop_x[0] - tree.center_of_mass(q)[0, 0]
     pelvis = human.pelvis
     dx = float(gap * tree.mass / pelvis.mass_kg)
     report["trunk_com_shift_m"] = dx
     if abs(dx) > 0.15:
         raise InputError(
-            f"{study.standing.forces}: standing puts the trunk's centre of "
+            f"{settings.standing.forces}: standing puts the trunk's centre of "
             f"mass {dx:.2f} m off the hips; check that markers and plates "
             "share one origin, and standing.plates"
         )

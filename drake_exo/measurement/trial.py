@@ -1,17 +1,51 @@
-"""A trial: one movement on one time base, filtered, with its provenance."""
+"""A trial: one movement, measured, solved or simulated, on one time base."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_arrays, read_json, write_json
-from drake_exo.measurement.filters import resample
-from drake_exo.measurement.sagittal import cop_x
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.coordinates import Coordinates
 
-_ARRAYS = ("time", "q", "v", "a", "grf", "moment_y")
+Source = Literal["measured", "solved", "simulated"]
+
+
+@dataclass(frozen=True)
+class CuffForce:
+    """Force of a cuff on the human, as a mat or a model knows it.
+
+    Attributes:
+        normal: (n,) across the segment [N].
+        tangential: (n,) along it [N]; None where not known: mats do not
+            measure it.
+        moment: (n,) [N m], toes-up positive; likewise.
+    """
+
+    normal: np.ndarray
+    tangential: np.ndarray | None = None
+    moment: np.ndarray | None = None
+
+    @staticmethod
+    def of(components: np.ndarray) -> "CuffForce":
+        """From tangential, normal, rotational components (n, 3)."""
+        tangential, normal, moment = components.T
+        return CuffForce(normal, tangential, moment)
+
+    @property
+    def components(self) -> np.ndarray:
+        """Tangential, normal, rotational (n, 3); NaN where not known."""
+        unknown = np.full(len(self.normal), np.nan)
+        return np.column_stack(
+            [
+                unknown if x is None else x
+                for x in (self.tangential, self.normal, self.moment)
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -20,135 +54,171 @@ class Trial:
 
     Attributes:
         name: unique in its study.
-        coordinates: names of the coordinates (6, or 9 with exoskeleton), in
-            the order of the plant's positions.
-        time: (N,) evenly spaced [s].
-        q, v, a: (N, nq) positions [m, rad] and their time derivatives.
-        grf: (N, 2) F_x, F_z on the feet [N].
-        moment_y: (N,) moment of the ground reaction about the laboratory's
-            origin at z = 0, M_y = z F_x - x F_z [N m].
-        mass_kg: body mass without the exoskeleton.
-        provenance: which files, which filter, what was shifted or doubled.
-        moments: (N, nq - 3) joint moments [N m]: the human's (resultant of
-            inverse dynamics minus the exoskeleton's), then the
-            exoskeleton's; None where not known.
-        normal_force: segment ("shank", "thigh", "pelvis") -> (N,) force on
-            the human normal to the segment [N], where a mat measured it.
-        chair: (N, 3) F_x, F_z [N] and M_y about the origin [N m] of the
-            chair on the body, zero from seat-off on; None where no plate
-            measured it.
+        coordinates: names of the coordinates.
+        times: (n,) increasing, from 0 [s].
+        q, v, a: (n, nq) positions [m, rad] and their time derivatives.
+        ground: wrench (n,) of the ground on the feet.
+        source: how it came about.
+        moments: (n, n_joints) joint moments [N m]; the human's are those of
+            the muscles: without the exoskeleton's. None where not known.
+        cuffs: cuff -> its force (n,) on the human, where it is known.
+        chair: wrench (n,) of the chair on the body; None where no plate was
+            under it.
         chair_on_thighs: share of it that acts on the thighs, the rest acts
             on the pelvis.
+        jerk: (n_controls, nq) of a solution; None otherwise.
+        mass_kg: body mass without the exoskeleton; None where not known.
+        start_s: of the first sample in the recording [s].
+        provenance: which files, which filter, what was shifted or doubled.
+
+    >>> import numpy as np
+    >>> names = Coordinates(("foot_x", "foot_z", "foot_pitch", "ankle"))
+    >>> times = np.linspace(0.0, 1.0, 5)
+    >>> q = np.outer(times, [0.0, 0.0, 0.0, 0.4])
+    >>> weight = np.column_stack([0 * times, 700 + 0 * times])
+    >>> ground = PlanarWrench(weight, -0.1 * weight[:, 1])
+    >>> trial = Trial("lean", names, times, q, 0 * q, 0 * q, ground)
+    >>> trial.coordinate("ankle")[-1], float(trial.ground.cop_x[0])
+    (np.float64(0.4), 0.1)
     """
 
     name: str
-    coordinates: tuple[str, ...]
-    time: np.ndarray
+    coordinates: Coordinates
+    times: np.ndarray
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
-    grf: np.ndarray
-    moment_y: np.ndarray
-    mass_kg: float
-    provenance: dict[str, Any] = field(default_factory=dict)
+    ground: PlanarWrench
+    source: Source = "measured"
     moments: np.ndarray | None = None
-    normal_force: dict[str, np.ndarray] = field(default_factory=dict)
-    chair: np.ndarray | None = None
+    cuffs: dict[str, CuffForce] = field(default_factory=dict)
+    chair: PlanarWrench | None = None
     chair_on_thighs: float = 0.0
+    jerk: np.ndarray | None = None
+    mass_kg: float | None = None
+    start_s: float = 0.0
+    provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        n, nq = len(self.time), len(self.coordinates)
+        n, nq = len(self.times), len(self.coordinates)
         shapes = {
-            "q": (n, nq),
-            "v": (n, nq),
-            "a": (n, nq),
-            "grf": (n, 2),
-            "moment_y": (n,),
-            **{f"normal_force.{key}": (n,) for key in self.normal_force},
+            **dict.fromkeys(("q", "v", "a"), (n, nq)),
+            "moments": (n, self.coordinates.num_joints),
+            **dict.fromkeys(("ground", "chair"), (n, 3)),
         }
-        if self.moments is not None:
-            shapes["moments"] = (n, nq - 3)
-        if self.chair is not None:
-            shapes["chair"] = (n, 3)
         for name, array in self._arrays().items():
-            if array.shape != shapes[name]:
+            wanted = shapes.get(name, (n,))
+            if name != "jerk" and array.shape != wanted:
                 raise ValueError(
                     f"trial {self.name}: {name} has shape "
-                    f"{array.shape}, not {shapes[name]}"
+                    f"{array.shape}, not {wanted}"
                 )
 
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name but time."""
-        arrays = {name: getattr(self, name) for name in _ARRAYS[1:]}
-        if self.moments is not None:
-            arrays["moments"] = self.moments
-        if self.chair is not None:
-            arrays["chair"] = self.chair
-        for key, force in self.normal_force.items():
-            arrays[f"normal_force.{key}"] = force
-        return arrays
+    def coordinate(self, name: str) -> np.ndarray:
+        """Position (n,) of a coordinate by name [m or rad].
 
-    def _with(self, time: np.ndarray, arrays: dict) -> "Trial":
-        """The same trial with other numbers, named as in `_arrays`."""
-        return replace(self, time=time, **_fields(arrays))
+        Raises:
+            InputError: there is none of that name.
+        """
+        return self.q[:, self.coordinates.index(name)]
+
+    def velocity(self, name: str) -> np.ndarray:
+        """Its first derivative (n,) [m/s or rad/s]; raises likewise."""
+        return self.v[:, self.coordinates.index(name)]
+
+    def acceleration(self, name: str) -> np.ndarray:
+        """Its second derivative (n,) [m/s^2 or rad/s^2]; raises likewise."""
+        return self.a[:, self.coordinates.index(name)]
+
+    def moment(self, name: str) -> np.ndarray:
+        """Moment (n,) at a joint by name [N m].
+
+        Raises:
+            InputError: no such joint, or moments are not known.
+        """
+        place = self.coordinates.joint(name)
+        if self.moments is None:
+            raise InputError(
+                f"trial {self.name}: joint moments are not known; give "
+                "exo_moments or device in the study"
+            )
+        return self.moments[:, place]
+
+    def cuff(self, name: str) -> CuffForce:
+        """Force of a cuff on the human.
+
+        Raises:
+            InputError: it is not known.
+        """
+        if name not in self.cuffs:
+            raise InputError(
+                f"trial {self.name}: nothing is known of a cuff {name!r}; "
+                f"there are {', '.join(self.cuffs) or 'none'}"
+            )
+        return self.cuffs[name]
 
     @property
     def duration(self) -> float:
         """Length of the trial [s]."""
-        return float(self.time[-1] - self.time[0])
+        return float(self.times[-1] - self.times[0])
 
     @property
-    def cop_x(self) -> np.ndarray:
-        """Centre of pressure (N,) [m]; NaN where the feet bear under 20 N."""
-        return cop_x(self.grf[:, 1], self.moment_y)
-
-    def window(self, start_s: float, end_s: float) -> "Trial":
-        """The frames from `start_s` to `end_s`.
-
-        Raises:
-            InputError: fewer than two frames are left.
-        """
-        half = 0.5 * (self.time[1] - self.time[0])
-        inside = (self.time >= start_s - half) & (self.time <= end_s + half)
-        if inside.sum() < 2:
-            raise InputError(
-                f"trial {self.name}: {start_s:g} to {end_s:g} s lies outside "
-                f"the recording ({self.time[0]:g} to {self.time[-1]:g} s); "
-                "correct start_s and end_s"
-            )
-        arrays = {name: x[inside] for name, x in self._arrays().items()}
-        return self._with(self.time[inside], arrays)
-
-    def resample(self, nodes_per_second: float) -> "Trial":
-        """The same movement on another even time base.
-
-        Start and end stay; the rate is the nearest that divides the duration
-        evenly. Positions, velocities and accelerations are interpolated each
-        by itself, so that the ends keep what the whole recording said of
-        them.
-        """
-        count = max(round(self.duration * nodes_per_second), 1) + 1
-        time = np.linspace(self.time[0], self.time[-1], count)
-        arrays = {
-            name: resample(self.time, x, time)
-            for name, x in self._arrays().items()
+    def chair_shares(self) -> dict[str, float]:
+        """Segment -> share of the chair's wrench; none where none is felt."""
+        # Zero all the time is no chair, and costs nothing.
+        if self.chair is None or not self.chair.array.any():
+            return {}
+        parts = {
+            "pelvis": 1.0 - self.chair_on_thighs,
+            "thigh": self.chair_on_thighs,
         }
-        return self._with(time, arrays)
+        return {name: share for name, share in parts.items() if share > 0.0}
+
+    def chair_loads(self) -> dict[str, PlanarWrench]:
+        """What the chair does to the segments, as loads of inverse dynamics."""
+        return {
+            name: PlanarWrench.of(share * self.chair.array)
+            for name, share in self.chair_shares.items()
+        }
+
+    def sample(self, times: np.ndarray) -> "Trial":
+        """The same movement at other times (m,) [s], by cubic splines."""
+        arrays = {
+            name: CubicSpline(self.times, x)(times)
+            for name, x in self._arrays().items()
+            if name != "jerk"
+        }
+        return replace(self, times=times, jerk=None, **_fields(arrays))
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name but times."""
+        arrays = {"q": self.q, "v": self.v, "a": self.a}
+        arrays["ground"] = self.ground.array
+        if self.chair is not None:
+            arrays["chair"] = self.chair.array
+        arrays |= {"moments": self.moments, "jerk": self.jerk}
+        for cuff, force in self.cuffs.items():
+            for part, x in vars(force).items():
+                arrays[f"cuffs.{cuff}.{part}"] = x
+        return {name: x for name, x in arrays.items() if x is not None}
 
     def save(self, path: str | Path) -> None:
         """Write `path`.npz (numbers) and `path`.json (the rest)."""
         path = Path(path)
         np.savez(
             path.with_name(path.name + ".npz"),
-            time=self.time,
+            times=self.times,
             **self._arrays(),
         )
         write_json(
             path.with_name(path.name + ".json"),
             {
                 "name": self.name,
-                "coordinates": self.coordinates,
+                "source": self.source,
+                "coordinates": self.coordinates.names,
+                "device": self.coordinates.device,
                 "mass_kg": self.mass_kg,
+                "start_s": self.start_s,
                 "chair_on_thighs": self.chair_on_thighs,
                 "provenance": self.provenance,
             },
@@ -166,34 +236,43 @@ class Trial:
         arrays = read_arrays(path.with_name(path.name + ".npz"), again)
         rest = read_json(path.with_name(path.name + ".json"), again)
         try:
-            trial = Trial(
+            for name, x in arrays.items():
+                if x.dtype != float or not np.isfinite(x).all():
+                    raise ValueError(f"{name} does not hold finite numbers")
+            times, mass = arrays.pop("times"), rest["mass_kg"]
+            return Trial(
                 rest["name"],
-                tuple(rest["coordinates"]),
-                mass_kg=float(rest["mass_kg"]),
+                Coordinates(tuple(rest["coordinates"]), tuple(rest["device"])),
+                times,
+                source=rest["source"],
+                mass_kg=None if mass is None else float(mass),
+                start_s=float(rest["start_s"]),
                 provenance=dict(rest["provenance"]),
                 chair_on_thighs=float(rest["chair_on_thighs"]),
                 **_fields(arrays),
             )
-            trial._check_numbers()
-        except (ValueError, KeyError, TypeError, OverflowError) as error:
+        except (
+            ValueError,
+            KeyError,
+            TypeError,
+            IndexError,
+            OverflowError,
+        ) as error:
             raise InputError(
                 f"{path}: holds no trial ({error}); {again}"
             ) from error
-        return trial
-
-    def _check_numbers(self) -> None:
-        """Raises ValueError unless all arrays hold finite numbers."""
-        for name, x in {"time": self.time, **self._arrays()}.items():
-            if x.dtype != float or not np.isfinite(x).all():
-                raise ValueError(f"{name} does not hold finite numbers")
 
 
 def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     """Fields of a Trial from arrays named as in `Trial._arrays`."""
-    mats = {
-        name.partition(".")[2]: array
-        for name, array in arrays.items()
-        if name.startswith("normal_force.")
-    }
-    rest = {k: x for k, x in arrays.items() if "." not in k}
-    return {**rest, "normal_force": mats}
+    fields = {k: x for k, x in arrays.items() if "." not in k}
+    for name in ("ground", "chair"):
+        if name in fields:
+            fields[name] = PlanarWrench.of(fields[name])
+    parts: dict[str, dict[str, np.ndarray]] = {}
+    for name, x in arrays.items():
+        if "." in name:
+            _, cuff, part = name.split(".")
+            parts.setdefault(cuff, {})[part] = x
+    cuffs = {cuff: CuffForce(**found) for cuff, found in parts.items()}
+    return {**fields, "cuffs": cuffs}

@@ -15,10 +15,14 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BodyIndex,
+    FrameIndex,
     JacobianWrtVariable,
     MultibodyForces,
 )
 
+from drake_exo.model.coordinates import Coordinates, read_coordinates
+
+_CUFF, _DEVICE = "_cuff", "exo_"  # in the names of frames
 _SAMPLES = 64
 _AGREEMENT = 1e-9
 
@@ -28,6 +32,11 @@ class PlanarTree:
     """A planar floating tree: coordinates x, z, then angles.
 
     Attributes:
+        coordinates: names of the coordinates.
+        cuffs: cuff -> (link of the human, link of the device) that it joins:
+            where both have a frame NAME_cuff and can move against each
+            other.
+        foot: the root, which stands on the ground.
         names: body names, length nb.
         segment_of: (nb,) index of the rigid segment that carries each body.
         angle_map: (ns, nq - 2) T with absolute angles phi = T theta.
@@ -43,6 +52,9 @@ class PlanarTree:
 
     """
 
+    coordinates: Coordinates
+    cuffs: dict[str, tuple[str, str]]
+    foot: str
     names: tuple[str, ...]
     segment_of: np.ndarray
     angle_map: np.ndarray
@@ -57,7 +69,12 @@ class PlanarTree:
     @property
     def num_positions(self) -> int:
         """Number of coordinates nq (x, z and the angles)."""
-        return 2 + self.angle_map.shape[1]
+        return len(self.coordinates)
+
+    @property
+    def weight(self) -> float:
+        """Of the whole tree [N]."""
+        return self.mass * self.gravity
 
     @staticmethod
     def from_plant(plant: MultibodyPlant) -> "PlanarTree":
@@ -192,6 +209,22 @@ class PlanarTree:
         mass[:, 2:, 1] = base_columns.real @ T
         return tuple(result)
 
+    def ground_reaction(self, q: np.ndarray, Q: np.ndarray) -> np.ndarray:
+        """Wrench on the root that takes the place of its generalized forces.
+
+        Args:
+            q: (N, nq) positions.
+            Q: (N, nq) generalized forces.
+
+        Returns:
+            (N, 3) F_x, F_z [N] and M_y = z F_x - x F_z about the world's
+            origin [N m].
+        """
+        F_x, F_z, pitch = Q[:, self.coordinates.root_columns].T
+        # M_y is about y, angles are about -y.
+        moment = q[:, 1] * F_x - q[:, 0] * F_z - pitch
+        return np.column_stack([F_x, F_z, moment])
+
     def _motion(self, q, v, vdot):
         T = self.angle_map.T
         w = np.exp(1j * (q[:, 2:] @ T))
@@ -228,8 +261,16 @@ def _read_tree(plant: MultibodyPlant) -> PlanarTree:
         inertias[segment_of[b]] += central[1, 1]
         total += mass
     gravity = plant.gravity_field().gravity_vector()
+    names = tuple(body.name() for body in bodies)
     return PlanarTree(
-        names=tuple(body.name() for body in bodies),
+        coordinates=read_coordinates(plant),
+        cuffs={
+            cuff: links
+            for cuff, links in _cuffs(plant).items()
+            if len({segment_of[names.index(link)] for link in links}) == 2
+        },
+        foot=bodies[0].name(),
+        names=names,
         segment_of=segment_of,
         angle_map=rows,
         origins=origins,
@@ -240,6 +281,17 @@ def _read_tree(plant: MultibodyPlant) -> PlanarTree:
         inertias=inertias,
         gravity=-float(gravity[2]),
     )
+
+
+def _cuffs(plant) -> dict[str, tuple[str, str]]:
+    """Cuff -> links of human and device that have a frame of its name."""
+    found: dict[str, list[str]] = {}
+    for index in range(plant.num_frames()):
+        frame = plant.get_frame(FrameIndex(index))
+        if frame.name().endswith(_CUFF):
+            cuff = frame.name().removesuffix(_CUFF).removeprefix(_DEVICE)
+            found.setdefault(cuff, []).append(frame.body().name())
+    return {c: tuple(links) for c, links in found.items() if len(links) == 2}
 
 
 def _body_indices(plant):

@@ -9,6 +9,10 @@ and hip flexion are positive. Seen from the right, counter-clockwise (about
 -y) relative angles are pitch, -ankle, +knee, -hip.
 """
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
 import numpy as np
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform, RotationMatrix
@@ -22,6 +26,7 @@ from pydrake.multibody.tree import (
     RevoluteJoint,
 )
 
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,
@@ -30,29 +35,13 @@ from drake_exo.model.description import (
     models_path,
     nominal_human,
 )
+from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.segments import ExoskeletonParameters, HumanParameters
 
 GRAVITY = 9.81
 
-RIGID_COORDINATES = (
-    "foot_x",
-    "foot_z",
-    "foot_pitch",
-    "ankle",
-    "knee",
-    "hip",
-)
-COUPLED_COORDINATES = (*RIGID_COORDINATES, "exo_ankle", "exo_knee", "exo_hip")
-
-# Coordinates (also velocities) of each kind of plant, in order.
-COORDINATES = {
-    "coupled": COUPLED_COORDINATES,
-    "rigid": RIGID_COORDINATES,
-    "human": RIGID_COORDINATES,
-}
-
-# Coupled coordinates of aligned chains: q_coupled = ALIGNMENT @ q_rigid.
-ALIGNMENT = np.vstack([np.eye(6), np.eye(6)[3:]])
+Kind = Literal["coupled", "rigid", "human"]
+KINDS = get_args(Kind)
 
 # Turns z to -y and +y. Written out, because cos(pi/2) is not zero in floating
 # point and would litter the symbolic equations of motion.
@@ -62,6 +51,78 @@ _Z_TO_MINUS_Y = RotationMatrix(
 _Z_TO_PLUS_Y = RotationMatrix(
     np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 )
+
+
+@dataclass(frozen=True)
+class Model:
+    """A subject, alone or in a device, as `model.json` holds it.
+
+    Attributes:
+        kind: "coupled" (two chains on one foot), "rigid" (the device's links
+            welded to the human's) or "human" (no device).
+        human: the subject.
+        exoskeleton: the device; None for the kind "human".
+        gravity_m_s2: magnitude of gravity.
+
+    >>> human = nominal_human()
+    >>> model = Model("coupled", human, fit_exoskeleton(human))
+    >>> model.tree.coordinates.device
+    ('exo_ankle', 'exo_knee', 'exo_hip')
+    >>> list(model.cuffs)
+    ['shank', 'thigh', 'pelvis']
+    """
+
+    kind: Kind
+    human: HumanParameters
+    exoskeleton: ExoskeletonParameters | None = None
+    gravity_m_s2: float = GRAVITY
+
+    @cached_property
+    def tree(self) -> PlanarTree:
+        """Batched dynamics of the plant."""
+        return PlanarTree.from_plant(self.plant())
+
+    @cached_property
+    def rigid(self) -> "Model":
+        """The same with the device welded on, if there is one."""
+        return replace(self, kind="rigid") if self.exoskeleton else self
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Names of the coordinates."""
+        return self.tree.coordinates
+
+    @property
+    def spheres(self) -> dict[str, tuple[float, float]]:
+        """Contact sphere -> nominal centre (x, z) in the foot [m]."""
+        foot = self.exoskeleton or self.human
+        return {"heel": foot.heel_m, "toe": foot.toe_m}
+
+    @property
+    def cuffs(self) -> dict[str, tuple[float, float]]:
+        """Cuff -> nominal place (x, z) in its segment of the human [m]."""
+        return {c: self.human.cuff_m(c) for c in self.tree.cuffs}
+
+    def plant(self, plant: MultibodyPlant | None = None) -> MultibodyPlant:
+        """A new plant; or added to the one given, see `build_plant`."""
+        return build_plant(
+            self.kind,
+            self.human,
+            self.exoskeleton,
+            gravity=self.gravity_m_s2,
+            plant=plant,
+        )
+
+
+def nominal_model(kind: Kind = "coupled") -> Model:
+    """The nominal adult, with the device that fits, unless alone.
+
+    >>> round(nominal_model("human").tree.mass, 6)
+    70.0
+    """
+    human = nominal_human()
+    device = None if kind == "human" else fit_exoskeleton(human)
+    return Model(kind, human, device)
 
 
 def build_plant(
@@ -74,7 +135,8 @@ def build_plant(
 ) -> MultibodyPlant:
     """Build the human, with or without the exoskeleton, as a plant.
 
-    Positions and velocities come in the order of `COORDINATES[kind]`.
+    Positions and velocities are x, z and pitch of the foot, then ankle, knee
+    and hip of the human and, if coupled, of the exoskeleton.
 
     Args:
         kind: "coupled" (human and exoskeleton are two chains on one foot,
@@ -95,9 +157,9 @@ def build_plant(
         ValueError: unknown kind, negative gravity, or an exoskeleton for a
             plant without one.
     """
-    if kind not in COORDINATES:
+    if kind not in KINDS:
         raise ValueError(
-            f"kind must be one of {set(COORDINATES)}, not {kind!r}"
+            f"kind must be one of {', '.join(KINDS)}, not {kind!r}"
         )
     if kind == "human" and exoskeleton is not None:
         raise ValueError("a plant of kind 'human' takes no exoskeleton")

@@ -78,6 +78,10 @@ class HumanParameters:
         """Mass of the whole body."""
         return sum(getattr(self, name).mass_kg for name in SEGMENTS)
 
+    def cuff_m(self, segment: str) -> tuple[float, float]:
+        """Place (x, z) of the cuff in a segment [m]."""
+        return getattr(self, f"{segment}_cuff_m")
+
     @property
     def height_m(self) -> float:
         """Stature: ankle height, shank, thigh, and hip to vertex."""
@@ -116,6 +120,10 @@ class ExoskeletonParameters:
     def mass_kg(self) -> float:
         """Mass of the whole device."""
         return sum(getattr(self, name).mass_kg for name in SEGMENTS)
+
+    def cuff_m(self, segment: str) -> tuple[float, float]:
+        """Place (x, z) of the cuff in a segment [m]."""
+        return getattr(self, f"{segment}_cuff_m")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,20 @@
-"""Figures that the paper prints, to stand beside ours.
+"""Tables and figures of Serrancoli et al., from results on disk.
 
-Serrancoli et al., Results and Discussion; ranges and bounds as they stand in
-the text, since its tables give them by trial of another subject.
+The paper's own figures stand beside those of the virtual subject: ranges and
+bounds as they stand in the text (Results and Discussion), since its tables
+give them by trial of another subject.
 """
+
+from pathlib import Path
+
+from drake_exo.report import figures
+from drake_exo.report.gathering import Results
+from drake_exo.report.tables import (
+    format_table,
+    lookup,
+    mean_and_sd,
+    rmsd_signals,
+)
 
 VIRTUAL_SUBJECT = "virtual_subject"
 
@@ -35,3 +47,134 @@ PAPER = {
         "thigh": "> 10",
     },
 }
+
+
+def tables(found: list[Results]) -> tuple[dict[str, list[list]], list[str]]:
+    """Tables II and III, and all that is printed.
+
+    Args:
+        found: results of calibration and prediction.
+
+    Returns:
+        Name of a table -> its rows, the first of which is the header; and
+        texts, the tables among them.
+    """
+    predicted = _predictions(found)
+    made, texts = {}, []
+    for title, name, runs in (
+        ("Table II: calibration", "table_2", _calibrations(found)),
+        ("Table III: prediction", "table_3", predicted),
+    ):
+        if runs:
+            rows = made[name] = comparison(runs)
+            texts.append(f"{title}, RMSD\n{format_table(rows[0], rows[1:])}")
+    return made, [*texts, *_starts(predicted), *_changes(predicted)]
+
+
+def _calibrations(found: list[Results]) -> dict[str, Results]:
+    names = {"foot-ground": "A", "interaction": "B"}
+    runs = {names[r.phase]: r for r in found if r.phase in names}
+    return dict(sorted(runs.items()))
+
+
+def _predictions(found: list[Results]) -> dict[str, Results]:
+    return {r.label: r for r in found if r.phase == "prediction"}
+
+
+def comparison(runs: dict[str, Results]) -> list[list]:
+    """Rows of a table over several runs, the first is the header.
+
+    Mean and SD over trials of each, one standard deviation over the measured
+    trials, and the paper's figure for the virtual subject.
+    """
+    every = [s for r in runs.values() for s in r.summary["rmsd"]]
+    last = list(runs.values())[-1].summary
+    beside = last["subject"] == VIRTUAL_SUBJECT
+    header = ["signal"]
+    for label in runs:
+        header += [f"{label} mean", f"{label} SD"]
+    header.append("measured SD")
+    if beside:
+        header += [f"paper {label}" for label in runs]
+    rows = [header]
+    for label, path in rmsd_signals(every):
+        row = [label]
+        for r in runs.values():
+            values = [lookup(s, path) for s in r.summary["rmsd"]]
+            row += mean_and_sd(values)
+        row.append(lookup(last["measured_sd"], path))
+        if beside:
+            for name in runs:
+                texts = PAPER.get(name, {})
+                row.append(texts.get(path[-1], texts.get(path[0], "")))
+        rows.append(row)
+    return rows
+
+
+def _starts(runs: dict[str, Results]) -> list[str]:
+    """What stands for the chair while a predicted movement begins."""
+    starts = {label: r.summary.get("starts_from") for label, r in runs.items()}
+    return [f"{k}: movements start from {v}" for k, v in starts.items() if v]
+
+
+def _changes(runs: dict[str, Results]) -> list[str]:
+    """How much worse the scaled interaction predicts, force by force."""
+    base = runs.get("C1")
+    texts = []
+    for label, run in runs.items():
+        if base is None or run is base or run.scale == 1.0:
+            continue
+        rows = []
+        for name in ("pelvis", "thigh", "shank"):
+            pair = [
+                mean_and_sd(
+                    [
+                        lookup(s, ("interaction_n", name))
+                        for s in r.summary["rmsd"]
+                    ]
+                )[0]
+                for r in (base, run)
+            ]
+            if None not in pair:
+                rows.append([name, *pair, pair[1] / pair[0]])
+        if rows:
+            header = ["normal force RMSD [N]", "C1", label, "ratio"]
+            texts.append(
+                f"Interaction scaled by {run.scale:g} (the paper: 2 to 5 "
+                "times worse at pelvis and thigh)\n"
+                + format_table(header, rows)
+            )
+    return texts
+
+
+def draw_figures(folder: Path, found: list[Results]) -> None:
+    """Figures 2 to 7 into a folder, as far as there are results."""
+    drawn = {}
+    calibrated = _calibrations(found)
+    if "A" in calibrated:
+        runs, trials = _curves({"model": calibrated["A"]})
+        drawn[2] = figures.ground_reaction_figure(runs, trials)
+        drawn[3] = figures.kinematics_figure(runs, trials)
+    if "B" in calibrated:
+        runs, trials = _curves({"model": calibrated["B"]})
+        drawn[4] = figures.interaction_figure(runs, trials)
+        drawn[5] = figures.moments_figure(runs, trials)
+    predicted = _predictions(found)
+    if predicted:
+        runs, trials = _curves(predicted)
+        drawn[6] = figures.kinematics_figure(runs, trials)
+        if any(t.cuffs for t in trials):
+            drawn[7] = figures.interaction_figure(runs, trials)
+    for number, figure in drawn.items():
+        figures.save_figure(folder / f"figure_{number}.png", figure)
+
+
+def _curves(results: dict[str, Results]):
+    """Runs and measured trials as `figures` takes them; None for failures."""
+    pairs = {label: r.pairs() for label, r in results.items()}
+    trials = {m.name: m for run in pairs.values() for _, m in run}
+    runs = {}
+    for label, run in pairs.items():
+        found = {t.name: t for t, _ in run}
+        runs[label] = [found.get(name) for name in trials]
+    return runs, list(trials.values())

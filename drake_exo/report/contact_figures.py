@@ -5,7 +5,6 @@ under each figure and can be chosen on the command line
 (`drake-exo contact --out DIR`).
 """
 
-from argparse import Namespace
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -19,9 +18,7 @@ from drake_exo.contact.hunt_crossley import (
     sphere_force,
     sphere_force_derivatives,
 )
-from drake_exo.contact.parameters import check_bounds
-from drake_exo.errors import InputError
-from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.files.output import write_json
 
 # Colours that stay apart in print and for colour-blind readers.
 BLUE, ORANGE, GREY, SHADE = "#0072B2", "#D55E00", "#5F5F5F", "#E8E8E8"
@@ -296,38 +293,3 @@ def write_figures(folder: Path, curves: ContactCurves) -> list[Path]:
     files.append(Path(folder) / "summary.json")
     write_json(files[-1], measures(curves))
     return files
-
-
-def add_parser(subparsers) -> None:
-    """Adds the subcommand `contact`."""
-    parser = subparsers.add_parser(
-        "contact", help="draw the contact laws (Figures 8 and 9 of the paper)"
-    )
-    parser.add_argument("--out", required=True, help="folder for the figures")
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in the folder"
-    )
-    for name, item in ContactCurves.__dataclass_fields__.items():
-        unit = item.metadata["unit"]
-        parser.add_argument(
-            f"--{name.replace('_', '-')}",
-            type=float,
-            default=item.default,
-            help=f"default {item.default:g} {unit}".rstrip(),
-        )
-    parser.set_defaults(run=_run)
-
-
-def _run(args: Namespace) -> None:
-    curves = ContactCurves(
-        **{name: getattr(args, name) for name in vars(ContactCurves())}
-    )
-    check_bounds(curves, "contact curves")
-    if curves.dynamic_friction > curves.static_friction:
-        raise InputError(
-            "contact curves: dynamic friction is above static friction; "
-            "give a lower --dynamic-friction"
-        )
-    with prepare_output_folder(args.out, args.force) as folder:
-        for file in write_figures(folder, curves):
-            print(Path(args.out) / file.name)

@@ -1,31 +1,20 @@
-"""Figures 2 to 7 of the paper: measured curves with those of the model.
+"""Figures of movements: measured curves with those of the model.
 
-A run is a list of trajectories with a label; several runs (C1 and C2) are
+A run is a list of solved trials with a label; several runs (C1 and C2) are
 drawn over the same measured curves. One column for each trial.
-
-A trial's quality at a glance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from drake_exo.calibration.measured import MeasuredMovement
-from drake_exo.calibration.problem import Trajectory
-from drake_exo.calibration.scores import measured_cop, normal_force
-from drake_exo.collocation.bushing_kernels import BUSHINGS
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 
-matplotlib.use("Agg")
-
-
-Runs = Mapping[str, Sequence[Trajectory]]
+Runs = Mapping[str, Sequence[Trial | None]]
 
 _MEASURED = {"color": "0.15", "lw": 1.6}
 _MEASURED_DEVICE = {"color": "0.6", "lw": 1.6}
@@ -42,94 +31,107 @@ _STYLE = {
     "axes.axisbelow": True,
     "savefig.dpi": 150,
 }
-_JOINTS = ("ankle", "knee", "hip")
 
 
 def draw_figures(
-    folder: Path,
-    trajectories: Sequence[Trajectory],
-    trials: Sequence[MeasuredMovement],
+    folder: Path, found: Sequence[Trial], measured: Sequence[Trial]
 ) -> None:
     """Figures of one phase into a folder, as far as there are signals."""
-    runs = {"model": trajectories}
-    ground_reaction_figure(folder / "ground_reaction.png", runs, trials)
-    kinematics_figure(folder / "kinematics.png", runs, trials)
-    if trajectories[0].interaction is not None:
-        interaction_figure(folder / "interaction.png", runs, trials)
-    if trials[0].moments is not None:
-        moments_figure(folder / "moments.png", runs, trials)
+    for name, figure in plot_trials(found, measured).items():
+        save_figure(folder / f"{name}.png", figure)
 
 
-def ground_reaction_figure(
-    path: Path, runs: Runs, trials: Sequence[MeasuredMovement]
-) -> None:
+def plot_trials(
+    found: Sequence[Trial], measured: Sequence[Trial]
+) -> dict[str, Figure]:
+    """All figures of some solved trials beside what was measured.
+
+    Args:
+        found: solved trials.
+        measured: the same trials in the same order.
+
+    Returns:
+        "ground_reaction", "kinematics" and, where there are such signals,
+        "interaction" and "moments".
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    >>> list(plot_trials(trials, trials))
+    ['ground_reaction', 'kinematics']
+    """
+    runs = {"model": found}
+    drawn = {
+        "ground_reaction": ground_reaction_figure(runs, measured),
+        "kinematics": kinematics_figure(runs, measured),
+    }
+    if found[0].cuffs:
+        drawn["interaction"] = interaction_figure(runs, measured)
+    if measured[0].moments is not None:
+        drawn["moments"] = moments_figure(runs, measured)
+    return drawn
+
+
+def save_figure(path: Path, figure: Figure) -> None:
+    """Write a figure; the same input gives the same bytes."""
+    # Without the software's name.
+    figure.savefig(path, metadata={"Software": None})
+
+
+def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Forces and centre of pressure (Fig. 2)."""
     rows = [
-        ("$F_x$ [N]", _same(lambda g: g.ground[:, 0])),
-        ("$F_z$ [N]", _same(lambda g: g.ground[:, 1])),
-        ("CoP $x$ [m]", _same(_cop)),
+        ("$F_x$ [N]", lambda t: t.ground.force_x),
+        ("$F_z$ [N]", lambda t: t.ground.force_z),
+        ("CoP $x$ [m]", lambda t: t.ground.cop_x),
     ]
-    _draw(path, runs, trials, rows)
+    return _drawn(runs, trials, rows)
 
 
-def kinematics_figure(
-    path: Path, runs: Runs, trials: Sequence[MeasuredMovement]
-) -> None:
+def kinematics_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Joint angles and velocities of human and exoskeleton (Figs. 3, 6)."""
+    names = trials[0].coordinates
+    beside = {names.follows(name): name for name in names.device}
     rows = []
-    for key, unit in (("q", "°"), ("v", "°/s")):
-        for joint, name in enumerate(_JOINTS):
-
-            def signal(item, key=key, joint=joint):
-                return np.rad2deg(getattr(item, key)[:, 3 + joint])
-
-            def device(item, key=key, joint=joint):
-                return np.rad2deg(getattr(item, key)[:, 6 + joint])
-
-            rows.append((f"{name} [{unit}]", signal, signal, device))
-    _draw(path, runs, trials, rows, height=1.35)
+    for read, unit in ((Trial.coordinate, "°"), (Trial.velocity, "°/s")):
+        for joint in names.human:
+            signals = [
+                lambda t, name=name, read=read: np.rad2deg(read(t, name))
+                for name in (joint, beside.get(joint))
+                if name
+            ]
+            rows.append((f"{joint} [{unit}]", *signals))
+    return _drawn(runs, trials, rows, height=1.35)
 
 
-def interaction_figure(
-    path: Path, runs: Runs, trials: Sequence[MeasuredMovement]
-) -> None:
+def interaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Normal force of each cuff on the human (Figs. 4, 7)."""
-    rows = []
-    for name in BUSHINGS:
+    found = next(t for run in runs.values() for t in run if t is not None)
 
-        def found(item, name=name):
-            return normal_force(item, name)
+    def signal(cuff):
+        return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
 
-        def measured(item, name=name):
-            return item.normal_force.get(name)
-
-        rows.append((f"{name} [N]", found, measured))
-    _draw(path, runs, trials, rows)
+    rows = [(f"{cuff} [N]", signal(cuff)) for cuff in found.cuffs]
+    return _drawn(runs, trials, rows)
 
 
-def moments_figure(
-    path: Path, runs: Runs, trials: Sequence[MeasuredMovement]
-) -> None:
+def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Joint moments, the exoskeleton's on axes of their own (Fig. 5)."""
-    rows = []
-    prefixes = ["", "exo. "] if trials[0].q.shape[1] > 6 else [""]
-    for block, prefix in enumerate(prefixes):
-        for joint, name in enumerate(_JOINTS):
 
-            def found(item, column=3 * block + joint):
-                return item.torque[:, column]
+    def signal(joint):
+        return lambda t: None if t.moments is None else t.moment(joint)
 
-            def measured(item, column=3 * block + joint):
-                return None if item.moments is None else item.moments[:, column]
-
-            rows.append((f"{prefix}{name} [N m]", found, measured))
-    _draw(path, runs, trials, rows, height=1.35)
+    rows = [
+        (f"{joint.replace('exo_', 'exo. ')} [N m]", signal(joint))
+        for joint in trials[0].coordinates.joints
+    ]
+    return _drawn(runs, trials, rows, height=1.35)
 
 
-def front_figure(path: Path, rows: list[dict]) -> None:
+def front_figure(rows: list[dict]) -> Figure:
     """Pareto front: force error against angle error."""
-    with plt.rc_context(_STYLE):
-        figure, ax = plt.subplots(figsize=(4.5, 3.4))
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(4.5, 3.4))
+        ax = figure.subplots()
         x = [r["angles_deg"] for r in rows]
         y = [r["grf_n"] for r in rows]
         ax.plot(x, y, "-o", color="#c8102e")
@@ -144,82 +146,61 @@ def front_figure(path: Path, rows: list[dict]) -> None:
         ax.set_ylabel("ground reaction, mean RMSD [N]")
         ax.set_title("Noise of forces scaled by a factor", fontsize=9)
         figure.tight_layout()
-        figure.savefig(path, metadata={"Software": None})
-        plt.close(figure)
+    return figure
 
 
-def _cop(item):
-    return item.cop_x if isinstance(item, Trajectory) else measured_cop(item)
-
-
-def _same(signal: Callable):
-    return signal, signal
-
-
-def _draw(path, runs, trials, rows, height=1.9) -> None:
-    """Panels of rows (label, of a run, of a trial[, device's]) by trial."""
-    rows = [
-        (row[0], *row[1]) if isinstance(row[1], tuple) else row for row in rows
-    ]
+def _drawn(runs, trials, rows, height=1.9) -> Figure:
+    """Panels of rows (label, signal[, the device's]) by trial."""
     colors = _ONE if len(runs) == 1 else _SEVERAL
-    with plt.rc_context(_STYLE):
-        figure, axes = _panels(len(rows), len(trials), height)
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(
+            figsize=(max(3.0 * len(trials), 4.0), height * len(rows) + 0.6)
+        )
+        axes = figure.subplots(
+            len(rows), len(trials), sharex="col", sharey="row", squeeze=False
+        )
         for column, trial in enumerate(trials):
             axes[0, column].set_title(trial.name)
-            for row, (label, found, measured, *device) in enumerate(rows):
+            for row, (label, *signals) in enumerate(rows):
                 ax = axes[row, column]
-                curves = _measured_curves(trial, measured, device)
-                for k, (name, trajectories) in enumerate(runs.items()):
-                    item = trajectories[column]
-                    if item is not None:
+                curves = _measured_curves(trial, signals)
+                for k, (name, found) in enumerate(runs.items()):
+                    if found[column] is not None:
                         curves += _run_curves(
-                            item, name, found, device, colors[k], len(runs)
+                            found[column], name, signals, colors[k], len(runs)
                         )
                 for times, values, style in curves:
                     ax.plot(times, values, **style)
                 if column == 0:
                     ax.set_ylabel(label)
-        _finish(figure, axes, path)
+        _finish(figure, axes)
+    return figure
 
 
-def _measured_curves(trial, measured, device):
-    values = measured(trial)
-    if values is None:
-        return []
-    curves = [(trial.times, values, {"label": "measured", **_MEASURED})]
-    if device and trial.q.shape[1] > 6:
-        style = {"label": "measured, exoskeleton", **_MEASURED_DEVICE}
-        curves.append((trial.times, device[0](trial), style))
-    return curves
+def _measured_curves(trial: Trial, signals):
+    styles = (
+        {"label": "measured", **_MEASURED},
+        {"label": "measured, exoskeleton", **_MEASURED_DEVICE},
+    )
+    found = [(signal(trial), style) for signal, style in zip(signals, styles)]  # noqa: B905
+    return [(trial.times, x, style) for x, style in found if x is not None]
 
 
-def _run_curves(item, name, found, device, color, count):
+def _run_curves(trial: Trial, name: str, signals, color, count):
     style = {"label": name, "color": color, "lw": 1.6, "ls": "--"}
-    curves = [(item.times, found(item), style)]
-    if device and item.q.shape[1] > 6:
-        device_color = _DEVICE if count == 1 else color
+    curves = [(trial.times, signals[0](trial), style)]
+    for device in signals[1:]:
         style = {
             "label": f"{name}, exoskeleton",
-            "color": device_color,
+            "color": _DEVICE if count == 1 else color,
             "lw": 1.3,
             "ls": ":",
         }
-        curves.append((item.times, device[0](item), style))
+        curves.append((trial.times, device(trial), style))
     return curves
 
 
-def _panels(rows, columns, height):
-    return plt.subplots(
-        rows,
-        columns,
-        figsize=(max(3.0 * columns, 4.0), height * rows + 0.6),
-        sharex="col",
-        sharey="row",
-        squeeze=False,
-    )
-
-
-def _finish(figure, axes, path):
+def _finish(figure: Figure, axes) -> None:
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     entries = {}
@@ -238,25 +219,23 @@ def _finish(figure, axes, path):
         ncol=columns,
         frameon=False,
     )
-    # Without the software's name the same input gives the same bytes.
-    figure.savefig(path, metadata={"Software": None})
-    plt.close(figure)
 
 
-def quality_figure(path: Path, trial: Trial, quality: TrialQuality) -> None:
-    """Draw angles, forces, what Newton misses, moments, mats and markers.
+def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
+    """Angles, forces, what Newton misses, moments, mats and markers.
 
     Args:
-        path: of the picture (.png).
         trial: as loaded.
         quality: of the same trial.
     """
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
-    t = trial.time
-    _angles(axes[0, 0], trial)
-    _forces(axes[0, 1], trial)
+    t = trial.start_s + trial.times
+    _by_joint(
+        axes[0, 0], trial, t, lambda name: np.rad2deg(trial.coordinate(name))
+    )
+    _finish_axes(axes[0, 0], "angles", "deg")
+    _forces(axes[0, 1], trial, t)
     ax = axes[0, 2]
     for column, name in enumerate(("F_x [N]", "F_z [N]", "M [N m]")):
         ax.plot(t, quality.residual[:, column], label=name)
@@ -264,39 +243,37 @@ def quality_figure(path: Path, trial: Trial, quality: TrialQuality) -> None:
     _finish_axes(ax, "missed by Newton's law", "N, N m")
     ax = axes[1, 0]
     if trial.moments is not None:
-        for i, name in enumerate(trial.coordinates[3:]):
-            style = "--" if name.startswith("exo_") else "-"
-            ax.plot(
-                t, trial.moments[:, i], style, color=f"C{i % 3}", label=name
-            )
+        _by_joint(ax, trial, t, trial.moment)
     _finish_axes(ax, "joint moments", "N m")
     ax = axes[1, 1]
-    for name, force in trial.normal_force.items():
-        ax.plot(t, force, label=name)
+    for name, force in trial.cuffs.items():
+        ax.plot(t, force.normal, label=name)
     _finish_axes(ax, "mats: normal force on the human", "N")
     _markers(axes[1, 2], quality)
     figure.suptitle(trial.name)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    return figure
 
 
-def _angles(ax, trial: Trial) -> None:
-    for i, name in enumerate(trial.coordinates[3:]):
-        style = "--" if name.startswith("exo_") else "-"
+def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
+    """A signal of every joint, the device's dashed in the human's colour."""
+    names = trial.coordinates
+    for joint in names.joints:
+        device = joint in names.device
+        human = names.follows(joint) if device else joint
         ax.plot(
-            trial.time,
-            np.rad2deg(trial.q[:, 3 + i]),
-            style,
-            color=f"C{i % 3}",
-            label=name,
+            t,
+            signal(joint),
+            "--" if device else "-",
+            color=f"C{names.human.index(human)}",
+            label=joint,
         )
-    _finish_axes(ax, "angles", "deg")
 
 
-def _forces(ax, trial: Trial) -> None:
-    ax.plot(trial.time, trial.grf[:, 0], label="feet F_x")
-    ax.plot(trial.time, trial.grf[:, 1], label="feet F_z")
+def _forces(ax, trial: Trial, t) -> None:
+    ax.plot(t, trial.ground.force_x, label="feet F_x")
+    ax.plot(t, trial.ground.force_z, label="feet F_z")
     if trial.chair is not None:
-        ax.plot(trial.time, trial.chair[:, 1], label="chair F_z")
+        ax.plot(t, trial.chair.force_z, label="chair F_z")
     _finish_axes(ax, "forces on the body", "N")
 
 

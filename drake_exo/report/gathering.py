@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drake_exo.calibration.measured import from_trial
-from drake_exo.calibration.results import read_trajectory
+from drake_exo.calibration.results import read_trial
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json
 from drake_exo.measurement.trial import Trial
@@ -51,15 +50,15 @@ class Results:
             parts.append(self.summary["controller"].rpartition(":")[2])
         return " ".join(parts)
 
-    def curves(self):
-        """(runs, trials) as `phase_figures` draws them."""
-        names = [row["trial"] for row in self.summary["rmsd"]]
-        trials = [
-            from_trial(Trial.load(self.folder / f"measured_{name}"))
-            for name in names
+    def pairs(self) -> list[tuple[Trial, Trial]]:
+        """Every scored trial as found, and as measured."""
+        return [
+            (
+                read_trial(self.folder, row["trial"]),
+                read_trial(self.folder, row["trial"], "measured"),
+            )
+            for row in self.summary["rmsd"]
         ]
-        found = [read_trajectory(self.folder, name) for name in names]
-        return {"model": found}, trials
 
 
 def gather(folder: Path) -> list[Results]:

@@ -1,6 +1,4 @@
-"""Motions with their forces, as a replay draws them: computed or measured.
-
-A page that replays results of calibration and prediction.
+"""A page that replays results of calibration and prediction.
 
 The model moves as computed, beside or over a translucent one that moves as
 measured; forces of ground, chair and cuffs are arrows.
@@ -9,28 +7,20 @@ measured; forces of ground, chair and cuffs are arrows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
-from drake_exo.calibration.measured import MeasuredMovement
-from drake_exo.calibration.problem import Trajectory
-from drake_exo.calibration.results import (
-    Calibration,
-    ModelFile,
-    read_calibration,
-    read_model,
-)
-from drake_exo.collocation.bushing_kernels import BUSHINGS
-from drake_exo.contact.bushing import bushing_wrench
+from drake_exo.calibration.results import read_contact, read_model
+from drake_exo.contact.bushing import ROTATION, bushing_wrench
+from drake_exo.contact.parameters import ContactModel, ContactSphere
 from drake_exo.errors import InputError
-from drake_exo.measurement.sagittal import cop_x
-from drake_exo.measurement.trial import Trial
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.plant import Model
 from drake_exo.player.page import Arrow, Clip, Page, write_page
 from drake_exo.report.gathering import Results, gather
 from drake_exo.report.scene import (
@@ -46,65 +36,7 @@ from drake_exo.report.scene import (
 _HIP_OVER_SEAT_M = 0.13
 
 
-@dataclass(frozen=True)
-class Motion:
-    """A motion and the forces in it.
-
-    Attributes:
-        times: (n,) from 0 [s].
-        q: (n, nq) coordinates.
-        ground: (n, 3) F_x, F_z [N] and M_y about the origin [N m].
-        cuffs: segment -> (n, 2) tangential and normal force on the human [N].
-        chair: (n, 3) as ground; None where no chair was felt.
-    """
-
-    times: np.ndarray
-    q: np.ndarray
-    ground: np.ndarray
-    cuffs: dict[str, np.ndarray] = field(default_factory=dict)
-    chair: np.ndarray | None = None
-
-    @staticmethod
-    def computed(found: Trajectory, trial: MeasuredMovement) -> Motion:
-        """Of a solution; the chair's force is given to it."""
-        chair = trial.chair
-        if chair is not None:
-            chair = _rows(found.times, trial.times, chair)
-        cuffs = {}
-        if found.interaction is not None:
-            parts = np.split(found.interaction, len(BUSHINGS), axis=1)
-            cuffs = {
-                name: part[:, :2]
-                for name, part in zip(BUSHINGS, parts, strict=True)
-            }
-        return Motion(found.times, found.q, found.ground, cuffs, chair)
-
-    @staticmethod
-    def measured(trial: MeasuredMovement) -> Motion:
-        """Of a recording, whose mats know the normal forces alone."""
-        cuffs = {
-            name: np.column_stack([0.0 * force, force])
-            for name, force in trial.normal_force.items()
-        }
-        return Motion(trial.times, trial.q, trial.ground, cuffs, trial.chair)
-
-    def sample(self, times: np.ndarray) -> Motion:
-        """The same motion at other times, by straight lines."""
-
-        def at(rows):
-            return _rows(times, self.times, rows)
-
-        return replace(
-            self,
-            times=times,
-            q=at(self.q),
-            ground=at(self.ground),
-            cuffs={name: at(rows) for name, rows in self.cuffs.items()},
-            chair=None if self.chair is None else at(self.chair),
-        )
-
-
-class Figure:
+class DrawnModel:
     """Where bodies and forces of one model are, over time.
 
     Args:
@@ -112,18 +44,10 @@ class Figure:
         contact: where the cuffs act; None where they were not calibrated.
     """
 
-    def __init__(self, model: ModelFile, contact: Calibration | None = None):
-        plant = build_plant(model.kind, model.human, model.exoskeleton)
-        self.tree = PlanarTree.from_plant(plant)
-        self._shank_m = model.human.shank.length_m
+    def __init__(self, model: Model, contact: ContactModel | None = None):
+        self.tree = model.tree
         self._thigh_m = model.human.thigh.length_m
-        self._origins = {}
-        if contact is not None and contact.has_bushings:
-            value = {p.name: p.nominal for p in contact.bushings()}
-            self._origins = {
-                segment: [value[f"{segment}.origin_{axis}"] for axis in "xz"]
-                for segment in BUSHINGS
-            }
+        self._bushings = contact.bushings if contact else {}
 
     @property
     def bodies(self) -> list[str]:
@@ -150,32 +74,34 @@ class Figure:
         """Place (x, z) of the hip joint [m], (n, 2)."""
         return self.tree.point_positions(q, "thigh", (0.0, self._thigh_m))
 
-    def seat_height(self, motion: Motion) -> float:
+    def seat_height(self, motion: Trial) -> float:
         """Of a seat that the subject would sit on at the start [m]."""
         return float(self.hip(motion.q[:1])[0, 1]) - _HIP_OVER_SEAT_M
 
-    def centre_of_pressure(self, motion: Motion) -> np.ndarray:
+    def centre_of_pressure(self, motion: Trial) -> np.ndarray:
         """On the ground (n, 3) [m]; NaN where the feet hardly load."""
-        x = cop_x(motion.ground[:, 1], motion.ground[:, 2])
+        x = motion.ground.cop_x
         return np.column_stack([x, 0.0 * x, 0.0 * x])
 
-    def arrows(self, motion: Motion) -> dict[str, np.ndarray]:
+    def arrows(self, motion: Trial) -> dict[str, np.ndarray]:
         """Force -> (n, 6) point and force, world; NaN where there is none."""
         found = {"ground": _on_level(motion.ground, 0.0)}
-        if motion.chair is not None:
+        if motion.chair_shares:
             seat = self.seat_height(motion)
             found["chair"] = _on_level(motion.chair, seat)
         for name, force in motion.cuffs.items():
-            if name in self._origins:
+            if name in self._bushings:
                 found[name] = self._cuff(motion, name, force)
         return found
 
-    def _cuff(self, motion, name: str, force: np.ndarray) -> np.ndarray:
+    def _cuff(self, motion: Trial, name: str, force: CuffForce) -> np.ndarray:
+        human, device = self.tree.cuffs[name]
+        # Mats know the normal part alone.
         wrench = bushing_wrench(
-            (*force.T, 0.0),
-            self.pose(motion.q, name).T,
-            self.pose(motion.q, f"exo_{name}").T,
-            self._origins[name],
+            (*np.nan_to_num(force.components.T[:ROTATION]), 0.0),
+            self.pose(motion.q, human).T,
+            self.pose(motion.q, device).T,
+            self._bushings[name].origin,
         )
         zero = 0.0 * wrench.force_x
         return np.column_stack(
@@ -195,9 +121,9 @@ def spatial(pose: np.ndarray) -> np.ndarray:
     return np.column_stack([x, zero, z, *turn])
 
 
-def _on_level(wrench: np.ndarray, height: float) -> np.ndarray:
+def _on_level(wrench: PlanarWrench, height: float) -> np.ndarray:
     """The force of a wrench where its line meets a level, (n, 6)."""
-    F_x, F_z, M_y = wrench.T
+    F_x, F_z, M_y = wrench.array.T
     loaded = F_z > 1.0
     z = np.full(len(F_z), height)
     x = np.where(loaded, (z * F_x - M_y) / np.where(loaded, F_z, 1.0), np.nan)
@@ -208,10 +134,6 @@ def _path(body: str) -> str:
     """Of a body in meshcat's tree."""
     owner = "exoskeleton" if body.startswith("exo_") else "human"
     return f"{owner}/{body}"
-
-
-def _rows(times, known, rows) -> np.ndarray:
-    return np.column_stack([np.interp(times, known, c) for c in rows.T])
 
 
 SIMULATED, MEASURED = "/simulated", "/measured"
@@ -288,48 +210,46 @@ class Replayed:
     Attributes:
         title: its name.
         group: trials of one group are listed together.
-        figure: its model, with cuffs where it has any.
+        drawn: its model, with cuffs where it has any.
         simulated: as computed.
         measured: as measured; None if there is nothing to compare with.
-        spheres: (2, 3) x, z in the foot and radius of heel and toe [m].
+        spheres: name -> contact sphere in the foot.
         on_chair: whether to draw a stool.
     """
 
     title: str
     group: str
-    figure: Figure
-    simulated: Motion
-    measured: Motion | None
-    spheres: np.ndarray
+    drawn: DrawnModel
+    simulated: Trial
+    measured: Trial | None
+    spheres: dict[str, ContactSphere]
     on_chair: bool = False
 
 
-def _replayed(results: Results, model: ModelFile) -> list[Replayed]:
+def _replayed(results: Results, model: Model) -> list[Replayed]:
     """The trials of one result."""
-    contact = read_calibration(results.folder)
-    figure = Figure(model, contact)
-    curves, trials = results.curves()
+    contact = read_contact(results.folder)
+    drawn = DrawnModel(model, contact)
     label = _PHASES.get(results.phase) or results.label
     group = f"{_GROUPS[results.phase]}, Phase {label}"
     return [
         Replayed(
-            f"{label}: {trial.name.replace('_', ' ')}",
+            f"{label}: {found.name.replace('_', ' ')}",
             group,
-            figure,
-            Motion.computed(trajectory, trial),
-            Motion.measured(trial),
-            contact.spheres().reshape(2, -1)[:, 2:],
+            drawn,
+            found,
+            measured,
+            contact.ground.spheres,
             # A plate under a chair says that there was one.
-            Trial.load(results.folder / f"measured_{trial.name}").chair
-            is not None,
+            measured.chair is not None,
         )
-        for trajectory, trial in zip(curves["model"], trials, strict=True)
+        for found, measured in results.pairs()
     ]
 
 
 def write_replay(
     path: Path,
-    model: ModelFile,
+    model: Model,
     trials: Sequence[Replayed],
     title: str,
 ) -> None:
@@ -382,19 +302,17 @@ def _stage(model, trials, centre: float, view: View, compared: bool) -> str:
     _draw_figures(meshcat, model, compared)
     _draw_markers(meshcat, trials[0].spheres, compared)
     add_floor(meshcat, centre)
-    seats = [t.figure.seat_height(t.simulated) for t in trials if t.on_chair]
+    seats = [t.drawn.seat_height(t.simulated) for t in trials if t.on_chair]
     if seats:
         add_stool(meshcat, _CHAIR, min(seats))
     return meshcat.StaticHtml()
 
 
-def _draw_figures(meshcat, model: ModelFile, compared: bool) -> None:
+def _draw_figures(meshcat, model: Model, compared: bool) -> None:
     """Human and exoskeleton, and the ghost."""
     for root in (SIMULATED, MEASURED)[: 1 + compared]:
         scene = Scene(
-            model.kind,
-            model.human,
-            model.exoskeleton,
+            model,
             meshcat=meshcat,
             prefix=root,
             colour=_GHOST if root == MEASURED else None,
@@ -403,15 +321,15 @@ def _draw_figures(meshcat, model: ModelFile, compared: bool) -> None:
         meshcat.Delete(f"{root}/ground")
 
 
-def _draw_markers(meshcat, spheres: np.ndarray, compared: bool) -> None:
+def _draw_markers(meshcat, spheres, compared: bool) -> None:
     """Centres of pressure and contact spheres, seen through the feet."""
     for root, opacity in (("", 1.0), (MEASURED, 0.45))[: 1 + compared]:
         disc = Cylinder(0.022, 0.006)
         _overlay(meshcat, f"{root}/cop/disc", disc, "c8102e", opacity)
-    for name, sphere in zip(("heel", "toe"), spheres, strict=True):
+    for name, sphere in spheres.items():
         for side, y in enumerate(_FEET_Y_M):
             path = f"{_SPHERES}/{name}/{side}"
-            _overlay(meshcat, path, Sphere(float(sphere[2])), "f08a1c", 0.45)
+            _overlay(meshcat, path, Sphere(sphere.radius), "f08a1c", 0.45)
             meshcat.SetTransform(path, RigidTransform([0.0, y, 0.0]))
 
 
@@ -455,28 +373,29 @@ def _clip(trial: Replayed) -> Clip:
         if motion is None:
             continue
         at = motion.sample(times)
-        for path, pose in trial.figure.poses(at.q).items():
+        for path, pose in trial.drawn.poses(at.q).items():
             bodies[f"{root}/{path}"] = pose
         ghost = root == MEASURED
-        cop = trial.figure.centre_of_pressure(at)
+        cop = trial.drawn.centre_of_pressure(at)
         bodies[f"{root}/cop" if ghost else "/cop"] = _still(cop)
-        for name, rows in trial.figure.arrows(at).items():
+        for name, rows in trial.drawn.arrows(at).items():
             arrows[f"{name}_measured" if ghost else name] = rows
     bodies |= _surroundings(trial, trial.simulated.sample(times))
     return Clip(trial.title, trial.group, times, bodies, arrows)
 
 
-def _surroundings(trial: Replayed, motion: Motion) -> dict[str, np.ndarray]:
+def _surroundings(trial: Replayed, motion: Trial) -> dict[str, np.ndarray]:
     """Contact spheres in the foot, and the stool."""
     found = {}
-    tree = trial.figure.tree
-    for name, (x, z, _) in zip(("heel", "toe"), trial.spheres, strict=True):
-        p_x, p_z = tree.point_positions(motion.q, "foot", (x, z)).T
+    tree = trial.drawn.tree
+    for name, sphere in trial.spheres.items():
+        place = (sphere.x, sphere.z)
+        p_x, p_z = tree.point_positions(motion.q, tree.foot, place).T
         place = np.column_stack([p_x, 0.0 * p_x, p_z])
         found[f"{_SPHERES}/{name}"] = _still(place)
     if trial.on_chair:
         place = np.zeros((len(motion.q), 3))
-        place[:, 0] = trial.figure.hip(motion.q[:1])[0, 0]
+        place[:, 0] = trial.drawn.hip(motion.q[:1])[0, 0]
         found[_CHAIR] = _still(place)
     return found
 
@@ -484,3 +403,26 @@ def _surroundings(trial: Replayed, motion: Motion) -> dict[str, np.ndarray]:
 def _still(p: np.ndarray) -> np.ndarray:
     """Poses (n, 7) at places (n, 3), unturned."""
     return np.column_stack([p, np.tile([1.0, 0.0, 0.0, 0.0], (len(p), 1))])
+
+
+def show_trial(meshcat: Meshcat, model: Model, trial: Trial) -> None:
+    """Show a trial as an animation in meshcat, with its centre of pressure.
+
+    Args:
+        meshcat: where; what was recorded there before is replaced.
+        model: subject and device.
+        trial: its motion.
+    """
+    scene, drawn = Scene(model, meshcat=meshcat), DrawnModel(model)
+    set_stage(meshcat)
+    _overlay(meshcat, "/cop/disc", Cylinder(0.022, 0.006), "c8102e", 1.0)
+    frames = max(2, round(trial.duration / _SECONDS_PER_FRAME) + 1)
+    at = trial.sample(np.linspace(0.0, trial.duration, frames))
+    cop = np.nan_to_num(drawn.centre_of_pressure(at))
+    meshcat.StartRecording()
+    for t, q, p in zip(at.times, at.q, cop, strict=True):
+        scene.set_pose(q, t)
+        scene.diagram.ForcedPublish(scene.context)
+        meshcat.SetTransform("/cop", RigidTransform(p), t)
+    meshcat.StopRecording()
+    meshcat.PublishRecording()

@@ -1,9 +1,8 @@
 """A diagram that only shows a model: no dynamics, a pose in, a picture out.
 
 Kept apart from the diagrams that simulate or plan, because a viewer inside
-a diagram blocks its conversion to other scalar types.
-
-Still pictures and static pages of a posed model, without a screen.
+a diagram blocks its conversion to other scalar types. Stills and static pages
+need no screen.
 """
 
 import logging
@@ -36,8 +35,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, ImageIo, ImageRgba8U
 
-from drake_exo.model.plant import build_plant
-from drake_exo.model.segments import ExoskeletonParameters, HumanParameters
+from drake_exo.model.plant import Model
 
 RENDERER = "still"
 _WOOD = np.array([0.78, 0.66, 0.50, 1.0])
@@ -65,13 +63,12 @@ class Scene:
         plant: the plant within the diagram.
         diagram: plant, SceneGraph and, if asked for, Meshcat.
         context: the diagram's context.
+        coordinates: of the model.
     """
 
     def __init__(
         self,
-        kind: str,
-        human: HumanParameters | None = None,
-        exoskeleton: ExoskeletonParameters | None = None,
+        model: Model,
         *,
         chair_height_m: float | None = None,
         meshcat: Meshcat | None = None,
@@ -82,9 +79,7 @@ class Scene:
         """Build the diagram.
 
         Args:
-            kind: "coupled", "rigid" or "human", as for `build_plant`.
-            human: the subject; the nominal adult if None.
-            exoskeleton: the device; fitted to the human if None.
+            model: subject and device.
             chair_height_m: height of a stool's seat under the model standing
                 at the origin; none is drawn if None.
             meshcat: where to publish to.
@@ -93,11 +88,12 @@ class Scene:
                 colours if None.
             stills: prepare an off-screen renderer for still pictures.
         """
+        self.coordinates = model.coordinates
         builder = DiagramBuilder()
         self.plant, self._scene_graph = AddMultibodyPlantSceneGraph(
             builder, 0.0
         )
-        build_plant(kind, human, exoskeleton, plant=self.plant)
+        model.plant(self.plant)
         if chair_height_m is not None:
             _draw_stool(self.plant, chair_height_m)
         self.plant.Finalize()
@@ -281,19 +277,19 @@ def upright_pose(
     """Positions with flat feet on the ground.
 
     Args:
-        scene: tells the number of positions and the depth of the soles.
-        joints_deg: ankle, knee, hip [deg].
+        scene: tells the coordinates and the depth of the soles.
+        joints_deg: of the human: ankle, knee, hip [deg].
         offsets_deg: by how much the exoskeleton's angles differ [deg].
 
     Returns:
         (nq,) positions of the scene's plant.
     """
-    plant = scene.plant
-    coupled = plant.num_positions() == 9
-    q = np.zeros(plant.num_positions())
-    q[3:6] = np.radians(joints_deg)
-    if coupled:
-        q[6:9] = q[3:6] + np.radians(offsets_deg)
+    plant, names = scene.plant, scene.coordinates
+    body = np.zeros(len(names.body))
+    body[names.columns(names.human)] = np.radians(joints_deg)
+    q = names.aligned(body[None])[0]
+    if names.device:
+        q[names.device_columns] += np.radians(offsets_deg)
     shod = plant.HasFrameNamed("plate_heel")
     sole = plant.GetFrameByName("plate_heel" if shod else "sole_heel")
     q[1] = -sole.GetFixedPoseInBodyFrame().translation()[2]
@@ -349,18 +345,21 @@ def write_png(path: Path, colours: np.ndarray) -> None:
 
 
 def write_page(
-    path: Path, kind: str, q: Sequence[float] | None = None, **model
+    path: Path,
+    model: Model,
+    q: Sequence[float] | None = None,
+    chair_height_m: float | None = None,
 ) -> None:
     """Write a page (static HTML) on which the posed model can be turned.
 
     Args:
         path: of the page, about 5 MB; needs no server and no network.
-        kind: "coupled", "rigid" or "human".
+        model: subject and device.
         q: (nq,) positions; standing if None.
-        model: `human`, `exoskeleton`, `chair_height_m`, as for `Scene`.
+        chair_height_m: as for `Scene`.
     """
     meshcat = Meshcat()
-    scene = Scene(kind, meshcat=meshcat, **model)
+    scene = Scene(model, meshcat=meshcat, chair_height_m=chair_height_m)
     scene.set_pose(upright_pose(scene, STANDING_DEG) if q is None else q)
     scene.diagram.ForcedPublish(scene.context)
     set_stage(meshcat)

@@ -97,3 +97,87 @@ def lookup(tree, path) -> float | None:
     for key in path:
         tree = tree.get(key) if isinstance(tree, dict) else None
     return None if tree is None or isinstance(tree, dict) else float(tree)
+
+
+def parameters_table(parameters: list[dict]) -> str:
+    """The parameters of a summary as text."""
+    rows = [
+        [
+            p["name"],
+            f"{p['value']:.4g}",
+            _interval(p),
+            f"{p['lower']:.3g}",
+            f"{p['upper']:.3g}",
+            p["unit"],
+            _remark(p),
+        ]
+        for p in parameters
+    ]
+    header = ["parameter", "value", "95 %", "lower", "upper", "unit", ""]
+    return format_table(header, rows)
+
+
+def _remark(parameter: dict) -> str:
+    if not parameter["free"]:
+        return "fixed"
+    if parameter["at_bound"]:
+        return "at bound"
+    return "" if parameter.get("identifiable", True) else "weakly determined"
+
+
+def _interval(parameter: dict) -> str:
+    half = parameter.get("half_width_95")
+    return "-" if half is None else f"± {half:.2g}"
+
+
+def audit_table(rows: list[dict]) -> str:
+    """Audits as summary.json holds them, a line for each trial."""
+    header = [
+        "audit",
+        "between nodes [N]",
+        "[N m]",
+        "simulated F_x [N]",
+        "F_z [N]",
+        "angles [deg]",
+        "interaction [N]",
+    ]
+    return format_table(
+        header,
+        [
+            [
+                r["trial"],
+                r["force_n"],
+                r["moment_nm"],
+                *r["simulated_grf_n"],
+                r["simulated_angles_deg"],
+                r["simulated_interaction_n"],
+            ]
+            for r in rows
+        ],
+    )
+
+
+def front_table(rows: list[dict]) -> str:
+    """A Pareto front as `calibration.pareto` finds it."""
+    header = [
+        "noise of forces ×",
+        "angles [deg]",
+        "worst",
+        "velocities [deg/s]",
+        "worst",
+        "GRF [N]",
+        "worst",
+        "CoP [mm]",
+        "worst",
+    ]
+    keys = ("angles_deg", "velocities_deg_s", "grf_n", "cop_mm")
+    return format_table(
+        header,
+        [
+            [
+                f"{r['factor']:g}" + ("" if r["success"] else " (failed)"),
+                *(r[k + e] for k in keys for e in ("", "_worst")),
+            ]
+            for r in rows
+        ],
+    )

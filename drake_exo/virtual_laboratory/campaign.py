@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import Progress
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
-from drake_exo.virtual_laboratory.disturbances import DISTURBANCES, checked
+from drake_exo.files.opensim import write_table
+from drake_exo.files.output import Progress, write_json
+from drake_exo.measurement.trial import Trial
 from drake_exo.virtual_laboratory.instruments import (
     LARGEST_LAG_S,
     MARKER_RATE_HZ,
@@ -28,11 +27,19 @@ from drake_exo.virtual_laboratory.pressure_mats import (
     record_pressure,
     write_scans,
 )
-from drake_exo.virtual_laboratory.simulation import PASSIVE, Simulated, simulate
+from drake_exo.virtual_laboratory.simulation import (
+    PASSIVE,
+    RATE_HZ,
+    simulate,
+)
 from drake_exo.virtual_laboratory.study_file import EMPTY, Entry, write_study
-from drake_exo.virtual_laboratory.truth import STANDING_COP_M, Truth, draw_truth
-from drake_exo.virtual_laboratory.truth_files import (
-    write_motion,
+from drake_exo.virtual_laboratory.truth import (
+    DISTURBANCES,
+    STANDING_COP_M,
+    Truth,
+    checked,
+    draw_truth,
+    truth_table,
     write_parameters,
 )
 
@@ -58,7 +65,7 @@ _AFTER_RISE_S = 0.1
 
 
 @dataclass(frozen=True)
-class Movement:
+class Repetition:
     """One sit-to-stand of the protocol.
 
     Attributes:
@@ -94,7 +101,7 @@ class Movement:
         ]
 
 
-def protocol(count: int | None = None, full: bool = False) -> list[Movement]:
+def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
     """Movements of a campaign: those that the study uses come first.
 
     Args:
@@ -108,7 +115,7 @@ def protocol(count: int | None = None, full: bool = False) -> list[Movement]:
     if count is not None and not 1 <= count <= NUM_USED:
         raise InputError(f"trials is {count}; give 1 to {NUM_USED}")
     everything = [
-        Movement(mode, configuration, trial, movement)
+        Repetition(mode, configuration, trial, movement)
         for mode in _MODES
         for configuration in _CONFIGURATIONS
         for trial in range(1, _TRIALS + 1)
@@ -212,16 +219,12 @@ class Campaign:
         self.seed = seed
         self.active = active
         self.truth: Truth = draw_truth(self._rng(0), active)
-        plant = build_plant(
-            "rigid",
-            self.truth.human,
-            self.truth.exoskeleton,
-            gravity=self.truth.gravity,
-        )
-        self.planner = Planner(PlanarTree.from_plant(plant), self.truth.contact)
+        model = self.truth.model
+        self.planner = Planner(model.rigid.tree, self.truth.contact)
         markers, rng = marker_set(self.truth.human), self._rng(1)
         self.laboratory = Laboratory(
             folder,
+            model.tree,
             files,
             markers,
             slides(markers, rng),
@@ -245,15 +248,18 @@ class Campaign:
         if "plate_drift" in self.active:
             self.laboratory.record_empty(EMPTY, rng)
         truth = self.folder / "truth"
-        write_motion(truth, standing)
+        _write_truth(truth, standing)
         write_parameters(truth, self.truth, self.seed, self.active)
         return write_scans(
-            self.folder, standing.tree, standing.q[-1], self.truth.human
+            self.folder,
+            self.truth.model.tree,
+            standing.q[-1],
+            self.truth.human,
         )
 
     def record(
         self,
-        movement: Movement,
+        movement: Repetition,
         progress: Progress | None = None,
         done: int | None = None,
     ) -> Entry:
@@ -283,7 +289,7 @@ class Campaign:
             end,
         )
 
-    def _measure(self, happened: Simulated, movement: Movement) -> None:
+    def _measure(self, happened: Trial, movement: Repetition) -> None:
         rng = self._rng(4, *movement.key)
         lags = rng.uniform(-LARGEST_LAG_S, LARGEST_LAG_S, 2).round(3)
         clocks = Clocks(*lags) if "clocks" in self.active else Clocks()
@@ -299,7 +305,21 @@ class Campaign:
             self.truth.human,
             "pressure_steps" in self.active,
         )
-        write_motion(self.folder / "truth", happened, clocks)
+        _write_truth(self.folder / "truth", happened, clocks)
+
+
+def _write_truth(
+    folder: Path, movement: Trial, clocks: Clocks | None = None
+) -> None:
+    """Write what truly happened in a movement, and its clocks' lags."""
+    name, step = movement.name, round(RATE_HZ / MARKER_RATE_HZ)
+    write_table(
+        folder / f"{name}.sto",
+        truth_table(movement, step),
+        f"{name}: what truly happened",
+    )
+    if clocks is not None:
+        write_json(folder / f"{name}_clocks.json", clocks)
 
 
 def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
@@ -323,9 +343,9 @@ def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
     )
 
 
-def _window(movement: Simulated, plan: RisePlan) -> tuple[float, float]:
+def _window(movement: Trial, plan: RisePlan) -> tuple[float, float]:
     """Used part of a trial, to the marker frame [s]."""
-    felt = movement.chair.force[:, 1] > _CHAIR_GONE_N
+    felt = movement.chair.force_z > _CHAIR_GONE_N
     start = movement.times[np.flatnonzero(felt)[-1]] + _AFTER_CHAIR_S
     end = plan.duration - plan.stand_s + _AFTER_RISE_S
     frames = np.round(np.array([start, end]) * MARKER_RATE_HZ)

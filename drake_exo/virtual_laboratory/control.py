@@ -7,16 +7,13 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Multiplexer
 from scipy.interpolate import CubicSpline
 
-from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.coordinates import Coordinates
+from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory.plan import Reference
 
 # Of the subject's own feedback, both legs: ankle, knee, hip.
 _STIFFNESS = np.array([3000.0, 2000.0, 2000.0])  # N m/rad
 _DAMPING = np.array([250.0, 120.0, 120.0])  # N m s/rad
-# What the feedback holds, of the rigid model's coordinates: the ankle holds
-# the shank against the vertical, not against the foot. On soft soles a foot
-# that tips would otherwise take the body along.
-_HELD = np.eye(6)[3:] - np.outer([1.0, 0.0, 0.0], np.eye(6)[2])
 _SAMPLE_S = 1e-3
 # The device helps when the feet bear this much of the weight.
 _ENGAGED = (0.5, 0.9)
@@ -48,12 +45,20 @@ class SubjectController(LeafSystem):
     Input state; output torques: ankle, knee, hip [N m].
 
     Args:
+        names: coordinates of the coupled model.
         reference: the plan; its ends are held before and after.
         help_expected: (n, 3) torques that the device is trusted with.
     """
 
-    def __init__(self, reference: Reference, help_expected: np.ndarray):
+    def __init__(
+        self,
+        names: Coordinates,
+        reference: Reference,
+        help_expected: np.ndarray,
+    ):
         super().__init__()
+        self._body, self._nq = names.body_columns, len(names)
+        self._held = held = _held(names)
         self.set_name("subject")
         end = reference.times[-1]
         self._last = round(end / _SAMPLE_S) - 1
@@ -61,30 +66,42 @@ class SubjectController(LeafSystem):
         self._step = times[1]
         plan = np.hstack(
             [
-                reference.q @ _HELD.T,
-                reference.v @ _HELD.T,
+                reference.q @ held.T,
+                reference.v @ held.T,
                 reference.torque - help_expected,
             ]
         )
         # Looked up ten thousand times: a table is quicker than the spline.
         self._table = CubicSpline(reference.times, plan)(times)
-        self.DeclareVectorInputPort("state", 18)
-        self.DeclareVectorOutputPort("torques", 3, self._calc)
+        self.DeclareVectorInputPort("state", 2 * self._nq)
+        self.DeclareVectorOutputPort("torques", len(held), self._calc)
 
     def torques(self, time, q, v) -> np.ndarray:
-        """Torques (..., 3) at times (...) and states (..., 9)."""
+        """Torques (..., 3) at times (...) and states (..., nq)."""
         at = np.clip(time / self._step, 0.0, self._last + 1.0)
         i = np.minimum(at.astype(int), self._last)
         share = (at - i)[..., None]
         plan = (1.0 - share) * self._table[i] + share * self._table[i + 1]
-        error = plan[..., :3] - q[..., :6] @ _HELD.T
-        rate = plan[..., 3:6] - v[..., :6] @ _HELD.T
+        error = plan[..., :3] - q[..., self._body] @ self._held.T
+        rate = plan[..., 3:6] - v[..., self._body] @ self._held.T
         return plan[..., 6:] + _STIFFNESS * error + _DAMPING * rate
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
         time = np.float64(context.get_time())
-        output.SetFromVector(self.torques(time, state[:9], state[9:]))
+        output.SetFromVector(self.torques(time, *np.split(state, 2)))
+
+
+def _held(names: Coordinates) -> np.ndarray:
+    """What the feedback holds, (3, 6) of the body's coordinates.
+
+    The ankle holds the shank against the vertical, not against the foot: on
+    soft soles a foot that tips would otherwise take the body along.
+    """
+    rows = np.eye(len(names.body))
+    held = rows[[names.body.index(name) for name in names.human]]
+    held[0] -= rows[names.body.index(names.root[-1])]
+    return held
 
 
 class DeviceController(LeafSystem):
@@ -98,26 +115,28 @@ class DeviceController(LeafSystem):
     exo_hip [N m].
 
     Args:
-        tree: the rigid model.
+        model: the coupled one.
         share: of the gravity torque at ankle, knee and hip.
         friction: of the joints.
     """
 
     def __init__(
         self,
-        tree: PlanarTree,
+        model: Model,
         share: tuple[float, float, float],
         friction: Friction,
     ):
         super().__init__()
         self.set_name("device")
-        self._tree, self._share = tree, np.array(share)
-        self._weight = tree.mass * tree.gravity
+        self._tree, self._share = model.rigid.tree, np.array(share)
+        self._weight = self._tree.weight
+        names = model.coordinates
+        self._columns, self._nq = names.device_columns, len(names)
         self._friction = friction
-        self.DeclareVectorInputPort("state", 18)
+        self.DeclareVectorInputPort("state", 2 * self._nq)
         if self._share.any():
             self.DeclareVectorInputPort("ground_reaction", 3)
-        self.DeclareVectorOutputPort("torques", 3, self._calc)
+        self.DeclareVectorOutputPort("torques", len(self._columns), self._calc)
 
     def torques(self, angles, rates, load) -> np.ndarray:
         """Torques (N, 3) at angles and rates (N, 3) and F_z (N,) [N]."""
@@ -127,9 +146,11 @@ class DeviceController(LeafSystem):
         """What the drives give, without friction."""
         if not self._share.any():
             return np.zeros_like(angles)
-        q = np.hstack([np.zeros((len(angles), 3)), angles])
+        joints = self._tree.coordinates.joint_columns
+        q = np.zeros((len(angles), self._tree.num_positions))
+        q[:, joints] = angles
         rest = np.zeros_like(q)
-        gravity = self._tree.inverse_dynamics(q, rest, rest)[:, 3:]
+        gravity = self._tree.inverse_dynamics(q, rest, rest)[:, joints]
         low, high = _ENGAGED
         s = np.clip((load / self._weight - low) / (high - low), 0.0, 1.0)
         engaged = s * s * (3.0 - 2.0 * s)
@@ -140,7 +161,9 @@ class DeviceController(LeafSystem):
         load = np.zeros(1)
         if self._share.any():
             load = self.GetInputPort("ground_reaction").Eval(context)[1:2]
-        found = self.torques(state[None, 6:9], state[None, 15:18], load)
+        q, v = np.split(state, 2)
+        at = self._columns
+        found = self.torques(q[None, at], v[None, at], load)
         output.SetFromVector(found[0])
 
 

@@ -1,14 +1,8 @@
-"""Cuffs as they are: they stiffen when pressed in, and slip under shear.
+"""Contacts as they are, as systems and along a motion, all samples at once.
 
-With neither, they are the bushings of the model.
-
-The chair: a cushion under the pelvis, felt until seat-off.
-
-Forces on the links along a motion, all samples at once.
-
-The same laws as the diagram's systems call, evaluated on recorded states.
-
-The foot at rest on the ground, and the frame in which it is level.
+Cuffs stiffen when pressed in and slip under shear; with neither, they are the
+bushings of the model. The chair is a cushion under the pelvis, felt until
+seat-off. The foot rests on its soles, in a frame in which it is level.
 """
 
 from collections.abc import Mapping
@@ -30,7 +24,7 @@ from drake_exo.contact.hunt_crossley import (
     SphereWrench,
     hertz_factor,
 )
-from drake_exo.contact.parameters import ContactParameters
+from drake_exo.contact.parameters import GroundContact
 from drake_exo.contact.systems import (
     applied_force,
     declare_body_inputs,
@@ -43,6 +37,7 @@ from drake_exo.contact.systems import (
 )
 from drake_exo.measurement.inverse_dynamics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.planar_tree import PlanarTree
 
 
@@ -200,11 +195,11 @@ def seat_wrench(
         Entries of shape (...).
     """
     sphere = (
+        seat.modulus_n_m2,
+        seat.dissipation_s_m,
         seat.x_m,
         seat.z_m,
         seat.radius_m,
-        seat.modulus_n_m2,
-        seat.dissipation_s_m,
     )
     above = (position[0], position[1] - seat.height_m)
     wrench = foot_contact(
@@ -283,10 +278,10 @@ def link_motion(tree: PlanarTree, q, v, body: str):
 
 
 def ground_wrench(
-    tree: PlanarTree, contact: ContactParameters, q, v
+    tree: PlanarTree, contact: GroundContact, q, v
 ) -> PlanarWrench:
     """Ground reaction (N,) on the foot."""
-    position, angle, motion = link_motion(tree, q, v, "foot")
+    position, angle, motion = link_motion(tree, q, v, tree.foot)
     wrench = foot_contact(
         contact.law,
         position[:, :, None],
@@ -312,19 +307,17 @@ def chair_wrench(
 
 def interaction(
     tree: PlanarTree, cuffs: dict[str, Cuff], q, v
-) -> tuple[np.ndarray, dict[str, PlanarWrench]]:
+) -> tuple[dict[str, CuffForce], dict[str, PlanarWrench]]:
     """Cuff forces along a motion.
 
     Returns:
-        Tangential, normal and rotational component (N, 3 * cuffs) on the
-        human as `HumanExoskeletonBushings` reports them, and the wrench
-        on the human by segment.
+        Cuff -> its force (N,) on the human, and the wrench on the human.
     """
-    components, wrenches = [], {}
+    forces, wrenches = {}, {}
     for name, cuff in cuffs.items():
         bushing = cuff.bushing
         links = []
-        for body in (name, f"exo_{name}"):
+        for body in tree.cuffs[name]:
             position, angle, motion = link_motion(tree, q, v, body)
             links.append(((*position, angle), motion))
         (human, human_motion), (device, device_motion) = links
@@ -345,25 +338,27 @@ def interaction(
             np.column_stack([w.force_x, w.force_z]),
             w.point_z * w.force_x - w.point_x * w.force_z - w.moment,
         )
-        components.extend(force)
-    return np.column_stack(components), wrenches
+        forces[name] = CuffForce(force.normal, force.tangential, force.rotation)
+    return forces, wrenches
 
 
 def applied(
     tree: PlanarTree,
-    contact: ContactParameters,
+    contact: GroundContact,
     cuffs: dict[str, Cuff],
     seat: SeatParameters | None,
     q,
     v,
 ) -> np.ndarray:
-    """Generalized forces (N, 9) of ground, chair and cuffs together."""
-    loads = wrench_on_body(tree, q, "foot", ground_wrench(tree, contact, q, v))
+    """Generalized forces (N, nq) of ground, chair and cuffs together."""
+    loads = wrench_on_body(
+        tree, q, tree.foot, ground_wrench(tree, contact, q, v)
+    )
     loads += wrench_on_body(tree, q, "pelvis", chair_wrench(tree, seat, q, v))
     for name, w in interaction(tree, cuffs, q, v)[1].items():
-        back = PlanarWrench(-w.force, -w.moment)
-        loads += wrench_on_body(tree, q, name, w)
-        loads += wrench_on_body(tree, q, f"exo_{name}", back)
+        human, device = tree.cuffs[name]
+        loads += wrench_on_body(tree, q, human, w)
+        loads += wrench_on_body(tree, q, device, w.reversed())
     return loads
 
 
@@ -383,7 +378,7 @@ _PASSES = 3
 
 def resting_foot(
     tree: PlanarTree,
-    contact: ContactParameters,
+    contact: GroundContact,
     load: np.ndarray,
     cop_m: float,
 ) -> np.ndarray:
@@ -419,11 +414,11 @@ def resting_foot(
 
 def levelled(
     tree: PlanarTree,
-    contact: ContactParameters,
+    contact: GroundContact,
     weight: float,
     cop_m: float,
     ankle_height: float,
-) -> ContactParameters:
+) -> GroundContact:
     """The same soles in a foot frame that is level in quiet standing.
 
     That is the frame which markers give, so truth and measurement agree.

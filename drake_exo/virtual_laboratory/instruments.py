@@ -8,8 +8,9 @@ import numpy as np
 from drake_exo.files.csv import write_csv_table
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import MarkerData, PlateRecording, Table
-from drake_exo.measurement.sagittal import COP_THRESHOLD_N, PlanarWrench
-from drake_exo.model.plant import COUPLED_COORDINATES
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.virtual_laboratory import markers as marker_errors
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 from drake_exo.virtual_laboratory.markers import (
@@ -17,7 +18,7 @@ from drake_exo.virtual_laboratory.markers import (
     Marker,
     marker_positions,
 )
-from drake_exo.virtual_laboratory.simulation import RATE_HZ, Simulated
+from drake_exo.virtual_laboratory.simulation import RATE_HZ
 
 MARKER_RATE_HZ = 100.0
 DEVICE_RATE_HZ = 200.0
@@ -63,6 +64,7 @@ class Laboratory:
 
     Attributes:
         folder: where files go.
+        tree: the subject with the device.
         files: "c3d" (markers and plates in one .c3d, device as .csv) or
             "opensim" (.trc and .mot).
         markers: on the subject, by name.
@@ -72,6 +74,7 @@ class Laboratory:
     """
 
     folder: Path
+    tree: PlanarTree
     files: str
     markers: dict[str, Marker]
     slide: np.ndarray
@@ -88,7 +91,7 @@ class Laboratory:
         """Name of a file of the device: "encoders" or "moments"."""
         return f"{name}_{what}.{'csv' if self.files == 'c3d' else 'mot'}"
 
-    def record_motion(self, movement: Simulated, rng, hidden=True) -> None:
+    def record_motion(self, movement: Trial, rng, hidden=True) -> None:
         """Write markers at 100 Hz and plates at 1000 Hz.
 
         Args:
@@ -96,7 +99,7 @@ class Laboratory:
             rng: of this recording.
             hidden: whether markers may be hidden at times.
         """
-        active, tree = self.disturbances, movement.tree
+        active, tree = self.disturbances, self.tree
         q = movement.q[::_PER_FRAME]
         p = marker_positions(tree, q, self.markers)
         if "soft_tissue" in active:
@@ -111,9 +114,7 @@ class Laboratory:
             share = 0.5
         feet = {"left": share, "right": 1.0 - share}
         wrenches = {
-            foot: PlanarWrench(
-                s * movement.ground.force, s * movement.ground.moment
-            )
+            foot: PlanarWrench.of(s * movement.ground.array)
             for foot, s in feet.items()
         }
         wrenches["chair"] = movement.chair
@@ -133,7 +134,7 @@ class Laboratory:
         plates = []
         for place, number in PLATES.items():
             w = wrenches[place]
-            values = np.column_stack([w.force, w.moment])
+            values = w.array
             n = len(values)
             noise = rng.normal(size=(n, 3))
             slope = drift * rng.uniform(-1.0, 1.0, 3) * _DRIFT
@@ -143,7 +144,7 @@ class Laboratory:
             if "plate_drift" in self.disturbances:
                 values += self.offsets[place]
                 values += np.linspace(0.0, 1.0, n)[:, None] * slope
-            w = PlanarWrench(values[:, :2], values[:, 2])
+            w = PlanarWrench.of(values)
             plates.append(plate_recording(number, w, place))
         return plates
 
@@ -165,24 +166,25 @@ class Laboratory:
         )
 
     def record_device(
-        self, movement: Simulated, clocks: Clocks, with_moments: bool, rng
+        self, movement: Trial, clocks: Clocks, with_moments: bool, rng
     ) -> None:
         """Write encoders, and joint moments if the device records them."""
         time = np.arange(0.0, movement.times[-1], 1.0 / DEVICE_RATE_HZ)
         at = time - clocks.device
-        angles = _sampled(movement, movement.q[:, 6:], at)
-        moments = _sampled(movement, movement.torque[:, 3:], at)
+        names = movement.coordinates
+        exo = names.is_device_joint
+        angles = _sampled(movement, movement.q[:, names.device_columns], at)
+        moments = _sampled(movement, movement.moments[:, exo], at)
         noise = rng.normal(size=(2, *angles.shape))
         if "encoder_noise" in self.disturbances:
             angles = angles + _ANGLE_NOISE * noise[0]
             angles = _ANGLE_STEP * np.round(angles / _ANGLE_STEP)
             moments = moments + _EXO_MOMENT_NOISE_NM * noise[1]
-        names = COUPLED_COORDINATES[6:]
-        table = Table(time, names, angles, in_degrees=False)
+        table = Table(time, names.device, angles, in_degrees=False)
         self._write_device(movement.name, "encoders", table, "deg")
         if with_moments:
-            names = tuple(f"{name}_moment" for name in names)
-            table = Table(time, names, moments, in_degrees=False)
+            columns = tuple(f"{name}_moment" for name in names.device)
+            table = Table(time, columns, moments, in_degrees=False)
             self._write_device(movement.name, "moments", table, "Nm")
 
     def _write_device(self, name, what, table: Table, unit: str) -> None:
@@ -206,12 +208,9 @@ def plate_recording(
     """
     F_x, F_z = wrench.force.T
     x, right = _MIDDLE[place]
-    loaded = F_z > COP_THRESHOLD_N
     force, point, torque = np.zeros((3, len(F_z), 3))
     force[:, 0], force[:, 1] = F_x, F_z
-    point[:, 0] = np.where(
-        loaded, -wrench.moment / np.where(loaded, F_z, 1.0), x
-    )
+    point[:, 0] = np.where(wrench.is_loaded, wrench.cop_x, x)
     point[:, 2] = right
     # About y (left) in the plane, so about -z (right) in the file; a force
     # off the midline has no part in it, its moments are about x and y.
@@ -256,7 +255,7 @@ def _design(place: str) -> PlateDesign:
     return PlateDesign(np.array(corners))
 
 
-def _sampled(movement: Simulated, values, at) -> np.ndarray:
+def _sampled(movement: Trial, values, at) -> np.ndarray:
     """Values (N, k) at other times; the ends' values beyond the ends."""
     columns = [np.interp(at, movement.times, column) for column in values.T]
     return np.column_stack(columns)

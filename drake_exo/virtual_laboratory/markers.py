@@ -1,19 +1,17 @@
-"""The markers on the subject: 56 of them, as in the paper.
+"""The markers on the subject: 56 of them, as in the paper, and their errors.
 
 Places are in the links' frames, in parts of what scales with the body: the
-length of the segment and, of the foot, the height of the ankle.
-
-What stands between bones and marker positions.
+length of the segment and, of the foot, the height of the ankle. Errors are
+what stands between bones and marker positions.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from drake_exo.measurement.settings import SIDES
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import COUPLED_COORDINATES
 from drake_exo.model.segments import HumanParameters
-from drake_exo.study import SIDES
 
 # Half the distance between the legs' midlines [m].
 HALF_STANCE_M = 0.09
@@ -171,7 +169,7 @@ def soft_tissue(
     """
     moved = np.zeros((len(q), len(markers), 3))
     for i, marker in enumerate(markers.values()):
-        flexion = q[:, COUPLED_COORDINATES.index(_JOINT[marker.body])]
+        flexion = q[:, tree.coordinates.index(_JOINT[marker.body])]
         turn = np.exp(1j * tree.body_angles(q, marker.body))
         p = flexion * turn * complex(*slide[i])
         moved[:, i, 0], moved[:, i, 1] = p.real, p.imag

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import least_squares
 
-from drake_exo.contact.parameters import ContactParameters
+from drake_exo.contact.parameters import GroundContact
+from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.planar_tree import PlanarTree
@@ -117,10 +118,10 @@ class Planner:
         contact: foot-ground contact, in which the feet sink.
     """
 
-    def __init__(self, tree: PlanarTree, contact: ContactParameters):
+    def __init__(self, tree: PlanarTree, contact: GroundContact):
         self.tree = tree
         self.contact = contact
-        self.weight = tree.mass * tree.gravity
+        self.weight = tree.weight
 
     def standing(self, duration: float, cop_m: float) -> Reference:
         """Quiet standing, trunk upright, over a centre of pressure."""
@@ -150,7 +151,7 @@ class Planner:
         )
         begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
         share = self._seated(plan)[1] * (
-            1.0 - _minimum_jerk((times - begin) / (end - begin))
+            1.0 - minimum_jerk((times - begin) / (end - begin))[0]
         )
         foot = self._foot(self.weight * (1.0 - share), plan.cop_m)
         return self._solve(plan, seat, times, foot, share)
@@ -193,8 +194,8 @@ class Planner:
             c = x.reshape(start.shape)
             q, v, a = motion(c)
             ground, chair = self._loads(seat, q, v, a)
-            share = chair.force[:, 1] / self.weight - wanted
-            cop = ground.moment + plan.cop_m * ground.force[:, 1]
+            share = chair.force_z / self.weight - wanted
+            cop = ground.moment + plan.cop_m * ground.force_z
             return np.hstack(
                 [
                     (cop / self.weight / _COP_M)[:, None],
@@ -219,18 +220,15 @@ class Planner:
         """Wrenches (n,) of the ground on the feet and of the seat."""
         chair = chair_wrench(self.tree, seat, q, v)
         needed = inverse_dynamics(self.tree, q, v, a, {"pelvis": chair})
-        F_x, F_z, pitch = needed[:, :3].T
-        moment = -pitch + q[:, 1] * F_x - q[:, 0] * F_z
-        return PlanarWrench(np.column_stack([F_x, F_z]), moment), chair
+        ground = self.tree.ground_reaction(q, needed)
+        return PlanarWrench.of(ground), chair
 
     def _reference(self, seat, times, q, v, a) -> Reference:
         ground, chair = self._loads(seat, q, v, a)
-        loads = {"pelvis": chair, "foot": ground}
+        loads = {"pelvis": chair, self.tree.foot: ground}
         demand = inverse_dynamics(self.tree, q, v, a, loads)
-        columns = [
-            np.column_stack([w.force, w.moment]) for w in (ground, chair)
-        ]
-        return Reference(times, q, v, demand[:, 3:], *columns)
+        torque = demand[:, self.tree.coordinates.joint_columns]
+        return Reference(times, q, v, torque, ground.array, chair.array)
 
 
 def _basis(duration: float) -> BSpline:
@@ -254,14 +252,9 @@ def _template(plan: RisePlan, times, pitch):
     for k in (0, 1):
         step = postures[k + 1] - postures[k]
         phase = (times - at[k + 1]) / (at[k + 2] - at[k + 1])
-        template = template + _minimum_jerk(phase)[:, None] * step
+        template = template + minimum_jerk(phase)[0][:, None] * step
     quiet = (times <= at[1]) | (times >= at[3])
     return template, np.deg2rad(np.where(quiet, _QUIET_DEG, _MOVING_DEG))
-
-
-def _minimum_jerk(phase):
-    s = np.clip(phase, 0.0, 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
 def _banded_differences(

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.segments import HumanParameters
-from drake_exo.virtual_laboratory.simulation import Simulated
 
 RATE_HZ = 50.0
 CELL_AREA_M2 = 2e-4
@@ -21,7 +21,6 @@ _LARGEST_PA = 30000.0
 _PITCH_M = np.sqrt(CELL_AREA_M2)
 _PATCH_RAD, _PATCH_M = 0.45, 0.02  # of the pressed area, around and along
 _FACETS = 96
-_CUFFS = ("shank", "thigh", "pelvis")
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ CONFIGURATIONS = {
 
 def record_pressure(
     path: Path,
-    movement: Simulated,
+    movement: Trial,
     configuration: str,
     lag_s: float,
     human: HumanParameters,
@@ -92,10 +91,8 @@ def record_pressure(
     mats = CONFIGURATIONS[configuration]
     readings = []
     for mat in mats:
-        column = 3 * _CUFFS.index(mat.segment) + 1
-        normal = np.interp(
-            time - lag_s, movement.times, movement.interaction[:, column]
-        )
+        force = movement.cuff(mat.segment).normal
+        normal = np.interp(time - lag_s, movement.times, force)
         readings.append(cell_pressures(mat, human, normal))
     pressure = np.hstack(readings)
     if in_steps:
@@ -177,7 +174,7 @@ def write_scans(
         The section `mats` of the study, by name.
     """
     section = {}
-    for segment in _CUFFS:
+    for segment in tree.cuffs:
         length = getattr(human, segment).length_m
         to_world = _placed(tree, q, segment)
         _write_surface(

@@ -78,7 +78,7 @@ def write_study(
             "sex": "male",
         },
         "model": "coupled",
-        "gravity_m_s2": truth.gravity,
+        "gravity_m_s2": truth.model.gravity_m_s2,
         "filter": {"cutoff_hz": 6.0, "order": 4},
         "laboratory": _laboratory(laboratory.files, active),
         "standing": {

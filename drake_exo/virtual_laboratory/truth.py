@@ -1,21 +1,25 @@
 """The subject as it really is, which no calibration may look at."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
-from drake_exo.contact.diagram import nominal_bushings
+from drake_exo.contact.bushing import COMPONENTS
 from drake_exo.contact.hunt_crossley import SimbodyConstants
 from drake_exo.contact.parameters import (
     NOMINAL_DISSIPATION,
     NOMINAL_MODULUS,
-    ContactParameters,
     ContactSphere,
+    GroundContact,
     nominal_contact,
 )
-from drake_exo.model.description import fit_exoskeleton, nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import GRAVITY, build_plant
+from drake_exo.errors import InputError
+from drake_exo.files.output import write_json
+from drake_exo.files.tables import Table
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
     SEGMENTS,
@@ -25,6 +29,29 @@ from drake_exo.model.segments import (
 from drake_exo.virtual_laboratory.control import Friction
 from drake_exo.virtual_laboratory.forces import Cuff, levelled
 
+# What makes the truth richer than the model, and measurements worse; each can
+# be switched off by name. Without any, the subject obeys the very model that is
+# calibrated, and instruments are perfect. Of the subject and the device:
+TRUTH = {
+    "contact": "soles of five spheres without smoothing",
+    "progressive": "cuffs that stiffen with deflection",
+    "shear": "cuffs that slip along the limb beyond 25 N",
+    "friction": "dry and viscous friction in the device's joints",
+    "segments": "masses that differ by up to 3 % from the table",
+    "variation": "posture, duration and load differ between movements",
+}
+# Of the instruments.
+MEASUREMENT = {
+    "marker_noise": "0.3 mm white noise on every marker coordinate",
+    "soft_tissue": "markers that slide millimetres on the skin",
+    "gaps": "markers that are hidden for up to 0.12 s",
+    "plate_noise": "0.5 N and 0.2 N m white noise on every plate",
+    "plate_drift": "plates with an offset of some newtons that drifts",
+    "encoder_noise": "0.02 degree and 0.1 N m of noise in the device",
+    "pressure_steps": "pressure in steps of 2.5 kPa, up to 30 kPa",
+    "clocks": "device and mats that start up to 40 ms apart",
+}
+DISTURBANCES = {**TRUTH, **MEASUREMENT}
 STANDING_COP_M = 0.045  # in front of the ankle
 
 # Simbody's law with next to no smoothing: contact begins and ends, and the
@@ -48,29 +75,46 @@ _CUFF_SLIP = 1.0 / 25.0  # 1/N
 _FRICTION = Friction(viscous=(0.3, 0.5, 0.5), coulomb=(0.8, 1.2, 1.5))
 
 
+def checked(names: Iterable[str]) -> frozenset[str]:
+    """The names as a set.
+
+    Raises:
+        InputError: one is unknown.
+    """
+    active = frozenset(names)
+    for name in sorted(active - set(DISTURBANCES)):
+        raise InputError(
+            f"no disturbance is called '{name}'; known are "
+            f"{', '.join(DISTURBANCES)}"
+        )
+    return active
+
+
 @dataclass(frozen=True)
 class Truth:
     """True parameters of the subject, the device and their contacts.
 
     Attributes:
-        human, exoskeleton: segments, sums over both legs.
+        model: subject and device, sums over both legs.
         contact: foot-ground contact, spheres in the foot link.
-        cuffs: between human and exoskeleton, by segment.
+        cuffs: between human and exoskeleton, by name.
         friction: of the device's joints.
-        gravity: [m/s^2].
     """
 
-    human: HumanParameters
-    exoskeleton: ExoskeletonParameters
-    contact: ContactParameters
+    model: Model
+    contact: GroundContact
     cuffs: dict[str, Cuff]
     friction: Friction
-    gravity: float = GRAVITY
 
     @property
-    def weight(self) -> float:
-        """Of human and exoskeleton [N]."""
-        return (self.human.mass_kg + self.exoskeleton.mass_kg) * self.gravity
+    def human(self) -> HumanParameters:
+        """The subject."""
+        return self.model.human
+
+    @property
+    def exoskeleton(self) -> ExoskeletonParameters:
+        """The device."""
+        return self.model.exoskeleton
 
 
 def draw_truth(rng: np.random.Generator, active: frozenset[str]) -> Truth:
@@ -85,34 +129,27 @@ def draw_truth(rng: np.random.Generator, active: frozenset[str]) -> Truth:
         rng: numbers are drawn in the same order whatever is active.
         active: names of `disturbances.TRUTH` that act.
     """
-    human = nominal_human()
-    device = fit_exoskeleton(human)
-    two, five = _two_spheres(device, rng), _five_spheres(device, rng)
-    contact = five if "contact" in active else two
-    cuffs = _cuffs(human, device, rng, active)
+    nominal = nominal_model("coupled")
+    usual, human = nominal_contact(nominal), nominal.human
+    two = _two_spheres(usual.ground, rng)
+    five = _five_spheres(nominal.exoskeleton, rng)
+    contact = (five if "contact" in active else two).checked()
+    cuffs = _cuffs(usual.bushings, rng, active)
     masses = _other_masses(human, rng)
-    truth = Truth(
-        masses if "segments" in active else human,
-        device,
-        contact.checked(),
-        cuffs,
-        _FRICTION if "friction" in active else Friction(),
-    )
-    plant = build_plant("rigid", human, device)
     flat = levelled(
-        PlanarTree.from_plant(plant),
-        truth.contact,
-        truth.weight,
+        nominal.rigid.tree,
+        contact,
+        nominal.tree.weight,
         STANDING_COP_M,
         human.ankle_height_m,
     )
-    return replace(truth, contact=flat)
+    if "segments" in active:
+        nominal = replace(nominal, human=masses)
+    friction = _FRICTION if "friction" in active else Friction()
+    return Truth(nominal, flat, cuffs, friction)
 
 
-def _two_spheres(device, rng) -> ContactParameters:
-    usual = nominal_contact(
-        "simbody", device.heel_m, device.toe_m, CONTACT_RADIUS_M
-    )
+def _two_spheres(usual: GroundContact, rng) -> GroundContact:
     spheres = {
         name: replace(
             sphere,
@@ -125,25 +162,28 @@ def _two_spheres(device, rng) -> ContactParameters:
     return replace(usual, spheres=spheres)
 
 
-def _five_spheres(device, rng) -> ContactParameters:
+def _five_spheres(device, rng) -> GroundContact:
     heel, toe = np.array(device.heel_m), np.array(device.toe_m)
     sole = heel[1] - CONTACT_RADIUS_M
     spheres = {}
     for name, (at, radius, share) in _RICH_SOLE.items():
+        x = float(heel[0] + at * (toe[0] - heel[0]))
+        # Drawn in this order: place, stiffness, dissipation.
+        x += rng.uniform(-0.006, 0.006)
+        z = float(sole + radius) + rng.uniform(-0.001, 0.001)
         spheres[name] = ContactSphere(
-            float(heel[0] + at * (toe[0] - heel[0]))
-            + rng.uniform(-0.006, 0.006),
-            float(sole + radius) + rng.uniform(-0.001, 0.001),
-            radius,
-            share * NOMINAL_MODULUS * _factor(rng),
-            NOMINAL_DISSIPATION * _factor(rng),
+            stiffness=share * NOMINAL_MODULUS * _factor(rng),
+            dissipation=NOMINAL_DISSIPATION * _factor(rng),
+            x=x,
+            z=z,
+            radius=radius,
         )
-    return ContactParameters("simbody", spheres, _SHARP)
+    return GroundContact("simbody", spheres, _SHARP)
 
 
-def _cuffs(human, device, rng, active) -> dict[str, Cuff]:
+def _cuffs(usual, rng, active) -> dict[str, Cuff]:
     cuffs = {}
-    for name, bushing in nominal_bushings(human, device).items():
+    for name, bushing in usual.items():
         stiffness = {
             f.name: getattr(bushing, f.name) * _factor(rng)
             for f in fields(bushing)
@@ -186,3 +226,57 @@ def _other_masses(human: HumanParameters, rng) -> HumanParameters:
 
 def _factor(rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(np.log(0.74), np.log(1.35))))
+
+
+def write_parameters(
+    folder: Path, truth: Truth, seed: int, active: frozenset[str]
+) -> None:
+    """Write all of it, and each phase's parameters by their names there."""
+    about = {"seed": seed, "disturbances": active}
+    whole = {
+        "human": truth.human,
+        "exoskeleton": truth.exoskeleton,
+        "contact": truth.contact,
+        "cuffs": truth.cuffs,
+        "friction": truth.friction,
+        "gravity": truth.model.gravity_m_s2,
+    }
+    write_json(folder / "truth.json", {**about, "parameters": whole})
+    for name, contacts in (
+        ("foot_ground", truth.contact.spheres),
+        ("interaction", {n: c.bushing for n, c in truth.cuffs.items()}),
+    ):
+        values = {
+            f"{part}.{key}": value
+            for part, contact in contacts.items()
+            for key, value in vars(contact).items()
+        }
+        write_json(folder / f"{name}.json", {**about, "parameters": values})
+
+
+def truth_table(movement: Trial, step: int = 1) -> Table:
+    """Motion, joint torques and forces in SI units.
+
+    Args:
+        movement: what truly happened.
+        step: every how many samples.
+    """
+    names = movement.coordinates
+    columns, values = [], []
+    for suffix, x in (
+        ("", movement.q),
+        ("_speed", movement.v),
+        ("_acceleration", movement.a),
+    ):
+        columns += [name + suffix for name in names.names]
+        values.append(x)
+    columns += [f"{name}_torque" for name in names.joints]
+    values.append(movement.moments)
+    for place, w in (("ground", movement.ground), ("chair", movement.chair)):
+        columns += [f"{place}_{k}" for k in ("force_x", "force_z", "moment_y")]
+        values.append(w.array)
+    for cuff, force in movement.cuffs.items():
+        columns += [f"{cuff}_{component}" for component in COMPONENTS]
+        values.append(force.components)
+    table = np.hstack(values)[::step]
+    return Table(movement.times[::step], tuple(columns), table, False)

@@ -1,0 +1,45 @@
+"""`drake-exo contact`: the contact laws drawn, Figures 8 and 9 of the paper."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from drake_exo.contact.parameters import check_bounds
+from drake_exo.errors import InputError
+from drake_exo.files.output import prepare_output_folder
+from drake_exo.report.contact_figures import ContactCurves, write_figures
+
+
+def add_parser(subparsers) -> None:
+    """Adds the subcommand `contact`."""
+    parser = subparsers.add_parser(
+        "contact", help="draw the contact laws (Figures 8 and 9 of the paper)"
+    )
+    parser.add_argument("--out", required=True, help="folder for the figures")
+    parser.add_argument(
+        "--force", action="store_true", help="replace results in the folder"
+    )
+    for name, item in ContactCurves.__dataclass_fields__.items():
+        unit = item.metadata["unit"]
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=float,
+            default=item.default,
+            help=f"default {item.default:g} {unit}".rstrip(),
+        )
+    parser.set_defaults(run=run)
+
+
+def run(args: Namespace) -> None:
+    """Draw both figures into --out."""
+    curves = ContactCurves(
+        **{name: getattr(args, name) for name in vars(ContactCurves())}
+    )
+    check_bounds(curves, "contact curves")
+    if curves.dynamic_friction > curves.static_friction:
+        raise InputError(
+            "contact curves: dynamic friction is above static friction; "
+            "give a lower --dynamic-friction"
+        )
+    with prepare_output_folder(args.out, args.force) as folder:
+        for file in write_figures(folder, curves):
+            print(Path(args.out) / file.name)

@@ -1,0 +1,472 @@
+"""What a study file says of the subject, the recordings and their instruments.
+
+Signals that only one leg was measured for are told by what is left out: a
+trial with a plate under the right foot alone counts as one leg, and is doubled.
+Paths stay as the file says them, so that nothing that is written later depends
+on the machine.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from drake_exo.errors import InputError
+from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
+
+Side = Literal["left", "right"]
+Use = Literal["calibration", "prediction"]
+SIDES: tuple[Side, Side] = ("left", "right")
+_SECONDS = {"unit": "s"}
+Legs = Literal["left", "right", "both"]
+Segment = Literal["shank", "thigh", "pelvis"]
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Which axes of a file point forward and up; OpenSim's are x and y.
+
+    Attributes:
+        forward, up: an axis, with a minus where it points the other way.
+    """
+
+    forward: Axis = "x"
+    up: Axis = "y"
+
+    def __post_init__(self):
+        if self.forward[-1] == self.up[-1]:
+            raise InputError(
+                f"forward ({self.forward}) and up ({self.up}) must be two "
+                "different axes"
+            )
+
+
+@dataclass(frozen=True)
+class JointDrive:
+    """Identified dynamics of one joint of the device, both legs together.
+
+    Attributes:
+        inertia_kg_m2: of rotor and gear, reflected to the joint (links have
+            theirs in `exoskeleton`).
+        viscous_nm_s: friction in proportion to speed.
+        coulomb_nm: dry friction.
+        coulomb_speed_rad_s: speed at which tanh(1) of it acts.
+        stiffness_nm_rad: of a spring across the joint.
+        rest_deg: angle at which that spring is slack.
+    """
+
+    inertia_kg_m2: float = field(
+        default=0.0, metadata={"unit": "kg m^2", "minimum": 0.0}
+    )
+    viscous_nm_s: float = field(
+        default=0.0, metadata={"unit": "N m s/rad", "minimum": 0.0}
+    )
+    coulomb_nm: float = field(
+        default=0.0, metadata={"unit": "N m", "minimum": 0.0}
+    )
+    coulomb_speed_rad_s: float = field(
+        default=0.05, metadata={"unit": "rad/s", "above": 0.0}
+    )
+    stiffness_nm_rad: float = field(
+        default=0.0, metadata={"unit": "N m/rad", "minimum": 0.0}
+    )
+    rest_deg: float = field(default=0.0, metadata={"unit": "deg"})
+
+
+@dataclass(frozen=True)
+class Device:
+    """How the exoskeleton was measured, and its model where it was not.
+
+    Attributes:
+        encoder_legs, moment_legs: legs whose angles and moments the files
+            hold; moments of one leg are doubled, angles are means.
+        ankle, knee, hip: identified dynamics of the joints.
+        carries_itself: share of the links' own weight and inertia that the
+            drives bear, 0 for a passive device, 1 for a transparent one.
+    """
+
+    encoder_legs: Legs = "both"
+    moment_legs: Legs = "both"
+    ankle: JointDrive = JointDrive()
+    knee: JointDrive = JointDrive()
+    hip: JointDrive = JointDrive()
+    carries_itself: float = field(
+        default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
+    )
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The body with its mat, scanned while standing.
+
+    Attributes:
+        file: surface as .stl, .ply or .obj.
+        unit: of the file and of all points below.
+        axes: which of its axes point forward and up.
+        corners: of the mat: first row first cell, first row last cell, last
+            row last cell, last row first cell.
+        cells: CSV of "row, column, x, y, z" of the cells' centres, instead
+            of corners.
+        segment_axis: lower and upper joint centre of the segment; upright if
+            left out.
+    """
+
+    file: Path
+    unit: Literal["m", "cm", "mm"]
+    axes: Axes = Axes("x", "z")
+    corners: tuple[Point, Point, Point, Point] | None = None
+    cells: Path | None = None
+    segment_axis: tuple[Point, Point] | None = None
+
+    def __post_init__(self):
+        if (self.corners is None) == (self.cells is None):
+            raise InputError("place the mat by either corners or cells")
+
+
+@dataclass(frozen=True)
+class Mat:
+    """A pressure matrix.
+
+    Attributes:
+        segment: that it lies on.
+        rows, columns: cells, in the order of the file (row by row).
+        cell_area_m2: of one cell.
+        legs: that it measured; "left" or "right" are doubled.
+        scan: maps cells to the body's surface.
+        plane_normal: outward normal of a flat surface instead (x forward,
+            y left, z up along the segment).
+    """
+
+    segment: Segment
+    rows: int = field(metadata={"minimum": 1})
+    columns: int = field(metadata={"minimum": 1})
+    cell_area_m2: float = field(
+        metadata={"unit": "m^2", "above": 0.0, "maximum": 0.01}
+    )
+    legs: Legs = "both"
+    scan: Scan | None = None
+    plane_normal: Point | None = None
+
+    def __post_init__(self):
+        if (self.scan is None) == (self.plane_normal is None):
+            raise InputError("give either scan or plane_normal")
+        if self.plane_normal is not None and not any(self.plane_normal):
+            raise InputError("plane_normal must not be zero")
+
+
+@dataclass(frozen=True)
+class PressureFile:
+    """A pressure recording of a trial.
+
+    Attributes:
+        file: Novel's .asc, or .csv.
+        mats: names in `mats`, in the order of the file's columns.
+    """
+
+    file: Path
+    mats: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Who was measured.
+
+    Attributes:
+        height_m: stature.
+        sex: which of de Leva's tables.
+        mass_kg: body mass without the exoskeleton; left out, it is taken
+            from the forces of quiet standing.
+        segments: values that replace those scaled from mass and height, as
+            sums over both legs.
+    """
+
+    name: str
+    height_m: float = field(
+        metadata={"unit": "m", "above": 0.0, "maximum": 3.0}
+    )
+    mass_kg: float | None = field(
+        default=None, metadata={"unit": "kg", "above": 0.0}
+    )
+    sex: Literal["male", "female"] = "male"
+    segments: HumanOverrides = field(default_factory=HumanOverrides)
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """Frames and clocks of the laboratory's files.
+
+    Attributes:
+        force_delay_s: lag of the plates' clock behind the markers'.
+        estimate_force_delay: find what lag is left from Newton's law; the
+            trial's provenance reports it.
+        forces_act_on: whether files hold the forces on the body, or on the
+            plate (equal and opposite).
+        fill_gaps_s: longest gap of a marker that is filled; none by default.
+        encoder_delay_s, pressure_delay_s: lag of their clocks behind the
+            markers'.
+        estimate_encoder_delay: find what lag is left from the device's
+            equations of motion, the cuffs being springs.
+        estimate_pressure_delay: likewise from the cuffs' deflection; needs
+            encoders.
+        largest_delay_s: how far estimates look to either side.
+        remove_plate_drift: level the plates where nothing stands on them.
+        chair_on_thighs: share of the chair's wrench on the thighs, the rest
+            acts on the pelvis.
+    """
+
+    marker_axes: Axes = field(default_factory=Axes)
+    force_axes: Axes = field(default_factory=Axes)
+    force_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    estimate_force_delay: bool = False
+    forces_act_on: Literal["body", "plate"] = "body"
+    fill_gaps_s: float = field(
+        default=0.0, metadata={"unit": "s", "minimum": 0.0}
+    )
+    encoder_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    estimate_encoder_delay: bool = False
+    pressure_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    estimate_pressure_delay: bool = False
+    largest_delay_s: float = field(
+        default=0.05, metadata={"unit": "s", "above": 0.0, "maximum": 1.0}
+    )
+    remove_plate_drift: bool = False
+    chair_on_thighs: float = field(
+        default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
+    )
+
+
+@dataclass(frozen=True)
+class SidedMarkers:
+    """Names of markers on the left, on the right, and on the midline."""
+
+    left: tuple[str, ...] = ()
+    right: tuple[str, ...] = ()
+    middle: tuple[str, ...] = ()
+
+    def of(self, side: Side) -> tuple[str, ...]:
+        """The names on one side."""
+        return self.left if side == "left" else self.right
+
+
+@dataclass(frozen=True)
+class JointCentres:
+    """Markers whose mean is a joint's centre in the standing trial."""
+
+    ankle: SidedMarkers
+    knee: SidedMarkers
+    hip: SidedMarkers
+
+
+@dataclass(frozen=True)
+class SegmentMarkers:
+    """Markers fixed to each segment, which inverse kinematics follows."""
+
+    foot: SidedMarkers
+    shank: SidedMarkers
+    thigh: SidedMarkers
+    pelvis: SidedMarkers
+
+
+@dataclass(frozen=True)
+class Markers:
+    """The marker set.
+
+    Attributes:
+        weights: weight of single markers in inverse kinematics, 1 if absent.
+    """
+
+    joint_centres: JointCentres
+    segments: SegmentMarkers
+    weights: dict[str, float] = field(
+        default_factory=dict, metadata={"minimum": 0.0}
+    )
+
+
+@dataclass(frozen=True)
+class Plates:
+    """Numbers of the force plates, from 1: under each foot, or under both.
+
+    Attributes:
+        left, right: under that foot; one of them alone counts twice.
+        both: under both feet.
+        chair: under the chair, whose weight is tared.
+    """
+
+    left: int | None = field(default=None, metadata={"minimum": 1})
+    right: int | None = field(default=None, metadata={"minimum": 1})
+    both: int | None = field(default=None, metadata={"minimum": 1})
+    chair: int | None = field(default=None, metadata={"minimum": 1})
+
+    def __post_init__(self):
+        if (self.both is None) == (self.left is None and self.right is None):
+            raise InputError(
+                "name the plates of the feet as left and right, or as both"
+            )
+        if self.left is not None and self.left == self.right:
+            raise InputError(
+                f"plate {self.left} cannot be left and right; say "
+                f"'both: {self.left}' if both feet stand on it"
+            )
+        feet = (self.left, self.right, self.both)
+        if self.chair is not None and self.chair in feet:
+            raise InputError(
+                f"plate {self.chair} cannot be under the chair and a foot"
+            )
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Quiet, upright standing: scales the model, gives the body mass.
+
+    Attributes:
+        markers: marker file; the standing posture is its mean.
+        forces: force file of the same trial, if plates were recorded.
+        empty_plates: the same plates with nothing on them.
+        start_s, end_s: quiet part; the whole file by default.
+    """
+
+    markers: Path
+    forces: Path | None = None
+    plates: Plates | None = None
+    empty_plates: Path | None = None
+    start_s: float | None = field(default=None, metadata=_SECONDS)
+    end_s: float | None = field(default=None, metadata=_SECONDS)
+
+    def __post_init__(self):
+        _check_window(self.start_s, self.end_s)
+        if (self.forces is None) != (self.plates is None):
+            raise InputError("forces and plates must be given together")
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Zero-lag Butterworth low-pass filter.
+
+    Attributes:
+        cutoff_hz: frequency that is damped to 1/sqrt(2) after both passes.
+        order: in effect, after both passes; each pass has half of it.
+    """
+
+    cutoff_hz: float = field(default=6.0, metadata={"unit": "Hz", "above": 0})
+    order: int = field(default=4, metadata={"minimum": 2, "maximum": 12})
+
+    def __post_init__(self):
+        if self.order % 2:
+            raise InputError(
+                f"order is {self.order}, but two passes make it even"
+            )
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """How the subject's model is fitted to the standing trial.
+
+    Attributes:
+        lengths: of shank and thigh: "markers" (between joint centres) or
+            "table" (from height). Centres of mass and radii of gyration
+            follow in proportion.
+        trunk_com: fore-aft place of the centre of mass of pelvis, trunk,
+            head and arms: "table" (straight above the hip), or "standing"
+            (so that the body's centre of mass stands above the centre of
+            pressure).
+    """
+
+    lengths: Literal["markers", "table"] = "markers"
+    trunk_com: Literal["table", "standing"] = "table"
+
+
+@dataclass(frozen=True)
+class TrialFiles:
+    """One movement: its files, and the part of them that is used.
+
+    Attributes:
+        plates: which plate is under which foot.
+        use: contact is calibrated with it (Phases A and B), or it is
+            predicted and compared with (Phase C).
+        encoders: angles of the exoskeleton's joints.
+        exo_moments: moments of its joints, as recorded; by the model of
+            `device` if left out.
+        pressure: recordings of the mats.
+        empty_plates: the same plates with nothing on them, which levels
+            those that are never unloaded in the trial.
+        rise: number of the sit-to-stand rise found in the recording, from 1.
+        seated_s: how long before seat-off the used part starts; needs the
+            chair's plate.
+        start_s, end_s: used part, instead of (or bounding) a rise found.
+    """
+
+    name: str
+    markers: Path
+    forces: Path
+    plates: Plates
+    use: Use = "calibration"
+    encoders: Path | None = None
+    exo_moments: Path | None = None
+    pressure: tuple[PressureFile, ...] = ()
+    empty_plates: Path | None = None
+    rise: int | None = field(default=None, metadata={"minimum": 1})
+    seated_s: float = field(default=0.0, metadata={"unit": "s", "minimum": 0.0})
+    start_s: float | None = field(default=None, metadata=_SECONDS)
+    end_s: float | None = field(default=None, metadata=_SECONDS)
+
+    def __post_init__(self):
+        _check_window(self.start_s, self.end_s)
+        if self.seated_s > 0.0 and self.rise is None:
+            raise InputError("seated_s counts back from a rise; name it")
+        if self.seated_s > 0.0 and self.plates.chair is None:
+            raise InputError(
+                "seated_s needs the chair's plate; name it in plates.chair"
+            )
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """All of a study but what is made of it.
+
+    Attributes:
+        model: with the exoskeleton, or the human alone.
+        gravity_m_s2: acceleration of gravity.
+        device: how the exoskeleton was measured and what its drives do; left
+            out, joint moments are known only where they were recorded.
+        mats: pressure matrices by name.
+    """
+
+    subject: Subject
+    standing: Standing
+    markers: Markers
+    trials: tuple[TrialFiles, ...]
+    model: Literal["coupled", "human"] = "coupled"
+    exoskeleton: ExoskeletonOverrides = field(
+        default_factory=ExoskeletonOverrides
+    )
+    device: Device | None = None
+    mats: dict[str, Mat] = field(default_factory=dict)
+    gravity_m_s2: float = field(
+        default=9.81, metadata={"unit": "m/s^2", "above": 0.0}
+    )
+    laboratory: Laboratory = Laboratory()
+    filter: Filter = Filter()
+    scaling: Scaling = Scaling()
+
+    def __post_init__(self):
+        names = [trial.name for trial in self.trials]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two trials are named {name!r}; rename one")
+        if not names:
+            raise InputError("trials is empty; list at least one")
+        for trial in self.trials:
+            for name in (m for p in trial.pressure for m in p.mats):
+                if name not in self.mats:
+                    raise InputError(
+                        f"trial {trial.name}: {name!r} is none of the mats "
+                        f"({', '.join(self.mats) or 'there are none'})"
+                    )
+
+
+def _check_window(start_s: float | None, end_s: float | None) -> None:
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise InputError(
+            f"end_s ({end_s:g}) must be after start_s ({start_s:g})"
+        )

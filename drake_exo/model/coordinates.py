@@ -1,0 +1,160 @@
+"""Names of a planar model's coordinates, read from its plant.
+
+Nobody else knows where in an array the hip stands, or which hinges are the
+device's: arrays are cut with the columns of this class.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from drake_exo.errors import InputError
+
+# What a planar joint to the ground adds: two lengths and an angle.
+_ROOT = ("x", "z", "pitch")
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Coordinates of a tree whose root stands on the ground.
+
+    Attributes:
+        names: (nq,) in the order of the plant's positions: x, z and pitch of
+            the root, then the hinges.
+        device: the hinges that are the device's; the others are the human's.
+    """
+
+    names: tuple[str, ...]
+    device: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def root(self) -> tuple[str, ...]:
+        """The root's three."""
+        return self.names[: len(_ROOT)]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """All hinges, the human's first."""
+        return self.names[len(_ROOT) :]
+
+    @property
+    def human(self) -> tuple[str, ...]:
+        """The human's hinges."""
+        return tuple(n for n in self.joints if n not in self.device)
+
+    @property
+    def body(self) -> tuple[str, ...]:
+        """Root and the human's hinges: those of the model without a device."""
+        return self.root + self.human
+
+    def index(self, name: str) -> int:
+        """Place of a coordinate.
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        if name not in self.names:
+            raise InputError(
+                f"there is no coordinate {name!r}; known are "
+                f"{', '.join(self.names)}"
+            )
+        return self.names.index(name)
+
+    def columns(self, names) -> np.ndarray:
+        """Places of several coordinates in arrays (n, nq)."""
+        return np.array([self.index(name) for name in names], int)
+
+    @cached_property
+    def root_columns(self) -> np.ndarray:
+        """Places of the root's three in arrays (n, nq)."""
+        return self.columns(self.root)
+
+    @cached_property
+    def joint_columns(self) -> np.ndarray:
+        """Places of all hinges in arrays (n, nq)."""
+        return self.columns(self.joints)
+
+    @cached_property
+    def body_columns(self) -> np.ndarray:
+        """Places of `body` in arrays (n, nq)."""
+        return self.columns(self.body)
+
+    @cached_property
+    def device_columns(self) -> np.ndarray:
+        """Places of the device's hinges in arrays (n, nq)."""
+        return self.columns(self.device)
+
+    @cached_property
+    def is_device_joint(self) -> np.ndarray:
+        """Which of `joints` are the device's, (n_joints,) bool."""
+        return np.array([name in self.device for name in self.joints], bool)
+
+    @property
+    def num_joints(self) -> int:
+        """Number of hinges."""
+        return len(self.names) - len(_ROOT)
+
+    @property
+    def is_angle(self) -> np.ndarray:
+        """Whether each is an angle, not a length; (nq,) bool."""
+        return np.arange(len(self)) >= len(_ROOT) - 1
+
+    def joint(self, name: str) -> int:
+        """Place of a hinge in arrays of joint moments (n, n_joints).
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        return self.index(name) - len(_ROOT)
+
+    def follows(self, name: str) -> str:
+        """The human's hinge beside which a device's hinge `name` sits."""
+        return next(h for h in self.human if name.endswith(f"_{h}"))
+
+    def aligned(self, body: np.ndarray) -> np.ndarray:
+        """All coordinates (n, nq) of a device that moves as the human does.
+
+        Args:
+            body: (n, len(self.body)) coordinates of `body`.
+        """
+        beside = [self.follows(name) for name in self.device]
+        place = [self.body.index(name) for name in (*self.body, *beside)]
+        return body[:, place]
+
+
+def read_coordinates(plant: MultibodyPlant) -> Coordinates:
+    """Coordinates of a finalized plant whose root has a planar joint.
+
+    Hinges of the model instance that the root belongs to are the human's,
+    those of others the device's.
+
+    Raises:
+        ValueError: the first joint is not planar, or one that follows is no
+            hinge.
+    """
+    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
+    joints = [j for j in joints if j.num_positions()]
+    joints.sort(key=lambda j: j.position_start())
+    root, *hinges = joints
+    if root.num_positions() != len(_ROOT):
+        raise ValueError(f"joint {root.name()!r} of the root is not planar")
+    for joint in hinges:
+        if joint.num_positions() != 1:
+            raise ValueError(f"joint {joint.name()!r} is no hinge")
+    human = root.child_body().model_instance()
+    return Coordinates(
+        tuple(
+            [f"{root.name()}_{what}" for what in _ROOT]
+            + [joint.name() for joint in hinges]
+        ),
+        tuple(
+            joint.name()
+            for joint in hinges
+            if joint.child_body().model_instance() != human
+        ),
+    )
