@@ -18,12 +18,13 @@ from drake_exo.files.opensim import (
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.pressure import read_novel_asc, read_pressure_csv
 from drake_exo.files.tables import MarkerData, PlateRecording, Table
-from drake_exo.measurement import instruments
 from drake_exo.measurement import mats as body_surface
 from drake_exo.measurement.exoskeleton import read_angles, read_moments
+from drake_exo.measurement.settings import Filter, Scan
 from drake_exo.soles.mesh import brick
-from drake_exo.study import Filter
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
+
+_JOINTS = ("exo_ankle", "exo_knee", "exo_hip")
 
 
 def _markers(frames=12) -> MarkerData:
@@ -60,7 +61,7 @@ def _c3d(path):
 
 def _joints(ending="") -> Table:
     time = np.arange(80) / 100.0
-    names = tuple(f"exo_{j}{ending}" for j in ("ankle", "knee", "hip"))
+    names = tuple(joint + ending for joint in _JOINTS)
     angles = 40.0 * np.sin(time[:, None] + np.arange(3))
     return Table(time, names, angles, True)
 
@@ -112,7 +113,10 @@ def laboratory() -> dict:
             "a.sto",
             "text",
             written(lambda p: write_table(p, _joints())),
-            lambda p: (read_coordinates(p), read_angles(p, "both", Filter())),
+            lambda p: (
+                read_coordinates(p),
+                read_angles(p, _JOINTS, "both", Filter()),
+            ),
         ),
         "mot": (
             "a.mot",
@@ -125,13 +129,16 @@ def laboratory() -> dict:
             "a.csv",
             "text",
             written(lambda p: write_csv_table(p, _joints(), degrees)),
-            lambda p: (read_csv_table(p), read_angles(p, "left", Filter())),
+            lambda p: (
+                read_csv_table(p),
+                read_angles(p, _JOINTS, "left", Filter()),
+            ),
         ),
         "moments": (
             "a.csv",
             "text",
             written(lambda p: write_csv_table(p, moments, ["Nm"] * 3)),
-            lambda p: read_moments(p, "both", Filter()),
+            lambda p: read_moments(p, _JOINTS, "both", Filter()),
         ),
         "motive markers": (
             "a.csv",
@@ -165,10 +172,10 @@ def pressure() -> dict:
     }
 
 
-def _scan(name, cells=None) -> instruments.Scan:
+def _scan(name, cells=None) -> Scan:
     corners = ((-0.02, 0.06, 0.0), (-0.02, -0.06, 0.0),
                (-0.02, -0.06, -0.02), (-0.02, 0.06, -0.02))  # fmt: skip
-    return instruments.Scan(
+    return Scan(
         Path(name),
         "m",
         corners=None if cells else corners,
