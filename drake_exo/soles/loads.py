@@ -21,6 +21,18 @@ from drake_exo.soles.rotations import rotation_z
 class Load:
     """Force and ZMP at N samples.
 
+    >>> import drake_exo as dx
+    >>> load = dx.soles.Load([0.0, 0.1], [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2)
+    >>> load.straight().zmp
+    array([[0., 0.],
+           [0., 0.]])
+    >>> load.every(1).times
+    array([0.])
+
+    Raises:
+        InputError: Samples are missing or not finite, time does not increase,
+            or the foot is lifted or pulled.
+
     Attributes:
         times: [s], (N,), strictly increasing.
         force: Force of the ground on the sole, world [N], (N, 3).
@@ -38,6 +50,8 @@ class Load:
 
     def __post_init__(self):
         for label in ("times", "force", "zmp"):
+            values = np.asarray(getattr(self, label), dtype=float)
+            object.__setattr__(self, label, values)
             if not np.isfinite(getattr(self, label)).all():
                 raise InputError(
                     f"{self.name}: {label} holds NaN or infinity; clean the "

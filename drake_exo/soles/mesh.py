@@ -28,6 +28,13 @@ FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 class TetMesh:
     """Linear tetrahedra of a sole and their surfaces.
 
+    >>> import drake_exo as dx
+    >>> mesh = dx.soles.Case.from_text(dx.soles.EXAMPLE).mesh
+    >>> mesh.tets.shape, mesh.contact.shape, mesh.contact_areas.shape
+    ((144, 4), (34,), (34,))
+    >>> print(f"{1e6 * mesh.volume:.0f} cm³")
+    897 cm³
+
     Attributes:
         nodes: Positions in the sole frame [m], (n, 3).
         tets: Node indices, positively oriented, (e, 4).

@@ -345,7 +345,13 @@ class OptimizeBlock:
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that a case file says; its fields are its keys."""
+    """Everything that a case file says; its fields are its keys.
+
+    >>> import drake_exo as dx
+    >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    >>> case.settings.contact.friction, case.settings.optimize.tilt_deg
+    (0.8, 20.0)
+    """
 
     name: str
     mesh: MeshBlock

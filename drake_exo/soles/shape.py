@@ -30,6 +30,12 @@ def spherical_angles(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class SphericalSpline:
     """The spline's bookkeeping: knots, tied poles, fixed top.
 
+    >>> import numpy as np
+    >>> import drake_exo as dx
+    >>> spline = dx.soles.SphericalSpline((4, 4))
+    >>> spline.deform(np.array([[0.1, 0.0, -0.02]]), np.full(spline.count, 1.5))
+    array([[ 0.15,  0.  , -0.03]])
+
     Free coefficients: with n_θ and n_φ knot intervals there are
     (n_θ + 2)(n_φ + 2) coefficients; each pole's n_θ + 2 are one, which
     leaves (n_θ + 2) n_φ + 2 (122 at the paper's spacing π/10). With the top

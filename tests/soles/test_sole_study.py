@@ -78,7 +78,7 @@ def test_a_design_without_costs_has_its_line(tmp_path):
         assert " nan " in text.splitlines()[-1]
 
 
-def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
+def test_a_point_of_the_front_holds_its_floor(tmp_path):
     write_step(tmp_path / "load.csv", 10)
     write_case(
         tmp_path / "case.yaml", "1-Ref", intervals=[3, 3], roughness=10.0,
@@ -86,9 +86,8 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path, monkeypatch):
     )  # fmt: skip
     case = Case.read(tmp_path / "case.yaml")
     tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
-    monkeypatch.setattr(pareto, "STAGES", tiny)
     # Far above its own optimum so few elements make the search erratic.
-    (point,) = pareto.pareto_front(case, (0.4,))
+    (point,) = pareto.pareto_front(case, (0.4,), stages=tiny)
     assert point["violation"] < 1e-3
     assert point["ratio_rot"] > 0.39
     assert point["ratio_tr"] < 0.6
@@ -144,7 +143,7 @@ def test_floors_are_corrected_by_the_exact_law(
 ):
     asked, left = [], list(verified)
 
-    def problem(case, floor):
+    def problem(case, stage, floor):
         asked.append(floor)
         return floor
 

@@ -215,8 +215,9 @@ class StoredDesign:
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     case.optimize().write(folder)
+    ...     row = case.optimize().write(folder)
     ...     (stored,) = dx.soles.find_designs(folder)
+    ...     spline, coefficients = stored.shape()
     >>> stored.name, stored.setup.mesh.volume < case.mesh.volume
     ('example', True)
 
@@ -277,6 +278,11 @@ def write_case(folder: Path, settings: Settings, start: Start) -> Settings:
 
 def find_designs(folder: Path | str) -> list[StoredDesign]:
     """The design in a folder, or those in a study's folders, in order.
+
+    >>> import drake_exo as dx
+    >>> dx.soles.find_designs("nowhere")
+    Traceback (most recent call last):
+    drake_exo.errors.InputError: nowhere: holds no design; give a folder ...
 
     Raises:
         InputError: There is none.

@@ -45,18 +45,22 @@ def pareto_front(
     setup: Setup,
     floors: Sequence[float],
     say: Callable[[str], object] | None = None,
+    stages: tuple[Stage, Stage] = STAGES,
 ) -> list[dict]:
     """Least c_tr for every floor of c_rot, lowest first.
 
     >>> import drake_exo as dx
-    >>> from drake_exo.soles.optimize import pareto
-    >>> pareto._steps(0.9, 1.3)
-    array([1.1, 1.3])
+    >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    >>> stages = case.settings.optimize.stages * 2
+    >>> (point,) = dx.soles.pareto_front(case, [0.9], stages=stages)
+    >>> point["case"], point["floor"], point["failed_steps"]
+    ('example', 0.9, 0)
 
     Args:
         setup: A sole and its step.
         floors: Of c_rot, over the initial shape's.
         say: Called with one line of progress now and then.
+        stages: For the case's own optimum, and for every point.
 
     Returns:
         For every floor: case, floor, c_tr [N/m], c_rot [N·m/rad] and their
@@ -67,10 +71,10 @@ def pareto_front(
         InputError: The first design cannot be simulated.
     """
     say, block = say or (lambda text: None), setup.settings.optimize
-    base = _initial(setup)
+    base = _initial(setup, stages[1])
     at = _solve(
-        stage_problem(_without_floor(setup), STAGES[0]),
-        None, block, STAGES[0].iterations,
+        stage_problem(_without_floor(setup), stages[0]),
+        None, block, stages[0].iterations,
         lambda iteration, best: say(
             f"own optimum, iteration {iteration}: c/|c0| "
             f"{best.trace[-1][1]:+.4f}"
@@ -85,10 +89,10 @@ def pareto_front(
                 f"{iteration}: c_tr {best.trace[-1][1]:.4f} of the brick's"
             )
 
-        tried, iterations = [], STAGES[1].iterations
+        tried, iterations = [], stages[1].iterations
         for _ in range(_CORRECTIONS + 1):
             for aim in _steps(at.ratio, floor * margin):
-                problem = _problem(setup, aim)
+                problem = _problem(setup, stages[1], aim)
                 at = _solve(problem, at, block, iterations, note)
             tried.append(_verify(setup, problem, at.best, floor, base))
             ratio = tried[-1]["ratio_rot"]
@@ -99,7 +103,7 @@ def pareto_front(
                 margin *= _AIM * floor / ratio
             elif tried[-1]["violation"] < _FEASIBLE or np.isnan(ratio):
                 break
-            iterations = STAGES[1].iterations // 2
+            iterations = stages[1].iterations // 2
         points.append(min(tried, key=_rank))
     return points
 
@@ -111,7 +115,7 @@ def _rank(point: dict) -> tuple:
     return below, outside, point["ratio_tr"]
 
 
-def _problem(setup: Setup, floor: float):
+def _problem(setup: Setup, stage: Stage, floor: float):
     """c_tr alone with c_rot at least `floor` times the initial shape's.
 
     The floor is in the smoothed measures of this very problem.
@@ -119,7 +123,7 @@ def _problem(setup: Setup, floor: float):
     alone = _without_floor(setup)
     cost = replace(alone.settings.cost, weight=0.0)
     alone = replace(alone, settings=replace(alone.settings, cost=cost))
-    problem = stage_problem(alone, STAGES[1])
+    problem = stage_problem(alone, stage)
     problem.add_rotation_floor(floor * problem.first.c_rot)
     return problem
 
@@ -171,9 +175,9 @@ def _solve(problem, at: _At | None, block, iterations, say) -> _At:
     return _At(best, approximation, ratio)
 
 
-def _initial(setup: Setup) -> Step:
+def _initial(setup: Setup, stage: Stage) -> Step:
     """The initial shape on the front's mesh, exact law."""
-    sole = setup.sole(stage_mesh(setup.mesh, STAGES[-1]))
+    sole = setup.sole(stage_mesh(setup.mesh, stage))
     return Step.by_exact_law(setup, sole, sole.penalty)
 
 

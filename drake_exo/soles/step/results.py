@@ -34,10 +34,11 @@ class Step:
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
-    >>> step.converged.all(), step.stiffness.shape
-    (np.True_, (5, 6, 6))
+    >>> step.failed_steps, step.force.shape, step.stiffness.shape
+    (0, (5, 3), (5, 6, 6))
     >>> print(f"{step.c_tr:.3g} N/m, {step.c_rot:.3g} N·m/rad")
-    ?
+    1.3e+06 N/m, 1.17e+04 N·m/rad
+    >>> figure = step.plot()
 
     Attributes:
         setup: What was simulated: settings, load, mesh, start.
