@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
     MPLCONFIGDIR="$(CURDIR)/$(VENV)/matplotlib"
 
-.PHONY: demo test coverage lint clean
+.PHONY: demo test quick docs coverage lint clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -24,6 +24,12 @@ test: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal
 
+quick: $(VENV)/installed
+	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+docs: $(VENV)/installed
+	$(BIN)/pdoc drake_exo drake_exo.contact drake_exo.soles -o docs/api
+
 coverage: $(VENV)/installed
 	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal \
 	    --cov=drake_exo --cov-branch --cov-report=term-missing:skip-covered
@@ -33,4 +39,4 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf $(VENV) demo_results
+	rm -rf $(VENV) demo_results docs/api

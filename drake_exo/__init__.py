@@ -36,7 +36,7 @@ _PLACES = {
     "model.plant": ["Model", "nominal_model"],
     "nlp.ipopt": ["SealedSolutionError"],
     "report.figures": ["plot_trials"],
-    "report.scene": ["Scene", "render"],
+    "report.scene": ["Scene"],
     "study": [
         "Calibration",
         "Prediction",
@@ -48,7 +48,8 @@ _PLACES = {
     ],
     "virtual_laboratory.campaign": ["write_campaign"],
 }
-_ROOMS = {"soles": "drake_exo.soles"}
+# Rooms with names of their own.
+_ROOMS = ("contact", "soles")
 _NAMES = {name: place for place, names in _PLACES.items() for name in names}
 
 __all__ = sorted([*_NAMES, *_ROOMS])
@@ -56,7 +57,7 @@ __all__ = sorted([*_NAMES, *_ROOMS])
 
 def __getattr__(name: str):
     if name in _ROOMS:
-        return importlib.import_module(_ROOMS[name])
+        return importlib.import_module(f"drake_exo.{name}")
     if name not in _NAMES:
         raise AttributeError(f"module 'drake_exo' has no attribute {name!r}")
     return getattr(importlib.import_module(f"drake_exo.{_NAMES[name]}"), name)

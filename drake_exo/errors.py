@@ -19,6 +19,12 @@ class InputError(Exception):
     """Bad input, told in one sentence that names file, field and remedy.
 
     The command line prints the sentence and exits with code 2.
+
+    >>> try:
+    ...     check_bounds("mass_kg", -3.0, {"unit": "kg", "above": 0.0})
+    ... except InputError as error:
+    ...     print(error)
+    mass_kg is -3, but must be above 0 kg
     """
 
 

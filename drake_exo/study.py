@@ -186,13 +186,19 @@ or directory); check the path
 
 @dataclass(frozen=True)
 class Calibration:
-    """What Phase A or B found.
+    """What Phase A or B found; see `calibrate_foot_ground`.
 
     Attributes:
         phase: "foot-ground" or "interaction".
         study: that was calibrated.
         result: of the solve; `result.problem.program.prog` is Drake's
             MathematicalProgram.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    >>> found = calibrate_foot_ground(Study(model, trials))
+    >>> found.rmsd()[0]["grf_n"]["vertical"] < 5.0
+    True
     """
 
     phase: str
@@ -286,6 +292,13 @@ class Prediction(Trial):
 
     Attributes:
         result: of the solve.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> study = Study(made.model, made.trials)
+    >>> found = predict(study, made.trials[0], made.contact)
+    >>> found.rmsd(made.trials[0])["angles_deg"]["exo_hip"] < 3.0
+    True
     """
 
     result: PhaseResult

@@ -42,6 +42,12 @@ class PredictionProblem(PhaseProblem):
         controller: gives the exoskeleton's torques; None where they are
             measured (tracked) or free.
 
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> posed = PredictionProblem(made.model, made.trials, made.contact)
+    >>> sorted(posed.bushings)
+    ['pelvis', 'shank', 'thigh']
+
     Raises:
         InputError: the model has cuffs, but the contact knows nothing of
             them; or the controller is none that can be used.

@@ -135,6 +135,15 @@ def read_contact(folder: str | Path) -> ContactModel:
 
     Raises:
         InputError: it holds none.
+
+    >>> import tempfile
+    >>> from drake_exo.contact.parameters import nominal_contact
+    >>> from drake_exo.model.plant import nominal_model
+    >>> contact = nominal_contact(nominal_model("coupled"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_contact(Path(folder), contact)
+    ...     read_contact(folder).values() == contact.values()
+    True
     """
     path = Path(folder) / PARAMETERS
     try:
@@ -238,5 +247,13 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
 
     Raises:
         InputError: it is missing or damaged.
+
+    >>> import tempfile
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, [trial] = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     trial.save(Path(folder) / "measured_rise1")
+    ...     read_trial(folder, "rise1", "measured").duration
+    1.5
     """
     return Trial.load(Path(folder) / f"{source}_{name}")

@@ -44,12 +44,12 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
         "angles_deg": _of_joints(names, d_q),
         "velocities_deg_s": _of_joints(names, d_v),
         "foot": {
-            "x_mm": 1e3 * x,
-            "z_mm": 1e3 * z,
-            "pitch_deg": np.rad2deg(pitch),
+            "x_mm": float(1e3 * x),
+            "z_mm": float(1e3 * z),
+            "pitch_deg": float(np.rad2deg(pitch)),
         },
-        "grf_n": {"horizontal": d_ground[0], "vertical": d_ground[1]},
-        "cop_mm": 1e3 * rms(cop)[0],
+        "grf_n": _by_name(("horizontal", "vertical"), d_ground),
+        "cop_mm": float(1e3 * rms(cop)[0]),
         "moments_nm": moments,
         "interaction_n": interaction,
     }
@@ -86,7 +86,7 @@ def spread(trials: list[Trial]) -> dict:
     return {
         "angles_deg": _of_joints(names, deviation(lambda t: t.q)),
         "velocities_deg_s": _of_joints(names, deviation(lambda t: t.v)),
-        "grf_n": {"horizontal": force[0], "vertical": force[1]},
+        "grf_n": _by_name(("horizontal", "vertical"), force),
         "cop_mm": 1e3
         * deviation(lambda t: t.ground.cop_x - t.coordinate(foot)),
         "moments_nm": moments,

@@ -182,6 +182,9 @@ class FootGroundSettings:
         prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
         front: factors on the noise of forces and centre of pressure, for
             the Pareto front of kinematics against forces.
+
+    >>> FootGroundSettings(law="paper").law_constants().static_friction
+    0.8
     """
 
     law: Literal["simbody", "paper"] = "simbody"
@@ -337,6 +340,11 @@ class InteractionSettings:
 
     Attributes:
         prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+
+    >>> soft = BushingSettings(normal_n_m=Range(2000.0, 100.0, 9000.0))
+    >>> InteractionSettings(thigh=soft).bushings(
+    ...     {"thigh": (0.0, 0.2)})["thigh"].normal_stiffness
+    2000.0
     """
 
     shank: BushingSettings = BushingSettings()
@@ -385,6 +393,9 @@ class PredictionSettings:
             reaction free, effort bounded).
         torque_limit_nm: bound on every joint torque, both legs together.
         guess: "data" or "line" (a minimum-jerk line between the end states).
+
+    >>> PredictionSettings(objective="comfort").torque_limit_nm
+    1000.0
     """
 
     objective: Literal["tracking", "comfort"] = "tracking"

@@ -3,8 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
-from drake_exo.contact.parameters import check_bounds
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_fields
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.report.contact_figures import ContactCurves, write_figures
 
@@ -34,7 +33,7 @@ def run(args: Namespace) -> None:
     curves = ContactCurves(
         **{name: getattr(args, name) for name in vars(ContactCurves())}
     )
-    check_bounds(curves, "contact curves")
+    check_fields(curves, "contact curves")
     if curves.dynamic_friction > curves.static_friction:
         raise InputError(
             "contact curves: dynamic friction is above static friction; "

@@ -53,6 +53,9 @@ class BushingParameters:
     exoskeleton link, so that they coincide while both chains are aligned.
     `preload` moves F2 from there in the axes of the exoskeleton link (strap
     preload), zero by default.
+
+    >>> BushingParameters(origin_z=0.25).scaled(1.4).normal_stiffness
+    7000.0
     """
 
     origin_x: float = _parameter(0.0, "m")
@@ -146,6 +149,12 @@ def bushing_deflection(
     Returns:
         (deflection, rate): [m, m, rad] and [m/s, m/s, rad/s], each entry of
         the broadcast shape.
+
+    >>> rest = (0.0, 0.0, 0.0)
+    >>> device = (0.005, 0.0, 0.0)  # 5 mm further forward
+    >>> d, rate = bushing_deflection(rest, rest, device, rest, (0.0, 0.25))
+    >>> float(d.normal)
+    0.005
     """
     x_h, z_h, angle_h = human_pose
     x_e, z_e, angle_e = exoskeleton_pose
@@ -177,6 +186,10 @@ def bushing_force(deflection, rate, stiffness, damping) -> Components:
     Args:
         deflection, rate: As from `bushing_deflection`.
         stiffness, damping: Three values in the order of COMPONENTS.
+
+    >>> still = (0.0, 0.0, 0.0)
+    >>> bushing_force((0, 0.005, 0), still, (1, 4000.0, 1), still).normal
+    20.0
     """
     return Components(
         *(

@@ -27,6 +27,11 @@ class TrackingController(LeafSystem):
         torque: (n, nq - 3) feed-forward [N m].
         stiffness: of the feedback [N m/rad].
         damping: of the feedback [N m s/rad].
+
+    >>> still = np.zeros((2, 6))
+    >>> controller = TrackingController([0.0, 1.0], still, still, still[:, 3:])
+    >>> controller.GetOutputPort("joint_torques").size()
+    3
     """
 
     def __init__(self, times, q, v, torque, stiffness=500.0, damping=30.0):
@@ -53,20 +58,31 @@ class TrackingController(LeafSystem):
 
 @TemplateSystem.define("AssistController_")
 def AssistController_(T):
-    """Gravity-like support at knee and hip that fades as they extend.
-
-    torque = -support sin(angle) - damping rate, at knee and hip; flexion is
-    positive, so support extends.
-
-    Args of the constructor:
-        knee_nm, hip_nm: support at a right angle, both legs [N m].
-        damping: [N m s/rad].
-
-    Input exoskeleton_state (6): ankle, knee, hip [rad], then rates [rad/s].
-    Output exoskeleton_torques (3): ankle, knee, hip [N m].
-    """
+    """See `AssistController`."""
 
     class Impl(LeafSystem_[T]):
+        """Gravity-like support at knee and hip that fades as they extend.
+
+        torque = -support sin(angle) - damping rate, at knee and hip; flexion is
+        positive, so support extends.
+
+        Args of the constructor:
+            knee_nm, hip_nm: support at a right angle, both legs [N m].
+            damping: [N m s/rad].
+
+        Input exoskeleton_state (6): ankle, knee, hip [rad], then rates [rad/s].
+        Output exoskeleton_torques (3): ankle, knee, hip [N m].
+
+        >>> controller = AssistController(knee_nm=20.0)
+        >>> context = controller.CreateDefaultContext()
+        >>> bent = [0.0, 1.5708, 0.0, 0.0, 0.0, 0.0]
+        >>> port = controller.GetInputPort("exoskeleton_state")
+        >>> port.FixValue(context, bent) and None
+        >>> port = controller.GetOutputPort("exoskeleton_torques")
+        >>> port.Eval(context).round(2) + 0.0
+        array([  0., -20.,   0.])
+        """
+
         def _construct(
             self,
             knee_nm: float = 15.0,

@@ -138,6 +138,11 @@ def build_simulator(
         context: of the diagram; the default one if None.
         accuracy: of the integrator, relative.
         integrator: name as in Drake's `SimulatorConfig`.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> simulator = build_simulator(build_diagram(nominal_model("human")))
+    >>> simulator.get_integrator().get_target_accuracy()
+    0.001
     """
     simulator = (
         Simulator(model.diagram)

@@ -141,7 +141,11 @@ class SphereWrench(NamedTuple):
 
 
 def paper_stiffness(modulus):
-    """The paper's k for a plane-strain modulus E [N/m²]: ½ E^(2/3)."""
+    """The paper's k for a plane-strain modulus E [N/m²]: ½ E^(2/3).
+
+    >>> round(paper_stiffness(8e6))
+    20000
+    """
     return 0.5 * modulus ** (2.0 / 3.0)
 
 
@@ -271,6 +275,11 @@ def sphere_force(
 
     Raises:
         InputError: The law is unknown, or the constants are another law's.
+
+    >>> normal, friction = sphere_force(
+    ...     "simbody", 0.005, 0.0, 0.1, 5e6, 2.0, 0.032)
+    >>> round(float(normal)), round(float(friction))
+    (183, -155)
     """
     constants = checked_constants(law, constants)
     normal_force = _paper_normal if law == "paper" else _simbody_normal

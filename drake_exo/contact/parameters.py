@@ -8,8 +8,6 @@ take; single scalars of it are called "heel.stiffness" or "thigh.origin_x". A
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 
-import numpy as np
-
 from drake_exo.contact.bushing import CALIBRATED, BushingParameters
 from drake_exo.contact.hunt_crossley import (
     Constants,
@@ -17,7 +15,7 @@ from drake_exo.contact.hunt_crossley import (
     checked_constants,
     paper_stiffness,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_fields
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
 
@@ -94,6 +92,9 @@ class ContactSphere:
 
     `stiffness` is k = ½ E^(2/3) for the paper's law and E in N/m² for
     simbody's; `x` and `z` place the centre in the link's frame.
+
+    >>> ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032).radius
+    0.032
     """
 
     stiffness: float = field(metadata={"unit": "", "above": 0.0})
@@ -109,7 +110,13 @@ SPHERE_PARAMETERS = tuple(f.name for f in fields(ContactSphere))
 
 @dataclass(frozen=True)
 class GroundContact:
-    """Law, constants (the law's defaults if None) and spheres by name."""
+    """Law, constants (the law's defaults if None) and spheres by name.
+
+    >>> heel = ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032)
+    >>> GroundContact("simbody", {"heel": heel}).checked().constants
+    ... # doctest: +ELLIPSIS
+    SimbodyConstants(static_friction=0.8, ...)
+    """
 
     law: Law
     spheres: dict[str, ContactSphere]
@@ -126,8 +133,8 @@ class GroundContact:
         if not self.spheres:
             raise InputError("the foot–ground contact needs a sphere")
         for name, sphere in self.spheres.items():
-            check_bounds(sphere, f"contact sphere '{name}'")
-        check_bounds(constants, f"constants of contact law '{self.law}'")
+            check_fields(sphere, f"contact sphere '{name}'")
+        check_fields(constants, f"constants of contact law '{self.law}'")
         return GroundContact(self.law, dict(self.spheres), constants)
 
 
@@ -222,6 +229,10 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     Args:
         model: says where spheres and cuffs are.
         law: of the foot-ground contact.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> list(nominal_contact(nominal_model("human")).ground.spheres)
+    ['heel', 'toe']
     """
     stiffness = NOMINAL_MODULUS
     if law == "paper":
@@ -242,22 +253,3 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
             preload_z=device_z - z,
         )
     return ContactModel(GroundContact(law, spheres).checked(), bushings)
-
-
-def check_bounds(values, what: str) -> None:
-    """Checks a dataclass of floats against its fields' metadata.
-
-    Raises:
-        InputError: a value is not finite or out of its bounds.
-    """
-    for item in fields(values):
-        value, bounds = getattr(values, item.name), item.metadata
-        where = f"{what}: {item.name} is {value:g} {bounds['unit']}".rstrip()
-        if not np.isfinite(value):
-            raise InputError(f"{where}; give a finite number")
-        if "above" in bounds and not value > bounds["above"]:
-            raise InputError(f"{where}; it must be above {bounds['above']:g}")
-        if "minimum" in bounds and value < bounds["minimum"]:
-            raise InputError(
-                f"{where}; it must be at least {bounds['minimum']:g}"
-            )

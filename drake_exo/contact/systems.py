@@ -37,10 +37,9 @@ from drake_exo.contact.hunt_crossley import (
 from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
-    check_bounds,
 )
 from drake_exo.contact.scalars import any_scalar, arctan2
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_fields
 
 
 def declare_body_inputs(system: LeafSystem, T) -> None:
@@ -305,26 +304,35 @@ class _FootGroundContact:
 
 @TemplateSystem.define("FootGroundContact_")
 def FootGroundContact_(T):
-    """Smooth Hunt–Crossley contact of spheres on the foot with z = 0.
-
-    Inputs, to be connected to the plant's ports of the same name:
-        body_poses, body_spatial_velocities.
-    Outputs:
-        spatial_forces: for a plant's applied_spatial_force port.
-        ground_reaction: F_x, F_z [N] on the foot and the moment
-            M_y = z F_x − x F_z about the world's origin [N·m], sums.
-        sphere_wrenches: F_x, F_z [N], x, z of the contact point [m] of each
-            sphere in turn.
-    Numeric parameters:
-        a vector for each sphere (SPHERE_PARAMETERS), then one with the law's
-        constants (in the order of their fields).
-
-    Args of the constructor:
-        body: index of the foot link in the plant.
-        parameters: `GroundContact`; a context starts with these values.
-    """
+    """See `FootGroundContact`."""
 
     class Impl(_FootGroundContact, LeafSystem_[T]):
+        """Smooth Hunt–Crossley contact of spheres on the foot with z = 0.
+
+        Inputs, to be connected to the plant's ports of the same name:
+            body_poses, body_spatial_velocities.
+        Outputs:
+            spatial_forces: for a plant's applied_spatial_force port.
+            ground_reaction: F_x, F_z [N] on the foot and the moment
+                M_y = z F_x − x F_z about the world's origin [N·m], sums.
+            sphere_wrenches: F_x, F_z [N], x, z of the contact point [m] of each
+                sphere in turn.
+        Numeric parameters:
+            a vector for each sphere (SPHERE_PARAMETERS), then one with the
+            law's constants (in the order of their fields).
+
+        Args of the constructor:
+            body: index of the foot link in the plant.
+            parameters: `GroundContact`; a context starts with these values.
+
+        >>> from drake_exo.contact.parameters import ContactSphere
+        >>> heel = ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032)
+        >>> contact = FootGroundContact(
+        ...     BodyIndex(1), GroundContact("simbody", {"heel": heel}))
+        >>> contact.GetOutputPort("ground_reaction").size()
+        3
+        """
+
         def _construct(self, body, parameters, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             self._declare(T, body, parameters)
@@ -355,7 +363,7 @@ class _Bushings:
                 "name the same"
             )
         for name, values in parameters.items():
-            check_bounds(values, f"bushing '{name}'")
+            check_fields(values, f"bushing '{name}'")
         self._T = T
         self._pairs = {name: tuple(pairs[name]) for name in parameters}
         self._parameters = dict(parameters)
@@ -472,25 +480,33 @@ class _Bushings:
 
 @TemplateSystem.define("HumanExoskeletonBushings_")
 def HumanExoskeletonBushings_(T):
-    """Planar bushings between pairs of links.
-
-    Inputs, to be connected to the plant's ports of the same name:
-        body_poses, body_spatial_velocities.
-    Outputs, three values (tangential, normal, rotation) for each bushing:
-        interaction_forces: on the human [N, N, N·m].
-        deflections: [m, m, rad].
-        energies: ½ k d² [J].
-    and spatial_forces, for a plant's applied_spatial_force port.
-    Numeric parameters:
-        a vector for each bushing (BUSHING_PARAMETERS).
-
-    Args of the constructor:
-        pairs: (human link, exoskeleton link) body indices by name.
-        parameters: `BushingParameters` by the same names; their order is
-            that of the outputs. A context starts with these values.
-    """
+    """See `HumanExoskeletonBushings`."""
 
     class Impl(_Bushings, LeafSystem_[T]):
+        """Planar bushings between pairs of links.
+
+        Inputs, to be connected to the plant's ports of the same name:
+            body_poses, body_spatial_velocities.
+        Outputs, three values (tangential, normal, rotation) for each bushing:
+            interaction_forces: on the human [N, N, N·m].
+            deflections: [m, m, rad].
+            energies: ½ k d² [J].
+        and spatial_forces, for a plant's applied_spatial_force port.
+        Numeric parameters:
+            a vector for each bushing (BUSHING_PARAMETERS).
+
+        Args of the constructor:
+            pairs: (human link, exoskeleton link) body indices by name.
+            parameters: `BushingParameters` by the same names; their order is
+                that of the outputs. A context starts with these values.
+
+        >>> cuffs = HumanExoskeletonBushings(
+        ...     {"thigh": (BodyIndex(1), BodyIndex(2))},
+        ...     {"thigh": BushingParameters()})
+        >>> cuffs.GetOutputPort("interaction_forces").size()
+        3
+        """
+
         def _construct(
             self,
             pairs: Mapping[str, tuple[BodyIndex, BodyIndex]],

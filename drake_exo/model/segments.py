@@ -7,10 +7,9 @@ forward and z up along the segment when standing straight. Points are (x, z).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from math import isfinite
 from typing import Any, TypeVar
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_bounds
 
 SEGMENTS = ("foot", "shank", "thigh", "pelvis")
 
@@ -203,7 +202,8 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
         elif isinstance(current, tuple):
             changes[name] = _point(value, label)
         else:
-            changes[name] = _number(value, label, known[name].metadata)
+            check_bounds(label, value, known[name].metadata)
+            changes[name] = float(value)
     return replace(parameters, **changes)
 
 
@@ -219,25 +219,12 @@ def _items(overrides: Any, where: str) -> list[tuple[str, Any]]:
     )
 
 
-def _number(value: Any, label: str, metadata: Mapping[str, Any]) -> float:
-    unit = metadata.get("unit", "")
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not isfinite(value)
-    ):
-        raise InputError(f"{label} must be a number in {unit}, not {value!r}")
-    if "above" in metadata and not value > metadata["above"]:
-        raise InputError(
-            f"{label} must be above {metadata['above']:g} {unit}, not {value!r}"
-        )
-    return float(value)
-
-
 def _point(value: Any, label: str) -> tuple[float, float]:
     if isinstance(value, str) or not hasattr(value, "__len__"):
         raise InputError(f"{label} must be two numbers (x, z) in m")
     if len(value) != 2:
         raise InputError(f"{label} must be two numbers (x, z) in m")
-    x, z = (_number(c, label, _POINT) for c in value)
+    for coordinate in value:
+        check_bounds(label, coordinate, _POINT)
+    x, z = map(float, value)
     return x, z

@@ -96,7 +96,15 @@ class Iterate:
 
 
 class SealedSolutionError(RuntimeError):
-    """A failed solution was read without `unseal()`."""
+    """A failed solution was read without `unseal()`.
+
+    >>> failed = Solution(False, "no progress", 3, 0.0, 1.0, [], 1, 1, 1)
+    >>> try:
+    ...     failed.values([0])
+    ... except SealedSolutionError as error:
+    ...     print(str(error)[:30])
+    the solve failed (no progress)
+    """
 
 
 @dataclass

@@ -64,6 +64,11 @@ class Scene:
         diagram: plant, SceneGraph and, if asked for, Meshcat.
         context: the diagram's context.
         coordinates: of the model.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> scene = Scene(nominal_model("human"))
+    >>> scene.upright_pose((0.0, 90.0, 90.0)).shape
+    (6,)
     """
 
     def __init__(
@@ -138,6 +143,69 @@ class Scene:
         self.plant.SetPositions(
             self.plant.GetMyMutableContextFromRoot(self.context), q
         )
+
+    def upright_pose(
+        self,
+        joints_deg: Sequence[float],
+        offsets_deg: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> np.ndarray:
+        """Positions with flat feet on the ground.
+
+        Args:
+            joints_deg: of the human: ankle, knee, hip [deg].
+            offsets_deg: by how much the exoskeleton's angles differ [deg].
+
+        Returns:
+            (nq,) positions of the plant.
+        """
+        plant, names = self.plant, self.coordinates
+        body = np.zeros(len(names.body))
+        body[names.columns(names.human)] = np.radians(joints_deg)
+        q = names.aligned(body[None])[0]
+        if names.device:
+            q[names.device_columns] += np.radians(offsets_deg)
+        shod = plant.HasFrameNamed("plate_heel")
+        sole = plant.GetFrameByName("plate_heel" if shod else "sole_heel")
+        q[1] = -sole.GetFixedPoseInBodyFrame().translation()[2]
+        return q
+
+    def render(
+        self,
+        q: Sequence[float],
+        view: "View | None" = None,
+        *,
+        width: int = 700,
+        height: int = 900,
+    ) -> np.ndarray:
+        """Picture of a pose, of a scene made with `stills=True`.
+
+        Args:
+            q: (nq,) positions.
+            view: the camera; oblique if None.
+            width, height: of the picture [pixels].
+
+        Returns:
+            (height, width, 3) colours, 0 to 255.
+        """
+        self.set_pose(q)
+        view = view or OBLIQUE
+        fine = 2  # drawn twice as fine and averaged: smooth edges
+        camera = ColorRenderCamera(
+            RenderCameraCore(
+                RENDERER,
+                CameraInfo(
+                    fine * width, fine * height, radians(view.field_of_view_deg)
+                ),
+                ClippingRange(0.05, 50.0),
+                RigidTransform(),
+            ),
+            False,
+        )
+        image = self.geometry_query().RenderColorImage(
+            camera, self.world_frame_id, view.pose()
+        )
+        colours = image.data[:, :, :3].reshape(height, fine, width, fine, 3)
+        return np.round(colours.mean(axis=(1, 3))).astype(np.uint8)
 
     def geometry_query(self):
         """The QueryObject of the current pose."""
@@ -269,72 +337,6 @@ OBLIQUE = View()
 FROM_THE_RIGHT = View(eye=(0.0, -4.2, 1.0), target=(0.0, 0.0, 0.88))
 
 
-def upright_pose(
-    scene: Scene,
-    joints_deg: Sequence[float],
-    offsets_deg: Sequence[float] = (0.0, 0.0, 0.0),
-) -> np.ndarray:
-    """Positions with flat feet on the ground.
-
-    Args:
-        scene: tells the coordinates and the depth of the soles.
-        joints_deg: of the human: ankle, knee, hip [deg].
-        offsets_deg: by how much the exoskeleton's angles differ [deg].
-
-    Returns:
-        (nq,) positions of the scene's plant.
-    """
-    plant, names = scene.plant, scene.coordinates
-    body = np.zeros(len(names.body))
-    body[names.columns(names.human)] = np.radians(joints_deg)
-    q = names.aligned(body[None])[0]
-    if names.device:
-        q[names.device_columns] += np.radians(offsets_deg)
-    shod = plant.HasFrameNamed("plate_heel")
-    sole = plant.GetFrameByName("plate_heel" if shod else "sole_heel")
-    q[1] = -sole.GetFixedPoseInBodyFrame().translation()[2]
-    return q
-
-
-def render(
-    scene: Scene,
-    q: Sequence[float],
-    view: View = OBLIQUE,
-    *,
-    width: int = 700,
-    height: int = 900,
-) -> np.ndarray:
-    """Picture of a pose.
-
-    Args:
-        scene: made with `stills=True`.
-        q: (nq,) positions.
-        view: the camera.
-        width, height: of the picture [pixels].
-
-    Returns:
-        (height, width, 3) colours, 0 to 255.
-    """
-    scene.set_pose(q)
-    fine = 2  # drawn twice as fine and averaged: smooth edges
-    camera = ColorRenderCamera(
-        RenderCameraCore(
-            RENDERER,
-            CameraInfo(
-                fine * width, fine * height, radians(view.field_of_view_deg)
-            ),
-            ClippingRange(0.05, 50.0),
-            RigidTransform(),
-        ),
-        False,
-    )
-    image = scene.geometry_query().RenderColorImage(
-        camera, scene.world_frame_id, view.pose()
-    )
-    colours = image.data[:, :, :3].reshape(height, fine, width, fine, 3)
-    return np.round(colours.mean(axis=(1, 3))).astype(np.uint8)
-
-
 def write_png(path: Path, colours: np.ndarray) -> None:
     """Write colours (height, width, 3) as a PNG file."""
     height, width, _ = colours.shape
@@ -360,7 +362,7 @@ def write_page(
     """
     meshcat = Meshcat()
     scene = Scene(model, meshcat=meshcat, chair_height_m=chair_height_m)
-    scene.set_pose(upright_pose(scene, STANDING_DEG) if q is None else q)
+    scene.set_pose(scene.upright_pose(STANDING_DEG) if q is None else q)
     scene.diagram.ForcedPublish(scene.context)
     set_stage(meshcat)
     Path(path).write_text(meshcat.StaticHtml())

@@ -156,6 +156,11 @@ def write_campaign(
     Raises:
         InputError: unknown disturbance or kind of files, negative seed, or
             an impossible number of trials.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_campaign(folder, seed=1, trials=1).name
+    'study.yaml'
     """
     job = Campaign(Path(folder), seed, checked(disturbances), files)
     movements = protocol(trials, full)

@@ -1,0 +1,98 @@
+"""The public names: documented, with examples that run, and on one page."""
+
+import doctest
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import drake_exo as dx
+import drake_exo.contact
+import drake_exo.soles
+from drake_exo.files.output import Progress
+
+_PLACES = {"": dx, "contact.": drake_exo.contact, "soles.": drake_exo.soles}
+NAMES = [
+    prefix + name
+    for prefix, place in _PLACES.items()
+    for name in place.__all__
+    if callable(getattr(place, name))
+]
+
+
+def found(name: str):
+    prefix, _, last = name.rpartition(".")
+    return getattr(_PLACES[f"{prefix}." if prefix else ""], last)
+
+
+def test_there_are_not_many():
+    assert len(dx.__all__) <= 32
+    assert set(dx.__all__) <= set(dir(dx))
+
+
+def test_unknown_names_are_told():
+    with pytest.raises(AttributeError, match="no attribute 'predikt'"):
+        dx.predikt  # noqa: B018
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_documentation_has_an_example_that_runs(name, monkeypatch):
+    """Progress depends on the clock: examples show none."""
+    monkeypatch.setattr(Progress, "_print", lambda *_: None)
+    thing = found(name)
+    text = inspect.getdoc(thing)
+    assert text and text.strip(), f"{name} is not documented"
+    module = sys.modules[getattr(thing, "__module__", "drake_exo")]
+    finder = doctest.DocTestFinder(recurse=False)
+    # A template's documentation is that of the function that defines it.
+    (test, *_) = finder.find(
+        _documented(thing, text), name, globs=dict(vars(module))
+    )
+    assert test.examples, f"{name} has no example"
+    results = doctest.DocTestRunner(
+        verbose=False, optionflags=doctest.ELLIPSIS
+    ).run(test)
+    assert results.failed == 0
+
+
+def _documented(thing, text: str):
+    """Something with this documentation, which doctest takes."""
+
+    def stand_in():
+        """See below."""
+
+    stand_in.__doc__ = text
+    return stand_in
+
+
+def test_light_names_do_not_load_the_exoskeleton_half():
+    code = (
+        "import sys, drake_exo as dx\n"
+        "dx.InputError, dx.soles\n"
+        "bad = [m for m in sys.modules if m.startswith('pydrake.multibody')"
+        " or m.startswith('drake_exo.model')]\n"
+        "assert not bad, bad\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.slow
+def test_the_page_of_all_names_is_made(tmp_path):
+    """`make docs` writes it from the docstrings."""
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "pdoc", "drake_exo"),
+            *("drake_exo.contact", "drake_exo.soles", "-o", str(tmp_path)),
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    for name in NAMES:
+        prefix, _, last = name.rpartition(".")
+        page = tmp_path / "drake_exo.html"
+        if prefix:
+            page = tmp_path / "drake_exo" / f"{prefix}.html"
+        assert f'id="{last}"' in page.read_text("utf-8"), name
