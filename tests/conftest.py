@@ -1,5 +1,6 @@
 """Fixtures shared by all tests."""
 
+import functools
 import os
 import signal
 from pathlib import Path
@@ -13,6 +14,14 @@ def pytest_configure(config):
     """Let Ctrl-C work where a shell in the background had it ignored."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session")
+def nominal():
+    """Nominal model of a kind; its tree is read once for all tests."""
+    from drake_exo.model.plant import nominal_model
+
+    return functools.cache(nominal_model)
 
 
 @pytest.fixture(scope="session")

@@ -6,23 +6,28 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from drake_exo.contact.bushing import BushingParameters
-from drake_exo.contact.diagram import BUSHINGS, build_diagram
+from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.hunt_crossley import PaperConstants, SimbodyConstants
-from drake_exo.contact.parameters import ContactParameters, ContactSphere
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactSphere,
+    GroundContact,
+)
+from drake_exo.model.plant import nominal_model
 
 
-def unusual_contact(law):
+def unusual_ground(law):
     """Parameters none of which is a default."""
     constants = PaperConstants() if law == "paper" else SimbodyConstants()
     factors = np.linspace(0.8, 1.2, len(astuple(constants)))
     constants = type(constants)(*(factors * astuple(constants)))
     stiffness = 1.3e4 if law == "paper" else 4e6
-    return ContactParameters(
+    return GroundContact(
         law,
         {
-            "heel": ContactSphere(-0.04, -0.06, 0.035, stiffness, 1.5),
-            "ball": ContactSphere(0.12, -0.05, 0.030, 0.8 * stiffness, 2.5),
-            "toe": ContactSphere(0.17, -0.055, 0.025, 1.1 * stiffness, 0.0),
+            "heel": ContactSphere(stiffness, 1.5, -0.04, -0.06, 0.035),
+            "ball": ContactSphere(0.8 * stiffness, 2.5, 0.12, -0.05, 0.030),
+            "toe": ContactSphere(1.1 * stiffness, 0.0, 0.17, -0.055, 0.025),
         },
         constants,
     )
@@ -43,14 +48,16 @@ def unusual_bushings():
             preload_z=-0.001 * i,
             preload_angle=0.01 * i,
         )
-        for i, name in enumerate(BUSHINGS)
+        for i, name in enumerate(("shank", "thigh", "pelvis"))
     }
 
 
+def unusual_contact(law):
+    return ContactModel(unusual_ground(law), unusual_bushings())
+
+
 def coupled(law):
-    return build_diagram(
-        "coupled", contact=unusual_contact(law), bushings=unusual_bushings()
-    )
+    return build_diagram(nominal_model("coupled"), unusual_contact(law))
 
 
 def random_state(model, seed):

@@ -12,12 +12,6 @@ from drake_exo.contact.bushing import (
     bushing_force,
     bushing_wrench,
 )
-from drake_exo.contact.bushing_derivatives import (
-    DEFLECTION_INPUTS,
-    FORCE_INPUTS,
-    bushing_deflection_derivatives,
-    bushing_force_derivatives,
-)
 
 STIFFNESS = (2000.0, 5000.0, 50.0)
 DAMPING = (10.0, 20.0, 0.1)
@@ -159,52 +153,6 @@ def test_power_of_the_pair_is_minus_force_times_rate():
     np.testing.assert_allclose(
         sum(f * r for f, r in zip(spring, rate, strict=True)), gain, rtol=1e-10
     )
-
-
-def test_derivatives(check_derivatives):
-    z = inputs(40)
-    preload = (0.01, -0.02, 0.05)
-    result = bushing_force_derivatives(
-        z[0:3], z[3:6], z[6:9], z[9:12], z[12:14], z[14:17], z[17:20], preload
-    )
-    assert result.d_force.shape == (3, len(FORCE_INPUTS), 40)
-    np.testing.assert_allclose(
-        result.force, force_of_inputs(*z, preload=preload), rtol=1e-14
-    )
-    check_derivatives(
-        lambda *a: force_of_inputs(*a, preload=preload), z, result.d_force
-    )
-
-    def deflections(*a):
-        return np.concatenate(
-            bushing_deflection(a[0:3], a[3:6], a[6:9], a[9:12], a[12:14])
-        )
-
-    unloaded = bushing_deflection_derivatives(
-        z[0:3], z[3:6], z[6:9], z[9:12], z[12:14]
-    )
-    assert unloaded[2].shape == (3, len(DEFLECTION_INPUTS), 40)
-    check_derivatives(deflections, z[:14], np.concatenate(unloaded[2:], axis=0))
-
-
-def test_derivatives_broadcast_single_states_and_parameters():
-    pose_h, motion_h, pose_e, motion_e = states(5)
-    result = bushing_force_derivatives(
-        pose_h, motion_h, pose_e, motion_e, (0.1, 0.3), STIFFNESS, DAMPING
-    )
-    assert result.deflection.shape == result.rate.shape == (3, 5)
-    one = bushing_force_derivatives(
-        pose_h[:, 2],
-        motion_h[:, 2],
-        pose_e[:, 2],
-        motion_e[:, 2],
-        (0.1, 0.3),
-        STIFFNESS,
-        DAMPING,
-    )
-    assert one.force.shape == (3,)
-    np.testing.assert_allclose(one.d_force, result.d_force[..., 2], rtol=1e-13)
-    np.testing.assert_allclose(one.rate, result.rate[:, 2], rtol=1e-13)
 
 
 def test_every_scalar_type_gives_the_same_force():

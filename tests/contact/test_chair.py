@@ -11,19 +11,19 @@ from drake_exo.measurement.inverse_dynamics import (
     wrench_on_body,
 )
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.model.plant import nominal_model
 
 TIMES = np.linspace(0.0, 1.0, 21)
 WRENCH = np.column_stack(
     [20.0 * np.sin(6 * TIMES), 400.0 - 300.0 * TIMES, 60.0 + 5.0 * TIMES]
 )
 Q = np.array([0.3, 0.07, 0.02, 0.3, 1.5, 1.4])
+HUMAN = nominal_model("human")
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return build_plant("human")
+    return HUMAN.plant()
 
 
 def chair(plant, **shares):
@@ -35,7 +35,7 @@ def chair(plant, **shares):
 
 
 def seated(plant, **shares):
-    model = build_diagram("human", forces=[chair(plant, **shares)])
+    model = build_diagram(HUMAN, forces=[chair(plant, **shares)])
     context = model.diagram.CreateDefaultContext()
     model.plant.SetPositions(model.plant_context(context), Q)
     return model, context
@@ -64,7 +64,7 @@ def test_acts_as_inverse_dynamics_takes_it(plant, shares):
         found -= model.plant.CalcInverseDynamics(
             plant_context, zero, forces
         ) - model.plant.CalcInverseDynamics(plant_context, zero, gravity)
-    tree = PlanarTree.from_plant(plant)
+    tree = HUMAN.tree
     k = int(np.argmin(np.abs(TIMES - 0.4)))
     expected = 0.0
     for body, share in shares.items():
@@ -77,7 +77,7 @@ def test_acts_as_inverse_dynamics_takes_it(plant, shares):
 
 def test_bears_a_seated_body_at_rest(plant):
     """With what inverse dynamics asks for, nothing accelerates."""
-    tree = PlanarTree.from_plant(plant)
+    tree = HUMAN.tree
     q = Q[None].copy()
     zero = np.zeros((1, 6))
     w = PlanarWrench(WRENCH[:1, :2], WRENCH[:1, 2])
@@ -108,7 +108,7 @@ def test_plays_its_time_series_and_holds_its_ends(plant):
 
 
 def test_simulates(plant):
-    model = build_diagram("human", forces=[chair(plant)])
+    model = build_diagram(HUMAN, forces=[chair(plant)])
     simulator = build_simulator(model)
     context = simulator.get_mutable_context()
     model.plant.SetPositions(model.plant_context(context), Q)

@@ -1,5 +1,7 @@
 """Simulations: settling, sliding, coming together, ports of the diagram."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.geometry import Meshcat
@@ -15,14 +17,21 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 
 from drake_exo.contact.diagram import (
-    BUSHINGS,
     ExoskeletonDiagram,
     build_diagram,
     build_simulator,
-    nominal_bushings,
 )
-from drake_exo.contact.hunt_crossley import PaperConstants, SimbodyConstants
-from drake_exo.contact.parameters import nominal_contact
+from drake_exo.contact.hunt_crossley import (
+    PaperConstants,
+    SimbodyConstants,
+    paper_stiffness,
+)
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactSphere,
+    GroundContact,
+    nominal_contact,
+)
 from drake_exo.contact.systems import (
     FootGroundContact,
     declare_body_inputs,
@@ -30,6 +39,7 @@ from drake_exo.contact.systems import (
 )
 from drake_exo.errors import InputError
 from drake_exo.model.description import fit_exoskeleton, nominal_human
+from drake_exo.model.plant import Model, nominal_model
 
 LAWS = ("paper", "simbody")
 RADIUS = 0.032
@@ -59,8 +69,7 @@ class HoldPosture(LeafSystem):
 
 def standing(kind, law):
     """Somebody held upright above the ground, weight over the middle foot."""
-    human = nominal_human()
-    foot = human if kind == "human" else fit_exoskeleton(human)
+    subject = nominal_model(kind)
     device = kind == "coupled"
     lean = [0.06, 0.0, 0.0]
     controller = HoldPosture(
@@ -68,14 +77,11 @@ def standing(kind, law):
         [5000.0, 3000.0, 3000.0] + [0.0] * 3 * device,
         [300.0, 150.0, 150.0] + [20.0] * 3 * device,
     )
-    model = build_diagram(
-        kind,
-        contact=nominal_contact(law, foot.heel_m, foot.toe_m, RADIUS),
-        controller=controller,
-    )
+    contact = nominal_contact(subject, law)
+    model = build_diagram(subject, contact, controller=controller)
     simulator = build_simulator(model)
     q = np.zeros(model.plant.num_positions())
-    q[1] = RADIUS - foot.heel_m[1] + 0.005
+    q[1] = RADIUS - subject.spheres["heel"][1] + 0.005
     q[3:] = lean * (1 + device)
     plant_context = model.plant_context(simulator.get_context())
     model.plant.SetPositions(plant_context, q)
@@ -83,7 +89,10 @@ def standing(kind, law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("kind", ["human", "rigid", "coupled"])
+@pytest.mark.parametrize(
+    "kind",
+    ["human", "rigid", pytest.param("coupled", marks=pytest.mark.slow)],
+)
 def test_settles_to_body_weight(kind, law):
     model, simulator, plant_context = standing(kind, law)
     assert simulator.get_context().get_time() == 0.0
@@ -131,9 +140,12 @@ def sliding_block(law, friction):
         "transition_velocity": 0.01,
     }
     kind = PaperConstants if law == "paper" else SimbodyConstants
-    parameters = nominal_contact(
-        law, (-0.14, 0.0), (0.14, 0.0), RADIUS, kind(**constants)
-    )
+    stiffness = 5e6 if law == "simbody" else paper_stiffness(5e6)
+    spheres = {
+        name: ContactSphere(stiffness, 2.0, x, 0.0, RADIUS)
+        for name, x in (("heel", -0.14), ("toe", 0.14))
+    }
+    parameters = GroundContact(law, spheres, kind(**constants))
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     contact = builder.AddSystem(FootGroundContact(block.index(), parameters))
@@ -174,15 +186,15 @@ def test_slides_the_analytic_distance(law, friction):
 
 def floating_pair(damping):
     """Human and device apart, far above the ground, without gravity."""
-    human = nominal_human()
-    device = fit_exoskeleton(human)
-    bushings = nominal_bushings(human, device)
+    subject = replace(nominal_model("coupled"), gravity_m_s2=0.0)
+    contact = nominal_contact(subject)
     if not damping:
         bushings = {
             name: type(b)(*b.origin, *b.stiffness, 0.0, 0.0, 0.0)
-            for name, b in bushings.items()
+            for name, b in contact.bushings.items()
         }
-    model = build_diagram("coupled", bushings=bushings, gravity=0.0)
+        contact = replace(contact, bushings=bushings)
+    model = build_diagram(subject, contact)
     simulator = build_simulator(model, integrator="runge_kutta3", accuracy=1e-4)
     context = model.plant_context(simulator.get_context())
     q = np.array([0.0, 5.0, 0.0, 0.1, 0.4, 0.5, 0.0, 0.3, 0.4])
@@ -209,6 +221,7 @@ def energies_while(model, simulator, duration):
     return np.array(energies)
 
 
+@pytest.mark.slow
 def test_bushings_bring_the_chains_together():
     model, simulator, context = floating_pair(damping=True)
     root = simulator.get_context()
@@ -248,7 +261,7 @@ class Push(LeafSystem):
 
 def test_further_forces_and_torques_reach_the_plant():
     push = Push()
-    model = build_diagram("coupled", forces=[push])
+    model = build_diagram(nominal_model("coupled"), forces=[push])
     context = model.diagram.CreateDefaultContext()
     model.plant.SetPositions(
         model.plant_context(context), [0.0, 5.0, 0.0] + [0.0] * 6
@@ -274,13 +287,14 @@ def test_ports_of_each_kind():
         ("rigid", names),
         ("coupled", names | interaction),
     ):
-        diagram = build_diagram(kind).diagram
+        diagram = build_diagram(nominal_model(kind)).diagram
         outputs = {
             diagram.get_output_port(i).get_name()
             for i in range(diagram.num_output_ports())
         }
         assert outputs == expected
-    free = build_diagram("coupled", bushings={})
+    coupled = nominal_model("coupled")
+    free = build_diagram(coupled, ContactModel(nominal_contact(coupled).ground))
     assert free.bushings is None
 
 
@@ -288,26 +302,27 @@ def test_a_cuff_that_is_off_preloads_the_bushing():
     human = nominal_human()
     x, z = human.thigh_cuff_m
     device = fit_exoskeleton(human, {"thigh_cuff_m": (x + 0.004, z)})
-    model = build_diagram("coupled", human, device)
+    model = build_diagram(Model("coupled", human, device))
     context = model.diagram.CreateDefaultContext()
     deflections = model.diagram.GetOutputPort("deflections").Eval(context)
     expected = np.zeros(9)
-    expected[3 * BUSHINGS.index("thigh") + 1] = 0.004
+    expected[3 * 1 + 1] = 0.004  # normal, of the second cuff
     np.testing.assert_allclose(deflections, expected, atol=1e-15)
 
 
 def test_bad_requests_are_refused():
-    human = nominal_human()
-    bushings = nominal_bushings(human, fit_exoskeleton(human))
-    with pytest.raises(InputError, match="'rigid' takes no bushings"):
-        build_diagram("rigid", bushings=bushings)
-    with pytest.raises(InputError, match="known are shank, thigh, pelvis"):
-        build_diagram("coupled", bushings={"foot": bushings["shank"]})
+    coupled = nominal_model("coupled")
+    contact = nominal_contact(coupled)
+    with pytest.raises(InputError, match="kind 'rigid' has none"):
+        build_diagram(coupled.rigid, contact)
+    foot = {"foot": contact.bushings["shank"]}
+    with pytest.raises(InputError, match="has shank, thigh, pelvis"):
+        build_diagram(coupled, replace(contact, bushings=foot))
 
 
 def test_meshcat_shows_the_simulation():
     meshcat = Meshcat()
-    model = build_diagram("coupled", meshcat=meshcat)
+    model = build_diagram(nominal_model("coupled"), meshcat=meshcat)
     simulator = Simulator(model.diagram)
     model.plant.SetPositions(
         model.plant_context(simulator.get_context()), [0.0, 5.0] + [0.0] * 7

@@ -8,7 +8,7 @@ from force_models import (
     generalized_force,
     random_state,
     unusual_bushings,
-    unusual_contact,
+    unusual_ground,
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
@@ -25,10 +25,10 @@ from drake_exo.contact.bushing import (
     bushing_energy,
     bushing_force,
 )
-from drake_exo.contact.bushing_derivatives import bushing_deflection_derivatives
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.hunt_crossley import sphere_wrench
-from drake_exo.model.plant import build_plant
+from drake_exo.contact.parameters import ContactModel, nominal_contact
+from drake_exo.model.plant import nominal_model
 
 LAWS = ("paper", "simbody")
 
@@ -39,9 +39,9 @@ def test_contact_equals_the_pure_law(law, seed):
     model = coupled(law)
     context = random_state(model, seed)
     plant_context = model.plant_context(context)
-    pose, motion = body_state(model.plant, plant_context, "exo_foot")
+    pose, motion = body_state(model.plant, plant_context, "foot")
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    parameters = unusual_contact(law)
+    parameters = unusual_ground(law)
     forces = model.contact.GetOutputPort("spatial_forces").Eval(
         model.contact.GetMyContextFromRoot(context)
     )
@@ -66,7 +66,7 @@ def test_contact_equals_the_pure_law(law, seed):
             [0, 0, 0, wrench.force_x, 0, wrench.force_z],
             rtol=1e-10,
         )
-        foot = model.plant.GetBodyByName("exo_foot")
+        foot = model.plant.GetBodyByName("foot")
         assert entry.body_index == foot.index()
         point = foot.EvalPoseInWorld(plant_context) @ entry.p_BoBq_B
         np.testing.assert_allclose(
@@ -103,15 +103,10 @@ def test_bushings_equal_the_pure_law(seed):
             [force, deflection, bushing_energy(deflection, p.stiffness)]
         )
         # Another path to the generalised force: -(dd/dq)ᵀ F.
-        _, _, by_pose, _ = bushing_deflection_derivatives(
-            pose_h, motion_h, pose_e, motion_e, p.origin, p.preload
-        )
-        for columns, body in (
-            (slice(0, 3), name),
-            (slice(6, 9), f"exo_{name}"),
-        ):
+        by_human, by_device = deflection_by_pose(pose_h, pose_e, p)
+        for by_pose, body in ((by_human, name), (by_device, f"exo_{name}")):
             jacobian = planar_jacobian(plant, plant_context, body)
-            generalized -= (by_pose[:, columns] @ jacobian).T @ force
+            generalized -= (by_pose @ jacobian).T @ force
     for i, port in enumerate(("interaction_forces", "deflections", "energies")):
         np.testing.assert_allclose(
             model.diagram.GetOutputPort(port).Eval(context),
@@ -128,6 +123,23 @@ def test_bushings_equal_the_pure_law(seed):
     assert np.max(np.abs(generalized[3:])) > 1.0
     # The pair is internal: nothing pushes or turns the whole.
     np.testing.assert_allclose(generalized[:3], 0.0, atol=1e-9)
+
+
+def deflection_by_pose(pose_h, pose_e, parameters):
+    """Derivatives (3, 3) by the human's and the device's pose."""
+    rest, step = np.zeros(3), 1e-30j
+    columns = []
+    for change in step * np.eye(6):
+        moved, _ = bushing_deflection(
+            pose_h + change[:3],
+            rest,
+            pose_e + change[3:],
+            rest,
+            parameters.origin,
+            parameters.preload,
+        )
+        columns.append(np.imag(moved) / 1e-30)
+    return np.hsplit(np.transpose(columns), 2)
 
 
 def planar_jacobian(plant, plant_context, body):
@@ -149,12 +161,14 @@ def test_equal_stiffness_without_damping_is_drakes_bushing(seed):
     bushing = BushingParameters(
         *origin, stiffness, stiffness, rotational, 0.0, 0.0, 0.0
     )
-    model = build_diagram("coupled", bushings={"thigh": bushing})
+    subject = nominal_model("coupled")
+    ground = nominal_contact(subject).ground
+    model = build_diagram(subject, ContactModel(ground, {"thigh": bushing}))
     context = random_state(model, seed)
     ours = model.bushings.GetOutputPort("spatial_forces").Eval(
         model.bushings.GetMyContextFromRoot(context)
     )
-    plant = build_plant("coupled", plant=MultibodyPlant(0.0))
+    plant = subject.plant(MultibodyPlant(0.0))
     frames = [
         plant.AddFrame(
             FixedOffsetFrame(
