@@ -110,11 +110,26 @@ class Coordinates:
         Raises:
             InputError: there is none of that name.
         """
-        return self.index(name) - len(_ROOT)
+        place = self.index(name) - len(_ROOT)
+        if place < 0:
+            raise InputError(
+                f"{name!r} is no joint; known are {', '.join(self.joints)}"
+            )
+        return place
 
     def follows(self, name: str) -> str:
-        """The human's hinge beside which a device's hinge `name` sits."""
-        return next(h for h in self.human if name.endswith(f"_{h}"))
+        """The human's hinge beside which a device's hinge `name` sits.
+
+        Raises:
+            InputError: it ends like none of them.
+        """
+        for beside in self.human:
+            if name.endswith(f"_{beside}"):
+                return beside
+        raise InputError(
+            f"joint {name!r} of the device sits beside none of the human's; "
+            f"let its name end in one of _{', _'.join(self.human)}"
+        )
 
     def aligned(self, body: np.ndarray) -> np.ndarray:
         """All coordinates (n, nq) of a device that moves as the human does.

@@ -180,9 +180,9 @@ def test_overrides_replace_single_values_only():
         ((70.0, 1.75, "male", {"shin": {}}), "no value 'shin'"),
         ((70.0, 1.75, "male", {"shank": {"mas_kg": 1.0}}), "'mas_kg'"),
         ((70.0, 1.75, "male", {"shank": {"mass_kg": 0.0}}), "above 0 kg"),
-        ((70.0, 1.75, "male", {"shank": {"mass_kg": "6"}}), "a number in kg"),
+        ((70.0, 1.75, "male", {"shank": {"mass_kg": "6"}}), r"a number \[kg\]"),
         ((70.0, 1.75, "male", {"shank": {"com_m": [0.1]}}), "two numbers"),
-        ((70.0, 1.75, "male", {"heel_m": ["a", "b"]}), "a number in m"),
+        ((70.0, 1.75, "male", {"heel_m": ["a", "b"]}), r"a number \[m\]"),
         ((70.0, 1.75, "male", {"shank": 6.5}), "names with values"),
     ],
 )

@@ -11,6 +11,8 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
+from drake_exo.measurement.inverse_dynamics import wrench_on_body
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.planar_tree import PlanarTree
 
 _LINKS = {
@@ -151,6 +153,16 @@ def test_jacobians_equal_finite_differences():
         _central(lambda x: tree.point_positions(x, "c", [0.1, 0.2]), q),
         atol=1e-8,
     )
+
+
+def test_ground_reaction_takes_the_place_of_the_roots_forces():
+    tree = PlanarTree.from_plant(_plant())
+    q, Q, _ = _states(5)
+    wrench = PlanarWrench.of(tree.ground_reaction(q, Q))
+    found = wrench_on_body(tree, q, tree.foot, wrench)
+    np.testing.assert_allclose(found[:, :3], Q[:, :3], atol=1e-12)
+    assert not found[:, 3:].any()
+    assert tree.weight == pytest.approx(11.7 * 9.81)
 
 
 def test_a_plant_that_leaves_the_plane_is_refused():

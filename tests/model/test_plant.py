@@ -13,15 +13,14 @@ from pydrake.systems.analysis import Simulator
 
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton, models_path
-from drake_exo.model.plant import (
-    ALIGNMENT,
-    COORDINATES,
-    COUPLED_COORDINATES,
-    RIGID_COORDINATES,
-    build_plant,
-)
+from drake_exo.model.plant import KINDS, build_plant, nominal_model
 
-KINDS = tuple(COORDINATES)
+COUPLED = nominal_model("coupled").coordinates
+
+
+def aligned(body):
+    """Coordinates of both chains from the human's six."""
+    return COUPLED.aligned(np.array([body]))[0]
 
 
 def points(plant, q, bodies):
@@ -56,21 +55,13 @@ def inverse_dynamics(plant, q, v, vdot):
 @pytest.mark.parametrize("kind", KINDS)
 def test_coordinates_come_in_the_stated_order(kind):
     plant = build_plant(kind)
-    assert (
-        plant.num_positions()
-        == plant.num_velocities()
-        == len(COORDINATES[kind])
-    )
+    names = nominal_model(kind).coordinates.names
+    assert plant.num_positions() == plant.num_velocities() == len(names)
     foot = plant.GetJointByName("foot")
     assert (foot.position_start(), foot.velocity_start()) == (0, 0)
-    for index, name in enumerate(COORDINATES[kind][3:], start=3):
+    for index, name in enumerate(names[3:], start=3):
         joint = plant.GetJointByName(name)
         assert joint.position_start() == joint.velocity_start() == index
-
-
-def test_coordinate_tuples_agree():
-    assert COUPLED_COORDINATES[:6] == RIGID_COORDINATES
-    assert ALIGNMENT.shape == (9, 6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -97,7 +88,7 @@ def test_flexion_moves_the_next_joint(coordinate, link, direction):
     plant = build_plant("coupled")
     q = np.zeros(9)
     still = points(plant, q, [link])[link]
-    q[COUPLED_COORDINATES.index(coordinate)] = 0.4
+    q[COUPLED.index(coordinate)] = 0.4
     moved = points(plant, q, [link])[link]
     assert np.sign(np.round(moved[0] - still[0], 12)) == direction
 
@@ -124,7 +115,7 @@ def test_seated_pose_by_trigonometry():
     human = scale_human(70.0, 1.75)
     plant = build_plant("coupled", human)
     ankle, knee, hip, pitch = 0.3, 1.5, 1.4, 0.1
-    q = ALIGNMENT @ [0.2, 0.1, pitch, ankle, knee, hip]
+    q = aligned([0.2, 0.1, pitch, ankle, knee, hip])
     shank = pitch - ankle  # counter-clockwise absolute angles
     thigh = shank + knee
     pelvis = thigh - hip
@@ -159,9 +150,8 @@ def test_welded_plant_is_the_aligned_coupled_plant():
     rigid, coupled = build_plant("rigid", human), build_plant("coupled", human)
     for _ in range(20):
         q, v, a = rng.normal(size=(3, 6))
-        expected = ALIGNMENT.T @ inverse_dynamics(
-            coupled, ALIGNMENT @ q, ALIGNMENT @ v, ALIGNMENT @ a
-        )
+        S = COUPLED.aligned(np.eye(6)).T
+        expected = S.T @ inverse_dynamics(coupled, S @ q, S @ v, S @ a)
         assert inverse_dynamics(rigid, q, v, a) == pytest.approx(
             expected, rel=1e-11, abs=1e-10
         )
