@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.model.plant import nominal_model
 from drake_exo.report.scene import (
     HALFWAY_DEG,
     SEATED_DEG,
     STANDING_DEG,
     Scene,
-    render,
-    upright_pose,
     write_png,
 )
 
@@ -20,21 +19,21 @@ _FOLDER = Path(__file__).parent / "pictures"
 def main() -> None:
     """Write human.png and rise.png."""
     _FOLDER.mkdir(exist_ok=True)
-    alone = Scene("human", stills=True)
+    alone = Scene(nominal_model("human"), stills=True)
     write_png(
-        _FOLDER / "human.png", render(alone, upright_pose(alone, STANDING_DEG))
+        _FOLDER / "human.png", alone.render(alone.upright_pose(STANDING_DEG))
     )
-    coupled = Scene("coupled", stills=True, chair_height_m=0.43)
+    coupled = Scene(nominal_model("coupled"), stills=True, chair_height_m=0.43)
     # The exoskeleton's angles differ a little: straps are soft.
     poses = [
-        upright_pose(coupled, joints, offsets)
+        coupled.upright_pose(joints, offsets)
         for joints, offsets in (
             (SEATED_DEG, (-1.0, -2.0, 2.0)),
             (HALFWAY_DEG, (-1.0, -3.0, 2.0)),
             (STANDING_DEG, (0.0, 0.0, 0.0)),
         )
     ]
-    rise = [render(coupled, q, width=520, height=680) for q in poses]
+    rise = [coupled.render(q, width=520, height=680) for q in poses]
     write_png(_FOLDER / "rise.png", np.hstack(rise))
 
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from drake_exo.calibration.settings import Range
 from drake_exo.contact.hunt_crossley import PaperConstants, SimbodyConstants
 from drake_exo.model import segments
-from drake_exo.study import Study
+from drake_exo.study import StudyFile
 
 # Values given in a study replace scaled ones, which say what they mean.
 _SAME_KEYS = {
@@ -48,7 +48,7 @@ _NUMBER = (int, float)
 def page() -> str:
     """Text of the page."""
     found: dict[type, str] = {}
-    _collect(Study, "", found)
+    _collect(StudyFile, "", found)
     parts = [HEAD]
     for cls, where in found.items():
         parts.append(_section(cls, where, found))

@@ -54,7 +54,7 @@ from drake_exo.report.replay import show_trial
 
 @dataclass(frozen=True)
 class StudyFile(RecordingSettings):
-    """What a study file says; see the attributes' own classes."""
+    """A study file; see the attributes' own classes."""
 
     foot_ground: FootGroundSettings = field(default_factory=FootGroundSettings)
     interaction: InteractionSettings = field(

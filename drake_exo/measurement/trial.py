@@ -232,7 +232,7 @@ class Trial:
             InputError: one of the files is missing or damaged.
         """
         path = Path(path)
-        again = "save it again"
+        again = "run what wrote it again"
         arrays = read_arrays(path.with_name(path.name + ".npz"), again)
         rest = read_json(path.with_name(path.name + ".json"), again)
         try:

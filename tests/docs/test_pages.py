@@ -121,12 +121,12 @@ def test_light_commands_run(command, tmp_path, monkeypatch):
 def test_studies_in_the_pages_are_read():
     """Each block that is a whole study; fragments as a part of one."""
     from drake_exo.files import schema
-    from drake_exo.study import Study
+    from drake_exo.study import StudyFile
 
     page = (ROOT / "docs" / "your_data.md").read_text("utf-8")
     whole = [b for k, b in _FENCE.findall(page) if "subject:" in b]
     assert len(whole) == 1
-    schema.load_text(whole[0], Study, "docs/your_data.md")
+    schema.load_text(whole[0], StudyFile, "docs/your_data.md")
     count = 0
     for path in ("your_data.md", "your_exoskeleton.md"):
         text = (ROOT / "docs" / path).read_text("utf-8")
@@ -135,7 +135,7 @@ def test_studies_in_the_pages_are_read():
                 continue
             base = whole[0].replace("model: human # or coupled", "#")
             base += block if "model:" in block else f"model: coupled\n{block}"
-            schema.load_text(base, Study, f"docs/{path}")
+            schema.load_text(base, StudyFile, f"docs/{path}")
             count += 1
     assert count >= 3
 
