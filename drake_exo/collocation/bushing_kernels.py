@@ -164,9 +164,7 @@ class EnergyKernel:
         sigma: typical energy [J].
     """
 
-    def __init__(
-        self, bushing: BushingKinematics, components, sigma, scale=1.0
-    ):
+    def __init__(self, bushing: BushingKinematics, components, sigma):
         self._bushing = bushing
         self._components = list(components)
         self._sigma = sigma

@@ -5,8 +5,6 @@ import pytest
 from pydrake.multibody.tree import MultibodyForces
 
 from drake_exo.collocation.bushing_kernels import (
-    BUSHINGS,
-    Bushing,
     BushingKernel,
     CoupledDynamicsKernel,
     EnergyKernel,
@@ -16,22 +14,32 @@ from drake_exo.collocation.kernels import (
     DynamicsKernel,
     FootGroundKernel,
 )
-from drake_exo.contact.hunt_crossley import (
-    default_constants,
-    sphere_wrench_derivatives,
+from drake_exo.contact.bushing import (
+    BushingKinematics,
+    bushing_deflection,
+    bushing_force,
 )
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.contact.hunt_crossley import sphere_wrench_derivatives
+from drake_exo.contact.parameters import nominal_contact
+
+CUFFS = ("shank", "thigh", "pelvis")
 
 
 @pytest.fixture(scope="module")
-def plant():
-    return build_plant("coupled")
+def plant(nominal):
+    return nominal("coupled").plant()
 
 
 @pytest.fixture(scope="module")
-def tree(plant):
-    return PlanarTree.from_plant(plant)
+def tree(nominal):
+    return nominal("coupled").tree
+
+
+@pytest.fixture
+def contact_kernel(nominal):
+    """Function of the law."""
+    model = nominal("coupled")
+    return lambda law: FootGroundKernel(nominal_contact(model, law).ground)
 
 
 def _differences(kernel, x):
@@ -106,14 +114,15 @@ def test_dynamics_equal_drakes_with_a_wrench_on_the_foot(plant, tree):
 
 
 @pytest.mark.parametrize("law", ["paper", "simbody"])
-def test_contact_derivatives(law):
-    kernel = FootGroundKernel(law, default_constants(law))
-    _check(kernel, _contact_inputs(law))
+def test_contact_derivatives(contact_kernel, law):
+    _check(contact_kernel(law), _contact_inputs(law))
 
 
 @pytest.mark.parametrize("law", ["paper", "simbody"])
-def test_contact_curvature_equals_differences_of_the_jacobian(law):
-    kernel = FootGroundKernel(law, default_constants(law))
+def test_contact_curvature_equals_differences_of_the_jacobian(
+    contact_kernel, law
+):
+    kernel = contact_kernel(law)
     x = _contact_inputs(law)
     weights = _states(len(x), 3, seed=5)
     found = kernel.curvature(x, weights, None)
@@ -134,7 +143,7 @@ def test_contact_curvature_equals_differences_of_the_jacobian(law):
     assert np.abs(picked).max() < 1e-3 * largest
 
 
-def test_a_wrong_contact_derivative_is_caught(monkeypatch):
+def test_a_wrong_contact_derivative_is_caught(monkeypatch, contact_kernel):
     def wrong(*args):
         wrench, d = sphere_wrench_derivatives(*args)
         d[1, 3] *= 1.0 + 1e-4
@@ -143,37 +152,35 @@ def test_a_wrong_contact_derivative_is_caught(monkeypatch):
     monkeypatch.setattr(
         "drake_exo.collocation.kernels.sphere_wrench_derivatives", wrong
     )
-    kernel = FootGroundKernel("simbody", default_constants("simbody"))
     with pytest.raises(AssertionError, match="input"):
-        _check(kernel, _contact_inputs("simbody"))
+        _check(contact_kernel("simbody"), _contact_inputs("simbody"))
 
 
 def test_coupled_dynamics_derivatives(tree):
-    bushings = [Bushing(tree, s, (0.01, 0.02, 0.03)) for s in BUSHINGS]
+    preload = (0.01, 0.02, 0.03)
+    bushings = [BushingKinematics(tree, s, preload) for s in CUFFS]
     x = _states(5, 51)
     x[:, 27:45] *= 50.0
     _check(CoupledDynamicsKernel(tree, bushings), x)
 
 
-@pytest.mark.parametrize("segment", BUSHINGS)
+@pytest.mark.parametrize("segment", CUFFS)
 def test_bushing_and_energy_derivatives(tree, segment):
-    bushing = Bushing(tree, segment, (0.01, -0.02, 0.03))
+    bushing = BushingKinematics(tree, segment, (0.01, -0.02, 0.03))
     x = 0.5 * _states(20, 26)
     x[:, 18:21] *= 100.0
     x[:, 23:] = [2000.0, 5000.0, 50.0]
-    _check(BushingKernel(bushing, (10.0, 10.0, 0.1), 1.4), x)
+    _check(BushingKernel(bushing, (10.0, 10.0, 0.1)), x)
     columns = [*range(9), *range(21, 26)]
-    _check(EnergyKernel(bushing, [0, 2], 1.0, 1.4), x[:, columns])
+    _check(EnergyKernel(bushing, [0, 2], 1.0), x[:, columns])
 
 
-@pytest.mark.parametrize("segment", BUSHINGS)
+@pytest.mark.parametrize("segment", CUFFS)
 def test_bushing_kernel_equals_the_law(plant, tree, segment):
     """Through the plant's own kinematics and forces.bushing."""
-    from drake_exo.contact.bushing import bushing_deflection, bushing_force
-
     preload, origin = (0.01, -0.02, 0.03), np.array([0.02, 0.2])
     stiffness, damping = (1500.0, 4000.0, 30.0), (10.0, 12.0, 0.2)
-    kernel = BushingKernel(Bushing(tree, segment, preload), damping)
+    kernel = BushingKernel(BushingKinematics(tree, segment, preload), damping)
     x = np.zeros((6, 26))
     x[:, :18] = 0.6 * _states(6, 18, seed=4)
     x[:, 21:23], x[:, 23:] = origin, stiffness

@@ -7,35 +7,29 @@ import numpy as np
 import pytest
 
 from drake_exo.collocation.bushing_kernels import (
-    BUSHINGS,
-    Bushing,
     CoupledDynamicsKernel,
     EnergyKernel,
 )
 from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
 from drake_exo.collocation.loads import ControllerKernel
 from drake_exo.contact.bushing import (
+    BushingKinematics,
     bushing_deflection,
     bushing_energy,
     bushing_wrench,
 )
 from drake_exo.contact.controllers import AssistController, TrackingController
 from drake_exo.errors import InputError
-from drake_exo.model.description import fit_exoskeleton, nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
 
 N = 7
+CUFFS = ("shank", "thigh", "pelvis")
 STIFFNESS = np.array([1800.0, 5200.0, 55.0])
 PRELOAD = (0.01, -0.02, 0.05)
 
 
 @pytest.fixture(scope="module")
-def tree():
-    human = nominal_human()
-    return PlanarTree.from_plant(
-        build_plant("coupled", human, fit_exoskeleton(human))
-    )
+def tree(nominal):
+    return nominal("coupled").tree
 
 
 @pytest.fixture
@@ -71,19 +65,20 @@ def law(tree, segment, q, v, origin, preload=PRELOAD):
     )
 
 
-@pytest.mark.parametrize("segment", BUSHINGS)
+@pytest.mark.parametrize("segment", CUFFS)
 def test_energy_is_the_laws(tree, rng, segment):
     q, v = motion(rng)
     origin = origins(rng)
-    kernel = EnergyKernel(Bushing(tree, segment, PRELOAD), [0, 1, 2], 2.0, 1.4)
+    bushing = BushingKinematics(tree, segment, PRELOAD)
+    kernel = EnergyKernel(bushing, [0, 1, 2], 2.0)
     stiffness = np.tile(STIFFNESS, (N, 1))
     found = kernel.evaluate(np.hstack([q, origin, stiffness]), None)
     deflection, *_ = law(tree, segment, q, v, origin)
-    expected = bushing_energy(deflection, 1.4 * STIFFNESS)
+    expected = bushing_energy(deflection, STIFFNESS)
     np.testing.assert_allclose(
         2.0 * found, np.column_stack(expected), rtol=1e-9
     )
-    one = EnergyKernel(Bushing(tree, segment, PRELOAD), [1], 2.0, 1.4)
+    one = EnergyKernel(bushing, [1], 2.0)
     np.testing.assert_allclose(
         one.evaluate(np.hstack([q, origin, stiffness]), None), found[:, 1:2]
     )
@@ -94,13 +89,15 @@ def test_dynamics_feel_the_wrench_of_the_law(tree, rng):
     q, v = motion(rng)
     rest = np.hstack([rng.uniform(-9, 9, (N, 9)), rng.uniform(-99, 99, (N, 9))])
     forces = rng.uniform(-50.0, 50.0, (N, 9))
-    places = np.hstack([origins(rng) for _ in BUSHINGS])
-    kernel = CoupledDynamicsKernel(tree, [Bushing(tree, s) for s in BUSHINGS])
+    places = np.hstack([origins(rng) for _ in CUFFS])
+    kernel = CoupledDynamicsKernel(
+        tree, [BushingKinematics(tree, s) for s in CUFFS]
+    )
     plain = np.hstack([q, v, rest])
     found = kernel.evaluate(np.hstack([plain, forces, places]), None)
     found = found - DynamicsKernel(tree).evaluate(plain, None)
     expected = np.zeros((N, 9))
-    for b, segment in enumerate(BUSHINGS):
+    for b, segment in enumerate(CUFFS):
         origin = places[:, 2 * b : 2 * b + 2]
         human, device = (link(tree, q, v, s + segment)[0] for s in ("", "exo_"))
         w = bushing_wrench(
@@ -127,7 +124,7 @@ def test_dynamics_feel_the_wrench_of_the_law(tree, rng):
 
 def test_controller_and_its_derivatives(rng):
     controller = AssistController(knee_nm=12.0, hip_nm=7.0, damping=0.3)
-    kernel = ControllerKernel(controller)
+    kernel = ControllerKernel(controller, 3)
     x, times = rng.uniform(-1.0, 1.0, (N, 9)), np.linspace(0, 1, N)[:, None]
     found = 100.0 * kernel.evaluate(x, times) + x[:, 6:]
     np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-12)
@@ -148,4 +145,4 @@ def test_unfit_controllers_are_refused():
         np.arange(4.0), np.zeros((4, 9)), np.zeros((4, 9)), np.zeros((4, 6))
     )
     with pytest.raises(InputError, match="exoskeleton_state"):
-        ControllerKernel(stateful)
+        ControllerKernel(stateful, 3)

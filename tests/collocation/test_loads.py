@@ -5,15 +5,13 @@ from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
 from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
 from drake_exo.measurement.inverse_dynamics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
 
 TIMES = np.linspace(0.0, 1.0, 12)
 
 
 @pytest.fixture(scope="module", params=["human", "coupled"])
-def tree(request):
-    return PlanarTree.from_plant(build_plant(request.param))
+def tree(request, nominal):
+    return nominal(request.param).tree
 
 
 @pytest.fixture

@@ -4,23 +4,20 @@ import numpy as np
 import pytest
 
 from drake_exo.collocation.initial_guess import settle_foot
-from drake_exo.collocation.kernels import SPHERE_PARAMETERS, FootGroundKernel
+from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.collocation.trial_program import (
-    Movement,
     Tracking,
+    TrialProgram,
     add_parameters,
 )
 from drake_exo.contact.diagram import build_diagram
-from drake_exo.contact.hunt_crossley import default_constants
 from drake_exo.contact.parameters import (
-    ContactParameter,
-    ContactParameters,
+    ContactModel,
     ContactSphere,
+    GroundContact,
     nominal_contact,
 )
-from drake_exo.model.description import nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.model.plant import nominal_model
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
@@ -29,34 +26,23 @@ _UNITS = np.array([100.0, 100.0, 10.0])
 _STANDING = np.array([0.0, 0.07, 0.0, 0.1, 0.1, 0.05])  # balanced
 
 
-def parameters_of(contact: ContactParameters) -> np.ndarray:
-    return np.array(
-        [
-            [s.stiffness, s.dissipation, s.x, s.z, s.radius]
-            for s in contact.spheres.values()
-        ]
-    ).ravel()
-
-
-def contact_of(law):
-    human = nominal_human()
-    return nominal_contact(law, human.heel_m, human.toe_m, 0.032)
+@pytest.fixture(scope="module")
+def human():
+    return nominal_model("human")
 
 
 @pytest.mark.parametrize("law", ["paper", "simbody"])
-def test_kernel_equals_the_diagrams_contact(law):
+def test_kernel_equals_the_diagrams_contact(human, law):
+    stiffness = 1e4 if law == "paper" else 3e6
     spheres = {
-        "heel": ContactSphere(-0.04, -0.06, 0.035, 1.3e4, 1.5),
-        "toe": ContactSphere(0.17, -0.055, 0.025, 1.1e4, 0.0),
+        "heel": ContactSphere(1.3 * stiffness, 1.5, -0.04, -0.06, 0.035),
+        "toe": ContactSphere(1.1 * stiffness, 0.0, 0.17, -0.055, 0.025),
     }
-    contact = ContactParameters(law, spheres)
-    if law == "simbody":
-        for sphere in spheres.values():
-            object.__setattr__(sphere, "stiffness", 300.0 * sphere.stiffness)
-    model = build_diagram("human", contact=contact)
-    kernel = FootGroundKernel(law, default_constants(law))
+    contact = ContactModel(GroundContact(law, spheres))
+    model = build_diagram(human, contact)
+    kernel = FootGroundKernel(contact.ground)
     rng = np.random.default_rng(0)
-    parameters = parameters_of(contact)
+    parameters = list(contact.values().values())
     largest = 0.0
     for _ in range(20):
         context = model.diagram.CreateDefaultContext()
@@ -74,39 +60,36 @@ def test_kernel_equals_the_diagrams_contact(law):
     assert largest > 1e3
 
 
-def standing(tree, law, transcription):
+def standing(human, law, transcription):
     """Joints held still; the foot goes where the contact carries it."""
     program = BatchedProgram()
-    contact = parameters_of(contact_of(law))
-    names = [f"{s}.{n}" for s in ("heel", "toe") for n in SPHERE_PARAMETERS]
+    contact = nominal_contact(human, law)
     variables = add_parameters(
-        program,
-        [
-            ContactParameter(name, "", v, v - 1.0, v + 1.0, free=False)
-            for name, v in zip(names, contact, strict=True)
-        ],
-        0.0,
+        program, [*contact.fixed("heel"), *contact.fixed("toe")]
     )
-    movement = Movement(program, "rise1", tree, 0.5, 20.0, transcription)
-    kernel = FootGroundKernel(law, default_constants(law))
-    movement.stand_on(kernel, variables)
+    movement = TrialProgram(
+        program, "rise1", human.tree, 0.5, 20.0, transcription
+    )
+    kernel = FootGroundKernel(contact.ground)
+    movement.add_ground_contact(kernel, variables)
     n = len(movement.grid.times)
     still = np.zeros((n, 6))
     posture = np.tile(_STANDING, (n, 1))
-    movement.track(
+    movement.add_tracking_cost(
         [
             Tracking(movement.grid.q, posture, [1e3] * 3 + [1e-2] * 3),
             Tracking(movement.grid.v, still, 0.1),
             Tracking(movement.grid.a, still, 1.0),
         ]
     )
-    movement.damp_jerk(100.0)
-    return program, movement, variables, contact
+    movement.add_jerk_cost(100.0)
+    values = np.array(list(contact.values().values()))
+    return program, movement, variables, values, kernel
 
 
-def start(program, movement, variables, contact):
+def start(program, movement, variables, values, _):
     x = np.zeros(program.prog.num_vars())
-    x[program.indices(variables)] = contact
+    x[program.indices(variables)] = values
     q = program.indices(movement.grid.q)
     x[q] = _STANDING
     return x
@@ -114,26 +97,25 @@ def start(program, movement, variables, contact):
 
 @pytest.mark.parametrize("transcription", ["hermite_simpson", "pseudospectral"])
 @pytest.mark.parametrize("law", ["paper", "simbody"])
-def test_contact_settles_to_body_weight(law, transcription):
-    tree = PlanarTree.from_plant(build_plant("human"))
-    posed = standing(tree, law, transcription)
-    program, movement, *_ = posed
+def test_contact_settles_to_body_weight(human, law, transcription):
+    tree = human.tree
+    posed = standing(human, law, transcription)
+    program, movement, _, values, kernel = posed
     problem = SparseProgram(program, (movement.grid.substitution(program),))
     x = start(*posed)
     if law == "paper":
         # Its friction has no slope at rest and its force none in the air, so
         # it must start on the ground, here at 0.7 of the weight.
         place = program.indices(movement.grid.q[:, :3])
-        weight = 0.7 * tree.mass * tree.gravity
+        weight = 0.7 * tree.weight
         ground = np.tile([0.0, weight, -0.05 * weight], (len(place), 1))
-        kernel = FootGroundKernel(law, default_constants(law))
         x[place], _ = settle_foot(
-            kernel, posed[3], movement.grid.times, x[place], ground
+            kernel, values, movement.grid.times, x[place], ground
         )
     solution = ipopt.solve(problem, x)
     assert solution.success, solution.explain()
     ground = solution.values(program.indices(movement.ground))
-    weight = tree.mass * tree.gravity
+    weight = tree.weight
     np.testing.assert_allclose(ground[:, 1], weight, rtol=1e-3)
     assert np.abs(ground[:, 0]).max() < 1e-3 * weight
     # The centre of pressure lies under the centre of mass.
@@ -142,17 +124,15 @@ def test_contact_settles_to_body_weight(law, transcription):
     com = tree.center_of_mass(q)[:, 0]
     np.testing.assert_allclose(cop, com, atol=1e-3)
     # It started in the air; now a sphere presses into the ground.
-    heel, toe = nominal_human().heel_m, nominal_human().toe_m
     lowest = [
-        tree.point_positions(q, "foot", point)[:, 1] - 0.032
-        for point in (heel, toe)
+        tree.point_positions(q, tree.foot, point)[:, 1] - 0.032
+        for point in human.spheres.values()
     ]
     assert np.min(lowest, axis=0).max() < -1e-3
 
 
-def test_worst_constraints_name_trial_node_and_row():
-    tree = PlanarTree.from_plant(build_plant("human"))
-    posed = standing(tree, "simbody", "hermite_simpson")
+def test_worst_constraints_name_trial_node_and_row(human):
+    posed = standing(human, "simbody", "hermite_simpson")
     program, movement, *_ = posed
     problem = SparseProgram(program, (movement.grid.substitution(program),))
     x = start(*posed)
@@ -164,5 +144,5 @@ def test_worst_constraints_name_trial_node_and_row():
     (name, violation), *_ = problem.worst_constraints(y, 3)
     assert name.startswith("rise1 dynamics[")
     assert name.endswith("row 1")
-    weight = tree.mass * tree.gravity
+    weight = human.tree.weight
     assert violation == pytest.approx(weight / 100.0, rel=1e-3)
