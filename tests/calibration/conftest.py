@@ -1,29 +1,47 @@
-"""What several tests of the phases share: the human and twins of it."""
+"""What tests of the phases share: movements of known truth, and solves."""
 
 import pytest
 
 from drake_exo.calibration.settings import (
     FootGroundSettings,
+    PredictionSettings,
     Range,
     Solver,
     SphereSettings,
 )
-from drake_exo.model.description import nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
-from drake_exo.virtual_laboratory.interaction_twin import interaction_twin
+from drake_exo.model.plant import nominal_model
+from drake_exo.virtual_laboratory import synthetic
 
 
 @pytest.fixture(scope="session")
-def cuffs_twin():
+def in_device():
     """Three exact trials with known cuffs, 50 nodes a second."""
-    return interaction_twin()
+    return synthetic.rises_in_device()
 
 
 @pytest.fixture(scope="session")
-def tree():
-    """The human without exoskeleton."""
-    return PlanarTree.from_plant(build_plant("human"))
+def exact(in_device):
+    """Phase B of them, its regularisers nearly zero."""
+    return in_device.calibration(in_device.exact_settings()).solve()
+
+
+@pytest.fixture(scope="session")
+def regular(in_device):
+    """Phase B of them with the usual regularisers."""
+    return in_device.calibration(in_device.settings()).solve()
+
+
+@pytest.fixture(scope="session")
+def predicted(in_device):
+    """Phase C1 of the first, from a line."""
+    settings = PredictionSettings(solver=Solver(50.0))
+    return in_device.prediction(settings, in_device.trials[0]).solve()
+
+
+@pytest.fixture(scope="session")
+def human():
+    """The model without exoskeleton."""
+    return nominal_model("human")
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +56,6 @@ def defaults():
 
 
 @pytest.fixture(scope="session")
-def nominal(defaults):
+def nominal(human, defaults):
     """Contact parameters of the nominal human's foot."""
-    human = nominal_human()
-    return defaults.parameters(human.heel_m, human.toe_m)
+    return defaults.parameters(human.spheres)

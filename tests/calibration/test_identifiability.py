@@ -1,45 +1,49 @@
-"""Which parameters the data determine, and the front of weights, on a twin."""
+"""Which parameters the data determine, and the front of weights."""
 
 import argparse
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from drake_exo.calibration.foot_ground import FootGroundProblem
+from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.pareto import pareto_front
 from drake_exo.calibration.settings import Solver
-from drake_exo.calibration.uncertainty import analyse, contact_sensitivity
-from drake_exo.cli import sensitivity as sensitivity_command
+from drake_exo.calibration.uncertainty import (
+    analyse,
+    contact_sensitivity,
+    radius_profile,
+)
+from drake_exo.cli import sensitivity as command
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
     GROUND_MOMENT_UNIT,
     FootGroundKernel,
 )
-from drake_exo.virtual_laboratory import twin
+from drake_exo.report.figures import front_figure, save_figure
+from drake_exo.report.tables import front_table
+from drake_exo.study import Study
+from drake_exo.virtual_laboratory import synthetic
 
 
 @pytest.fixture(scope="module")
-def inputs(tree, nominal, defaults):
-    """One exact trial of the human, as the commands hold it."""
+def study(human, nominal, defaults):
+    """One exact trial of the human."""
     solver = Solver(nodes_per_second=30.0)
     settings = replace(defaults, front=(0.5,), solver=solver)
-    trials = twin.consistent(tree, twin.rises(1, 1.0), nominal, settings)
-    return SimpleNamespace(
-        tree=tree,
-        trials=trials,
-        parameters=nominal,
-        settings=settings,
-        problem=lambda: FootGroundProblem(tree, trials, nominal, settings),
+    trials = synthetic.consistent(
+        human, synthetic.rises(1, 1.0), nominal, settings
     )
+    return Study(human, trials, foot_ground=settings)
 
 
 @pytest.fixture(scope="module")
-def result(inputs):
-    found = inputs.problem().solve()
-    assert found.solution.success
+def result(study):
+    found = FootGroundCalibration(
+        study.model, study.trials(), study.foot_ground
+    ).solve()
+    assert found.success
     return found
 
 
@@ -57,27 +61,26 @@ def test_coupled_parameters_are_found():
     np.testing.assert_allclose(found.singular_values, expected, atol=1e-12)
 
 
-def test_sensitivity_is_that_of_the_forces(inputs, result):
+def test_sensitivity_is_that_of_the_forces(result):
     """A parameter's influence, by differences of the law itself."""
     found = contact_sensitivity(result)
-    (t,) = result.trajectories
-    settings = inputs.settings
-    kernel = FootGroundKernel(settings.law, settings.law_constants())
-    loaded = t.ground[:, 1] > 20.0
+    (t,) = result.trials
+    noise = result.problem.settings.noise
+    kernel = FootGroundKernel(result.contact.ground)
+    root = t.coordinates.root_columns
 
     def scaled(values):
-        x = np.hstack(
-            [t.q[:, :3], t.v[:, :3], t.ground, np.tile(values, (len(t.q), 1))]
-        )
+        repeated = np.tile(values, (len(t.q), 1))
+        x = np.hstack([t.q[:, root], t.v[:, root], t.ground.array, repeated])
         # The kernel is law minus control: add the control again.
         missing = kernel.evaluate(x, None)
-        F = missing[:, :2] * FORCE_UNIT + t.ground[:, :2]
-        M = missing[:, 2] * GROUND_MOMENT_UNIT + t.ground[:, 2]
-        noise = settings.noise
+        F = missing[:, :2] * FORCE_UNIT + t.ground.force
+        M = missing[:, 2] * GROUND_MOMENT_UNIT + t.ground.moment
         cop = -M / F[:, 1]
-        return np.column_stack([F / noise.force_n, cop / noise.cop_m])[loaded]
+        scaled = np.column_stack([F / noise.force_n, cop / noise.cop_m])
+        return scaled[t.ground.is_loaded]
 
-    values = result.values()
+    values = np.array([p.nominal for p in result.parameters])
     for i, p in enumerate(result.parameters):
         step = np.zeros(len(values))
         step[i] = 1e-5 * p.span
@@ -86,31 +89,37 @@ def test_sensitivity_is_that_of_the_forces(inputs, result):
         assert found.influence[i] == pytest.approx(influence, rel=1e-3), p.name
 
 
-def test_the_command_calibrates_with_other_radii(
-    inputs, monkeypatch, tmp_path, capsys
-):
-    monkeypatch.setattr(
-        sensitivity_command, "load_inputs", lambda *paths: inputs
-    )
-    args = argparse.Namespace(
-        study="s", data_root=None, out=tmp_path / "out", force=False
-    )
-    assert sensitivity_command.run(args) == 0
-    assert "Calibrated again with other radii" in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "sensitivity.json").read_text())
-    rows = found["radius_profile"]
+def test_other_radii_give_the_same_forces(result):
+    rows = list(radius_profile(result))
     assert [r["radius_factor"] for r in rows] == [0.75, 1.0, 1.25]
-    # The same forces come out whatever the radius is held at.
     assert all(r["success"] for r in rows)
     assert max(r["vertical_force_rmsd_n"] for r in rows) < 1.0
     lowest = [r["heel.z"] - r["heel.radius"] for r in rows]
     assert np.ptp(lowest) < 0.002
 
 
-def test_front_trades_kinematics_for_forces(inputs, result, tmp_path, capsys):
-    rows = pareto_front(tmp_path, inputs, result)
+def test_the_command_writes_what_it_found(
+    study, result, monkeypatch, tmp_path, capsys
+):
+    row = {"radius_factor": 1.0, "objective": 2.0, "vertical_force_rmsd_n": 0.1}
+    row |= {f"{s}.{k}": 0.03 for s in ("heel", "toe") for k in ("z", "radius")}
+    monkeypatch.setattr(command, "read_study", lambda *paths: study)
+    monkeypatch.setattr(command, "radius_profile", lambda result: iter([row]))
+    args = argparse.Namespace(
+        study="s", data_root=None, out=tmp_path / "out", force=False
+    )
+    assert command.run(args) == 0
+    assert "Calibrated again with other radii" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "sensitivity.json").read_text())
+    assert found["radius_profile"] == [row]
+    assert found["names"] == [p.name for p in result.parameters]
+
+
+def test_front_trades_kinematics_for_forces(result, tmp_path):
+    rows = pareto_front(result)
     assert [r["factor"] for r in rows] == [0.5, 1.0]
     assert all(r["success"] for r in rows)
     assert rows[0]["grf_n"] <= rows[1]["grf_n"] + 1e-6
-    assert "Pareto front" in capsys.readouterr().out
+    assert front_table(rows).count("\n") >= 2
+    save_figure(tmp_path / "front.png", front_figure(rows))
     assert (tmp_path / "front.png").stat().st_size > 1000
