@@ -19,16 +19,16 @@ from drake_exo.files import schema
 from drake_exo.files.csv import write_csv_table
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import Table
-from drake_exo.measurement.exoskeleton import EXO_JOINTS
 from drake_exo.measurement.filters import derivatives
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.study import Study
+from drake_exo.study import StudyFile
 
 # Friction of the device, known to the study.
 VISCOUS = np.array([1.0, 2.0, 3.0])  # N m s/rad
 PLATES = {"left": 2, "right": 1, "chair": 3}
 JOINTS = ("ankle", "knee", "hip")
+EXO_JOINTS = tuple(f"exo_{joint}" for joint in JOINTS)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def write_seated(folder, human, **changes):
         **changes,
     )
     (folder / "study.yaml").write_text(text)
-    study = schema.load_text(text, Study)
+    study = schema.load_text(text, StudyFile)
     return Seated(tree, time, q, v, a, chair, resultant, exo), study
 
 
@@ -111,7 +111,7 @@ def _write_standing(folder, human, tree):
     q = np.zeros((100, 6))
     q[:, 1] = human.ankle_height_m
     still = inverse_dynamics(tree, q, 0 * q, 0 * q, {})
-    wrench = PlanarWrench(still[:, :2], q[:, 1] * still[:, 0] - still[:, 2])
+    wrench = PlanarWrench.of(tree.ground_reaction(q, still))
     nobody = PlanarWrench(0.0 * wrench.force, 0.0 * wrench.moment)
     write_trc(folder / "static.trc", marker_data(tree, human, time, q))
     write_table(folder / "static.mot", _plates(time, wrench, nobody))

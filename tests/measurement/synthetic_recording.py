@@ -17,9 +17,10 @@ from drake_exo.measurement.inverse_dynamics import (
     wrench_on_body,
 )
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
-from drake_exo.study import Study
+from drake_exo.model.plant import Model
+from drake_exo.study import StudyFile
 
 RATE = 100.0
 SEAT_OFF = (1.5, 6.5)
@@ -63,25 +64,23 @@ def motion(time, human):
 
 def record(human, gravity=9.81, kind="human"):
     """Simulate by inverse dynamics; returns the truth."""
-    tree = PlanarTree.from_plant(build_plant(kind, human, gravity=gravity))
+    device = None if kind == "human" else fit_exoskeleton(human)
+    tree = Model(kind, human, device, gravity).tree
     time = np.arange(850) / RATE
     q = motion(time, human)
     v, a = derivatives(time, q)
-    weight = tree.mass * tree.gravity
     seated = (
         1.0
         - step(time, 1.1, SEAT_OFF[0])
         + (step(time, 4.8, 5.2) - step(time, 6.1, SEAT_OFF[1]))
     )
-    chair = 0.7 * weight * seated
+    chair = 0.7 * tree.weight * seated
     hip = tree.point_positions(q, "pelvis", (0.0, 0.0))
     on_pelvis = PlanarWrench(
         np.column_stack([0.0 * chair, chair]), -hip[:, 0] * chair
     )
     Q = inverse_dynamics(tree, q, v, a, {"pelvis": on_pelvis})
-    p = q[:, :2]
-    moment = p[:, 1] * Q[:, 0] - p[:, 0] * Q[:, 1] - Q[:, 2]
-    wrench = PlanarWrench(Q[:, :2], moment)
+    wrench = PlanarWrench.of(tree.ground_reaction(q, Q))
     left = wrench_on_body(tree, q, "foot", wrench) - Q
     assert np.abs(left[:, :3]).max() < 1e-8
     return Recording(tree, time, q, wrench, chair)
@@ -173,10 +172,9 @@ def write_recording(folder, human, **changes):
     q = np.zeros((100, 6))
     q[:, 1] = human.ankle_height_m
     still = inverse_dynamics(truth.tree, q, 0 * q, 0 * q, {})
-    moment = q[:, 1] * still[:, 0] - still[:, 2]
-    wrench = PlanarWrench(still[:, :2], moment)
+    wrench = PlanarWrench.of(truth.tree.ground_reaction(q, still))
     write_trc(folder / "static.trc", marker_data(truth.tree, human, time, q))
     write_table(folder / "static.mot", force_table(time, wrench))
     text = study_text(human, **changes)
     (folder / "study.yaml").write_text(text)
-    return truth, schema.load_text(text, Study)
+    return truth, schema.load_text(text, StudyFile)

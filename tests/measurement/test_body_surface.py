@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.measurement.instruments import Axes, Scan
 from drake_exo.measurement.mats import Surface, place_cells, read_surface
+from drake_exo.measurement.settings import Axes, Scan
 
 RADIUS, HEIGHT = 0.08, 0.4
 CORNERS = (  # a quarter of the front, 0.1 m high, from the left up

@@ -7,9 +7,7 @@ from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
 )
-from drake_exo.measurement.processing import load_trials
-from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.study import load_study
+from drake_exo.study import read_study
 
 BOX_KG = 10.5
 
@@ -17,17 +15,21 @@ BOX_KG = 10.5
 @pytest.fixture(scope="module")
 def lift(data_root, request):
     path = request.path.parents[1] / "studies" / "boxlifting_squat.yaml"
-    study, root = load_study(path, data_root)
-    subject, (trial,) = load_trials(study, root)
-    wrench = PlanarWrench(trial.grf, trial.moment_y)
+    study = read_study(path, data_root)
+    (trial,) = study.trials()
     Q = inverse_dynamics(
-        subject.rigid, trial.q, trial.v, trial.a, {"foot": wrench}
+        study.model.rigid.tree,
+        trial.q,
+        trial.v,
+        trial.a,
+        {"foot": trial.ground},
     )
-    return subject, trial, Q
+    return study.subject, trial, Q
 
 
 def during(trial, start, end):
-    return (trial.time >= start) & (trial.time <= end)
+    time = trial.start_s + trial.times
+    return (time >= start) & (time <= end)
 
 
 def test_one_leg_is_followed_on_one_plate_under_both_feet(lift):
@@ -59,7 +61,7 @@ def test_what_newton_misses_is_the_box(lift):
 def test_box_loads_knees_and_hips_from_the_ground_up(lift):
     """From below, moments hold the box; from above they do not know it."""
     subject, trial, Q = lift
-    from_below = from_the_ground_up(subject.rigid, trial.q, Q)
+    from_below = from_the_ground_up(subject.model.rigid.tree, trial.q, Q)
     np.testing.assert_allclose(from_below[:, :3], 0.0, atol=1e-9)
     carried = during(trial, 10.1, 10.9)
     extra = (from_below - Q)[carried, 3:].mean(axis=0)
@@ -72,5 +74,5 @@ def test_box_loads_knees_and_hips_from_the_ground_up(lift):
 
 def test_centre_of_pressure_stays_under_the_feet(lift):
     _, trial, _ = lift
-    ahead = trial.cop_x - trial.q[:, 0]
+    ahead = trial.ground.cop_x - trial.q[:, 0]
     assert ahead.min() > -0.05 and ahead.max() < 0.22

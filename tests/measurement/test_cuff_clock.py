@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_recording import motion, step
 
-from drake_exo.collocation.bushing_kernels import Bushing
+from drake_exo.contact.bushing import NORMAL, BushingKinematics
 from drake_exo.measurement.clocks import (
     cuff_deflections,
     encoder_delay,
@@ -12,11 +12,9 @@ from drake_exo.measurement.clocks import (
 )
 from drake_exo.measurement.exoskeleton import Signal
 from drake_exo.measurement.filters import derivatives
-from drake_exo.measurement.subject import SubjectModel
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.model.plant import Model
 
 TIME = np.arange(300) / 100.0
 STIFFNESS = np.array(
@@ -26,11 +24,9 @@ REACH = 0.05
 
 
 @pytest.fixture(scope="module")
-def subject():
+def model():
     human = scale_human(70.0, 1.75)
-    device = fit_exoskeleton(human)
-    coupled = PlanarTree.from_plant(build_plant("coupled", human, device))
-    return SubjectModel(human, device, None, 70.0, None, coupled, {})
+    return Model("coupled", human, fit_exoskeleton(human))
 
 
 def no_drive(_, q, v, a):
@@ -38,9 +34,9 @@ def no_drive(_, q, v, a):
 
 
 @pytest.fixture(scope="module")
-def worn(subject):
+def worn(model):
     """Human q, v, a, and the device's angles in balance with its cuffs."""
-    seated, upright = motion(np.array([0.0, 3.0]), subject.human)
+    seated, upright = motion(np.array([0.0, 3.0]), model.human)
     q = seated + step(TIME, 0.6, 2.2)[:, None] * (upright - seated)
     human = (q, *derivatives(TIME, q))
     exo = q[:, 3:].copy()
@@ -49,8 +45,8 @@ def worn(subject):
 
     def excess(angles):
         nine = np.hstack([q, angles])
-        _, Q = cuff_deflections(subject, nine)
-        demand = subject.coupled.inverse_dynamics(nine, v, a)[:, 6:]
+        _, Q = cuff_deflections(model, nine)
+        demand = model.tree.inverse_dynamics(nine, v, a)[:, 6:]
         return demand - np.einsum("njck,ck->nj", Q, STIFFNESS)
 
     for _ in range(8):
@@ -70,16 +66,16 @@ def encoders(exo, late):
 
 
 @pytest.mark.parametrize("late", [-0.021, 0.0, 0.017])
-def test_encoders_are_timed_by_the_device_itself(subject, worn, late):
+def test_encoders_are_timed_by_the_device_itself(model, worn, late):
     human, exo = worn
     found, explained = encoder_delay(
-        TIME, human, encoders(exo, late), no_drive, subject, REACH
+        TIME, human, encoders(exo, late), no_drive, model, REACH
     )
     assert found == pytest.approx(late, abs=0.002)
     assert explained > 0.99
 
 
-def test_known_moments_of_the_device_are_taken_into_account(subject, worn):
+def test_known_moments_of_the_device_are_taken_into_account(model, worn):
     """An assisted device: moments that its cuffs do not explain."""
     human, exo = worn
     late = 0.01
@@ -89,54 +85,56 @@ def test_known_moments_of_the_device_are_taken_into_account(subject, worn):
 
     # A device pushed so by cuffs as before would need these on top.
     drive_only, _ = encoder_delay(
-        TIME, human, encoders(exo, late), no_drive, subject, REACH
+        TIME, human, encoders(exo, late), no_drive, model, REACH
     )
     _, spoilt = encoder_delay(
-        TIME, human, encoders(exo, late), push, subject, REACH
+        TIME, human, encoders(exo, late), push, model, REACH
     )
     assert drive_only == pytest.approx(late, abs=0.0015)
     assert spoilt < 0.98  # moments that never acted do not fit
 
 
-def test_noise_explains_nothing(subject, worn):
+def test_noise_explains_nothing(model, worn):
     human, exo = worn
     rng = np.random.default_rng(0)
     wild = exo + np.cumsum(rng.normal(0.0, 0.05, exo.shape), axis=0)
     _, explained = encoder_delay(
-        TIME, human, encoders(wild, 0.0), no_drive, subject, REACH
+        TIME, human, encoders(wild, 0.0), no_drive, model, REACH
     )
     assert explained < 0.8
 
 
 @pytest.mark.parametrize("late", [-0.03, 0.012])
-def test_mats_are_timed_by_the_cuffs(subject, worn, late):
+def test_mats_are_timed_by_the_cuffs(model, worn, late):
     human, exo = worn
     q = np.hstack([human[0], exo])
-    d, _ = cuff_deflections(subject, q)
-    stiffening = 5000.0 * d[:, 1, 1] * (1.0 + 200.0 * np.abs(d[:, 1, 1]))
+    d, _ = cuff_deflections(model, q)
+    stiffening = (
+        5000.0 * d[:, 1, NORMAL] * (1.0 + 200.0 * np.abs(d[:, 1, NORMAL]))
+    )
     mats = [("thigh", TIME + late, stiffening)]
     # No cubic has this law, which costs 2 ms.
-    found, explained = mat_delay(TIME, q, mats, subject, REACH)
+    found, explained = mat_delay(TIME, q, mats, model, REACH)
     assert found == pytest.approx(late, abs=0.003)
     assert explained > 0.99
 
 
-def test_too_short_a_recording_tells_nothing(subject, worn):
+def test_too_short_a_recording_tells_nothing(model, worn):
     human, exo = worn
     short = Signal(TIME[:25], exo[:25], "encoders")
-    assert encoder_delay(TIME, human, short, no_drive, subject, 0.1) == (0, 0)
+    assert encoder_delay(TIME, human, short, no_drive, model, 0.1) == (0, 0)
     q = np.hstack([human[0], exo])
     mats = [("thigh", TIME[:25], exo[:25, 0])]
-    assert mat_delay(TIME, q, mats, subject, 0.1) == (0, 0)
+    assert mat_delay(TIME, q, mats, model, 0.1) == (0, 0)
 
 
-def test_deflections_are_those_of_the_bushings(subject, worn):
+def test_deflections_are_those_of_the_bushings(model, worn):
     human, exo = worn
     q = np.hstack([human[0], exo])
-    d, Q = cuff_deflections(subject, q)
+    d, Q = cuff_deflections(model, q)
     for i, name in enumerate(("shank", "thigh", "pelvis")):
-        bushing = Bushing(subject.coupled, name)
-        origin = np.tile(getattr(subject.human, f"{name}_cuff_m"), (len(q), 1))
+        bushing = BushingKinematics(model.tree, name)
+        origin = np.tile(model.human.cuff_m(name), (len(q), 1))
         terms = bushing.terms(q, origin)
         expected = bushing.deflection(q, terms)
         np.testing.assert_allclose(d[:, i], expected, atol=1e-12)

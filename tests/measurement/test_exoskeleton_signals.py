@@ -6,16 +6,13 @@ from drake_exo.files.csv import write_csv_table
 from drake_exo.files.opensim import write_table
 from drake_exo.files.tables import Table
 from drake_exo.measurement.exoskeleton import (
-    EXO_JOINTS,
     drive_moments,
     read_angles,
     read_moments,
 )
-from drake_exo.measurement.instruments import Device, JointDrive
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import ALIGNMENT, build_plant
-from drake_exo.study import Filter
+from drake_exo.measurement.settings import Device, Filter, JointDrive
 
+EXO_JOINTS = ("exo_ankle", "exo_knee", "exo_hip")
 FILTER = Filter()
 TIME = np.arange(400) / 200.0
 ANGLES = 0.6 * np.column_stack(
@@ -34,8 +31,8 @@ def test_mot_and_csv_say_the_same(tmp_path):
     write_csv_table(
         tmp_path / "e.csv", Table(TIME, EXO_JOINTS, ANGLES), ["deg"] * 3
     )
-    a = read_angles(tmp_path / "e.mot", "both", FILTER)
-    b = read_angles(tmp_path / "e.csv", "both", FILTER)
+    a = read_angles(tmp_path / "e.mot", EXO_JOINTS, "both", FILTER)
+    b = read_angles(tmp_path / "e.csv", EXO_JOINTS, "both", FILTER)
     np.testing.assert_allclose(a.values, b.values, atol=1e-9)
     np.testing.assert_allclose(a.values[INNER], ANGLES[INNER], atol=2e-4)
     assert a.one_leg is None
@@ -51,8 +48,8 @@ def test_moments_stand_beside_angles_in_degrees(tmp_path):
         True,
     )
     write_table(tmp_path / "e.mot", table)
-    angles = read_angles(tmp_path / "e.mot", "both", FILTER)
-    found = read_moments(tmp_path / "e.mot", "both", FILTER)
+    angles = read_angles(tmp_path / "e.mot", EXO_JOINTS, "both", FILTER)
+    found = read_moments(tmp_path / "e.mot", EXO_JOINTS, "both", FILTER)
     np.testing.assert_allclose(angles.values[INNER], ANGLES[INNER], atol=2e-4)
     np.testing.assert_allclose(found.values[INNER], moments[INNER], atol=6e-3)
 
@@ -71,7 +68,7 @@ def test_legs_are_averaged_added_or_doubled(tmp_path):
         write_csv_table(path, table, [unit] * 6)
         total = 2.0 if ending else 1.0
         for legs, mean in (("both", 2.0), ("left", 1.0), ("right", 3.0)):
-            signal = read(path, legs, FILTER)
+            signal = read(path, EXO_JOINTS, legs, FILTER)
             expected = total * mean * ANGLES
             np.testing.assert_allclose(
                 signal.values[INNER], expected[INNER], atol=3e-3
@@ -82,15 +79,15 @@ def test_legs_are_averaged_added_or_doubled(tmp_path):
 def test_a_sum_of_both_legs_is_not_doubled(tmp_path):
     path = tmp_path / "m.csv"
     write_csv_table(path, Table(TIME, moment_names(), ANGLES), ["Nm"] * 3)
-    both = read_moments(path, "both", FILTER).values
-    one = read_moments(path, "right", FILTER).values
+    both = read_moments(path, EXO_JOINTS, "both", FILTER).values
+    one = read_moments(path, EXO_JOINTS, "right", FILTER).values
     np.testing.assert_allclose(one, 2.0 * both)
 
 
 def test_a_delay_moves_the_clock(tmp_path):
     path = tmp_path / "e.csv"
     write_csv_table(path, Table(TIME, EXO_JOINTS, ANGLES), ["rad"] * 3)
-    signal = read_angles(path, "both", FILTER).delayed(0.1)
+    signal = read_angles(path, EXO_JOINTS, "both", FILTER).delayed(0.1)
     at = np.linspace(0.5, 1.5, 20)
     q, v, _ = signal.motion(at)
     np.testing.assert_allclose(q[:, 1], 0.6 * np.sin(at + 0.1), atol=2e-4)
@@ -109,7 +106,7 @@ def test_refuses_joints_that_are_missing(tmp_path, names, legs, words):
     path = tmp_path / "e.csv"
     write_csv_table(path, Table(TIME, names, ANGLES), ["rad"] * 3)
     with pytest.raises(InputError, match=words):
-        read_angles(path, legs, FILTER)
+        read_angles(path, EXO_JOINTS, legs, FILTER)
 
 
 def test_refuses_what_is_too_short_too_slow_or_unknown(tmp_path):
@@ -117,18 +114,18 @@ def test_refuses_what_is_too_short_too_slow_or_unknown(tmp_path):
     table = Table(TIME[:10], EXO_JOINTS, ANGLES[:10])
     write_csv_table(path, table, ["rad"] * 3)
     with pytest.raises(InputError, match="10 frames"):
-        read_angles(path, "both", FILTER)
+        read_angles(path, EXO_JOINTS, "both", FILTER)
     table = Table(TIME * 20, EXO_JOINTS, ANGLES)
     write_csv_table(path, table, ["rad"] * 3)
     with pytest.raises(InputError, match="sampled at 10 Hz"):
-        read_angles(path, "both", FILTER)
+        read_angles(path, EXO_JOINTS, "both", FILTER)
     with pytest.raises(InputError, match=r"give one of \.mot"):
-        read_angles(tmp_path / "e.txt", "both", FILTER)
+        read_angles(tmp_path / "e.txt", EXO_JOINTS, "both", FILTER)
 
 
 @pytest.fixture(scope="module")
-def coupled():
-    return PlanarTree.from_plant(build_plant("coupled"))
+def coupled(nominal):
+    return nominal("coupled").tree
 
 
 def motion(n=50):
@@ -165,16 +162,15 @@ def test_friction_takes_power(coupled):
     assert ((tau * v[:, 6:]).sum(axis=1) < 0.0).all()
 
 
-def test_a_device_that_carries_itself_leaves_the_human_alone(coupled):
+def test_a_device_that_carries_itself_leaves_the_human_alone(coupled, nominal):
     """Resultant minus its moments is what the human needs without it.
 
     But for the foot-plate, which the human's foot always carries.
     """
     q6, v6, a6 = (x[:, :6] for x in motion())
-    nine = [x @ ALIGNMENT.T for x in (q6, v6, a6)]
+    nine = [coupled.coordinates.aligned(x) for x in (q6, v6, a6)]
     carried = drive_moments(Device(carries_itself=1.0), coupled, *nine)
-    rigid = PlanarTree.from_plant(build_plant("rigid"))
-    human = PlanarTree.from_plant(build_plant("human"))
+    rigid, human = nominal("rigid").tree, nominal("human").tree
     resultant = rigid.inverse_dynamics(q6, v6, a6)[:, 3:]
     alone = human.inverse_dynamics(q6, v6, a6)[:, 3:]
     np.testing.assert_allclose(resultant - carried, alone, atol=1e-9)

@@ -17,11 +17,9 @@ from drake_exo.measurement.kinematics import (
 )
 from drake_exo.measurement.processing import process
 from drake_exo.measurement.sagittal import SagittalFrame
-from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.anthropometry import scale_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
-from drake_exo.study import Study, load_study
+from drake_exo.model.plant import Model
+from drake_exo.study import StudyFile, read_study
 
 FRAME = SagittalFrame()
 
@@ -33,12 +31,12 @@ def human():
 
 @pytest.fixture(scope="module")
 def tree(human):
-    return PlanarTree.from_plant(build_plant("human", human))
+    return Model("human", human).tree
 
 
 @pytest.fixture(scope="module")
 def markers(human):
-    return schema.load_text(study_text(human), Study).markers
+    return schema.load_text(study_text(human), StudyFile).markers
 
 
 def standing(tree, human):
@@ -195,9 +193,10 @@ def test_refuses_weights_of_unknown_markers(tree, human, markers):
 def opencap(data_root, request):
     """Our angles and OpenSim's, both sagittal and of both legs [rad]."""
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
-    study, root = load_study(path, data_root)
-    subject = fit_subject(study, root)
-    movement = process(study.trials[0], subject, study, root)
+    study = read_study(path, data_root)
+    file, subject = study.file, study.subject
+    recording = process(file.trials[0], subject, file, study.root)
+    motion = recording.motion
     folder = data_root / "opencap_subject4"
     ik = read_coordinates(folder / "IK/STS1_ik.mot")
     osim = Osim(folder / "Models/optimized_scale_and_markers.osim")
@@ -221,12 +220,12 @@ def opencap(data_root, request):
     thigh = mean(lambda s: along("femur" + s, "tibia" + s))
     trunk = pitch("torso", 1, -1)
     theirs = np.column_stack([foot - shank, thigh - shank, thigh - trunk])
-    in_rises = np.zeros(len(movement.time), bool)
-    for rise in movement.rises:
-        in_rises |= (movement.time >= rise.seat_off_s) & (
-            movement.time <= rise.standing_s
+    in_rises = np.zeros(len(motion.time), bool)
+    for rise in recording.rises:
+        in_rises |= (motion.time >= rise.seat_off_s) & (
+            motion.time <= rise.standing_s
         )
-    difference = movement.q[:, 3:] - low_pass(theirs, 100.0)
+    difference = motion.q[:, 3:] - low_pass(theirs, 100.0)
     return np.rad2deg(difference[in_rises])
 
 

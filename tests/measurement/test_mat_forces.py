@@ -6,9 +6,14 @@ import pytest
 from test_body_surface import CORNERS, RADIUS, cylinder, write
 
 from drake_exo.errors import InputError
-from drake_exo.measurement.instruments import Axes, Mat, PressureFile, Scan
 from drake_exo.measurement.mats import cell_directions, read_mat_forces
-from drake_exo.study import Filter
+from drake_exo.measurement.settings import (
+    Axes,
+    Filter,
+    Mat,
+    PressureFile,
+    Scan,
+)
 
 FILTER = Filter()
 TIME = np.arange(100) / 50.0

@@ -30,8 +30,6 @@ from drake_exo.measurement.sagittal import (
     SagittalFrame,
     planar_wrench,
 )
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
 
 COORDINATES = (
     "pelvis_tx",
@@ -261,9 +259,9 @@ def test_a_shifted_plate_would_be_seen(walk):
     assert np.abs(found - expected)[5:-5, 2:].max() > 10.0
 
 
-def test_batched_tree_and_drake_agree_on_wrenches():
-    plant = build_plant("rigid")
-    tree, drake = PlanarTree.from_plant(plant), DrakeModel(plant, (0, 2))
+def test_batched_tree_and_drake_agree_on_wrenches(nominal):
+    model = nominal("rigid")
+    tree, drake = model.tree, DrakeModel(model.plant(), (0, 2))
     rng = np.random.default_rng(0)
     q, v, a = rng.uniform(-1, 1, (3, 4, 6))
     wrench = PlanarWrench(rng.normal(size=(4, 2)), rng.normal(size=4))

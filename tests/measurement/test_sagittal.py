@@ -47,7 +47,7 @@ def test_surface_height_moves_the_cop():
     wrench = planar_wrench(
         plate((60.0, 600.0, 0.0), (0.2, 0.006, 0.0)), SagittalFrame()
     )
-    np.testing.assert_allclose(wrench.cop_x(), 0.2 - 0.006 * 60.0 / 600.0)
+    np.testing.assert_allclose(wrench.cop_x, 0.2 - 0.006 * 60.0 / 600.0)
 
 
 def test_free_moment_about_the_lateral_axis_counts():
@@ -57,12 +57,12 @@ def test_free_moment_about_the_lateral_axis_counts():
         SagittalFrame(),
     )
     np.testing.assert_allclose(wrench.moment, -0.1 * 500.0 - 5.0)
-    np.testing.assert_allclose(wrench.cop_x(), 0.11)
+    np.testing.assert_allclose(wrench.cop_x, 0.11)
 
 
 def test_no_cop_without_load():
     wrench = PlanarWrench(np.array([[0.0, 19.0], [0.0, 21.0]]), np.ones(2))
-    cop = wrench.cop_x()
+    cop = wrench.cop_x
     assert np.isnan(cop[0]) and cop[1] == pytest.approx(-1.0 / 21.0)
 
 
@@ -77,7 +77,7 @@ def test_shifting_load_between_staggered_feet_keeps_the_cop():
             np.column_stack([0.1 * F_z, F_z]), -(ankles[side] + 0.05) * F_z
         )
     merged, shifts = merge_feet(wrenches, ankles)
-    np.testing.assert_allclose(merged.cop_x(), 0.05)
+    np.testing.assert_allclose(merged.cop_x, 0.05)
     assert shifts == {"left": -0.03, "right": 0.03}
     np.testing.assert_allclose(merged.force, [[60.0, 600.0]] * 5)
 
@@ -86,7 +86,7 @@ def test_one_foot_counts_twice():
     wrench = PlanarWrench(np.array([[10.0, 300.0]]), np.array([-30.0]))
     merged, shifts = merge_feet({"right": wrench}, {"right": 0.1})
     np.testing.assert_allclose(merged.force, [[20.0, 600.0]])
-    np.testing.assert_allclose(merged.cop_x(), [0.1])
+    np.testing.assert_allclose(merged.cop_x, [0.1])
     assert shifts == {"right": 0.0}
 
 
@@ -97,7 +97,7 @@ def test_walking_force_pushes_back_then_forward(data_root):
     time, plates = read_plates(path)
     left = planar_wrench(plates[1], SagittalFrame())
     stance = (time > 0.56) & (time < 1.18)
-    cop = left.cop_x()[stance]
+    cop = left.cop_x[stance]
     direction = np.sign(cop[-1] - cop[0])
     F_x = direction * left.force[stance, 0]
     half = len(F_x) // 2
