@@ -61,7 +61,8 @@ class PlanarWrench:
     @staticmethod
     def of(array: np.ndarray) -> "PlanarWrench":
         """From F_x, F_z, M_y (N, 3)."""
-        return PlanarWrench(array[:, :2], array[:, 2])
+        _, _, moment = array.T
+        return PlanarWrench(array[:, :2], moment)
 
     @property
     def array(self) -> np.ndarray:

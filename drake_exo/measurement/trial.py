@@ -100,15 +100,15 @@ class Trial:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        n, nq = len(self.times), len(self.coordinates)
-        shapes = {
-            **dict.fromkeys(("q", "v", "a"), (n, nq)),
-            "moments": (n, self.coordinates.num_joints),
-            **dict.fromkeys(("ground", "chair"), (n, 3)),
+        columns = {
+            **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
+            "moments": self.coordinates.num_joints,
+            **dict.fromkeys(("ground", "chair"), 3),
         }
-        for name, array in self._arrays().items():
-            wanted = shapes.get(name, (n,))
-            if name != "jerk" and array.shape != wanted:
+        for name, array in {"times": self.times, **self._arrays()}.items():
+            rows = len(array if name == "jerk" else self.times)
+            wanted = (rows, columns[name]) if name in columns else (rows,)
+            if array.shape != wanted:
                 raise ValueError(
                     f"trial {self.name}: {name} has shape "
                     f"{array.shape}, not {wanted}"

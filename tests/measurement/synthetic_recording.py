@@ -16,7 +16,9 @@ from drake_exo.measurement.inverse_dynamics import (
     inverse_dynamics,
     wrench_on_body,
 )
+from drake_exo.measurement.processing import load_trials
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
@@ -43,6 +45,12 @@ class Recording:
     q: np.ndarray
     wrench: PlanarWrench
     chair: np.ndarray
+
+
+def load(study, folder):
+    """Subject and trials of a study's files."""
+    subject = fit_subject(study, folder)
+    return subject, load_trials(study, folder, subject, study.trials)
 
 
 def step(t, start, end):

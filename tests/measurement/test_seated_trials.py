@@ -7,18 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seated_recording import VISCOUS, write_seated
-from synthetic_recording import RATE, SEAT_OFF
+from synthetic_recording import RATE, SEAT_OFF, load
 
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table, write_table
 from drake_exo.measurement.events import until_seat_off
-from drake_exo.measurement.instruments import Device, Mat, PressureFile
-from drake_exo.measurement.processing import load_trials
 from drake_exo.measurement.quality import assess, force_residual, text_of
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.measurement.trial import Trial
+from drake_exo.measurement.settings import (
+    Device,
+    Mat,
+    Plates,
+    PressureFile,
+    TrialFiles,
+)
+from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.anthropometry import scale_human
-from drake_exo.study import Plates, TrialFiles
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +35,7 @@ def made(tmp_path_factory):
 @pytest.fixture(scope="module")
 def loaded(made):
     folder, _, study = made
-    subject, (trial,) = load_trials(study, folder)
+    subject, (trial,) = load(study, folder)
     return subject, trial
 
 
@@ -42,6 +46,11 @@ def files(tmp_path, made):
     for path in folder.iterdir():
         shutil.copy(path, tmp_path)
     return tmp_path, study
+
+
+def samples(trial):
+    """Of the recording that are the trial's."""
+    return np.round((trial.start_s + trial.times) * RATE).astype(int)
 
 
 def with_trial(study, **changes):
@@ -56,29 +65,32 @@ def test_starts_seated_and_ends_standing(loaded):
     _, trial = loaded
     part = trial.provenance["part"]
     assert part["seated_s"] == 0.8
-    assert trial.time[0] == pytest.approx(part["seat_off_s"] - 0.8, abs=0.006)
+    assert trial.start_s == pytest.approx(part["seat_off_s"] - 0.8, abs=0.006)
     assert SEAT_OFF[0] - 0.15 < part["seat_off_s"] < SEAT_OFF[0] + 0.02
-    assert trial.chair[0, 1] > 500.0 and not trial.chair[-1].any()
+    chair = trial.chair.array
+    assert chair[0, 1] > 500.0 and not chair[-1].any()
 
 
 def test_chair_is_as_it_was_until_seat_off(loaded, made):
     _, truth, _ = made
     subject, trial = loaded
-    at = np.round(trial.time * RATE).astype(int)
-    true = np.column_stack([truth.chair.force, truth.chair.moment])[at]
-    share = 0.05 * subject.rigid.mass * subject.rigid.gravity
+    chair, true = trial.chair.array, truth.chair.array[samples(trial)]
+    share = 0.05 * subject.model.tree.weight
     off = trial.provenance["part"]["seat_off_s"]
-    before, after = trial.time < off - 0.2, trial.time > off + 0.05
-    assert np.abs(trial.chair - true)[before].max() < 8.0  # the filter
-    assert np.abs(trial.chair - true).max() < share
-    assert not trial.chair[after].any()
+    time = trial.start_s + trial.times
+    before, after = time < off - 0.2, time > off + 0.05
+    assert np.abs(chair - true)[before].max() < 8.0  # the filter
+    assert np.abs(chair - true).max() < share
+    assert not chair[after].any()
 
 
 def test_newton_holds_from_the_chair_to_standing(loaded):
     subject, trial = loaded
     residual = force_residual(subject, trial)
     off = trial.provenance["part"]["seat_off_s"]
-    near = np.abs(trial.time - off) < 0.1  # where 5 % are let go
+    near = (
+        np.abs(trial.start_s + trial.times - off) < 0.1
+    )  # where 5 % are let go
     assert np.abs(residual[~near, :2]).max() < 6.0
     assert np.abs(residual[~near, 2]).max() < 3.0
     unaware = replace(trial, chair=None)
@@ -88,7 +100,7 @@ def test_newton_holds_from_the_chair_to_standing(loaded):
 def test_moments_are_the_true_ones(loaded, made):
     _, truth, _ = made
     _, trial = loaded
-    at = np.round(trial.time * RATE).astype(int)
+    at = samples(trial)
     human = (truth.resultant - truth.exo)[at]
     off = np.abs(trial.moments[:, :3] - human)
     assert np.sqrt((off**2).mean(axis=0)).max() < 2.0 and off.max() < 8.0
@@ -100,8 +112,8 @@ def test_moments_are_the_true_ones(loaded, made):
 def test_recorded_moments_come_before_the_model(made, loaded):
     folder, truth, study = made
     recorded = with_trial(study, exo_moments=Path("moments.csv"))
-    _, (trial,) = load_trials(recorded, folder)
-    at = np.round(trial.time * RATE).astype(int)
+    _, (trial,) = load(recorded, folder)
+    at = samples(trial)
     assert np.abs(trial.moments[:, 3:] - truth.exo[at]).max() < 0.3
     assert trial.provenance["moments"]["exoskeleton"] == "recorded"
     total = trial.moments[:, :3] + trial.moments[:, 3:]
@@ -111,7 +123,7 @@ def test_recorded_moments_come_before_the_model(made, loaded):
     )
     # One leg's file counts twice, and is said to.
     one = replace(recorded, device=Device(moment_legs="right"))
-    _, (doubled,) = load_trials(one, folder)
+    _, (doubled,) = load(one, folder)
     np.testing.assert_allclose(
         doubled.moments[:, 3:], 2.0 * trial.moments[:, 3:]
     )
@@ -120,7 +132,7 @@ def test_recorded_moments_come_before_the_model(made, loaded):
 
 def test_without_device_and_recording_the_split_is_unknown(made):
     folder, _, study = made
-    _, (trial,) = load_trials(replace(study, device=None), folder)
+    _, (trial,) = load(replace(study, device=None), folder)
     assert trial.moments is None
     assert "unknown" in trial.provenance["moments"]["human"]
 
@@ -128,12 +140,10 @@ def test_without_device_and_recording_the_split_is_unknown(made):
 def test_a_share_of_the_chair_on_the_thighs(made, loaded):
     """It bears the same; knees and above feel the difference, not below."""
     folder, _, study = made
-    _, (shared,) = load_trials(
-        with_laboratory(study, chair_on_thighs=0.4), folder
-    )
+    _, (shared,) = load(with_laboratory(study, chair_on_thighs=0.4), folder)
     subject, trial = loaded
     assert shared.chair_on_thighs == 0.4
-    np.testing.assert_array_equal(shared.chair, trial.chair)
+    np.testing.assert_array_equal(shared.chair.array, trial.chair.array)
     np.testing.assert_allclose(
         force_residual(subject, shared),
         force_residual(subject, trial),
@@ -149,12 +159,15 @@ def test_trials_with_chair_and_mats_survive_saving(tmp_path, loaded):
     _, trial = loaded
     trial = replace(
         trial,
-        normal_force={"shank": trial.grf[:, 0]},
+        cuffs={"shank": CuffForce(trial.ground.force_x)},
         chair_on_thighs=0.25,
     )
     trial.save(tmp_path / "t")
     back = Trial.load(tmp_path / "t")
-    np.testing.assert_array_equal(back.chair, trial.chair)
+    np.testing.assert_array_equal(back.chair.array, trial.chair.array)
+    np.testing.assert_array_equal(
+        back.cuff("shank").normal, trial.ground.force_x
+    )
     np.testing.assert_array_equal(back.moments, trial.moments)
     assert back.chair_on_thighs == 0.25
 
@@ -162,7 +175,7 @@ def test_trials_with_chair_and_mats_survive_saving(tmp_path, loaded):
 def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
     """Feet never leave their plates; the chair is left at seat-off."""
     folder, study = files
-    plain = load_trials(study, folder)[1][0]
+    _, (plain,) = load(study, folder)
 
     def shift(name, offset):
         table = read_table(folder / name)
@@ -183,9 +196,11 @@ def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
         with_trial(study, empty_plates=Path("empty.mot")),
         remove_plate_drift=True,
     )
-    _, (trial,) = load_trials(levelled, folder)
-    np.testing.assert_allclose(trial.grf, plain.grf, atol=1e-6)
-    assert np.abs(trial.chair - plain.chair).max() < 1.0
+    _, (trial,) = load(levelled, folder)
+    np.testing.assert_allclose(
+        trial.ground.force, plain.ground.force, atol=1e-6
+    )
+    assert np.abs(trial.chair.array - plain.chair.array).max() < 1.0
     found = trial.provenance["plate_levels"]
     assert found["right"]["empty_plate_n"] == pytest.approx(14.0)
     assert found["left"]["unloaded_s"] == 0.0
@@ -197,7 +212,7 @@ def test_a_late_force_clock_is_found_by_feet_and_chair(files):
     table = read_table(folder / "sts.mot")
     write_table(folder / "sts.mot", replace(table, time=table.time + 0.013))
     found = with_laboratory(study, estimate_force_delay=True)
-    _, (trial,) = load_trials(found, folder)
+    _, (trial,) = load(found, folder)
     assert trial.provenance["delays_s"]["forces"] == pytest.approx(
         0.013, abs=0.002
     )
@@ -227,10 +242,10 @@ def with_mat(study, **changes):
 def test_mats_push_by_segment_and_one_leg_counts_twice(files):
     folder, study = files
     pressure_csv(folder / "mat.csv", 6)
-    _, (trial,) = load_trials(with_mat(study), folder)
-    np.testing.assert_allclose(trial.normal_force["thigh"], -12.0, rtol=1e-6)
-    subject, (one,) = load_trials(with_mat(study, legs="left"), folder)
-    np.testing.assert_allclose(one.normal_force["thigh"], -24.0, rtol=1e-6)
+    _, (trial,) = load(with_mat(study), folder)
+    np.testing.assert_allclose(trial.cuff("thigh").normal, -12.0, rtol=1e-6)
+    subject, (one,) = load(with_mat(study, legs="left"), folder)
+    np.testing.assert_allclose(one.cuff("thigh").normal, -24.0, rtol=1e-6)
     report = text_of(assess(subject, (one,)))
     assert "left leg measured, doubled" in report
 
@@ -239,9 +254,9 @@ def test_refuses_mats_that_are_short_or_of_another_size(files):
     folder, study = files
     pressure_csv(folder / "mat.csv", 6, end=1.6)
     with pytest.raises(InputError, match=r"mat\.csv: pressures of front cover"):
-        load_trials(with_mat(study), folder)
+        load(with_mat(study), folder)
     with pytest.raises(InputError, match=r"has 6 cells.*front 16 x 8"):
-        load_trials(with_mat(study, rows=16, columns=8), folder)
+        load(with_mat(study, rows=16, columns=8), folder)
 
 
 def test_refuses_encoders_and_moments_that_are_short(files):
@@ -252,7 +267,7 @@ def test_refuses_encoders_and_moments_that_are_short(files):
         path.write_text("\n".join(whole.splitlines()[:180]) + "\n")
         case = with_trial(study, exo_moments=Path("moments.csv"))
         with pytest.raises(InputError, match=rf"{name}: .* cover 0 to 1\.78 s"):
-            load_trials(case, folder)
+            load(case, folder)
         path.write_text(whole)
 
 
@@ -260,7 +275,7 @@ def test_refuses_a_chair_plate_that_is_not_there(files):
     folder, study = files
     plates = Plates(left=2, right=1, chair=7)
     with pytest.raises(InputError, match="has no force plate 7"):
-        load_trials(with_trial(study, plates=plates), folder)
+        load(with_trial(study, plates=plates), folder)
 
 
 def test_a_seated_start_needs_a_rise_and_a_chair():

@@ -1,44 +1,101 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.measurement.trial import Trial
-from drake_exo.model.plant import RIGID_COORDINATES
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.coordinates import Coordinates
+
+NAMES = Coordinates(
+    ("foot_x", "foot_z", "foot_pitch", "ankle", "knee", "exo_knee"),
+    ("exo_knee",),
+)
 
 
 @pytest.fixture
 def trial():
-    t = 1.0 + np.arange(51) / 100.0
+    t = np.arange(51) / 100.0
     phase = np.arange(6) / 3.0
     angle = 2.0 * np.pi * t[:, None] + phase
     F_z = 300.0 + 290.0 * np.cos(2.0 * np.pi * t)
     return Trial(
         "rise1",
-        RIGID_COORDINATES,
+        NAMES,
         t,
         np.sin(angle),
         2.0 * np.pi * np.cos(angle),
         -((2.0 * np.pi) ** 2) * np.sin(angle),
-        np.column_stack([0.1 * F_z, F_z]),
-        -0.1 * F_z,
-        60.0,
-        {"markers": "a.trc", "filter": {"cutoff_hz": 6.0}, "x": [1.5, None]},
+        PlanarWrench(np.column_stack([0.1 * F_z, F_z]), -0.1 * F_z),
+        mass_kg=60.0,
+        start_s=1.0,
+        provenance={
+            "markers": "a.trc",
+            "filter": {"cutoff_hz": 6.0},
+            "x": [1.5, None],
+        },
+    )
+
+
+@pytest.fixture
+def whole(trial):
+    """A trial of which everything is known."""
+    rng = np.random.default_rng(0)
+    return replace(
+        trial,
+        source="solved",
+        moments=rng.normal(size=(51, 3)),
+        cuffs={
+            "thigh": CuffForce.of(rng.normal(size=(51, 3))),
+            "shank": CuffForce(rng.normal(size=51)),
+        },
+        chair=PlanarWrench.of(rng.normal(size=(51, 3))),
+        chair_on_thighs=0.25,
+        jerk=rng.normal(size=(50, 6)),
     )
 
 
 def test_survives_saving_without_loss(trial, tmp_path):
     trial.save(tmp_path / "rise1")
     found = Trial.load(tmp_path / "rise1")
-    for name in ("time", "q", "v", "a", "grf", "moment_y"):
+    for name in ("times", "q", "v", "a"):
         np.testing.assert_array_equal(
             getattr(found, name), getattr(trial, name)
         )
-    assert found.name == trial.name
-    assert found.coordinates == trial.coordinates
-    assert found.mass_kg == trial.mass_kg
-    assert found.provenance == trial.provenance
+    np.testing.assert_array_equal(found.ground.array, trial.ground.array)
+    for name in (
+        *("name", "coordinates", "source", "mass_kg", "start_s"),
+        *("provenance", "moments", "cuffs", "chair", "jerk"),
+    ):
+        assert getattr(found, name) == getattr(trial, name)
+
+
+def test_survives_saving_whole(whole, tmp_path):
+    whole.save(tmp_path / "rise1")
+    found = Trial.load(tmp_path / "rise1")
+    assert (found.source, found.chair_on_thighs) == ("solved", 0.25)
+    for name in ("moments", "jerk"):
+        np.testing.assert_array_equal(
+            getattr(found, name), getattr(whole, name)
+        )
+    np.testing.assert_array_equal(found.chair.array, whole.chair.array)
+    assert list(found.cuffs) == ["thigh", "shank"]
+    for name, force in whole.cuffs.items():
+        np.testing.assert_array_equal(
+            found.cuff(name).components, force.components
+        )
+    assert found.cuff("shank").tangential is None
+
+
+@pytest.mark.parametrize("name", ["rise1", "sit.to.stand"])
+def test_names_with_dots_keep_their_files(trial, tmp_path, name):
+    trial.save(tmp_path / name)
+    assert {p.name for p in tmp_path.iterdir()} == {
+        f"{name}.npz",
+        f"{name}.json",
+    }
 
 
 def test_damaged_files_are_refused(trial, tmp_path):
@@ -47,7 +104,7 @@ def test_damaged_files_are_refused(trial, tmp_path):
         Trial.load(tmp_path / "rise2")
     place = tmp_path / "rise1.npz"
     place.write_bytes(place.read_bytes()[:200])
-    with pytest.raises(InputError, match=r"rise1\.npz: is damaged; save it"):
+    with pytest.raises(InputError, match=r"rise1\.npz: is damaged; run what"):
         Trial.load(tmp_path / "rise1")
     trial.save(tmp_path / "rise1")
     place = tmp_path / "rise1.json"
@@ -56,53 +113,122 @@ def test_damaged_files_are_refused(trial, tmp_path):
         Trial.load(tmp_path / "rise1")
 
 
-def test_saving_twice_gives_the_same_bytes(trial, tmp_path):
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrays: arrays.pop("q"),
+        lambda arrays: arrays.update(q=arrays["q"][:-1]),
+        lambda arrays: arrays.update(q=np.nan * arrays["q"]),
+        lambda arrays: arrays.update(ground=arrays["ground"][:, 0]),
+        lambda arrays: arrays.update(chair=arrays["q"]),
+        lambda arrays: arrays.update({"cuffs.thigh.shear": arrays["times"]}),
+        lambda arrays: arrays.update({"cuffs.thigh": arrays["times"]}),
+        lambda arrays: arrays.update(times=np.array("now")),
+        lambda arrays: arrays.update(times=arrays["q"]),
+        lambda arrays: arrays.update(jerk=arrays["q"][:, 1:]),
+    ],
+)
+def test_files_that_hold_no_trial_are_refused(trial, tmp_path, change):
+    trial.save(tmp_path / "t")
+    arrays = dict(np.load(tmp_path / "t.npz"))
+    change(arrays)
+    np.savez(tmp_path / "t.npz", **arrays)
+    with pytest.raises(InputError, match=r"t: holds no trial.*run what wrote"):
+        Trial.load(tmp_path / "t")
+
+
+def test_saving_twice_gives_the_same_bytes(whole, tmp_path):
     for name in ("a", "b"):
-        trial.save(tmp_path / name)
+        whole.save(tmp_path / name)
     for kind in ("npz", "json"):
         first, second = (tmp_path / f"{n}.{kind}" for n in "ab")
         assert first.read_bytes() == second.read_bytes()
 
 
 def test_cop(trial):
-    cop = trial.cop_x
-    unloaded = trial.grf[:, 1] <= 20.0
+    cop = trial.ground.cop_x
+    unloaded = trial.ground.force_z <= 20.0
     assert unloaded.any() and np.isnan(cop[unloaded]).all()
     np.testing.assert_allclose(cop[~unloaded], 0.1)
 
 
-def test_window(trial):
-    part = trial.window(1.1, 1.2)
-    assert len(part.time) == 11
-    assert part.time[[0, -1]] == pytest.approx([1.1, 1.2])
-    np.testing.assert_array_equal(part.q, trial.q[10:21])
-    np.testing.assert_array_equal(part.grf, trial.grf[10:21])
-    with pytest.raises(InputError, match=r"rise1.*outside"):
-        trial.window(3.0, 4.0)
-
-
-def test_resampling_keeps_ends_and_shape(trial):
-    fine = trial.resample(200.0)
-    assert len(fine.time) == 101
-    assert fine.time[[0, -1]] == pytest.approx(trial.time[[0, -1]])
-    np.testing.assert_allclose(np.diff(fine.time), 0.005)
+def test_sampling_keeps_ends_and_shape(trial):
+    fine = trial.sample(np.linspace(0.0, trial.duration, 101))
+    assert fine.times[[0, -1]] == pytest.approx(trial.times[[0, -1]])
     np.testing.assert_allclose(fine.q[::2], trial.q, atol=1e-12)
-    angle = 2.0 * np.pi * fine.time[:, None] + np.arange(6) / 3.0
+    angle = 2.0 * np.pi * fine.times[:, None] + np.arange(6) / 3.0
     np.testing.assert_allclose(fine.q, np.sin(angle), atol=2e-6)
     np.testing.assert_allclose(fine.v, 2.0 * np.pi * np.cos(angle), atol=2e-5)
-    assert trial.resample(1.0).time == pytest.approx([1.0, 1.5])
+    assert (fine.name, fine.start_s) == (trial.name, trial.start_s)
 
 
-def test_shapes_are_checked(trial):
-    with pytest.raises(ValueError, match="grf has shape"):
-        Trial(
-            "x",
-            trial.coordinates,
-            trial.time,
-            trial.q,
-            trial.v,
-            trial.a,
-            trial.grf[:, 0],
-            trial.moment_y,
-            60.0,
-        )
+def test_sampling_takes_everything_along(whole):
+    part = whole.sample(whole.times[10:21])
+    np.testing.assert_allclose(part.moments, whole.moments[10:21])
+    np.testing.assert_allclose(part.chair.array, whole.chair.array[10:21])
+    np.testing.assert_allclose(part.ground.array, whole.ground.array[10:21])
+    np.testing.assert_allclose(
+        part.cuff("thigh").components, whole.cuff("thigh").components[10:21]
+    )
+    assert part.cuff("shank").moment is None
+    assert part.jerk is None  # of the nodes of a solution
+
+
+def test_signals_by_name(whole):
+    for k, name in enumerate(NAMES.names):
+        np.testing.assert_array_equal(whole.coordinate(name), whole.q[:, k])
+        np.testing.assert_array_equal(whole.velocity(name), whole.v[:, k])
+        np.testing.assert_array_equal(whole.acceleration(name), whole.a[:, k])
+    for k, name in enumerate(NAMES.joints):
+        np.testing.assert_array_equal(whole.moment(name), whole.moments[:, k])
+    force = whole.cuff("thigh")
+    tangential, normal, moment = force.components.T
+    np.testing.assert_array_equal(force.normal, normal)
+    np.testing.assert_array_equal(force.tangential, tangential)
+    np.testing.assert_array_equal(force.moment, moment)
+    unknown = whole.cuff("shank").components
+    assert np.isnan(unknown[:, [0, 2]]).all()
+    assert np.isfinite(unknown[:, 1]).all()
+    assert whole.duration == 0.5
+
+
+def test_signals_that_are_not_known_are_refused(trial, whole):
+    for read in (trial.coordinate, trial.velocity, trial.acceleration):
+        with pytest.raises(InputError, match=r"'hip'; known are foot_x"):
+            read("hip")
+    with pytest.raises(InputError, match="joint moments are not known"):
+        trial.moment("knee")
+    with pytest.raises(InputError, match="no coordinate 'hip'"):
+        whole.moment("hip")
+    with pytest.raises(InputError, match="'foot_x' is no joint"):
+        whole.moment("foot_x")
+    with pytest.raises(InputError, match=r"cuff 'thigh'; there are none"):
+        trial.cuff("thigh")
+    with pytest.raises(InputError, match=r"'pelvis'; there are thigh, shank"):
+        whole.cuff("pelvis")
+
+
+def test_a_chair_acts_on_pelvis_and_thighs(trial, whole):
+    assert trial.chair_shares == {}
+    assert whole.chair_shares == {"pelvis": 0.75, "thigh": 0.25}
+    alone = replace(whole, chair_on_thighs=0.0)
+    assert alone.chair_shares == {"pelvis": 1.0}
+    total = sum(load.array for load in whole.chair_loads().values())
+    np.testing.assert_allclose(total, whole.chair.array)
+    nobody = PlanarWrench.of(np.zeros((51, 3)))
+    assert replace(whole, chair=nobody).chair_loads() == {}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"q": np.zeros((51, 5))}, r"q has shape \(51, 5\), not \(51, 6\)"),
+        ({"moments": np.zeros((51, 6))}, r"moments has shape .*\(51, 3\)"),
+        ({"ground": PlanarWrench.of(np.zeros((9, 3)))}, "ground has shape"),
+        ({"chair": PlanarWrench.of(np.zeros((9, 3)))}, "chair has shape"),
+        ({"cuffs": {"shank": CuffForce(np.zeros(9))}}, r"shank\.normal has"),
+    ],
+)
+def test_shapes_are_checked(trial, changes, words):
+    with pytest.raises(ValueError, match=f"trial rise1: .*{words}"):
+        replace(trial, **changes)

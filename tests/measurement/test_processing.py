@@ -8,6 +8,7 @@ from synthetic_recording import (
     RATE,
     SEAT_OFF,
     STANDING,
+    load,
     write_recording,
 )
 
@@ -21,11 +22,11 @@ from drake_exo.files.opensim import (
 )
 from drake_exo.files.tables import Table
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
-from drake_exo.measurement.processing import load_trial, load_trials, process
-from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.processing import load_trials, process
+from drake_exo.measurement.settings import Scaling
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.anthropometry import scale_human
-from drake_exo.study import Scaling, load_study
+from drake_exo.study import read_study
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 
@@ -47,7 +48,7 @@ def made(tmp_path_factory, human):
 @pytest.fixture(scope="module")
 def loaded(made):
     folder, _, study = made
-    return load_trials(study, folder)
+    return load(study, folder)
 
 
 @pytest.fixture
@@ -60,19 +61,29 @@ def files(tmp_path, made):
 
 
 def residual(subject, trial):
-    wrench = PlanarWrench(trial.grf, trial.moment_y)
-    return inverse_dynamics(
-        subject.rigid, trial.q, trial.v, trial.a, {"foot": wrench}
-    )[:, :3]
+    tree = subject.model.rigid.tree
+    loads = {tree.foot: trial.ground}
+    return inverse_dynamics(tree, trial.q, trial.v, trial.a, loads)[:, :3]
+
+
+def time_of(trial):
+    """In the recording [s]."""
+    return trial.start_s + trial.times
 
 
 def test_subject_is_measured_from_standing(loaded, human):
     subject, _ = loaded
     assert subject.mass_kg == pytest.approx(70.0)
-    assert subject.human.shank.length_m == pytest.approx(human.shank.length_m)
-    assert subject.human.thigh.length_m == pytest.approx(human.thigh.length_m)
-    assert subject.human.ankle_height_m == pytest.approx(human.ankle_height_m)
-    assert subject.human.pelvis.com_m[0] == pytest.approx(-0.02, abs=1e-6)
+    assert subject.model.human.shank.length_m == pytest.approx(
+        human.shank.length_m
+    )
+    assert subject.model.human.thigh.length_m == pytest.approx(
+        human.thigh.length_m
+    )
+    assert subject.model.human.ankle_height_m == pytest.approx(
+        human.ankle_height_m
+    )
+    assert subject.model.human.pelvis.com_m[0] == pytest.approx(-0.02, abs=1e-6)
     report = subject.report
     assert report["standing_mass_kg"] == pytest.approx(70.0, abs=1e-6)
     assert report["trunk_com_shift_m"] == pytest.approx(-0.02, abs=1e-6)
@@ -85,13 +96,13 @@ def test_trunk_from_the_table_stays_above_the_hips(made):
     folder, _, study = made
     table = replace(study, scaling=Scaling(trunk_com="table"))
     subject = fit_subject(table, folder)
-    assert subject.human.pelvis.com_m[0] == 0.0
+    assert subject.model.human.pelvis.com_m[0] == 0.0
 
 
 def test_stretched_segments_keep_their_proportions(made, human):
     folder, _, study = made
     tall = replace(study, subject=replace(study.subject, height_m=1.9))
-    shank = fit_subject(tall, folder).human.shank
+    shank = fit_subject(tall, folder).model.human.shank
     assert shank.length_m == pytest.approx(human.shank.length_m)
     assert shank.com_m == pytest.approx(human.shank.com_m)
     assert shank.inertia_kg_m2 == pytest.approx(human.shank.inertia_kg_m2)
@@ -105,18 +116,18 @@ def test_rises_are_found_where_they_are(loaded):
         assert off - 0.15 < part["seat_off_s"] < off + 0.02
         assert up - 0.5 < part["standing_s"] < up + 0.05
         assert part["chair_bore_weight"] and part["standing_is_steady"]
-        assert trial.time[0] == part["seat_off_s"]
-        assert trial.time[-1] == part["standing_s"]
+        assert trial.start_s == part["seat_off_s"]
+        assert time_of(trial)[-1] == pytest.approx(part["standing_s"])
 
 
 def test_motion_and_forces_come_back(loaded, made):
     _, truth, _ = made
     subject, trials = loaded
     for trial in trials:
-        at = np.round(trial.time * RATE).astype(int)
+        at = np.round(time_of(trial) * RATE).astype(int)
         assert np.abs(trial.q - truth.q[at])[:, 2:].max() < np.deg2rad(0.2)
         assert np.abs(trial.q - truth.q[at])[:, :2].max() < 1e-4
-        assert np.abs(trial.grf - truth.wrench.force[at]).max() < 5.0
+        assert np.abs(trial.ground.force - truth.wrench.force[at]).max() < 5.0
         # Filtering alike keeps Newton's law: what is left stems from the
         # model's nonlinearity and the chair's last newtons.
         left = np.abs(residual(subject, trial))[15:]
@@ -136,7 +147,7 @@ def test_provenance_names_files_filter_and_shifts(loaded):
 def test_one_trial_is_like_many(made, loaded):
     folder, _, study = made
     subject, trials = loaded
-    single = load_trial(study.trials[1], subject, study, folder)
+    (single,) = load_trials(study, folder, subject, study.trials[1:])
     np.testing.assert_array_equal(single.q, trials[1].q)
 
 
@@ -144,12 +155,12 @@ def test_window_instead_of_a_rise(made, loaded):
     folder, _, study = made
     subject, _ = loaded
     files = replace(study.trials[0], rise=None, start_s=2.0, end_s=3.0)
-    trial = load_trial(files, subject, study, folder)
-    assert trial.time[[0, -1]] == pytest.approx([2.0, 3.0])
+    (trial,) = load_trials(study, folder, subject, (files,))
+    assert time_of(trial)[[0, -1]] == pytest.approx([2.0, 3.0])
     files = replace(study.trials[0], rise=1, end_s=3.0)
-    trial = load_trial(files, subject, study, folder)
-    assert trial.time[-1] == pytest.approx(3.0)
-    assert trial.time[0] == trial.provenance["part"]["seat_off_s"]
+    (trial,) = load_trials(study, folder, subject, (files,))
+    assert time_of(trial)[-1] == pytest.approx(3.0)
+    assert trial.start_s == trial.provenance["part"]["seat_off_s"]
 
 
 def test_one_leg_is_doubled(made, loaded):
@@ -157,12 +168,12 @@ def test_one_leg_is_doubled(made, loaded):
     subject, _ = loaded
     plates = replace(study.trials[0].plates, left=None)
     files = replace(study.trials[0], plates=plates)
-    trial = load_trial(files, subject, study, folder)
+    (trial,) = load_trials(study, folder, subject, (files,))
     assert trial.provenance["one_leg_doubled"] is True
-    at = np.round(trial.time * RATE).astype(int)
+    at = np.round(time_of(trial) * RATE).astype(int)
     # Plate 1 bears 40 %, so two of it bear 80 %.
     expected = 0.8 * truth.wrench.force[at, 1]
-    np.testing.assert_allclose(trial.grf[:, 1], expected, atol=5.0)
+    np.testing.assert_allclose(trial.ground.force_z, expected, atol=5.0)
 
 
 def test_legs_apart_fore_and_aft(files, loaded):
@@ -185,14 +196,16 @@ def test_legs_apart_fore_and_aft(files, loaded):
     for name in ("sts", "static"):
         edit_markers(folder, move_legs, f"{name}.trc")
         edit_forces(folder, move_plates, f"{name}.mot")
-    _, trials = load_trials(study, folder)
+    _, trials = load(study, folder)
     shifts = trials[0].provenance["plate_shift_m"]
     # Hips apart turn with the pelvis, which the shifted markers do not: the
     # trunk's angle suffers, the legs' hardly.
     assert shifts == pytest.approx({"left": -0.04, "right": 0.04}, abs=1e-3)
     q = trials[0].q - loaded[1][0].q
     assert np.abs(q[:, 2:5]).max() < np.deg2rad(0.5)
-    assert np.abs(trials[0].cop_x - loaded[1][0].cop_x).max() < 1e-3
+    assert (
+        np.abs(trials[0].ground.cop_x - loaded[1][0].ground.cop_x).max() < 1e-3
+    )
 
 
 @pytest.fixture
@@ -211,9 +224,9 @@ def coupled(files):
 def test_encoders_join_at_their_own_rate(coupled):
     folder, study = coupled
     study = replace(study, trials=study.trials[:1])
-    _, (trial,) = load_trials(study, folder)
-    assert trial.coordinates[6:] == ("exo_ankle", "exo_knee", "exo_hip")
-    t = trial.time
+    _, (trial,) = load(study, folder)
+    assert trial.coordinates.device == ("exo_ankle", "exo_knee", "exo_hip")
+    t = time_of(trial)
     ankle = np.deg2rad(20.0) * (1.0 - np.cos(t))
     np.testing.assert_allclose(trial.q[:, 6], ankle, atol=2e-4)
     np.testing.assert_allclose(trial.q[:, 7], 2 * ankle, atol=4e-4)
@@ -224,7 +237,7 @@ def test_encoders_join_at_their_own_rate(coupled):
 def test_without_encoders_the_exoskeleton_is_aligned(coupled):
     folder, study = coupled
     trials = (replace(study.trials[0], encoders=None),)
-    _, (trial,) = load_trials(replace(study, trials=trials), folder)
+    _, (trial,) = load(replace(study, trials=trials), folder)
     np.testing.assert_array_equal(trial.q[:, 6:], trial.q[:, 3:6])
     assert "no encoders" in trial.provenance["exoskeleton_angles"]
 
@@ -232,12 +245,12 @@ def test_without_encoders_the_exoskeleton_is_aligned(coupled):
 def test_encoders_shorter_than_the_trial(coupled):
     folder, study = coupled
     with pytest.raises(InputError, match=r"exo\.mot.*cover 0\.5 to 6\.49"):
-        load_trials(study, folder)  # the second rise ends at 7.6 s
+        load(study, folder)  # the second rise ends at 7.6 s
 
 
 def refusal(study, folder):
     with pytest.raises(InputError) as caught:
-        load_trials(study, folder)
+        load(study, folder)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -324,7 +337,7 @@ def test_fills_gaps_up_to_the_stated_length(files, loaded):
 
     edit_markers(folder, hide)
     lax = replace(study.laboratory, fill_gaps_s=0.2)
-    _, trials = load_trials(replace(study, laboratory=lax), folder)
+    _, trials = load(replace(study, laboratory=lax), folder)
     assert trials[0].provenance["gaps_filled"] == {"R_sh1": 20 / 850}
     change = np.abs(trials[0].q - loaded[1][0].q)
     assert 0.0 < change.max() < 5e-4
@@ -374,9 +387,13 @@ def test_forces_on_the_plate(files, loaded):
     assert "forces_act_on: plate" in refusal(study, folder)
     edit_forces(folder, flip, "static.mot")
     turned = replace(study.laboratory, forces_act_on="plate")
-    _, trials = load_trials(replace(study, laboratory=turned), folder)
-    np.testing.assert_allclose(trials[0].grf, loaded[1][0].grf, atol=1e-6)
-    np.testing.assert_allclose(trials[0].cop_x, loaded[1][0].cop_x, atol=1e-9)
+    _, trials = load(replace(study, laboratory=turned), folder)
+    np.testing.assert_allclose(
+        trials[0].ground.force, loaded[1][0].ground.force, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        trials[0].ground.cop_x, loaded[1][0].ground.cop_x, atol=1e-9
+    )
 
 
 def test_reads_c3d_alike(files, loaded):
@@ -392,10 +409,14 @@ def test_reads_c3d_alike(files, loaded):
         replace(t, markers=Path("sts.c3d"), forces=Path("sts.c3d"))
         for t in study.trials
     )
-    _, found = load_trials(replace(study, trials=trials), folder)
+    _, found = load(replace(study, trials=trials), folder)
     np.testing.assert_allclose(found[0].q, loaded[1][0].q, atol=1e-6)
-    np.testing.assert_allclose(found[0].grf, loaded[1][0].grf, atol=1e-3)
-    np.testing.assert_allclose(found[0].cop_x, loaded[1][0].cop_x, atol=1e-5)
+    np.testing.assert_allclose(
+        found[0].ground.force, loaded[1][0].ground.force, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        found[0].ground.cop_x, loaded[1][0].ground.cop_x, atol=1e-5
+    )
     bare = replace(study.trials[0], markers=Path("sts.c3d"))
     write_c3d(folder / "sts.c3d", data)
     bare = replace(bare, forces=Path("sts.c3d"))
@@ -446,27 +467,26 @@ def test_mass_comes_from_standing_if_not_stated(made):
 def test_real_rises_are_found(data_root, request):
     """Crossings of 0.75 m as the data's README lists them, five rises."""
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
-    study, root = load_study(path, data_root)
-    subject = fit_subject(study, root)
-    movement = process(study.trials[0], subject, study, root)
-    halfway = [rise.halfway_s for rise in movement.rises]
+    study = read_study(path, data_root)
+    file, subject = study.file, study.subject
+    recording = process(file.trials[0], subject, file, study.root)
+    halfway = [rise.halfway_s for rise in recording.rises]
     np.testing.assert_allclose(
         halfway, [1.12, 3.79, 6.40, 9.02, 11.72], atol=0.04
     )
-    for rise in movement.rises:
+    for rise in recording.rises:
         assert rise.had_chair and rise.is_steady
         assert 0.5 < rise.standing_s - rise.seat_off_s < 1.0
         # The push-off is under way: force is far above body weight.
-        i = np.searchsorted(movement.time, rise.seat_off_s - 1e-9)
-        F_z = sum(w.force[i, 1] for w in movement.forces.values())
+        i = np.searchsorted(recording.motion.time, rise.seat_off_s - 1e-9)
+        F_z = sum(w.force_z[i] for w in recording.feet.values())
         assert 650.0 < F_z < 850.0
     assert subject.report["standing_mass_kg"] == pytest.approx(60.03, abs=0.01)
 
 
 def test_real_trials_obey_newton(data_root, request):
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
-    study, root = load_study(path, data_root)
-    subject, trials = load_trials(study, root)
-    for trial in trials:
-        rms = np.sqrt(np.mean(residual(subject, trial) ** 2, axis=0))
+    study = read_study(path, data_root)
+    for trial in study.trials():
+        rms = np.sqrt(np.mean(residual(study.subject, trial) ** 2, axis=0))
         assert (rms < [24.0, 34.0, 24.0]).all(), rms
