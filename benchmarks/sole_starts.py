@@ -77,8 +77,8 @@ def main():
     parser.add_argument("--starts", type=int, default=10)
     args = parser.parse_args()
     root = args.data_root or Path(".")
-    settings = five_cases(step_block(root), coarse=True)[0].without_limits()
-    setup = Setup.open(settings, root)
+    settings = five_cases(step_block(root), coarse=True)[0]
+    setup = Setup.open(settings, root).without_limits()
     rng = np.random.default_rng(0)
     rows = []
     for k in range(args.starts):

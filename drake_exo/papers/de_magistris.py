@@ -151,9 +151,9 @@ class Study:
         source = "authors’ step" if load.one_foot else "own walking pattern"
         cases = []
         for settings in five_cases(load, coarse):
-            if mesh_file is not None:
-                settings = settings.with_last_stage(divisions=None)
             case = Case.open(settings, data_root or ".", mesh_file)
+            if mesh_file is not None:
+                case = case.finishing_on_own_mesh()
             cases.append(case.with_iterations(iterations))
         variants = {"cases": cases}
         if limits != "all":
@@ -230,9 +230,8 @@ def front_job(folder: Path, case: Case) -> None:
     tr0, tr, rot0, rot = TABLE_2[case.name]
     floors = FLOORS
     if case.name != _WHOLE:
-        floors, settings = (rot / rot0,), case.settings
-        block = replace(settings.optimize, roughness=_REGULARIZATION)
-        case = replace(case, settings=replace(settings, optimize=block))
+        floors = (rot / rot0,)
+        case = case.optimizing(roughness=_REGULARIZATION)
     say = Progress(f"{case.name}, front", interval_seconds=2.0).update
     points = pareto_front(case, floors, say)
     points[0]["paper_ratio_tr"] = tr / tr0

@@ -1,7 +1,7 @@
 """A case: the sole, the step it takes, and what can be done with both."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from drake_exo.files import schema
@@ -62,26 +62,14 @@ class Case(Setup):
             InputError: With file, line, key and remedy; or the ZMP leaves
                 the sole.
         """
-        settings = Settings.read(path)
-        if mesh_file is not None:
-            settings = settings.with_last_stage(divisions=None)
-        return cls.open(settings, data_root or Path(path).parent, mesh_file)
+        root = data_root or Path(path).parent
+        case = cls.open(Settings.read(path), root, mesh_file)
+        return case if mesh_file is None else case.finishing_on_own_mesh()
 
     @classmethod
     def from_text(cls, text: str, data_root: Path | str = ".") -> "Case":
         """As `read`, of a case file's text."""
         return cls.open(schema.load_text(text, Settings, "case"), data_root)
-
-    def without_limits(self) -> "Case":
-        """The paper's own problem: stability, tilt and strain are free."""
-        return replace(self, settings=self.settings.without_limits())
-
-    def with_iterations(self, iterations: int | None) -> "Case":
-        """At most so many in the last stage; None: the case's."""
-        if iterations is None:
-            return self
-        settings = self.settings.with_last_stage(iterations=iterations)
-        return replace(self, settings=settings)
 
     def simulate(
         self, progress: Callable[[int, int], None] | None = None

@@ -83,9 +83,7 @@ class Load:
         """The heel-to-toe case: no sideways ZMP nor force."""
         along = np.array([1.0, 0.0])
         return replace(
-            self,
-            force=self.force * [1.0, 0.0, 1.0],
-            zmp=self.zmp * along,
+            self, force=self.force * [1.0, 0.0, 1.0], zmp=self.zmp * along
         )
 
     def placed(self, origin, yaw: float) -> "Load":

@@ -291,8 +291,7 @@ def write_triangles(path: Path | str, corners: np.ndarray, what: str) -> None:
     normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     record = np.zeros(
-        len(faces),
-        dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")],
+        len(faces), dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]
     )
     record["n"], record["v"] = normal, faces
     count = np.uint32(len(faces)).tobytes()

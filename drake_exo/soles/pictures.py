@@ -201,10 +201,7 @@ def load_figure(load: Load, mesh: TetMesh) -> Figure:
     figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
     left.plot(*(1e3 * load.zmp[0]), "o", mfc="none", mec="k", ms=9)
     left.annotate(
-        "heel strike",
-        1e3 * load.zmp[0],
-        (8, 5),
-        textcoords="offset points",
+        "heel strike", 1e3 * load.zmp[0], (8, 5), textcoords="offset points"
     )
     left.set(
         xlabel="x, forward [mm]",

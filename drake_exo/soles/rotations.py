@@ -72,18 +72,6 @@ def exp_rotation(w: np.ndarray) -> np.ndarray:
     )
 
 
-def rotation_xyz(angles: np.ndarray) -> np.ndarray:
-    """R = Rx(roll) · Ry(pitch) · Rz(yaw) from three angles [rad]."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
-    return np.array(
-        [
-            [cy * cz, -cy * sz, sy],
-            [cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy],
-            [sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy],
-        ]
-    )
-
-
 def angles_xyz(R: np.ndarray) -> np.ndarray:
     """Angles [rad] (..., 3) with R = Rx·Ry·Rz, pitch in [-π/2, π/2]."""
     return np.stack(

@@ -4,7 +4,7 @@ A dataclass for each block of keys; docs/soles.md explains them all. Paths are
 relative to --data-root where given, else to the case file's folder.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -139,22 +139,8 @@ class Pattern:
 
     def load(self) -> Load:
         """Plan the step; the right foot's load."""
-        robot = Robot(
-            self.mass_kg,
-            self.com_height_m,
-            self.step_length_m,
-            self.step_width_m,
-            self.step_time_s,
-            self.double_support_s,
-            self.back_m,
-            self.front_m,
-            self.inner_m,
-            self.outer_m,
-            self.ankle_m,
-            self.torque_weight,
-            self.gravity_m_per_s2,
-        )
-        return plan(robot).foot_load(self.period_s, self.least_share)
+        *numbers, period, least = astuple(self)
+        return plan(Robot(*numbers)).foot_load(period, least)
 
 
 _KINDS = (
@@ -198,23 +184,14 @@ class LoadBlock:
             )
             return load.placed(c.origin_m, c.yaw_rad)
         if (c := self.playback) is not None:
-            return loads.read_playback(
-                root / c.file,
-                c.foot,
-                c.step,
-                c.mass_kg,
-                c.period_s,
-                c.gravity_m_per_s2,
-                c.ankle_to_centre_m,
-                c.least_force_n,
-            )
+            file, *numbers = astuple(c)
+            return loads.read_playback(root / file, *numbers)
         if (c := self.prediction) is not None:
             load = loads.read_prediction(
                 root / c.file, c.share, c.least_force_n
             )
             return load.placed(c.origin_m, 0.0)
-        c = self.constant
-        return loads.constant(c.force_n, c.zmp_m, c.samples)
+        return loads.constant(*astuple(self.constant))
 
 
 @dataclass(frozen=True)
@@ -406,27 +383,6 @@ class Settings:
             np.array(point), np.array([*place, 0.0]), self.start.yaw_rad
         )
 
-    def without_limits(self) -> "Settings":
-        """The paper's own problem: stability, tilt and strain are free.
-
-        Every stage has the block's roughness: it alone holds the shape there.
-        """
-        block = self.optimize
-        block = replace(
-            block,
-            stability_n_per_m=None,
-            tilt_deg=None,
-            strain=None,
-            stages=tuple(replace(s, roughness=None) for s in block.stages),
-        )
-        return replace(self, optimize=block)
-
-    def with_last_stage(self, **changes) -> "Settings":
-        """The last stage of an optimisation changed."""
-        *stages, last = self.optimize.stages
-        stages = (*stages, replace(last, **changes))
-        return replace(self, optimize=replace(self.optimize, stages=stages))
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -491,3 +447,36 @@ class Setup:
             block.layer_m if smooth else 0.0,
             block.kappa if smooth else 0.0,
         )
+
+    def without_limits(self) -> "Setup":
+        """The paper's own problem: stability, tilt and strain are free.
+
+        Every stage has the block's roughness: it alone holds the shape there.
+        """
+        stages = self.settings.optimize.stages
+        return self.optimizing(
+            stability_n_per_m=None,
+            tilt_deg=None,
+            strain=None,
+            stages=tuple(replace(s, roughness=None) for s in stages),
+        )
+
+    def with_iterations(self, iterations: int | None) -> "Setup":
+        """At most so many in the last stage; None: the case's."""
+        if iterations is None:
+            return self
+        return self._with_last_stage(iterations=iterations)
+
+    def finishing_on_own_mesh(self) -> "Setup":
+        """The last stage on the mesh at hand, not on a brick."""
+        return self._with_last_stage(divisions=None)
+
+    def _with_last_stage(self, **changes) -> "Setup":
+        *stages, last = self.settings.optimize.stages
+        return self.optimizing(stages=(*stages, replace(last, **changes)))
+
+    def optimizing(self, **changes) -> "Setup":
+        """Other keys of the block `optimize`."""
+        block = replace(self.settings.optimize, **changes)
+        settings = replace(self.settings, optimize=block)
+        return replace(self, settings=settings)

@@ -197,6 +197,7 @@ def test_a_collapse_is_said_plainly():
     assert "no equilibrium found beyond 0.69" in report.message
 
 
+@pytest.mark.slow
 def test_samples_after_a_collapse_are_left_out(sole, law):
     """A force outside friction's cone has no equilibrium."""
     force, zmp = _load()

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from drake_exo import cli
-from drake_exo.calibration.problem import Trajectory
-from drake_exo.calibration.results import write_trajectories
+from drake_exo.calibration.results import write_trial
 from drake_exo.errors import InputError
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.soles import loads
 
 CASE = """
@@ -33,16 +35,14 @@ def folder(tmp_path):
     up[-5:] = [90, 60, 20, 5, 0]  # both feet
     forward = 0.05 * up
     cop = 0.05 + 0.03 * t
-    nine = np.zeros((COUNT, 9))
-    write_trajectories(
+    names = Coordinates(("foot_x", "foot_z", "foot_pitch", "ankle"))
+    still, ground = np.zeros((COUNT, 4)), np.column_stack([forward, up])
+    wrench = PlanarWrench(ground, -cop * up)
+    moments = np.zeros((COUNT, 1))
+    write_trial(
         tmp_path,
-        [
-            Trajectory(
-                "rise", t, nine, nine, nine, nine, np.zeros((COUNT, 6)),
-                np.column_stack([forward, up, -cop * up]), nine,
-            )
-        ],
-    )  # fmt: skip
+        Trial("rise", names, t, still, still, still, wrench, moments=moments),
+    )
     (tmp_path / "case.yaml").write_text(CASE)
     return tmp_path
 
@@ -58,6 +58,7 @@ def test_half_the_ground_reaction_bears_on_one_foot(folder):
     assert np.abs(load.force[:, 1]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_a_sole_is_simulated_under_a_prediction(folder):
     out = folder / "out"
     code = cli.main(

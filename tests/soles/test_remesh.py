@@ -129,6 +129,7 @@ def test_elements_are_sound_again_and_about_as_many(design, kept, free):
     assert len(free.contact) == pytest.approx(len(mesh.contact), rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_surface_is_kept_only_where_that_is_sound(design, kept, free):
     mesh, spline, p = design
     np.testing.assert_array_equal(remesh(mesh, spline, p).nodes, free.nodes)
@@ -158,6 +159,7 @@ def test_inverted_elements_are_refused():
         remesh(mesh, spline, p)
 
 
+@pytest.mark.slow
 def test_without_a_better_mesh_there_is_none(design):
     mesh, spline, p = design
     with pytest.raises(RemeshError, match="no element is better"):

@@ -45,6 +45,7 @@ def _run(folder, *more):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_case_runs_and_leaves_its_results(folder):
     assert _run(folder) == 0
     numbers = json.loads((folder / "out" / "summary.json").read_text())
@@ -64,6 +65,7 @@ def test_a_case_runs_and_leaves_its_results(folder):
         assert (folder / "out" / f"{name}.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_results_are_not_overwritten_and_repeat_exactly(folder, capsys):
     assert _run(folder) == 0
     names = ("steps.csv", "animation.html", "stiffness.png")
@@ -137,6 +139,7 @@ def test_missing_files_are_exit_code_2(folder, capsys):
     assert "check the path" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "c_tr", "c_rot"),
     [
@@ -191,6 +194,7 @@ def test_a_turned_force_plate_sees_a_turned_load():
     np.testing.assert_allclose(seen.force[0], [0.0, -10.0, 100.0], atol=1e-14)
 
 
+@pytest.mark.slow
 def test_soles_never_load_systems_nor_the_exoskeleton_half():
     code = (
         "import sys, pkgutil, importlib, drake_exo.soles as s\n"

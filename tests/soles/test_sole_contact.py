@@ -70,6 +70,7 @@ def test_complementarity_is_met_in_exact_mode(sole, history):
     assert complementarity(history_bad, law, START, sole.positions) > 1e-10
 
 
+@pytest.mark.slow
 def test_gauss_seidel_and_newton_agree(sole, history):
     law = ContactLaw(0.8, sole.penalty)
     solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
@@ -241,6 +242,7 @@ def _bottom_area(pad):
     return total[pad.mesh.contact]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "weight"), [("J_f100", 98.1), ("J_f400", 392.4)]
 )

@@ -9,6 +9,8 @@ import pytest
 
 from drake_exo import soles
 
+pytestmark = pytest.mark.slow
+
 NAMES = [name for name in soles.__all__ if name != "EXAMPLE"]
 _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 

@@ -109,6 +109,7 @@ def problem():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_cost_and_constraints_have_right_derivatives(problem):
     rng = np.random.default_rng(1)
     p = 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
@@ -221,6 +222,7 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
     assert (best.p <= 1.25).all()
 
 
+@pytest.mark.slow
 def test_a_design_without_a_cold_start_gives_way(problem, monkeypatch):
     from drake_exo.soles.optimize.optimizer import minimise
 
@@ -274,6 +276,7 @@ def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
     assert problem.evaluate(0.98 * p) is not None
 
 
+@pytest.mark.slow
 def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
     problem, monkeypatch
 ):

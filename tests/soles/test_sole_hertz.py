@@ -52,6 +52,7 @@ def _normal_compliance(sole, near):
     return C
 
 
+@pytest.mark.slow
 def test_hertz_contact_radius_and_peak_pressure():
     force = 4 * E / (1 - NU**2) * A**3 / (3 * R)
     mesh = _paraboloid()

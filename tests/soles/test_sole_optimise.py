@@ -24,6 +24,8 @@ from drake_exo.soles.settings import LoadBlock, Pattern, Settings
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import Step
 
+pytestmark = pytest.mark.slow
+
 
 def _write_case(path, intervals=5, layer_m=5e-5, iterations=3, **optimize):
     write_case(

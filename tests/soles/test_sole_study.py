@@ -27,6 +27,7 @@ def _fail() -> None:
     sys.exit(1)
 
 
+@pytest.mark.slow
 def test_every_job_runs_and_failures_are_counted(tmp_path):
     jobs = [(_write, tmp_path / f"{k}.json", k) for k in range(3)]
     ends = []
@@ -78,6 +79,7 @@ def test_a_design_without_costs_has_its_line(tmp_path):
         assert " nan " in text.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_point_of_the_front_holds_its_floor(tmp_path):
     write_step(tmp_path / "load.csv", 10)
     write_case(

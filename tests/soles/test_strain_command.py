@@ -13,6 +13,8 @@ from drake_exo.soles.loads import read_columns
 from drake_exo.soles.optimize.files import find_designs
 from drake_exo.soles.step import strain_comparison
 
+pytestmark = pytest.mark.slow
+
 
 def _write_inputs(place, name="small", element="linear"):
     case = place / f"{name}.yaml"

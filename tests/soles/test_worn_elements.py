@@ -21,15 +21,12 @@ from drake_exo.soles.optimize.files import (
 )
 from drake_exo.soles.optimize.remeshing import RemeshError, with_new_elements
 
-
-def _with_block(case, **changes):
-    block = replace(case.settings.optimize, **changes)
-    return replace(case, settings=replace(case.settings, optimize=block))
+pytestmark = pytest.mark.slow
 
 
 def _case(folder, remeshes=3, iterations=40):
     case = Case.read(folder / "case.yaml").with_iterations(iterations)
-    return _with_block(case, remeshes=remeshes)
+    return case.optimizing(remeshes=remeshes)
 
 
 def _optimise(folder, out, resume=None, **kinds):
@@ -177,7 +174,7 @@ def refining(folder, without, monkeypatch):
     monkeypatch.setattr(designs, "is_worn", lambda *_: True)
 
     def begin(say, **block):
-        changed = _with_block(case, stages=stages, **block)
+        changed = case.optimizing(stages=stages, **block)
         problem = stage_problem(changed, stages[1])
         return designs._on_mesh(problem, changed, 1, at, say)
 

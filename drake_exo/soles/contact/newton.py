@@ -321,9 +321,7 @@ class ContactSolver:
         dF, dp = direction
         turn, shift = np.linalg.norm(dp[3:]), np.linalg.norm(dp[:3])
         step = min(
-            1.0,
-            _MAX_TURN / max(turn, 1e-300),
-            _MAX_SHIFT / max(shift, 1e-300),
+            1.0, _MAX_TURN / max(turn, 1e-300), _MAX_SHIFT / max(shift, 1e-300)
         )
         best = None
         for _ in range(_HALVINGS + 1):

@@ -17,7 +17,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
+from cholespy import CholeskySolverD, MatrixType
+from scipy.sparse import bmat, csr_matrix, diags
 
 from drake_exo.errors import InputError
 from drake_exo.soles.mesh import TetMesh
@@ -297,17 +298,11 @@ class Sole:
         H = displacement_gradient(self.mesh, u)
         return 0.5 * (H + np.swapaxes(H, -1, -2))
 
-    def stress(self, u: np.ndarray) -> np.ndarray:
-        """Cauchy stress of every element [Pa], (..., e, 3, 3).
-
-        With "smoothed", the mean of the stresses of its edges (deviator)
-        and nodes (pressure).
-        """
-        H = displacement_gradient(self.mesh, u)
-        return self.stress_and_energy(H)[0]
-
     def stress_and_energy(self, H: np.ndarray):
-        """Stress [Pa] (..., e, 3, 3) and energy density [J/m³] (..., e).
+        """Cauchy stress [Pa] (..., e, 3, 3), energy density [J/m³] (..., e).
+
+        With "smoothed", the mean of the stresses of an element's edges
+        (deviator) and nodes (pressure).
 
         Args:
             H: Displacement gradients of the elements, (..., e, 3, 3).
@@ -355,20 +350,11 @@ def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:
 
 
 class _Factor:
-    """Sparse Cholesky with many right-hand sides (cholespy), or splu."""
+    """Sparse Cholesky with many right-hand sides."""
 
     def __init__(self, K: csr_matrix):
-        self._K = K
-        self._lu = None
         K = K.tocsc()
         K.sort_indices()
-        try:
-            from cholespy import CholeskySolverD, MatrixType
-        except ImportError:
-            from scipy.sparse.linalg import splu
-
-            self._lu = splu(csc_matrix(K))
-            return
         try:
             self._cholesky = CholeskySolverD(
                 K.shape[0], K.indptr, K.indices, K.data, MatrixType.CSC
@@ -378,8 +364,6 @@ class _Factor:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         flat = np.ascontiguousarray(b.reshape(b.shape[0], -1))
-        if self._lu is not None:
-            return self._lu.solve(flat).reshape(b.shape)
         x = np.zeros_like(flat)
         # cholespy takes at most 128 right-hand sides at a time.
         for start in range(0, flat.shape[1], 128):

@@ -355,8 +355,7 @@ def shape_gradients(
         step = _Step(solver, history, q, target)
         step.reverse(*zip(*live, strict=True))
     out = compliance_gradients(
-        sole,
-        [(np.array(x.left).T, np.array(x.right).T) for x in sums],
+        sole, [(np.array(x.left).T, np.array(x.right).T) for x in sums]
     )
     for X, total in zip(out, sums, strict=True):
         X[sole.mesh.contact] += total.lP

@@ -61,10 +61,7 @@ from drake_exo.soles.step.simulation import (
     HISTORY,
     write_history,
 )
-from drake_exo.soles.step.strain_comparison import (
-    compare_strains,
-    write_table,
-)
+from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 
 _SOUND = 0.15  # least quality at which a finer brick judges a design
 _FORMER = 5  # earlier designs to fall back on

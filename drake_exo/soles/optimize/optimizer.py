@@ -220,16 +220,12 @@ class _Callbacks:
     def __init__(
         self,
         problem,
-        hessian_approximation: QuasiNewton,
+        curvature: QuasiNewton,
         best: Optimum,
         say,
         refining=False,
     ):
-        self.problem, self.hessian_approximation, self.best = (
-            problem,
-            hessian_approximation,
-            best,
-        )
+        self.problem, self.curvature, self.best = (problem, curvature, best)
         self.say = say
         self.stopped = self.stalled = False
         self.ended = ""  # why it was told to
@@ -270,18 +266,13 @@ class _Callbacks:
     def hessian(self, p, multipliers, factor, out):
         """Lower triangle; a factor of 0 is IPOPT's restoration."""
         if factor > 0:
-            self.hessian_approximation.update(
-                p, *self.at(p), multipliers / factor
-            )
+            self.curvature.update(p, *self.at(p), multipliers / factor)
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
             self._adapt()
             factor *= self._caution
         else:
             self._before = None  # what it simulates says nothing of steps
-        B = (
-            self.hessian_approximation.matrix
-            + self.problem.regularization(p)[2]
-        )
+        B = self.curvature.matrix + self.problem.regularization(p)[2]
         out[()] = max(factor, 1e-3) * B[self._lower]
 
     def _adapt(self) -> None:
@@ -354,11 +345,9 @@ def minimise(
     n, m = problem.spline.count, len(problem.names())
     p0 = np.clip(p0, *bounds)
     best = Optimum(p0.copy())
-    hessian_approximation = hessian_approximation or QuasiNewton(n)
-    hessian_approximation.forget_point()
-    calls = _Callbacks(
-        problem, hessian_approximation, best, on_iterate, refining
-    )
+    curvature = hessian_approximation or QuasiNewton(n)
+    curvature.forget_point()
+    calls = _Callbacks(problem, curvature, best, on_iterate, refining)
     solver = _ipopt(
         problem,
         calls,

@@ -129,8 +129,7 @@ def _problem(setup: Setup, stage: Stage, floor: float):
 
 
 def _without_floor(setup: Setup) -> Setup:
-    block = replace(setup.settings.optimize, c_rot_nm_per_rad=None)
-    return replace(setup, settings=replace(setup.settings, optimize=block))
+    return setup.optimizing(c_rot_nm_per_rad=None)
 
 
 def _steps(reached: float, floor: float) -> np.ndarray:

@@ -26,11 +26,7 @@ from drake_exo.soles.rotations import tilt_deg
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.results import principal_strains
-from drake_exo.soles.step.simulation import (
-    StepHistory,
-    first_step,
-    simulate,
-)
+from drake_exo.soles.step.simulation import StepHistory, first_step, simulate
 
 # Parts of the first sample's load at which to enter from small strain.
 _ENTRIES = (1.0, 0.5, 0.25, 0.1, 0.04)
