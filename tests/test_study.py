@@ -4,7 +4,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.study import Study, load_study
+from drake_exo.study import StudyFile, read_study
 
 STUDY = Path(__file__).parent / "studies" / "opencap_sts1.yaml"
 
@@ -15,27 +15,30 @@ def refusal(old, new, tmp_path) -> str:
     path = tmp_path / "study.yaml"
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError) as caught:
-        load_study(path)
+        read_study(path)
     assert str(caught.value).startswith(f"{path}:")
     return str(caught.value)
 
 
 def test_reads_the_real_study(tmp_path):
-    study, root = load_study(STUDY)
-    assert root == STUDY.parent
-    assert [t.name for t in study.trials] == ["rise1", "rise2", "rise3"]
-    assert study.markers.segments.pelvis.middle == ("C7",)
-    assert load_study(STUDY, tmp_path) == (study, tmp_path)
+    study = read_study(STUDY)
+    assert study.root == STUDY.parent
+    file = study.file
+    assert [t.name for t in file.trials] == ["rise1", "rise2", "rise3"]
+    assert file.markers.segments.pelvis.middle == ("C7",)
+    assert (study.name, study.filter) == (file.subject.name, file.filter)
+    elsewhere = read_study(STUDY, tmp_path)
+    assert (elsewhere.file, elsewhere.root) == (file, tmp_path)
 
 
 def test_study_survives_writing():
-    study, _ = load_study(STUDY)
-    assert schema.load_text(schema.dump_text(study), Study) == study
+    file = read_study(STUDY).file
+    assert schema.load_text(schema.dump_text(file), StudyFile) == file
 
 
 def test_data_root_must_be_a_folder(tmp_path):
     with pytest.raises(InputError, match="--data-root"):
-        load_study(STUDY, tmp_path / "none")
+        read_study(STUDY, tmp_path / "none")
 
 
 @pytest.mark.parametrize(

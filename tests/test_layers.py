@@ -1,0 +1,105 @@
+"""Rooms of the package stand on each other; its files are few and not short."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import drake_exo
+
+ROOT = Path(drake_exo.__file__).parent
+# A room imports lower ones alone: those before it here.
+ROOMS = (
+    "errors",
+    "files",
+    "player",
+    "soles",
+    "nlp",
+    "model",
+    "contact",
+    "measurement",
+    "collocation",
+    "calibration",
+    "virtual_laboratory",
+    "report",
+    "study",
+    "papers",
+    "cli",
+)
+FILES = sorted(ROOT.rglob("*.py"))
+MODULES = [path for path in FILES if path != ROOT / "__init__.py"]
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(ROOT).with_suffix("").parts[0]
+
+
+def imported(path: Path) -> set[str]:
+    """Other rooms that a file imports, anywhere in it."""
+    return rooms_in(ast.parse(path.read_text(encoding="utf-8"))) - {
+        room_of(path)
+    }
+
+
+def rooms_in(tree: ast.Module) -> set[str]:
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: relative import"
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    parts = [name.split(".") for name in names if name != "drake_exo"]
+    found = {p[1] for p in parts if p[0] == "drake_exo"}
+    return found - {"__version__"}
+
+
+def test_imports_are_seen_wherever_they_stand():
+    text = """
+import numpy as np, drake_exo.nlp.ipopt
+from drake_exo import __version__, soles
+def late():
+    from drake_exo.report.scene import Scene
+    class Inner:
+        import drake_exo.files as f
+"""
+    assert rooms_in(ast.parse(text)) == {"nlp", "soles", "report", "files"}
+
+
+def test_every_room_has_its_place():
+    assert {room_of(path) for path in MODULES} == set(ROOMS)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_lower_ones_alone(room):
+    lower = set(ROOMS[: ROOMS.index(room)])
+    wrong = {
+        str(path.relative_to(ROOT)): sorted(imported(path) - lower)
+        for path in MODULES
+        if room_of(path) == room and imported(path) - lower
+    }
+    assert not wrong
+
+
+def test_soles_and_programs_know_no_exoskeleton():
+    allowed = {"soles": {"errors", "files", "player"}, "nlp": {"errors"}}
+    users = set()
+    for path in MODULES:
+        room = room_of(path)
+        assert imported(path) <= allowed.get(room, set(ROOMS)), path
+        if "soles" in imported(path):
+            users.add(room)
+    assert users <= {"papers", "cli"}
+
+
+def test_files_are_worth_opening():
+    short = [
+        str(path.relative_to(ROOT))
+        for path in MODULES
+        if len(path.read_text(encoding="utf-8").splitlines()) < 40
+        and path.name != "__init__.py"
+        and not path.name.endswith("_child.py")
+        and room_of(path) != "cli"
+    ]
+    assert not short
+    assert len(FILES) <= 150
