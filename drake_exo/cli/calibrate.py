@@ -11,6 +11,7 @@ from pathlib import Path
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.pareto import pareto_front
 from drake_exo.calibration.results import read_contact
+from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure, save_figure
@@ -22,6 +23,7 @@ from drake_exo.report.tables import (
 )
 from drake_exo.study import (
     Calibration,
+    Study,
     calibrate_foot_ground,
     calibrate_interaction,
     read_study,
@@ -83,7 +85,7 @@ def add_study_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
     study = read_study(args.study, args.data_root)
-    trials = study.trials("calibration")
+    study.trials("calibration")  # bad input ends before a folder is made
     only_foot = args.phase == "foot-ground" or (
         args.phase is None and not study.model.cuffs
     )
@@ -98,30 +100,44 @@ def run(args: argparse.Namespace) -> int:
             return 0
         if only_foot:
             front = not args.no_front and bool(study.foot_ground.front)
-            code = _foot_ground(study, trials, out, args.resume, front)
+            code = write_foot_ground(study, out, args.resume, front)
         else:
-            code = _both(study, trials, out, args.resume, contact)
+            code = write_interaction(study, out, args.resume, contact)
     if not code:
         print(f"results in {args.out}")
     return code
 
 
-def _both(study, trials, out: Path, resume: bool, contact) -> int:
-    """Phase A, unless its contact is given, then Phase B."""
+def write_foot_ground(
+    study: Study, out: Path, resume: bool = False, front: bool = False
+) -> int:
+    """Phase A into a folder; returns the exit code."""
+    write_inputs(out, study.model, study.trials("calibration"))
+    found = calibrate_foot_ground(study, folder=out, resume=resume)
+    return _write(found, out, {}, front)
+
+
+def write_interaction(
+    study: Study,
+    out: Path,
+    resume: bool = False,
+    contact: ContactModel | None = None,
+) -> int:
+    """Phase A, unless its contact is given, then Phase B; as above."""
     more = {}
     if contact is None:
         folder = out / FOOT_GROUND
         folder.mkdir(exist_ok=True)
         if not (resume and _succeeded(folder)):
-            code = _foot_ground(study, trials, folder, resume, front=False)
+            code = write_foot_ground(study, folder, resume)
             if code:
                 return code
         text = (folder / "summary.json").read_text("utf-8")
         more = {"foot_ground": json.loads(text)}
         contact = read_contact(folder)
-    write_inputs(out, study.model, trials)
+    write_inputs(out, study.model, study.trials("calibration"))
     found = calibrate_interaction(
-        study, trials, contact, folder=out, resume=resume
+        study, contact=contact, folder=out, resume=resume
     )
     return _write(found, out, more)
 
@@ -131,12 +147,6 @@ def _succeeded(folder: Path) -> bool:
     return path.is_file() and json.loads(path.read_text("utf-8")).get(
         "success", False
     )
-
-
-def _foot_ground(study, trials, out: Path, resume: bool, front: bool) -> int:
-    write_inputs(out, study.model, trials)
-    found = calibrate_foot_ground(study, trials, folder=out, resume=resume)
-    return _write(found, out, {}, front)
 
 
 def _write(

@@ -7,19 +7,21 @@ that were not used (C1), again with stiffer cuffs (C2), reports it all beside
 the paper's figures, and writes a page that replays every movement.
 """
 
-from __future__ import annotations
-
 import argparse
-import contextlib
-import sys
 from pathlib import Path
-from typing import TextIO
 
-from drake_exo.cli import main
-from drake_exo.cli.view import REPLAY
-from drake_exo.files.output import prepare_output_folder
+from drake_exo.calibration.results import read_contact
+from drake_exo.cli.calibrate import write_interaction
+from drake_exo.cli.lab import PROCESSES
+from drake_exo.cli.predict import write_predictions
+from drake_exo.cli.report import write_report
+from drake_exo.cli.view import REPLAY, write_view
+from drake_exo.files.output import OutputFolder, prepare_output_folder
+from drake_exo.report.gathering import gather
+from drake_exo.study import read_study
+from drake_exo.virtual_laboratory.campaign import write_campaign
 
-_SEED = "1"
+_SEED = 1
 
 
 def add_parser(subparsers) -> None:
@@ -39,64 +41,48 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the steps one after the other; stops at the first that fails."""
     with prepare_output_folder(args.out, args.force) as out:
-        final = _FinalPaths(sys.stdout, str(out), str(args.out))
-        for title, step in _steps(out):
-            print(f"== {title}", flush=True)
-            with contextlib.redirect_stdout(final):
-                code = main(step)
+        code = _steps(out)
+    if not code:
+        print(f"all of it is in {args.out}; open in a browser:")
+        print(f"  {(args.out / REPLAY).resolve()}")
+    return code
+
+
+def _steps(out: Path) -> int:
+    """The demo's parts, each in its own folder of results."""
+
+    def part(name: str, title: str) -> OutputFolder:
+        print(f"== {title}", flush=True)
+        return prepare_output_folder(out / name)
+
+    title = "virtual laboratory: a campaign of nine movements"
+    with part("laboratory", title) as folder:
+        study = read_study(write_campaign(folder, _SEED, processes=PROCESSES))
+    title = "Phases A and B: calibrate from three movements"
+    with part("calibration", title) as folder:
+        if code := write_interaction(study, folder):
+            return code
+        contact = read_contact(folder)
+    for name, factor, title in (
+        (
+            "prediction",
+            1.0,
+            "Phase C1: predict six movements from their end states",
+        ),
+        (
+            "prediction_stiff",
+            1.4,
+            "Phase C2: again with cuffs 1.4 times as stiff",
+        ),
+    ):
+        with part(name, title) as folder:
+            code = write_predictions(
+                study, contact, folder, scale_interaction=factor
+            )
             if code:
                 return code
-    print(f"all of it is in {args.out}; open in a browser:")
-    print(f"  {(args.out / REPLAY).resolve()}")
+    with part("report", "report") as folder:
+        write_report(folder, gather(out))
+    print("== replay", flush=True)
+    write_view(out, out / REPLAY)
     return 0
-
-
-class _FinalPaths:
-    """A stream that names files where they will be in the end.
-
-    Replaced results grow in another folder (`prepare_output_folder`), which
-    is gone when somebody follows what was printed.
-    """
-
-    def __init__(self, stream: TextIO, growing: str, final: str):
-        self._stream, self._growing, self._final = stream, growing, final
-
-    def write(self, text: str) -> int:
-        return self._stream.write(text.replace(self._growing, self._final))
-
-    def __getattr__(self, name: str):
-        return getattr(self._stream, name)
-
-
-def _steps(out: Path) -> list[tuple[str, list[str]]]:
-    """Titles and command lines of the demo."""
-    laboratory = out / "laboratory"
-    study = str(laboratory / "study.yaml")
-    calibration = str(out / "calibration")
-    predict = ["predict", study, "--calibration", calibration]
-    return [
-        (
-            "virtual laboratory: a campaign of nine movements",
-            ["lab", "--seed", _SEED, "--out", str(laboratory)],
-        ),
-        (
-            "Phases A and B: calibrate from three movements",
-            ["calibrate", study, "--no-front", "--out", calibration],
-        ),
-        (
-            "Phase C1: predict six movements from their end states",
-            [*predict, "--out", str(out / "prediction")],
-        ),
-        (
-            "Phase C2: again with cuffs 1.4 times as stiff",
-            [
-                *predict,
-                "--scale-interaction",
-                "1.4",
-                "--out",
-                str(out / "prediction_stiff"),
-            ],
-        ),
-        ("report", ["report", str(out)]),
-        ("replay", ["view", str(out), "--out", str(out / REPLAY)]),
-    ]

@@ -11,7 +11,9 @@ from drake_exo.virtual_laboratory.campaign import (
 )
 from drake_exo.virtual_laboratory.truth import DISTURBANCES
 
-_PROCESSES = 2  # a core for each; more memory is not worth it
+PROCESSES = min(
+    os.cpu_count() or 1, 2
+)  # a core for each; more memory is not worth it
 
 
 def add_parser(subparsers) -> None:
@@ -72,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
             args.trials,
             full=args.full,
             files=args.files,
-            processes=min(os.cpu_count() or 1, _PROCESSES, args.trials),
+            processes=min(PROCESSES, args.trials),
         )
         name = study.name
     print(f"wrote {args.out}/{name} with {args.trials} trials")

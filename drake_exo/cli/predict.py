@@ -14,19 +14,21 @@ from types import FunctionType
 from pydrake.systems.framework import System
 
 from drake_exo.calibration.results import (
-    PARAMETERS,
     read_contact,
     solve_summary,
+    write_contact,
     write_trial,
 )
 from drake_exo.calibration.scores import spread
 from drake_exo.cli.calibrate import add_study_arguments, report_failure
+from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.report.figures import draw_figures
 from drake_exo.report.tables import audit_table, format_table, rmsd_table
 from drake_exo.study import (
     Prediction,
+    Study,
     audit_all,
     predict,
     read_study,
@@ -87,49 +89,73 @@ def run(args: argparse.Namespace) -> int:
     """Predict every trial, audit, and write everything to --out."""
     changes = _changes(args)
     contact = read_contact(args.calibration)
-    contact_text = (args.calibration / PARAMETERS).read_text("utf-8")
     controller = load_controller(args.controller)
     study = read_study(args.study, args.data_root)
-    settings = replace(study.prediction, **changes)
-    trials = study.trials("prediction")
-    found: list[Prediction] = []
-    code = 0
+    study.prediction = replace(study.prediction, **changes)
+    study.trials("prediction")  # bad input ends before a folder is made
     with prepare_output_folder(args.out, args.force, args.resume) as out:
-        write_inputs(out, study.model, trials)
-        (out / PARAMETERS).write_text(contact_text, encoding="utf-8")
-        for trial in trials:
-            folder = out / f"unfinished_{trial.name}"
-            folder.mkdir(exist_ok=True)
-            prediction = predict(
-                study,
-                trial,
-                contact,
-                settings=settings,
-                scale_interaction=args.scale_interaction,
-                controller=controller,
-                folder=folder,
-                resume=args.resume,
-            )
-            found.append(prediction)
-            if prediction.success:
-                folder.rmdir()
-                continue
-            print(trial.name, end=": ")
-            code = report_failure(prediction.solution)
-            if code == 130:
-                break
-        summary = _summary(args, study, settings, found, trials)
-        good = [
-            (p, t) for p, t in zip(found, trials, strict=False) if p.success
-        ]
-        if good:
-            _write(out, good, summary)
-            audits = audit_all([p.result for p, _ in good])
-            summary["audit"] = [audit.summary() for audit in audits]
-            print(audit_table(summary["audit"]))
-        write_json(out / "summary.json", summary)
+        code = write_predictions(
+            study,
+            contact,
+            out,
+            scale_interaction=args.scale_interaction,
+            controller=controller,
+            controller_name=args.controller,
+            resume=args.resume,
+        )
     if not code:
         print(f"results in {args.out}")
+    return code
+
+
+def write_predictions(
+    study: Study,
+    contact: ContactModel,
+    out: Path,
+    *,
+    scale_interaction: float = 1.0,
+    controller: System | None = None,
+    controller_name: str | None = None,
+    resume: bool = False,
+) -> int:
+    """Every trial for prediction into a folder; returns the exit code."""
+    trials = study.trials("prediction")
+    write_inputs(out, study.model, trials)
+    write_contact(out, contact)
+    found: list[Prediction] = []
+    code = 0
+    for trial in trials:
+        folder = out / f"unfinished_{trial.name}"
+        folder.mkdir(exist_ok=True)
+        prediction = predict(
+            study,
+            trial,
+            contact,
+            scale_interaction=scale_interaction,
+            controller=controller,
+            folder=folder,
+            resume=resume,
+        )
+        found.append(prediction)
+        if prediction.success:
+            folder.rmdir()
+            continue
+        print(trial.name, end=": ")
+        code = report_failure(prediction.solution)
+        if code == 130:
+            break
+    summary = {
+        "scale_interaction": scale_interaction,
+        "controller": controller_name,
+        **_summary(study, found, trials),
+    }
+    good = [(p, t) for p, t in zip(found, trials, strict=False) if p.success]
+    if good:
+        _write(out, good, summary)
+        audits = audit_all([p.result for p, _ in good])
+        summary["audit"] = [audit.summary() for audit in audits]
+        print(audit_table(summary["audit"]))
+    write_json(out / "summary.json", summary)
     return code
 
 
@@ -181,7 +207,7 @@ def load_controller(name: str | None) -> System | None:
     return found
 
 
-def _summary(args, study, settings, found: list[Prediction], trials) -> dict:
+def _summary(study: Study, found: list[Prediction], trials) -> dict:
     solves = [{"trial": p.name, **solve_summary(p.solution)} for p in found]
     failed = [s for s in solves if not s["success"]]
     total = {
@@ -198,14 +224,12 @@ def _summary(args, study, settings, found: list[Prediction], trials) -> dict:
     return {
         "phase": "prediction",
         "subject": study.name,
-        "objective": settings.objective,
-        "scale_interaction": args.scale_interaction,
-        "controller": args.controller,
+        "objective": study.prediction.objective,
         "success": len(solves) == len(trials) and not failed,
         "status": failed[0]["status"] if failed else "solved",
         **total,
         "solves": solves,
-        "settings": asdict(settings),
+        "settings": asdict(study.prediction),
         "parameters": [],
         "rmsd": [
             p.rmsd(t) for p, t in zip(found, trials, strict=False) if p.success

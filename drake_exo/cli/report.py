@@ -12,7 +12,7 @@ from pathlib import Path
 
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.papers.serrancoli import draw_figures, tables
-from drake_exo.report.gathering import gather
+from drake_exo.report.gathering import Results, gather
 
 
 def add_parser(subparsers) -> None:
@@ -41,17 +41,22 @@ def run(args: argparse.Namespace) -> int:
     found = gather(args.results)
     out = args.out or args.results / "report"
     with prepare_output_folder(out, args.force) as folder:
-        made, texts = tables(found)
-        for name, rows in made.items():
-            _write_csv(folder / f"{name}.csv", rows)
-        for text in texts:
-            print(text)
-        (folder / "tables.txt").write_text(
-            "\n\n".join(texts) + "\n", encoding="utf-8"
-        )
-        draw_figures(folder, found)
+        write_report(folder, found)
     print(f"report in {out}")
     return 0
+
+
+def write_report(folder: Path, found: list[Results]) -> None:
+    """Tables and figures into a folder; prints the tables."""
+    made, texts = tables(found)
+    for name, rows in made.items():
+        _write_csv(folder / f"{name}.csv", rows)
+    for text in texts:
+        print(text)
+    (folder / "tables.txt").write_text(
+        "\n\n".join(texts) + "\n", encoding="utf-8"
+    )
+    draw_figures(folder, found)
 
 
 def _write_csv(path: Path, rows: list[list]) -> None:

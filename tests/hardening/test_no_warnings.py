@@ -1,8 +1,5 @@
 """Normal use prints no warning, and names the folders that will be there."""
 
-import io
-import sys
-
 import pytest
 from cli_runs import normal_use
 
@@ -39,23 +36,15 @@ def test_sole(sole_case, tmp_path):
     )
 
 
-def test_the_demo_names_final_paths(monkeypatch, tmp_path):
+def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
     """Also where --force lets results grow elsewhere first."""
     out = tmp_path / "demo_results"
     out.mkdir()
     (out / "old.txt").write_text("old")
-    seen = []
-
-    def step(command):
-        seen.append(command)
-        print(f"results in {command[-1]}")
-        return 0
-
-    monkeypatch.setattr(demo, "main", step)
-    monkeypatch.setattr(sys, "stdout", io.StringIO())
-    args = demo.argparse.Namespace(out=out, force=True)
-    assert demo.run(args) == 0
-    assert ["report", f"{out}.partial"] in seen
-    text = sys.stdout.getvalue()
-    assert ".partial" not in text
-    assert f"results in {out}\n" in text
+    monkeypatch.setattr(
+        demo, "_steps", lambda folder: (folder / demo.REPLAY).touch()
+    )
+    assert demo.run(demo.argparse.Namespace(out=out, force=True)) is None
+    page = capsys.readouterr().out.splitlines()[-1].strip()
+    assert page == str(out / demo.REPLAY)
+    assert (out / demo.REPLAY).exists()
