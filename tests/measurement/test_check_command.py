@@ -63,6 +63,7 @@ def test_prints_and_writes_the_report(folder, capsys):
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_same_input_same_files(folder):
     study = str(folder / "study.yaml")
     for name in ("a", "b"):

@@ -396,6 +396,7 @@ def test_forces_on_the_plate(files, loaded):
     )
 
 
+@pytest.mark.slow
 def test_reads_c3d_alike(files, loaded):
     folder, study = files
     data = read_trc(folder / "sts.trc")
