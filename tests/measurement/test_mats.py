@@ -53,8 +53,11 @@ def cylinder(num_around=180, num_up=41):
     return grid.reshape(-1, 3), triangles
 
 
-def write(path, points, triangles):
-    meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]))
+def write(path, points, triangles, binary=True):
+    mesh = meshio.Mesh(points, [("triangle", triangles)])
+    # Text takes seconds.
+    kind = {"binary": binary} if path.suffix == ".stl" else {}
+    meshio.write(path, mesh, **kind)
     return path
 
 
@@ -63,9 +66,10 @@ def scan(**changes):
     return Scan(**{**given, **changes})
 
 
-@pytest.mark.parametrize("kind", ["stl", "ply", "obj"])
+@pytest.mark.parametrize("kind", ["stl", "text.stl", "ply", "obj"])
 def test_reads_every_format(tmp_path, kind):
-    path = write(tmp_path / f"scan.{kind}", *cylinder())
+    binary = not kind.startswith("text")
+    path = write(tmp_path / f"scan.{kind}", *cylinder(), binary)
     surface = read_surface(path, scan())
     points = np.array([[0.2, 0.0, 0.2], [0.0, -0.2, 0.1]])
     on, triangles = surface.closest(points)
