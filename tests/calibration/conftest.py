@@ -1,5 +1,7 @@
 """What tests of the phases share: movements of known truth, and solves."""
 
+from pathlib import Path
+
 import pytest
 
 from drake_exo.calibration.settings import (
@@ -9,8 +11,26 @@ from drake_exo.calibration.settings import (
     Solver,
     SphereSettings,
 )
+from drake_exo.cli import main
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import synthetic
+
+_STUDY = Path(__file__).parents[1] / "studies" / "opencap_predict.yaml"
+
+
+@pytest.fixture(scope="session")
+def command(data_root):
+    """A command's arguments for five rises of a real recording."""
+    return lambda name: [name, str(_STUDY), "--data-root", str(data_root)]
+
+
+@pytest.fixture(scope="session")
+def calibrated(command, tmp_path_factory):
+    """Folder with the contact that three of them calibrate."""
+    out = tmp_path_factory.mktemp("recorded") / "calibrated"
+    options = ["--phase", "foot-ground", "--no-front", "--out", str(out)]
+    assert main([*command("calibrate"), *options]) == 0
+    return out
 
 
 @pytest.fixture(scope="session")

@@ -2,44 +2,27 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drake_exo.cli import main
-
-_STUDY = "tests/studies/opencap_sts1.yaml"
+from drake_exo.files.opensim import read_coordinates
 
 
 @pytest.fixture
-def study_text(request):
-    return (request.config.rootpath / _STUDY).read_text("utf-8")
+def study_text(command):
+    return Path(command("calibrate")[1]).read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
-def results(request, tmp_path_factory):
-    data_root = request.getfixturevalue("data_root")
-    out = tmp_path_factory.mktemp("calibrated") / "out"
-    study = request.config.rootpath / _STUDY
-    code = main(
-        [
-            "calibrate",
-            str(study),
-            "--phase",
-            "foot-ground",
-            "--data-root",
-            str(data_root),
-            "--out",
-            str(out),
-            "--no-front",
-        ]
-    )
-    assert code == 0
-    return out
+def summary(calibrated):
+    return json.loads((calibrated / "summary.json").read_text("utf-8"))
 
 
-def test_summary_holds_the_contract(results):
-    summary = json.loads((results / "summary.json").read_text("utf-8"))
+@pytest.mark.slow
+def test_summary_holds_the_contract(summary):
     for key in (
         "success",
         "status",
@@ -63,9 +46,9 @@ def test_summary_holds_the_contract(results):
         assert trial["cop_mm"] > 0.0
 
 
-def test_real_recording_beats_the_baseline(results):
+@pytest.mark.slow
+def test_real_recording_beats_the_baseline(summary):
     """Baseline: 1.2 deg, 9 deg/s, 18 N, 5 mm, spheres at their bounds."""
-    summary = json.loads((results / "summary.json").read_text("utf-8"))
     for trial in summary["rmsd"]:
         assert max(trial["angles_deg"].values()) < 0.8
         assert max(trial["velocities_deg_s"].values()) < 8.5
@@ -74,31 +57,38 @@ def test_real_recording_beats_the_baseline(results):
     assert not any(p["at_bound"] for p in summary["parameters"])
 
 
-def test_solution_holds_between_nodes_and_simulates(results):
-    summary = json.loads((results / "summary.json").read_text("utf-8"))
+@pytest.mark.slow
+def test_solution_holds_between_nodes_and_simulates(summary):
     for row in summary["audit"]:
         assert row["holds"]
         assert max(row["simulated_grf_n"]) < 1.0
         assert row["simulated_angles_deg"] < 0.1
 
 
-def test_trajectories_are_read_back(results):
-    from drake_exo.files.opensim import read_coordinates
+@pytest.mark.slow
+def test_intervals_are_reported(summary):
+    free = [p for p in summary["parameters"] if p["free"]]
+    assert free
+    for p in free:
+        assert p["half_width_95"] > 0.0
+        assert isinstance(p["identifiable"], bool)
 
+
+@pytest.mark.slow
+def test_trajectories_are_read_back(calibrated):
     table = read_coordinates(
-        results / "rise1_coordinates.sto", ("foot_x", "foot_z")
+        calibrated / "rise1_coordinates.sto", ("foot_x", "foot_z")
     )
     assert table.names[:3] == ("foot_x", "foot_z", "foot_pitch")
     assert np.isfinite(table.values).all()
 
 
-def test_results_are_not_overwritten(results, data_root, capsys, request):
-    before = (results / "summary.json").read_bytes()
-    study = str(request.config.rootpath / _STUDY)
-    command = ["calibrate", study, "--data-root", str(data_root)]
-    assert main([*command, "--out", str(results)]) == 2
+@pytest.mark.slow
+def test_results_are_not_overwritten(command, calibrated, capsys):
+    before = (calibrated / "summary.json").read_bytes()
+    assert main([*command("calibrate"), "--out", str(calibrated)]) == 2
     assert "--force" in capsys.readouterr().err
-    assert (results / "summary.json").read_bytes() == before
+    assert (calibrated / "summary.json").read_bytes() == before
 
 
 def _run(tmp_path, text, data_root=None):

@@ -26,6 +26,7 @@ def found_and_true(result, in_device):
     return np.array([(p.nominal, true[p.name]) for p in result.parameters]).T
 
 
+@pytest.mark.slow
 def test_identifiable_parameters_come_back(exact, in_device):
     assert exact.success
     true = in_device.contact.values()
@@ -34,6 +35,7 @@ def test_identifiable_parameters_come_back(exact, in_device):
             assert p.nominal == pytest.approx(true[p.name], rel=0.01), p.name
 
 
+@pytest.mark.slow
 def test_all_forces_come_back(exact, in_device):
     """Tangential forces and moments of cuffs were never given."""
     for found, trial in zip(exact.trials, in_device.trials, strict=True):

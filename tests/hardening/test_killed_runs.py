@@ -70,6 +70,8 @@ def test_calibrate_goes_on_after_a_kill(campaign, tmp_path, capsys):
     # Five iterations were kept, the sixth was lost.
     assert again["iterations"] < fresh["iterations"]
     assert not list(out.glob("checkpoint*"))
+    assert main([*command, "--resume"]) == 0
+    assert "nothing to resume" in capsys.readouterr().out
 
 
 def test_sole_optimize_goes_on_after_a_kill(sole_case, tmp_path, capsys):

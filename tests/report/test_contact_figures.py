@@ -74,8 +74,8 @@ def test_command_refuses_to_overwrite(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("--radius", "0", "radius is 0 m; it must be above 0"),
-        ("--modulus", "nan", "modulus is nan N/m²; give a finite number"),
+        ("--radius", "0", "radius is 0, but must be above 0 m"),
+        ("--modulus", "nan", "modulus is nan, but must be a finite number"),
         ("--dissipation", "-1", "must be at least 0"),
         ("--dynamic-friction", "0.95", "above static friction"),
     ],

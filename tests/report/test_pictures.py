@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.description import fit_exoskeleton
+from drake_exo.model.plant import Model, nominal_model
 from drake_exo.report.scene import (
     HALFWAY_DEG,
     STANDING_DEG,
     Scene,
-    render,
-    upright_pose,
     write_page,
     write_png,
 )
@@ -25,24 +25,26 @@ def height_of(scene, q, frame):
     ("kind", "sole"), [("human", "sole"), ("coupled", "plate")]
 )
 def test_upright_pose_stands_on_the_ground(kind, sole):
-    scene = Scene(kind, scale_human(55.0, 1.60, "female"))
-    q = upright_pose(scene, HALFWAY_DEG)
+    human = scale_human(55.0, 1.60, "female")
+    device = fit_exoskeleton(human) if kind == "coupled" else None
+    scene = Scene(Model(kind, human, device))
+    q = scene.upright_pose(HALFWAY_DEG)
     assert height_of(scene, q, f"{sole}_heel") == pytest.approx(0.0)
     assert height_of(scene, q, f"{sole}_toe") == pytest.approx(0.0)
     assert np.degrees(q[3:6]) == pytest.approx(HALFWAY_DEG)
 
 
 def test_exoskeleton_may_stand_off_the_human():
-    scene = Scene("coupled")
-    q = upright_pose(scene, HALFWAY_DEG, (1.0, -2.0, 3.0))
+    scene = Scene(nominal_model())
+    q = scene.upright_pose(HALFWAY_DEG, (1.0, -2.0, 3.0))
     assert np.degrees(q[6:] - q[3:6]) == pytest.approx([1.0, -2.0, 3.0])
 
 
 def test_picture_shows_a_subject_of_the_right_height():
     """Rows that hold colour (shirt, skin) span what the camera sees."""
-    scene = Scene("human", stills=True)
-    picture = render(
-        scene, upright_pose(scene, STANDING_DEG), width=120, height=160
+    scene = Scene(nominal_model("human"), stills=True)
+    picture = scene.render(
+        scene.upright_pose(STANDING_DEG), width=120, height=160
     )
     assert picture.shape == (160, 120, 3)
     coloured = np.ptp(picture.astype(int), axis=2) > 40
@@ -58,7 +60,8 @@ def test_picture_is_written_as_png(tmp_path):
 
 def test_page_is_small_and_repeats_itself(tmp_path):
     for name in ("a", "b"):
-        write_page(tmp_path / f"{name}.html", "coupled", chair_height_m=0.43)
+        path = tmp_path / f"{name}.html"
+        write_page(path, nominal_model(), chair_height_m=0.43)
     page = (tmp_path / "a.html").read_bytes()
     assert page == (tmp_path / "b.html").read_bytes()
     assert 1e6 < len(page) < 20e6
@@ -66,4 +69,4 @@ def test_page_is_small_and_repeats_itself(tmp_path):
 
 def test_pose_of_another_plant_is_refused():
     with pytest.raises(ValueError, match="6 positions"):
-        Scene("rigid").set_pose(np.zeros(9))
+        Scene(nominal_model("rigid")).set_pose(np.zeros(9))

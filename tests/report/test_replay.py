@@ -1,14 +1,16 @@
 import numpy as np
 import pytest
 from page_reader import clip_titles, network_addresses, player_data
-from replayed_results import LEAD, STIFFNESS, TIMES, trajectory, write_results
+from replayed_results import CONTACT, LEAD, rise, solution, write_results
+from replayed_results import MODEL as COUPLED
 
-from drake_exo.calibration.results import MODEL, read_model
-from drake_exo.contact.bushing import BushingParameters
+from drake_exo.calibration.results import MODEL
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json, write_json
-from drake_exo.report.replay import Figure, Motion, replay_results
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.report.replay import DrawnModel, replay_results
 from drake_exo.report.scene import Scene
 
 
@@ -37,10 +39,10 @@ def rows(array, width):
 @pytest.mark.parametrize("body", ["human/pelvis", "exoskeleton/exo_thigh"])
 @pytest.mark.parametrize("root", ["simulated", "measured"])
 def test_bodies_move_as_drake_says(clip, root, body):
-    scene = Scene("coupled")
+    scene = Scene(COUPLED)
     context = scene.plant.CreateDefaultContext()
     link = scene.plant.GetBodyByName(body.rpartition("/")[2])
-    q = trajectory().q
+    q = rise()
     if root == "measured":
         q = q + LEAD
     found = rows(clip["bodies"][f"/{root}/{body}"], 7)
@@ -62,48 +64,44 @@ def test_ground_reaction_starts_at_the_centre_of_pressure(clip):
     assert np.isnan(disc[0, 0])
 
 
-def test_chair_pushes_at_the_height_of_its_seat(clip, folder):
+def test_chair_pushes_at_the_height_of_its_seat(clip):
     force = rows(clip["arrows"]["chair"], 6)
-    figure = Figure(read_model(folder))
-    seat = figure.hip(trajectory().q[:1])[0, 1] - 0.13
+    seat = DrawnModel(COUPLED).hip(rise()[:1])[0, 1] - 0.13
     # M_y = z F_x - x F_z = 60 N m with F_x = 0 and F_z = 300 N.
     np.testing.assert_allclose(force[0], [-0.2, 0, seat, 0, 0, 300], atol=1e-4)
     assert np.isnan(force[-1]).any()
     assert np.isfinite(clip["bodies"]["/chair"]).all()
 
 
-def test_cuffs_act_where_and_as_the_diagram_says(folder):
+def test_cuffs_act_where_and_as_the_diagram_says():
     """Same deflection, hence same force: against the LeafSystem."""
-    model = read_model(folder)
-    bushing = {
-        name: BushingParameters(
-            *getattr(model.human, f"{name}_cuff_m"), **STIFFNESS
-        )
-        for name in ("shank", "thigh", "pelvis")
-    }
-    built = build_diagram(
-        "coupled", model.human, model.exoskeleton, bushings=bushing
-    )
+    built = build_diagram(COUPLED, CONTACT)
     context = built.diagram.CreateDefaultContext()
     plant = built.plant
-    q = trajectory().q[30]
+    q = rise()[30]
     plant.SetPositions(built.plant_context(context), q)
     port = built.diagram.GetOutputPort("interaction_forces")
-    parts = port.Eval(context).reshape(3, 3)
-    motion = Motion(
-        np.array([0.0]),
-        q[None],
-        np.zeros((1, 3)),
-        {n: p[None, :2] for n, p in zip(bushing, parts, strict=True)},
+    parts = dict(
+        zip(COUPLED.cuffs, port.Eval(context).reshape(3, 3), strict=True)
     )
-    found = Figure(model, _Contact(bushing)).arrows(motion)
+    motion = Trial(
+        "still",
+        COUPLED.coordinates,
+        np.zeros(1),
+        q[None],
+        0.0 * q[None],
+        0.0 * q[None],
+        PlanarWrench.of(np.zeros((1, 3))),
+        cuffs={name: CuffForce.of(part[None]) for name, part in parts.items()},
+    )
+    found = DrawnModel(COUPLED, CONTACT).arrows(motion)
     applied = {
         int(f.body_index): f
         for f in built.bushings.GetOutputPort("spatial_forces").Eval(
             built.bushings.GetMyContextFromRoot(context)
         )
     }
-    for name in bushing:
+    for name, part in parts.items():
         body = plant.GetBodyByName(name)
         force = applied[int(body.index())]
         X_WB = plant.EvalBodyPoseInWorld(built.plant_context(context), body)
@@ -114,26 +112,8 @@ def test_cuffs_act_where_and_as_the_diagram_says(folder):
         arm = found[name][0, :3] - X_WB.translation()
         at = X_WB @ np.array(force.p_BoBq_B) - X_WB.translation()
         moment = force.F_Bq_W.rotational() + np.cross(at, F)
-        couple = parts[list(bushing).index(name), 2] * np.array([0, -1.0, 0])
+        couple = part[2] * np.array([0, -1.0, 0])
         np.testing.assert_allclose(np.cross(arm, F) + couple, moment, atol=1e-9)
-
-
-class _Contact:
-    """What a figure asks of a calibration."""
-
-    has_bushings = True
-
-    def __init__(self, bushings):
-        self._bushings = bushings
-
-    def bushings(self):
-        from drake_exo.contact.parameters import ContactParameter
-
-        return [
-            ContactParameter(f"{s}.origin_{a}", "m", v, v - 1, v + 1)
-            for s, b in self._bushings.items()
-            for a, v in zip("xz", b.origin, strict=True)
-        ]
 
 
 def test_measured_mat_shows_the_normal_force(clip):
@@ -143,7 +123,7 @@ def test_measured_mat_shows_the_normal_force(clip):
     )
     assert "thigh_measured" not in clip["arrows"]
     spheres = rows(clip["bodies"]["/spheres/toe"], 7)
-    q = trajectory().q[0]
+    q = rise()[0]
     np.testing.assert_allclose(spheres[0, 0], q[0] + 0.15, atol=1e-6)
 
 
@@ -190,6 +170,5 @@ def test_unsolved_results_are_refused(tmp_path):
 
 
 def test_motion_is_sampled_between_nodes():
-    motion = Motion(TIMES, trajectory().q, trajectory().ground)
-    half = motion.sample(np.array([0.005]))
-    np.testing.assert_allclose(half.ground[0], [0.25, 4.0, -1.4])
+    half = solution().sample(np.array([0.005]))
+    np.testing.assert_allclose(half.ground.array[0], [0.25, 4.0, -1.4])

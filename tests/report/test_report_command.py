@@ -2,57 +2,40 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drake_exo.calibration.results import read_trajectory, write_trajectories
+from drake_exo.calibration.results import read_trial, write_trial
+from drake_exo.calibration.scores import rmsd, spread
 from drake_exo.cli import main
 from drake_exo.files.output import write_json
-from drake_exo.measurement.trial import Trial
-from drake_exo.model.plant import COUPLED_COORDINATES
+from drake_exo.measurement.trial import CuffForce
+from drake_exo.virtual_laboratory import synthetic
 
 
-def leave(folder, twin, phase, **more):
+def leave(folder, trials, phase, **more):
     """What a phase leaves behind, as far as a report looks."""
-    from drake_exo.calibration.problem import Trajectory
-    from drake_exo.calibration.scores import rmsd, spread
-
     folder.mkdir(parents=True)
     found = []
-    for t in twin.trials:
-        Trial(
-            t.name,
-            COUPLED_COORDINATES,
-            t.times,
-            t.q,
-            t.v,
-            t.a,
-            t.ground[:, :2],
-            t.ground[:, 2],
-            75.0,
-            moments=t.moments,
-            normal_force=t.normal_force,
-        ).save(folder / f"measured_{t.name}")
-        n = len(t.times)
-        trajectory = Trajectory(
-            t.name,
-            t.times,
-            t.q,
-            t.v,
-            t.a,
-            np.zeros((n, 9)),
-            t.moments + 2.0,
-            t.ground,
-            np.full((n, 9), more.get("force", 3.0)),
+    for trial in trials:
+        trial.save(folder / f"measured_{trial.name}")
+        n = len(trial.times)
+        force = CuffForce.of(np.full((n, 3), more.get("force", 3.0)))
+        solved = replace(
+            trial,
+            source="solved",
+            moments=trial.moments + 2.0,
+            cuffs=dict.fromkeys(("shank", "thigh", "pelvis"), force),
         )
-        found.append(trajectory)
-    write_trajectories(folder, found)
+        write_trial(folder, solved)
+        found.append(solved)
     summary = {
         "phase": phase,
         "subject": "virtual_subject",
-        "rmsd": [rmsd(f, t) for f, t in zip(found, twin.trials, strict=True)],
-        "measured_sd": spread(twin.trials),
+        "rmsd": [rmsd(f, t) for f, t in zip(found, trials, strict=True)],
+        "measured_sd": spread(trials),
         **more,
     }
     write_json(folder / "summary.json", summary)
@@ -60,21 +43,20 @@ def leave(folder, twin, phase, **more):
 
 
 @pytest.fixture(scope="module")
-def twin():
-    from drake_exo.virtual_laboratory.interaction_twin import interaction_twin
-
-    return interaction_twin(duration_s=0.8)
+def trials():
+    return synthetic.rises_in_device(duration_s=0.8).trials
 
 
 @pytest.fixture(scope="module")
-def folder(twin, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("report")
-    leave(folder / "cal" / "foot_ground", twin, "foot-ground")
-    leave(folder / "b", twin, "interaction")
-    leave(folder / "c1", twin, "prediction", scale_interaction=1.0)
-    leave(folder / "c2", twin, "prediction", scale_interaction=1.4, force=60.0)
-    assert main(["report", str(folder)]) == 0
-    return folder
+def folder(trials, tmp_path_factory):
+    place = tmp_path_factory.mktemp("report")
+    leave(place / "cal" / "foot_ground", trials, "foot-ground")
+    leave(place / "b", trials, "interaction")
+    leave(place / "c1", trials, "prediction", scale_interaction=1.0)
+    stiff = {"scale_interaction": 1.4, "force": 60.0}
+    leave(place / "c2", trials, "prediction", **stiff)
+    assert main(["report", str(place)]) == 0
+    return place
 
 
 def test_tables_and_figures_are_there(folder):
@@ -101,10 +83,13 @@ def test_table_holds_the_numbers_of_the_summaries(folder):
     assert rows["angle knee [deg]"]["measured SD"]
 
 
-def test_trajectories_survive_disk(twin, tmp_path):
-    (found, *_) = leave(tmp_path / "x", twin, "interaction")
-    back = read_trajectory(tmp_path / "x", found.name)
-    np.testing.assert_array_equal(back.interaction, found.interaction)
+def test_solved_trials_survive_disk(trials, tmp_path):
+    (found, *_) = leave(tmp_path / "x", trials, "interaction")
+    back = read_trial(tmp_path / "x", found.name)
+    for cuff, force in found.cuffs.items():
+        np.testing.assert_array_equal(
+            back.cuffs[cuff].components, force.components
+        )
     np.testing.assert_array_equal(back.q, found.q)
 
 

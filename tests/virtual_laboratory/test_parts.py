@@ -5,20 +5,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.contact.diagram import build_diagram, nominal_bushings
-from drake_exo.contact.parameters import nominal_contact
-from drake_exo.measurement.instruments import Mat, Scan
+from drake_exo.contact.diagram import build_diagram
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactSphere,
+    GroundContact,
+    nominal_contact,
+)
 from drake_exo.measurement.mats import cell_directions
-from drake_exo.model.description import fit_exoskeleton, nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.measurement.settings import Mat, Scan
+from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory.control import (
     DeviceController,
     Friction,
     SubjectController,
     controller,
 )
-from drake_exo.virtual_laboratory.disturbances import TRUTH
 from drake_exo.virtual_laboratory.forces import (
     Cuff,
     Cuffs,
@@ -41,21 +43,17 @@ from drake_exo.virtual_laboratory.pressure_mats import (
     write_scans,
 )
 from drake_exo.virtual_laboratory.simulation import equilibrium
-from drake_exo.virtual_laboratory.truth import STANDING_COP_M, draw_truth
+from drake_exo.virtual_laboratory.truth import (
+    STANDING_COP_M,
+    TRUTH,
+    draw_truth,
+)
 
-HUMAN = nominal_human()
-DEVICE = fit_exoskeleton(HUMAN)
+MODEL = nominal_model("coupled")
+HUMAN = MODEL.human
+RIGID = MODEL.rigid.tree
+BUSHINGS = nominal_contact(MODEL).bushings
 RICH = frozenset(TRUTH)
-
-
-@pytest.fixture(scope="module")
-def rigid():
-    return PlanarTree.from_plant(build_plant("rigid"))
-
-
-@pytest.fixture(scope="module")
-def coupled():
-    return PlanarTree.from_plant(build_plant("coupled"))
 
 
 def random_state(rng):
@@ -63,32 +61,21 @@ def random_state(rng):
     return q + rng.normal(0.0, 0.01, 9), rng.normal(0.0, 0.3, 9)
 
 
-def test_forces_of_the_diagram_are_those_of_the_record(coupled):
+def test_forces_of_the_diagram_are_those_of_the_record():
     """LeafSystems in a diagram and batches over samples: one set of laws."""
     rng = np.random.default_rng(1)
     truth = draw_truth(rng, RICH)
-    plant = build_plant("coupled", truth.human, truth.exoskeleton)
-    tree = PlanarTree.from_plant(plant)
-    link = {
-        name: plant.GetBodyByName(name).index()
-        for name in (
-            "pelvis",
-            *(
-                f"{p}{n}"
-                for p in ("", "exo_")
-                for n in ("shank", "thigh", "pelvis")
-            ),
-        )
-    }
-    pairs = {name: (link[name], link[f"exo_{name}"]) for name in truth.cuffs}
+    tree, plant = truth.model.tree, truth.model.plant()
+
+    def link(name):
+        return plant.GetBodyByName(name).index()
+
+    pairs = {c: tuple(map(link, tree.cuffs[c])) for c in truth.cuffs}
     seat = SeatParameters(height_m=0.48)
     model = build_diagram(
-        "coupled",
-        truth.human,
-        truth.exoskeleton,
-        contact=truth.contact,
-        bushings={},
-        forces=[Cuffs(pairs, truth.cuffs), Seat(link["pelvis"], seat)],
+        truth.model,
+        ContactModel(truth.contact),
+        forces=[Cuffs(pairs, truth.cuffs), Seat(link("pelvis"), seat)],
     )
     context = model.diagram.CreateDefaultContext()
     model.diagram.get_input_port(0).FixValue(context, np.zeros(6))
@@ -106,23 +93,23 @@ def test_forces_of_the_diagram_are_those_of_the_record(coupled):
         )
 
 
-def test_plain_cuffs_are_bushings(coupled):
+def test_plain_cuffs_are_bushings():
     rng = np.random.default_rng(2)
-    bushings = nominal_bushings(HUMAN, DEVICE)
-    model = build_diagram("coupled", bushings=bushings)
+    model = build_diagram(MODEL)
     context = model.diagram.CreateDefaultContext()
     q, v = random_state(rng)
     model.plant.SetPositionsAndVelocities(
         model.plant_context(context), np.r_[q, v]
     )
     port = model.diagram.GetOutputPort("interaction_forces")
-    cuffs = {name: Cuff(bushing) for name, bushing in bushings.items()}
-    found = interaction(coupled, cuffs, q[None], v[None])[0][0]
+    cuffs = {name: Cuff(bushing) for name, bushing in BUSHINGS.items()}
+    found = interaction(MODEL.tree, cuffs, q[None], v[None])[0]
+    found = np.hstack([force.components[0] for force in found.values()])
     np.testing.assert_allclose(found, port.Eval(context), rtol=1e-10)
 
 
 def test_cuffs_stiffen_and_slip():
-    bushing = nominal_bushings(HUMAN, DEVICE)["thigh"]
+    bushing = BUSHINGS["thigh"]
     cuff = Cuff(bushing, progression=50.0, slip=1.0 / 25.0)
     d = np.linspace(-0.03, 0.03, 61)
     rest = (0.0 * d, 0.0 * d, 0.0 * d)
@@ -136,21 +123,26 @@ def test_cuffs_stiffen_and_slip():
 
 
 @pytest.mark.parametrize("active", [frozenset(), RICH])
-def test_standing_foot_is_level_and_bears_the_weight(rigid, active):
+def test_standing_foot_is_level_and_bears_the_weight(active):
     truth = draw_truth(np.random.default_rng(3), active)
-    load = np.array([0.5 * truth.weight, truth.weight])
+    load = np.array([0.5, 1.0]) * truth.model.tree.weight
     q = np.zeros((2, 6))
-    q[:, :3] = resting_foot(rigid, truth.contact, load, STANDING_COP_M)
-    ground = ground_wrench(rigid, truth.contact, q, 0.0 * q)
+    q[:, :3] = resting_foot(RIGID, truth.contact, load, STANDING_COP_M)
+    ground = ground_wrench(RIGID, truth.contact, q, 0.0 * q)
     np.testing.assert_allclose(ground.force[:, 1], load, rtol=1e-6)
-    np.testing.assert_allclose(ground.cop_x(), STANDING_COP_M, atol=1e-6)
+    np.testing.assert_allclose(ground.cop_x, STANDING_COP_M, atol=1e-6)
     assert q[1, 1] == pytest.approx(truth.human.ankle_height_m, abs=1e-6)
     assert q[1, 2] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_levelling_keeps_the_shape_of_the_sole(rigid):
-    sole = nominal_contact("simbody", (-0.05, -0.03), (0.17, -0.04), 0.03)
-    flat = levelled(rigid, sole, 800.0, 0.05, 0.07)
+def test_levelling_keeps_the_shape_of_the_sole():
+    places = {"heel": (-0.05, -0.03), "toe": (0.17, -0.04)}
+    spheres = {
+        name: ContactSphere(5e6, 2.0, *place, radius=0.03)
+        for name, place in places.items()
+    }
+    sole = GroundContact("simbody", spheres).checked()
+    flat = levelled(RIGID, sole, 800.0, 0.05, 0.07)
 
     def distance(contact):
         heel, toe = contact.spheres.values()
@@ -171,32 +163,33 @@ def test_truth_is_drawn_in_one_order():
     assert all_of_it.human.mass_kg == pytest.approx(HUMAN.mass_kg)
 
 
-def test_seated_posture_is_in_balance(rigid, coupled):
+def test_seated_posture_is_in_balance():
     truth = draw_truth(np.random.default_rng(6), frozenset())
-    planner, plan = Planner(rigid, truth.contact), RisePlan()
+    tree = truth.model.tree
+    planner, plan = Planner(RIGID, truth.contact), RisePlan()
     seat = planner.seat(plan)
     reference = planner.rise(plan, seat)
     cop = -reference.ground[:, 2] / reference.ground[:, 1]
     risen = reference.times > plan.quiet_s + plan.lean_s
     assert np.abs(cop[risen] - plan.cop_m).max() < 0.01
     assert reference.ground[:, 1].min() > 100.0
-    q = equilibrium(coupled, truth, seat, reference.q[0])[None]
+    q = equilibrium(truth, seat, reference.q[0])[None]
     rest = np.zeros_like(q)
-    left = coupled.inverse_dynamics(q, rest, rest) - applied(
-        coupled, truth.contact, truth.cuffs, seat, q, rest
+    left = tree.inverse_dynamics(q, rest, rest) - applied(
+        tree, truth.contact, truth.cuffs, seat, q, rest
     )
     np.testing.assert_allclose(left[0, [0, 1, 2, 6, 7, 8]], 0.0, atol=1e-5)
     # Where the plan wanted to be, to what cuffs give.
     assert np.abs(q[0, :6] - reference.q[0]).max() < np.deg2rad(1.5)
 
 
-def test_controllers_join_to_six_torques(rigid):
+def test_controllers_join_to_six_torques():
     truth = draw_truth(np.random.default_rng(7), frozenset())
-    reference = Planner(rigid, truth.contact).standing(1.0, STANDING_COP_M)
+    reference = Planner(RIGID, truth.contact).standing(1.0, STANDING_COP_M)
     friction = Friction((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))
-    device = DeviceController(rigid, (0.0, 0.5, 0.5), friction)
+    device = DeviceController(truth.model, (0.0, 0.5, 0.5), friction)
     expected = device.help(reference.q[:, 3:], reference.ground[:, 1])
-    subject = SubjectController(reference, expected)
+    subject = SubjectController(truth.model.coordinates, reference, expected)
     both = controller(subject, device)
     context = both.CreateDefaultContext()
     q = np.r_[reference.q[0], reference.q[0, 3:]]
@@ -214,10 +207,10 @@ def test_controllers_join_to_six_torques(rigid):
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
-def test_mats_sum_to_the_cuff_force(configuration, tmp_path, coupled):
+def test_mats_sum_to_the_cuff_force(configuration, tmp_path):
     q = np.zeros(9)
     q[1], q[3], q[6] = 0.07, 0.08, 0.08
-    section = write_scans(tmp_path, coupled, q, HUMAN)
+    section = write_scans(tmp_path, MODEL.tree, q, HUMAN)
     force = np.array([-80.0, -5.0, 0.0, 40.0])
     total: dict[str, np.ndarray] = {}
     for mat in CONFIGURATIONS[configuration]:
