@@ -36,7 +36,7 @@ def rmsd_table(rmsd: list[dict], spread: dict | None = None) -> str:
     """RMSD of every signal: one column a trial, mean, SD, and spread.
 
     Args:
-        rmsd: one dictionary for each trial, see `phases.scores.rmsd`.
+        rmsd: one dictionary for each trial, see `scores.rmsd`.
         spread: one standard deviation over the measured trials.
     """
     header = ["RMSD", *(r["trial"] for r in rmsd), "mean", "SD"]
