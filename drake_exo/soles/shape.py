@@ -44,7 +44,7 @@ class SphericalSpline:
 
     Attributes:
         intervals: Number of knot intervals over [-π/2, π/2] in θ and φ.
-        fixed_top: Keep the glued surface as it is (the paper's case 5).
+        fixed_top: Keep the top surface as it is (the paper's case 5).
     """
 
     intervals: tuple[int, int] = (10, 10)

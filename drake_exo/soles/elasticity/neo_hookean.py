@@ -44,7 +44,7 @@ def cauchy_stress(F: np.ndarray, material: Material) -> np.ndarray:
 
 
 class NeoHookeanBody:
-    """Internal forces and tangent of a meshed sole glued at its top.
+    """Internal forces and tangent of a meshed sole fixed at its top.
 
     Args:
         mesh: The mesh at rest.
@@ -56,7 +56,7 @@ class NeoHookeanBody:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Nodes that are not glued."""
+        """Nodes that are not fixed."""
         every = np.arange(len(self.mesh.nodes))
         return np.setdiff1d(every, self.mesh.fixed)
 

@@ -186,7 +186,7 @@ def _mesh(data) -> tuple[TetMesh | None, np.ndarray | None]:
 
 
 def is_whole(mesh: TetMesh) -> bool:
-    """Whether its elements and glued nodes are of nodes that it has."""
+    """Whether its elements and fixed nodes are of nodes that it has."""
     return all(
         x.size > 0 and x.min() >= 0 and x.max() < len(mesh.nodes)
         for x in (mesh.tets, mesh.fixed)
