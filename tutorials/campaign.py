@@ -1,12 +1,13 @@
 """The measurement campaign, and its calibration, that tutorials share."""
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
 
-from drake_exo.calibration.inputs import CalibrationInputs, load_inputs
-from drake_exo.calibration.results import read_calibration, write_parameters
-from drake_exo.virtual_laboratory.campaign import write_campaign
+import numpy as np
+
+import drake_exo as dx
 
 # Set by the tests: the same code with less to compute.
 SHORT = bool(os.environ.get("DRAKE_EXO_SHORT"))
@@ -15,7 +16,7 @@ WORK = Path(os.environ.get("DRAKE_EXO_TUTORIALS", "tutorial_results"))
 
 # Noise without systematic errors: what is calibrated can be compared with
 # the truth number by number.
-NOISE = (
+_NOISE = (
     "marker_noise",
     "plate_noise",
     "encoder_noise",
@@ -35,39 +36,43 @@ def laboratory() -> Path:
     folder = WORK / "laboratory"
     if not (folder / "study.yaml").is_file():
         growing = WORK / f"laboratory_{os.getpid()}"
-        growing.mkdir(parents=True)
-        study = write_campaign(growing, 1, NOISE, _MOVEMENTS)
-        text = study.read_text("utf-8")
-        head, _, tail = text.rpartition("use: ")
+        study = dx.write_campaign(growing, 1, _NOISE, _MOVEMENTS)
+        head, _, tail = study.read_text("utf-8").rpartition("use: ")
         kept = tail.partition("\n")[2]
         study.write_text(f"{head}use: prediction\n{kept}", encoding="utf-8")
         growing.rename(folder)
     return folder
 
 
-def inputs(use: str = "calibration") -> CalibrationInputs:
+def study():
     """The campaign's study with the tutorials' number of nodes."""
-    found = load_inputs(laboratory() / "study.yaml", None, use)
-
-    def on_grid(settings):
+    found = dx.read_study(laboratory() / "study.yaml")
+    for phase in ("foot_ground", "interaction", "prediction"):
+        settings = getattr(found, phase)
         solver = replace(settings.solver, nodes_per_second=_NODES_PER_SECOND)
-        return replace(settings, solver=solver)
-
-    phases = ("foot_ground", "interaction", "prediction")
-    changes = {name: on_grid(getattr(found.study, name)) for name in phases}
-    return replace(found, study=replace(found.study, **changes))
+        setattr(found, phase, replace(settings, solver=solver))
+    return found
 
 
-def calibration() -> Path:
-    """Folder of the calibrated contacts, as tutorial 6 finds them."""
+def contact() -> dx.ContactModel:
+    """The calibrated contact, as tutorial 6 finds it."""
     folder = WORK / "calibration"
     if not (folder / "parameters.json").is_file():
         growing = WORK / f"calibration_{os.getpid()}"
         growing.mkdir(parents=True)
-        known = inputs()
-        problem = known.problem()
-        write_parameters(growing, problem, problem.solve())
-        problem = known.interaction_problem(read_calibration(growing))
-        write_parameters(growing, problem, problem.solve())
+        dx.calibrate_interaction(study()).write(growing)
         growing.rename(folder)
-    return folder
+    return dx.read_contact(folder)
+
+
+def truth(phase: str) -> dict[str, float]:
+    """True parameters by name, of "foot_ground" or "interaction"."""
+    path = laboratory() / "truth" / f"{phase}.json"
+    return json.loads(path.read_text("utf-8"))["parameters"]
+
+
+def true_motion(trial: dx.Trial) -> np.ndarray:
+    """What truly happened in a trial: columns by name, angles in radians."""
+    lines = (laboratory() / "truth" / f"{trial.name}.sto").read_text("utf-8")
+    table = lines.partition("endheader\n")[2].splitlines()
+    return np.genfromtxt(table, names=True)
