@@ -76,7 +76,7 @@ class CoupledDynamicsKernel:
             force, origin = self._parts(x, b)
             q = x[:, :nq]
             terms = bushing.terms(q, origin)
-            J[:, 2:, 2:nq] += bushing.curvature(terms, force) / FORCE_UNIT
+            J[:, 2:, :nq] += bushing.curvature(terms, force)[:, 2:] / FORCE_UNIT
             first = self._first + 3 * b
             J[:, :, first : first + 3] = (
                 bushing.deflection_jacobian(terms).transpose(0, 2, 1)

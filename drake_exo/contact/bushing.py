@@ -262,14 +262,13 @@ class BushingKinematics:
         self._D0 = self._D0.astype(complex)
         self._D0[self._e] += preload[0] + 1j * preload[1]
         self._angle = preload[2]
-        T = tree.angle_map
-        self.relative = T - T[self._h]
-        self.rotation = np.zeros(self.nq)
-        self.rotation[2:] = T[self._e] - T[self._h]
+        psi = tree.angles_by_q - tree.angles_by_q[self._h]
+        self.relative = psi  # (ns, nq): psi = relative @ q
+        self.rotation = psi[self._e]
 
     def terms(self, q, origin):
         """D_k exp(i psi_k), (n, ns), at q (n, nq), origin (n, 2)."""
-        w = np.exp(1j * (q[:, 2:] @ self.relative.T))
+        w = np.exp(1j * (q @ self.relative.T))
         o = origin[:, 0] + 1j * origin[:, 1]
         terms = self._D0 * w
         terms[:, self._e] += o * w[:, self._e]
@@ -278,18 +277,16 @@ class BushingKinematics:
 
     def turn(self, q):
         """exp(i psi) of the device's segment, (n,)."""
-        return np.exp(1j * (q[:, 2:] @ self.relative[self._e]))
+        return np.exp(1j * (q @ self.relative[self._e]))
 
     def spin(self, v):
         """Rate of that psi, (n,) [rad/s]."""
-        return v[:, 2:] @ self.relative[self._e]
+        return v @ self.relative[self._e]
 
     @property
     def moved_by(self) -> np.ndarray:
         """Coordinates that move the deflection, (nq,) bool."""
-        moved = np.zeros(self.nq, bool)
-        moved[2:] = (self.relative != 0.0).any(axis=0)
-        return moved
+        return (self.relative != 0.0).any(axis=0)
 
     def deflection(self, q, terms):
         """Tangential, normal [m], rotation [rad]: (n, 3)."""
@@ -300,18 +297,14 @@ class BushingKinematics:
     def deflection_jacobian(self, terms):
         """By q: (n, 3, nq)."""
         d = (1j * terms) @ self.relative
-        J = np.zeros((len(terms), 3, self.nq))
-        J[:, 0, 2:], J[:, 1, 2:] = d.imag, d.real
-        J[:, 2] = self.rotation
-        return J
+        rotation = np.broadcast_to(self.rotation, d.shape)
+        return np.stack([d.imag, d.real, rotation], axis=1)
 
     def rate_jacobian(self, terms, v):
         """Of the deflection's rate by q, (n, 3, nq)."""
-        speed = v[:, 2:] @ self.relative.T
+        speed = v @ self.relative.T
         d = (-terms * speed) @ self.relative
-        J = np.zeros((len(terms), 3, self.nq))
-        J[:, 0, 2:], J[:, 1, 2:] = d.imag, d.real
-        return J
+        return np.stack([d.imag, d.real, np.zeros(d.shape)], axis=1)
 
     def by_origin(self, turn):
         """Of tangential and normal deflection by origin x, z: (n, 2, 2)."""
@@ -325,7 +318,7 @@ class BushingKinematics:
         )
 
     def curvature(self, terms, force):
-        """Hessian by the angles of F . d, (n, nq - 2, nq - 2)."""
+        """Hessian by q of F . d, (n, nq, nq)."""
         f = force[:, 1] + 1j * force[:, 0]
         c = -(np.conj(f)[:, None] * terms).real
         return np.einsum(
@@ -336,7 +329,4 @@ class BushingKinematics:
         """d2(F . d)/(dq d origin), (n, nq, 2): how the moment arm moves."""
         f = force[:, 1] + 1j * force[:, 0]
         g = (np.conj(f) * 1j * turn)[:, None] * self.relative[self._e]
-        result = np.zeros((len(turn), self.nq, 2))
-        result[:, 2:, 0] = g.real
-        result[:, 2:, 1] = (1j * g).real
-        return result
+        return np.stack([g.real, (1j * g).real], axis=2)

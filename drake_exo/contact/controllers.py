@@ -18,13 +18,13 @@ from drake_exo.contact.scalars import sin
 class TrackingController(LeafSystem):
     """Feed-forward torques plus proportional-derivative feedback.
 
-    Input state (q, v); output joint_torques, one for each coordinate after
-    the foot's three [N m].
+    Input state (q, v); output joint_torques, one for each hinge [N m].
 
     Args:
         times: (n,) [s].
         q, v: (n, nq) reference.
-        torque: (n, nq - 3) feed-forward [N m].
+        torque: (n, n_joints) feed-forward [N m]; hinges are the last
+            coordinates.
         stiffness: of the feedback [N m/rad].
         damping: of the feedback [N m s/rad].
 
@@ -43,7 +43,9 @@ class TrackingController(LeafSystem):
         self._gains = stiffness, damping
         self._num_positions = nq = q.shape[1]
         self.DeclareVectorInputPort("state", 2 * nq)
-        self.DeclareVectorOutputPort("joint_torques", nq - 3, self._calc)
+        n_joints = torque.shape[1]
+        self._hinges = slice(nq - n_joints, nq)
+        self.DeclareVectorOutputPort("joint_torques", n_joints, self._calc)
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
@@ -51,8 +53,8 @@ class TrackingController(LeafSystem):
         t = context.get_time()
         stiffness, damping = self._gains
         torque = self._torque(t)
-        torque = torque + stiffness * (self._q(t) - q)[3:]
-        torque = torque + damping * (self._v(t) - v)[3:]
+        torque = torque + stiffness * (self._q(t) - q)[self._hinges]
+        torque = torque + damping * (self._v(t) - v)[self._hinges]
         output.SetFromVector(torque)
 
 

@@ -10,6 +10,7 @@ result is compared with the plant's own inverse dynamics before it is used.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -91,6 +92,11 @@ class PlanarTree:
         tree = _read_tree(plant)
         _check_against_plant(tree, plant)
         return tree
+
+    @cached_property
+    def angles_by_q(self) -> np.ndarray:
+        """Segments' absolute angles by the coordinates, (ns, nq)."""
+        return np.hstack([np.zeros((len(self.angle_map), 2)), self.angle_map])
 
     def segment_angles(self, q: np.ndarray) -> np.ndarray:
         """Absolute segment angles (N, ns) [rad] of positions q (N, nq)."""

@@ -268,7 +268,7 @@ def link_motion(tree: PlanarTree, q, v, body: str):
     """
     J = tree.point_jacobian(q, body, (0.0, 0.0))
     segment = tree.segment_of[tree.body_index(body)]
-    rate = v[:, 2:] @ tree.angle_map[segment]
+    rate = v @ tree.angles_by_q[segment]
     velocity = np.einsum("nij,nj->in", J, v)
     return (
         tree.point_positions(q, body, (0.0, 0.0)).T,

@@ -190,6 +190,8 @@ class Planner:
                 np.hstack([foot_a, B_a @ c]),
             )
 
+        joints = self.tree.coordinates.joint_columns
+
         def residuals(x):
             c = x.reshape(start.shape)
             q, v, a = motion(c)
@@ -200,7 +202,7 @@ class Planner:
                 [
                     (cop / self.weight / _COP_M)[:, None],
                     (share / _SEAT_SHARE)[:, None],
-                    (q[:, 3:] - template) / sigma[:, None],
+                    (q[:, joints] - template) / sigma[:, None],
                     B_j @ c / _JERK,
                 ]
             )

@@ -399,7 +399,8 @@ def rises_in_device(
 def _on_ground(trial: Trial, model: Model) -> Trial:
     """The drawn rise with its foot at the height of the standing ankle."""
     q = trial.q.copy()
-    q[:, 1] += model.human.ankle_height_m - 1e-3 - q[0, 1]
+    z = model.coordinates.index(model.coordinates.root[1])
+    q[:, z] += model.human.ankle_height_m - 1e-3 - q[0, z]
     return replace(trial, q=q)
 
 
