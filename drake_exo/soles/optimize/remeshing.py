@@ -385,7 +385,7 @@ def _put_back(mesh: TetMesh, spline, p, got) -> TetMesh:
 
 
 def sharp_edges(mesh: TetMesh) -> np.ndarray:
-    """Edges (k, 2) where the undeformed surface bends, and the rim of the top."""
+    """Edges (k, 2) where the undeformed surface bends, and the top's rim."""
     faces = mesh.boundary_faces
     a, b, c = mesh.nodes[faces].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
