@@ -1,5 +1,6 @@
 """Every tutorial runs as a user runs it, shortened by DRAKE_EXO_SHORT."""
 
+import ast
 import fcntl
 import os
 import re
@@ -11,15 +12,21 @@ from pathlib import Path
 import nbformat
 import pytest
 
+import drake_exo as dx
+
 _ROOT = Path(__file__).resolve().parents[2]
 _FOLDER = _ROOT / "tutorials"
 _NOTEBOOKS = sorted(_FOLDER.glob("*.ipynb"))
 _NUM_TUTORIALS = 10
 # Seconds for a cell and for a kernel to start: a busy machine is no failure.
 _PATIENCE = ("--timeout=600", "--startup_timeout=300")
-# Meshcat tells where it listens; nothing else may be said on stderr but what
-# tutorial 8 provokes.
-_ALLOWED = ("INFO:drake:Meshcat listening", "drake-exo: error: ")
+# Meshcat tells where it listens; nothing else may be said on stderr.
+_ALLOWED = "INFO:drake:Meshcat listening"
+_PUBLIC = {
+    "dx": set(dx.__all__),
+    "dx.contact": set(dx.contact.__all__),
+    "dx.soles": set(dx.soles.__all__),
+}
 
 
 def _named(path):
@@ -41,7 +48,7 @@ def folder(tmp_path_factory):
                 copy,
                 sys.executable,
                 "-c",
-                "import campaign as c; c.calibration()",
+                "import campaign as c; c.contact()",
             )
     return copy
 
@@ -58,6 +65,7 @@ def _run(folder, *command):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [path.name for path in _NOTEBOOKS])
 def test_runs(name, folder):
     execute = Path(sys.executable).with_name("jupyter-execute")
@@ -107,3 +115,33 @@ def test_all_are_listed():
         links = re.findall(r"\]\(([^)]+\.ipynb)\)", (_ROOT / page).read_text())
         names = [prefix + path.name for path in _NOTEBOOKS]
         assert sorted(links) == names, page
+
+
+def _code(path) -> str:
+    """Its Python, without IPython's magic lines."""
+    if path.suffix == ".py":
+        return path.read_text("utf-8")
+    cells = nbformat.read(path, as_version=4).cells
+    code = "\n".join(c.source for c in cells if c.cell_type == "code")
+    return re.sub(r"^%.*$", "", code, flags=re.M)
+
+
+@pytest.mark.parametrize(
+    "path", [*_NOTEBOOKS, _FOLDER / "campaign.py"], ids=_named
+)
+def test_speaks_the_public_names_alone(path):
+    tree = ast.parse(_code(path))
+    own = [line for line in map(ast.unparse, _imports(tree)) if "exo" in line]
+    assert own == ["import drake_exo as dx"]
+    used = [
+        (ast.unparse(node.value), node.attr)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+    ]
+    for place, known in _PUBLIC.items():
+        assert {name for p, name in used if p == place} <= known
+
+
+def _imports(tree):
+    kinds = (ast.Import, ast.ImportFrom)
+    return [node for node in ast.walk(tree) if isinstance(node, kinds)]
