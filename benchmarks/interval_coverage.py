@@ -1,7 +1,7 @@
 """Does the 95 % interval of a calibrated parameter hold the truth?
 
-Phase B on a twin (truth = model) with noise alone, many seeds. Noise is made
-by filtering white noise; the intervals come from the optimum's conditions.
+Phase B on made-up data (truth = model) with noise alone, many seeds. Noise is
+made by filtering white noise; the intervals come from the optimum's conditions.
 
     python benchmarks/interval_coverage.py --seeds 200 [--json]
 """
@@ -14,56 +14,55 @@ import numpy as np
 
 from drake_exo.calibration.uncertainty import uncertainty
 from drake_exo.files.output import Progress
-from drake_exo.virtual_laboratory.interaction_twin import (
+from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
-    InteractionTwin,
-    interaction_twin,
+    RisesInDevice,
+    noisy,
+    rises_in_device,
 )
-from drake_exo.virtual_laboratory.twin import noisy
 
 
-def coverage(twin: InteractionTwin, seeds: int) -> list[dict]:
+def coverage(made: RisesInDevice, seeds: int) -> list[dict]:
     """One row for each parameter: share of seeds whose interval holds it."""
-    settings = twin.settings(noise=INSTRUMENT_NOISE)
+    settings = made.settings(noise=INSTRUMENT_NOISE)
     settings = replace(
         settings, solver=replace(settings.solver, tolerance=1e-5)
     )
-    truth = np.array([p.nominal for p in twin.truth])
+    names = [p.name for p in settings.parameters(made.model.cuffs)]
+    truth = np.array([made.contact.values()[name] for name in names])
     rows, failed = [], 0
     with Progress("coverage", total=seeds) as progress:
         for seed in range(seeds):
             trials = [
                 noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
-                for k, trial in enumerate(twin.trials)
+                for k, trial in enumerate(made.trials)
             ]
-            problem = twin.calibration(settings, trials)
-            result = problem.solve()
+            result = made.calibration(settings, trials).solve()
             progress.update(
                 f"seed {seed}, {result.solution.iterations} iterations",
                 done=seed + 1,
             )
-            if not result.solution.success:
+            if not result.success:
                 failed += 1
                 continue
-            found = uncertainty(problem, result)
-            rows.append(
-                (result.values() - truth, found.half_width, found.identifiable)
-            )
+            found = uncertainty(result)
+            off = np.array([p.nominal for p in result.parameters]) - truth
+            rows.append((off, found.half_width, found.identifiable))
     error, half, identifiable = (np.array(x) for x in zip(*rows, strict=True))
     # A parameter counts if most seeds call it identifiable.
     return [
         {
-            "parameter": p.name,
+            "parameter": name,
             "identifiable": bool(identifiable[:, k].mean() > 0.5),
             "coverage": float((np.abs(error[:, k]) <= half[:, k]).mean()),
             "bias": float(error[:, k].mean()),
             "error_sd": float(error[:, k].std()),
             "half_width_95": float(half[:, k].mean()),
-            "true": p.nominal,
+            "true": truth[k],
             "seeds": len(rows),
             "failed": failed,
         }
-        for k, p in enumerate(twin.truth)
+        for k, name in enumerate(names)
     ]
 
 
@@ -74,7 +73,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     rows = coverage(
-        interaction_twin(nodes_per_second=args.nodes_per_second), args.seeds
+        rises_in_device(nodes_per_second=args.nodes_per_second), args.seeds
     )
     if args.json:
         print(

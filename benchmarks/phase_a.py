@@ -20,8 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from drake_exo.calibration.foot_ground import FootGroundProblem
-from drake_exo.calibration.measured import MeasuredMovement
+from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
@@ -30,11 +29,10 @@ from drake_exo.calibration.settings import (
     Spread,
     TrackingNoise,
 )
-from drake_exo.model.description import fit_exoskeleton, nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import nominal_model
 from drake_exo.report.tables import format_table
-from drake_exo.virtual_laboratory.twin import consistent, noisy, rises
+from drake_exo.virtual_laboratory.synthetic import consistent, noisy, rises
 
 _DURATION = 1.5
 _TRUE_MODULUS = 5e6
@@ -47,13 +45,6 @@ _ROWS = [
 ]
 
 
-def _model():
-    human = nominal_human()
-    exoskeleton = fit_exoskeleton(human)
-    plant = build_plant("coupled", human, exoskeleton)
-    return human, exoskeleton, PlanarTree.from_plant(plant)
-
-
 def _settings(modulus, free, shift, **solver):
     sphere = SphereSettings(
         modulus_n_m2=Range(modulus, 1e6, 5e7, free),
@@ -64,19 +55,19 @@ def _settings(modulus, free, shift, **solver):
     return FootGroundSettings(heel=sphere, toe=sphere, solver=Solver(**solver))
 
 
-def make_trials(count: int) -> list[MeasuredMovement]:
+def make_trials(count: int) -> list[Trial]:
     """Movements that obey the true contact, with smooth noise on top."""
-    _, exoskeleton, tree = _model()
+    model = nominal_model("coupled")
     settings = _settings(_TRUE_MODULUS, False, 0.0, nodes_per_second=100.0)
-    truth = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
-    exact = consistent(tree, rises(count, _DURATION), truth, settings)
+    truth = settings.parameters(model.spheres)
+    exact = consistent(model, rises(count, _DURATION), truth, settings)
     return [noisy(m, i, _NOISE) for i, m in enumerate(exact)]
 
 
 def run_row(data: Path, trials: int, nodes: float, transcription: str):
     """Calibrate once; prints one JSON object."""
     movements = pickle.loads(data.read_bytes())[:trials]
-    _, exoskeleton, tree = _model()
+    model = nominal_model("coupled")
     settings = _settings(
         1e7,
         True,
@@ -84,9 +75,8 @@ def run_row(data: Path, trials: int, nodes: float, transcription: str):
         nodes_per_second=nodes,
         transcription=transcription,
     )
-    parameters = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
     start, cpu = time.perf_counter(), time.process_time()
-    result = FootGroundProblem(tree, movements, parameters, settings).solve()
+    result = FootGroundCalibration(model, movements, settings).solve()
     total = time.perf_counter() - start
     cpu = time.process_time() - cpu
     solution = result.solution
@@ -100,7 +90,7 @@ def run_row(data: Path, trials: int, nodes: float, transcription: str):
         "linear_algebra_seconds": solution.seconds["linear_algebra_and_ipopt"],
         "cpu_seconds": cpu,
         "iterations": solution.iterations,
-        "success": solution.success,
+        "success": result.success,
         "num_variables": solution.num_variables,
         "num_constraints": solution.num_constraints,
         "peak_memory_mb": peak / 1024.0,

@@ -2,9 +2,9 @@
 
     python benchmarks/phases.py [--json] [--nodes-per-second R] [--starts N]
 
-Twin data (truth = model) with noise, full paper size by default: three trials
-of 1.5 s at 200 nodes a second. Prints one row for each problem; for random
-starts how many of N reach the best objective within 1e-4 of it.
+Made-up data (truth = model) with noise, full paper size by default: three
+trials of 1.5 s at 200 nodes a second. Prints one row for each problem; for
+random starts how many of N reach the best objective within 1e-4 of it.
 """
 
 import argparse
@@ -17,12 +17,13 @@ import numpy as np
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.files.output import Progress
 from drake_exo.report.tables import format_table
-from drake_exo.virtual_laboratory.interaction_twin import (
+from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
-    InteractionTwin,
-    interaction_twin,
+    RisesInDevice,
+    noisy,
+    random_values,
+    rises_in_device,
 )
-from drake_exo.virtual_laboratory.twin import noisy, random_values
 
 _TOLERANCE = 1e-4
 
@@ -35,8 +36,8 @@ def row(name: str, problem, guess=None, trials: int = 1) -> dict:
     return {
         "problem": name,
         "trials": trials,
-        "nodes_per_second": result.settings.solver.nodes_per_second,
-        "transcription": result.settings.solver.transcription,
+        "nodes_per_second": problem.settings.solver.nodes_per_second,
+        "transcription": problem.settings.solver.transcription,
         "success": solution.success,
         "iterations": solution.iterations,
         "build_seconds": solution.seconds["build"],
@@ -48,17 +49,17 @@ def row(name: str, problem, guess=None, trials: int = 1) -> dict:
     }
 
 
-def measured(twin: InteractionTwin):
-    """The twin's trials with instruments' noise."""
-    return [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(twin.trials)]
+def measured(made: RisesInDevice):
+    """The exact trials with instruments' noise."""
+    return [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(made.trials)]
 
 
-def times(twin: InteractionTwin) -> list[dict]:
+def times(made: RisesInDevice) -> list[dict]:
     """B, then C1 from a line, from data, with other stiffness, for comfort."""
-    trials = measured(twin)
-    solver = Solver(twin.nodes_per_second)
-    settings = twin.settings(noise=INSTRUMENT_NOISE, solver=solver)
-    rows = [row("B", twin.calibration(settings, trials), None, 3)]
+    trials = measured(made)
+    solver = Solver(made.nodes_per_second)
+    settings = made.settings(noise=INSTRUMENT_NOISE, solver=solver)
+    rows = [row("B", made.calibration(settings, trials), None, 3)]
     base = PredictionSettings(solver=solver)
     for name, changes, scale in (
         ("C1 from a line", {"guess": "line"}, 1.0),
@@ -66,19 +67,19 @@ def times(twin: InteractionTwin) -> list[dict]:
         ("C2 from a line", {"guess": "line"}, 1.4),
         ("comfort", {"objective": "comfort"}, 1.0),
     ):
-        problem = twin.prediction(
-            replace(base, **changes), trials[0], scale=scale
+        problem = made.prediction(
+            replace(base, **changes), trials[0], made.contact.scaled(scale)
         )
         rows.append(row(name, problem))
     return rows
 
 
-def random_starts(twin: InteractionTwin, count: int) -> dict:
+def random_starts(made: RisesInDevice, count: int) -> dict:
     """Phase B from starts anywhere inside the parameters' bounds."""
-    settings = twin.settings(
-        noise=INSTRUMENT_NOISE, solver=Solver(twin.nodes_per_second)
+    settings = made.settings(
+        noise=INSTRUMENT_NOISE, solver=Solver(made.nodes_per_second)
     )
-    problem = twin.calibration(settings, measured(twin))
+    problem = made.calibration(settings, measured(made))
     objectives, iterations = [problem.solve().solution.objective], []
     with Progress("random starts", total=count) as progress:
         for k, values in enumerate(
@@ -93,7 +94,7 @@ def random_starts(twin: InteractionTwin, count: int) -> dict:
     best = min(objectives)
     return {
         "problem": "B from random starts",
-        "nodes_per_second": twin.nodes_per_second,
+        "nodes_per_second": made.nodes_per_second,
         "starts": count,
         "reached": int(
             sum(o <= best * (1 + _TOLERANCE) for o in objectives[1:])
@@ -111,9 +112,9 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=0)
     parser.add_argument("--start-nodes-per-second", type=float, default=50.0)
     args = parser.parse_args()
-    rows = times(interaction_twin(nodes_per_second=args.nodes_per_second))
+    rows = times(rises_in_device(nodes_per_second=args.nodes_per_second))
     if args.starts:
-        coarse = interaction_twin(nodes_per_second=args.start_nodes_per_second)
+        coarse = rises_in_device(nodes_per_second=args.start_nodes_per_second)
         rows.append(random_starts(coarse, args.starts))
     if args.json:
         print(json.dumps(rows, indent=2))

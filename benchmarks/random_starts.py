@@ -17,18 +17,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from drake_exo.calibration.foot_ground import FootGroundProblem
+from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
     Solver,
     SphereSettings,
 )
-from drake_exo.model.description import fit_exoskeleton, nominal_human
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.plant import build_plant
+from drake_exo.model.plant import nominal_model
 from drake_exo.report.tables import format_table
-from drake_exo.virtual_laboratory import twin
+from drake_exo.virtual_laboratory import synthetic
 
 _TOLERANCE = 1e-4
 _NEGLIGIBLE = 1e-6  # of exact data's objective, which is zero at the truth
@@ -37,20 +35,18 @@ _TRUTH = {"stiffness": 1.3, "dissipation": 1.4}
 
 def _problem(nodes_per_second: float, exact: bool):
     """The problem, its nominal parameters and the true ones."""
-    human = nominal_human()
-    exoskeleton = fit_exoskeleton(human)
-    tree = PlanarTree.from_plant(build_plant("coupled", human, exoskeleton))
+    model = nominal_model("coupled")
     sphere = SphereSettings(
         modulus_n_m2=Range(4e6, 5e5, 2e7), dissipation_s_m=Range(1.0, 0.0, 5.0)
     )
     solver = Solver(nodes_per_second=nodes_per_second)
     settings = FootGroundSettings(heel=sphere, toe=sphere, solver=solver)
-    nominal = settings.parameters(exoskeleton.heel_m, exoskeleton.toe_m)
+    nominal = settings.parameters(model.spheres)
     truth = [
         replace(p, nominal=_TRUTH.get(p.name.split(".")[1], 1.0) * p.nominal)
         for p in nominal
     ]
-    data = twin.consistent(tree, twin.rises(3), truth, settings)
+    data = synthetic.consistent(model, synthetic.rises(3), truth, settings)
     noise = settings.noise
     if exact:
         noise = replace(noise, torque_nm=1e9, jerk=1e9)
@@ -65,10 +61,10 @@ def _problem(nodes_per_second: float, exact: bool):
             cop_m=0.002,
         )
         data = [
-            twin.noisy(movement, seed, noise, cutoff_hz=2.0)
+            synthetic.noisy(movement, seed, noise, cutoff_hz=2.0)
             for seed, movement in enumerate(data)
         ]
-    return FootGroundProblem(tree, data, nominal, settings), nominal, truth
+    return FootGroundCalibration(model, data, settings), nominal, truth
 
 
 def _solve(problem, values) -> dict:
@@ -81,7 +77,7 @@ def _solve(problem, values) -> dict:
         "objective": solution.objective,
         "iterations": solution.iterations,
         "seconds": time.perf_counter() - start,
-        "values": result.values().tolist(),
+        "values": [p.nominal for p in result.parameters],
     }
 
 
@@ -96,7 +92,7 @@ def run(starts: int, nodes_per_second: float, exact: bool, seed: int = 0):
     free = [p.free for p in nominal]
     true = np.array([p.nominal for p in truth])[free]
     rows = []
-    for values in twin.random_values(nominal, starts, seed):
+    for values in synthetic.random_values(nominal, starts, seed):
         row = _solve(problem, values)
         found = np.array(row.pop("values"))[free]
         row["furthest_from_truth"] = float(np.abs(found / true - 1.0).max())

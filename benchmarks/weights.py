@@ -3,9 +3,9 @@
     python benchmarks/weights.py [--json] [--factors 0.25 4]
 
 Weights are 1/sigma^2 of each signal's measurement noise. Here the sigma of one
-group of signals at a time is multiplied by a factor, on twin data with noise:
-what the fit looks like then, and how far forces that no mat measured, and
-parameters, move.
+group of signals at a time is multiplied by a factor, on data of known truth
+with noise: what the fit looks like then, and how far forces that no mat
+measured, and parameters, move.
 """
 
 import argparse
@@ -18,11 +18,11 @@ from drake_exo.calibration.scores import rms, rmsd
 from drake_exo.calibration.uncertainty import uncertainty
 from drake_exo.files.output import Progress
 from drake_exo.report.tables import format_table
-from drake_exo.virtual_laboratory.interaction_twin import (
+from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
-    interaction_twin,
+    noisy,
+    rises_in_device,
 )
-from drake_exo.virtual_laboratory.twin import noisy
 
 GROUPS = {
     "kinematics": (
@@ -45,9 +45,9 @@ GROUPS = {
 
 def sweep(factors: list[float]) -> list[dict]:
     """One row for each group and factor; the first is as it stands."""
-    twin = interaction_twin()
-    trials = [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(twin.trials)]
-    truth = np.array([p.nominal for p in twin.truth])
+    made = rises_in_device()
+    trials = [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(made.trials)]
+    true = made.contact.values()
     cases = [("as it stands", 1.0, INSTRUMENT_NOISE)]
     for group, names in GROUPS.items():
         for factor in factors:
@@ -56,33 +56,39 @@ def sweep(factors: list[float]) -> list[dict]:
     rows, base, half = [], None, None
     progress = Progress("weights", total=len(cases))
     for k, (group, factor, noise) in enumerate(cases):
-        problem = twin.calibration(twin.settings(noise=noise), trials)
-        result = problem.solve()
+        settings = made.settings(noise=noise)
+        result = made.calibration(settings, trials).solve()
         if base is None:
             base = result
-            found = uncertainty(problem, result)
+            found = uncertainty(result)
             half, known = found.half_width, found.identifiable
         scores = [
-            rmsd(t, m) for t, m in zip(result.trajectories, trials, strict=True)
+            rmsd(t, m) for t, m in zip(result.trials, trials, strict=True)
         ]
-        moved = np.abs(result.values() - base.values())
+        values, first = (
+            np.array([p.nominal for p in r.parameters]) for r in (result, base)
+        )
+        truth = np.array([true[p.name] for p in result.parameters])
         unseen = [
-            rms(a.interaction - b.interaction).max()
-            for a, b in zip(result.trajectories, base.trajectories, strict=True)
+            rms(a.cuffs[cuff].components - b.cuffs[cuff].components).max()
+            for a, b in zip(result.trials, base.trials, strict=True)
+            for cuff in b.cuffs
         ]
         rows.append(
             {
                 "group": group,
                 "factor": factor,
-                "success": result.solution.success,
+                "success": result.success,
                 "angles_deg": _mean(scores, "angles_deg"),
                 "grf_n": _mean(scores, "grf_n"),
                 "moments_nm": _mean(scores, "moments_nm"),
                 "interaction_n": _mean(scores, "interaction_n"),
                 "interaction_change_n": float(max(unseen)),
-                "parameter_change_of_95": float(np.max((moved / half)[known])),
+                "parameter_change_of_95": float(
+                    np.max((np.abs(values - first) / half)[known])
+                ),
                 "parameter_error_of_95": float(
-                    np.max((np.abs(result.values() - truth) / half)[known])
+                    np.max((np.abs(values - truth) / half)[known])
                 ),
             }
         )
