@@ -25,11 +25,9 @@ _CLEARANCE = 0.05
 _DEEPEST = 0.2
 _FASTEST = 0.2
 _BISECTIONS = 45
+_TILTS = 30  # bisections of the pitch, where there are more than two spheres
 _LARGEST_SLOPE = 0.5  # sine of the foot's tilt
 _PASSES = 3
-# Where all of more than two spheres carry the foot.
-_NEWTON_STEPS = 25
-_STEP, _LARGEST_STEP = 1e-7, 5e-3
 _X, _Z, _RADIUS = (SPHERE_PARAMETERS.index(k) for k in ("x", "z", "radius"))
 
 
@@ -43,8 +41,8 @@ def settle_foot(
     """Foot motion whose contact forces are the given ones.
 
     Sinking is taken as slow: the dissipative part of the force is left out.
-    Statics shares the force between the foremost and the hindmost sphere; if
-    there are more, the foot is then moved until all of them give it together.
+    Statics shares the force between two spheres; if there are more, all of
+    them give it together, with the same centre.
 
     Args:
         kernel: the contact law, of two spheres or more.
@@ -68,9 +66,10 @@ def settle_foot(
         # The drift is kept about the measured place.
         q[:, 0] = foot[:, 0].mean() + drift - drift.mean()
         loads = _loads(ends, q, ground, height)
-        depths = _depths(kernel, ends, loads)
-        q[:, 1:] = _pose(ends, depths)
-        if len(spheres) > 2:
+        if len(spheres) == 2:
+            depths = _depths(kernel, ends, loads)
+            q[:, 1:] = _pose(ends, depths)
+        else:
             q[:, 1:], loads, depths = _together(kernel, spheres, q, loads)
         height = _height(kernel.law, spheres, loads, depths)
         slip = _slip(kernel, spheres, loads, ground[:, 0])
@@ -112,15 +111,19 @@ def _loads(spheres, q, ground, height):
         ground: (n, 3) reaction.
         height: (n,) of the point where it acts [m].
     """
-    sine, cosine = np.sin(q[:, 2]), np.cos(q[:, 2])
-    x = q[:, :1] + np.outer(cosine, spheres[:, _X])
-    x -= np.outer(sine, spheres[:, _Z])
+    x = q[:, :1] + _ahead(spheres, q[:, 2])
     total = np.maximum(ground[:, 1], 2.0 * _LEAST_FORCE)
     center = (height * ground[:, 0] - ground[:, 2]) / total
     share = (center - x[:, 0]) / (x[:, 1] - x[:, 0])
     share = np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
     loads = total[:, None] * np.column_stack([1.0 - share, share])
     return np.maximum(loads, _LEAST_FORCE)
+
+
+def _ahead(spheres, pitch):
+    """How far (n, m) centres are before the foot's origin [m]."""
+    x, z = spheres[:, _X], spheres[:, _Z]
+    return np.outer(np.cos(pitch), x) - np.outer(np.sin(pitch), z)
 
 
 def _depths(kernel, spheres, loads):
@@ -142,37 +145,45 @@ def _height(law, spheres, loads, depths):
 def _together(kernel, spheres, q, loads):
     """The pose at which all spheres give what the outer two should.
 
+    At any pitch one height gives the force; the further the toes are up, the
+    further back its centre.
+
     Args:
         kernel: the law.
         spheres: parameters (m, 5), hindmost first.
-        q: (n, 3) of the foot, on the outer two alone.
-        loads: (n, 2) that those would bear [N].
+        q: (n, 3) of the foot, at which statics found the loads.
+        loads: (n, 2) that the outer two would bear there [N].
 
     Returns:
         Height and pitch (n, 2), loads and indentations (n, m).
     """
-    px, pz = spheres[:, _X], spheres[:, _Z]
-    pose, total = q[:, 1:].copy(), loads.sum(axis=1)
-    moment = loads @ px[[0, -1]]
-    for _ in range(_NEWTON_STEPS):
-        c, s = np.cos(pose[:, 1:]), np.sin(pose[:, 1:])
-        depths = spheres[:, _RADIUS] - pose[:, :1] - s * px - c * pz
-        force = _static(kernel, spheres, depths)
-        stiff = (_static(kernel, spheres, depths + _STEP) - force) / _STEP
-        lever = c * px - s * pz  # of the pitch
-        excess = np.stack(
-            [force.sum(axis=1) - total, force @ px - moment], axis=1
-        )
-        J = -np.stack(
-            [
-                np.stack([stiff.sum(axis=1), (stiff * lever).sum(axis=1)], 1),
-                np.stack([stiff @ px, (stiff * lever) @ px], 1),
-            ],
-            axis=1,
-        )
-        step = -np.linalg.solve(J, excess[:, :, None])[:, :, 0]
-        pose += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-    return pose, force, depths
+    _, _, px, pz, r = spheres.T
+    total = loads.sum(axis=1)
+    moment = np.sum(loads * _ahead(spheres[[0, -1]], q[:, 2]), axis=1)
+
+    def settled(pitch):
+        """Height (n,) that gives the force, and the indentations."""
+        below = r - np.outer(np.sin(pitch), px) - np.outer(np.cos(pitch), pz)
+        lowest = below.max(axis=1)
+
+        def excess(depth):
+            depths = below - (lowest - depth)[:, None]
+            return _static(kernel, spheres, depths).sum(axis=1) - total
+
+        depth = _root(excess, -_CLEARANCE, _DEEPEST, total.shape)
+        height = lowest - depth
+        return height, below - height[:, None]
+
+    def behind(pitch):
+        force = _static(kernel, spheres, settled(pitch)[1])
+        return moment - np.sum(force * _ahead(spheres, pitch), axis=1)
+
+    level = -np.arctan2(pz[-1] - pz[0], px[-1] - px[0])
+    tilt = np.arcsin(_LARGEST_SLOPE)
+    pitch = _root(behind, level - tilt, level + tilt, total.shape, _TILTS)
+    height, depths = settled(pitch)
+    forces = _static(kernel, spheres, depths)
+    return np.column_stack([height, pitch]), forces, depths
 
 
 def _static(kernel, spheres, depths):
@@ -212,10 +223,10 @@ def _slip(kernel, spheres, loads, force_x):
     return _root(excess, -_FASTEST, _FASTEST, force_x.shape)
 
 
-def _root(increasing, lower, upper, shape):
+def _root(increasing, lower, upper, shape, steps=_BISECTIONS):
     """Bisection for all entries at once; an end where there is no root."""
     low, high = np.full(shape, lower), np.full(shape, upper)
-    for _ in range(_BISECTIONS):
+    for _ in range(steps):
         middle = 0.5 * (low + high)
         above = increasing(middle) > 0.0
         high = np.where(above, middle, high)

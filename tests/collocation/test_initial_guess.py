@@ -87,8 +87,10 @@ def test_foot_creeps_about_its_measured_place(law):
     assert np.allclose(np.diff(q[:, 0]).cumsum(), drift, atol=2e-4)
 
 
-def test_impossible_reactions_leave_a_finite_guess():
-    kernel, parameters = kernel_and_parameters("simbody", 1e6)
+@pytest.mark.parametrize("middle", [(), [(0.05, -0.08, 0.03)]])
+@pytest.mark.parametrize("law", ["simbody", "paper"])
+def test_impossible_reactions_leave_a_finite_guess(law, middle):
+    kernel, parameters = kernel_and_parameters(law, 1e6, middle)
     measured = np.tile([0.0, 0.07, 0.0], (len(TIMES), 1))
     ground = reaction(np.linspace(-0.3, 0.5, len(TIMES)), 3.0)
     ground[40:60, 1] = -50.0  # lifted, or a faulty plate
@@ -99,14 +101,15 @@ def test_impossible_reactions_leave_a_finite_guess():
 
 MIDDLES = {
     "below the ends": [(0.09, -0.06, 0.03)],
-    "hardly touching": [(0.05, -0.052, 0.031)],
+    "to rock on": [(0.05, -0.08, 0.03)],
     "in the air": [(0.05, -0.02, 0.03)],
     "two": [(0.02, -0.058, 0.032), (0.1, -0.056, 0.03)],
 }
 
 
-@pytest.mark.parametrize("law", ["simbody", "paper"])
-@pytest.mark.parametrize("modulus", [1e6, 1e7, 5e7])
+@pytest.mark.parametrize(
+    ("law", "modulus"), [("simbody", 1e6), ("simbody", 5e7), ("paper", 5e7)]
+)
 @pytest.mark.parametrize("middle", MIDDLES.values(), ids=MIDDLES)
 def test_foot_rests_on_more_than_two_spheres(law, modulus, middle):
     kernel, parameters = kernel_and_parameters(law, modulus, middle)
@@ -121,10 +124,9 @@ def test_foot_rests_on_more_than_two_spheres(law, modulus, middle):
 
 
 @pytest.mark.parametrize("law", ["simbody", "paper"])
-@pytest.mark.parametrize("modulus", [1e6, 1e7, 5e7])
-@pytest.mark.parametrize("middle", MIDDLES.values(), ids=MIDDLES)
-def test_more_spheres_give_the_ground_reaction(law, modulus, middle):
-    kernel, parameters = kernel_and_parameters(law, modulus, middle)
+@pytest.mark.parametrize("name", ["below the ends", "two"])
+def test_more_spheres_give_the_ground_reaction(law, name):
+    kernel, parameters = kernel_and_parameters(law, 1e7, MIDDLES[name])
     ground = reaction(0.06 + 0.04 * np.sin(3.0 * TIMES), 0.02)
     measured = np.tile([0.01, 0.07, 0.1], (len(TIMES), 1))
     q, v = settle_foot(kernel, parameters, TIMES, measured, ground)
@@ -134,7 +136,6 @@ def test_more_spheres_give_the_ground_reaction(law, modulus, middle):
 
 
 def test_a_third_sphere_that_bears_nothing_changes_nothing():
-    """Newton's steps from the pose of two end where they start."""
     measured = np.tile([0.01, 0.07, 0.1], (len(TIMES), 1))
     ground = reaction(0.06, 0.01)
     two, three = (
@@ -146,7 +147,7 @@ def test_a_third_sphere_that_bears_nothing_changes_nothing():
         )
         for middle in ((), MIDDLES["in the air"])
     )
-    np.testing.assert_allclose(two, three, atol=1e-5)
+    np.testing.assert_allclose(two, three, atol=2e-4)
 
 
 def test_order_of_spheres_does_not_matter():
