@@ -3,32 +3,30 @@
 import io
 import json
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from sound_files import written
 
-from drake_exo.calibration.problem import Trajectory
 from drake_exo.calibration.results import (
-    read_calibration,
+    read_contact,
     read_model,
-    read_trajectory,
+    read_trial,
+    write_contact,
     write_model,
-    write_trajectories,
+    write_trial,
 )
-from drake_exo.calibration.solving import read_checkpoint as read_iterate
-from drake_exo.cli.report import comparison
-from drake_exo.collocation.bushing_kernels import BUSHING_PARAMETERS, BUSHINGS
-from drake_exo.collocation.kernels import SPHERE_PARAMETERS
-from drake_exo.contact.hunt_crossley import SimbodyConstants
-from drake_exo.measurement.trial import Trial
-from drake_exo.model.description import nominal_exoskeleton, nominal_human
-from drake_exo.model.plant import COUPLED_COORDINATES
+from drake_exo.calibration.solving import read_checkpoint
+from drake_exo.contact.parameters import nominal_contact
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.plant import nominal_model
+from drake_exo.papers.serrancoli import comparison
 from drake_exo.report.gathering import gather
 from drake_exo.soles.settings import Settings
-from drake_exo.study import load_study
+from drake_exo.study import read_study
 
+_MODEL = nominal_model("coupled")
 _ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -37,40 +35,45 @@ def studies() -> dict:
     squat = (_ROOT / "tests/studies/boxlifting_squat.yaml").read_bytes()
     case = (_ROOT / "tests/cases/sole_1_ref.yaml").read_bytes()
 
-    def read_study(path):
-        found, _ = load_study(path)
-        found.foot_ground.law_constants()
-        found.foot_ground.parameters((0.0, 0.0), (0.2, 0.0))
+    def read(path):
+        study = read_study(path)
+        study.foot_ground.law_constants()
+        study.foot_ground.parameters({"heel": (0.0, 0.0), "toe": (0.2, 0.0)})
         places = dict.fromkeys(("shank", "thigh", "pelvis"), (0.0, 0.2))
-        return found.interaction.parameters(places)
+        return study.interaction.parameters(places)
 
     return {
-        "study yaml": ("study.yaml", "text", study, read_study),
-        "study yaml, another": ("study.yaml", "text", squat, read_study),
+        "study yaml": ("study.yaml", "text", study, read),
+        "study yaml, another": ("study.yaml", "text", squat, read),
         "case yaml": ("case.yaml", "text", case, Settings.read),
     }
 
 
-def _trajectory(n=6) -> Trajectory:
+def _trial(source: str, n=6) -> Trial:
     rng = np.random.default_rng(3)
-    shapes = ((n, 9), (n, 9), (n, 9), (n, 9), (n, 6), (n, 3), (n, 9))
-    arrays = [rng.normal(size=shape) for shape in shapes]
-    return Trajectory("rise", np.arange(n) / 50.0, *arrays)
-
-
-def _trial(n=6) -> Trial:
-    rng = np.random.default_rng(4)
-    shapes = ((n, 9), (n, 9), (n, 9), (n, 2), (n,))
-    arrays = [rng.normal(size=shape) for shape in shapes]
+    names, solved = _MODEL.coordinates, source == "solved"
+    q, v, a, jerk = rng.normal(size=(4, n, len(names)))
+    wrench = rng.normal(size=(2, n, 3))
+    if solved:
+        parts = rng.normal(size=(3, n, 3))
+        cuffs = map(CuffForce.of, parts)
+        cuffs = dict(zip(_MODEL.cuffs, cuffs, strict=True))
+    else:
+        cuffs = {"thigh": CuffForce(rng.normal(size=n))}
     return Trial(
         "rise",
-        COUPLED_COORDINATES,
+        names,
         np.arange(n) / 50.0,
-        *arrays,
-        70.0,
-        moments=rng.normal(size=(n, 6)),
-        normal_force={"thigh": rng.normal(size=n)},
-        chair=rng.normal(size=(n, 3)),
+        q,
+        v,
+        a,
+        PlanarWrench.of(wrench[0]),
+        source=source,
+        moments=rng.normal(size=(n, names.num_joints)),
+        cuffs=cuffs,
+        chair=PlanarWrench.of(wrench[1]),
+        jerk=jerk if solved else None,
+        mass_kg=70.0,
     )
 
 
@@ -94,81 +97,73 @@ def _summary() -> dict:
 
 
 def results() -> dict:
-    names = [f"{s}.{n}" for s in ("heel", "toe") for n in SPHERE_PARAMETERS]
-    names += [f"{s}.{n}" for s in BUSHINGS for n in BUSHING_PARAMETERS]
-    parameters = json.dumps(
-        {
-            "law": "simbody",
-            "constants": asdict(SimbodyConstants()),
-            "parameters": dict.fromkeys(names, 1.0),
-            "units": dict.fromkeys(names, "m"),
-            "damping": dict.fromkeys(BUSHINGS, (1.0, 2.0, 0.1)),
-        }
-    )
-
-    def calibration(path):
-        found = read_calibration(path.parent)
-        if found.has_bushings:
-            found.bushings()
-        return found
-
     iterate = io.BytesIO()
     np.savez(iterate, x=np.arange(5.0), fingerprint="abc")
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        write_trajectories(folder, [_trajectory()])
-        solution = (folder / "solution_rise.npz").read_bytes()
-        _trial().save(folder / "measured_rise")
-        numbers = (folder / "measured_rise.npz").read_bytes()
-        rest = (folder / "measured_rise.json").read_bytes()
+        write_trial(folder, _trial("solved"))
+        _trial("measured").save(folder / "measured_rise")
+        saved = {
+            path.name: path.read_bytes()
+            for path in folder.iterdir()
+            if path.suffix in (".npz", ".json")
+        }
 
-    def trial(path):
-        (path.parent / "a.npz").write_bytes(numbers)
-        return Trial.load(path.parent / "a")
+    def beside(path, *names):
+        for name in names:
+            (path.parent / name).write_bytes(saved[name])
 
-    def trial_numbers(path):
-        (path.parent / "a.json").write_bytes(rest)
-        return Trial.load(path.parent / "a")
+    def trial(kind):
+        """The half of a trial's two files that is damaged, and its reader."""
+
+        def read(path):
+            beside(path, *({f"{kind}_rise{e}" for e in ends} - {path.name}))
+            return read_trial(path.parent, "rise", kind)
+
+        ends = (".json", ".npz")
+        return {
+            end: (
+                f"{kind}_rise{end}",
+                end[1:],
+                saved[f"{kind}_rise{end}"],
+                read,
+            )
+            for end in ends
+        }
 
     def report(path):
-        for name, data in (
-            ("solution_rise.npz", solution),
-            ("measured_rise.npz", numbers),
-            ("measured_rise.json", rest),
-        ):
-            (path.parent / name).write_bytes(data)
+        beside(path, *saved)
         found = gather(path.parent)
         for one in found:
-            one.curves()
+            one.pairs()
         return comparison({one.label: one for one in found})
 
+    measured, solution = trial("measured"), trial("solution")
     return {
         "model": (
             "model.json",
             "json",
-            written(
-                lambda p: write_model(
-                    p.parent,
-                    ("coupled", nominal_human(), nominal_exoskeleton()),
-                ),
-                "model.json",
-            ),
+            written(lambda p: write_model(p.parent, _MODEL), "model.json"),
             lambda p: read_model(p.parent),
         ),
-        "parameters": ("parameters.json", "json", parameters, calibration),
+        "parameters": (
+            "parameters.json",
+            "json",
+            written(
+                lambda p: write_contact(p.parent, nominal_contact(_MODEL)),
+                "parameters.json",
+            ),
+            lambda p: read_contact(p.parent),
+        ),
         "summary": ("summary.json", "json", json.dumps(_summary()), report),
         "checkpoint": (
             "checkpoint.npz",
             "npz",
             iterate.getvalue(),
-            lambda p: read_iterate(p, "abc", 5),
+            lambda p: read_checkpoint(p, "abc", 5),
         ),
-        "trajectory": (
-            "solution_rise.npz",
-            "npz",
-            solution,
-            lambda p: read_trajectory(p.parent, "rise"),
-        ),
-        "trial": ("a.json", "json", rest, trial),
-        "trial numbers": ("a.npz", "npz", numbers, trial_numbers),
+        "solution": solution[".json"],
+        "solution numbers": solution[".npz"],
+        "trial": measured[".json"],
+        "trial numbers": measured[".npz"],
     }

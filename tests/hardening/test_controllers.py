@@ -84,4 +84,4 @@ def test_ports_of_other_sizes():
         (Sized(fails=True), "as planned"),
     ):
         with pytest.raises(InputError, match=words):
-            ControllerKernel(system)
+            ControllerKernel(system, 3)

@@ -1,5 +1,8 @@
 """Normal use prints no warning, and names the folders that will be there."""
 
+import argparse
+from pathlib import Path
+
 import pytest
 from cli_runs import normal_use
 
@@ -41,10 +44,20 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
     out = tmp_path / "demo_results"
     out.mkdir()
     (out / "old.txt").write_text("old")
-    monkeypatch.setattr(
-        demo, "_steps", lambda folder: (folder / demo.REPLAY).touch()
-    )
-    assert demo.run(demo.argparse.Namespace(out=out, force=True)) is None
-    page = capsys.readouterr().out.splitlines()[-1].strip()
-    assert page == str(out / demo.REPLAY)
-    assert (out / demo.REPLAY).exists()
+    places = []
+
+    def step(*arguments, **options):
+        places.extend(a for a in arguments if isinstance(a, Path))
+
+    for name in (
+        *("write_campaign", "read_study", "write_interaction", "read_contact"),
+        *("write_predictions", "write_report", "gather", "write_view"),
+    ):
+        monkeypatch.setattr(demo, name, step)
+    assert demo.run(argparse.Namespace(out=out, force=True)) == 0
+    growing = Path(f"{out}.partial")
+    for name in ("laboratory", "calibration", "prediction", "report"):
+        assert growing / name in places
+    text = capsys.readouterr().out
+    assert ".partial" not in text
+    assert str(out / "replay.html") in text
