@@ -1,6 +1,7 @@
 """Rooms of the package stand on each other; its files are few and not short."""
 
 import ast
+import functools
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def room_of(path: Path) -> str:
     return path.relative_to(ROOT).with_suffix("").parts[0]
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Other rooms that a file imports, anywhere in it."""
     return rooms_in(ast.parse(path.read_text(encoding="utf-8"))) - {
