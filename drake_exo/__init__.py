@@ -49,7 +49,11 @@ _PLACES = {
     "virtual_laboratory.campaign": ["write_campaign"],
 }
 # Rooms with names of their own.
-_ROOMS = ("contact", "soles")
+_ROOMS = {
+    "contact": "contact",
+    "soles": "soles",
+    "synthetic": "virtual_laboratory.synthetic",
+}
 _NAMES = {name: place for place, names in _PLACES.items() for name in names}
 
 __all__ = sorted([*_NAMES, *_ROOMS])
@@ -57,7 +61,7 @@ __all__ = sorted([*_NAMES, *_ROOMS])
 
 def __getattr__(name: str):
     if name in _ROOMS:
-        return importlib.import_module(f"drake_exo.{name}")
+        return importlib.import_module(f"drake_exo.{_ROOMS[name]}")
     if name not in _NAMES:
         raise AttributeError(f"module 'drake_exo' has no attribute {name!r}")
     return getattr(importlib.import_module(f"drake_exo.{_NAMES[name]}"), name)

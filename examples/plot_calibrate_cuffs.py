@@ -10,11 +10,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import drake_exo as dx
-from drake_exo.virtual_laboratory import synthetic
 
-noise = synthetic.INSTRUMENT_NOISE
-made = synthetic.rises_in_device(3, nodes_per_second=50)
-trials = [synthetic.noisy(t, i, noise) for i, t in enumerate(made.trials)]
+noise = dx.synthetic.INSTRUMENT_NOISE
+made = dx.synthetic.rises_in_device(3, nodes_per_second=50)
+trials = [dx.synthetic.noisy(t, i, noise) for i, t in enumerate(made.trials)]
 settings = dx.InteractionSettings(noise=noise)
 study = dx.Study(made.model, trials, interaction=settings)
 found = dx.calibrate_interaction(study, trials, made.contact)

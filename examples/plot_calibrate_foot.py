@@ -11,11 +11,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import drake_exo as dx
-from drake_exo.virtual_laboratory import synthetic
 
-noise = synthetic.INSTRUMENT_NOISE
-model, exact = synthetic.rises_on_spheres(3, nodes_per_second=50)
-trials = [synthetic.noisy(trial, i, noise) for i, trial in enumerate(exact)]
+noise = dx.synthetic.INSTRUMENT_NOISE
+model, exact = dx.synthetic.rises_on_spheres(3, nodes_per_second=50)
+trials = [dx.synthetic.noisy(trial, i, noise) for i, trial in enumerate(exact)]
 settings = dx.FootGroundSettings(noise=noise)
 truth = settings.contact(model.spheres).values()
 hard = replace(settings.heel.modulus_n_m2, nominal=3e7)

@@ -11,9 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import drake_exo as dx
-from drake_exo.virtual_laboratory import synthetic
 
-made = synthetic.rises_in_device(1, nodes_per_second=50)
+made = dx.synthetic.rises_in_device(1, nodes_per_second=50)
 (trial,) = made.trials
 study = dx.Study(made.model, made.trials)
 fig = plt.figure(figsize=(10, 6), layout="constrained")

@@ -41,6 +41,14 @@ from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model, nominal_model
 
 # Knots of the drawn path per second, and margins of filtered noise.
+__all__ = [
+    "INSTRUMENT_NOISE",
+    "RisesInDevice",
+    "noisy",
+    "random_values",
+    "rises_in_device",
+    "rises_on_spheres",
+]
 _KNOTS = 40.0
 _MARGIN_S = 1.0
 # Loose on the foot and on forces, which the contact decides.
@@ -277,6 +285,10 @@ class RisesInDevice:
         contact: true contact of the foot and of the cuffs.
         trials: exact movements.
         nodes_per_second: of the grid on which they are exact.
+
+    >>> made = rises_in_device(1, nodes_per_second=40)
+    >>> made.contact.values()["pelvis.rotational_stiffness"]
+    80.0
     """
 
     model: Model
@@ -419,6 +431,11 @@ def noisy(
             and mats where there are some; noise of velocities is the
             derivative of that of positions.
         cutoff_hz: of the filter that the noise has passed.
+
+    >>> model, [trial] = rises_on_spheres(1, nodes_per_second=40)
+    >>> seen = noisy(trial, 0, INSTRUMENT_NOISE)
+    >>> float(np.std(seen.ground.force_x - trial.ground.force_x).round(3))
+    0.3
     """
     rng = np.random.default_rng(seed)
     device, times = trial.coordinates.is_device_joint, trial.times
@@ -471,7 +488,13 @@ def _smooth(rng, times, sigma, cutoff_hz):
 def random_values(
     parameters: list[ContactParameter], count: int, seed: int
 ) -> Iterator[np.ndarray]:
-    """Starts anywhere inside the bounds; fixed parameters stay."""
+    """Starts anywhere inside the bounds; fixed parameters stay.
+
+    >>> x = ContactParameter("heel.x", "m", 0.0, -0.1, 0.1)
+    >>> [values] = random_values([x], 1, seed=0)
+    >>> bool(x.lower < values[0] < x.upper)
+    True
+    """
     rng = np.random.default_rng(seed)
     for _ in range(count):
         yield np.array(
