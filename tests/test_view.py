@@ -99,6 +99,7 @@ def test_damaged_model_ends_in_a_sentence(tmp_path, capsys):
     assert "thigh" in line
 
 
+@pytest.mark.slow
 def test_page_is_served_until_interrupted(folder):
     command = [
         *(sys.executable, "-m", "drake_exo.cli", "view", str(folder)),
@@ -127,6 +128,7 @@ def test_page_is_served_until_interrupted(folder):
     assert errors == ""
 
 
+@pytest.mark.slow
 def test_page_plays_in_a_browser_from_disk(page, tmp_path):
     """Opened without network, the page moves its bodies."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from undrawn import undrawn
 
 from drake_exo.calibration.settings import (
     FootGroundSettings,
@@ -29,7 +30,8 @@ def calibrated(command, tmp_path_factory):
     """Folder with the contact that three of them calibrate."""
     out = tmp_path_factory.mktemp("recorded") / "calibrated"
     options = ["--phase", "foot-ground", "--no-front", "--out", str(out)]
-    assert main([*command("calibrate"), *options]) == 0
+    with undrawn():
+        assert main([*command("calibrate"), *options]) == 0
     return out
 
 

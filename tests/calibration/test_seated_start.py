@@ -90,6 +90,7 @@ def test_newton_holds_with_the_chair_where_the_pelvis_really_is(
     assert np.abs(left).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_the_simulation_sits_on_the_same_chair(result):
     found = audit(result)
     assert max(found.simulated_grf_n) < 2.0

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from undrawn import undrawn
 
 from drake_exo.cli import main
 
@@ -43,19 +44,23 @@ def assert_one_sentence(done, *words) -> None:
         assert word in done.stderr
 
 
+@pytest.mark.slow
 def test_sole_keeps_earlier_results_when_the_disk_is_full(sole_case, tmp_path):
     out = tmp_path / "out"
     command = ["sole", "simulate", str(sole_case), "--out", str(out)]
-    assert main(command) == 0
+    with undrawn():
+        assert main(command) == 0
     before = contents(out)
     assert_one_sentence(limited(20_000, [*command, "--force"]), "out")
     assert contents(out) == before
     # With room again the same command goes through.
-    assert main([*command, "--force"]) == 0
+    with undrawn():
+        assert main([*command, "--force"]) == 0
     assert set(contents(out)) == set(before)
     assert not (tmp_path / "out.partial").exists()
 
 
+@pytest.mark.slow
 def test_calibrate_stops_where_a_checkpoint_does_not_fit(campaign, tmp_path):
     out = tmp_path / "out"
     options = ["--phase", "foot-ground", "--no-front", "--out", str(out)]
@@ -65,7 +70,8 @@ def test_calibrate_stops_where_a_checkpoint_does_not_fit(campaign, tmp_path):
     assert not (out / "summary.json").exists()
     kept = contents(out)
     assert any(name.startswith("measured_") for name in kept)
-    assert main([*command, "--resume"]) == 0
+    with undrawn():
+        assert main([*command, "--resume"]) == 0
 
 
 @pytest.mark.parametrize("command", ["contact", "lab", "sole", "demo"])

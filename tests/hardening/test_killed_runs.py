@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from undrawn import undrawn
 
 from drake_exo.cli import main
 
@@ -50,6 +51,7 @@ def kill(where, command) -> None:
     assert killed.returncode == -signal.SIGKILL, killed.stderr[-2000:]
 
 
+@pytest.mark.slow
 def test_calibrate_goes_on_after_a_kill(campaign, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--phase", "foot-ground", "--no-front", "--out", str(out)]
@@ -60,10 +62,12 @@ def test_calibrate_goes_on_after_a_kill(campaign, tmp_path, capsys):
     # Without --resume nothing is touched.
     assert main(command) == 2
     assert "--force" in capsys.readouterr().err
-    assert main([*command, "--resume"]) == 0
+    with undrawn():
+        assert main([*command, "--resume"]) == 0
     assert "resumed from checkpoint.npz" in capsys.readouterr().out
     again = json.loads((out / "summary.json").read_text("utf-8"))
-    assert main([*command, "--force"]) == 0
+    with undrawn():
+        assert main([*command, "--force"]) == 0
     fresh = json.loads((out / "summary.json").read_text("utf-8"))
     assert again["objective"] == pytest.approx(fresh["objective"], rel=1e-5)
     assert again["success"] and fresh["success"]
@@ -74,6 +78,7 @@ def test_calibrate_goes_on_after_a_kill(campaign, tmp_path, capsys):
     assert "nothing to resume" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_sole_optimize_goes_on_after_a_kill(sole_case, tmp_path, capsys):
     out = tmp_path / "out"
     command = ["sole", "optimize", str(sole_case), "--out"]

@@ -10,17 +10,20 @@ from drake_exo import __version__
 from drake_exo.cli import demo
 
 
+@pytest.mark.slow
 def test_version_and_help():
     assert normal_use("--version").strip() == __version__
     assert "calibrate" in normal_use("--help")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "sensitivity"])
 def test_commands_on_a_study(command, campaign, tmp_path):
     out = str(tmp_path / "out")
     assert out in normal_use(command, str(campaign), "--out", out)
 
 
+@pytest.mark.slow
 def test_calibrate_and_report(campaign, tmp_path):
     out = str(tmp_path / "out")
     phase = ("--phase", "foot-ground", "--no-front")
@@ -32,6 +35,7 @@ def test_contact(tmp_path):
     normal_use("contact", "--out", str(tmp_path / "out"))
 
 
+@pytest.mark.slow
 def test_sole(sole_case, tmp_path):
     out = tmp_path / "out"
     assert "c_tr" in normal_use(

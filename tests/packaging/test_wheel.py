@@ -86,6 +86,7 @@ def test_the_checkout_is_out_of_reach(installed, tmp_path):
     assert str(ROOT) not in path
 
 
+@pytest.mark.slow
 def test_the_command_and_its_version(installed, tmp_path):
     command = installed / "bin" / "drake-exo"
     assert run(command, "--version", cwd=tmp_path) == f"{__version__}\n"
@@ -117,6 +118,7 @@ def test_models_are_found_by_package_url(installed, tmp_path):
     assert list((place / "meshes").glob("*.obj"))
 
 
+@pytest.mark.slow
 def test_a_subject_is_simulated_from_the_wheel(installed, tmp_path):
     command = installed / "bin" / "drake-exo"
     options = ("--trials", "1", "--without", "all", "--out", "campaign")

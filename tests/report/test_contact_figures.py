@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from undrawn import undrawn
 
 from drake_exo.cli import main
 from drake_exo.report.contact_figures import (
@@ -45,6 +46,7 @@ def test_figure_9_peaks_at_one_and_is_flat_from_three():
     assert mu[0] == 0.0
 
 
+@pytest.mark.slow
 def test_command_writes_the_same_files_twice(tmp_path, capsys):
     for name in ("one", "two"):
         assert main(["contact", "--out", str(tmp_path / name)]) == 0
@@ -66,7 +68,8 @@ def test_command_writes_the_same_files_twice(tmp_path, capsys):
 
 
 def test_command_refuses_to_overwrite(tmp_path, capsys):
-    assert main(["contact", "--out", str(tmp_path)]) == 0
+    with undrawn():
+        assert main(["contact", "--out", str(tmp_path)]) == 0
     assert main(["contact", "--out", str(tmp_path)]) == 2
     assert "--force" in capsys.readouterr().err
 

@@ -59,12 +59,14 @@ def folder(trials, tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 def test_tables_and_figures_are_there(folder):
     names = {p.name for p in (folder / "report").iterdir()}
     assert {f"figure_{k}.png" for k in range(2, 8)} <= names
     assert {"table_2.csv", "table_3.csv", "tables.txt"} <= names
 
 
+@pytest.mark.slow
 def test_table_holds_the_numbers_of_the_summaries(folder):
     with (folder / "report" / "table_3.csv").open() as file:
         rows = {row["signal"]: row for row in csv.DictReader(file)}

@@ -100,6 +100,7 @@ def errors(folder, trial):
     }
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_one_process_or_two(disturbed, tmp_path):
     write_campaign(tmp_path, SEED, trials=1)
     first, second = written(disturbed), written(tmp_path)
@@ -112,6 +113,7 @@ def test_same_seed_same_bytes_in_one_process_or_two(disturbed, tmp_path):
     assert studies[0] == studies[1]
 
 
+@pytest.mark.slow
 def test_undisturbed_files_hold_the_truth(clean, tmp_path):
     _, (trial,) = handed_over(clean, tmp_path)
     error = errors(clean, trial)
@@ -124,6 +126,7 @@ def test_undisturbed_files_hold_the_truth(clean, tmp_path):
     assert error["pelvis_n"] < 1.0
 
 
+@pytest.mark.slow
 def test_opensim_files_hold_the_same(clean, simulations, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "simulate", lambda n, *_, **__: simulations[n])
@@ -140,6 +143,7 @@ def test_opensim_files_hold_the_same(clean, simulations, tmp_path):
     np.testing.assert_allclose(text.cop_x, binary.cop_x, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_disturbed_files_are_near_the_truth(clean, disturbed, tmp_path):
     _, trials = handed_over(disturbed, tmp_path)
     _, (perfect,) = handed_over(clean, tmp_path / "clean")
@@ -157,6 +161,7 @@ def test_disturbed_files_are_near_the_truth(clean, disturbed, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_forces_change_the_momentum(clean, tmp_path):
     """Newton for the whole body: from velocities, and at every sample."""
     model, _ = handed_over(clean, tmp_path)
@@ -178,6 +183,7 @@ def test_forces_change_the_momentum(clean, tmp_path):
     assert np.abs(gained - pushed).max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_chair_bears_while_seated(clean):
     truth = read_table(clean / "truth" / f"{FIRST}.sto")
     chair, feet = truth.columns(["chair_force_z", "ground_force_z"])[0]
@@ -185,6 +191,7 @@ def test_the_chair_bears_while_seated(clean):
     assert chair + feet == pytest.approx(WEIGHT, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["clean", "disturbed"])
 def test_standing_settles_to_body_weight(kind, request):
     folder = request.getfixturevalue(kind)
