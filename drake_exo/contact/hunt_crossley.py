@@ -149,11 +149,6 @@ def paper_stiffness(modulus):
     return 0.5 * modulus ** (2.0 / 3.0)
 
 
-def plane_strain_modulus(stiffness):
-    """Plane-strain modulus E [N/m²] for the paper's k; inverts the above."""
-    return (2.0 * stiffness) ** 1.5
-
-
 def default_constants(law: Law) -> Constants:
     """Constants of a law with their defaults; InputError for unknown laws."""
     if law == "paper":

@@ -7,7 +7,7 @@ angle toes-up positive (counter-clockwise seen from the right, about world −y)
 
 import functools
 from collections.abc import Mapping
-from dataclasses import astuple, fields
+from dataclasses import astuple
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
@@ -348,10 +348,6 @@ def FootGroundContact_(T):
 FootGroundContact = FootGroundContact_[None]
 
 
-# Numeric parameters of a bushing, in this order.
-BUSHING_PARAMETERS = tuple(f.name for f in fields(BushingParameters))
-
-
 class _Bushings:
     """What `HumanExoskeletonBushings_` does for every scalar type."""
 
@@ -493,7 +489,7 @@ def HumanExoskeletonBushings_(T):
             energies: ½ k d² [J].
         and spatial_forces, for a plant's applied_spatial_force port.
         Numeric parameters:
-            a vector for each bushing (BUSHING_PARAMETERS).
+            a vector for each bushing (fields of `BushingParameters`).
 
         Args of the constructor:
             pairs: (human link, exoskeleton link) body indices by name.

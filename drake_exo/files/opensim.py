@@ -66,17 +66,6 @@ def read_table(path: str | Path) -> Table:
     )
 
 
-def read_coordinates(
-    path: str | Path, translations: tuple[str, ...] = ()
-) -> Table:
-    """Read joint angles, in radians whatever the file has.
-
-    Raises:
-        InputError: as `read_table`, or header and angles disagree.
-    """
-    return read_table(path).in_radians(translations)
-
-
 def read_trc(path: str | Path) -> MarkerData:
     """Read a .trc file; positions in metres whatever the file has.
 

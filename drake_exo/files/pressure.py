@@ -21,39 +21,13 @@ class PressureRecording:
         time: (N,) increasing [s].
         pressure: (N, C) [Pa].
         groups: name of a mat or insole -> its columns in `pressure`.
-        rate_hz: scanning rate as the file says.
         source: file name.
     """
 
     time: np.ndarray
     pressure: np.ndarray
     groups: dict[str, np.ndarray]
-    rate_hz: float
     source: str
-
-    def normal_force(self, group: str, area_m2) -> np.ndarray:
-        """Sum of pressure times area of one mat (N,) [N].
-
-        Args:
-            group: name of the mat.
-            area_m2: of a cell, or of each cell of the mat.
-
-        Raises:
-            InputError: no such mat, or another number of areas.
-        """
-        if group not in self.groups:
-            names = ", ".join(self.groups)
-            raise InputError(
-                f"{self.source}: has no mat {group!r}; there are {names}"
-            )
-        cells = self.pressure[:, self.groups[group]]
-        area = np.asarray(area_m2, float)
-        if area.ndim and area.shape != cells.shape[1:]:
-            raise InputError(
-                f"{self.source}: {group!r} has {cells.shape[1]} cells, but "
-                f"{area.size} areas are given"
-            )
-        return (cells * area).sum(axis=1)
 
     def matrix(self, group: str, rows: int, columns: int) -> np.ndarray:
         """Pressure of one mat as (N, rows, columns) [Pa].
@@ -103,7 +77,7 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
             f"{path}: announces {total:g} s at {rate:g} Hz, but holds "
             f"{len(values)} frames; the file is truncated"
         )
-    return _recording(path, values, scale, _groups(path, head, count - 1), rate)
+    return _recording(path, values, scale, _groups(path, head, count - 1))
 
 
 def read_pressure_csv(
@@ -112,7 +86,7 @@ def read_pressure_csv(
     """Read a CSV table: time, then each mat's cells row by row.
 
     The first line names the columns, its first cell the time and the unit
-    of pressure: "time [s]; kPa". The sampling rate follows from the times.
+    of pressure: "time [s]; kPa".
 
     Args:
         path: the file.
@@ -141,18 +115,17 @@ def read_pressure_csv(
     for name, (r, c) in mats.items():
         groups[name] = np.arange(at, at + r * c)
         at += r * c
-    rate = (len(values) - 1) / (values[-1, 0] - values[0, 0])
-    return _recording(path, values, scale, groups, float(rate))
+    return _recording(path, values, scale, groups)
 
 
-def _recording(path, values, scale, groups, rate) -> PressureRecording:
+def _recording(path, values, scale, groups) -> PressureRecording:
     pressure = scale * values[:, 1:]
     check_gaps(str(path), "a cell", values[:, 0], pressure)
     if pressure.min() < 0.0:
         raise InputError(
             f"{path}: holds pressures below zero; export it without offset"
         )
-    return PressureRecording(values[:, 0], pressure, groups, rate, str(path))
+    return PressureRecording(values[:, 0], pressure, groups, str(path))
 
 
 def _unit(path, text: str) -> float:

@@ -22,13 +22,12 @@ from drake_exo.files.pressure import (
     read_novel_asc,
     read_pressure_csv,
 )
-from drake_exo.files.tables import uniform_time
+from drake_exo.files.tables import LENGTHS, uniform_time
 from drake_exo.files.text import number_rows, read_text
 from drake_exo.measurement.filters import check_filterable, low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
 
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 # A body or a part of it, largest extent [m].
 _PLAUSIBLE_M = (0.08, 3.0)
 _READERS = {

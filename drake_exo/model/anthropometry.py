@@ -15,24 +15,10 @@ from typing import Any
 from drake_exo.errors import InputError
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
-    ExoskeletonParameters,
-    HumanOverrides,
     HumanParameters,
-    SegmentOverrides,
     SegmentParameters,
     with_overrides,
 )
-
-__all__ = [
-    "DE_LEVA",
-    "DeLevaRow",
-    "ExoskeletonParameters",
-    "HumanOverrides",
-    "HumanParameters",
-    "SegmentOverrides",
-    "SegmentParameters",
-    "scale_human",
-]
 
 
 @dataclass(frozen=True)

@@ -49,26 +49,16 @@ class DrawnModel:
         self._thigh_m = model.human.thigh.length_m
         self._bushings = contact.bushings if contact else {}
 
-    @property
-    def bodies(self) -> list[str]:
-        """Paths of the bodies under a scene's root."""
-        return [_path(name) for name in self.tree.names if name != "world"]
-
     def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Path of a body -> (n, 7) position and quaternion."""
         return {
-            _path(name): spatial(self.pose(q, name))
-            for name in self.tree.names
-            if name != "world"
+            _path(name): spatial(self.pose(q, name)) for name in self.tree.names
         }
 
     def pose(self, q: np.ndarray, body: str) -> np.ndarray:
         """Place x, z [m] and angle [rad] of a body, (n, 3)."""
-        index = self.tree.body_index(body)
-        angles = self.tree.segment_angles(q)[:, self.tree.segment_of[index]]
         place = self.tree.point_positions(q, body, np.zeros(2))
-        turned = np.angle(self.tree.offsets[index])
-        return np.column_stack([place, angles + turned])
+        return np.column_stack([place, self.tree.body_angles(q, body)])
 
     def hip(self, q: np.ndarray) -> np.ndarray:
         """Place (x, z) of the hip joint [m], (n, 2)."""

@@ -334,7 +334,6 @@ class View:
 
 
 OBLIQUE = View()
-FROM_THE_RIGHT = View(eye=(0.0, -4.2, 1.0), target=(0.0, 0.0, 0.88))
 
 
 def write_png(path: Path, colours: np.ndarray) -> None:

@@ -30,7 +30,6 @@ from drake_exo.contact.systems import (
     declare_body_inputs,
     declare_force_output,
     foot_contact,
-    ground_reaction,
     read_bodies,
     relative_angles,
     to_body,
@@ -211,9 +210,7 @@ def seat_wrench(
 class Seat(LeafSystem):
     """`seat_wrench` for a diagram: `build_diagram(..., forces=[Seat(...)])`.
 
-    Inputs body_poses and body_spatial_velocities; outputs spatial_forces and
-    seat_reaction: F_x, F_z [N] on the pelvis and M_y = z F_x - x F_z about
-    the world's origin [N m].
+    Inputs body_poses and body_spatial_velocities; output spatial_forces.
 
     Args:
         pelvis: index of the link in the plant.
@@ -230,29 +227,18 @@ class Seat(LeafSystem):
         self._clear_z = seat.height_m + reach + _CLEARANCE_M
         declare_body_inputs(self, float)
         declare_force_output(self, float, self._calc_spatial_forces)
-        self.DeclareVectorOutputPort("seat_reaction", 3, self._calc_reaction)
-
-    def _evaluate(self, context):
-        bodies = read_bodies(self, context, [self._pelvis])
-        position, direction, motion = (array[:, 0] for array in bodies)
-        wrench = seat_wrench(self._seat, position, direction, motion)
-        return position, direction, wrench
 
     def _calc_spatial_forces(self, context, output):
         pose = self.GetInputPort("body_poses").Eval(context)[int(self._pelvis)]
         if pose.translation()[2] > self._clear_z:
             output.set_value([])
             return
-        position, direction, wrench = self._evaluate(context)
+        bodies = read_bodies(self, context, [self._pelvis])
+        position, direction, motion = (array[:, 0] for array in bodies)
+        wrench = seat_wrench(self._seat, position, direction, motion)
         point = to_body(position, direction, wrench.point_x, wrench.point_z)
         force = (wrench.force_x, wrench.force_z)
         output.set_value([applied_force(float, self._pelvis, point, force)])
-
-    def _calc_reaction(self, context, output):
-        wrench = self._evaluate(context)[2]
-        output.SetFromVector(
-            ground_reaction(SphereWrench(*(np.array([w]) for w in wrench)))
-        )
 
 
 def link_motion(tree: PlanarTree, q, v, body: str):

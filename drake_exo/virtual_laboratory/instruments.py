@@ -11,12 +11,14 @@ from drake_exo.files.tables import MarkerData, PlateRecording, Table
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.virtual_laboratory import markers as marker_errors
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 from drake_exo.virtual_laboratory.markers import (
     HALF_STANCE_M,
+    NOISE_M,
     Marker,
+    hide,
     marker_positions,
+    soft_tissue,
 )
 from drake_exo.virtual_laboratory.simulation import RATE_HZ
 
@@ -103,12 +105,12 @@ class Laboratory:
         q = movement.q[::_PER_FRAME]
         p = marker_positions(tree, q, self.markers)
         if "soft_tissue" in active:
-            p = p + marker_errors.soft_tissue(tree, q, self.markers, self.slide)
-        noise = rng.normal(0.0, marker_errors.NOISE_M, p.shape)
+            p = p + soft_tissue(tree, q, self.markers, self.slide)
+        noise = rng.normal(0.0, NOISE_M, p.shape)
         if "marker_noise" in active:
             p = p + noise
         if "gaps" in active and hidden:
-            p = marker_errors.hide(p, rng)
+            p = hide(p, rng)
         share = float(rng.uniform(0.46, 0.54))
         if "variation" not in active:
             share = 0.5

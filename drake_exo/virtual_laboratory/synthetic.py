@@ -392,7 +392,7 @@ def rises_in_device(
     truth = {}
     for cuff, (x, z) in model.cuffs.items():
         dx, dz, *stiffness = TRUE_CUFFS[cuff]
-        names = [p for p in settings.parameters({cuff: (x, z)})]
+        names = settings.parameters({cuff: (x, z)})
         values = (x + dx, z + dz, *stiffness)
         truth |= {p.name: v for p, v in zip(names, values, strict=True)}
     contact = replace(

@@ -127,7 +127,7 @@ def draw_truth(rng: np.random.Generator, active: frozenset[str]) -> Truth:
 
     Args:
         rng: numbers are drawn in the same order whatever is active.
-        active: names of `disturbances.TRUTH` that act.
+        active: names of `TRUTH` that act.
     """
     nominal = nominal_model("coupled")
     usual, human = nominal_contact(nominal), nominal.human

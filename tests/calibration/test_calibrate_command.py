@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drake_exo.cli import main
-from drake_exo.files.opensim import read_coordinates
+from drake_exo.files.opensim import read_table
 
 
 @pytest.fixture
@@ -76,9 +76,8 @@ def test_intervals_are_reported(summary):
 
 @pytest.mark.slow
 def test_trajectories_are_read_back(calibrated):
-    table = read_coordinates(
-        calibrated / "rise1_coordinates.sto", ("foot_x", "foot_z")
-    )
+    table = read_table(calibrated / "rise1_coordinates.sto")
+    table = table.in_radians(("foot_x", "foot_z"))
     assert table.names[:3] == ("foot_x", "foot_z", "foot_pitch")
     assert np.isfinite(table.values).all()
 

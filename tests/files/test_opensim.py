@@ -4,7 +4,6 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import (
     plates_of,
-    read_coordinates,
     read_plates,
     read_table,
     read_trc,
@@ -36,6 +35,11 @@ def write(tmp_path, text, name="a.mot"):
     path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+def read_coordinates(path):
+    """Joint angles, in radians whatever the file has."""
+    return read_table(path).in_radians()
 
 
 def refusal(reader, path):

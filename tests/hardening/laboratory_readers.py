@@ -9,8 +9,8 @@ from sound_files import written
 from drake_exo.files.c3d import read_c3d
 from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import (
-    read_coordinates,
     read_plates,
+    read_table,
     read_trc,
     write_table,
     write_trc,
@@ -114,7 +114,7 @@ def laboratory() -> dict:
             "text",
             written(lambda p: write_table(p, _joints())),
             lambda p: (
-                read_coordinates(p),
+                read_table(p).in_radians(),
                 read_angles(p, _JOINTS, "both", Filter()),
             ),
         ),
@@ -164,7 +164,7 @@ def pressure() -> dict:
 
     def read_csv(path):
         found = read_pressure_csv(path, {"shank": (2, 2), "thigh": (1, 2)})
-        return found.normal_force("shank", 2e-4)
+        return found.matrix("shank", 2, 2)
 
     return {
         "pressure asc": ("a.asc", "text", head + rows, read_novel_asc),

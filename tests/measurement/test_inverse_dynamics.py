@@ -18,7 +18,7 @@ from pydrake.multibody.tree import (
 )
 from scipy.signal import butter, filtfilt
 
-from drake_exo.files.opensim import read_coordinates, read_plates, read_table
+from drake_exo.files.opensim import read_plates, read_table
 from drake_exo.files.tables import uniform_time
 from drake_exo.measurement.filters import derivatives, resample
 from drake_exo.measurement.inverse_dynamics import (
@@ -199,7 +199,7 @@ def with_sliding_knees(osim, q, v, a):
 @pytest.fixture(scope="module")
 def walk(data_root):
     folder = data_root / "opensim_gait10dof"
-    ik = read_coordinates(folder / "subject01_walk_IK.mot")
+    ik = read_table(folder / "subject01_walk_IK.mot").in_radians()
     time = uniform_time(ik.source, ik.time)
     # OpenSim's tool: third order each way, cut-off not corrected, padded by
     # half the recording; its setup for this example says 6 Hz.

@@ -7,7 +7,7 @@ from synthetic_recording import marker_data, motion, study_text
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.opensim import read_coordinates
+from drake_exo.files.opensim import read_table
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.kinematics import (
     build_marker_model,
@@ -198,7 +198,7 @@ def opencap(data_root, request):
     recording = process(file.trials[0], subject, file, study.root)
     motion = recording.motion
     folder = data_root / "opencap_subject4"
-    ik = read_coordinates(folder / "IK/STS1_ik.mot")
+    ik = read_table(folder / "IK/STS1_ik.mot").in_radians()
     osim = Osim(folder / "Models/optimized_scale_and_markers.osim")
     X = osim.poses({name: ik.column(name) for name in ik.names})
 
