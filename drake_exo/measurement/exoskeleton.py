@@ -23,7 +23,6 @@ from drake_exo.files.tables import (
 from drake_exo.measurement.filters import (
     check_filterable,
     derivatives,
-    low_pass,
     resample,
 )
 from drake_exo.measurement.settings import SIDES, Device, Filter, Legs
@@ -53,22 +52,19 @@ class Signal:
         return replace(self, time=self.time - delay_s)
 
     def at(self, time: np.ndarray, what: str) -> np.ndarray:
-        """Values (N, joints) at other times; see `check_covers`."""
-        check_covers(self.source, self.time, time, what)
-        return resample(
-            self.time, self.values, np.clip(time, self.time[0], self.time[-1])
-        )
+        """Values (N, joints) at other times; raises as `within`."""
+        at = within(self.source, self.time, time, what)
+        return resample(self.time, self.values, at)
 
     def motion(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """Values and two derivatives, each (N, joints), at other times."""
-        check_covers(self.source, self.time, time, "encoder angles")
-        time = np.clip(time, self.time[0], self.time[-1])
+        time = within(self.source, self.time, time, "encoder angles")
         v, a = derivatives(self.time, self.values)
         return tuple(resample(self.time, x, time) for x in (self.values, v, a))
 
 
-def check_covers(source: str, time, wanted, what: str) -> None:
-    """Refuse a recording shorter than the trial.
+def within(source: str, time, wanted, what: str) -> np.ndarray:
+    """The wanted times, those just beyond a recording moved to its ends.
 
     Raises:
         InputError: it starts later or ends earlier, by more than a sample.
@@ -80,6 +76,7 @@ def check_covers(source: str, time, wanted, what: str) -> None:
             f"trial runs from {wanted[0]:g} to {wanted[-1]:g} s; export the "
             "whole trial or shorten it with start_s and end_s"
         )
+    return np.clip(wanted, time[0], time[-1])
 
 
 def read_angles(
@@ -117,9 +114,7 @@ def _read(path, joints, legs, settings: Filter, ending: str) -> Signal:
     )
     if ending == _MOMENT:
         values = 2.0 * values
-    values = low_pass(
-        values, rate, settings.cutoff_hz, settings.order, table.source
-    )
+    values = settings.smooth(values, rate, table.source)
     one_leg = None if legs == "both" else legs
     return Signal(time, values, table.source, one_leg)
 

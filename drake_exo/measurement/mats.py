@@ -24,8 +24,7 @@ from drake_exo.files.pressure import (
 )
 from drake_exo.files.tables import LENGTHS, uniform_time
 from drake_exo.files.text import number_rows, read_text
-from drake_exo.measurement.filters import check_filterable, low_pass
-from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.measurement.filters import check_filterable
 from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
 
 # A body or a part of it, largest extent [m].
@@ -135,12 +134,8 @@ def read_surface(path: Path, scan: Scan) -> Surface:
     if len(triangles) == 0:
         raise InputError(f"{path}: holds no triangles; export a mesh")
     check_size(path, raw[np.unique(triangles)], scan.unit)
-    points = LENGTHS[scan.unit] * raw @ _axes(scan).T
+    points = LENGTHS[scan.unit] * raw @ scan.axes.frame.R_PL.T
     return _outwards(Surface(points, triangles, str(path)))
-
-
-def _axes(scan: Scan) -> np.ndarray:
-    return SagittalFrame(scan.axes.forward, scan.axes.up).R_PL
 
 
 def check_size(path, points: np.ndarray, unit: str) -> None:
@@ -211,7 +206,7 @@ def place_cells(
         given = _read_cells(root / scan.cells, rows, columns)
     else:
         given = np.array(scan.corners)
-    points = LENGTHS[scan.unit] * given @ _axes(scan).T
+    points = LENGTHS[scan.unit] * given @ scan.axes.frame.R_PL.T
     on = surface.closest(points)[0]
     off = np.linalg.norm(on - points, axis=1)
     if off.max() > _FARTHEST_M:
@@ -312,13 +307,7 @@ def read_mat_forces(
             inward, report = cell_directions(mat, name, root)
             pressure = recording.matrix(name, mat.rows, mat.columns)
             cells = pressure.reshape(len(time), -1) * mat.cell_area_m2
-            force = low_pass(
-                cells @ inward,
-                rate,
-                settings.cutoff_hz,
-                settings.order,
-                recording.source,
-            )
+            force = settings.smooth(cells @ inward, rate, recording.source)
             report |= _seen(pressure)
             if mat.legs != "both":
                 force = 2.0 * force
@@ -427,8 +416,7 @@ def _to_segment(scan: Scan) -> np.ndarray:
     """Rotation (3, 3) from forward, left, up to the segment's axes."""
     if scan.segment_axis is None:
         return np.eye(3)
-    frame = SagittalFrame(scan.axes.forward, scan.axes.up)
-    low, high = LENGTHS[scan.unit] * frame.points(scan.segment_axis)
+    low, high = LENGTHS[scan.unit] * scan.axes.frame.points(scan.segment_axis)
     x, z = high - low
     length = np.hypot(x, z)
     if not length > 0.02:

@@ -18,12 +18,12 @@ from drake_exo.measurement.clocks import (
 from drake_exo.measurement.events import Rise, find_rises, until_seat_off
 from drake_exo.measurement.exoskeleton import (
     Signal,
-    check_covers,
     drive_moments,
     read_angles,
     read_moments,
+    within,
 )
-from drake_exo.measurement.filters import derivatives, low_pass, resample
+from drake_exo.measurement.filters import derivatives, resample
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
@@ -42,7 +42,7 @@ from drake_exo.measurement.recording import (
     read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import (
     Device,
     RecordingSettings,
@@ -221,8 +221,7 @@ def _follow(
     settings: RecordingSettings,
 ) -> Motion:
     """Inverse kinematics of the frames at `time`, filtered."""
-    axes = settings.laboratory.marker_axes
-    frame = SagittalFrame(axes.forward, axes.up)
+    frame = settings.laboratory.marker_axes.frame
     points = frame.points(markers.of(subject.markers.names))
     inside = np.searchsorted(markers.time, time[0] - 1e-9)
     points = points[inside : inside + len(time)]
@@ -231,13 +230,7 @@ def _follow(
     q, ankles = merge_legs(subject.markers, poses)
 
     def smooth(values):
-        return low_pass(
-            values,
-            markers.rate_hz,
-            settings.filter.cutoff_hz,
-            settings.filter.order,
-            markers.source,
-        )
+        return settings.filter.smooth(values, markers.rate_hz, markers.source)
 
     q = smooth(q)
     v, a = derivatives(time, q)
@@ -262,9 +255,7 @@ def _needed(rigid: Model, motion: Motion) -> np.ndarray:
 def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     """Rises, by the chair's plate or else by what the feet leave over."""
     F_z = forces.total(feet)
-    on_chair = (
-        _needed(rigid, motion) - F_z if chair is None else chair.force_z
-    )
+    on_chair = _needed(rigid, motion) - F_z if chair is None else chair.force_z
     weight = rigid.tree.weight
     return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
 
@@ -560,8 +551,7 @@ def _cuff_forces(recording: Recording, time):
     total: dict[str, np.ndarray] = {}
     notes: dict[str, Any] = {}
     for mat in recording.mats:
-        check_covers(mat.source, mat.time, time, f"pressures of {mat.name}")
-        at = np.clip(time, mat.time[0], mat.time[-1])
+        at = within(mat.source, mat.time, time, f"pressures of {mat.name}")
         force = resample(mat.time, mat.normal, at)
         total[mat.segment] = total.get(mat.segment, 0.0) + force
         notes[mat.name] = mat.report

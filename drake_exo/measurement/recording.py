@@ -19,10 +19,9 @@ from drake_exo.files.tables import (
     missing_column,
     uniform_time,
 )
-from drake_exo.measurement.filters import check_filterable, low_pass, resample
+from drake_exo.measurement.filters import check_filterable, resample
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
-    SagittalFrame,
     merge_feet,
     planar_wrench,
 )
@@ -66,11 +65,16 @@ def fill_gaps(
         if not unseen.any():
             continue
         shares[name] = float(unseen.mean())
-        edges = np.flatnonzero(np.diff(np.r_[0, unseen, 0]))
-        for start, end in edges.reshape(-1, 2):
-            _check_gap(data, name, int(start), int(end), longest_s)
+        for start, end in _runs(unseen):
+            _check_gap(data, name, start, end, longest_s)
         _fill(data.time, p, unseen)
     return replace(data, positions=positions), shares
+
+
+def _runs(mask: np.ndarray) -> list[list[int]]:
+    """Start and end of each run of True in a (N,) bool."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
+    return edges.reshape(-1, 2).tolist()
 
 
 def _check_gap(data, name, start: int, end: int, longest_s: float) -> None:
@@ -94,9 +98,8 @@ def _check_gap(data, name, start: int, end: int, longest_s: float) -> None:
 
 def _fill(time: np.ndarray, p: np.ndarray, unseen: np.ndarray) -> None:
     """Fill p (N, 3) in place."""
-    edges = np.flatnonzero(np.diff(np.r_[0, unseen, 0])).reshape(-1, 2)
     seen = np.flatnonzero(~unseen)
-    for start, end in edges:
+    for start, end in _runs(unseen):
         before = seen[seen < start][-_NEIGHBOURS:]
         after = seen[seen >= end][:_NEIGHBOURS]
         knots = np.r_[before, after]
@@ -132,8 +135,7 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
     smooth = np.convolve(padded, np.ones(width) / width, mode="same")
     smooth = smooth[width:-width]
     near = np.abs(smooth - np.quantile(smooth, 0.02)) < _BAND_N
-    edges = np.flatnonzero(np.diff(np.r_[0, near, 0])).reshape(-1, 2)
-    for start, end in edges:
+    for start, end in _runs(near):
         # Its edges are still, or already, a load.
         cut = round(_EDGE_S / step)
         long = end - start - 2 * cut >= _SHORTEST_S / step
@@ -166,11 +168,11 @@ def level(
     spans = t[empty].max() - t[empty].min()
     powers = 2 if spans > _TREND_SHARE else 1
     A = np.vander(t, powers, increasing=True)
-    values = np.column_stack([wrench.force, wrench.moment])
+    values = wrench.array
     c = np.linalg.lstsq(A[empty], values[empty], rcond=None)[0]
     values = values - A @ c
     drift = float(c[1, 1] / (time[-1] - time[0])) if powers == 2 else 0.0
-    return PlanarWrench(values[:, :2], values[:, 2]), {
+    return PlanarWrench.of(values), {
         "offset_n": float(c[0, 1]),
         "drift_n_s": drift,
         "unloaded_s": seen,
@@ -203,18 +205,11 @@ class FootForces:
     def filtered(self, settings: Filter) -> "FootForces":
         """The same forces, low-passed."""
 
-        def smooth(values):
-            return low_pass(
-                values,
-                self.rate_hz,
-                settings.cutoff_hz,
-                settings.order,
-                self.source,
-            )
+        def smooth(_, w):
+            values = settings.smooth(w.array, self.rate_hz, self.source)
+            return PlanarWrench.of(values)
 
-        return self._mapped(
-            lambda w: PlanarWrench(smooth(w.force), smooth(w.moment))
-        )
+        return self._by_plate(smooth)
 
     def delayed(self, delay_s: float) -> "FootForces":
         """The same forces with a lag of their clock taken out."""
@@ -254,9 +249,6 @@ class FootForces:
             chair=None if self.chair is None else function("chair", self.chair),
         )
 
-    def _mapped(self, function) -> "FootForces":
-        return self._by_plate(lambda _, w: function(w))
-
     def chair_at(self, time: np.ndarray) -> PlanarWrench | None:
         """As `at`, of the plate under the chair."""
         if self.chair is None:
@@ -268,10 +260,7 @@ class FootForces:
         """Wrenches at other times; the ends' values beyond the recording."""
         time = np.clip(time, self.time[0], self.time[-1])
         return {
-            foot: PlanarWrench(
-                resample(self.time, w.force, time),
-                resample(self.time, w.moment, time),
-            )
+            foot: PlanarWrench.of(resample(self.time, w.array, time))
             for foot, w in self.wrenches.items()
         }
 
@@ -368,9 +357,7 @@ def read_foot_forces(
     """
     time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
-    frame = SagittalFrame(
-        laboratory.force_axes.forward, laboratory.force_axes.up
-    )
+    frame = laboratory.force_axes.frame
     numbers = {
         foot: getattr(plates, foot)
         for foot in (*SIDES, "both", "chair")

@@ -10,7 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from drake_exo.errors import InputError
+from drake_exo.measurement.filters import low_pass
+from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
@@ -40,6 +44,11 @@ class Axes:
                 f"forward ({self.forward}) and up ({self.up}) must be two "
                 "different axes"
             )
+
+    @property
+    def frame(self) -> SagittalFrame:
+        """The planar frame in the file's axes."""
+        return SagittalFrame(self.forward, self.up)
 
 
 @dataclass(frozen=True)
@@ -356,6 +365,12 @@ class Filter:
             raise InputError(
                 f"order is {self.order}, but two passes make it even"
             )
+
+    def smooth(
+        self, values: np.ndarray, rate_hz: float, source: str
+    ) -> np.ndarray:
+        """Filtered signals (N, ...); raises as `filters.low_pass`."""
+        return low_pass(values, rate_hz, self.cutoff_hz, self.order, source)
 
 
 @dataclass(frozen=True)

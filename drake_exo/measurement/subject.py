@@ -21,7 +21,7 @@ from drake_exo.measurement.recording import (
     read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Markers, RecordingSettings, Standing
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton, nominal_exoskeleton
@@ -57,8 +57,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     Raises:
         InputError: unreadable or unsuitable standing trial, or no body mass.
     """
-    axes = settings.laboratory.marker_axes
-    frame = SagittalFrame(axes.forward, axes.up)
+    frame = settings.laboratory.marker_axes.frame
     standing = _quiet_part(
         read_markers(root / settings.standing.markers, settings.filter),
         settings.standing,
