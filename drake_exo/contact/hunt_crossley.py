@@ -121,6 +121,8 @@ def regularisation_length(stiffness, radius, residual_force=0.02):
 
 
 Law = Literal["paper", "simbody"]
+# Law -> its constants.
+LAWS = {"paper": PaperConstants, "simbody": SimbodyConstants}
 
 # Below this dissipation [s/m] the velocity gate is exactly one in double
 # precision for any rate slower than 600 m/s, so clamping the 1/c in it here
@@ -151,13 +153,11 @@ def paper_stiffness(modulus):
 
 def default_constants(law: Law) -> Constants:
     """Constants of a law with their defaults; InputError for unknown laws."""
-    if law == "paper":
-        return PaperConstants()
-    if law == "simbody":
-        return SimbodyConstants()
-    raise InputError(
-        f"contact law {law!r} is unknown; use 'paper' or 'simbody'"
-    )
+    if law not in LAWS:
+        raise InputError(
+            f"contact law {law!r} is unknown; use 'paper' or 'simbody'"
+        )
+    return LAWS[law]()
 
 
 def hertz_factor(law: Law, stiffness, radius):

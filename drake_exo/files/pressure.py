@@ -101,21 +101,38 @@ def read_pressure_csv(
         raise InputError(f"{path}: holds fewer than two frames of pressure")
     first = lines[0].split(",")[0]
     scale = _unit(path, first)
-    cells = sum(r * c for r, c in mats.values())
     width = len(lines[0].split(","))
-    if width != cells + 1:
-        sizes = ", ".join(f"{n} {r} x {c}" for n, (r, c) in mats.items())
-        raise InputError(
-            f"{path}: has {width - 1} cells, but the mats ({sizes}) have "
-            f"{cells}; correct the sizes in the study or the export"
-        )
+    groups = split(path, width - 1, mats)
     values = _table(path, lines, 1, width, ",")
     check_increasing(str(path), values[:, 0])
+    return _recording(path, values, scale, groups)
+
+
+def split(
+    path, cells: int, mats: dict[str, tuple[int, int]]
+) -> dict[str, np.ndarray]:
+    """Columns of each mat, one after the other.
+
+    Args:
+        path: for messages.
+        cells: number of columns.
+        mats: name -> (rows, columns).
+
+    Raises:
+        InputError: the file has another number of cells than the mats.
+    """
+    wanted = sum(r * c for r, c in mats.values())
+    if cells != wanted:
+        sizes = ", ".join(f"{n} {r} x {c}" for n, (r, c) in mats.items())
+        raise InputError(
+            f"{path}: has {cells} cells, but the mats ({sizes}) have "
+            f"{wanted}; correct the sizes in the study or the export"
+        )
     groups, at = {}, 0
     for name, (r, c) in mats.items():
         groups[name] = np.arange(at, at + r * c)
         at += r * c
-    return _recording(path, values, scale, groups)
+    return groups
 
 
 def _recording(path, values, scale, groups) -> PressureRecording:

@@ -21,6 +21,7 @@ from drake_exo.files.pressure import (
     PressureRecording,
     read_novel_asc,
     read_pressure_csv,
+    split,
 )
 from drake_exo.files.tables import LENGTHS, uniform_time
 from drake_exo.files.text import number_rows, read_text
@@ -347,18 +348,7 @@ def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:
     recording = read_novel_asc(path)
     if all(name in recording.groups for name in names):
         return recording
-    cells = recording.pressure.shape[1]
-    wanted = sum(r * c for r, c in sizes.values())
-    if cells != wanted:
-        said = ", ".join(f"{n} {r} x {c}" for n, (r, c) in sizes.items())
-        raise InputError(
-            f"{path}: has {cells} cells, but the mats ({said}) have {wanted}; "
-            "correct the sizes in the study or the export"
-        )
-    groups, at = {}, 0
-    for name, (r, c) in sizes.items():
-        groups[name] = np.arange(at, at + r * c)
-        at += r * c
+    groups = split(path, recording.pressure.shape[1], sizes)
     return replace(recording, groups=groups)
 
 

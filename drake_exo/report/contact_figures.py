@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.contact.hunt_crossley import (
-    PaperConstants,
-    SimbodyConstants,
+    LAWS,
     friction_coefficient,
     paper_stiffness,
     sphere_force,
@@ -61,8 +60,7 @@ class ContactCurves:
 
     def constants(self, law: str):
         """Constants of a law with these friction values."""
-        kind = PaperConstants if law == "paper" else SimbodyConstants
-        return kind(
+        return LAWS[law](
             static_friction=self.static_friction,
             dynamic_friction=self.dynamic_friction,
             viscous_friction=self.viscous_friction,
