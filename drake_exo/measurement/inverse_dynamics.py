@@ -1,27 +1,13 @@
 """Generalized forces of the rigid model from motion and measured forces."""
 
-from typing import Protocol
-
 import numpy as np
 
 from drake_exo.measurement.sagittal import PlanarWrench
-
-
-class PlanarDynamics(Protocol):
-    """What inverse dynamics asks of a model; `PlanarTree` offers it."""
-
-    def inverse_dynamics(self, q, v, vdot) -> np.ndarray:
-        """Generalized forces (N, nq) of motion and gravity alone."""
-
-    def point_positions(self, q, body: str, p_BoP) -> np.ndarray:
-        """Points (N, 2) of a body in the world."""
-
-    def point_jacobian(self, q, body: str, p_BoP) -> np.ndarray:
-        """Their derivatives (N, 2, nq)."""
+from drake_exo.model.planar_tree import PlanarTree
 
 
 def wrench_on_body(
-    model: PlanarDynamics, q: np.ndarray, body: str, wrench: PlanarWrench
+    model: PlanarTree, q: np.ndarray, body: str, wrench: PlanarWrench
 ) -> np.ndarray:
     """Generalized forces (N, nq) of a wrench about the world's origin.
 
@@ -31,20 +17,17 @@ def wrench_on_body(
         body: the body that the wrench acts on.
         wrench: force [N] and moment M_y about the origin [N m].
     """
-    p, tip = (model.point_positions(q, body, e) for e in ((0, 0), (1, 0)))
-    J, J_tip = (model.point_jacobian(q, body, e) for e in ((0, 0), (1, 0)))
-    # Seen from the right, counter-clockwise (about -y) is positive: the tip
-    # of a unit vector then moves along the vector turned by a quarter.
-    quarter = np.column_stack([-(tip - p)[:, 1], (tip - p)[:, 0]])
-    turning = np.einsum("nij,ni->nj", J_tip - J, quarter)
+    p = model.point_positions(q, body, (0, 0))
+    J = model.point_jacobian(q, body, (0, 0))
     F_x, F_z = wrench.force.T
     moment = wrench.moment - (p[:, 1] * F_x - p[:, 0] * F_z)
     Q = np.einsum("nij,ni->nj", J, wrench.force)
-    return Q - moment[:, None] * turning
+    # M_y is about y, angles are about -y.
+    return Q - moment[:, None] * model.turning(body)
 
 
 def inverse_dynamics(
-    model: PlanarDynamics,
+    model: PlanarTree,
     q: np.ndarray,
     v: np.ndarray,
     a: np.ndarray,
@@ -72,7 +55,7 @@ def inverse_dynamics(
 
 
 def from_the_ground_up(
-    model: PlanarDynamics, q: np.ndarray, Q: np.ndarray, top: str = "pelvis"
+    model: PlanarTree, q: np.ndarray, Q: np.ndarray, top: str = "pelvis"
 ) -> np.ndarray:
     """Move the unexplained force from the foot to the topmost body.
 
@@ -89,8 +72,5 @@ def from_the_ground_up(
     Returns:
         (N, nq) with joint moments changed.
     """
-    p = q[:, :2]
-    residual = PlanarWrench(
-        Q[:, :2], p[:, 1] * Q[:, 0] - p[:, 0] * Q[:, 1] - Q[:, 2]
-    )
+    residual = PlanarWrench.of(model.ground_reaction(q, Q))
     return Q - wrench_on_body(model, q, top, residual)

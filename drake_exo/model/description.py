@@ -10,11 +10,12 @@ import importlib.resources
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from functools import cache
-from math import cos, sin, sqrt
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.segments import (
@@ -271,7 +272,9 @@ def _rewrite_link(
 def _stretch_visual(visual: ET.Element, stretch: _Stretch) -> None:
     pose = _pose(visual)
     # A turned shape has its own axes; each grows by the stretch along it.
-    axes = np.asarray(stretch.size)[:, None] * _rotation(*pose[3:])
+    # SDF's roll, pitch, yaw turn about fixed x, y, z.
+    turn = Rotation.from_euler("xyz", pose[3:]).as_matrix()
+    axes = np.asarray(stretch.size)[:, None] * turn
     fx, fy, fz = np.linalg.norm(axes, axis=0)
     pose[:3] *= stretch.place
     _set_pose(visual, pose)
@@ -289,17 +292,3 @@ def _stretch_visual(visual: ET.Element, stretch: _Stretch) -> None:
         if element.tag in factors:
             old = np.array(element.text.split(), dtype=float)
             element.text = _numbers(np.atleast_1d(old * factors[element.tag]))
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Rotation matrix of SDF's roll, pitch, yaw (about fixed x, y, z)."""
-    (cr, sr), (cp, sp), (cy, sy) = (
-        (cos(a), sin(a)) for a in (roll, pitch, yaw)
-    )
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )

@@ -151,6 +151,10 @@ class PlanarTree:
         phi = self.segment_angles(q)[:, self.segment_of[index]]
         return phi + np.angle(self.offsets[index])
 
+    def turning(self, body: str) -> np.ndarray:
+        """Derivatives (nq,) of `body_angles` by the coordinates."""
+        return self.angles_by_q[self.segment_of[self.body_index(body)]]
+
     def center_of_mass(self, q) -> np.ndarray:
         """Whole-body centre of mass (N, 2) [m] in the world."""
         w = np.exp(1j * self.segment_angles(q))

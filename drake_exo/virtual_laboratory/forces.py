@@ -253,13 +253,11 @@ def link_motion(tree: PlanarTree, q, v, body: str):
         Position (2, N) [m], angle (N,) [rad] and (v_x, v_z, rate) (3, N).
     """
     J = tree.point_jacobian(q, body, (0.0, 0.0))
-    segment = tree.segment_of[tree.body_index(body)]
-    rate = v @ tree.angles_by_q[segment]
     velocity = np.einsum("nij,nj->in", J, v)
     return (
         tree.point_positions(q, body, (0.0, 0.0)).T,
         tree.body_angles(q, body),
-        np.vstack([velocity, rate]),
+        np.vstack([velocity, v @ tree.turning(body)]),
     )
 
 

@@ -64,6 +64,17 @@ class DrakeModel:
             rows.append(plant.CalcInverseDynamics(context, state[2], forces))
         return np.array(rows)
 
+    def turning(self, body):
+        world = self.plant.world_frame()
+        J = self.plant.CalcJacobianAngularVelocity(
+            self.context,
+            JacobianWrtVariable.kQDot,
+            self.plant.GetFrameByName(body),
+            world,
+            world,
+        )
+        return np.cross(*np.eye(3)[self.axes]) @ J
+
     def _each(self, q, function):
         rows = []
         for positions in q:
