@@ -29,7 +29,7 @@ quick: $(VENV)/installed
 
 docs: $(VENV)/installed
 	$(BIN)/pdoc drake_exo drake_exo.contact drake_exo.soles \
-	    drake_exo.virtual_laboratory.synthetic -o docs/api
+	    drake_exo.calibration.settings drake_exo.virtual_laboratory.synthetic -o docs/api
 
 coverage: $(VENV)/installed
 	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal \

@@ -32,7 +32,9 @@ _PLACES = {
     "contact.diagram": ["build_diagram", "build_simulator"],
     "contact.parameters": ["ContactModel", "nominal_contact"],
     "errors": ["InputError"],
-    "measurement.trial": ["Trial"],
+    "measurement.sagittal": ["PlanarWrench"],
+    "measurement.trial": ["CuffForce", "Trial"],
+    "model.coordinates": ["Coordinates"],
     "model.plant": ["Model", "nominal_model"],
     "nlp.ipopt": ["SealedSolutionError"],
     "report.figures": ["plot_trials"],
@@ -51,6 +53,7 @@ _PLACES = {
 # Rooms with names of their own.
 _ROOMS = {
     "contact": "contact",
+    "settings": "calibration.settings",
     "soles": "soles",
     "synthetic": "virtual_laboratory.synthetic",
 }

@@ -38,9 +38,9 @@ from drake_exo.calibration.settings import (
 from drake_exo.calibration.solving import solve
 from drake_exo.calibration.uncertainty import Uncertainty, uncertainty
 from drake_exo.contact.parameters import ContactModel, ContactParameter
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_bounds
 from drake_exo.files import schema
-from drake_exo.files.output import Progress
+from drake_exo.files.output import Progress, write_json
 from drake_exo.measurement.processing import load_trials
 from drake_exo.measurement.quality import Quality, assess
 from drake_exo.measurement.settings import Filter, RecordingSettings, Use
@@ -50,6 +50,7 @@ from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report import figures
 from drake_exo.report.replay import show_trial
+from drake_exo.report.tables import rmsd_table
 
 
 @dataclass(frozen=True)
@@ -202,8 +203,8 @@ class Calibration:
     """
 
     phase: str
-    study: Study
-    result: PhaseResult
+    study: Study = field(repr=False)
+    result: PhaseResult = field(repr=False)
 
     @property
     def solution(self) -> Solution:
@@ -217,13 +218,25 @@ class Calibration:
 
     @property
     def contact(self) -> ContactModel:
-        """The contact as far as it is known now."""
+        """The contact as far as it is known now.
+
+        This and what follows raises SealedSolutionError after a failed solve,
+        until `solution.unseal()`.
+        """
+        self.solution.check()
         return self.result.contact
 
     @property
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
+        self.solution.check()
         return self.result.trials
+
+    @property
+    def parameters(self) -> list[ContactParameter]:
+        """All of them, their values as nominal."""
+        self.solution.check()
+        return self.result.parameters
 
     def parameter(self, name: str) -> ContactParameter:
         """A calibrated parameter, its value as nominal.
@@ -231,7 +244,7 @@ class Calibration:
         Raises:
             InputError: there is none of that name.
         """
-        known = {p.name: p for p in self.result.parameters}
+        known = {p.name: p for p in self.parameters}
         if name not in known:
             raise InputError(
                 f"there is no parameter {name!r}; known are {', '.join(known)}"
@@ -277,18 +290,40 @@ class Calibration:
                 }
         return summary
 
-    def write(self, folder: Path) -> None:
-        """Model, contact, trajectories and figures into a folder."""
-        write_inputs(folder, self.study.model, self.result.problem.trials)
-        write_contact(folder, self.contact)
-        for trial in self.trials:
+    def write(self, folder: str | Path, summary: dict | None = None) -> None:
+        """Model, contact, trajectories, tables and figures into a folder.
+
+        Args:
+            folder: made if it is not there; a failed solve is written, too,
+                marked as failed.
+            summary: for summary.json; that of `summary` with the audit if
+                None.
+        """
+        folder, found = Path(folder), self.result
+        folder.mkdir(parents=True, exist_ok=True)
+        if summary is None:
+            summary = self.summary()
+            if self.success:
+                summary["audit"] = [a.summary() for a in self.audit()]
+        write_inputs(folder, self.study.model, found.problem.trials)
+        write_contact(folder, found.contact)
+        for trial in found.trials:
             write_trial(folder, trial)
-        figures.draw_figures(folder, self.trials, self.result.problem.trials)
+        text = rmsd_table(summary["rmsd"], summary["measured_sd"])
+        (folder / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
+        figures.draw_figures(folder, found.trials, found.problem.trials)
+        write_json(folder / "summary.json", summary)
 
 
-@dataclass(frozen=True, kw_only=True)
+_SIGNALS = frozenset(("q", "v", "a", "ground", "moments", "cuffs", "jerk"))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Prediction(Trial):
     """A predicted trial: see Trial for its signals.
+
+    Signals of a failed solve raise SealedSolutionError until
+    `solution.unseal()`.
 
     Attributes:
         result: of the solve.
@@ -301,7 +336,18 @@ class Prediction(Trial):
     True
     """
 
-    result: PhaseResult
+    result: PhaseResult = field(repr=False)
+
+    def __post_init__(self):
+        """The trial that this is made of has been checked."""
+
+    def __repr__(self) -> str:
+        return f"Prediction({self.name!r}, {self.solution.status!r})"
+
+    def __getattribute__(self, name: str):
+        if name in _SIGNALS:
+            object.__getattribute__(self, "result").solution.check()
+        return super().__getattribute__(name)
 
     @property
     def solution(self) -> Solution:
@@ -327,7 +373,7 @@ class Prediction(Trial):
         return figures.kinematics_figure({"predicted": [self]}, [beside])
 
     def view(self, meshcat: Meshcat) -> None:
-        """Show it as an animation with its forces in meshcat."""
+        """Show it as an animation with its ground reaction in meshcat."""
         show_trial(meshcat, self.result.problem.model, self)
 
 
@@ -433,6 +479,7 @@ def predict(
     >>> found.success, found.coordinate("exo_hip").shape == found.times.shape
     (True, True)
     """
+    check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
     problem = PredictionProblem(
         study.model,
         [trial],

@@ -14,7 +14,7 @@ _PLACES = {
     "": dx,
     **{
         f"{room}.": getattr(dx, room)
-        for room in ("contact", "soles", "synthetic")
+        for room in ("contact", "settings", "soles", "synthetic")
     },
 }
 MODULES = [place.__name__ for place in _PLACES.values()]
@@ -32,7 +32,7 @@ def found(name: str):
 
 
 def test_there_are_not_many():
-    assert len(dx.__all__) <= 34
+    assert len(dx.__all__) <= 38
     assert set(dx.__all__) <= set(dir(dx))
 
 

@@ -9,6 +9,7 @@ measured.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from pydrake.systems.framework import System
@@ -62,7 +63,7 @@ class PredictionProblem(PhaseProblem):
         *,
         controller: System | None = None,
     ):
-        if set(model.cuffs) != set(contact.bushings):
+        if not set(model.cuffs) <= set(contact.bushings):
             raise InputError(
                 "the calibration holds no interaction parameters; run "
                 "'drake-exo calibrate' without --phase, or with --phase "
@@ -74,6 +75,9 @@ class PredictionProblem(PhaseProblem):
             else ControllerKernel(controller, len(model.coordinates.device))
         )
         settings = settings or PredictionSettings()
+        # A human alone has no use for the cuffs of a calibration.
+        own = {cuff: contact.bushings[cuff] for cuff in model.cuffs}
+        contact = replace(contact, bushings=own)
         super().__init__(model, trials, contact, [], settings)
 
     def _add(self, trial: Trial) -> TrialProgram:

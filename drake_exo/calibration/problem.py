@@ -91,6 +91,7 @@ class PhaseProblem(ABC):
         self.model = model
         self.tree = model.tree
         self.trials = list(trials)
+        _check_trials(self.trials, model)
         self.contact = contact = _in_order(contact, model)
         self.parameters = parameters
         self.settings = settings
@@ -349,7 +350,39 @@ class PhaseProblem(ABC):
             chair_on_thighs=trial.chair_on_thighs,
             jerk=read(grid.jerk),
             mass_kg=trial.mass_kg,
+            start_s=trial.start_s,
+            provenance=trial.provenance,
         )
+
+
+def _check_trials(trials: list[Trial], model: Model) -> None:
+    """Refuse trials that a program cannot be made of.
+
+    Raises:
+        InputError: there are none; one is of another model, does not start at
+            0 or holds what is no number.
+    """
+    if not trials:
+        raise InputError("there are no trials; give at least one")
+    own = model.coordinates
+    for trial in trials:
+        if trial.coordinates != own:
+            raise InputError(
+                f"trial {trial.name}: has the coordinates "
+                f"{', '.join(trial.coordinates.names)}, the model "
+                f"{', '.join(own.names)}; give trials of this model"
+            )
+        if trial.times[0] != 0.0 or not (np.diff(trial.times) > 0.0).all():
+            raise InputError(
+                f"trial {trial.name}: times must start at 0 and increase; "
+                "subtract the first one"
+            )
+        wrong = trial.not_finite()
+        if wrong:
+            raise InputError(
+                f"trial {trial.name}: {wrong} holds what is no finite number; "
+                "cut or fill it"
+            )
 
 
 def _in_order(contact: ContactModel, model: Model) -> ContactModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -32,6 +32,8 @@ from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 
 MODEL, PARAMETERS = "model.json", "parameters.json"
+_DAMPING = ("tangential_damping", "normal_damping", "rotational_damping")
+_PRELOAD = ("preload_x", "preload_z", "preload_angle")
 _LARGEST = 1e12  # of a parameter, in SI units
 
 
@@ -66,6 +68,7 @@ class _Stored:
         units: parameter name -> unit.
         damping: cuff -> tangential, normal, rotational damping; empty after
             Phase A.
+        preload: cuff -> x, z, angle of its preload; of cuffs that have one.
     """
 
     law: Literal["simbody", "paper"]
@@ -73,11 +76,13 @@ class _Stored:
     parameters: dict[str, float]
     units: dict[str, str]
     damping: dict[str, tuple[float, float, float]]
+    preload: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def __post_init__(self):
         settings = FootGroundSettings(self.law, self.constants)
         spheres = self._groups(SPHERE_PARAMETERS)
-        cuffs = self._groups(CALIBRATED) | dict.fromkeys(self.damping)
+        cuffs = self._groups(CALIBRATED)
+        cuffs |= dict.fromkeys((*self.damping, *self.preload))
         for cuff in cuffs:
             if cuff not in self.damping:
                 raise InputError(f"damping of {cuff} is missing")
@@ -85,12 +90,12 @@ class _Stored:
             s: ContactSphere(**self._values(s, SPHERE_PARAMETERS))
             for s in spheres
         }
-        names = [f"{component}_damping" for component in
-                 ("tangential", "normal", "rotational")]  # fmt: skip
+        none = (0.0, 0.0, 0.0)
         bushings = {
             c: BushingParameters(
                 **self._values(c, CALIBRATED),
-                **dict(zip(names, self.damping[c], strict=True)),
+                **dict(zip(_DAMPING, self.damping[c], strict=True)),
+                **dict(zip(_PRELOAD, self.preload.get(c, none), strict=True)),
             )
             for c in cuffs
         }
@@ -118,16 +123,19 @@ class _Stored:
 
 def write_contact(folder: Path, contact: ContactModel) -> None:
     """Write all that a later phase needs of the contact."""
-    write_json(
-        folder / PARAMETERS,
-        {
-            "law": contact.ground.law,
-            "constants": asdict(contact.ground.constants),
-            "parameters": contact.values(),
-            "units": contact.units(),
-            "damping": {c: b.damping for c, b in contact.bushings.items()},
-        },
-    )
+    stored = {
+        "law": contact.ground.law,
+        "constants": asdict(contact.ground.constants),
+        "parameters": contact.values(),
+        "units": contact.units(),
+        "damping": {c: b.damping for c, b in contact.bushings.items()},
+    }
+    preload = {
+        c: b.preload for c, b in contact.bushings.items() if any(b.preload)
+    }
+    if preload:
+        stored["preload"] = preload
+    write_json(folder / PARAMETERS, stored)
 
 
 def read_contact(folder: str | Path) -> ContactModel:

@@ -21,6 +21,21 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.nlp.ipopt import SolverOptions
 
+__all__ = [
+    "BushingSettings",
+    "EndTolerance",
+    "FootGroundSettings",
+    "InteractionNoise",
+    "InteractionSettings",
+    "PredictionEnds",
+    "PredictionSettings",
+    "Range",
+    "Solver",
+    "SphereSettings",
+    "Spread",
+    "TrackingNoise",
+]
+
 
 @dataclass(frozen=True)
 class Range:
@@ -30,6 +45,9 @@ class Range:
         nominal: guess and prior mean; the value itself where not free.
         lower, upper: bounds.
         free: whether it is calibrated.
+
+    >>> Range(5e6, 1e6, 2e7).upper
+    20000000.0
     """
 
     nominal: float
@@ -49,6 +67,9 @@ class Spread:
         below, above: how far the bounds lie from it.
         shift: added to the model's value.
         free: whether it is calibrated.
+
+    >>> Spread(0.03, 0.03, shift=0.01).shift
+    0.01
     """
 
     below: float = field(metadata={"unit": "m", "above": 0.0})
@@ -67,6 +88,10 @@ class SphereSettings:
         dissipation_s_m: Hunt-Crossley dissipation [s/m].
         x_m, z_m: place of the centre, about the model's heel or toe.
         radius_m: coupled with z, so not free by default.
+
+    >>> soft = SphereSettings(modulus_n_m2=Range(2e6, 1e6, 2e7))
+    >>> FootGroundSettings(heel=soft).heel.modulus_n_m2.nominal
+    2000000.0
     """
 
     modulus_n_m2: Range = Range(1e7, 1e6, 1e8)
@@ -94,6 +119,9 @@ class TrackingNoise:
             without competing with what was measured.
         jerk: typical jerk [rad/s^3 or m/s^3], likewise; much larger, and
             the motion wiggles between the nodes.
+
+    >>> FootGroundSettings(noise=TrackingNoise(force_n=3.0)).noise.cop_m
+    0.001
     """
 
     angle_deg: float = _sigma(0.5, "deg")
@@ -118,6 +146,9 @@ class EndTolerance:
         x_m, z_m, pitch_deg: place and pitch of the foot.
         velocity_m_s, pitch_rate_deg_s: its motion; null leaves it free, but
             for being tracked.
+
+    >>> EndTolerance(x_m=0.02).z_m
+    0.005
     """
 
     x_m: float = _sigma(0.01, "m")
@@ -129,7 +160,11 @@ class EndTolerance:
 
 @dataclass(frozen=True)
 class PredictionEnds(EndTolerance):
-    """As EndTolerance; with free velocities the feet may throw the body up."""
+    """As EndTolerance; with free velocities the feet may throw the body up.
+
+    >>> PredictionEnds().velocity_m_s
+    0.05
+    """
 
     velocity_m_s: float | None = _sigma(0.05, "m/s")
     pitch_rate_deg_s: float | None = _sigma(10.0, "deg/s")
@@ -150,6 +185,9 @@ class Solver:
             IpoptSolver: slow, for small cases).
         tolerance: of optimality and feasibility, scaled.
         max_iterations: of one attempt.
+
+    >>> FootGroundSettings(solver=Solver(nodes_per_second=50)).solver.tolerance
+    1e-05
     """
 
     nodes_per_second: float = field(
@@ -293,6 +331,9 @@ class BushingSettings:
         tangential_n_m, normal_n_m, rotational_nm_rad: stiffness.
         tangential_damping, normal_damping, rotational_damping: constant
             (paper, II-C).
+
+    >>> BushingSettings().damping["normal_damping"]
+    10.0
     """
 
     origin_x_m: Spread = Spread(0.05, 0.05)
@@ -326,6 +367,10 @@ class InteractionNoise(TrackingNoise):
             leaves less than half.
         energy_j: typical contact energy of a component; what is minimised is
             the square of the energy over this.
+
+    >>> mats = InteractionNoise(normal_force_n=1.0)
+    >>> InteractionSettings(noise=mats).noise.normal_force_n
+    1.0
     """
 
     moment_nm: float = _sigma(5.0, "N m")

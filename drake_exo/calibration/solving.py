@@ -57,7 +57,7 @@ class SolveWatch:
 def solve(
     problem: PhaseProblem,
     title: str,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     resume: bool = False,
 ) -> PhaseResult:
     """Solve with progress; the newest iterate is kept in `folder`.
@@ -75,6 +75,8 @@ def solve(
     """
     if folder is None:
         return problem.solve(on_iterate=SolveWatch(title))
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT
     fingerprint = problem.compiled.fingerprint()
     guess = None

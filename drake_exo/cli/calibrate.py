@@ -154,13 +154,10 @@ def _write(
 ) -> int:
     """Write what a phase found and say it; returns the exit code."""
     summary = found.summary() | more
-    found.write(out)
+    found.write(out, summary)
     print(parameters_table(summary["parameters"]))
-    text = rmsd_table(summary["rmsd"], summary["measured_sd"])
-    (out / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
-    print(text)
+    print(rmsd_table(summary["rmsd"], summary["measured_sd"]))
     if not found.success:
-        write_json(out / "summary.json", summary)
         return report_failure(found.solution)
     summary["audit"] = [audit.summary() for audit in found.audit()]
     print(audit_table(summary["audit"]))

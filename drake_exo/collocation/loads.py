@@ -159,6 +159,11 @@ class ControllerKernel:
 
     def __init__(self, controller: System, num_joints: int):
         self._m = m = num_joints
+        if not isinstance(controller, System):
+            raise InputError(
+                f"the controller is {controller!r}, no Drake system; give an "
+                "object, such as AssistController()"
+            )
         if not controller.HasInputPort(STATE_PORT):
             raise InputError(f"the controller has no input port '{STATE_PORT}'")
         if not controller.HasOutputPort(TORQUE_PORT):

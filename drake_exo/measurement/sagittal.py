@@ -53,6 +53,10 @@ class PlanarWrench:
     Attributes:
         force: (N, 2) F_x, F_z [N].
         moment: (N,) M_y about the laboratory's origin at z = 0 [N m].
+
+    >>> standing = PlanarWrench(np.array([[0.0, 700.0]]), np.array([-70.0]))
+    >>> standing.cop_x.tolist()
+    [0.1]
     """
 
     force: np.ndarray

@@ -24,6 +24,9 @@ class CuffForce:
         tangential: (n,) along it [N]; None where not known: mats do not
             measure it.
         moment: (n,) [N m], toes-up positive; likewise.
+
+    >>> CuffForce(np.array([12.0])).tangential is None
+    True
     """
 
     normal: np.ndarray
@@ -113,6 +116,12 @@ class Trial:
                     f"trial {self.name}: {name} has shape "
                     f"{array.shape}, not {wanted}"
                 )
+
+    def not_finite(self) -> str | None:
+        """Name of an array that holds NaN or infinity; None if all is well."""
+        arrays = {"times": self.times, **self._arrays()}
+        bad = (n for n, x in arrays.items() if not np.isfinite(x).all())
+        return next(bad, None)
 
     def coordinate(self, name: str) -> np.ndarray:
         """Position (n,) of a coordinate by name [m or rad].

@@ -24,6 +24,10 @@ class Coordinates:
         names: (nq,) in the order of the plant's positions: x, z and pitch of
             the root, then the hinges.
         device: the hinges that are the device's; the others are the human's.
+
+    >>> names = Coordinates(("x", "z", "pitch", "ankle"))
+    >>> names.joints, names.index("pitch")
+    (('ankle',), 2)
     """
 
     names: tuple[str, ...]

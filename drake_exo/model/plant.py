@@ -26,6 +26,7 @@ from pydrake.multibody.tree import (
     RevoluteJoint,
 )
 
+from drake_exo.errors import InputError, check_bounds
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
     body_width,
@@ -76,6 +77,19 @@ class Model:
     human: HumanParameters
     exoskeleton: ExoskeletonParameters | None = None
     gravity_m_s2: float = GRAVITY
+
+    def __post_init__(self):
+        if self.kind not in KINDS:
+            raise InputError(
+                f"there is no model {self.kind!r}; choose one of "
+                f"{', '.join(KINDS)}"
+            )
+        if self.kind != "human" and self.exoskeleton is None:
+            raise InputError(
+                f"a model of kind {self.kind!r} needs an exoskeleton; "
+                "give one, or choose 'human'"
+            )
+        check_bounds("gravity_m_s2", self.gravity_m_s2, {"above": 0.0})
 
     @cached_property
     def tree(self) -> PlanarTree:

@@ -157,8 +157,8 @@ class Solution:
         self._sealed = False
         return self
 
-    def values(self, indices: np.ndarray) -> np.ndarray:
-        """Values of program variables by index, same shape.
+    def check(self) -> None:
+        """Refuse what would be read of a failed solve.
 
         Raises:
             SealedSolutionError: if the solve failed and nobody unsealed it.
@@ -169,6 +169,10 @@ class Solution:
                 "solution. Call unseal() to look at them all the same. "
                 + self.explain()
             )
+
+    def values(self, indices: np.ndarray) -> np.ndarray:
+        """Values of program variables by index, same shape; see `check`."""
+        self.check()
         return self._values[indices]
 
     def raw_values(self) -> np.ndarray:
@@ -216,6 +220,9 @@ def solve(
     """
     options = options or SolverOptions()
     start = time.perf_counter()
+    # Of this solve alone: a program may be solved from several guesses.
+    problem.seconds.clear()
+    problem.evaluations.clear()
     y0 = problem.restrict(guess)
     total, binding, hopeful = 0, None, True
     exact = problem.exact_hessian

@@ -115,6 +115,8 @@ def test_random_starts_reach_one_optimum(human, noisy_data, nominal, defaults):
         result = problem.solve(problem.guess(start))
         assert result.success, result.solution.explain()
         objectives.append(result.solution.objective)
+        # Times are of this solve, though the program has been solved before.
+        assert min(result.solution.seconds.values()) >= 0.0
     assert len(objectives) == _STARTS
     spread = max(objectives) / min(objectives) - 1.0
     assert spread < 1e-4

@@ -35,6 +35,14 @@ def test_contact_survives_disk(in_device, read_back):
     assert read_back.units() == contact.units()
 
 
+def test_preload_of_a_strap_survives_disk(in_device, tmp_path):
+    bushings = dict(in_device.contact.bushings)
+    bushings["thigh"] = replace(bushings["thigh"], preload_x=0.004)
+    strapped = replace(in_device.contact, bushings=bushings)
+    write_contact(tmp_path, strapped)
+    assert read_contact(tmp_path) == strapped
+
+
 def test_ground_contact_alone_survives_disk(in_device, tmp_path):
     ground = ContactModel(in_device.contact.ground)
     write_contact(tmp_path, ground)

@@ -1,5 +1,7 @@
 """The phases from Python, without a file: `import drake_exo as dx`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -125,3 +127,78 @@ def test_without_a_device_there_is_no_interaction():
     model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40.0)
     with pytest.raises(dx.InputError, match="no exoskeleton"):
         dx.calibrate_interaction(dx.Study(model, trials))
+
+
+def test_a_failed_solve_is_sealed_until_it_is_unsealed(study, made):
+    settings = dx.PredictionSettings(
+        torque_limit_nm=1.0, solver=dx.settings.Solver(40.0, max_iterations=3)
+    )
+    found = dx.predict(study, made.trials[0], made.contact, settings=settings)
+    assert not found.success
+    for read in (
+        lambda: found.coordinate("hip"),
+        lambda: found.ground,
+        lambda: found.rmsd(made.trials[0]),
+    ):
+        with pytest.raises(dx.SealedSolutionError):
+            read()
+    assert repr(found).startswith("Prediction('rise1', '")
+    found.solution.unseal()
+    assert found.coordinate("hip").shape == found.times.shape
+
+
+def test_cuffs_do_not_go_on_from_a_failed_foot(made):
+    settings = dx.FootGroundSettings(
+        solver=dx.settings.Solver(40.0, max_iterations=1)
+    )
+    study = dx.Study(made.model, made.trials, foot_ground=settings)
+    with pytest.raises(dx.SealedSolutionError):
+        dx.calibrate_interaction(study)
+
+
+def test_a_person_alone_is_predicted_with_a_whole_calibration(made):
+    model, [trial] = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
+    true = dx.FootGroundSettings().contact(model.spheres)
+    contact = replace(made.contact, ground=true.ground)
+    found = dx.predict(dx.Study(model, [trial]), trial, contact)
+    assert found.success and found.cuffs == {}
+
+
+def test_results_are_written_whole(cuffs, tmp_path):
+    folder = tmp_path / "new" / "results"
+    cuffs.write(folder)
+    assert dx.read_contact(folder).values() == cuffs.contact.values()
+    assert dx.read_trial(folder, "rise1").duration == 1.5
+    for name in ("summary.json", "rmsd.txt", "kinematics.png"):
+        assert (folder / name).is_file()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: {"times": t.times + 1.0}, "must start at 0"),
+        (lambda t: {"q": np.full_like(t.q, np.nan)}, "no finite number"),
+    ],
+)
+def test_trials_that_are_none_are_told(study, made, change, words):
+    [trial] = made.trials
+    wrong = replace(trial, **change(trial))
+    with pytest.raises(dx.InputError, match=words):
+        dx.predict(study, wrong, made.contact)
+
+
+def test_input_of_the_api_is_told(study, made):
+    [trial] = made.trials
+    _, [alone] = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
+    with pytest.raises(dx.InputError, match="trials of this model"):
+        dx.predict(study, alone, made.contact)
+    with pytest.raises(dx.InputError, match="scale_interaction is -1"):
+        dx.predict(study, trial, made.contact, scale_interaction=-1.0)
+    with pytest.raises(dx.InputError, match="no Drake system"):
+        dx.predict(study, trial, made.contact, controller=dx.AssistController)
+    with pytest.raises(dx.InputError, match="no model 'cupled'"):
+        dx.nominal_model("cupled")
+    with pytest.raises(dx.InputError, match="needs an exoskeleton"):
+        dx.Model("coupled", made.model.human)
+    with pytest.raises(dx.InputError, match="there are no trials"):
+        dx.calibrate_foot_ground(dx.Study(made.model, []))
