@@ -6,7 +6,14 @@ forward and z up along the segment when standing straight. Points are (x, z).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import (
+    dataclass,
+    field,
+    fields,
+    is_dataclass,
+    make_dataclass,
+    replace,
+)
 from typing import Any, TypeVar
 
 from drake_exo.errors import InputError, check_bounds
@@ -40,18 +47,21 @@ class SegmentParameters:
     length_m: float = field(metadata=_METRE)
 
 
+class _Chain:
+    """What human and exoskeleton share."""
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of all segments."""
+        return sum(getattr(self, name).mass_kg for name in SEGMENTS)
+
+    def cuff_m(self, segment: str) -> tuple[float, float]:
+        """Place (x, z) of the cuff in a segment [m]."""
+        return getattr(self, f"{segment}_cuff_m")
+
+
 @dataclass(frozen=True)
-class SegmentOverrides:
-    """Values that replace scaled ones; None keeps the scaled value."""
-
-    mass_kg: float | None = field(default=None, metadata=_KILOGRAM)
-    com_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
-    inertia_kg_m2: float | None = field(default=None, metadata=_INERTIA)
-    length_m: float | None = field(default=None, metadata=_METRE)
-
-
-@dataclass(frozen=True)
-class HumanParameters:
+class HumanParameters(_Chain):
     """The human as four segments; the pelvis carries trunk, head and arms.
 
     Attributes:
@@ -73,15 +83,6 @@ class HumanParameters:
     pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
 
     @property
-    def mass_kg(self) -> float:
-        """Mass of the whole body."""
-        return sum(getattr(self, name).mass_kg for name in SEGMENTS)
-
-    def cuff_m(self, segment: str) -> tuple[float, float]:
-        """Place (x, z) of the cuff in a segment [m]."""
-        return getattr(self, f"{segment}_cuff_m")
-
-    @property
     def height_m(self) -> float:
         """Stature: ankle height, shank, thigh, and hip to vertex."""
         return (
@@ -93,7 +94,7 @@ class HumanParameters:
 
 
 @dataclass(frozen=True)
-class ExoskeletonParameters:
+class ExoskeletonParameters(_Chain):
     """The exoskeleton: foot-plate, shank, thigh and pelvis module.
 
     Attributes:
@@ -115,58 +116,34 @@ class ExoskeletonParameters:
     thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
     pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
 
-    @property
-    def mass_kg(self) -> float:
-        """Mass of the whole device."""
-        return sum(getattr(self, name).mass_kg for name in SEGMENTS)
 
-    def cuff_m(self, segment: str) -> tuple[float, float]:
-        """Place (x, z) of the cuff in a segment [m]."""
-        return getattr(self, f"{segment}_cuff_m")
-
-
-@dataclass(frozen=True)
-class HumanOverrides:
-    """Values of `HumanParameters` that replace scaled ones."""
-
-    foot: SegmentOverrides = SegmentOverrides()
-    shank: SegmentOverrides = SegmentOverrides()
-    thigh: SegmentOverrides = SegmentOverrides()
-    pelvis: SegmentOverrides = SegmentOverrides()
-    ankle_height_m: float | None = field(default=None, metadata=_METRE)
-    heel_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
-    toe_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
-    shank_cuff_m: tuple[float, float] | None = field(
-        default=None, metadata=_POINT
-    )
-    thigh_cuff_m: tuple[float, float] | None = field(
-        default=None, metadata=_POINT
-    )
-    pelvis_cuff_m: tuple[float, float] | None = field(
-        default=None, metadata=_POINT
-    )
+def _overrides(name: str, of: type, doc: str) -> type:
+    """A dataclass with the fields of another, each None unless replaced."""
+    known = [
+        (f.name, SegmentOverrides, SegmentOverrides())
+        if f.type is SegmentParameters
+        else (f.name, f.type | None, field(default=None, metadata=f.metadata))
+        for f in fields(of)
+    ]
+    namespace = {"__doc__": doc, "__module__": __name__}
+    return make_dataclass(name, known, frozen=True, namespace=namespace)
 
 
-@dataclass(frozen=True)
-class ExoskeletonOverrides:
-    """Values of `ExoskeletonParameters` that replace fitted ones."""
-
-    foot: SegmentOverrides = SegmentOverrides()
-    shank: SegmentOverrides = SegmentOverrides()
-    thigh: SegmentOverrides = SegmentOverrides()
-    pelvis: SegmentOverrides = SegmentOverrides()
-    heel_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
-    toe_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
-    shank_cuff_m: tuple[float, float] | None = field(
-        default=None, metadata=_POINT
-    )
-    thigh_cuff_m: tuple[float, float] | None = field(
-        default=None, metadata=_POINT
-    )
-    pelvis_cuff_m: tuple[float, float] | None = field(
-        default=None, metadata=_POINT
-    )
-
+SegmentOverrides = _overrides(
+    "SegmentOverrides",
+    SegmentParameters,
+    "Values that replace scaled ones; None keeps the scaled value.",
+)
+HumanOverrides = _overrides(
+    "HumanOverrides",
+    HumanParameters,
+    "Values of `HumanParameters` that replace scaled ones.",
+)
+ExoskeletonOverrides = _overrides(
+    "ExoskeletonOverrides",
+    ExoskeletonParameters,
+    "Values of `ExoskeletonParameters` that replace fitted ones.",
+)
 
 _T = TypeVar("_T", SegmentParameters, HumanParameters, ExoskeletonParameters)
 
