@@ -13,6 +13,7 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
+from matplotlib.image import imsave
 from pydrake.geometry import (
     Box,
     ClippingRange,
@@ -33,7 +34,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.sensors import CameraInfo, ImageIo, ImageRgba8U
+from pydrake.systems.sensors import CameraInfo
 
 from drake_exo.model.plant import Model
 
@@ -338,11 +339,8 @@ OBLIQUE = View()
 
 def write_png(path: Path, colours: np.ndarray) -> None:
     """Write colours (height, width, 3) as a PNG file."""
-    height, width, _ = colours.shape
-    image = ImageRgba8U(width, height)
-    image.mutable_data[:, :, :3] = colours
-    image.mutable_data[:, :, 3] = 255
-    ImageIo().Save(image, Path(path))
+    # Without the software's name.
+    imsave(path, colours, metadata={"Software": None})
 
 
 def write_page(
