@@ -72,7 +72,7 @@ def test_titles_cannot_break_the_page(tmp_path):
         ({"times": TIMES[:1]}, "at least two"),
         ({"bodies": {"/a": POSE[:2]}}, r"\(3, 7\)"),
         ({"arrows": {"push": POSE}}, r"\(3, 6\)"),
-        ({"bodies": {"/a": POSE * np.inf}}, "infinite"),
+        ({"bodies": {"/a": np.full_like(POSE, np.inf)}}, "infinite"),
     ],
 )
 def test_wrong_clip_is_refused(change, words):
