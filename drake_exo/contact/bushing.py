@@ -21,7 +21,7 @@ Expression. Poses are (x, z, angle) and motions (v_x, v_z, rate) of the link
 frames in the world, angle counter-clockwise seen from the right side.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -100,14 +100,12 @@ class BushingParameters:
 
     def scaled(self, factor: float) -> "BushingParameters":
         """Stiffness and damping times `factor`; origins stay (Phase C2)."""
-        names = [
-            name
-            for name in self.__dataclass_fields__
+        values = {
+            name: factor * value
+            for name, value in vars(self).items()
             if name.endswith(("_stiffness", "_damping"))
-        ]
-        values = {**self.__dict__}
-        values.update({name: factor * values[name] for name in names})
-        return BushingParameters(**values)
+        }
+        return replace(self, **values)
 
 
 class Components(NamedTuple):

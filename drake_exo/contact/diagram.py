@@ -144,11 +144,7 @@ def build_simulator(
     >>> simulator.get_integrator().get_target_accuracy()
     0.001
     """
-    simulator = (
-        Simulator(model.diagram)
-        if context is None
-        else Simulator(model.diagram, context)
-    )
+    simulator = Simulator(model.diagram, context)
     config = SimulatorConfig(
         integration_scheme=integrator,
         max_step_size=0.01,

@@ -151,6 +151,29 @@ def applied_force(T, body, point, force, moment=0.0):
     return entry
 
 
+def opposite_forces(T, pairs, links, wrench) -> list:
+    """Entries of bushings' forces: on the human, and opposite on the device.
+
+    Args:
+        T: scalar type.
+        pairs: body indices (human, device) of each bushing.
+        links: (position, direction) of the human links, and of the device's.
+        wrench: `BushingWrench` on the human, entries (number of bushings,).
+    """
+    points = [to_body(*link, wrench.point_x, wrench.point_z) for link in links]
+    return [
+        applied_force(
+            T,
+            body,
+            (x[i], z[i]),
+            (sign * wrench.force_x[i], sign * wrench.force_z[i]),
+            sign * wrench.moment[i],
+        )
+        for i, pair in enumerate(pairs)
+        for body, (x, z), sign in zip(pair, points, (1, -1), strict=True)
+    ]
+
+
 @any_scalar
 def foot_contact(
     law: Law, position, direction, motion, spheres, constants: Constants
@@ -444,23 +467,9 @@ class _Bushings:
         wrench = bushing_wrench(
             force, pose_h, pose_e, parameters.origin, parameters.preload
         )
-        points = (
-            to_body(p_h, direction_h, wrench.point_x, wrench.point_z),
-            to_body(p_e, direction_e, wrench.point_x, wrench.point_z),
-        )
-        entries = []
-        for i, pair in enumerate(self._pairs.values()):
-            for body, point, sign in zip(pair, points, (1, -1), strict=True):
-                entries.append(
-                    applied_force(
-                        self._T,
-                        body,
-                        (point[0][i], point[1][i]),
-                        (sign * wrench.force_x[i], sign * wrench.force_z[i]),
-                        sign * wrench.moment[i],
-                    )
-                )
-        output.set_value(entries)
+        links = ((p_h, direction_h), (p_e, direction_e))
+        pairs = self._pairs.values()
+        output.set_value(opposite_forces(self._T, pairs, links, wrench))
 
     def _calc_forces(self, context, output):
         output.SetFromVector(np.transpose(self._evaluate(context)[3]).ravel())

@@ -353,17 +353,5 @@ def residual_rms(model: MarkerModel, poses: Poses) -> dict[str, float]:
     A marker on two segments has one entry, its mean over both.
     """
     square = np.mean(np.abs(poses.residuals) ** 2, axis=0)
-    return {
-        name: float(
-            np.sqrt(
-                np.mean(
-                    [
-                        s
-                        for s, n in zip(square, model.names, strict=True)
-                        if n == name
-                    ]
-                )
-            )
-        )
-        for name in dict.fromkeys(model.names)
-    }
+    names = np.array(model.names)
+    return {n: float(np.sqrt(square[names == n].mean())) for n in model.names}

@@ -30,6 +30,7 @@ from drake_exo.contact.systems import (
     declare_body_inputs,
     declare_force_output,
     foot_contact,
+    opposite_forces,
     read_bodies,
     relative_angles,
     to_body,
@@ -128,22 +129,8 @@ class Cuffs(LeafSystem):
         )
         force = cuff_force(cuffs, deflection, rate)
         w = bushing_wrench(force, human, device, law.origin, law.preload)
-        entries = []
-        for k, side in ((0, 1.0), (1, -1.0)):
-            points = to_body(
-                p[:, k::2], direction[:, k::2], w.point_x, w.point_z
-            )
-            for i, pair in enumerate(self._pairs):
-                entries.append(
-                    applied_force(
-                        float,
-                        pair[k],
-                        (points[0][i], points[1][i]),
-                        (side * w.force_x[i], side * w.force_z[i]),
-                        side * w.moment[i],
-                    )
-                )
-        output.set_value(entries)
+        links = [(p[:, k::2], direction[:, k::2]) for k in (0, 1)]
+        output.set_value(opposite_forces(float, self._pairs, links, w))
 
 
 _LAW = "simbody"
