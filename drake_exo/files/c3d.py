@@ -57,7 +57,6 @@ class C3d:
             the body.
         plate_time: (N,) of the plates' samples [s].
         analog: all analog channels; None if the file has none.
-        analog_units: channel name -> unit as the file says.
         corners: (P, 4, 3) of each plate [m].
     """
 
@@ -65,7 +64,6 @@ class C3d:
     plates: list[PlateRecording]
     plate_time: np.ndarray
     analog: Table | None
-    analog_units: dict[str, str] = field(default_factory=dict)
     corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 3)))
 
 
@@ -88,7 +86,6 @@ def read_c3d(path: str | Path) -> C3d:
         plates=[plate.recording() for plate in plates],
         plate_time=np.zeros(0) if analog is None else analog.time,
         analog=analog,
-        analog_units=units,
         corners=np.reshape([plate.corners for plate in plates], (-1, 4, 3)),
     )
 
@@ -291,7 +288,6 @@ class _Plate:
             force=F @ R.T,
             point=np.tile(middle, (len(F), 1)),
             torque=M @ R.T,
-            has_torque=True,
         )
 
     def _wrench(self) -> tuple[np.ndarray, np.ndarray]:

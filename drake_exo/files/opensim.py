@@ -173,9 +173,7 @@ def _plate(table, number, label, columns) -> PlateRecording:
                 table.time,
                 values,
             )
-    return PlateRecording(
-        number, given["v"], point, given["m"], "mx" in columns
-    )
+    return PlateRecording(number, given["v"], point, given["m"])
 
 
 def write_table(path: str | Path, table: Table, title: str = "") -> None:

@@ -116,7 +116,6 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
         force=reaction[:, :3] @ R.T,
         point=np.tile(corners.mean(axis=0), (len(reaction), 1)),
         torque=reaction[:, 3:] @ R.T,
-        has_torque=True,
     )
     return values[first:, names.index("MocapTime")], plate
 

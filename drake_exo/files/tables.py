@@ -115,15 +115,14 @@ class PlateRecording:
         number: from 1, as the columns say, else in their order.
         force: (N, 3) on the body [N].
         point: (N, 3) where the force acts [m].
-        torque: (N, 3) free moment about that point [N m].
-        has_torque: whether the file had it (zeros otherwise).
+        torque: (N, 3) free moment about that point [N m]; zeros where the
+            file has none.
     """
 
     number: int
     force: np.ndarray
     point: np.ndarray
     torque: np.ndarray
-    has_torque: bool
 
     def moment_about_origin(self) -> np.ndarray:
         """Moment (N, 3) about the file's origin [N m]."""

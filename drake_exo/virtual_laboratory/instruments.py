@@ -217,7 +217,7 @@ def plate_recording(
     # About y (left) in the plane, so about -z (right) in the file; a force
     # off the midline has no part in it, its moments are about x and y.
     torque[:, 2] = -(wrench.moment + point[:, 0] * F_z)
-    return PlateRecording(number, force, point, torque, True)
+    return PlateRecording(number, force, point, torque)
 
 
 def _write_plates(path: Path, plates: list[PlateRecording]) -> None:
@@ -243,7 +243,7 @@ def _resized(plate: PlateRecording, count: int) -> PlateRecording:
     """The first `count` samples, the last one repeated, z up."""
     i = np.minimum(np.arange(count), len(plate.force) - 1)
     parts = (_z_up(x[i]) for x in (plate.force, plate.point, plate.torque))
-    return PlateRecording(plate.number, *parts, True)
+    return PlateRecording(plate.number, *parts)
 
 
 def _design(place: str) -> PlateDesign:

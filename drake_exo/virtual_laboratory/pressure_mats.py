@@ -139,7 +139,7 @@ def cells(mat: MatDesign, human: HumanParameters):
     if mat.around == "columns":
         grid = [g.T for g in grid]
     angle, height = (g.ravel() for g in grid)
-    cuff = getattr(human, f"{mat.segment}_cuff_m")[1]
+    cuff = human.cuff_m(mat.segment)[1]
     centres = np.column_stack(
         [a * np.cos(angle), b * np.sin(angle), cuff + height]
     )

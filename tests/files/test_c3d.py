@@ -45,7 +45,7 @@ def plate():
         [np.linspace(0.3, 0.7, n), np.full(n, 0.15), np.zeros(n)]
     )
     torque = np.column_stack([np.zeros((n, 2)), rng.normal(0.0, 5.0, n)])
-    return PlateRecording(1, F, point, torque, True)
+    return PlateRecording(1, F, point, torque)
 
 
 def design(kind):
@@ -125,7 +125,8 @@ def test_two_plates_keep_their_numbers(tmp_path, markers, plate):
     assert found.plates[0].force[:, 2].mean() == pytest.approx(68.7, abs=0.1)
     assert found.plates[1].force[:, 2].mean() == pytest.approx(687.0, abs=1.0)
     assert found.analog.names[:2] == ("Fx12_1", "Fx34_1")
-    assert found.analog_units["Mx_2"] == "Nmm"
+    units = decode(path).texts("ANALOG", "UNITS")
+    assert units[found.analog.names.index("Mx_2")] == "Nmm"
 
 
 def edited(tmp_path, markers, plate, kind, change):

@@ -191,7 +191,6 @@ def test_reads_plates_under_their_usual_names(tmp_path, names):
     time, plates = read_plates(path)
     assert [p.number for p in plates] == [1, 2]
     for i, plate in enumerate(plates):
-        assert plate.has_torque
         np.testing.assert_array_equal(plate.force[3], row[9 * i :][:3])
         np.testing.assert_array_equal(plate.point[3], row[9 * i + 3 :][:3])
         np.testing.assert_array_equal(plate.torque[3], row[9 * i + 6 :][:3])
@@ -215,7 +214,7 @@ def test_plate_numbers_follow_the_columns():
     ]
     plates = plates_of(table(names))
     assert [p.number for p in plates] == [3, 7]
-    assert not plates[0].has_torque
+    assert not plates[0].torque.any()
 
 
 def test_missing_plate_component_is_named():

@@ -44,7 +44,6 @@ def _plate(kind, frames=24) -> tuple[PlateRecording, PlateDesign]:
         np.array([5.0, 2.0, 700.0]) + n,
         np.tile([0.2, 0.1, 0.0], (frames, 1)),
         np.tile([0.0, 0.0, 1.0], (frames, 1)),
-        True,
     )
     corners = np.array(
         [[0.4, 0.6, 0.0], [0.0, 0.6, 0.0], [0.0, 0.0, 0.0], [0.4, 0.0, 0.0]]

@@ -261,9 +261,7 @@ def test_joint_moments_equal_opensims(walk):
 def test_a_shifted_plate_would_be_seen(walk):
     osim, time, q, t_plates, plates, expected = walk
     shifted = [
-        type(p)(
-            p.number, p.force, p.point + np.array([0.02, 0, 0]), p.torque, True
-        )
+        type(p)(p.number, p.force, p.point + np.array([0.02, 0, 0]), p.torque)
         for p in plates
     ]
     found = moments((osim, time, q, t_plates, shifted, expected))

@@ -12,7 +12,7 @@ from drake_exo.measurement.sagittal import (
 
 def plate(force, point, torque=(0.0, 0.0, 0.0)):
     return PlateRecording(
-        1, *(np.array([x], float) for x in (force, point, torque)), True
+        1, *(np.array([x], float) for x in (force, point, torque))
     )
 
 
