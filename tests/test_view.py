@@ -14,6 +14,8 @@ from replayed_results import write_results
 
 from drake_exo.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

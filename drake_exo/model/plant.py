@@ -89,7 +89,7 @@ class Model:
                 f"a model of kind {self.kind!r} needs an exoskeleton; "
                 "give one, or choose 'human'"
             )
-        check_bounds("gravity_m_s2", self.gravity_m_s2, {"above": 0.0})
+        check_bounds("gravity_m_s2", self.gravity_m_s2, {"minimum": 0.0})
 
     @cached_property
     def tree(self) -> PlanarTree:

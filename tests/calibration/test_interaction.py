@@ -17,6 +17,8 @@ from drake_exo.virtual_laboratory.synthetic import (
     random_values,
 )
 
+pytestmark = pytest.mark.slow
+
 # Exact data determine all but the shank's cuff, which hardly moves.
 SEEDS = 4
 

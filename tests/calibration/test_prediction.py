@@ -12,6 +12,8 @@ from drake_exo.contact.controllers import AssistController
 from drake_exo.errors import InputError
 from drake_exo.nlp.ipopt import SealedSolutionError
 
+pytestmark = pytest.mark.slow
+
 
 def settings(**changes):
     return PredictionSettings(solver=Solver(50.0), **changes)

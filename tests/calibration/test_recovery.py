@@ -9,6 +9,8 @@ from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.settings import Solver
 from drake_exo.virtual_laboratory import synthetic
 
+pytestmark = pytest.mark.slow
+
 # What the truth adds to, or multiplies, at heel and toe.
 _SHIFT = {"x": (0.01, -0.012), "z": (-0.004, 0.005)}
 _FACTOR = {"stiffness": (1.3, 0.8), "dissipation": (1.4, 0.7)}

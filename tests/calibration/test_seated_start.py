@@ -17,6 +17,8 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.plant import Model
 
+pytestmark = pytest.mark.slow
+
 TIMES = np.linspace(0.0, 1.4, 141)
 
 

@@ -8,6 +8,8 @@ import pytest
 import drake_exo as dx
 from drake_exo.virtual_laboratory import synthetic
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made():

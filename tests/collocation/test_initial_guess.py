@@ -87,6 +87,7 @@ def test_foot_creeps_about_its_measured_place(law):
     assert np.allclose(np.diff(q[:, 0]).cumsum(), drift, atol=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("middle", [(), [(0.05, -0.08, 0.03)]])
 @pytest.mark.parametrize("law", ["simbody", "paper"])
 def test_impossible_reactions_leave_a_finite_guess(law, middle):
@@ -107,6 +108,7 @@ MIDDLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "modulus"), [("simbody", 1e6), ("simbody", 5e7), ("paper", 5e7)]
 )
@@ -123,6 +125,7 @@ def test_foot_rests_on_more_than_two_spheres(law, modulus, middle):
     assert np.abs(off[:, 2]).max() < 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["simbody", "paper"])
 @pytest.mark.parametrize("name", ["below the ends", "two"])
 def test_more_spheres_give_the_ground_reaction(law, name):

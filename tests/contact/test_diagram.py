@@ -41,6 +41,8 @@ from drake_exo.errors import InputError
 from drake_exo.model.description import fit_exoskeleton, nominal_human
 from drake_exo.model.plant import Model, nominal_model
 
+pytestmark = pytest.mark.slow
+
 LAWS = ("paper", "simbody")
 RADIUS = 0.032
 GRAVITY = 9.81

@@ -110,6 +110,7 @@ def test_commands_are_understood(page, words):
 _LIGHT = ("contact",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", _LIGHT)
 def test_light_commands_run(command, tmp_path, monkeypatch):
     words = next(w for _, w in COMMANDS if w[0] == command)
@@ -179,6 +180,7 @@ def said() -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_quoted_messages_exist():
     page = prose(ROOT / "docs" / "troubleshooting.md")
     quoted = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)

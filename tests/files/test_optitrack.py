@@ -103,6 +103,7 @@ def test_refuses(tmp_path, reader, text, words):
     assert "a.csv" in message and words in message and "\n" not in message
 
 
+@pytest.mark.slow
 def test_real_box_lifting(data_root):
     folder = data_root / "boxlifting_squat"
     found = read_markers_csv(folder / "SquatLifting_Markers.csv")

@@ -15,6 +15,8 @@ import pytest
 from damage import damaged
 from readers import formats
 
+pytestmark = pytest.mark.slow
+
 _SCRIPT = Path(__file__).with_name("damaged_files.py")
 _TRIES = 100
 _SLOW = {"c3d": 25}  # read in a process of its own

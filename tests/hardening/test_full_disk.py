@@ -16,6 +16,8 @@ import resource, sys
 from drake_exo import cli
 from drake_exo.calibration import solving
 
+pytestmark = pytest.mark.slow
+
 solving._CHECKPOINT_SECONDS = 0.0
 limit = int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))

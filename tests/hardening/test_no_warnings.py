@@ -9,6 +9,8 @@ from cli_runs import normal_use
 from drake_exo import __version__
 from drake_exo.cli import demo
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.slow
 def test_version_and_help():

@@ -9,6 +9,8 @@ from drake_exo.measurement.inverse_dynamics import (
 )
 from drake_exo.study import read_study
 
+pytestmark = pytest.mark.slow
+
 BOX_KG = 10.5
 
 

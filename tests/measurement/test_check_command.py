@@ -12,6 +12,8 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def folder(tmp_path):

@@ -66,6 +66,7 @@ def scan(**changes):
     return Scan(**{**given, **changes})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stl", "text.stl", "ply", "obj"])
 def test_reads_every_format(tmp_path, kind):
     binary = not kind.startswith("text")
@@ -104,6 +105,7 @@ def test_units_and_axes_of_the_scanner(tmp_path):
     np.testing.assert_allclose(cells, expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_closest_point_agrees_with_brute_force():
     rng = np.random.default_rng(0)
     # One triangle far larger than the others, as scans have them.

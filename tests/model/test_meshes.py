@@ -47,6 +47,7 @@ def test_normals_of_a_tube_point_outwards():
     assert (np.einsum("ij,ij->i", outwards, normals) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_meshes_on_disk_are_those_drawn():
     parts = human_parts() | exoskeleton_parts()
     assert {path.stem for path in MESHES.glob("*.obj")} == set(parts)

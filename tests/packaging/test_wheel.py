@@ -12,6 +12,8 @@ import pytest
 
 from drake_exo import __version__
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 _SOURCES = ("drake_exo", "models", "pyproject.toml", "README.md", "LICENSE")
 _IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc")

@@ -85,6 +85,7 @@ def test_table_holds_the_numbers_of_the_summaries(folder):
     assert rows["angle knee [deg]"]["measured SD"]
 
 
+@pytest.mark.slow
 def test_solved_trials_survive_disk(trials, tmp_path):
     (found, *_) = leave(tmp_path / "x", trials, "interaction")
     back = read_trial(tmp_path / "x", found.name)

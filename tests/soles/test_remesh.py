@@ -17,6 +17,8 @@ from drake_exo.soles.optimize.remeshing import (
 )
 from drake_exo.soles.shape import SphericalSpline, onto_edges, pull_back, reach
 
+pytestmark = pytest.mark.slow
+
 SIZE = (0.23, 0.13, 0.03)
 
 

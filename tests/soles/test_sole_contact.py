@@ -195,6 +195,7 @@ def test_both_methods_agree_without_friction(sole):
     np.testing.assert_allclose(*states, atol=1e-6 * states[0].max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["linear", "smoothed"])
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
 def test_contact_patch_is_uniform(element, nu):

@@ -129,6 +129,7 @@ def _bent(divisions, element, nu):
     return float((u[:, 0] * f[low, 0]).sum())
 
 
+@pytest.mark.slow
 def test_energy_converges_under_refinement():
     """P1 energy error falls with h^1.2 or faster (corners limit it)."""
     u = [_bent((n, n, 4 * n), "linear", 0.3) for n in (2, 4, 8)]

@@ -21,6 +21,8 @@ from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import largest_strain
 from drake_exo.soles.step.simulation import simulate
 
+pytestmark = pytest.mark.slow
+
 SIZE = (0.23, 0.13, 0.03)
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 

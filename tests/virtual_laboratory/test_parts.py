@@ -163,6 +163,7 @@ def test_truth_is_drawn_in_one_order():
     assert all_of_it.human.mass_kg == pytest.approx(HUMAN.mass_kg)
 
 
+@pytest.mark.slow
 def test_seated_posture_is_in_balance():
     truth = draw_truth(np.random.default_rng(6), frozenset())
     tree = truth.model.tree
