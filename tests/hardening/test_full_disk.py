@@ -16,8 +16,6 @@ import resource, sys
 from drake_exo import cli
 from drake_exo.calibration import solving
 
-pytestmark = pytest.mark.slow
-
 solving._CHECKPOINT_SECONDS = 0.0
 limit = int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
@@ -94,6 +92,7 @@ def test_folders_that_cannot_be_written(
     assert "cannot be written" in error and "--out" in error
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_listening_is_no_traceback(tmp_path):
     script = "import sys\nfrom drake_exo import cli\nsys.exit(cli.main({}))"
     command = ["contact", "--out", str(tmp_path / "out")]
