@@ -5,9 +5,8 @@ from typing import Literal
 
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import (
+    LAWS,
     Constants,
-    PaperConstants,
-    SimbodyConstants,
     paper_stiffness,
 )
 from drake_exo.contact.parameters import (
@@ -242,7 +241,7 @@ class FootGroundSettings:
             InputError: a name that the law does not have, or a value out of
                 its bounds.
         """
-        law = PaperConstants if self.law == "paper" else SimbodyConstants
+        law = LAWS[self.law]
         known = {f.name: f.metadata for f in fields(law)}
         for name, value in self.constants.items():
             if name not in known:

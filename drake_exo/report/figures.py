@@ -207,6 +207,8 @@ def _finish(figure: Figure, axes) -> None:
     for ax in axes.flat:
         handles, labels = ax.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
+    # "measured" first, whichever panel shows it.
+    entries = dict(sorted(entries.items(), key=lambda e: e[0] != "measured"))
     figure.align_ylabels()
     columns = min(len(entries), 4)
     legend = 0.1 + 0.22 * -(-len(entries) // columns)  # inches
