@@ -57,18 +57,30 @@ _ROOMS = {
     "soles": "soles",
     "synthetic": "virtual_laboratory.synthetic",
 }
-_NAMES = {name: place for place, names in _PLACES.items() for name in names}
-
-__all__ = sorted([*_NAMES, *_ROOMS])
 
 
-def __getattr__(name: str):
-    if name in _ROOMS:
-        return importlib.import_module(f"drake_exo.{_ROOMS[name]}")
-    if name not in _NAMES:
-        raise AttributeError(f"module 'drake_exo' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"drake_exo.{_NAMES[name]}"), name)
+def on_demand(package: str, places: dict, rooms: dict | None = None) -> tuple:
+    """`__getattr__`, `__dir__`, `__all__` of a package with late imports.
+
+    Args:
+        package: its `__name__`.
+        places: module below the package -> names that it defines.
+        rooms: name -> module below the package that stands for it.
+    """
+    rooms = rooms or {}
+    homes = {name: place for place, names in places.items() for name in names}
+
+    def __getattr__(name: str):  # noqa: N807
+        if name not in homes and name not in rooms:
+            raise AttributeError(
+                f"module {package!r} has no attribute {name!r}"
+            )
+        place = rooms.get(name) or homes[name]
+        module = importlib.import_module(f"{package}.{place}")
+        return module if name in rooms else getattr(module, name)
+
+    every = sorted([*homes, *rooms])
+    return __getattr__, lambda: every, every
 
 
-def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+__getattr__, __dir__, __all__ = on_demand(__name__, _PLACES, _ROOMS)

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
-from drake_exo.calibration import audit as audits
 from drake_exo.calibration import scores
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
@@ -48,9 +47,14 @@ from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
-from drake_exo.report import figures
-from drake_exo.report.replay import show_trial
 from drake_exo.report.tables import rmsd_table
+
+# Pictures and simulation take a second to import, which a user of `check`
+# would wait for: they come in with what draws or simulates.
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from drake_exo.calibration.audit import Audit
 
 
 @dataclass(frozen=True)
@@ -265,12 +269,14 @@ class Calibration:
             )
         ]
 
-    def audit(self) -> list[audits.Audit]:
+    def audit(self) -> list[Audit]:
         """Whether each trial holds between its nodes, and simulates."""
         return audit_all([self.result])
 
     def plot(self) -> Figure:
         """Joint angles and velocities beside what was measured."""
+        from drake_exo.report import figures
+
         return figures.kinematics_figure(
             {"model": self.trials}, self.result.problem.trials
         )
@@ -299,6 +305,8 @@ class Calibration:
             summary: for summary.json; that of `summary` with the audit if
                 None.
         """
+        from drake_exo.report import figures
+
         folder, found = Path(folder), self.result
         folder.mkdir(parents=True, exist_ok=True)
         if summary is None:
@@ -363,17 +371,21 @@ class Prediction(Trial):
         """Differences from the trial as measured; see `scores.rmsd`."""
         return scores.rmsd(self, measured)
 
-    def audit(self) -> audits.Audit:
+    def audit(self) -> Audit:
         """Whether it holds between its nodes, and simulates."""
-        return audits.audit(self.result)
+        return audit_all([self.result])[0]
 
     def plot(self, measured: Trial | None = None) -> Figure:
         """Joint angles and velocities, beside the measured ones."""
+        from drake_exo.report import figures
+
         beside = measured or self.result.problem.trials[0]
         return figures.kinematics_figure({"predicted": [self]}, [beside])
 
     def view(self, meshcat: Meshcat) -> None:
         """Show it as an animation with its ground reaction in meshcat."""
+        from drake_exo.report.replay import show_trial
+
         show_trial(meshcat, self.result.problem.model, self)
 
 
@@ -498,13 +510,15 @@ def contact_of(contact: Calibration | ContactModel) -> ContactModel:
     return contact.contact if isinstance(contact, Calibration) else contact
 
 
-def audit_all(results: Sequence[PhaseResult]) -> list[audits.Audit]:
+def audit_all(results: Sequence[PhaseResult]) -> list[Audit]:
     """Audit every trial of some results, with progress."""
+    from drake_exo.calibration.audit import audit
+
     todo = [(r, i) for r in results for i in range(len(r.trials))]
     progress = Progress("simulate", total=len(todo))
     rows = []
     for result, i in todo:
-        rows.append(audits.audit(result, i))
+        rows.append(audit(result, i))
         progress.update(rows[-1].trial, done=len(rows))
     return rows
 

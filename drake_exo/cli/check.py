@@ -9,7 +9,6 @@ from drake_exo.files.output import (
     write_json,
 )
 from drake_exo.measurement.quality import text_of
-from drake_exo.report.figures import quality_figure, save_figure
 from drake_exo.study import RecordedStudy, read_study
 
 
@@ -52,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(out: Path, study: RecordedStudy, quality) -> None:
+    from drake_exo.report.figures import quality_figure, save_figure
+
     (out / "quality.txt").write_text(text_of(quality) + "\n", encoding="utf-8")
     write_json(
         out / "quality.json",

@@ -1,28 +1,17 @@
-"""Force laws and their derivatives, and LeafSystems around them."""
+"""Force laws and their derivatives, and LeafSystems around them.
 
-from drake_exo.contact.bushing import (
-    BushingParameters,
-    bushing_deflection,
-    bushing_force,
-)
-from drake_exo.contact.controllers import AssistController, TrackingController
-from drake_exo.contact.hunt_crossley import paper_stiffness, sphere_force
-from drake_exo.contact.parameters import ContactSphere, GroundContact
-from drake_exo.contact.systems import (
-    FootGroundContact,
-    HumanExoskeletonBushings,
-)
+Names are imported as they are asked for: the systems take a second to define.
+"""
 
-__all__ = [
-    "AssistController",
-    "BushingParameters",
-    "ContactSphere",
-    "FootGroundContact",
-    "GroundContact",
-    "HumanExoskeletonBushings",
-    "TrackingController",
-    "bushing_deflection",
-    "bushing_force",
-    "paper_stiffness",
-    "sphere_force",
-]
+import drake_exo
+
+__getattr__, __dir__, __all__ = drake_exo.on_demand(
+    __name__,
+    {
+        "bushing": ["BushingParameters", "bushing_deflection", "bushing_force"],
+        "controllers": ["AssistController", "TrackingController"],
+        "hunt_crossley": ["paper_stiffness", "sphere_force"],
+        "parameters": ["ContactSphere", "GroundContact"],
+        "systems": ["FootGroundContact", "HumanExoskeletonBushings"],
+    },
+)

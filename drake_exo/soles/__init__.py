@@ -8,30 +8,20 @@
 Names are imported as they are asked for, so that importing this costs nothing.
 """
 
-from importlib import import_module
+import drake_exo
 
-_HOMES = {
-    "EXAMPLE": "case",
-    "Case": "case",
-    "Design": "optimize.design",
-    "Load": "loads",
-    "Settings": "settings",
-    "SphericalSpline": "shape",
-    "Step": "step.results",
-    "StoredDesign": "optimize.files",
-    "TetMesh": "mesh",
-    "compare_strains": "step.strain_comparison",
-    "find_designs": "optimize.files",
-    "pareto_front": "optimize.pareto",
-}
-__all__ = sorted(_HOMES)
-
-
-def __getattr__(name: str):
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__, __all__ = drake_exo.on_demand(
+    __name__,
+    {
+        "case": ["EXAMPLE", "Case"],
+        "loads": ["Load"],
+        "mesh": ["TetMesh"],
+        "optimize.design": ["Design"],
+        "optimize.files": ["StoredDesign", "find_designs"],
+        "optimize.pareto": ["pareto_front"],
+        "settings": ["Settings"],
+        "shape": ["SphericalSpline"],
+        "step.results": ["Step"],
+        "step.strain_comparison": ["compare_strains"],
+    },
+)
