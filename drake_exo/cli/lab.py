@@ -9,7 +9,7 @@ from drake_exo.virtual_laboratory.campaign import (
     NUM_USED,
     write_campaign,
 )
-from drake_exo.virtual_laboratory.truth import DISTURBANCES
+from drake_exo.virtual_laboratory.truth import DISTURBANCES, KINDS
 
 PROCESSES = min(
     os.cpu_count() or 1, 2
@@ -49,6 +49,12 @@ def add_parser(subparsers) -> None:
         help="c3d, or OpenSim's .trc and .mot",
     )
     parser.add_argument(
+        "--truth",
+        choices=KINDS,
+        default=KINDS[0],
+        help="how far truth may lie from what a calibration begins with",
+    )
+    parser.add_argument(
         "--without",
         nargs="+",
         action="extend",
@@ -74,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
             args.trials,
             full=args.full,
             files=args.files,
+            truth=args.truth,
             processes=min(PROCESSES, args.trials),
         )
         name = study.name

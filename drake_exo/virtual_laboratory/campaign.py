@@ -12,13 +12,16 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress, write_json
+from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
 from drake_exo.virtual_laboratory.instruments import (
     LARGEST_LAG_S,
     MARKER_RATE_HZ,
     PLATES,
     Clocks,
+    Faults,
     Laboratory,
+    draw_faults,
     empty_plate_levels,
 )
 from drake_exo.virtual_laboratory.markers import marker_set, slides
@@ -35,7 +38,9 @@ from drake_exo.virtual_laboratory.simulation import (
 from drake_exo.virtual_laboratory.study_file import EMPTY, Entry, write_study
 from drake_exo.virtual_laboratory.truth import (
     DISTURBANCES,
+    KINDS,
     STANDING_COP_M,
+    WIDE,
     Truth,
     checked,
     draw_truth,
@@ -62,6 +67,9 @@ _STANDING_S = 2.0
 _CHAIR_GONE_N = 2.0
 _AFTER_CHAIR_S = 0.08
 _AFTER_RISE_S = 0.1
+# As plates show it.
+_SEEN_NOISE_N, _SEEN_OFFSET_N, _SEEN_GONE_N = 0.5, 5.0, 10.0
+_SEEN_END_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -134,6 +142,7 @@ def write_campaign(
     *,
     full: bool = False,
     files: str = "c3d",
+    truth: str = "wide",
     processes: int = 1,
 ) -> Path:
     """Simulate a subject and write what a laboratory would hand over.
@@ -147,6 +156,7 @@ def write_campaign(
             nine by default.
         full: also record what the study does not use, as the paper did.
         files: "c3d" or "opensim" (.trc and .mot).
+        truth: "wide", or "near" to what a calibration begins with.
         processes: that work at once; has no influence on the result. With
             more than one, a script needs `if __name__ == "__main__"`.
 
@@ -154,20 +164,27 @@ def write_campaign(
         The study file.
 
     Raises:
-        InputError: unknown disturbance or kind of files, negative seed, or
-            an impossible number of trials.
+        InputError: unknown disturbance, kind of files or truth, negative
+            seed, or an impossible number of trials.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_campaign(folder, seed=1, trials=1).name
     'study.yaml'
     """
-    job = Campaign(Path(folder), seed, checked(disturbances), files)
     movements = protocol(trials, full)
     if seed < 0:
         raise InputError(f"seed is {seed}; give a number from 0 on")
-    if files not in FILES:
-        raise InputError(f"files is {files!r}; give one of {', '.join(FILES)}")
+    for what, value, known in (
+        ("files", files, FILES),
+        ("truth", truth, KINDS),
+    ):
+        if value not in known:
+            raise InputError(
+                f"{what} is {value!r}; give one of {', '.join(known)}"
+            )
+    active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
+    job = Campaign(Path(folder), seed, active, files, truth)
     (job.folder / "truth").mkdir(parents=True, exist_ok=True)
     with Progress(
         "virtual laboratory", len(movements), interval_seconds=2.0
@@ -215,15 +232,22 @@ class Campaign:
         seed: of all random numbers.
         active: disturbances.
         files: "c3d" or "opensim".
+        kind: of truth.
     """
 
     def __init__(
-        self, folder: Path, seed: int, active: frozenset[str], files: str
+        self,
+        folder: Path,
+        seed: int,
+        active: frozenset[str],
+        files: str,
+        kind: str,
     ):
         self.folder = folder
         self.seed = seed
         self.active = active
-        self.truth: Truth = draw_truth(self._rng(0), active)
+        self.kind = kind
+        self.truth: Truth = draw_truth(self._rng(0), active, kind)
         model = self.truth.model
         self.planner = Planner(model.rigid.tree, self.truth.contact)
         markers, rng = marker_set(self.truth.human), self._rng(1)
@@ -235,6 +259,9 @@ class Campaign:
             slides(markers, rng),
             {place: empty_plate_levels(rng) for place in PLATES},
             active,
+            Faults()
+            if kind == "near"
+            else draw_faults(self._rng(5), active, self.truth.cuffs),
         )
 
     def _rng(self, *key: int) -> np.random.Generator:
@@ -254,7 +281,13 @@ class Campaign:
             self.laboratory.record_empty(EMPTY, rng)
         truth = self.folder / "truth"
         _write_truth(truth, standing)
-        write_parameters(truth, self.truth, self.seed, self.active)
+        about = {
+            "seed": self.seed,
+            "truth": self.kind,
+            "disturbances": self.active,
+            "faults": self.laboratory.faults,
+        }
+        write_parameters(truth, self.truth, about)
         return write_scans(
             self.folder,
             self.truth.model.tree,
@@ -284,7 +317,9 @@ class Campaign:
             done,
         )
         self._measure(happened, movement)
-        start, end = _window(happened, plan)
+        rng = self._rng(6, *movement.key)
+        noisy = self.laboratory.faults.noisy_windows
+        start, end = _window(happened, plan, rng if noisy else None)
         return Entry(
             movement.name,
             "prediction" if assisted else "calibration",
@@ -309,6 +344,8 @@ class Campaign:
             clocks.mats,
             self.truth.human,
             "pressure_steps" in self.active,
+            self.laboratory.faults.left_share,
+            self.laboratory.faults.mat_share,
         )
         _write_truth(self.folder / "truth", happened, clocks)
 
@@ -348,10 +385,26 @@ def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
     )
 
 
-def _window(movement: Trial, plan: RisePlan) -> tuple[float, float]:
-    """Used part of a trial, to the marker frame [s]."""
-    felt = movement.chair.force_z > _CHAIR_GONE_N
-    start = movement.times[np.flatnonzero(felt)[-1]] + _AFTER_CHAIR_S
+def _window(
+    movement: Trial, plan: RisePlan, rng: np.random.Generator | None
+) -> tuple[float, float]:
+    """Used part of a trial, to the marker frame [s].
+
+    Args:
+        movement: what happened.
+        plan: of it.
+        rng: for those who cut by what plates show: the chair's force comes
+            filtered, with noise and an offset, and its end is where it falls
+            below a threshold that is above both; None for the truth.
+    """
+    force, gone = movement.chair.force_z, _CHAIR_GONE_N
     end = plan.duration - plan.stand_s + _AFTER_RISE_S
+    if rng is not None:
+        noise = rng.normal(0.0, _SEEN_NOISE_N, len(force))
+        offset = rng.uniform(-_SEEN_OFFSET_N, _SEEN_OFFSET_N)
+        force = Filter().smooth(force + noise, RATE_HZ, "chair") + offset
+        gone = _SEEN_GONE_N
+        end += rng.uniform(-_SEEN_END_S, _SEEN_END_S)
+    start = movement.times[np.flatnonzero(force > gone)[-1]] + _AFTER_CHAIR_S
     frames = np.round(np.array([start, end]) * MARKER_RATE_HZ)
     return tuple((frames / MARKER_RATE_HZ).tolist())

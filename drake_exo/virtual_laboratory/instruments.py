@@ -1,6 +1,7 @@
 """From what happened to what a laboratory's instruments say."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,12 @@ from drake_exo.virtual_laboratory.markers import (
     HALF_STANCE_M,
     NOISE_M,
     Marker,
+    Skin,
+    draw_skin,
     hide,
     marker_positions,
     soft_tissue,
+    turned_skin,
 )
 from drake_exo.virtual_laboratory.simulation import RATE_HZ
 
@@ -32,6 +36,7 @@ _FORCE_NOISE_N = 0.5
 _MOMENT_NOISE_NM = 0.2
 _OFFSET = np.array([2.0, 4.0, 0.5])  # F_x, F_z [N], M_y [N m]
 _DRIFT = np.array([0.5, 1.5, 0.2])  # over a recording
+_WIDE_DRIFT = np.array([2.0, 5.0, 0.5])
 _EMPTY_S = 2.0
 _ANGLE_NOISE = np.deg2rad(0.02)
 _ANGLE_STEP = np.deg2rad(0.01)
@@ -61,6 +66,59 @@ class Clocks:
 
 
 @dataclass(frozen=True)
+class Faults:
+    """What instruments of a wide truth get wrong; nothing by default.
+
+    Attributes:
+        skin: segment -> how markers turn on it.
+        left_share: of what both legs bear and press.
+        encoder_offset_rad: of the device's ankle, knee, hip.
+        mat_share: cuff -> share of its force that mats see.
+        friction_share: of the device's joints, that the bench found.
+        plate_drift: over a recording, F_x, F_z [N], M_y [N m].
+        noisy_windows: whether trials are cut by what plates show.
+    """
+
+    skin: dict[str, Skin] = field(default_factory=dict)
+    left_share: float = 0.5
+    encoder_offset_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
+    mat_share: dict[str, float] = field(default_factory=dict)
+    friction_share: tuple[float, ...] = (1.0, 1.0, 1.0)
+    plate_drift: tuple[float, ...] = tuple(_DRIFT)
+    noisy_windows: bool = False
+
+
+def draw_faults(
+    rng: np.random.Generator, active: frozenset[str], cuffs: Iterable[str]
+) -> Faults:
+    """Faults of a wide truth.
+
+    Args:
+        rng: numbers are drawn in the same order whatever is active.
+        active: disturbances.
+        cuffs: with mats.
+    """
+
+    def several(low: float, high: float) -> tuple[float, ...]:
+        return tuple(rng.uniform(low, high, 3).tolist())
+
+    reach = np.deg2rad(3.0)
+    drawn = {
+        "soft_tissue": {"skin": draw_skin(rng)},
+        "legs": {"left_share": 0.5 * float(rng.uniform(0.95, 1.05))},
+        "encoder_offset": {"encoder_offset_rad": several(-reach, reach)},
+        "mat_share": {
+            "mat_share": {c: float(rng.uniform(0.85, 1.0)) for c in cuffs}
+        },
+        "bench": {"friction_share": several(0.5, 1.5)},
+        "plate_drift": {"plate_drift": tuple(_WIDE_DRIFT.tolist())},
+        "windows": {"noisy_windows": True},
+    }
+    chosen = [values for name, values in drawn.items() if name in active]
+    return Faults(**{k: v for values in chosen for k, v in values.items()})
+
+
+@dataclass(frozen=True)
 class Laboratory:
     """The equipment, the same for all movements.
 
@@ -73,6 +131,7 @@ class Laboratory:
         slide: (M, 2) of the skin under them.
         offsets: plate -> F_x, F_z, M_y of the empty plate.
         disturbances: names of those that act.
+        faults: of a wide truth.
     """
 
     folder: Path
@@ -82,6 +141,7 @@ class Laboratory:
     slide: np.ndarray
     offsets: dict[str, np.ndarray]
     disturbances: frozenset[str]
+    faults: Faults
 
     def motion_files(self, name: str) -> dict[str, str]:
         """Names of the files of markers and forces."""
@@ -106,6 +166,9 @@ class Laboratory:
         p = marker_positions(tree, q, self.markers)
         if "soft_tissue" in active:
             p = p + soft_tissue(tree, q, self.markers, self.slide)
+            p = p + turned_skin(
+                tree, q, MARKER_RATE_HZ, self.markers, self.faults.skin
+            )
         noise = rng.normal(0.0, NOISE_M, p.shape)
         if "marker_noise" in active:
             p = p + noise
@@ -114,6 +177,7 @@ class Laboratory:
         share = float(rng.uniform(0.46, 0.54))
         if "variation" not in active:
             share = 0.5
+        share += self.faults.left_share - 0.5
         feet = {"left": share, "right": 1.0 - share}
         wrenches = {
             foot: PlanarWrench.of(s * movement.ground.array)
@@ -139,7 +203,8 @@ class Laboratory:
             values = w.array
             n = len(values)
             noise = rng.normal(size=(n, 3))
-            slope = drift * rng.uniform(-1.0, 1.0, 3) * _DRIFT
+            slope = drift * rng.uniform(-1.0, 1.0, 3)
+            slope *= np.array(self.faults.plate_drift)
             if "plate_noise" in self.disturbances:
                 values[:, :2] += _FORCE_NOISE_N * noise[:, :2]
                 values[:, 2] += _MOMENT_NOISE_NM * noise[:, 2]
@@ -176,6 +241,7 @@ class Laboratory:
         names = movement.coordinates
         exo = names.is_device_joint
         angles = _sampled(movement, movement.q[:, names.device_columns], at)
+        angles = angles + self.faults.encoder_offset_rad
         moments = _sampled(movement, movement.moments[:, exo], at)
         noise = rng.normal(size=(2, *angles.shape))
         if "encoder_noise" in self.disturbances:

@@ -146,6 +146,11 @@ NOISE_M = 3e-4
 # Spread of how far skin slides for each radian of the joint nearby [m/rad].
 _SLIDE = {"foot": 0.0, "shank": 0.004, "thigh": 0.006, "pelvis": 0.004}
 _JOINT = {"foot": "ankle", "shank": "knee", "thigh": "knee", "pelvis": "hip"}
+_NEIGHBOURS = {
+    "shank": ("ankle", "knee"),
+    "thigh": ("knee", "hip"),
+    "pelvis": ("hip",),
+}
 _GAPS = 6
 _GAP_FRAMES = (4, 13)
 
@@ -154,6 +159,76 @@ def slides(markers: dict[str, Marker], rng: np.random.Generator) -> np.ndarray:
     """How each marker slides (M, 2) along x and z of its link [m/rad]."""
     spread = np.array([_SLIDE[m.body] for m in markers.values()])
     return spread[:, None] * rng.normal(size=(len(markers), 2))
+
+
+@dataclass(frozen=True)
+class Skin:
+    """How the markers of a segment turn on it with what lies beneath.
+
+    By linear * f + quadratic * f^2 about their middle, f being flexion of the
+    neighbouring joints a lag before, each by its share.
+
+    Attributes:
+        shares: joint -> its share of f.
+        linear: [rad/rad].
+        quadratic: [rad/rad^2].
+        lag_s: lag.
+    """
+
+    shares: dict[str, float]
+    linear: float
+    quadratic: float
+    lag_s: float
+
+    def turn(self, tree: PlanarTree, q: np.ndarray, rate_hz: float):
+        """Angle (N,) [rad] along a motion q (N, nq) of that rate."""
+        joints = [tree.coordinates.index(name) for name in self.shares]
+        f = q[:, joints] @ np.array(list(self.shares.values()))
+        before = np.arange(len(f)) - self.lag_s * rate_hz
+        f = np.interp(before, np.arange(len(f)), f)
+        return self.linear * f + self.quadratic * f * f
+
+
+def draw_skin(rng: np.random.Generator) -> dict[str, Skin]:
+    """Skin of the segments that have some, by name.
+
+    Thigh artefacts are close to linear in the flexions of hip and knee,
+    subject by subject (Camomilla et al., J. Biomechanics 46, 2013).
+    """
+    found = {}
+    for name, joints in _NEIGHBOURS.items():
+        share = rng.uniform()
+        shares = dict(zip(joints, (share, 1.0 - share), strict=False))
+        if len(joints) == 1:
+            shares = {joints[0]: 1.0}
+        sign = rng.choice([-1.0, 1.0])
+        found[name] = Skin(
+            shares,
+            float(sign * rng.uniform(0.02, 0.06)),
+            float(rng.uniform(-0.02, 0.02)),
+            float(rng.uniform(0.02, 0.06)),
+        )
+    return found
+
+
+def turned_skin(
+    tree: PlanarTree,
+    q: np.ndarray,
+    rate_hz: float,
+    markers: dict[str, Marker],
+    skin: dict[str, Skin],
+) -> np.ndarray:
+    """Displacement (N, M, 3) by skin that turns, in OpenSim's axes [m]."""
+    moved = np.zeros((len(q), len(markers), 3))
+    for body, own in skin.items():
+        on = [i for i, m in enumerate(markers.values()) if m.body == body]
+        places = [list(markers.values())[i] for i in on]
+        p = np.array([complex(m.x_m, m.z_m) for m in places])
+        turn = np.exp(1j * own.turn(tree, q, rate_hz)) - 1.0
+        link = np.exp(1j * tree.body_angles(q, body))
+        slid = (link * turn)[:, None] * (p - p.mean())
+        moved[:, on, 0], moved[:, on, 1] = slid.real, slid.imag
+    return moved
 
 
 def soft_tissue(

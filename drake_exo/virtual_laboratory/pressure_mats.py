@@ -5,6 +5,7 @@ with a tension, so both mats see pressure at rest. The resultant along the
 segment's x is the cuff's normal force.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,6 +77,8 @@ def record_pressure(
     lag_s: float,
     human: HumanParameters,
     in_steps: bool,
+    left_share: float = 0.5,
+    seen: Mapping[str, float] | None = None,
 ) -> None:
     """Write a recording of the mats as Novel's software exports it.
 
@@ -86,14 +89,20 @@ def record_pressure(
         lag_s: of the mats' clock.
         human: the wearer.
         in_steps: quantised, and no more than the sensor's range.
+        left_share: of what both legs press, which mats on the left leg see.
+        seen: cuff -> share of its force that mats see; all by default.
     """
+    seen = seen or {}
     time = np.arange(1.0 / RATE_HZ, movement.times[-1], 1.0 / RATE_HZ)
     mats = CONFIGURATIONS[configuration]
     readings = []
     for mat in mats:
         force = movement.cuff(mat.segment).normal
         normal = np.interp(time - lag_s, movement.times, force)
-        readings.append(cell_pressures(mat, human, normal))
+        share = seen.get(mat.segment, 1.0)
+        if mat.legs == "left":
+            share *= left_share
+        readings.append(share * cell_pressures(mat, human, normal))
     pressure = np.hstack(readings)
     if in_steps:
         pressure = _STEP_PA * np.round(pressure / _STEP_PA)
@@ -104,7 +113,7 @@ def record_pressure(
 def cell_pressures(
     mat: MatDesign, human: HumanParameters, normal: np.ndarray
 ) -> np.ndarray:
-    """Pressure (N, cells) under a cuff's normal force (N,) [Pa].
+    """Pressure (N, cells) under both legs' normal force (N,) [Pa].
 
     Front and back differ by the force and multiply to the square of the
     straps' tension, so that neither ever pulls.
@@ -112,8 +121,6 @@ def cell_pressures(
     tension = _TENSION_N[mat.segment]
     middle = np.hypot(0.5 * normal, tension)
     side = middle + (0.5 if mat.face == "back" else -0.5) * normal
-    if mat.legs != "both":
-        side = 0.5 * side
     _, inward, around, along = cells(mat, human)
     shape = np.exp(-((around / _PATCH_RAD) ** 2) - (along / _PATCH_M) ** 2)
     total = CELL_AREA_M2 * np.sum(shape * np.abs(inward[:, 0]))

@@ -64,7 +64,7 @@ def write_study(
     Args:
         path: the file.
         truth: mass, height and gravity are taken from it, and the device's
-            friction, which was identified on a bench.
+            friction, as far as a bench found it.
         laboratory: the equipment.
         mats: the section `mats`.
         entries: movements in use.
@@ -89,7 +89,7 @@ def write_study(
         },
         "scaling": {"lengths": "markers", "trunk_com": "table"},
         "markers": study_markers(),
-        "device": _device(truth),
+        "device": _device(truth, laboratory.faults.friction_share),
         "mats": mats,
         "trials": [_trial(laboratory, entry) for entry in entries],
         "foot_ground": _foot_ground(),
@@ -127,13 +127,13 @@ def _empty_plates(laboratory: Laboratory) -> dict:
     return {"empty_plates": laboratory.motion_files(EMPTY)["forces"]}
 
 
-def _device(truth: Truth) -> dict:
+def _device(truth: Truth, found: tuple[float, ...]) -> dict:
     friction = truth.friction
     section: dict = {"encoder_legs": "both", "moment_legs": "both"}
     for i, joint in enumerate(_JOINTS):
         section[joint] = {
-            "viscous_nm_s": friction.viscous[i],
-            "coulomb_nm": friction.coulomb[i],
+            "viscous_nm_s": found[i] * friction.viscous[i],
+            "coulomb_nm": found[i] * friction.coulomb[i],
             "coulomb_speed_rad_s": friction.speed,
         }
     return section

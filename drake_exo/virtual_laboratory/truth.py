@@ -19,6 +19,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 from drake_exo.files.tables import Table
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
@@ -29,6 +30,8 @@ from drake_exo.model.segments import (
 from drake_exo.virtual_laboratory.control import Friction
 from drake_exo.virtual_laboratory.forces import Cuff, levelled
 
+# How far truth may lie from what a calibration begins with.
+KINDS = ("wide", "near")
 # What makes the truth richer than the model, and measurements worse; each can
 # be switched off by name. Without any, the subject obeys the very model that is
 # calibrated, and instruments are perfect. Of the subject and the device:
@@ -51,7 +54,16 @@ MEASUREMENT = {
     "pressure_steps": "pressure in steps of 2.5 kPa, up to 30 kPa",
     "clocks": "device and mats that start up to 40 ms apart",
 }
-DISTURBANCES = {**TRUTH, **MEASUREMENT}
+# Of a wide truth alone, of subject and instruments.
+WIDE = {
+    "body": "lengths up to 4 %, centres of mass 3 % off the table",
+    "legs": "legs that bear and press unequally, by up to 5 %",
+    "bench": "friction of the device known to 50 %",
+    "encoder_offset": "encoders with an offset of up to 3 degrees",
+    "mat_share": "mats that see 85 to 100 % of the force",
+    "windows": "trials cut where noisy signals say so",
+}
+DISTURBANCES = {**TRUTH, **MEASUREMENT, **WIDE}
 STANDING_COP_M = 0.045  # in front of the ankle
 
 # Simbody's law with next to no smoothing: contact begins and ends, and the
@@ -70,6 +82,9 @@ _RICH_SOLE = {
     "metatarsals": (0.80, 0.030, 0.60),
     "toes": (1.08, 0.022, 0.40),
 }
+_COM_SHIFT = 0.03  # along the segment, of its length
+_COM_SHIFT_M = 0.008  # across it
+_LENGTH = 0.04
 _CUFF_PROGRESSION = 1.0 / 0.02  # 1/m
 _CUFF_SLIP = 1.0 / 25.0  # 1/N
 _FRICTION = Friction(viscous=(0.3, 0.5, 0.5), coulomb=(0.8, 1.2, 1.5))
@@ -88,6 +103,29 @@ def checked(names: Iterable[str]) -> frozenset[str]:
             f"{', '.join(DISTURBANCES)}"
         )
     return active
+
+
+@dataclass(frozen=True)
+class CuffDraw:
+    """Where the parameters of cuffs are drawn from, about nominal values.
+
+    Attributes:
+        stiffness: log-uniform between these shares.
+        damping: likewise; None for the nominal one.
+        origin_m: uniform between these offsets.
+    """
+
+    stiffness: tuple[float, float]
+    damping: tuple[float, float] | None
+    origin_m: tuple[float, float]
+
+
+# Not about the nominal values, so that a prior around them is none of truth.
+_WIDE_SHARES = (1.3 / 3.3, 1.3 * 3.3)
+_CUFF_DRAWS = {
+    "near": CuffDraw((0.74, 1.35), None, (-0.015, 0.015)),
+    "wide": CuffDraw(_WIDE_SHARES, _WIDE_SHARES, (-0.022, 0.038)),
+}
 
 
 @dataclass(frozen=True)
@@ -117,24 +155,30 @@ class Truth:
         return self.model.exoskeleton
 
 
-def draw_truth(rng: np.random.Generator, active: frozenset[str]) -> Truth:
+def draw_truth(
+    rng: np.random.Generator, active: frozenset[str], kind: str = "wide"
+) -> Truth:
     """Parameters off the nominal ones by what a calibration has to find.
 
-    Stiffness and dissipation are within 35 % of nominal values, spheres
-    within 12 mm along the foot, cuffs within 15 mm. The foot's frame is
-    level in standing, as that of the markers is: spheres lie lower than
-    nominal ones by what they sink in.
+    The feet's stiffness and dissipation are within 35 % of nominal values,
+    spheres within 12 mm along the foot. Cuffs are drawn from `_CUFF_DRAWS`.
+    The foot's frame is level in standing, as that of the markers is: spheres
+    lie lower than nominal ones by what they sink in.
 
     Args:
         rng: numbers are drawn in the same order whatever is active.
         active: names of `TRUTH` that act.
+        kind: a name in KINDS.
     """
     nominal = nominal_model("coupled")
+    if kind == "wide":
+        other = _other_body(nominal, rng)
+        nominal = other if "body" in active else nominal
     usual, human = nominal_contact(nominal), nominal.human
     two = _two_spheres(usual.ground, rng)
     five = _five_spheres(nominal.exoskeleton, rng)
     contact = (five if "contact" in active else two).checked()
-    cuffs = _cuffs(usual.bushings, rng, active)
+    cuffs = _cuffs(usual.bushings, rng, active, _CUFF_DRAWS[kind])
     masses = _other_masses(human, rng)
     flat = levelled(
         nominal.rigid.tree,
@@ -181,19 +225,20 @@ def _five_spheres(device, rng) -> GroundContact:
     return GroundContact("simbody", spheres, _SHARP)
 
 
-def _cuffs(usual, rng, active) -> dict[str, Cuff]:
+def _cuffs(usual, rng, active, draw: CuffDraw) -> dict[str, Cuff]:
     cuffs = {}
     for name, bushing in usual.items():
-        stiffness = {
-            f.name: getattr(bushing, f.name) * _factor(rng)
+        values = {
+            f.name: getattr(bushing, f.name) * _factor(rng, *shares)
+            for kind, shares in vars(draw).items()
             for f in fields(bushing)
-            if f.name.endswith("_stiffness")
+            if f.name.endswith(f"_{kind}") and shares is not None
         }
         bushing = replace(
             bushing,
-            origin_x=bushing.origin_x + rng.uniform(-0.015, 0.015),
-            origin_z=bushing.origin_z + rng.uniform(-0.015, 0.015),
-            **stiffness,
+            origin_x=bushing.origin_x + rng.uniform(*draw.origin_m),
+            origin_z=bushing.origin_z + rng.uniform(*draw.origin_m),
+            **values,
         )
         cuffs[name] = Cuff(
             bushing,
@@ -201,6 +246,29 @@ def _cuffs(usual, rng, active) -> dict[str, Cuff]:
             _CUFF_SLIP if "shear" in active else 0.0,
         )
     return cuffs
+
+
+def _other_body(model: Model, rng) -> Model:
+    """Other lengths and centres of mass, and the device fitted to them."""
+    human = model.human
+    parts = {}
+    for name in SEGMENTS:
+        part = getattr(human, name)
+        # The foot is measured, and welded to the device's.
+        ratio = 1.0 + (name != "foot") * rng.uniform(-_LENGTH, _LENGTH)
+        x, z = part.com_m
+        along = rng.uniform(-_COM_SHIFT, _COM_SHIFT) * part.length_m
+        across = rng.uniform(-_COM_SHIFT_M, _COM_SHIFT_M)
+        if name == "foot":
+            along = across = 0.0
+        parts[name] = replace(
+            part,
+            length_m=ratio * part.length_m,
+            com_m=(x + across, ratio * z + along),
+            inertia_kg_m2=ratio**2 * part.inertia_kg_m2,
+        )
+    human = replace(human, **parts)
+    return replace(model, human=human, exoskeleton=fit_exoskeleton(human))
 
 
 def _other_masses(human: HumanParameters, rng) -> HumanParameters:
@@ -224,15 +292,20 @@ def _other_masses(human: HumanParameters, rng) -> HumanParameters:
     )
 
 
-def _factor(rng: np.random.Generator) -> float:
-    return float(np.exp(rng.uniform(np.log(0.74), np.log(1.35))))
+def _factor(
+    rng: np.random.Generator, low: float = 0.74, high: float = 1.35
+) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def write_parameters(
-    folder: Path, truth: Truth, seed: int, active: frozenset[str]
-) -> None:
-    """Write all of it, and each phase's parameters by their names there."""
-    about = {"seed": seed, "disturbances": active}
+def write_parameters(folder: Path, truth: Truth, about: dict) -> None:
+    """Write all of it, and each phase's parameters by their names there.
+
+    Args:
+        folder: receives truth.json and a file for each phase.
+        truth: the parameters.
+        about: of the campaign; stands in every file.
+    """
     whole = {
         "human": truth.human,
         "exoskeleton": truth.exoskeleton,

@@ -11,7 +11,9 @@ import drake_exo
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
+from drake_exo.files.output import read_json
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.description import nominal_human
 from drake_exo.study import read_study
 from drake_exo.virtual_laboratory import campaign
 from drake_exo.virtual_laboratory.campaign import protocol, write_campaign
@@ -53,7 +55,7 @@ def clean(tmp_path_factory, simulations):
 def disturbed(tmp_path_factory):
     """All disturbances, two movements, by the command: in two processes."""
     folder = tmp_path_factory.mktemp("disturbed") / "campaign"
-    command = ["lab", "--seed", str(SEED), "--trials", "2"]
+    command = ["lab", "--seed", str(SEED), "--trials", "2", "--truth", "near"]
     assert main([*command, "--out", str(folder)]) == 0
     return folder
 
@@ -102,7 +104,7 @@ def errors(folder, trial):
 
 @pytest.mark.slow
 def test_same_seed_same_bytes_in_one_process_or_two(disturbed, tmp_path):
-    write_campaign(tmp_path, SEED, trials=1)
+    write_campaign(tmp_path, SEED, trials=1, truth="near")
     first, second = written(disturbed), written(tmp_path)
     studies = [
         yaml.safe_load(files.pop("study.yaml")) for files in (first, second)
@@ -111,6 +113,34 @@ def test_same_seed_same_bytes_in_one_process_or_two(disturbed, tmp_path):
     assert {"truth/truth.json", "standing.c3d", f"{FIRST}.c3d"} <= set(second)
     del studies[0]["trials"][1:]
     assert studies[0] == studies[1]
+
+
+@pytest.mark.slow
+def test_a_wide_truth_shows_the_faults_that_it_tells(tmp_path):
+    """One fault at a time would take minutes: those that leave plain marks."""
+    faults = ["encoder_offset", "mat_share", "legs", "body", "windows"]
+    write_campaign(tmp_path, SEED, ["variation", *faults], trials=1)
+    told = read_json(tmp_path / "truth" / "truth.json", "")
+    assert told["truth"] == "wide"
+    _, (trial,) = handed_over(tmp_path, tmp_path)
+    truth = read_table(tmp_path / "truth" / f"{trial.name}.sto")
+    time = trial.start_s + trial.times
+    i = np.round((time - truth.time[0]) * 100).astype(int)
+    exo = trial.coordinates.device
+    off = trial.q[:, trial.coordinates.device_columns] - truth.columns(exo)[i]
+    offset = told["faults"]["encoder_offset_rad"]
+    assert np.abs(offset).max() > np.deg2rad(0.5)
+    np.testing.assert_allclose(off.mean(axis=0), offset, atol=2e-3)
+    seen = told["faults"]["mat_share"]["pelvis"]
+    force = truth.column("pelvis_normal")[i]
+    found = trial.cuff("pelvis").normal
+    assert found @ force / (force @ force) == pytest.approx(seen, abs=0.02)
+    human = told["parameters"]["human"]
+    usual = nominal_human()
+    ratio = human["thigh"]["length_m"] / usual.thigh.length_m
+    assert 0.005 < abs(ratio - 1.0) < 0.04
+    stiffness = told["parameters"]["cuffs"]["thigh"]["bushing"]
+    assert stiffness["normal_damping"] != 10.0
 
 
 @pytest.mark.slow

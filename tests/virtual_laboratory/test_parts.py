@@ -224,8 +224,7 @@ def test_mats_sum_to_the_cuff_force(configuration, tmp_path):
         assert report["cell_distance_mm"] == pytest.approx(14.14, rel=0.03)
         pressure = cell_pressures(mat, HUMAN, force)
         assert pressure.min() >= 0.0
-        legs = 1.0 if mat.legs == "both" else 2.0
-        found = legs * CELL_AREA_M2 * pressure @ inward
+        found = CELL_AREA_M2 * pressure @ inward
         total[mat.segment] = total.get(mat.segment, 0.0) + found
     for found in total.values():
         np.testing.assert_allclose(found[:, 0], force, atol=0.5)
