@@ -45,7 +45,6 @@ class FootGroundCalibration(PhaseProblem):
         parameters: list[ContactParameter] | None = None,
     ):
         settings = settings or FootGroundSettings()
-        self.prior_weight = settings.prior_weight
         super().__init__(
             model,
             trials,

@@ -9,9 +9,10 @@ other components is minimised.
 from collections.abc import Sequence
 from dataclasses import replace
 
+from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    fix_ends,
+    bound_foot,
     ground_terms,
     kinematic_terms,
     normal_force_terms,
@@ -56,27 +57,29 @@ class InteractionCalibration(PhaseProblem):
     ):
         check_has_cuffs(model)
         settings = settings or InteractionSettings()
-        self.prior_weight = settings.prior_weight
         super().__init__(
             model,
             trials,
             replace(contact, bushings=settings.bushings(model.cuffs)),
             settings.parameters(model.cuffs),
             settings,
+            ErrorModel(model, trials, settings.errors),
         )
 
     def _add(self, trial: Trial) -> TrialProgram:
         movement = self._movement(trial)
         at = trial.sample(movement.grid.times)
-        noise = self.settings.noise
-        fix_ends(movement, at, self.settings.end_tolerance)
+        noise, effects = self.settings.noise, self._effects(at)
+        # Ends are measured like the rest: given, they would bend parameters.
+        bound_foot(movement, at, self.settings.end_tolerance)
         movement.add_tracking_cost(
             [
-                *kinematic_terms(movement, at, noise),
+                *kinematic_terms(movement, at, noise, effects),
                 *ground_terms(movement, at, noise),
-                *torque_terms(movement, at, noise),
-                *normal_force_terms(movement, at, noise),
-            ]
+                *torque_terms(movement, at, noise, effects),
+                *normal_force_terms(movement, at, noise, effects),
+            ],
+            self.error_variables,
         )
         movement.add_jerk_cost(noise.jerk)
         unmeasured = {

@@ -14,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 from pydrake.systems.framework import System
 
+from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.interaction import EVERY
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    fix_ends,
+    bound_foot,
     ground_terms,
+    kinematic_terms,
     torque_terms,
 )
 from drake_exo.calibration.settings import PredictionSettings
@@ -29,6 +31,10 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
+
+# An end counts as a second of tracking does: noise of a signal is one size
+# for about that long.
+END_WEIGHT_S = 1.0
 
 
 class PredictionProblem(PhaseProblem):
@@ -78,23 +84,32 @@ class PredictionProblem(PhaseProblem):
         # A human alone has no use for the cuffs of a calibration.
         own = {cuff: contact.bushings[cuff] for cuff in model.cuffs}
         contact = replace(contact, bushings=own)
-        super().__init__(model, trials, contact, [], settings)
+        errors = ErrorModel(model, trials, settings.errors, contact.posterior)
+        super().__init__(model, trials, contact, [], settings, errors)
 
     def _add(self, trial: Trial) -> TrialProgram:
         movement = self._movement(trial)
         at = trial.sample(movement.grid.times)
         settings, noise = self.settings, self.settings.noise
-        fix_ends(movement, at, settings.end_tolerance)
+        effects = self._effects(at)
+        bound_foot(movement, at, settings.end_tolerance)
+        at_ends = np.zeros(len(at.times))
+        at_ends[[0, -1]] = END_WEIGHT_S
+        movement.add_tracking_cost(
+            kinematic_terms(movement, at, noise, effects),
+            self.error_variables,
+            at_ends,
+        )
         limit = np.full(movement.torque.size, settings.torque_limit_nm)
         movement.bound(movement.torque.ravel(), -limit, limit)
         if settings.objective == "tracking":
             terms = [
                 *ground_terms(movement, at, noise),
-                *torque_terms(movement, at, noise),
+                *torque_terms(movement, at, noise, effects),
             ]
         else:
             terms = [minimised(movement.torque, noise.torque_nm)]
-        movement.add_tracking_cost(terms)
+        movement.add_tracking_cost(terms, self.error_variables)
         movement.add_jerk_cost(noise.jerk)
         everything = dict.fromkeys(self.bushings, EVERY)
         self.minimise_energy(movement, everything, noise.energy_j)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from drake_exo.calibration.error_model import Effects, ErrorModel
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
 from drake_exo.collocation.initial_guess import settle_foot
@@ -76,9 +77,6 @@ class PhaseProblem(ABC):
             guess and checks.
     """
 
-    # Weight of the parameters' prior.
-    prior_weight = 0.0
-
     def __init__(
         self,
         model: Model,
@@ -86,6 +84,7 @@ class PhaseProblem(ABC):
         contact: ContactModel,
         parameters: list[ContactParameter],
         settings,
+        errors: ErrorModel | None = None,
     ):
         start = time.perf_counter()
         self.model = model
@@ -104,8 +103,10 @@ class PhaseProblem(ABC):
             cuff: BushingKernel(self.bushings[cuff], bushing.damping)
             for cuff, bushing in contact.bushings.items()
         }
+        self.errors = errors
         self.program = BatchedProgram()
         self._add_parameters()
+        self.error_variables = self._add_errors()
         self.movements = [self._add(trial) for trial in self.trials]
         self.build_seconds = time.perf_counter() - start
 
@@ -117,13 +118,31 @@ class PhaseProblem(ABC):
             parameters = [
                 chosen.get(p.name, p) for p in self.contact.fixed(group)
             ]
-            self._variables[group] = add_parameters(
-                self.program, parameters, self.prior_weight
-            )
+            self._variables[group] = add_parameters(self.program, parameters)
         known = list(self.contact.values())
         every = np.concatenate(list(self._variables.values()))
         place = [known.index(p.name) for p in self.parameters]
         self.parameter_variables = every[place]
+
+    def _add_errors(self) -> np.ndarray | None:
+        """Decision variables of the unknown errors, with their prior."""
+        if self.errors is None or not self.errors.unknowns:
+            return None
+        prog, unknowns = self.program.prog, self.errors.unknowns
+        variables = np.array(
+            [prog.NewContinuousVariables(1, u.name)[0] for u in unknowns]
+        )
+        for variable, unknown in zip(variables, unknowns, strict=True):
+            prog.SetVariableScaling(variable, unknown.sd)
+        mean, covariance = self.errors.prior()
+        prog.AddQuadraticErrorCost(np.linalg.inv(covariance), mean, variables)
+        return variables
+
+    def _effects(self, at: Trial) -> Effects | None:
+        """What the unknown errors do to a trial's signals."""
+        if self.error_variables is None:
+            return None
+        return self.errors.effects(at)
 
     @property
     def _sphere_variables(self) -> np.ndarray:
@@ -417,6 +436,17 @@ def fix_ends(
     movement: TrialProgram, at: Trial, tolerance: EndTolerance
 ) -> None:
     """Give initial and final states; the foot within a tolerance (II-C)."""
+    grid, joints = movement.grid, movement.coordinates.joint_columns
+    for i in (0, -1):
+        movement.bound(grid.q[i, joints], at.q[i, joints], at.q[i, joints])
+        movement.bound(grid.v[i, joints], at.v[i, joints], at.v[i, joints])
+    bound_foot(movement, at, tolerance)
+
+
+def bound_foot(
+    movement: TrialProgram, at: Trial, tolerance: EndTolerance
+) -> None:
+    """Keep the foot within a tolerance at both ends (II-C)."""
     reach = np.array(
         [tolerance.x_m, tolerance.z_m, np.deg2rad(tolerance.pitch_deg)]
     )
@@ -429,18 +459,18 @@ def fix_ends(
             else np.deg2rad(tolerance.pitch_rate_deg_s)
         ]
     )
-    grid, names = movement.grid, movement.coordinates
-    root, joints = names.root_columns, names.joint_columns
+    grid, root = movement.grid, movement.coordinates.root_columns
     for i in (0, -1):
-        movement.bound(grid.q[i, joints], at.q[i, joints], at.q[i, joints])
-        movement.bound(grid.v[i, joints], at.v[i, joints], at.v[i, joints])
         foot, moving = at.q[i, root], at.v[i, root]
         movement.bound(grid.q[i, root], foot - reach, foot + reach)
         movement.bound(grid.v[i, root], moving - speed, moving + speed)
 
 
 def kinematic_terms(
-    movement: TrialProgram, at: Trial, noise: TrackingNoise
+    movement: TrialProgram,
+    at: Trial,
+    noise: TrackingNoise,
+    effects: Effects | None = None,
 ) -> list[Tracking]:
     """Tracking of coordinates and velocities.
 
@@ -448,6 +478,7 @@ def kinematic_terms(
         movement: the trial's variables.
         at: measured values at the nodes.
         noise: standard deviations.
+        effects: of unknown errors.
     """
     grid, names = movement.grid, movement.coordinates
     device = names.is_device_joint
@@ -462,8 +493,20 @@ def kinematic_terms(
     sigma_q = np.r_[foot_q, np.deg2rad(joint_q)]
     sigma_v = np.r_[foot_v, np.deg2rad(joint_v)]
     return [
-        Tracking(grid.q, at.q, sigma_q, role="position"),
-        Tracking(grid.v, at.v, sigma_v, role="velocity"),
+        Tracking(
+            grid.q,
+            at.q,
+            sigma_q,
+            role="position",
+            effects=effects and effects.q,
+        ),
+        Tracking(
+            grid.v,
+            at.v,
+            sigma_v,
+            role="velocity",
+            effects=effects and effects.v,
+        ),
     ]
 
 
@@ -489,17 +532,26 @@ def ground_terms(
     ]
 
 
-def torque_terms(movement: TrialProgram, at: Trial, noise) -> list[Tracking]:
+def torque_terms(
+    movement: TrialProgram,
+    at: Trial,
+    noise,
+    effects: Effects | None = None,
+) -> list[Tracking]:
     """Joint moments tracked where known, minimised otherwise."""
     if at.moments is None:
         return [minimised(movement.torque, noise.torque_nm)]
     device = movement.coordinates.is_device_joint
     sigma = np.where(device, noise.exo_moment_nm, noise.moment_nm)
-    return [Tracking(movement.torque, at.moments, sigma)]
+    effects = effects and effects.moments
+    return [Tracking(movement.torque, at.moments, sigma, effects=effects)]
 
 
 def normal_force_terms(
-    movement: TrialProgram, at: Trial, noise
+    movement: TrialProgram,
+    at: Trial,
+    noise,
+    effects: Effects | None = None,
 ) -> list[Tracking]:
     """Normal forces tracked where a mat measured them."""
     return [
@@ -507,6 +559,7 @@ def normal_force_terms(
             variables[:, [NORMAL]],
             at.cuffs[cuff].normal[:, None],
             noise.normal_force_n,
+            effects=effects and effects.normal[cuff][:, None],
         )
         for cuff, variables in movement.cuffs.items()
         if cuff in at.cuffs

@@ -1,8 +1,10 @@
 """Settings of the calibration phases, as they stand in a study file."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from math import log
 from typing import Literal
 
+from drake_exo.calibration.error_model import ErrorSizes
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import (
     LAWS,
@@ -23,6 +25,7 @@ from drake_exo.nlp.ipopt import SolverOptions
 __all__ = [
     "BushingSettings",
     "EndTolerance",
+    "ErrorSizes",
     "FootGroundSettings",
     "InteractionNoise",
     "InteractionSettings",
@@ -265,11 +268,15 @@ class FootGroundSettings:
         Args:
             places: sphere -> the model's centre (x, z) in the foot frame [m].
         """
-        return [
+        found = [
             p
             for name, place in places.items()
             for p in _sphere(name, self.spheres[name], place, self.law)
         ]
+        if self.prior_weight == 0.0:
+            return found
+        width = self.prior_weight**-0.5
+        return [replace(p, prior_sd=width * p.span) for p in found]
 
     def contact(self, places: dict[str, tuple[float, float]]) -> ContactModel:
         """Contact with nominal values; arguments as above."""
@@ -286,7 +293,7 @@ class FootGroundSettings:
         )
 
 
-def _placed(name, spread, model):
+def _placed(name, spread, model, prior_sd=None):
     """A place given about the model's own."""
     return ContactParameter(
         name,
@@ -295,6 +302,7 @@ def _placed(name, spread, model):
         model - spread.below,
         model + spread.above,
         spread.free,
+        prior_sd,
     )
 
 
@@ -361,9 +369,9 @@ class InteractionNoise(TrackingNoise):
     Attributes:
         moment_nm: joint moments, human.
         exo_moment_nm: joint moments, exoskeleton.
-        normal_force_n: resultant of a pressure mat: steps of 2.5 kPa on some
-            thirty loaded cells of 2 cm^2 are 0.8 N, of which the filter
-            leaves less than half.
+        normal_force_n: resultant of a pressure mat beyond what `errors`
+            explain: steps of 2.5 kPa on some thirty loaded cells of 2 cm^2
+            are 0.8 N, and no bushing is as linear as its model.
         energy_j: typical contact energy of a component; what is minimised is
             the square of the energy over this.
 
@@ -374,7 +382,7 @@ class InteractionNoise(TrackingNoise):
 
     moment_nm: float = _sigma(5.0, "N m")
     exo_moment_nm: float = _sigma(1.0, "N m")
-    normal_force_n: float = _sigma(0.5, "N")
+    normal_force_n: float = _sigma(2.0, "N")
     energy_j: float = _sigma(1.0, "J")
 
 
@@ -383,7 +391,12 @@ class InteractionSettings:
     """Phase B, and the models of Phase C.
 
     Attributes:
-        prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+        stiffness_factor: one standard deviation of the prior of every
+            stiffness, which is log-normal: within this factor of its nominal
+            value are two of three.
+        origin_sd_m: that of the prior of every origin.
+        prior_weight: of these priors; 0 for none.
+        errors: priors of what goes wrong in measurement.
 
     >>> soft = BushingSettings(normal_n_m=Range(2000.0, 100.0, 9000.0))
     >>> InteractionSettings(thigh=soft).bushings(
@@ -396,7 +409,10 @@ class InteractionSettings:
     pelvis: BushingSettings = BushingSettings()
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: EndTolerance = EndTolerance()
+    stiffness_factor: float = field(default=2.0, metadata={"above": 1.0})
+    origin_sd_m: float = _sigma(0.015, "m")
     prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
+    errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
 
     def parameters(
@@ -410,7 +426,34 @@ class InteractionSettings:
         return [
             p
             for name, place in places.items()
-            for p in _bushing(name, getattr(self, name), place)
+            for p in self._bushing(name, getattr(self, name), place)
+        ]
+
+    def _bushing(self, name, settings, place) -> list[ContactParameter]:
+        """Of one cuff, in the order of `bushing.CALIBRATED`."""
+        width = self.prior_weight**-0.5 if self.prior_weight else None
+        factor = width and width * log(self.stiffness_factor)
+        origin = width and width * self.origin_sd_m
+
+        def stiffness(what, unit, r):
+            return ContactParameter(
+                f"{name}.{what}_stiffness",
+                unit,
+                r.nominal,
+                r.lower,
+                r.upper,
+                r.free,
+                factor,
+                log_prior=True,
+            )
+
+        x, z = settings.origin_x_m, settings.origin_z_m
+        return [
+            _placed(f"{name}.origin_x", x, place[0], origin),
+            _placed(f"{name}.origin_z", z, place[1], origin),
+            stiffness("tangential", "N/m", settings.tangential_n_m),
+            stiffness("normal", "N/m", settings.normal_n_m),
+            stiffness("rotational", "N m/rad", settings.rotational_nm_rad),
         ]
 
     def bushings(
@@ -437,6 +480,8 @@ class PredictionSettings:
             reaction free, effort bounded).
         torque_limit_nm: bound on every joint torque, both legs together.
         guess: "data" or "line" (a minimum-jerk line between the end states).
+        errors: priors of what goes wrong in measurement; of what trials
+            share, a calibration knows more.
 
     >>> PredictionSettings(objective="comfort").torque_limit_nm
     1000.0
@@ -449,19 +494,5 @@ class PredictionSettings:
         default=1000.0, metadata={"unit": "N m", "above": 0.0}
     )
     guess: Literal["data", "line"] = "line"
+    errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
-
-
-def _bushing(name, settings, place):
-    def ranged(what, unit, r):
-        return ContactParameter(
-            f"{name}.{what}", unit, r.nominal, r.lower, r.upper, r.free
-        )
-
-    return [
-        _placed(f"{name}.origin_x", settings.origin_x_m, place[0]),
-        _placed(f"{name}.origin_z", settings.origin_z_m, place[1]),
-        ranged("tangential_stiffness", "N/m", settings.tangential_n_m),
-        ranged("normal_stiffness", "N/m", settings.normal_n_m),
-        ranged("rotational_stiffness", "N m/rad", settings.rotational_nm_rad),
-    ]

@@ -27,6 +27,7 @@ from drake_exo.collocation.kernels import (
     GROUND_MOMENT_UNIT,
 )
 from drake_exo.collocation.trial_program import TrialProgram
+from drake_exo.contact.parameters import ContactParameter, Posterior
 from drake_exo.nlp.sensitivity import Response, response
 from drake_exo.nlp.sparse import SparseProgram
 
@@ -109,9 +110,12 @@ def uncertainty(
     for movement in problem.movements:
         for part in _noise(movement, program, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
-    weight = problem.prior_weight
-    spans = np.array([problem.parameters[k].span for k in free])
-    by_prior = by_x[:, index] * (np.sqrt(weight) / spans)
+    chosen = [problem.parameters[k] for k in free]
+    spans = np.array([p.span for p in chosen])
+    x = result.solution.raw_values()[index]
+    by_prior = by_x[:, index] * [
+        _prior_slope(p, value) for p, value in zip(chosen, x, strict=True)
+    ]
     covariance += by_prior @ by_prior.T
     return Uncertainty(
         [problem.parameters[k].name for k in free],
@@ -119,6 +123,41 @@ def uncertainty(
         found.by_gradient @ _regulariser(problem, program, y),
         spans,
     )
+
+
+def _prior_slope(p: ContactParameter, value: float) -> float:
+    """Derivative of a prior's residual at a value."""
+    if p.prior_sd is None:
+        return 0.0
+    return 1.0 / (p.prior_sd * (value if p.log_prior else 1.0))
+
+
+def posterior(result: PhaseResult) -> Posterior:
+    """What a calibration knows of parameters and errors that trials share.
+
+    The normal approximation at the optimum: the inverse of the curvature of
+    the cost, which is a sum of squares of errors over their standard
+    deviations, noise of each signal being one size for a second, and of
+    priors.
+    """
+    problem = result.problem
+    free = [k for k, p in enumerate(problem.parameters) if p.free]
+    names = [problem.parameters[k].name for k in free]
+    variables = problem.parameter_variables[free]
+    if problem.error_variables is not None:
+        shared = [
+            k for k, u in enumerate(problem.errors.unknowns) if not u.trial
+        ]
+        names += [problem.errors.names[k] for k in shared]
+        variables = np.r_[variables, problem.error_variables[shared]]
+    program = problem.compiled
+    x = result.solution.raw_values()
+    y = program.restrict(x)
+    index = problem.program.indices(variables)
+    columns = program.unknowns.column_of(index)
+    unit = program.unknowns.scale[index]
+    found = response(program, y, columns).by_gradient[:, columns]
+    return Posterior(tuple(names), x[index], -unit[:, None] * found * unit)
 
 
 def _noise(

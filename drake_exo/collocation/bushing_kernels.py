@@ -112,6 +112,9 @@ class BushingKernel:
         pattern[:2, 2 * nq + 3 : 2 * nq + 5] = True
         pattern[:, 2 * nq + 5 :] = np.eye(3, dtype=bool)
         self.sparsity = pattern
+        # See `curvature`.
+        self.curved_inputs = pattern.any(axis=0)
+        self.curved_inputs[nq : 2 * nq + 3] = False
 
     def _split(self, x):
         nq = self.nq
@@ -150,6 +153,36 @@ class BushingKernel:
         J[:, :2, 2 * nq + 3 : 2 * nq + 5] = by_origin
         J[:, np.arange(3), 2 * nq + 5 + np.arange(3)] = b.deflection(q, terms)
         return J / UNITS[:, None]
+
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in), of the springs.
+
+        Stiffness times deflection: without this a solver that does not know
+        the stiffness creeps. What damping adds is left out.
+        """
+        q, _, _, origin, stiffness = self._split(x)
+        b, nq = self._bushing, self.nq
+        w = weights / UNITS
+        terms, turn = b.terms(q, origin), b.turn(q)
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        H[:, :nq, :nq] = b.curvature(terms, w * stiffness)
+        o, k = slice(2 * nq + 3, 2 * nq + 5), slice(2 * nq + 5, None)
+        by_qo = b.gradient_by_origin(turn, w * stiffness)
+        by_qk = (w[:, :, None] * b.deflection_jacobian(terms)).transpose(
+            0, 2, 1
+        )
+        by_ok = np.zeros((len(x), 2, 3))
+        by_ok[:, :, :2] = (w[:, :2, None] * b.by_origin(turn)).transpose(
+            0, 2, 1
+        )
+        for rows, columns, part in (
+            (slice(nq), o, by_qo),
+            (slice(nq), k, by_qk),
+            (o, k, by_ok),
+        ):
+            H[:, rows, columns] = part
+            H[:, columns, rows] = part.transpose(0, 2, 1)
+        return H
 
 
 class EnergyKernel:

@@ -199,23 +199,42 @@ class TrialProgram:
             np.asarray(lower, float), np.asarray(upper, float), variables
         )
 
-    def add_tracking_cost(self, terms: "list[Tracking]") -> None:
-        """Add 1/2 integral of sum ((A z - target)/sigma)^2 dt as cost."""
-        grid = self.grid
+    def add_tracking_cost(
+        self,
+        terms: "list[Tracking]",
+        errors: np.ndarray | None = None,
+        weights: np.ndarray | None = None,
+    ) -> None:
+        """Add 1/2 integral of sum ((A z + E e - target)/sigma)^2 dt as cost.
+
+        Args:
+            terms: signals z with their rows A and effects E.
+            errors: (k,) variables e that all terms with effects share.
+            weights: (n,) of the nodes [s]; those of the integral by default.
+        """
+        weights = self.grid.quadrature if weights is None else weights
         self.tracked.extend(terms)
         variables = np.hstack([t.variables for t in terms])
+        shared = variables.shape[1]
+        if errors is not None:
+            variables = np.hstack([variables, self._at_nodes(errors)])
         n, m = variables.shape
         Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)
         first = 0
         for term in terms:
             last = first + term.variables.shape[1]
-            A = term.rows / term.sigma[:, :, None]
+            columns = np.arange(first, last)
+            A = term.rows
+            if term.effects is not None:
+                columns = np.r_[columns, shared:m]
+                A = np.concatenate([A, term.effects], axis=2)
+            A = A / term.sigma[:, :, None]
             y = term.target / term.sigma
-            Q[:, first:last, first:last] += A.transpose(0, 2, 1) @ A
-            b[:, first:last] -= np.einsum("nrm,nr->nm", A, y)
+            Q[np.ix_(range(n), columns, columns)] += A.transpose(0, 2, 1) @ A
+            b[:, columns] -= np.einsum("nrm,nr->nm", A, y)
             c += 0.5 * np.sum(y * y, axis=1)
             first = last
-        for t, weight in enumerate(grid.quadrature):
+        for t, weight in enumerate(weights):
             if weight > 0.0:
                 cost = self.program.prog.AddQuadraticCost(
                     weight * Q[t],
@@ -252,15 +271,23 @@ class Tracking:
         target: (n, r) measured values.
         sigma: noise, broadcast to (n, r); infinite where not tracked.
         rows: (n, r, m) linear map; identity by default.
+        effects: (n, r, k) of unknown errors on the target; none by default.
         role: what the target is: "position" or "velocity" (noise of the
             second is the derivative of the first's), another "measured"
             signal, or a "regulariser", which is none.
     """
 
     def __init__(
-        self, variables, target, sigma, rows=None, role: Role = "measured"
+        self,
+        variables,
+        target,
+        sigma,
+        rows=None,
+        role: Role = "measured",
+        effects=None,
     ):
         self.role = role
+        self.effects = effects
         self.variables = variables
         self.target = np.asarray(target, float)
         self.sigma = np.broadcast_to(
@@ -281,12 +308,12 @@ def minimised(variables: np.ndarray, sigma) -> Tracking:
 def add_parameters(
     program: BatchedProgram,
     parameters: list[ContactParameter],
-    prior_weight: float = 0.0,
 ) -> np.ndarray:
     """Add contact parameters as decision variables.
 
     Free ones are bounded, others fixed at their nominal values. The prior is
-    1/2 weight ((p - nominal)/span)^2 for each free one.
+    1/2 ((p - nominal)/prior_sd)^2 for each free one that has it, of logarithms
+    where it is said so.
 
     Returns:
         (len(parameters),) variables.
@@ -300,9 +327,35 @@ def add_parameters(
         prog.AddBoundingBoxConstraint(*bounds, variable)
         size = max(abs(p.nominal), 0.1 * p.span)
         prog.SetVariableScaling(variable, size or 1.0)
-        if p.free and prior_weight > 0.0:
-            weight = prior_weight / p.span**2
-            prog.AddQuadraticErrorCost(
-                np.array([[weight]]), [p.nominal], [variable]
+        if not p.free or p.prior_sd is None:
+            continue
+        if p.log_prior:
+            program.add_residuals(
+                f"prior of {p.name}",
+                LogKernel(p.nominal, p.prior_sd),
+                np.array([[variable]]),
             )
+            continue
+        weight = 1.0 / p.prior_sd**2
+        prog.AddQuadraticErrorCost(
+            np.array([[weight]]), [p.nominal], [variable]
+        )
     return variables
+
+
+class LogKernel:
+    """ln(x / middle) / sd of a positive x."""
+
+    sparsity = np.ones((1, 1), bool)
+
+    def __init__(self, middle: float, sd: float):
+        self._middle = middle
+        self._sd = sd
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        return np.log(x / self._middle) / self._sd
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        return 1.0 / (self._sd * x[:, :, None])

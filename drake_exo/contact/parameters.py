@@ -5,8 +5,10 @@ take; single scalars of it are called "heel.stiffness" or "thigh.origin_x". A
 `ContactParameter` is such a scalar with its bounds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
 
 from drake_exo.contact.bushing import CALIBRATED, BushingParameters
 from drake_exo.contact.hunt_crossley import (
@@ -48,6 +50,9 @@ class ContactParameter:
         nominal: value if not calibrated, guess and prior mean otherwise.
         lower, upper: bounds when calibrated.
         free: whether it is calibrated.
+        prior_sd: standard deviation of the prior about the nominal value;
+            None for none.
+        log_prior: whether that is of the logarithm.
     """
 
     name: str
@@ -56,6 +61,8 @@ class ContactParameter:
     lower: float
     upper: float
     free: bool = True
+    prior_sd: float | None = None
+    log_prior: bool = False
 
     @staticmethod
     def fixed(name: str, unit: str, value: float) -> "ContactParameter":
@@ -139,6 +146,26 @@ class GroundContact:
 
 
 @dataclass(frozen=True)
+class Posterior:
+    """What a calibration knows: values and how sure they are.
+
+    Attributes:
+        names: of contact parameters and shared errors.
+        values: (m,).
+        covariance: (m, m).
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+
+    def of(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Values (k,) and covariance (k, k) of some."""
+        i = [self.names.index(name) for name in names]
+        return self.values[i], self.covariance[np.ix_(i, i)]
+
+
+@dataclass(frozen=True)
 class ContactModel:
     """Contact of foot and ground and, once calibrated, of the cuffs.
 
@@ -146,6 +173,7 @@ class ContactModel:
         ground: of the foot.
         bushings: cuff -> its bushing; empty where human and device do not
             touch, or nothing is known of it.
+        posterior: how sure a calibration is of them; None where none was.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> contact = nominal_contact(nominal_model("coupled"))
@@ -157,6 +185,7 @@ class ContactModel:
 
     ground: GroundContact
     bushings: dict[str, BushingParameters] = field(default_factory=dict)
+    posterior: Posterior | None = None
 
     def values(self) -> dict[str, float]:
         """Parameters by name: spheres', then bushings' that are calibrated."""
@@ -209,9 +238,10 @@ class ContactModel:
             return replace(part, **own)
 
         spheres = {n: changed(n, s) for n, s in self.ground.spheres.items()}
-        return ContactModel(
-            replace(self.ground, spheres=spheres),
-            {n: changed(n, b) for n, b in self.bushings.items()},
+        return replace(
+            self,
+            ground=replace(self.ground, spheres=spheres),
+            bushings={n: changed(n, b) for n, b in self.bushings.items()},
         )
 
     def scaled(self, factor: float) -> "ContactModel":

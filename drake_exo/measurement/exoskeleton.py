@@ -178,13 +178,22 @@ def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
         zip(names.device, names.device_columns, strict=True)
     ):
         joint = getattr(device, names.follows(name))
-        rate = v[:, k]
         moments[:, i] -= joint.inertia_kg_m2 * a[:, k]
-        moments[:, i] -= joint.viscous_nm_s * rate
-        moments[:, i] -= joint.coulomb_nm * np.tanh(
-            rate / joint.coulomb_speed_rad_s
-        )
         moments[:, i] -= joint.stiffness_nm_rad * (
             q[:, k] - np.deg2rad(joint.rest_deg)
+        )
+    return moments + friction_moments(device, tree, v)
+
+
+def friction_moments(device: Device, tree: PlanarTree, v) -> np.ndarray:
+    """The part (N, joints) of `drive_moments` that is friction."""
+    names = tree.coordinates
+    moments = np.zeros((len(v), len(names.device)))
+    for i, (name, k) in enumerate(
+        zip(names.device, names.device_columns, strict=True)
+    ):
+        joint, rate = getattr(device, names.follows(name)), v[:, k]
+        moments[:, i] = -joint.viscous_nm_s * rate - joint.coulomb_nm * (
+            np.tanh(rate / joint.coulomb_speed_rad_s)
         )
     return moments

@@ -19,6 +19,7 @@ from drake_exo.measurement.events import Rise, find_rises, until_seat_off
 from drake_exo.measurement.exoskeleton import (
     Signal,
     drive_moments,
+    friction_moments,
     read_angles,
     read_moments,
     within,
@@ -413,7 +414,9 @@ def cut(
         chair_on_thighs=settings.laboratory.chair_on_thighs,
         mass_kg=subject.mass_kg,
     )
-    moments, source = _moments(recording, subject.model, settings, trial, time)
+    moments, friction, source = _moments(
+        recording, subject.model, settings, trial, time
+    )
     provenance = {
         **_provenance(files, recording, subject, settings),
         "part": how,
@@ -423,7 +426,9 @@ def cut(
         "mats": mats,
         **exo,
     }
-    return replace(trial, moments=moments, provenance=provenance)
+    return replace(
+        trial, moments=moments, friction=friction, provenance=provenance
+    )
 
 
 def _provenance(
@@ -510,7 +515,7 @@ def _coordinates(files, recording: Recording, inside, model: Model):
 
 
 def _moments(recording, model: Model, settings, trial: Trial, time):
-    """Joint moments (n, n_joints), and where they come from.
+    """Joint moments (n, n_joints), their friction, and where they come from.
 
     The resultant is that of the rigid model, from the ground up; the human's
     is what the exoskeleton's leaves of it.
@@ -522,7 +527,8 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
     resultant = from_the_ground_up(tree, body[0], Q)
     resultant = resultant[:, tree.coordinates.joint_columns]
     if model.exoskeleton is None:
-        return resultant, {"human": "resultant"}
+        return resultant, None, {"human": "resultant"}
+    friction = None
     if recording.moments is not None:
         exo = recording.moments.at(time, "exoskeleton moments")
         source = "recorded"
@@ -532,18 +538,19 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
         exo = drive_moments(
             settings.device, model.tree, trial.q, trial.v, trial.a
         )
+        friction = friction_moments(settings.device, model.tree, trial.v)
         source = "device model"
         if recording.angles is None:
             source += " at the human's angles"
     else:
-        return None, {
+        return None, None, {
             "human": "unknown: neither exo_moments nor device are given"
         }
     beside = [names.human.index(names.follows(name)) for name in names.device]
     human = resultant.copy()
     human[:, beside] -= exo
     said = {"human": "resultant - exoskeleton", "exoskeleton": source}
-    return np.hstack([human, exo]), said
+    return np.hstack([human, exo]), friction, said
 
 
 def _cuff_forces(recording: Recording, time):

@@ -69,6 +69,8 @@ class Trial:
             under it.
         chair_on_thighs: share of it that acts on the thighs, the rest acts
             on the pelvis.
+        friction: (n, device's joints) part of `moments` that is friction as a
+            bench identified it [N m]; None where moments were measured.
         jerk: (n_controls, nq) of a solution; None otherwise.
         mass_kg: body mass without the exoskeleton; None where not known.
         start_s: of the first sample in the recording [s].
@@ -97,6 +99,7 @@ class Trial:
     cuffs: dict[str, CuffForce] = field(default_factory=dict)
     chair: PlanarWrench | None = None
     chair_on_thighs: float = 0.0
+    friction: np.ndarray | None = None
     jerk: np.ndarray | None = None
     mass_kg: float | None = None
     start_s: float = 0.0
@@ -106,6 +109,7 @@ class Trial:
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,
+            "friction": len(self.coordinates.device),
             **dict.fromkeys(("ground", "chair"), 3),
         }
         for name, array in {"times": self.times, **self._arrays()}.items():
@@ -205,7 +209,8 @@ class Trial:
         arrays["ground"] = self.ground.array
         if self.chair is not None:
             arrays["chair"] = self.chair.array
-        arrays |= {"moments": self.moments, "jerk": self.jerk}
+        arrays |= {"moments": self.moments, "friction": self.friction}
+        arrays["jerk"] = self.jerk
         for cuff, force in self.cuffs.items():
             for part, x in vars(force).items():
                 arrays[f"cuffs.{cuff}.{part}"] = x

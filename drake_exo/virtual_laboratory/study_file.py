@@ -29,7 +29,7 @@ _NOISE = {
     "force_n": 3.0,
     "cop_m": 0.0005,
 }
-_FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 1.0, "energy_j": 1.0}
+_FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 0.3, "energy_j": 1.0}
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,6 @@ def _interaction() -> dict:
     own = {
         "exo_angle_deg": 0.1,
         "exo_velocity_deg_s": 1.0,
-        "normal_force_n": 0.5,
     }
     return {"noise": {**_NOISE, **own, **_FORCE_NOISE}}
 

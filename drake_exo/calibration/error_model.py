@@ -1,0 +1,264 @@
+"""What is known to go wrong in measured signals, as unknowns of a phase.
+
+A measured signal is the true one plus effects that are linear in a few
+unknown sizes: skin that slides, encoders with an offset, mats that see a part
+of the force, clocks that lag. The sizes are estimated with the contact, each
+with a prior of its own; an effect is the same size at every node, so that
+what it does to a signal is correlated as it is in truth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drake_exo.contact.parameters import Posterior
+from drake_exo.measurement.inverse_dynamics import (
+    from_the_ground_up,
+    inverse_dynamics,
+)
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model
+
+_DIFFERENCE = 1e-4  # of an unknown, relative to 1 rad/rad
+
+
+def _sd(default: float, unit: str):
+    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
+
+
+@dataclass(frozen=True)
+class ErrorSizes:
+    """Standard deviation of each systematic error; 0 for one that is none.
+
+    Attributes:
+        skin: turn of a segment's markers for each radian of flexion of a
+            neighbouring joint. Thigh artefacts are close to linear in the
+            flexions of hip and knee, subject by subject (Camomilla et al.,
+            J. Biomechanics 46, 2013), and reach 3 to 8 degrees in a deep
+            flexion (Peters et al., Gait & Posture 31, 2010).
+        encoder_offset_deg: of each of the device's joints: how far its zero
+            is from where the person stands upright.
+        mat_share: of a cuff's force that its mats do not see.
+        mat_offset_n: of a cuff's mats at rest.
+        friction: of a device's friction that a bench identified, as a share.
+        encoder_clock_s, mat_clock_s: what is left of the lag of each clock.
+
+    >>> ErrorSizes(skin=0.0).encoder_offset_deg
+    2.0
+    """
+
+    skin: float = _sd(0.03, "rad/rad")
+    encoder_offset_deg: float = _sd(2.0, "deg")
+    mat_share: float = _sd(0.1, "1")
+    mat_offset_n: float = _sd(3.0, "N")
+    friction: float = _sd(0.4, "1")
+    encoder_clock_s: float = _sd(0.02, "s")
+    mat_clock_s: float = _sd(0.02, "s")
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Size of one error.
+
+    Attributes:
+        name: such as "skin.thigh.knee"; a trial's own begins with its name.
+        unit: of the size.
+        sd: of its prior, whose mean is 0.
+        trial: that it belongs to; None where all share it.
+    """
+
+    name: str
+    unit: str
+    sd: float
+    trial: str | None = None
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Change of measured signals by m unknowns of size 1.
+
+    Attributes:
+        q, v: (n, nq, m).
+        moments: (n, n_joints, m).
+        normal: cuff -> (n, m).
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    moments: np.ndarray
+    normal: dict[str, np.ndarray]
+
+
+class ErrorModel:
+    """Unknown errors of some trials, and what they do.
+
+    Args:
+        model: subject and device.
+        trials: measured.
+        sizes: priors.
+        known: what a calibration knows of those that trials share.
+
+    Attributes:
+        unknowns: all of them, in the order of effects' last axis.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        sizes: ErrorSizes,
+        known: Posterior | None = None,
+    ):
+        self._known = known
+        self._model = model
+        names = model.coordinates
+        found = [
+            Unknown(f"skin.{segment}.{joint}", "rad/rad", sizes.skin)
+            for segment, joints in _neighbours(model).items()
+            for joint in joints
+        ]
+        offset = float(np.deg2rad(sizes.encoder_offset_deg))
+        found += [Unknown(f"encoder.{d}", "rad", offset) for d in names.device]
+        found += [
+            Unknown(f"friction.{d}", "1", sizes.friction)
+            for d in names.device
+            if any(t.friction is not None for t in trials)
+        ]
+        for cuff in dict.fromkeys(c for t in trials for c in t.cuffs):
+            found.append(Unknown(f"mat.{cuff}.unseen", "1", sizes.mat_share))
+            found.append(Unknown(f"mat.{cuff}.offset", "N", sizes.mat_offset_n))
+        for trial in trials:
+            clocks = {"encoder_clock": sizes.encoder_clock_s}
+            if trial.cuffs:
+                clocks["mat_clock"] = sizes.mat_clock_s
+            found += [
+                Unknown(f"{trial.name}.{what}", "s", sd, trial.name)
+                for what, sd in clocks.items()
+            ]
+        self.unknowns = [u for u in found if u.sd > 0.0] if names.device else []
+
+    @property
+    def names(self) -> list[str]:
+        """Of the unknowns."""
+        return [u.name for u in self.unknowns]
+
+    def prior(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (m,) and covariance (m, m) of the unknowns."""
+        mean = np.zeros(len(self.unknowns))
+        covariance = np.diag([u.sd**2 for u in self.unknowns])
+        known = [] if self._known is None else self._known.names
+        i = [k for k, name in enumerate(self.names) if name in known]
+        if i:
+            found = self._known.of([self.names[k] for k in i])
+            mean[i], covariance[np.ix_(i, i)] = found
+        return mean, covariance
+
+    def effects(self, at: Trial) -> Effects:
+        """What each unknown does to the signals of a trial."""
+        names = self._model.coordinates
+        m, n = len(self.unknowns), len(at.times)
+        q, v, a = np.zeros((3, n, len(names), m))
+        moments = np.zeros((n, names.num_joints, m))
+        normal = {cuff: np.zeros((n, m)) for cuff in at.cuffs}
+        device = names.device_columns
+        turns = _turns(self._model)
+        for k, unknown in enumerate(self.unknowns):
+            if unknown.trial not in (None, at.name):
+                continue
+            kind, *rest = unknown.name.split(".")
+            if kind == "skin":
+                segment, joint = rest
+                j = names.index(joint)
+                for x, of in ((q, at.q), (v, at.v), (a, at.a)):
+                    x[:, :, k] = np.outer(of[:, j], turns[segment])
+                moments[:, :, k] = self._moments(at, q, v, a, k)
+            elif kind == "encoder":
+                q[:, names.index(rest[0]), k] = 1.0
+            elif kind == "friction":
+                if at.friction is not None:
+                    moments[:, :, k] = self._exo_moments(at.friction, rest[0])
+            elif kind == "mat":
+                cuff, what = rest
+                if cuff in normal:
+                    f = at.cuffs[cuff].normal
+                    normal[cuff][:, k] = -f if what == "unseen" else 1.0
+            elif rest[-1] == "encoder_clock":
+                q[:, device, k] = -at.v[:, device]
+                v[:, device, k] = -at.a[:, device]
+                if at.friction is None and at.moments is not None:
+                    exo = at.moments[:, names.is_device_joint]
+                    moments[:, :, k] = self._exo_moments(
+                        -np.gradient(exo, at.times, axis=0)
+                    )
+            else:
+                for cuff, force in at.cuffs.items():
+                    normal[cuff][:, k] = -np.gradient(force.normal, at.times)
+        return Effects(q, v, moments, normal)
+
+    def _exo_moments(self, change, joint: str | None = None) -> np.ndarray:
+        """Change (n, n_joints) by one of the device's moments (n, joints).
+
+        What the device bears more the human bears less.
+        """
+        names = self._model.coordinates
+        found = np.zeros((len(change), names.num_joints))
+        for i, device in enumerate(names.device):
+            if joint in (None, device):
+                found[:, names.joint(device)] += change[:, i]
+                found[:, names.joint(names.follows(device))] -= change[:, i]
+        return found
+
+    def _moments(self, at: Trial, q, v, a, k) -> np.ndarray:
+        """Change (n, n_joints) of the human's moments by skin that slides."""
+        tree, names = self._model.rigid.tree, self._model.coordinates
+        body = names.body_columns
+        loads = {tree.foot: at.ground, **at.chair_loads()}
+
+        def resultant(size):
+            x = [
+                of[:, body] + size * by[:, body, k]
+                for of, by in ((at.q, q), (at.v, v), (at.a, a))
+            ]
+            Q = inverse_dynamics(tree, *x, loads)
+            Q = from_the_ground_up(tree, x[0], Q)
+            return Q[:, tree.coordinates.joint_columns]
+
+        change = resultant(_DIFFERENCE) - resultant(-_DIFFERENCE)
+        found = np.zeros((len(at.times), names.num_joints))
+        found[:, ~names.is_device_joint] = change / (2.0 * _DIFFERENCE)
+        return found
+
+
+def _neighbours(model: Model) -> dict[str, tuple[str, ...]]:
+    """Segment above each human joint -> the joints at its two ends."""
+    joints = model.coordinates.human
+    return {
+        segment: joints[i : i + 2] for i, segment in enumerate(_segments(model))
+    }
+
+
+def _segments(model: Model) -> list[str]:
+    """The human's segment that each of its joints moves, from below."""
+    tree, names = model.tree, model.coordinates
+    own = [human for human, _ in tree.cuffs.values()]
+    columns = names.columns(names.human)
+
+    def height(segment: str) -> int:
+        return int(np.count_nonzero(tree.turning(segment)[columns]))
+
+    return sorted(own, key=height)
+
+
+def _turns(model: Model) -> dict[str, np.ndarray]:
+    """Segment -> change of all coordinates (nq,) if it alone turns by 1."""
+    tree, names = model.tree, model.coordinates
+    columns = names.columns(names.human)
+    segments = _segments(model)
+    T = np.array([tree.turning(s)[columns] for s in segments])
+    found = {}
+    for i, segment in enumerate(segments):
+        change = np.zeros(len(names))
+        change[columns] = np.linalg.inv(T)[:, i]
+        found[segment] = change
+    return found
