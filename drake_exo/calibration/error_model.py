@@ -37,6 +37,7 @@ class ErrorSizes:
             flexions of hip and knee, subject by subject (Camomilla et al.,
             J. Biomechanics 46, 2013), and reach 3 to 8 degrees in a deep
             flexion (Peters et al., Gait & Posture 31, 2010).
+        skin_bend: likewise, for each square radian.
         encoder_offset_deg: of each of the device's joints: how far its zero
             is from where the person stands upright.
         mat_share: of a cuff's force that its mats do not see.
@@ -49,6 +50,7 @@ class ErrorSizes:
     """
 
     skin: float = _sd(0.03, "rad/rad")
+    skin_bend: float = _sd(0.015, "rad/rad^2")
     encoder_offset_deg: float = _sd(2.0, "deg")
     mat_share: float = _sd(0.1, "1")
     mat_offset_n: float = _sd(3.0, "N")
@@ -114,7 +116,11 @@ class ErrorModel:
         self._model = model
         names = model.coordinates
         found = [
-            Unknown(f"skin.{segment}.{joint}", "rad/rad", sizes.skin)
+            Unknown(f"{kind}.{segment}.{joint}", unit, sd)
+            for kind, unit, sd in (
+                ("skin", "rad/rad", sizes.skin),
+                ("bend", "rad/rad^2", sizes.skin_bend),
+            )
             for segment, joints in _neighbours(model).items()
             for joint in joints
         ]
@@ -167,11 +173,14 @@ class ErrorModel:
             if unknown.trial not in (None, at.name):
                 continue
             kind, *rest = unknown.name.split(".")
-            if kind == "skin":
+            if kind in ("skin", "bend"):
                 segment, joint = rest
                 j = names.index(joint)
-                for x, of in ((q, at.q), (v, at.v), (a, at.a)):
-                    x[:, :, k] = np.outer(of[:, j], turns[segment])
+                flexion = [x[:, j] for x in (at.q, at.v, at.a)]
+                if kind == "bend":
+                    flexion = _squared(*flexion)
+                for x, f in zip((q, v, a), flexion, strict=True):
+                    x[:, :, k] = np.outer(f, turns[segment])
                 moments[:, :, k] = self._moments(at, q, v, a, k)
             elif kind == "encoder":
                 q[:, names.index(rest[0]), k] = 1.0
@@ -228,6 +237,11 @@ class ErrorModel:
         found = np.zeros((len(at.times), names.num_joints))
         found[:, ~names.is_device_joint] = change / (2.0 * _DIFFERENCE)
         return found
+
+
+def _squared(f, rate, acceleration):
+    """f^2 with its two derivatives."""
+    return f * f, 2.0 * f * rate, 2.0 * (rate * rate + f * acceleration)
 
 
 def _neighbours(model: Model) -> dict[str, tuple[str, ...]]:

@@ -119,10 +119,8 @@ class PhaseProblem(ABC):
                 chosen.get(p.name, p) for p in self.contact.fixed(group)
             ]
             self._variables[group] = add_parameters(self.program, parameters)
-        known = list(self.contact.values())
-        every = np.concatenate(list(self._variables.values()))
-        place = [known.index(p.name) for p in self.parameters]
-        self.parameter_variables = every[place]
+        names = [p.name for p in self.parameters]
+        self.parameter_variables = self.variables_of(names)
 
     def _add_errors(self) -> np.ndarray | None:
         """Decision variables of the unknown errors, with their prior."""
@@ -143,6 +141,12 @@ class PhaseProblem(ABC):
         if self.error_variables is None:
             return None
         return self.errors.effects(at)
+
+    def variables_of(self, names: Sequence[str]) -> np.ndarray:
+        """Decision variables of contact parameters by name, free or not."""
+        known = list(self.contact.values())
+        every = np.concatenate(list(self._variables.values()))
+        return every[[known.index(name) for name in names]]
 
     @property
     def _sphere_variables(self) -> np.ndarray:

@@ -144,12 +144,17 @@ def posterior(result: PhaseResult) -> Posterior:
     free = [k for k, p in enumerate(problem.parameters) if p.free]
     names = [problem.parameters[k].name for k in free]
     variables = problem.parameter_variables[free]
+    shared = len(names)
     if problem.error_variables is not None:
-        shared = [
-            k for k, u in enumerate(problem.errors.unknowns) if not u.trial
-        ]
-        names += [problem.errors.names[k] for k in shared]
-        variables = np.r_[variables, problem.error_variables[shared]]
+        # Those of single trials, too: what touches every node of a trial is
+        # kept out of the part that is banded in time.
+        unknowns = problem.errors.unknowns
+        order = sorted(
+            range(len(unknowns)), key=lambda k: bool(unknowns[k].trial)
+        )
+        names += [unknowns[k].name for k in order]
+        shared += sum(not u.trial for u in unknowns)
+        variables = np.r_[variables, problem.error_variables[order]]
     program = problem.compiled
     x = result.solution.raw_values()
     y = program.restrict(x)
@@ -157,7 +162,12 @@ def posterior(result: PhaseResult) -> Posterior:
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
     found = response(program, y, columns).by_gradient[:, columns]
-    return Posterior(tuple(names), x[index], -unit[:, None] * found * unit)
+    covariance = -unit[:, None] * found * unit
+    return Posterior(
+        tuple(names[:shared]),
+        x[index][:shared],
+        covariance[:shared, :shared],
+    )
 
 
 def _noise(

@@ -222,6 +222,7 @@ class TrialProgram:
         Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)
         first = 0
         for term in terms:
+            term.weights = weights
             last = first + term.variables.shape[1]
             columns = np.arange(first, last)
             A = term.rows
@@ -272,6 +273,9 @@ class Tracking:
         sigma: noise, broadcast to (n, r); infinite where not tracked.
         rows: (n, r, m) linear map; identity by default.
         effects: (n, r, k) of unknown errors on the target; none by default.
+
+    Attributes:
+        weights: (n,) of the nodes in the cost [s], once it is part of one.
         role: what the target is: "position" or "velocity" (noise of the
             second is the derivative of the first's), another "measured"
             signal, or a "regulariser", which is none.

@@ -247,7 +247,17 @@ class ContactModel:
     def scaled(self, factor: float) -> "ContactModel":
         """Bushings' stiffness and damping times `factor` (Phase C2)."""
         bushings = {n: b.scaled(factor) for n, b in self.bushings.items()}
-        return replace(self, bushings=bushings)
+        known = self.posterior
+        if known is not None:
+            by = np.array(
+                [factor if n.endswith("_stiffness") else 1 for n in known.names]
+            )
+            known = replace(
+                known,
+                values=by * known.values,
+                covariance=np.outer(by, by) * known.covariance,
+            )
+        return replace(self, bushings=bushings, posterior=known)
 
 
 def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:

@@ -543,9 +543,11 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
         if recording.angles is None:
             source += " at the human's angles"
     else:
-        return None, None, {
-            "human": "unknown: neither exo_moments nor device are given"
-        }
+        return (
+            None,
+            None,
+            {"human": "unknown: neither exo_moments nor device are given"},
+        )
     beside = [names.human.index(names.follows(name)) for name in names.device]
     human = resultant.copy()
     human[:, beside] -= exo

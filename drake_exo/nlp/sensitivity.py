@@ -16,6 +16,7 @@ from drake_exo.nlp.sparse import SparseProgram
 _ACTIVE = 1e-5
 # Keeps the system regular where active bounds repeat an equation.
 _REGULAR = 1e-9
+_DIFFERENCE = 1e-5  # of a fixed variable's typical size
 
 
 @dataclass(frozen=True)
@@ -43,54 +44,123 @@ def response(
         y: (num_unknowns,).
         unknowns: (m,) indices into y; those at an active bound do not move.
     """
-    ny, ng = problem.num_unknowns, problem.num_constraints
-    free = np.flatnonzero(
-        np.minimum(y - problem.y_lower, problem.y_upper - y) > _ACTIVE
-    )
-    g = problem.constraints(y)
-    slack = np.minimum(g - problem.g_lower, problem.g_upper - g)
-    held = np.flatnonzero(slack < _ACTIVE)
-    H = _hessian(problem, y)[free][:, free]
-    rows, columns = problem.jacobian_structure
-    A = sp.csr_array((problem.jacobian(y), (rows, columns)), shape=(ng, ny))
-    A = A[held][:, free]
-    K = sp.block_array(
-        [
-            [H + _REGULAR * sp.eye_array(len(free)), A.T],
-            [A, -_REGULAR * sp.eye_array(len(held))],
-        ],
-        format="csc",
-    )
-    place = np.full(ny, -1)
+    optimum = Optimum(problem, y, unknowns)
+    free, held = optimum.free, optimum.held
+    place = np.full(problem.num_unknowns, -1)
     place[free] = np.arange(len(free))
     moving = np.flatnonzero(place[unknowns] >= 0)
-    Z = _columns_of_inverse(K, place[unknowns[moving]]).T
-    by_gradient = np.zeros((len(unknowns), ny))
-    by_bounds = np.zeros((len(unknowns), ng))
+    unit = np.zeros((len(free) + len(held), len(moving)))
+    unit[place[unknowns[moving]], np.arange(len(moving))] = 1.0
+    Z = optimum.solve(unit).T
+    by_gradient = np.zeros((len(unknowns), problem.num_unknowns))
+    by_bounds = np.zeros((len(unknowns), problem.num_constraints))
     by_gradient[np.ix_(moving, free)] = -Z[:, : len(free)]
     by_bounds[np.ix_(moving, held)] = Z[:, len(free) :]
     return Response(by_gradient, by_bounds)
 
 
-def _columns_of_inverse(K: sp.csc_array, index: np.ndarray) -> np.ndarray:
-    """Columns (n, m) of the inverse of a symmetric K.
+class Optimum:
+    """The conditions of an optimum, linearised and factorised.
 
-    The unknowns asked for touch everything; without them K is banded in time,
-    and they follow from the Schur complement.
+    Args:
+        problem: that y solves.
+        y: (num_unknowns,).
+        border: unknowns that touch everything; without them the system is
+            banded in time, and they follow from the Schur complement.
+
+    Attributes:
+        free: unknowns that are not at a bound.
+        held: constraints that are equations or at a bound.
     """
-    rest = np.setdiff1d(np.arange(K.shape[0]), index)
-    inner = K[rest][:, rest].tocsc()
-    order = csgraph.reverse_cuthill_mckee(inner, symmetric_mode=True)
-    banded = inner[order][:, order].tocsc()
-    factor = sp.linalg.splu(banded, permc_spec="NATURAL")
-    border = K[rest][:, index].toarray()
-    X = np.empty_like(border)
-    X[order] = factor.solve(border[order])
-    schur = K[index][:, index].toarray() - border.T @ X
-    columns = np.empty((K.shape[0], len(index)))
-    columns[index] = np.linalg.inv(schur)
-    columns[rest] = -X @ columns[index]
-    return columns
+
+    def __init__(
+        self, problem: SparseProgram, y: np.ndarray, border: np.ndarray
+    ):
+        self._problem, self._y = problem, y
+        self.free = free = np.flatnonzero(
+            np.minimum(y - problem.y_lower, problem.y_upper - y) > _ACTIVE
+        )
+        g = problem.constraints(y)
+        slack = np.minimum(g - problem.g_lower, problem.g_upper - g)
+        self.held = held = np.flatnonzero(slack < _ACTIVE)
+        H = _hessian(problem, y)[free][:, free]
+        A = _jacobian(problem, y)[held][:, free]
+        K = sp.block_array(
+            [
+                [H + _REGULAR * sp.eye_array(len(free)), A.T],
+                [A, -_REGULAR * sp.eye_array(len(held))],
+            ],
+            format="csc",
+        )
+        index = self._index = np.flatnonzero(np.isin(free, border))
+        rest = self._rest = np.setdiff1d(np.arange(K.shape[0]), index)
+        inner = K[rest][:, rest].tocsc()
+        self._order = csgraph.reverse_cuthill_mckee(inner, symmetric_mode=True)
+        banded = inner[self._order][:, self._order].tocsc()
+        self._factor = sp.linalg.splu(banded, permc_spec="NATURAL")
+        self._border = K[rest][:, index].toarray()
+        self._X = self._banded(self._border)
+        schur = K[index][:, index].toarray() - self._border.T @ self._X
+        self._schur = np.linalg.inv(schur)
+
+    def _banded(self, b: np.ndarray) -> np.ndarray:
+        x = np.empty_like(b)
+        x[self._order] = self._factor.solve(b[self._order])
+        return x
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """Solutions (n, k) for right-hand sides of free and held rows."""
+        x = np.empty_like(b)
+        inner = self._banded(b[self._rest])
+        x[self._index] = self._schur @ (b[self._index] - self._border.T @ inner)
+        x[self._rest] = inner - self._X @ x[self._index]
+        return x
+
+    def _moved(self, b: np.ndarray) -> np.ndarray:
+        """Changes (num_unknowns, k) of the unknowns."""
+        dy = np.zeros((len(self._y), b.shape[1]))
+        dy[self.free] = self.solve(b)[: len(self.free)]
+        return dy
+
+    def by_gradient(self, change: np.ndarray) -> np.ndarray:
+        """Changes of y by changes (num_unknowns, k) of the cost's gradient."""
+        none = np.zeros((len(self.held), change.shape[1]))
+        return self._moved(np.vstack([-change[self.free], none]))
+
+    def by_fixed(self, variables: np.ndarray) -> np.ndarray:
+        """Changes (num_unknowns, k) of y if fixed program variables move by 1.
+
+        The conditions of the optimum are differenced with its multipliers.
+        """
+        problem, y, size = self._problem, self._y, len(self.free)
+        unit = problem.unknowns.scale[variables]
+        start = np.concatenate(
+            [-problem.gradient(y)[self.free], np.zeros(len(self.held))]
+        )
+        multipliers = self.solve(start[:, None])[size:, 0]
+
+        def conditions(variable: int, step: float) -> np.ndarray:
+            problem.move_fixed(variable, step)
+            A = _jacobian(problem, y)[self.held]
+            slope = problem.gradient(y) + A.T @ multipliers
+            value = problem.constraints(y)[self.held]
+            problem.move_fixed(variable, -step)
+            return np.concatenate([slope[self.free], value])
+
+        change = np.empty((len(start), len(variables)))
+        for k, variable in enumerate(variables):
+            step = _DIFFERENCE * unit[k]
+            change[:, k] = (
+                conditions(variable, step) - conditions(variable, -step)
+            ) / (2.0 * step)
+        return self._moved(-change)
+
+
+def _jacobian(problem: SparseProgram, y: np.ndarray) -> sp.csr_array:
+    shape = (problem.num_constraints, problem.num_unknowns)
+    return sp.csr_array(
+        (problem.jacobian(y), problem.jacobian_structure), shape
+    )
 
 
 def _hessian(problem: SparseProgram, y: np.ndarray) -> sp.csr_array:

@@ -87,6 +87,11 @@ class SparseProgram:
         """See Unknowns."""
         return self.unknowns.restrict(x)
 
+    def move_fixed(self, variable: int, step: float) -> None:
+        """Move a fixed program variable; y stays."""
+        self.unknowns.offset[variable] += step
+        self._cache.clear()
+
     # -- what is in the problem -------------------------------------------
 
     def _collect_costs(self):
