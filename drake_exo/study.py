@@ -7,7 +7,7 @@ Nothing below imports this module; the commands call exactly this.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
+from drake_exo.calibration.bands import Bands, bands
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
@@ -35,8 +36,17 @@ from drake_exo.calibration.settings import (
     PredictionSettings,
 )
 from drake_exo.calibration.solving import solve
-from drake_exo.calibration.uncertainty import Uncertainty, uncertainty
-from drake_exo.contact.parameters import ContactModel, ContactParameter
+from drake_exo.calibration.uncertainty import (
+    Uncertainty,
+    posterior,
+    uncertainty,
+)
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactParameter,
+    Posterior,
+    nominal_contact,
+)
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files import schema
 from drake_exo.files.output import Progress, write_json
@@ -228,7 +238,16 @@ class Calibration:
         until `solution.unseal()`.
         """
         self.solution.check()
-        return self.result.contact
+        if self.posterior is None:
+            return self.result.contact
+        return replace(self.result.contact, posterior=self.posterior)
+
+    @cached_property
+    def posterior(self) -> Posterior | None:
+        """How sure Phase B is of parameters and of errors of measurement."""
+        if self.phase == "foot-ground":
+            return None
+        return posterior(self.result)
 
     @property
     def trials(self) -> list[Trial]:
@@ -314,7 +333,7 @@ class Calibration:
             if self.success:
                 summary["audit"] = [a.summary() for a in self.audit()]
         write_inputs(folder, self.study.model, found.problem.trials)
-        write_contact(folder, found.contact)
+        write_contact(folder, self.contact if self.success else found.contact)
         for trial in found.trials:
             write_trial(folder, trial)
         text = rmsd_table(summary["rmsd"], summary["measured_sd"])
@@ -374,6 +393,11 @@ class Prediction(Trial):
     def audit(self) -> Audit:
         """Whether it holds between its nodes, and simulates."""
         return audit_all([self.result])[0]
+
+    def bands(self) -> Bands | None:
+        """Bands of 95 %; None where no calibration says how sure it is."""
+        self.solution.check()
+        return bands(self.result)
 
     def plot(self, measured: Trial | None = None) -> Figure:
         """Joint angles and velocities, beside the measured ones."""
@@ -503,6 +527,16 @@ def predict(
     (found,) = result.trials
     own = {f.name: getattr(found, f.name) for f in fields(found)}
     return Prediction(**own, result=result)
+
+
+def uncalibrated(model: Model, contact: Calibration | ContactModel):
+    """The same foot-ground contact with nominal cuffs: what to compare with.
+
+    Returns:
+        A ContactModel.
+    """
+    nominal = nominal_contact(model).bushings
+    return ContactModel(contact_of(contact).ground, nominal)
 
 
 def contact_of(contact: Calibration | ContactModel) -> ContactModel:

@@ -30,25 +30,52 @@ class Bands:
         q, v: (n, nq), units as the trial's.
         cuffs: cuff -> (n, 3) tangential, normal [N], moment [N m].
         mats: cuff -> (n,) of what its mats would show [N].
+        seen_q, seen_v: (n, nq) of what markers and encoders would show.
     """
 
     q: np.ndarray
     v: np.ndarray
     cuffs: dict[str, np.ndarray]
     mats: dict[str, np.ndarray]
+    seen_q: np.ndarray
+    seen_v: np.ndarray
 
-    def coverage(self, found: Trial, measured: Trial) -> dict[str, float]:
-        """Share of samples of each mat within the band around a prediction."""
-        at = measured.sample(found.times)
+    def coverage(self, found: Trial, measured: Trial) -> dict:
+        """Share of measured samples within the bands around a prediction.
+
+        Args:
+            found: that the bands are of.
+            measured: the same trial.
+
+        Returns:
+            trial; angles_deg and velocities_deg_s by joint, interaction_n
+            (normal force) by cuff that has mats; and half_width_n, the mean
+            half width of each such band.
+        """
+        at, names = measured.sample(found.times), found.coordinates
+
+        def share(off, width) -> float:
+            return float(np.mean(np.abs(off) <= width))
+
+        joints = [(n, names.index(n)) for n in names.joints]
+        cuffs = [c for c in self.mats if c in at.cuffs]
         return {
-            cuff: float(
-                np.mean(
-                    np.abs(at.cuffs[cuff].normal - found.cuffs[cuff].normal)
-                    <= width
+            "trial": found.name,
+            "angles_deg": {
+                n: share(at.q[:, k] - found.q[:, k], self.seen_q[:, k])
+                for n, k in joints
+            },
+            "velocities_deg_s": {
+                n: share(at.v[:, k] - found.v[:, k], self.seen_v[:, k])
+                for n, k in joints
+            },
+            "interaction_n": {
+                c: share(
+                    at.cuffs[c].normal - found.cuffs[c].normal, self.mats[c]
                 )
-            )
-            for cuff, width in self.mats.items()
-            if cuff in at.cuffs
+                for c in cuffs
+            },
+            "half_width_n": {c: float(self.mats[c].mean()) for c in cuffs},
         }
 
 
@@ -112,9 +139,19 @@ def bands(result: PhaseResult) -> Bands | None:
                 problem, cuff, sd[:, NORMAL], force[:, NORMAL]
             )
     grid = movement.grid
-    return Bands(
-        QUANTILE_95 * spread(grid.q), QUANTILE_95 * spread(grid.v), cuffs, mats
-    )
+    sd = [spread(grid.q), spread(grid.v)]
+    effects = problem.errors.effects(problem.trials[0].sample(grid.times))
+    ends = movement.tracked[:2]
+    seen = [
+        np.sqrt(
+            own**2
+            + term.sigma[0] ** 2
+            + np.einsum("nqa,ab,nqb->nq", by, prior, by, optimize=True)
+        )
+        for own, term, by in zip(sd, ends, (effects.q, effects.v), strict=True)
+    ]
+    q, v, seen_q, seen_v = (QUANTILE_95 * x for x in (*sd, *seen))
+    return Bands(q, v, cuffs, mats, seen_q, seen_v)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

@@ -52,7 +52,7 @@ class ErrorSizes:
     skin: float = _sd(0.03, "rad/rad")
     skin_bend: float = _sd(0.015, "rad/rad^2")
     encoder_offset_deg: float = _sd(2.0, "deg")
-    mat_share: float = _sd(0.1, "1")
+    mat_share: float = _sd(0.05, "1")
     mat_offset_n: float = _sd(3.0, "N")
     friction: float = _sd(0.4, "1")
     encoder_clock_s: float = _sd(0.02, "s")

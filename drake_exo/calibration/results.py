@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from drake_exo.calibration.bands import Bands
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.scores import rmsd, spread
 from drake_exo.calibration.settings import FootGroundSettings
@@ -21,6 +22,7 @@ from drake_exo.contact.parameters import (
     ContactModel,
     ContactSphere,
     GroundContact,
+    Posterior,
 )
 from drake_exo.errors import InputError
 from drake_exo.files import schema
@@ -58,6 +60,31 @@ def read_model(folder: Path) -> Model:
 
 
 @dataclass(frozen=True)
+class _StoredPosterior:
+    """A `Posterior` as `parameters.json` holds it.
+
+    Attributes:
+        names: of contact parameters and errors of measurement.
+        values: of each, in SI units.
+        covariance: (m, m).
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    def read(self) -> Posterior:
+        """Raises InputError if it is no covariance."""
+        m = len(self.names)
+        if [len(self.values), *map(len, self.covariance)] != [m] * (m + 1):
+            raise InputError("posterior: sizes of its parts differ")
+        covariance = np.array(self.covariance).reshape(m, m)
+        if m and np.linalg.eigvalsh(covariance).min() <= 0.0:
+            raise InputError("posterior: the covariance is not positive")
+        return Posterior(self.names, np.array(self.values), covariance)
+
+
+@dataclass(frozen=True)
 class _Stored:
     """A `ContactModel` as `parameters.json` holds it.
 
@@ -69,6 +96,7 @@ class _Stored:
         damping: cuff -> tangential, normal, rotational damping; empty after
             Phase A.
         preload: cuff -> x, z, angle of its preload; of cuffs that have one.
+        posterior: how sure a calibration was; None where none was.
     """
 
     law: Literal["simbody", "paper"]
@@ -77,6 +105,7 @@ class _Stored:
     units: dict[str, str]
     damping: dict[str, tuple[float, float, float]]
     preload: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    posterior: _StoredPosterior | None = None
 
     def __post_init__(self):
         settings = FootGroundSettings(self.law, self.constants)
@@ -101,7 +130,13 @@ class _Stored:
         }
         contact = GroundContact(self.law, ground, settings.law_constants())
         object.__setattr__(
-            self, "contact", ContactModel(contact.checked(), bushings)
+            self,
+            "contact",
+            ContactModel(
+                contact.checked(),
+                bushings,
+                self.posterior and self.posterior.read(),
+            ),
         )
 
     def _groups(self, names) -> dict[str, None]:
@@ -135,6 +170,8 @@ def write_contact(folder: Path, contact: ContactModel) -> None:
     }
     if preload:
         stored["preload"] = preload
+    if contact.posterior is not None:
+        stored["posterior"] = asdict(contact.posterior)
     write_json(folder / PARAMETERS, stored)
 
 
@@ -243,6 +280,30 @@ def write_trial(folder: Path, trial: Trial) -> None:
         table = Table(trial.times, tuple(columns), values, in_degrees=False)
         write_table(folder / f"{trial.name}_{kind}.sto", table, title)
     trial.save(folder / f"solution_{trial.name}")
+
+
+def write_bands(folder: Path, trial: Trial, found: Bands) -> None:
+    """Lower and upper ends of 95 % bands as a table that OpenSim reads."""
+    names = trial.coordinates
+    unit = np.where(names.is_angle, np.rad2deg(1.0), 1.0)
+    columns: list[str] = []
+    values: list[np.ndarray] = []
+
+    def add(name, middle, width):
+        columns.extend((f"{name}_lower", f"{name}_upper"))
+        values.extend((middle - width, middle + width))
+
+    for k, name in enumerate(names.names):
+        add(name, unit[k] * trial.q[:, k], unit[k] * found.q[:, k])
+        add(f"{name}_speed", unit[k] * trial.v[:, k], unit[k] * found.v[:, k])
+    for cuff, width in found.cuffs.items():
+        force = trial.cuffs[cuff].components
+        for i, component in enumerate(COMPONENTS):
+            add(f"{cuff}_{component}", force[:, i], width[:, i])
+    table = Table(
+        trial.times, tuple(columns), np.column_stack(values), in_degrees=True
+    )
+    write_table(folder / f"{trial.name}_bands.sto", table, "Bands of 95 %")
 
 
 def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:

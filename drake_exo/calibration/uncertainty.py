@@ -100,7 +100,7 @@ def uncertainty(
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
-    found = response(program, y, columns)
+    found = response(program, y, columns, _border(problem))
     found = Response(
         unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
     )
@@ -144,30 +144,32 @@ def posterior(result: PhaseResult) -> Posterior:
     free = [k for k, p in enumerate(problem.parameters) if p.free]
     names = [problem.parameters[k].name for k in free]
     variables = problem.parameter_variables[free]
-    shared = len(names)
     if problem.error_variables is not None:
-        # Those of single trials, too: what touches every node of a trial is
-        # kept out of the part that is banded in time.
-        unknowns = problem.errors.unknowns
-        order = sorted(
-            range(len(unknowns)), key=lambda k: bool(unknowns[k].trial)
-        )
-        names += [unknowns[k].name for k in order]
-        shared += sum(not u.trial for u in unknowns)
-        variables = np.r_[variables, problem.error_variables[order]]
+        shared = [
+            k for k, u in enumerate(problem.errors.unknowns) if not u.trial
+        ]
+        names += [problem.errors.names[k] for k in shared]
+        variables = np.r_[variables, problem.error_variables[shared]]
     program = problem.compiled
     x = result.solution.raw_values()
     y = program.restrict(x)
     index = problem.program.indices(variables)
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
-    found = response(program, y, columns).by_gradient[:, columns]
-    covariance = -unit[:, None] * found * unit
-    return Posterior(
-        tuple(names[:shared]),
-        x[index][:shared],
-        covariance[:shared, :shared],
-    )
+    found = response(program, y, columns, _border(problem)).by_gradient
+    covariance = -unit[:, None] * found[:, columns] * unit
+    return Posterior(tuple(names), x[index], covariance)
+
+
+def _border(problem: PhaseProblem) -> np.ndarray:
+    """Unknowns that touch all nodes of a trial: parameters and errors."""
+    variables = problem.parameter_variables[
+        [p.free for p in problem.parameters]
+    ]
+    if problem.error_variables is not None:
+        variables = np.r_[variables, problem.error_variables]
+    index = problem.program.indices(variables)
+    return problem.compiled.unknowns.column_of(index)
 
 
 def _noise(

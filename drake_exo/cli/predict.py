@@ -16,6 +16,7 @@ from pydrake.systems.framework import System
 from drake_exo.calibration.results import (
     read_contact,
     solve_summary,
+    write_bands,
     write_contact,
     write_trial,
 )
@@ -32,6 +33,7 @@ from drake_exo.study import (
     audit_all,
     predict,
     read_study,
+    uncalibrated,
     write_inputs,
 )
 
@@ -123,20 +125,19 @@ def write_predictions(
     write_inputs(out, study.model, trials)
     write_contact(out, contact)
     found: list[Prediction] = []
+    baseline: list[Prediction] = []
+    usual = uncalibrated(study.model, contact)
+    how = {"scale_interaction": scale_interaction, "controller": controller}
     code = 0
     for trial in trials:
         folder = out / f"unfinished_{trial.name}"
         folder.mkdir(exist_ok=True)
         prediction = predict(
-            study,
-            trial,
-            contact,
-            scale_interaction=scale_interaction,
-            controller=controller,
-            folder=folder,
-            resume=resume,
+            study, trial, contact, folder=folder, resume=resume, **how
         )
         found.append(prediction)
+        if prediction.success and study.model.cuffs:
+            baseline.append(predict(study, trial, usual, **how))
         if prediction.success:
             folder.rmdir()
             continue
@@ -150,8 +151,18 @@ def write_predictions(
         **_summary(study, found, trials),
     }
     good = [(p, t) for p, t in zip(found, trials, strict=False) if p.success]
+    bands = [p.bands() for p, _ in good]
+    summary["rmsd_uncalibrated"] = [
+        usual.rmsd(t) if usual.success else None
+        for usual, (_, t) in zip(baseline, good, strict=False)
+    ]
+    summary["band_coverage"] = [
+        band.coverage(p, t)
+        for band, (p, t) in zip(bands, good, strict=True)
+        if band is not None
+    ]
     if good:
-        _write(out, good, summary)
+        _write(out, good, baseline, bands, summary)
         audits = audit_all([p.result for p, _ in good])
         summary["audit"] = [audit.summary() for audit in audits]
         print(audit_table(summary["audit"]))
@@ -243,11 +254,18 @@ def _summary(study: Study, found: list[Prediction], trials) -> dict:
     }
 
 
-def _write(out: Path, good: list[tuple], summary: dict) -> None:
+def _write(
+    out: Path, good: list[tuple], baseline, bands, summary: dict
+) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
-    for prediction, _ in good:
+    for (prediction, _), band in zip(good, bands, strict=True):
         write_trial(out, prediction)
+        if band is not None:
+            write_bands(out, prediction, band)
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
+    usual = [r for r in summary["rmsd_uncalibrated"] if r is not None]
+    if usual:
+        text += "\n\nthe same with uncalibrated cuffs\n" + rmsd_table(usual)
     text += f"\nmovements start from {summary['starts_from']}"
     (out / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
     print(text)
@@ -262,4 +280,10 @@ def _write(out: Path, good: list[tuple], summary: dict) -> None:
         for s in summary["solves"]
     ]
     print(format_table(["trial", "iterations", "build s", "solve s", ""], rows))
-    draw_figures(out, [p for p, _ in good], [t for _, t in good])
+    draw_figures(
+        out,
+        [p for p, _ in good],
+        [t for _, t in good],
+        [p if p.success else None for p in baseline],
+        bands,
+    )

@@ -35,7 +35,10 @@ class Response:
 
 
 def response(
-    problem: SparseProgram, y: np.ndarray, unknowns: np.ndarray
+    problem: SparseProgram,
+    y: np.ndarray,
+    unknowns: np.ndarray,
+    border: np.ndarray | None = None,
 ) -> Response:
     """Response of unknowns at an optimum y.
 
@@ -43,8 +46,10 @@ def response(
         problem: that y solves.
         y: (num_unknowns,).
         unknowns: (m,) indices into y; those at an active bound do not move.
+        border: all unknowns that touch everything, see `Optimum`; those
+            asked for by default.
     """
-    optimum = Optimum(problem, y, unknowns)
+    optimum = Optimum(problem, y, unknowns if border is None else border)
     free, held = optimum.free, optimum.held
     place = np.full(problem.num_unknowns, -1)
     place[free] = np.arange(len(free))

@@ -11,6 +11,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from drake_exo.calibration.bands import Bands
+from drake_exo.contact.bushing import NORMAL
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 
@@ -34,21 +36,31 @@ _STYLE = {
 
 
 def draw_figures(
-    folder: Path, found: Sequence[Trial], measured: Sequence[Trial]
+    folder: Path,
+    found: Sequence[Trial],
+    measured: Sequence[Trial],
+    uncalibrated: Sequence[Trial | None] = (),
+    bands: Sequence[Bands | None] = (),
 ) -> None:
     """Figures of one phase into a folder, as far as there are signals."""
-    for name, figure in plot_trials(found, measured).items():
+    figures = plot_trials(found, measured, uncalibrated, bands)
+    for name, figure in figures.items():
         save_figure(folder / f"{name}.png", figure)
 
 
 def plot_trials(
-    found: Sequence[Trial], measured: Sequence[Trial]
+    found: Sequence[Trial],
+    measured: Sequence[Trial],
+    uncalibrated: Sequence[Trial | None] = (),
+    bands: Sequence[Bands | None] = (),
 ) -> dict[str, Figure]:
     """All figures of some solved trials beside what was measured.
 
     Args:
         found: solved trials.
         measured: the same trials in the same order.
+        uncalibrated: the same as predicted with nominal cuffs, if at all.
+        bands: around `found`, if there are any.
 
     Returns:
         "ground_reaction", "kinematics" and, where there are such signals,
@@ -59,13 +71,15 @@ def plot_trials(
     >>> list(plot_trials(trials, trials))
     ['ground_reaction', 'kinematics']
     """
-    runs = {"model": found}
+    runs: Runs = {"model": found}
+    if any(t is not None for t in uncalibrated):
+        runs = {"calibrated": found, "uncalibrated": uncalibrated}
     drawn = {
         "ground_reaction": ground_reaction_figure(runs, measured),
         "kinematics": kinematics_figure(runs, measured),
     }
     if found[0].cuffs:
-        drawn["interaction"] = interaction_figure(runs, measured)
+        drawn["interaction"] = interaction_figure(runs, measured, bands)
     if measured[0].moments is not None:
         drawn["moments"] = moments_figure(runs, measured)
     return drawn
@@ -103,15 +117,40 @@ def kinematics_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     return _drawn(runs, trials, rows, height=1.35)
 
 
-def interaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
-    """Normal force of each cuff on the human (Figs. 4, 7)."""
+def interaction_figure(
+    runs: Runs, trials: Sequence[Trial], bands: Sequence[Bands | None] = ()
+) -> Figure:
+    """Normal force of each cuff on the human (Figs. 4, 7).
+
+    Args:
+        runs: label -> solved trials.
+        trials: as measured.
+        bands: around those of the first run, if there are any.
+    """
     found = next(t for run in runs.values() for t in run if t is not None)
 
     def signal(cuff):
         return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
 
     rows = [(f"{cuff} [N]", signal(cuff)) for cuff in found.cuffs]
-    return _drawn(runs, trials, rows)
+    figure = _drawn(runs, trials, rows)
+    first = next(iter(runs.values()))
+    axes = np.reshape(figure.axes, (len(rows), len(trials)))
+    for column, (trial, band) in enumerate(zip(first, bands, strict=False)):
+        if band is None or trial is None:
+            continue
+        for ax, cuff in zip(axes[:, column], found.cuffs, strict=True):
+            middle = trial.cuffs[cuff].normal
+            width = band.cuffs[cuff][:, NORMAL]
+            ax.fill_between(
+                trial.times,
+                middle - width,
+                middle + width,
+                color=_SEVERAL[0] if len(runs) > 1 else _ONE[0],
+                alpha=0.15,
+                lw=0.0,
+            )
+    return figure
 
 
 def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
