@@ -24,7 +24,7 @@ from drake_exo.virtual_laboratory.synthetic import (
 
 def coverage(made: RisesInDevice, seeds: int) -> list[dict]:
     """One row for each parameter: share of seeds whose interval holds it."""
-    settings = made.settings(noise=INSTRUMENT_NOISE)
+    settings = made.settings(noise=INSTRUMENT_NOISE, prior_weight=0.01)
     settings = replace(
         settings, solver=replace(settings.solver, tolerance=1e-5)
     )

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
@@ -308,9 +309,9 @@ class Calibration:
             rows = {row["name"]: row for row in summary["parameters"]}
             for k, name in enumerate(found.names):
                 rows[name] |= {
-                    "sd": found.sd[k],
+                    "sd": _known(found.sd[k]),
                     "pull": found.pull[k],
-                    "half_width_95": found.half_width[k],
+                    "half_width_95": _known(found.half_width[k]),
                     "identifiable": bool(found.identifiable[k]),
                 }
         return summary
@@ -542,6 +543,10 @@ def uncalibrated(model: Model, contact: Calibration | ContactModel):
 def contact_of(contact: Calibration | ContactModel) -> ContactModel:
     """The contact itself, of a calibration or as it is."""
     return contact.contact if isinstance(contact, Calibration) else contact
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def audit_all(results: Sequence[PhaseResult]) -> list[Audit]:

@@ -8,7 +8,7 @@ what it does to a signal is correlated as it is in truth.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -57,6 +57,10 @@ class ErrorSizes:
     friction: float = _sd(0.4, "1")
     encoder_clock_s: float = _sd(0.02, "s")
     mat_clock_s: float = _sd(0.02, "s")
+
+
+# Of instruments that are perfect but for noise.
+NO_ERRORS = ErrorSizes(*[0.0] * len(fields(ErrorSizes)))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    fix_ends,
     ground_terms,
     kinematic_terms,
 )
@@ -57,7 +56,7 @@ class FootGroundCalibration(PhaseProblem):
         movement = self._movement(trial)
         at = trial.sample(movement.grid.times)
         noise = self.settings.noise
-        fix_ends(movement, at, self.settings.end_tolerance)
+        self._hold_ends(movement, at)
         movement.add_tracking_cost(
             [
                 *kinematic_terms(movement, at, noise),

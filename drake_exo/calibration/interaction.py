@@ -12,7 +12,6 @@ from dataclasses import replace
 from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    bound_foot,
     ground_terms,
     kinematic_terms,
     normal_force_terms,
@@ -70,8 +69,7 @@ class InteractionCalibration(PhaseProblem):
         movement = self._movement(trial)
         at = trial.sample(movement.grid.times)
         noise, effects = self.settings.noise, self._effects(at)
-        # Ends are measured like the rest: given, they would bend parameters.
-        bound_foot(movement, at, self.settings.end_tolerance)
+        self._hold_ends(movement, at)
         movement.add_tracking_cost(
             [
                 *kinematic_terms(movement, at, noise, effects),

@@ -18,7 +18,6 @@ from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.interaction import EVERY
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    bound_foot,
     ground_terms,
     kinematic_terms,
     torque_terms,
@@ -92,14 +91,15 @@ class PredictionProblem(PhaseProblem):
         at = trial.sample(movement.grid.times)
         settings, noise = self.settings, self.settings.noise
         effects = self._effects(at)
-        bound_foot(movement, at, settings.end_tolerance)
-        at_ends = np.zeros(len(at.times))
-        at_ends[[0, -1]] = END_WEIGHT_S
-        movement.add_tracking_cost(
-            kinematic_terms(movement, at, noise, effects),
-            self.error_variables,
-            at_ends,
-        )
+        self._hold_ends(movement, at)
+        if effects is not None:
+            at_ends = np.zeros(len(at.times))
+            at_ends[[0, -1]] = END_WEIGHT_S
+            movement.add_tracking_cost(
+                kinematic_terms(movement, at, noise, effects),
+                self.error_variables,
+                at_ends,
+            )
         limit = np.full(movement.torque.size, settings.torque_limit_nm)
         movement.bound(movement.torque.ravel(), -limit, limit)
         if settings.objective == "tracking":

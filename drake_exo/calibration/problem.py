@@ -31,6 +31,9 @@ from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
 
+# Bounds that no sound end state reaches [rad, rad/s].
+_END_REACH = 0.3
+
 
 @dataclass(frozen=True)
 class PhaseResult:
@@ -147,6 +150,11 @@ class PhaseProblem(ABC):
         known = list(self.contact.values())
         every = np.concatenate(list(self._variables.values()))
         return every[[known.index(name) for name in names]]
+
+    def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
+        """Ends as measured; near it where what goes wrong is estimated."""
+        reach = 0.0 if self.error_variables is None else _END_REACH
+        hold_ends(movement, at, self.settings.end_tolerance, reach)
 
     @property
     def _sphere_variables(self) -> np.ndarray:
@@ -436,14 +444,28 @@ def _chair(tree, trial: Trial) -> AppliedWrench | None:
     return AppliedWrench(tree, shares, trial.times, trial.chair.array)
 
 
-def fix_ends(
-    movement: TrialProgram, at: Trial, tolerance: EndTolerance
+def hold_ends(
+    movement: TrialProgram,
+    at: Trial,
+    tolerance: EndTolerance,
+    joints_rad: float,
 ) -> None:
-    """Give initial and final states; the foot within a tolerance (II-C)."""
+    """Give initial and final states; the foot within a tolerance (II-C).
+
+    Args:
+        movement: the trial.
+        at: measured values at the nodes.
+        tolerance: of the foot.
+        joints_rad: how far angles may be from what was measured, and rates
+            from what that is in a second; 0 to give them as they are.
+    """
     grid, joints = movement.grid, movement.coordinates.joint_columns
     for i in (0, -1):
-        movement.bound(grid.q[i, joints], at.q[i, joints], at.q[i, joints])
-        movement.bound(grid.v[i, joints], at.v[i, joints], at.v[i, joints])
+        for variables, values in ((grid.q, at.q), (grid.v, at.v)):
+            given = values[i, joints]
+            movement.bound(
+                variables[i, joints], given - joints_rad, given + joints_rad
+            )
     bound_foot(movement, at, tolerance)
 
 

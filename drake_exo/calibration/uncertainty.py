@@ -32,8 +32,9 @@ from drake_exo.nlp.sensitivity import Response, response
 from drake_exo.nlp.sparse import SparseProgram
 
 _QUANTILE_95 = 1.959964
-# A parameter is identifiable if noise leaves less than this of its range.
-_IDENTIFIABLE = 0.1
+# A parameter is identifiable if the data leave less than this of its prior's
+# standard deviation; without a prior, of a quarter of its range.
+_IDENTIFIABLE = 0.5
 _FREQUENCIES_PER_CYCLE = 4  # resolution: a quarter of 1/duration
 _HIGHEST = 3.0  # of the cut-off frequency
 
@@ -46,18 +47,21 @@ class Uncertainty:
         names: (m,).
         covariance: (m, m), by noise and prior.
         pull: (m,) how far the terms that track nothing have moved each.
-        span: (m,) between the bounds.
+        prior_sd: (m,) what was known before.
+        at_bound: (m,) bool; of those nothing is told but that.
     """
 
     names: list[str]
     covariance: np.ndarray
     pull: np.ndarray
-    span: np.ndarray
+    prior_sd: np.ndarray
+    at_bound: np.ndarray
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard deviations (m,)."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        """Standard deviations (m,); NaN at a bound."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.where(self.at_bound, np.nan, sd)
 
     @property
     def half_width(self) -> np.ndarray:
@@ -66,13 +70,13 @@ class Uncertainty:
 
     @property
     def identifiable(self) -> np.ndarray:
-        """Whether noise leaves each within a tenth of its range (m,)."""
-        return self.sd < _IDENTIFIABLE * self.span
+        """Whether data tell each better than its prior did (m,)."""
+        return self.sd < _IDENTIFIABLE * self.prior_sd
 
     @property
     def correlation(self) -> np.ndarray:
         """(m, m)."""
-        sd = np.maximum(self.sd, 1e-300)
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return self.covariance / np.outer(sd, sd)
 
 
@@ -111,25 +115,26 @@ def uncertainty(
         for part in _noise(movement, program, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
     chosen = [problem.parameters[k] for k in free]
-    spans = np.array([p.span for p in chosen])
     x = result.solution.raw_values()[index]
-    by_prior = by_x[:, index] * [
-        _prior_slope(p, value) for p, value in zip(chosen, x, strict=True)
-    ]
+    prior = np.array(
+        [_prior_sd(p, value) for p, value in zip(chosen, x, strict=True)]
+    )
+    by_prior = by_x[:, index] / prior
     covariance += by_prior @ by_prior.T
     return Uncertainty(
         [problem.parameters[k].name for k in free],
         covariance,
         found.by_gradient @ _regulariser(problem, program, y),
-        spans,
+        np.minimum(prior, [p.span / 4.0 for p in chosen]),
+        np.array([p.at_bound(v) for p, v in zip(chosen, x, strict=True)]),
     )
 
 
-def _prior_slope(p: ContactParameter, value: float) -> float:
-    """Derivative of a prior's residual at a value."""
+def _prior_sd(p: ContactParameter, value: float) -> float:
+    """Standard deviation of a prior about a value, in the parameter's unit."""
     if p.prior_sd is None:
-        return 0.0
-    return 1.0 / (p.prior_sd * (value if p.log_prior else 1.0))
+        return np.inf
+    return p.prior_sd * (value if p.log_prior else 1.0)
 
 
 def posterior(result: PhaseResult) -> Posterior:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.prediction import PredictionProblem
@@ -299,12 +300,14 @@ class RisesInDevice:
     def settings(self, **changes) -> InteractionSettings:
         """Settings of Phase B on the grid of the data."""
         solver = Solver(self.nodes_per_second, tolerance=1e-6)
-        return replace(InteractionSettings(solver=solver), **changes)
+        usual = InteractionSettings(solver=solver, errors=NO_ERRORS)
+        return replace(usual, **changes)
 
     def exact_settings(self) -> InteractionSettings:
         """Phase B with regularisers towards zero: exact data and recovery."""
-        noise = InteractionNoise(energy_j=1e3, jerk=1e5)
-        return self.settings(noise=noise, prior_weight=1e-6)
+        noise = InteractionNoise(normal_force_n=0.5, energy_j=1e3, jerk=1e5)
+        solver = Solver(self.nodes_per_second, tolerance=1e-9)
+        return self.settings(noise=noise, prior_weight=1e-9, solver=solver)
 
     def calibration(
         self, settings: InteractionSettings, trials=None
@@ -321,12 +324,15 @@ class RisesInDevice:
         contact: ContactModel | None = None,
         controller=None,
     ) -> PredictionProblem:
-        """Phase C of one trial, with the true contact or another."""
+        """Phase C of one trial, with the true contact or another.
+
+        Instruments of these data are perfect, and settings say so.
+        """
         return PredictionProblem(
             self.model,
             [trial],
             contact or self.contact,
-            settings,
+            replace(settings, errors=NO_ERRORS),
             controller=controller,
         )
 

@@ -1,0 +1,260 @@
+"""How well calibrated cuffs predict people whom nobody tuned on.
+
+For each seed: a campaign of the virtual laboratory, Phases A and B from its
+files, and six movements predicted with calibrated cuffs, with nominal ones and,
+with --floor, with true ones and the calibration's own errors of measurement.
+Forces are compared with the truth: normal and tangential force of each cuff,
+root mean square over time, mean of the movements, then the largest; and, as
+the paper does, normal forces with the mats.
+
+    python benchmarks/seeds.py --seeds 1:40 [--truth wide] [--floor] [--json]
+
+Settings of the program were chosen on seeds 1 to 40.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+import drake_exo as dx
+from drake_exo.calibration.scores import rms
+from drake_exo.files.opensim import read_table
+from drake_exo.files.output import Progress, read_json
+from drake_exo.study import uncalibrated
+
+
+def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
+    """One row of the table."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(data or scratch) / str(seed)
+        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.redirect_stderr(io.StringIO()):
+            if not (folder / "study.yaml").is_file():
+                dx.write_campaign(folder, seed, truth=kind)
+            return _row(folder, seed, floor)
+
+
+def _row(folder: Path, seed: int, floor: bool) -> dict:
+    start = time.perf_counter()
+    study = dx.read_study(folder / "study.yaml")
+    first = dx.calibrate_foot_ground(study)
+    cuffs = dx.calibrate_interaction(study, contact=first)
+    row = {"seed": seed, "A": _solve(first), "B": _solve(cuffs)}
+    if not cuffs.success:
+        return row
+    row["at_bound"] = sum(p.at_bound(p.nominal) for p in cuffs.parameters)
+    row["free"] = sum(p.free for p in cuffs.parameters)
+    contacts = {
+        "calibrated": cuffs.contact,
+        "uncalibrated": uncalibrated(study.model, cuffs),
+    }
+    if floor:
+        contacts["floor"] = _true(folder, cuffs.contact)
+    trials = study.trials("prediction")
+    for name, contact in contacts.items():
+        found = [dx.predict(study, trial, contact) for trial in trials]
+        row[name] = _errors(folder, trials, found)
+        if name == "calibrated":
+            row["C1"] = [_solve(p) for p in found]
+            bands = [
+                (p, p.bands(), t) for p, t in zip(found, trials, strict=True)
+            ]
+            row["coverage"] = [b.coverage(p, t) for p, b, t in bands]
+    row["clocks"] = [_clocks(folder, t) for t in study.trials()]
+    row["seconds"] = time.perf_counter() - start
+    return row
+
+
+def _solve(found) -> dict:
+    s = found.solution
+    return {
+        "success": s.success,
+        "iterations": s.iterations,
+        "seconds": s.seconds["build"] + s.seconds["solve"],
+    }
+
+
+def _true(folder: Path, contact: dx.ContactModel) -> dx.ContactModel:
+    """True values of the cuffs in the place of calibrated ones."""
+    told = read_json(folder / "truth" / "truth.json", "")["parameters"]["cuffs"]
+    bushings = {}
+    for cuff, own in contact.bushings.items():
+        values = dict(told[cuff]["bushing"])
+        values |= {
+            k: v for k, v in vars(own).items() if k.startswith("preload")
+        }
+        bushings[cuff] = replace(own, **values)
+    return replace(contact, bushings=bushings)
+
+
+def _errors(folder: Path, trials, found) -> dict:
+    """Of the six movements together."""
+    good = [(t, f) for t, f in zip(trials, found, strict=True) if f.success]
+    if len(good) < len(trials):
+        return {"solved": len(good)}
+    force, angles, rates, mats = [], [], [], []
+    for trial, f in good:
+        truth = read_table(folder / "truth" / f"{trial.name}.sto")
+        at = trial.start_s + f.times
+
+        def true(name, truth=truth, at=at):
+            return np.interp(at, truth.time, truth.column(name))
+
+        force.append(
+            {
+                f"{cuff}_{what}": float(rms(x - true(f"{cuff}_{what}")))
+                for cuff, c in f.cuffs.items()
+                for what, x in (
+                    ("normal", c.normal),
+                    ("tangential", c.tangential),
+                )
+            }
+        )
+        for joint in f.coordinates.joints:
+            angles.append(rms(f.coordinate(joint) - true(joint)))
+            rates.append(rms(f.velocity(joint) - true(f"{joint}_speed")))
+        mats.append(f.rmsd(trial)["interaction_n"])
+    parts = {k: float(np.mean([row[k] for row in force])) for k in force[0]}
+    seen = {
+        cuff: float(np.mean([m[cuff] for m in mats if cuff in m]))
+        for cuff in dict.fromkeys(c for m in mats for c in m)
+    }
+    return {
+        "solved": len(good),
+        "interaction_n": max(parts.values()),
+        "parts_n": parts,
+        "mats_n": seen,
+        "angle_deg": float(np.rad2deg(max(angles))),
+        "velocity_deg_s": float(np.rad2deg(max(rates))),
+    }
+
+
+def _clocks(folder: Path, trial) -> dict:
+    """What was left of the lags of the device's and the mats' clock [s]."""
+    true = read_json(folder / "truth" / f"{trial.name}_clocks.json", "")
+    lags, said = trial.provenance["delays_s"], trial.provenance["clocks"]
+    return {
+        name: {
+            "error_s": lags[name] - true[key],
+            "unsure": "unsure" in said.get(name, ""),
+        }
+        for name, key in (("encoders", "device"), ("pressure", "mats"))
+    }
+
+
+def summary(rows: list[dict]) -> dict:
+    """Medians, worst and shares of all rows that were solved."""
+    good = [
+        r
+        for r in rows
+        if "interaction_n" in r.get("calibrated", {})
+        and "interaction_n" in r["uncalibrated"]
+    ]
+    if not good:
+        return {"seeds": len(rows), "solved": 0}
+
+    def column(name: str, key: str) -> np.ndarray:
+        return np.array([r[name][key] for r in good])
+
+    own = column("calibrated", "interaction_n")
+    usual = column("uncalibrated", "interaction_n")
+    inside = [
+        [c for f in r["coverage"] for c in f["interaction_n"].values()]
+        for r in good
+    ]
+    clocks = [c for r in good for t in r["clocks"] for c in t.values()]
+    off = [c for c in clocks if abs(c["error_s"]) > 0.01]
+    iterations = [r["B"]["iterations"] for r in good]
+    return {
+        "seeds": len(rows),
+        "solved": len(good),
+        "interaction_n": {
+            "median": float(np.median(own)),
+            "worst": float(own.max()),
+            "uncalibrated_median": float(np.median(usual)),
+            "ratio_of_medians": float(np.median(own) / np.median(usual)),
+            "share_helped": float(np.mean(own < usual)),
+            "share_below_13.1": float(np.mean(own <= 13.1)),
+        },
+        "angle_deg": float(np.median(column("calibrated", "angle_deg"))),
+        "velocity_deg_s": float(
+            np.median(column("calibrated", "velocity_deg_s"))
+        ),
+        "share_angles_and_velocities": float(
+            np.mean(
+                (column("calibrated", "angle_deg") <= 3.3)
+                & (column("calibrated", "velocity_deg_s") <= 14.3)
+            )
+        ),
+        "band_coverage": float(np.mean(np.concatenate(inside))),
+        "band_coverage_worst_seed": min(float(np.mean(x)) for x in inside),
+        "phase_b_iterations_worst": max(iterations),
+        "phase_b_seconds_median": float(
+            np.median([r["B"]["seconds"] for r in good])
+        ),
+        "share_at_bound": sum(r["at_bound"] for r in good)
+        / sum(r["free"] for r in good),
+        "clocks_beyond_10_ms_unmarked": sum(not c["unsure"] for c in off),
+        "clocks_unsure": float(np.mean([c["unsure"] for c in clocks])),
+    }
+
+
+def _text(row: dict) -> str:
+    cells = [f"{row['seed']:6d}", f"B {row['B']['iterations']:3d}"]
+    for name in ("calibrated", "uncalibrated", "floor"):
+        e = row.get(name)
+        if e is None:
+            continue
+        if "interaction_n" not in e:
+            cells.append(f"{name} not solved")
+            continue
+        cells.append(
+            f"{name} {e['interaction_n']:5.1f} N {e['angle_deg']:4.1f} deg "
+            f"{e['velocity_deg_s']:5.1f} deg/s"
+        )
+    return " | ".join(cells)
+
+
+def main() -> None:
+    """Print a row for each seed and what they come to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", default="1:40", help="FIRST:LAST, or a list")
+    parser.add_argument("--truth", default="wide", choices=["wide", "near"])
+    parser.add_argument("--floor", action="store_true")
+    parser.add_argument("--data", help="folder that keeps the campaigns")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    if ":" in args.seeds:
+        first, last = map(int, args.seeds.split(":"))
+        seeds = list(range(first, last + 1))
+    else:
+        seeds = [int(s) for s in args.seeds.split(",")]
+    rows = []
+    with (
+        Progress("seeds", total=len(seeds)) as progress,
+        ProcessPoolExecutor(2, get_context("spawn")) as pool,
+    ):
+        jobs = [
+            pool.submit(run, seed, args.truth, args.data, args.floor)
+            for seed in seeds
+        ]
+        for seed, job in zip(seeds, jobs, strict=True):
+            rows.append(job.result())
+            progress.update(f"seed {seed}", done=len(rows))
+            if not args.json:
+                print(_text(rows[-1]), flush=True)
+    found = {"truth": args.truth, "rows": rows, "summary": summary(rows)}
+    print(json.dumps(found if args.json else found["summary"], indent=1))
+
+
+if __name__ == "__main__":
+    main()
