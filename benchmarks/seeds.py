@@ -37,7 +37,11 @@ def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(data or scratch) / str(seed)
         folder.mkdir(parents=True, exist_ok=True)
-        with contextlib.redirect_stderr(io.StringIO()):
+        quiet = io.StringIO()
+        with (
+            contextlib.redirect_stderr(quiet),
+            contextlib.redirect_stdout(quiet),
+        ):
             if not (folder / "study.yaml").is_file():
                 dx.write_campaign(folder, seed, truth=kind)
             return _row(folder, seed, floor)

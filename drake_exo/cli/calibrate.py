@@ -62,8 +62,15 @@ def add_parser(subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def add_study_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments that all commands on a study share."""
+def add_study_arguments(
+    parser: argparse.ArgumentParser, resume: bool = True
+) -> None:
+    """Arguments that all commands on a study share.
+
+    Args:
+        parser: of the command.
+        resume: whether it can continue where it was cut off.
+    """
     parser.add_argument("study", type=Path, metavar="STUDY.yaml")
     parser.add_argument(
         "--data-root",
@@ -75,11 +82,12 @@ def add_study_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force", action="store_true", help="replace results in --out"
     )
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="continue in --out where a run was cut off",
-    )
+    if resume:
+        parser.add_argument(
+            "--resume",
+            action="store_true",
+            help="continue in --out where a run was cut off",
+        )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -302,11 +302,17 @@ def _said(late: float, laboratory, explained: float | None) -> str:
 
 
 def _believed(lag, late, explained, laboratory) -> Clock:
-    """The clock with the estimate, or without if it explains too little."""
+    """The clock with the estimate, or without if that is not worth it.
+
+    One at the edge of its search is no minimum, and one that explains little
+    may be any: neither is applied, and both are said to be unsure.
+    """
     said = _said(late, laboratory, explained)
-    if explained >= EXPLAINED:
-        return Clock(lag + late, said)
-    return Clock(lag, said + "; too little, not applied")
+    if explained < EXPLAINED:
+        return Clock(lag, said + "; too little, not applied, unsure")
+    if "edge" in said:
+        return Clock(lag, said + "; not applied, unsure")
+    return Clock(lag + late, said)
 
 
 def _device(files, motion, model: Model, settings, root):

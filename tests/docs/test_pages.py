@@ -99,8 +99,9 @@ def test_commands_are_understood(page, words):
     # Of choices the first, of placeholders a value.
     words = [word.split("|")[0] for word in words]
     words = [{"N": "1", "FACTOR": "1.4"}.get(word, word) for word in words]
-    required = {"predict": ["--calibration", "--out"], "calibrate": ["--out"],
-                "sensitivity": ["--out"], "contact": ["--out"]}  # fmt: skip
+    required = {"predict": ["--calibration", "--out"]}
+    for name in ("calibrate", "crossvalidate", "sensitivity", "contact"):
+        required[name] = ["--out"]
     inline = [w for w in required.get(words[0], []) if w not in words]
     for option in inline:  # quoted in a sentence, where it may be left out
         words = [*words, option, "x"]

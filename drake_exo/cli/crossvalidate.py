@@ -1,0 +1,130 @@
+"""`drake-exo crossvalidate`: whether calibrating helps on trials not used.
+
+Each calibration trial is left out in turn: contact is calibrated on the others
+(Phases A and B), the one left out is predicted from its end states (Phase C1),
+with calibrated cuffs and with nominal ones, and compared with its mats.
+"""
+
+import argparse
+
+import numpy as np
+
+from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.cli.calibrate import add_study_arguments
+from drake_exo.errors import InputError
+from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.report.tables import format_table
+from drake_exo.study import (
+    Study,
+    calibrate_foot_ground,
+    calibrate_interaction,
+    predict,
+    read_study,
+    uncalibrated,
+)
+
+
+def add_parser(subparsers) -> None:
+    """Add `crossvalidate` to the command line."""
+    parser = subparsers.add_parser(
+        "crossvalidate",
+        help="leave each calibration trial out and predict it",
+        description=__doc__,
+    )
+    add_study_arguments(parser, resume=False)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate and predict fold by fold; summary.json holds what is done."""
+    study = read_study(args.study, args.data_root)
+    check_has_cuffs(study.model)
+    trials = study.trials("calibration")
+    if len(trials) < 2:
+        raise InputError(
+            f"{args.study}: has one trial with 'use: calibration', and none "
+            "to leave out; give at least two"
+        )
+    if not any(t.cuffs for t in trials):
+        raise InputError(
+            f"{args.study}: no trial for calibration has pressure mats to "
+            "compare with; give 'pressure' for at least one"
+        )
+    folds: list[dict] = []
+    with prepare_output_folder(args.out, args.force) as out:
+        for trial in trials:
+            folds.append(fold(study, trial.name))
+            summary = {"subject": study.name, "folds": folds} | verdict(folds)
+            write_json(out / "summary.json", summary)
+    print(_table(folds))
+    print(summary["sentence"])
+    print(f"results in {args.out}")
+    return 0 if all(f["success"] for f in folds) else 1
+
+
+def fold(study: Study, name: str) -> dict:
+    """One trial left out.
+
+    Returns:
+        trial; success of all solves; rmsd and rmsd_uncalibrated as
+        `scores.rmsd`, None where a solve failed.
+    """
+    trials = study.trials("calibration")
+    (left,) = (t for t in trials if t.name == name)
+    others = [t for t in trials if t.name != name]
+    row = {"trial": name, "rmsd": None, "rmsd_uncalibrated": None}
+    ground = calibrate_foot_ground(study, others)
+    if not ground.success:
+        return row | {"success": False}
+    cuffs = calibrate_interaction(study, others, ground)
+    if not cuffs.success:
+        return row | {"success": False}
+    for key, contact in (
+        ("rmsd", cuffs.contact),
+        ("rmsd_uncalibrated", uncalibrated(study.model, ground)),
+    ):
+        found = predict(study, left, contact)
+        row[key] = found.rmsd(left) if found.success else None
+    solved = row["rmsd"] is not None and row["rmsd_uncalibrated"] is not None
+    return row | {"success": solved}
+
+
+def verdict(folds: list[dict]) -> dict:
+    """Whether calibrating helps, and by how much.
+
+    Returns:
+        helps, ratio of mean normal forces' RMSD (calibrated over not; both
+        None where nothing can be compared), and a sentence.
+    """
+    own, usual = [], []
+    for f in folds:
+        if f["success"]:
+            own += f["rmsd"]["interaction_n"].values()
+            usual += f["rmsd_uncalibrated"]["interaction_n"].values()
+    if not own:
+        sentence = "nothing can be compared: no fold with mats was solved"
+        return {"helps": None, "ratio": None, "sentence": sentence}
+    ratio = float(np.mean(own) / np.mean(usual))
+    word = "helps" if ratio < 1.0 else "does not help"
+    sentence = (
+        f"calibrating {word}: normal forces of trials left out are off by "
+        f"{np.mean(own):.1f} N instead of {np.mean(usual):.1f} N with nominal "
+        f"cuffs ({len(own)} of them, ratio {ratio:.2f})"
+    )
+    return {"helps": ratio < 1.0, "ratio": ratio, "sentence": sentence}
+
+
+def _table(folds: list[dict]) -> str:
+    rows = []
+    for f in folds:
+        if not f["success"]:
+            rows.append([f["trial"], "not solved", None, None])
+            continue
+        usual = f["rmsd_uncalibrated"]["interaction_n"]
+        rows += [
+            [f["trial"], cuff, value, usual[cuff]]
+            for cuff, value in f["rmsd"]["interaction_n"].items()
+        ]
+    return format_table(
+        ["left out", "cuff", "calibrated [N]", "uncalibrated [N]"], rows
+    )

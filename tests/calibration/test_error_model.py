@@ -1,0 +1,263 @@
+"""Errors of measurement as unknowns: what they do, and that they are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_exo.calibration.bands import bands
+from drake_exo.calibration.error_model import (
+    NO_ERRORS,
+    ErrorModel,
+    ErrorSizes,
+)
+from drake_exo.calibration.interaction import InteractionCalibration
+from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.results import read_contact, write_contact
+from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.calibration.uncertainty import posterior
+from drake_exo.cli.crossvalidate import verdict
+from drake_exo.collocation.bushing_kernels import BushingKernel
+from drake_exo.contact.bushing import BushingKinematics
+from drake_exo.measurement.inverse_dynamics import (
+    from_the_ground_up,
+    inverse_dynamics,
+)
+from drake_exo.measurement.trial import CuffForce
+
+SIZES = ErrorSizes()
+
+
+@pytest.fixture(scope="module")
+def errors(in_device):
+    return ErrorModel(in_device.model, in_device.trials, SIZES)
+
+
+def spoiled(made, trial, skin=0.0, encoder=0.0, unseen=0.0):
+    """A trial as instruments with errors show it, by other code than ours.
+
+    Skin turns the thigh's markers with flexion of the knee, the knee's encoder
+    has an offset, and mats see a part of the force.
+    """
+    names, tree = trial.coordinates, made.model.rigid.tree
+    knee, hip = names.index("knee"), names.index("hip")
+    q, v, a = (x.copy() for x in (trial.q, trial.v, trial.a))
+    for x, true in ((q, trial.q), (v, trial.v), (a, trial.a)):
+        # The thigh leans back in flexion: its angle is shank's plus knee.
+        x[:, knee] += skin * true[:, knee]
+        x[:, hip] += skin * true[:, knee]
+    body = names.body_columns
+    torque = []
+    for of in ((trial.q, trial.v, trial.a), (q, v, a)):
+        of = [x[:, body] for x in of]
+        Q = inverse_dynamics(tree, *of, {tree.foot: trial.ground})
+        Q = from_the_ground_up(tree, of[0], Q)
+        torque.append(Q[:, tree.coordinates.joint_columns])
+    moments = trial.moments.copy()
+    moments[:, ~names.is_device_joint] += torque[1] - torque[0]
+    q[:, names.index("exo_knee")] += encoder
+    cuffs = {
+        c: CuffForce((1.0 - unseen) * f.normal) for c, f in trial.cuffs.items()
+    }
+    return replace(trial, q=q, v=v, a=a, moments=moments, cuffs=cuffs)
+
+
+def test_effects_are_what_instruments_do(in_device, errors):
+    """Against a trial that was spoiled by other code, sizes one by one."""
+    for trial in in_device.trials:
+        found = errors.effects(trial)
+        cuff = next(iter(trial.cuffs))
+        for name, size in (
+            ("skin.thigh.knee", {"skin": -1e-4}),
+            ("encoder.exo_knee", {"encoder": 1e-4}),
+            (f"mat.{cuff}.unseen", {"unseen": 1e-4}),
+        ):
+            k = errors.names.index(name)
+            off = spoiled(in_device, trial, **size)
+            sign = np.sign(next(iter(size.values())))
+            for by, was, shown in (
+                (found.q, trial.q, off.q),
+                (found.v, trial.v, off.v),
+                (found.moments, trial.moments, off.moments),
+            ):
+                change = (shown - was) / 1e-4
+                own = by[:, :, k]
+                if name.startswith("skin"):
+                    own = own * _direction(in_device) * sign
+                np.testing.assert_allclose(own, change, rtol=1e-3, atol=2e-3)
+            if name.startswith("mat"):
+                change = off.cuffs[cuff].normal - trial.cuffs[cuff].normal
+                np.testing.assert_allclose(
+                    found.normal[cuff][:, k], change / 1e-4, atol=1e-6
+                )
+
+
+def _direction(made) -> float:
+    """+1 if a thigh that turns forwards flexes the knee, -1 otherwise."""
+    tree, names = made.model.tree, made.model.coordinates
+    return float(np.sign(tree.turning("thigh")[names.index("knee")]))
+
+
+def test_errors_that_are_none_are_no_unknowns(in_device):
+    none = ErrorModel(in_device.model, in_device.trials, NO_ERRORS)
+    assert none.unknowns == []
+    part = ErrorModel(in_device.model, in_device.trials, ErrorSizes(skin=0.0))
+    assert not any(n.startswith("skin.") for n in part.names)
+
+
+@pytest.fixture(scope="module")
+def estimated(in_device):
+    """Phase B of three spoiled trials."""
+    trials = [
+        spoiled(in_device, t, skin=-0.03, encoder=0.03, unseen=0.05)
+        for t in in_device.trials
+    ]
+    settings = in_device.settings(errors=SIZES)
+    problem = InteractionCalibration(
+        in_device.model, trials, in_device.contact, settings
+    )
+    return problem.solve()
+
+
+@pytest.mark.slow
+def test_errors_are_found_and_forces_with_them(in_device, estimated):
+    assert estimated.success
+    assert estimated.solution.iterations <= 40
+    known = posterior(estimated)
+    off = {n: v for n, v in zip(known.names, known.values, strict=True)}
+    assert off["encoder.exo_knee"] == pytest.approx(0.03, abs=0.012)
+    for found, trial in zip(estimated.trials, in_device.trials, strict=True):
+        knee = found.coordinate("knee") - trial.coordinate("knee")
+        assert np.rad2deg(np.abs(knee).max()) < 1.2
+        # Measured 2.7 degrees off.
+    blind = in_device.calibration(
+        in_device.settings(), estimated.problem.trials
+    ).solve()
+    true = in_device.contact.values()
+
+    def error(result):
+        return np.mean(
+            [
+                abs(np.log(p.nominal / true[p.name]))
+                for p in result.parameters
+                if p.name.endswith("normal_stiffness")
+            ]
+        )
+
+    assert error(estimated) < 0.5 * error(blind)
+
+
+@pytest.mark.slow
+def test_what_is_known_goes_to_disk_and_into_bands(
+    in_device, estimated, tmp_path
+):
+    known = posterior(estimated)
+    assert np.linalg.eigvalsh(known.covariance).min() > 0.0
+    contact = replace(estimated.contact, posterior=known)
+    write_contact(tmp_path, contact)
+    again = read_contact(tmp_path)
+    assert again.posterior.names == known.names
+    np.testing.assert_allclose(again.posterior.covariance, known.covariance)
+    stiff = again.scaled(1.4).posterior
+    k = known.names.index("thigh.normal_stiffness")
+    assert stiff.covariance[k, k] == pytest.approx(
+        1.96 * known.covariance[k, k]
+    )
+    trial = estimated.problem.trials[0]
+    settings = PredictionSettings(solver=Solver(50.0))
+    widths = []
+    for factor in (1.0, 0.1):
+        less = replace(known, covariance=factor**2 * known.covariance)
+        result = PredictionProblem(
+            in_device.model, [trial], replace(again, posterior=less), settings
+        ).solve()
+        found = bands(result)
+        widths.append(found.cuffs["pelvis"][:, 0].mean())
+        cover = found.coverage(result.trials[0], trial)["interaction_n"]
+        assert set(cover) == set(trial.cuffs)
+    assert widths[1] < widths[0]
+    plain = PredictionProblem(
+        in_device.model, [trial], in_device.contact, settings
+    ).solve()
+    assert bands(plain) is None
+
+
+@pytest.mark.slow
+def test_bands_are_the_change_of_another_solve(in_device, estimated):
+    """A stiffness moved by a little: what the optimum does, to first order."""
+    known = posterior(estimated)
+    contact = replace(estimated.contact, posterior=known)
+    settings = PredictionSettings(solver=Solver(50.0, tolerance=1e-8))
+    trial = estimated.problem.trials[0]
+
+    def solve(contact):
+        return PredictionProblem(
+            in_device.model, [trial], contact, settings
+        ).solve()
+
+    name = "pelvis.rotational_stiffness"
+    first = solve(contact)
+    value = contact.values()[name]
+    other = solve(contact.with_values({name: 1.02 * value}))
+    from drake_exo.nlp.sensitivity import Optimum
+
+    problem = first.problem
+    program = problem.compiled
+    y = program.restrict(first.solution.raw_values())
+    border = problem.program.indices(problem.error_variables)
+    optimum = Optimum(program, y, program.unknowns.column_of(border))
+    variable = problem.program.indices(problem.variables_of([name]))
+    by = program.unknowns.matrix @ optimum.by_fixed(variable)
+    force = problem.program.indices(problem.movements[0].cuffs["pelvis"])
+    predicted = 0.02 * value * by[force.ravel(), 0].reshape(force.shape)
+    actual = (
+        other.trials[0].cuffs["pelvis"].components
+        - first.trials[0].cuffs["pelvis"].components
+    )
+    assert np.abs(actual).max() > 0.01
+    assert np.abs(predicted - actual).max() < 0.15 * np.abs(actual).max()
+
+
+def test_curvature_of_a_bushing_is_that_of_its_jacobian(in_device):
+    bushing = BushingKinematics(in_device.model.tree, "thigh")
+    kernel = BushingKernel(bushing, np.zeros(3))
+    rng = np.random.default_rng(0)
+    nq = bushing.nq
+    x = np.hstack(
+        [
+            0.3 * rng.normal(size=(4, 2 * nq + 3)),
+            0.1 * rng.normal(size=(4, 2)),
+            1e3 * rng.uniform(0.5, 2.0, size=(4, 3)),
+        ]
+    )
+    weights = rng.normal(size=(4, 3))
+    H = kernel.curvature(x, weights, None)
+    for i in range(x.shape[1]):
+        step = np.zeros(x.shape[1])
+        step[i] = 1e-6 * max(1.0, np.abs(x[:, i]).max())
+        change = kernel.jacobian(x + step, None) - kernel.jacobian(
+            x - step, None
+        )
+        expected = np.einsum("nc,nci->ni", weights, change) / (2.0 * step[i])
+        np.testing.assert_allclose(H[:, :, i], expected, atol=1e-5)
+
+
+def test_a_verdict_says_whether_calibrating_helps():
+    def fold(own, usual):
+        return {
+            "success": True,
+            "rmsd": {"interaction_n": own},
+            "rmsd_uncalibrated": {"interaction_n": usual},
+        }
+
+    folds = [
+        fold({"pelvis": 4.0}, {"pelvis": 10.0}),
+        fold({"thigh": 6.0, "shank": 2.0}, {"thigh": 9.0, "shank": 5.0}),
+    ]
+    found = verdict(folds)
+    assert found["helps"] and found["ratio"] == pytest.approx(0.5)
+    assert "4.0 N instead of 8.0 N" in found["sentence"]
+    worse = verdict([fold({"thigh": 9.0}, {"thigh": 6.0})])
+    assert not worse["helps"] and worse["ratio"] == pytest.approx(1.5)
+    nothing = verdict([{"success": False}])
+    assert nothing["helps"] is None and nothing["ratio"] is None
