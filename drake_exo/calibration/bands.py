@@ -110,7 +110,8 @@ def bands(result: PhaseResult) -> Bands | None:
     _, whole = known.of([*chosen, *names])
     cross = np.zeros((len(errors), len(chosen)))
     cross[shared] = whole[len(chosen) :, : len(chosen)]
-    follow = cross @ np.linalg.inv(covariance)
+    # A parameter at a bound has no variance.
+    follow = cross @ np.linalg.pinv(covariance, hermitian=True)
     shift = np.zeros((size, len(chosen)))
     shift[errors] = -weight @ follow
     moved += by_gradient(shift)

@@ -79,7 +79,11 @@ class _StoredPosterior:
         if [len(self.values), *map(len, self.covariance)] != [m] * (m + 1):
             raise InputError("posterior: sizes of its parts differ")
         covariance = np.array(self.covariance).reshape(m, m)
-        if m and np.linalg.eigvalsh(covariance).min() <= 0.0:
+        # In units of each; a parameter at a bound has no variance.
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        sd = np.where(sd > 0.0, sd, 1.0)
+        values = np.linalg.eigvalsh(covariance / np.outer(sd, sd))
+        if values.min(initial=0.0) < -1e-6:
             raise InputError("posterior: the covariance is not positive")
         return Posterior(self.names, np.array(self.values), covariance)
 

@@ -163,6 +163,7 @@ def posterior(result: PhaseResult) -> Posterior:
     unit = program.unknowns.scale[index]
     found = response(program, y, columns, _border(problem)).by_gradient
     covariance = -unit[:, None] * found[:, columns] * unit
+    covariance = 0.5 * (covariance + covariance.T)
     return Posterior(tuple(names), x[index], covariance)
 
 

@@ -19,6 +19,8 @@ from drake_exo.calibration.uncertainty import posterior
 from drake_exo.cli.crossvalidate import verdict
 from drake_exo.collocation.bushing_kernels import BushingKernel
 from drake_exo.contact.bushing import BushingKinematics
+from drake_exo.contact.parameters import Posterior
+from drake_exo.errors import InputError
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
@@ -176,6 +178,16 @@ def test_what_is_known_goes_to_disk_and_into_bands(
         cover = found.coverage(result.trials[0], trial)["interaction_n"]
         assert set(cover) == set(trial.cuffs)
     assert widths[1] < widths[0]
+    # A parameter that ended at its bound.
+    k = known.names.index("shank.origin_x")
+    held = known.covariance.copy()
+    held[k], held[:, k] = 0.0, 0.0
+    at_bound = replace(contact, posterior=replace(known, covariance=held))
+    write_contact(tmp_path, at_bound)
+    result = PredictionProblem(
+        in_device.model, [trial], read_contact(tmp_path), settings
+    ).solve()
+    assert np.isfinite(bands(result).cuffs["shank"]).all()
     plain = PredictionProblem(
         in_device.model, [trial], in_device.contact, settings
     ).solve()
@@ -240,6 +252,17 @@ def test_curvature_of_a_bushing_is_that_of_its_jacobian(in_device):
         )
         expected = np.einsum("nc,nci->ni", weights, change) / (2.0 * step[i])
         np.testing.assert_allclose(H[:, :, i], expected, atol=1e-5)
+
+
+def test_a_damaged_posterior_is_refused(in_device, tmp_path):
+    known = Posterior(("a", "b"), np.zeros(2), np.array([[1.0, 2], [2, 1]]))
+    write_contact(tmp_path, replace(in_device.contact, posterior=known))
+    with pytest.raises(InputError, match="not positive"):
+        read_contact(tmp_path)
+    short = replace(known, values=np.zeros(1))
+    write_contact(tmp_path, replace(in_device.contact, posterior=short))
+    with pytest.raises(InputError, match="sizes of its parts"):
+        read_contact(tmp_path)
 
 
 def test_a_verdict_says_whether_calibrating_helps():
