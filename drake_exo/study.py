@@ -530,12 +530,10 @@ def predict(
     return Prediction(**own, result=result)
 
 
-def uncalibrated(model: Model, contact: Calibration | ContactModel):
-    """The same foot-ground contact with nominal cuffs: what to compare with.
-
-    Returns:
-        A ContactModel.
-    """
+def uncalibrated(
+    model: Model, contact: Calibration | ContactModel
+) -> ContactModel:
+    """The same foot-ground contact with nominal cuffs: what to compare with."""
     nominal = nominal_contact(model).bushings
     return ContactModel(contact_of(contact).ground, nominal)
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.bushing import NORMAL
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.sensitivity import Optimum
 
-QUANTILE_95 = 1.959964
 # Cuffs stiffen and slip: no bushing tells a force better than to this share.
 _DISCREPANCY = 0.12
 
@@ -101,18 +101,19 @@ def bands(result: PhaseResult) -> Bands | None:
     _, prior = problem.errors.prior()
     weight = np.linalg.inv(prior)
     chosen = [n for n in known.names if n in problem.contact.values()]
-    _, covariance = known.of(chosen)
     variables = place(problem.variables_of(chosen))
     moved = matrix @ optimum.by_fixed(variables)
     # Errors that trials share are told by the same data as the parameters.
     shared = [k for k, n in enumerate(problem.errors.names) if n in known.names]
     names = [problem.errors.names[k] for k in shared]
     _, whole = known.of([*chosen, *names])
-    cross = np.zeros((len(errors), len(chosen)))
-    cross[shared] = whole[len(chosen) :, : len(chosen)]
+    count = len(chosen)
+    covariance = whole[:count, :count]
+    cross = np.zeros((len(errors), count))
+    cross[shared] = whole[count:, :count]
     # A parameter at a bound has no variance.
     follow = cross @ np.linalg.pinv(covariance, hermitian=True)
-    shift = np.zeros((size, len(chosen)))
+    shift = np.zeros((size, count))
     shift[errors] = -weight @ follow
     moved += by_gradient(shift)
     parts = [moved @ _root(covariance)]
@@ -137,7 +138,7 @@ def bands(result: PhaseResult) -> Bands | None:
         cuffs[cuff] = QUANTILE_95 * sd
         if cuff in problem.trials[0].cuffs:
             mats[cuff] = QUANTILE_95 * _of_mats(
-                problem, cuff, sd[:, NORMAL], force[:, NORMAL]
+                problem, prior, cuff, sd[:, NORMAL], force[:, NORMAL]
             )
     grid = movement.grid
     sd = [spread(grid.q), spread(grid.v)]
@@ -174,9 +175,7 @@ def _noise(term, times, place, errors, size) -> np.ndarray:
     index = place(term.variables)
     change = np.zeros((size, r * modes.shape[1]))
     for k in range(r):
-        gain = term.weights / np.where(
-            np.isfinite(term.sigma[:, k]), term.sigma[:, k], np.inf
-        )
+        gain = term.weights / term.sigma[:, k]
         for m in range(modes.shape[1]):
             column = change[:, k * modes.shape[1] + m]
             by_node = -(gain * modes[:, m])[:, None]
@@ -196,9 +195,8 @@ def _modes(times: np.ndarray) -> np.ndarray:
     return modes
 
 
-def _of_mats(problem, cuff: str, sd, force) -> np.ndarray:
+def _of_mats(problem, prior, cuff: str, sd, force) -> np.ndarray:
     """Standard deviation (n,) of what mats show of a force (n,)."""
-    _, prior = problem.errors.prior()
     own = dict(zip(problem.errors.names, np.diag(prior), strict=True))
     unseen = own.get(f"mat.{cuff}.unseen", 0.0)
     offset = own.get(f"mat.{cuff}.offset", 0.0)

@@ -31,7 +31,7 @@ from drake_exo.contact.parameters import ContactParameter, Posterior
 from drake_exo.nlp.sensitivity import Response, response
 from drake_exo.nlp.sparse import SparseProgram
 
-_QUANTILE_95 = 1.959964
+QUANTILE_95 = 1.959964
 # A parameter is identifiable if the data leave less than this of its prior's
 # standard deviation; without a prior, of a quarter of its range.
 _IDENTIFIABLE = 0.5
@@ -66,7 +66,7 @@ class Uncertainty:
     @property
     def half_width(self) -> np.ndarray:
         """Half of each 95 % interval (m,), the pull included."""
-        return _QUANTILE_95 * np.hypot(self.sd, self.pull)
+        return QUANTILE_95 * np.hypot(self.sd, self.pull)
 
     @property
     def identifiable(self) -> np.ndarray:
