@@ -185,4 +185,4 @@ def report_failure(solution: Solution) -> int:
         f"iterations. {solution.explain()} What was reached so far is "
         "written, marked as failed."
     )
-    return 130 if solution.status == "stopped by the user" else 1
+    return 130 if solution.was_stopped else 1

@@ -136,10 +136,14 @@ def write_predictions(
             study, trial, contact, folder=folder, resume=resume, **how
         )
         found.append(prediction)
-        if prediction.success and study.model.cuffs:
-            baseline.append(predict(study, trial, usual, **how))
         if prediction.success:
             folder.rmdir()
+            if not study.model.cuffs:
+                continue
+            baseline.append(predict(study, trial, usual, **how))
+            if baseline[-1].solution.was_stopped:
+                code = 130
+                break
             continue
         print(trial.name, end=": ")
         code = report_failure(prediction.solution)

@@ -148,6 +148,11 @@ class Solution:
         self._sealed = not self.success
 
     @property
+    def was_stopped(self) -> bool:
+        """Whether the user ended it."""
+        return self.status == _STATUS[5]
+
+    @property
     def is_sealed(self) -> bool:
         """Whether reading values raises."""
         return self._sealed
