@@ -82,12 +82,26 @@ def add_study_arguments(
     parser.add_argument(
         "--force", action="store_true", help="replace results in --out"
     )
+    add_accept(parser)
     if resume:
         parser.add_argument(
             "--resume",
             action="store_true",
             help="continue in --out where a run was cut off",
         )
+
+
+def add_accept(parser: argparse.ArgumentParser) -> None:
+    """Add --accept, which every command that ends with checks has."""
+    parser.add_argument(
+        "--accept",
+        action="append",
+        default=[],
+        metavar="CHECK",
+        help="take a result although this check does not hold, such as "
+        "audit or plausibility.mass; a beginning of dotted names, or all; "
+        "may be given several times, and is recorded",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,0 +1,89 @@
+"""The verdict: words, exit codes, marks, and what is accepted."""
+
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.verdict import (
+    Check,
+    Verdict,
+    is_accepted,
+    stored,
+    stored_mark,
+)
+
+SOLVED = Check("solved", True)
+AUDIT = Check("audit", False, 2.5, 1.0, "N", "rise1", "the grid is coarse")
+MASS = Check("plausibility.mass", False, 0.3, 0.05, "", "standing")
+NOTE = Check("bounds", False, where="thigh.x", level="note")
+
+
+@pytest.mark.parametrize(
+    ("checks", "accepted", "word", "code"),
+    [
+        ((SOLVED,), (), "holds", 0),
+        ((SOLVED, NOTE), (), "holds", 0),
+        ((SOLVED, AUDIT), (), "does not hold", 3),
+        ((SOLVED, AUDIT), ("audit",), "does not hold", 0),
+        ((SOLVED, AUDIT), ("aud",), "does not hold", 3),
+        ((SOLVED, AUDIT, MASS), ("audit",), "does not hold", 3),
+        ((SOLVED, AUDIT, MASS), ("audit", "plausibility"), "does not hold", 0),
+        ((SOLVED, AUDIT, MASS), ("all",), "does not hold", 0),
+        ((Check("solved", False),), (), "not solved", 1),
+        ((Check("solved", False), AUDIT), ("all",), "not solved", 1),
+    ],
+)
+def test_word_and_exit_code(checks, accepted, word, code):
+    made = Verdict(checks, accepted)
+    assert (made.word, made.exit_code) == (word, code)
+
+
+def test_an_accepted_result_keeps_its_mark():
+    made = Verdict((SOLVED, AUDIT), ("all",))
+    assert made.mark == Verdict((SOLVED, AUDIT)).mark
+    assert "audit (rise1, 2.5 N, limit 1 N)" in made.mark
+    assert Verdict((SOLVED, NOTE)).mark == ""
+
+
+def test_failures_come_last_and_red():
+    text = Verdict((AUDIT, SOLVED, NOTE)).text(color=True)
+    last = text.splitlines()[-2]
+    assert "\x1b[31m" in last
+    assert "the grid is coarse" in last
+    assert text.splitlines()[-1].endswith("--accept audit")
+    assert "\x1b" not in Verdict((AUDIT, SOLVED)).text(color=False)
+    assert "bounds (thigh.x)" in text
+
+
+def test_of_many_that_hold_the_nearest_to_its_limit_is_told():
+    checks = [
+        Check("audit", True, value, 1.0, "N", f"rise{i}")
+        for i, value in enumerate((0.1, 0.9, 0.2))
+    ]
+    text = Verdict(tuple(checks)).text(color=False)
+    assert "3 hold  (rise1, 0.9 N, limit 1 N)" in text
+
+
+def test_a_summary_comes_back():
+    made = Verdict((SOLVED, AUDIT, NOTE), ("audit",))
+    assert stored(made.summary()) == made
+    assert stored_mark(made.summary()) == made.mark
+
+
+def test_a_summary_of_an_earlier_version_is_marked():
+    assert stored({"success": True}) is None
+    assert "without checks" in stored_mark({"success": True})
+
+
+@pytest.mark.parametrize(
+    "checks",
+    [[{"name": "audit"}], [{"name": 3, "holds": True}], 5, [5], ["audit"]],
+)
+def test_damaged_checks_are_bad_input(checks):
+    with pytest.raises(InputError, match="run it again"):
+        stored({"checks": checks})
+
+
+def test_beginnings_are_accepted_at_dots_only():
+    assert is_accepted("plausibility.mass", ["plausibility.mass"])
+    assert not is_accepted("plausibility.mass", ["plaus"])
+    assert not is_accepted("plausibility", ["plausibility.mass"])
