@@ -1,7 +1,8 @@
 """Rotation helpers: hat operator, exponential map, Rx·Ry·Rz angles."""
 
-import numba
 import numpy as np
+
+from drake_exo.soles.compiled import njit
 
 
 def hat(v: np.ndarray) -> np.ndarray:
@@ -33,7 +34,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out if max(a.ndim, b.ndim) == 3 else out[0]
 
 
-@numba.njit(cache=True)
+@njit()
 def _cross(a, b):
     out = np.empty(
         (max(a.shape[0], b.shape[0]), max(a.shape[1], b.shape[1]), 3)
@@ -48,7 +49,7 @@ def _cross(a, b):
     return out
 
 
-@numba.njit(cache=True)
+@njit()
 def multiply(a, b, out):
     """Product of 3 × 3 matrices, into out, for compiled code."""
     for i in range(3):

@@ -8,12 +8,12 @@ origin.
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
 from drake_exo.errors import InputError
+from drake_exo.soles.compiled import njit
 
 _DEGREE = 2
 
@@ -137,7 +137,7 @@ def reach(X: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return _nearest(np.ascontiguousarray(X), np.linalg.inv(A))
 
 
-@numba.njit(cache=True)
+@njit()
 def _nearest(X, inverses):
     factors = np.full(len(X), np.inf)
     for n in range(len(X)):

@@ -6,9 +6,9 @@ sweeps stop early by the relaxation (25). Compiled with numba. Kept as the
 faithful reference; `contact.ContactSolver` is the default.
 """
 
-import numba
 import numpy as np
 
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     ContactSolver,
@@ -147,7 +147,7 @@ def _scaled(wrench, scale) -> float:
     return float(max(force, moment) / scale)
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(fastmath=True)
 def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
     """Sweeps until the relative change of F is below the tolerance.
 
@@ -203,7 +203,7 @@ def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
     return change, used
 
 
-@numba.njit(cache=True)
+@njit()
 def _times(A, x):
     out = np.empty(3)
     for k in range(3):
@@ -211,7 +211,7 @@ def _times(A, x):
     return out
 
 
-@numba.njit(cache=True)
+@njit()
 def _slip(Waa, others, mu):
     """One sliding node: Newton on Alart–Curnier's equations with (21)."""
     mean = 0.5 * (Waa[0, 0] + Waa[1, 1])

@@ -9,11 +9,11 @@ change the set of touching nodes by a few, S is bordered or deflated (O(n²) a
 node) instead of being factorised anew.
 """
 
-import numba
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 from scipy.linalg.lapack import dgetrf, dgetrs
 
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.node_law import (
     ContactLaw,
     firmly_sticking,
@@ -130,7 +130,7 @@ class ActiveSet:
         S[n:, n:] = T
 
 
-@numba.njit(cache=True)
+@njit()
 def blocks(A, rows, columns):
     """The 3 × 3 blocks of A at some nodes, (3 rows, 3 columns)."""
     out = np.empty((3 * len(rows), 3 * len(columns)))
@@ -312,7 +312,7 @@ class Linearisation:
         return out
 
 
-@numba.njit(cache=True)
+@njit()
 def _law_matrix(S, loose, tau, R, r, mu, epsilon, kappa):
     """D of the loose nodes, sole frame (g, 3, 3), and (I − D) S_gg + r D."""
     g = len(loose)
@@ -338,7 +338,7 @@ def _law_matrix(S, loose, tau, R, r, mu, epsilon, kappa):
     return D, M
 
 
-@numba.njit(cache=True)
+@njit()
 def _loose_rhs(D, T, loose):
     """(D − I) T of the loose nodes, (3g, c)."""
     out = np.empty((T.shape[1], 3 * len(loose))).T
@@ -355,7 +355,7 @@ def _loose_rhs(D, T, loose):
     return out
 
 
-@numba.njit(cache=True)
+@njit()
 def _turned_hats(R, v):
     """Rᵀ hat(v) of vectors v (k, 3), (3k, 3)."""
     out = np.empty((3 * len(v), 3))
@@ -368,7 +368,7 @@ def _turned_hats(R, v):
     return out
 
 
-@numba.njit(cache=True)
+@njit()
 def _wrench_change(R, arm, F, dF, dP):
     """As `Linearisation.wrench_change` for fields that R turns, (3k, c)."""
     out = np.zeros((6, dF.shape[1]))

@@ -9,16 +9,16 @@ Symbols as in docs/soles.md.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation
 from drake_exo.soles.contact.node_law import ContactLaw, project_node
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.rotations import exp_rotation, hat, rotation_z, yaw_of
 
 
-@numba.njit(cache=True)
+@njit()
 def deformed(C, lP, R, F):
     """Y = R (lP + C Rᵀ F): places relative to O, world [m], (m, 3).
 
@@ -50,7 +50,7 @@ def deformed(C, lP, R, F):
     return Y
 
 
-@numba.njit(cache=True)
+@njit()
 def residual(P, F, Q_t, zmp, r, mu, epsilon, kappa):
     """Residuals of the node law and of the wrench at places P.
 

@@ -13,10 +13,10 @@ Alart–Curnier's. With D = ∂T/∂τ the derivatives are ∂φ/∂F = I − D 
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.soles.compiled import njit
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ContactLaw:
         return self.penalty * self.layer
 
 
-@numba.njit(cache=True)
+@njit()
 def smooth_plus(x, width):
     """max(x, 0) with a twice differentiable corner on [-width, width].
 
@@ -82,7 +82,7 @@ def project_with_derivative(
     return _project(tau, law.friction, law.epsilon, law.kappa)
 
 
-@numba.njit(cache=True)
+@njit()
 def _project(tau, mu, epsilon, kappa):
     T = np.empty_like(tau)
     D = np.empty((len(tau), 3, 3), tau.dtype)
@@ -91,7 +91,7 @@ def _project(tau, mu, epsilon, kappa):
     return T, D
 
 
-@numba.njit(cache=True)
+@njit()
 def project_node(tau, mu, epsilon, kappa, T, D):
     """T(τ) and D at one node, into T (3,) and D (3, 3)."""
     p, dp = smooth_plus(tau[2], epsilon)

@@ -9,9 +9,9 @@ means over its own averages.
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.linearisation import blocks
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import (
@@ -149,7 +149,7 @@ def _between_nodes(tets, free, v, u):
     return out, place.reshape(codes.shape)
 
 
-@numba.njit(cache=True)
+@njit()
 def _turned(between, place, gradients, shear, lam):
     """Σ_k H(u)ᵀ σ(v), made symmetric in v and u, (e, 3, 3).
 

@@ -14,9 +14,9 @@ often: thinned samples then give about the norm of all.
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity.linear import Sole, gradient_operators
 from drake_exo.soles.mesh import scatter
@@ -120,7 +120,7 @@ class StrainNorm:
         return out * self.counts[self._q][:, None, None]
 
 
-@numba.njit(cache=True)
+@njit()
 def _powers(matrices, order):
     """Powers of 3 × 3 matrices, by squaring."""
     out = np.empty_like(matrices)

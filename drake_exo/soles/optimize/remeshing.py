@@ -28,11 +28,11 @@ from functools import partial
 from pathlib import Path
 from zipfile import BadZipFile
 
-import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError, first_line
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.mesh import FACES, TetMesh, checked_mesh
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.shape import SphericalSpline, onto_edges, pull_back, reach
@@ -65,7 +65,7 @@ def untangled(mesh: TetMesh, least: float) -> TetMesh:
     return mesh.with_nodes(nodes)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _relax(nodes, node, star, neighbours) -> None:
     """Move one node where the worst of its elements gains most.
 
@@ -101,7 +101,7 @@ def _relax(nodes, node, star, neighbours) -> None:
             break
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _least_quality(nodes, star):
     """Least mean-ratio quality, as `TetMesh.quality`, and whose."""
     least, worst = np.inf, 0
@@ -122,7 +122,7 @@ def _least_quality(nodes, star):
     return least, worst
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _uprighting(nodes, tet, node, out):
     """Move of one of a tet's nodes that adds volume, half its extent long."""
     a = 0
@@ -141,7 +141,7 @@ def _uprighting(nodes, tet, node, out):
         out[axis] *= -0.5 * np.sqrt(extent / area)
 
 
-@numba.njit(cache=True)
+@njit()
 def _area(nodes, face, out):
     """Area vector of a face's first three nodes, into out (3,)."""
     i, j, k = face[0], face[1], face[2]

@@ -1,0 +1,69 @@
+"""Compiled functions never outlive the sources that went into them."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from drake_exo import soles
+
+LAW = """
+from drake_exo.soles.compiled import njit
+
+@njit()
+def outer(x):
+    return inner(x)
+
+@njit()
+def inner(x):
+    return {factor} * x
+"""
+CALLER = """
+from drake_exo.soles.compiled import njit
+from stale_law import outer
+
+@njit()
+def called(x):
+    return outer(x) + 1.0
+"""
+
+
+@pytest.fixture
+def fresh(tmp_path, monkeypatch):
+    """Imports the caller as a new process would, after the law is written."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "stale_caller.py").write_text(CALLER)
+
+    def load(factor: str):
+        (tmp_path / "stale_law.py").write_text(LAW.format(factor=factor))
+        for name in ("stale_law", "stale_caller"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        return importlib.import_module("stale_caller").called
+
+    yield load
+    for name in ("stale_law", "stale_caller"):
+        sys.modules.pop(name, None)
+
+
+def test_an_edited_law_is_seen_by_its_callers_in_other_files(fresh):
+    assert fresh("2.0")(3.0) == 7.0
+    found = fresh("5.00")
+    assert found(3.0) == 16.0
+    assert not found.stats.cache_hits
+
+
+def test_what_nobody_edited_is_not_compiled_again(fresh):
+    fresh("2.0")(3.0)
+    sys.modules.pop("stale_law")
+    sys.modules.pop("stale_caller")
+    again = importlib.import_module("stale_caller").called
+    assert again(3.0) == 7.0
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
+def test_no_sole_is_compiled_in_another_way():
+    for path in Path(soles.__file__).parent.rglob("*.py"):
+        if path.name != "compiled.py":
+            assert "numba.njit" not in path.read_text("utf-8"), path
