@@ -216,17 +216,18 @@ class ErrorModel:
         """
         names = self._model.coordinates
         found = np.zeros((len(change), names.num_joints))
+        human = ~names.is_device_joint
         for i, device in enumerate(names.device):
             if joint in (None, device):
                 found[:, names.joint(device)] += change[:, i]
-                found[:, names.joint(names.follows(device))] -= change[:, i]
+                found[:, human] -= np.outer(change[:, i], names.turned_by[i])
         return found
 
     def _moments(self, at: Trial, q, v, a, k) -> np.ndarray:
         """Change (n, n_joints) of the human's moments by skin that slides."""
         tree, names = self._model.rigid.tree, self._model.coordinates
         body = names.body_columns
-        loads = {tree.foot: at.ground, **at.chair_loads()}
+        loads = {tree.root: at.ground, **at.chair_loads()}
 
         def resultant(size):
             x = [
@@ -249,23 +250,18 @@ def _squared(f, rate, acceleration):
 
 
 def _neighbours(model: Model) -> dict[str, tuple[str, ...]]:
-    """Segment above each human joint -> the joints at its two ends."""
-    joints = model.coordinates.human
+    """Segment that each human joint moves -> the joints at its ends."""
+    joints = {name: model.tree.joints[name] for name in model.coordinates.human}
     return {
-        segment: joints[i : i + 2] for i, segment in enumerate(_segments(model))
+        child: tuple(name for name, ends in joints.items() if child in ends)
+        for _, child in joints.values()
     }
 
 
 def _segments(model: Model) -> list[str]:
-    """The human's segment that each of its joints moves, from below."""
-    tree, names = model.tree, model.coordinates
-    own = [human for human, _ in tree.cuffs.values()]
-    columns = names.columns(names.human)
-
-    def height(segment: str) -> int:
-        return int(np.count_nonzero(tree.turning(segment)[columns]))
-
-    return sorted(own, key=height)
+    """The human's segment that each of its joints moves, from the root."""
+    joints = model.tree.joints
+    return [joints[name][1] for name in model.coordinates.human]
 
 
 def _turns(model: Model) -> dict[str, np.ndarray]:

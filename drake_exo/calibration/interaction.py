@@ -92,6 +92,6 @@ def check_has_cuffs(model: Model) -> None:
     """Raises InputError if there is nothing to interact with."""
     if not model.cuffs:
         raise InputError(
-            f"the study's model is '{model.kind}': there is no exoskeleton "
+            f"the study's model is '{model.name}': there is no exoskeleton "
             "to interact with; use 'model: coupled', or --phase foot-ground"
         )

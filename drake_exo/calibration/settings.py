@@ -219,6 +219,7 @@ class FootGroundSettings:
         law: "simbody" or "paper". The paper's friction has zero slope at
             zero slip, which slows an optimiser down.
         constants: friction and smoothing constants of the law by name.
+        spheres: of those that the model's `ground` names otherwise.
         prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
         front: factors on the noise of forces and centre of pressure, for
             the Pareto front of kinematics against forces.
@@ -231,6 +232,7 @@ class FootGroundSettings:
     constants: dict[str, float] = field(default_factory=dict)
     heel: SphereSettings = SphereSettings()
     toe: SphereSettings = SphereSettings()
+    spheres: dict[str, SphereSettings] = field(default_factory=dict)
     noise: TrackingNoise = TrackingNoise()
     end_tolerance: EndTolerance = EndTolerance()
     prior_weight: float = field(default=0.01, metadata={"minimum": 0.0})
@@ -255,10 +257,10 @@ class FootGroundSettings:
             check_bounds(f"foot_ground.constants.{name}", value, known[name])
         return law(**self.constants)
 
-    @property
-    def spheres(self) -> dict[str, SphereSettings]:
-        """Of each sphere by name."""
-        return {"heel": self.heel, "toe": self.toe}
+    def of(self, sphere: str) -> SphereSettings:
+        """Of one sphere by name."""
+        own = {"heel": self.heel, "toe": self.toe} | self.spheres
+        return own.get(sphere, SphereSettings())
 
     def parameters(
         self, places: dict[str, tuple[float, float]]
@@ -271,7 +273,7 @@ class FootGroundSettings:
         found = [
             p
             for name, place in places.items()
-            for p in _sphere(name, self.spheres[name], place, self.law)
+            for p in _sphere(name, self.of(name), place, self.law)
         ]
         if self.prior_weight == 0.0:
             return found
@@ -391,6 +393,7 @@ class InteractionSettings:
     """Phase B, and the models of Phase C.
 
     Attributes:
+        cuffs: of those that the model's `cuffs` names otherwise.
         stiffness_factor: one standard deviation of the prior of every
             stiffness, which is log-normal: within this factor of its nominal
             value are two of three.
@@ -407,6 +410,7 @@ class InteractionSettings:
     shank: BushingSettings = BushingSettings()
     thigh: BushingSettings = BushingSettings()
     pelvis: BushingSettings = BushingSettings()
+    cuffs: dict[str, BushingSettings] = field(default_factory=dict)
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: EndTolerance = EndTolerance()
     stiffness_factor: float = field(default=2.0, metadata={"above": 1.0})
@@ -414,6 +418,11 @@ class InteractionSettings:
     prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
+
+    def of(self, cuff: str) -> BushingSettings:
+        """Of one cuff by name."""
+        own = {"shank": self.shank, "thigh": self.thigh, "pelvis": self.pelvis}
+        return (own | self.cuffs).get(cuff, BushingSettings())
 
     def parameters(
         self, places: dict[str, tuple[float, float]]
@@ -426,7 +435,7 @@ class InteractionSettings:
         return [
             p
             for name, place in places.items()
-            for p in self._bushing(name, getattr(self, name), place)
+            for p in self._bushing(name, self.of(name), place)
         ]
 
     def _bushing(self, name, settings, place) -> list[ContactParameter]:
@@ -465,7 +474,7 @@ class InteractionSettings:
             name, _, what = p.name.partition(".")
             found.setdefault(name, {})[what] = p.nominal
         return {
-            name: BushingParameters(**values, **getattr(self, name).damping)
+            name: BushingParameters(**values, **self.of(name).damping)
             for name, values in found.items()
         }
 

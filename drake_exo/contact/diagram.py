@@ -106,7 +106,7 @@ def build_diagram(
     plant = _add_plant(builder, model, meshcat)
     ground = builder.AddSystem(
         FootGroundContact(
-            plant.GetBodyByName(model.tree.foot).index(), contact.ground
+            plant.GetBodyByName(model.tree.root).index(), contact.ground
         )
     )
     systems = [ground]
@@ -212,7 +212,7 @@ def _bushings(plant, model: Model, bushings) -> LeafSystem:
     if unknown:
         raise InputError(
             f"no cuff is called {', '.join(sorted(unknown))}; this model of "
-            f"kind '{model.kind}' has {', '.join(cuffs) or 'none'}"
+            f"kind '{model.name}' has {', '.join(cuffs) or 'none'}"
         )
     pairs = {
         name: tuple(plant.GetBodyByName(link).index() for link in links)

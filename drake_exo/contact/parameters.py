@@ -285,11 +285,11 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     }
     bushings = {}
     for name, (x, z) in model.cuffs.items():
-        device_x, device_z = model.exoskeleton.cuff_m(name)
+        preload_x, preload_z = model.preload(name)
         bushings[name] = BushingParameters(
             origin_x=x,
             origin_z=z,
-            preload_x=device_x - x,
-            preload_z=device_z - z,
+            preload_x=preload_x,
+            preload_z=preload_z,
         )
     return ContactModel(GroundContact(law, spheres).checked(), bushings)

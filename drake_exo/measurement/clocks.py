@@ -101,7 +101,7 @@ def cuff_deflections(
     d = np.empty((len(q), len(tree.cuffs), 3))
     Q = np.empty((len(q), len(device), len(tree.cuffs), 3))
     for i, (cuff, origin) in enumerate(model.cuffs.items()):
-        gap = np.subtract(model.exoskeleton.cuff_m(cuff), origin)
+        gap = model.preload(cuff)
         bushing = BushingKinematics(tree, cuff, (*gap, 0.0))
         terms = bushing.terms(q, np.broadcast_to(origin, (len(q), 2)))
         d[:, i] = bushing.deflection(q, terms)

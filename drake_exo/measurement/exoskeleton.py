@@ -25,7 +25,8 @@ from drake_exo.measurement.filters import (
     derivatives,
     resample,
 )
-from drake_exo.measurement.settings import SIDES, Device, Filter, Legs
+from drake_exo.measurement.settings import Device, Filter, Legs
+from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 
 _MOMENT = "_moment"
@@ -177,7 +178,7 @@ def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
     for i, (name, k) in enumerate(
         zip(names.device, names.device_columns, strict=True)
     ):
-        joint = getattr(device, names.follows(name))
+        joint = device.of(name, names.follows(name))
         moments[:, i] -= joint.inertia_kg_m2 * a[:, k]
         moments[:, i] -= joint.stiffness_nm_rad * (
             q[:, k] - np.deg2rad(joint.rest_deg)
@@ -192,7 +193,7 @@ def friction_moments(device: Device, tree: PlanarTree, v) -> np.ndarray:
     for i, (name, k) in enumerate(
         zip(names.device, names.device_columns, strict=True)
     ):
-        joint, rate = getattr(device, names.follows(name)), v[:, k]
+        joint, rate = device.of(name, names.follows(name)), v[:, k]
         moments[:, i] = -joint.viscous_nm_s * rate - joint.coulomb_nm * (
             np.tanh(rate / joint.coulomb_speed_rad_s)
         )

@@ -20,7 +20,8 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.sagittal import SagittalFrame
-from drake_exo.measurement.settings import SIDES, Markers
+from drake_exo.measurement.settings import Markers
+from drake_exo.model.assembly import SIDES
 
 LEG = ("thigh", "shank", "foot")
 _JOINTS = ("ankle", "knee", "hip")

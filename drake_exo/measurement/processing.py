@@ -189,7 +189,7 @@ def process(
         chair = until_seat_off(time, chair, model.tree.weight)
     clocks = {"forces": force_clock}
     angles = moments = None
-    if model.exoskeleton is not None:
+    if model.coordinates.device:
         angles, moments, encoder_clock = _device(
             files, motion, model, settings, root
         )
@@ -508,7 +508,7 @@ def _coordinates(files, recording: Recording, inside, model: Model):
     """q, v, a (n, nq) of the model, and whose the device's angles are."""
     motion = recording.motion
     body = [x[inside] for x in (motion.q, motion.v, motion.a)]
-    if model.exoskeleton is None:
+    if not model.coordinates.device:
         return body, {}
     if recording.angles is None:
         aligned = [model.coordinates.aligned(x) for x in body]
@@ -528,11 +528,11 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
     """
     names, tree = model.coordinates, model.rigid.tree
     body = [x[:, names.body_columns] for x in (trial.q, trial.v, trial.a)]
-    loads = {tree.foot: trial.ground, **trial.chair_loads()}
+    loads = {tree.root: trial.ground, **trial.chair_loads()}
     Q = inverse_dynamics(tree, *body, loads)
     resultant = from_the_ground_up(tree, body[0], Q)
     resultant = resultant[:, tree.coordinates.joint_columns]
-    if model.exoskeleton is None:
+    if not names.device:
         return resultant, None, {"human": "resultant"}
     friction = None
     if recording.moments is not None:
@@ -554,9 +554,7 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
             None,
             {"human": "unknown: neither exo_moments nor device are given"},
         )
-    beside = [names.human.index(names.follows(name)) for name in names.device]
-    human = resultant.copy()
-    human[:, beside] -= exo
+    human = resultant - exo @ names.turned_by
     said = {"human": "resultant - exoskeleton", "exoskeleton": source}
     return np.hstack([human, exo]), friction, said
 

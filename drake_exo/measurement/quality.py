@@ -85,7 +85,7 @@ def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
     tree = subject.model.rigid.tree
     columns = trial.coordinates.body_columns
     body = [x[:, columns] for x in (trial.q, trial.v, trial.a)]
-    loads = {tree.foot: trial.ground, **trial.chair_loads()}
+    loads = {tree.root: trial.ground, **trial.chair_loads()}
     Q = inverse_dynamics(tree, *body, loads)
     return Q[:, tree.coordinates.root_columns]
 

@@ -26,13 +26,13 @@ from drake_exo.measurement.sagittal import (
     planar_wrench,
 )
 from drake_exo.measurement.settings import (
-    SIDES,
     Filter,
     Laboratory,
     Plates,
     Standing,
     TrialFiles,
 )
+from drake_exo.model.assembly import SIDES
 
 _NEIGHBOURS = 10  # seen frames on each side that carry the spline
 

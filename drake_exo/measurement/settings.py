@@ -15,14 +15,13 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.model.assembly import ASSEMBLIES, Assembly
 from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
-SIDES: tuple[Side, Side] = ("left", "right")
 _SECONDS = {"unit": "s"}
 Legs = Literal["left", "right", "both"]
-Segment = Literal["shank", "thigh", "pelvis"]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Point = tuple[float, float, float]
 
@@ -90,7 +89,9 @@ class Device:
     Attributes:
         encoder_legs, moment_legs: legs whose angles and moments the files
             hold; moments of one leg are doubled, angles are means.
-        ankle, knee, hip: identified dynamics of the joints.
+        ankle, knee, hip: identified dynamics of the joints beside the
+            person's.
+        joints: likewise by the name of the device's own joint.
         carries_itself: share of the links' own weight and inertia that the
             drives bear, 0 for a passive device, 1 for a transparent one.
     """
@@ -100,9 +101,15 @@ class Device:
     ankle: JointDrive = JointDrive()
     knee: JointDrive = JointDrive()
     hip: JointDrive = JointDrive()
+    joints: dict[str, JointDrive] = field(default_factory=dict)
     carries_itself: float = field(
         default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
     )
+
+    def of(self, joint: str, beside: str) -> JointDrive:
+        """Dynamics of a joint that sits beside one of the person's."""
+        usual = getattr(self, beside.split("_")[0], JointDrive())
+        return self.joints.get(joint, usual)
 
 
 @dataclass(frozen=True)
@@ -138,7 +145,7 @@ class Mat:
     """A pressure matrix.
 
     Attributes:
-        segment: that it lies on.
+        segment: that it lies on: the cuff's name.
         rows, columns: cells, in the order of the file (row by row).
         cell_area_m2: of one cell.
         legs: that it measured; "left" or "right" are doubled.
@@ -147,7 +154,7 @@ class Mat:
             y left, z up along the segment).
     """
 
-    segment: Segment
+    segment: str
     rows: int = field(metadata={"minimum": 1})
     columns: int = field(metadata={"minimum": 1})
     cell_area_m2: float = field(
@@ -440,7 +447,8 @@ class RecordingSettings:
     """All of a study but what is made of it.
 
     Attributes:
-        model: with the exoskeleton, or the human alone.
+        model: with the shipped exoskeleton, or the human alone; or a
+            description of person, device, cuffs and ground.
         gravity_m_s2: acceleration of gravity.
         device: how the exoskeleton was measured and what its drives do; left
             out, joint moments are known only where they were recorded.
@@ -451,7 +459,7 @@ class RecordingSettings:
     standing: Standing
     markers: Markers
     trials: tuple[TrialFiles, ...]
-    model: Literal["coupled", "human"] = "coupled"
+    model: Literal["coupled", "human"] | Assembly = "coupled"
     exoskeleton: ExoskeletonOverrides = field(
         default_factory=ExoskeletonOverrides
     )
@@ -478,6 +486,20 @@ class RecordingSettings:
                         f"trial {trial.name}: {name!r} is none of the mats "
                         f"({', '.join(self.mats) or 'there are none'})"
                     )
+        cuffs = self.assembly.cuffs
+        for name, mat in self.mats.items():
+            if self.assembly.device and mat.segment not in cuffs:
+                raise InputError(
+                    f"mats.{name}: segment {mat.segment!r} has no cuff; there "
+                    f"are {', '.join(cuffs) or 'none'}"
+                )
+
+    @property
+    def assembly(self) -> Assembly:
+        """What the model is put together of."""
+        if isinstance(self.model, Assembly):
+            return self.model
+        return ASSEMBLIES[self.model]
 
 
 def _check_window(start_s: float | None, end_s: float | None) -> None:

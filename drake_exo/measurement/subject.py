@@ -24,7 +24,13 @@ from drake_exo.measurement.recording import (
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Markers, RecordingSettings, Standing
 from drake_exo.model.anthropometry import scale_human
-from drake_exo.model.description import fit_exoskeleton, nominal_exoskeleton
+from drake_exo.model.assembly import Assembly
+from drake_exo.model.description import (
+    fit_exoskeleton,
+    nominal_exoskeleton,
+    nominal_human,
+)
+from drake_exo.model.device_file import with_text
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
@@ -57,6 +63,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     Raises:
         InputError: unreadable or unsuitable standing trial, or no body mass.
     """
+    if isinstance(settings.model, Assembly):
+        settings = replace(settings, model=with_text(settings.model, root))
     frame = settings.laboratory.marker_axes.frame
     standing = _quiet_part(
         read_markers(root / settings.standing.markers, settings.filter),
@@ -139,10 +147,16 @@ def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
 
 def _body_mass(settings: RecordingSettings, wrench, report) -> float:
     device = 0.0
-    if settings.model == "coupled":
+    if settings.assembly.is_fitted:
         device = with_overrides(
             nominal_exoskeleton(), settings.exoskeleton, "exoskeleton"
         ).mass_kg
+    elif settings.assembly.device is not None:
+        alone = replace(settings.assembly, device=None, cuffs={})
+        device = (
+            Model(settings.assembly, nominal_human()).tree.mass
+            - Model(alone, nominal_human()).tree.mass
+        )
     measured = None
     if wrench is not None:
         measured = float(wrench.force[0, 1]) / settings.gravity_m_s2 - device
@@ -214,7 +228,7 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
 
 def _with_device(settings: RecordingSettings, human: HumanParameters) -> Model:
     device = None
-    if settings.model == "coupled":
+    if settings.assembly.is_fitted:
         device = fit_exoskeleton(human, settings.exoskeleton)
     return Model(settings.model, human, device, settings.gravity_m_s2)
 

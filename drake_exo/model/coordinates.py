@@ -24,6 +24,9 @@ class Coordinates:
         names: (nq,) in the order of the plant's positions: x, z and pitch of
             the root, then the hinges.
         device: the hinges that are the device's; the others are the human's.
+        coupling: turn of each of the device's hinges by those of the human,
+            while the device moves as the human does; empty where a hinge of
+            the device turns as that of the human which its name ends in.
 
     >>> names = Coordinates(("x", "z", "pitch", "ankle"))
     >>> names.joints, names.index("pitch")
@@ -32,6 +35,7 @@ class Coordinates:
 
     names: tuple[str, ...]
     device: tuple[str, ...] = ()
+    coupling: tuple[tuple[float, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.names)
@@ -121,19 +125,35 @@ class Coordinates:
             )
         return place
 
+    @cached_property
+    def turned_by(self) -> np.ndarray:
+        """How the device's hinges turn with the human's (device's, human's).
+
+        Raises:
+            InputError: a hinge ends like none of the human's.
+        """
+        rows = np.zeros((len(self.device), len(self.human)))
+        if self.coupling:
+            return np.reshape(self.coupling, rows.shape)
+        for row, name in zip(rows, self.device, strict=True):
+            beside = [h for h in self.human if name.endswith(f"_{h}")]
+            if not beside:
+                raise InputError(
+                    f"joint {name!r} of the device sits beside none of the "
+                    "human's; let its name end in one of "
+                    f"_{', _'.join(self.human)}"
+                )
+            row[self.human.index(beside[0])] = 1.0
+        return rows
+
     def follows(self, name: str) -> str:
         """The human's hinge beside which a device's hinge `name` sits.
 
         Raises:
-            InputError: it ends like none of them.
+            InputError: there is none.
         """
-        for beside in self.human:
-            if name.endswith(f"_{beside}"):
-                return beside
-        raise InputError(
-            f"joint {name!r} of the device sits beside none of the human's; "
-            f"let its name end in one of _{', _'.join(self.human)}"
-        )
+        row = np.abs(self.turned_by[self.device.index(name)])
+        return self.human[int(np.argmax(row))]
 
     def aligned(self, body: np.ndarray) -> np.ndarray:
         """All coordinates (n, nq) of a device that moves as the human does.
@@ -141,9 +161,8 @@ class Coordinates:
         Args:
             body: (n, len(self.body)) coordinates of `body`.
         """
-        beside = [self.follows(name) for name in self.device]
-        place = [self.body.index(name) for name in (*self.body, *beside)]
-        return body[:, place]
+        human = body[:, len(_ROOT) :]
+        return np.hstack([body, human @ self.turned_by.T])
 
 
 def read_coordinates(plant: MultibodyPlant) -> Coordinates:

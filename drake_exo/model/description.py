@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.assembly import Person
 from drake_exo.model.segments import (
     SEGMENTS,
     ExoskeletonParameters,
@@ -25,9 +26,16 @@ from drake_exo.model.segments import (
     SegmentParameters,
     with_overrides,
 )
+from drake_exo.model.skeleton import assembled
 
 NOMINAL_MASS_KG = 70.0
 NOMINAL_HEIGHT_M = 1.75
+# Of the shipped device: name, parent, frame on it, child, sense about y.
+_HINGES = (
+    ("exo_ankle", "exo_foot", "exo_foot", "exo_shank", 1),
+    ("exo_knee", "exo_shank", "exo_knee_centre", "exo_thigh", -1),
+    ("exo_hip", "exo_thigh", "exo_hip_centre", "exo_pelvis", 1),
+)
 
 
 def models_path() -> Path:
@@ -120,8 +128,8 @@ def fit_exoskeleton(
     return with_overrides(fitted, overrides, "exoskeleton")
 
 
-def human_sdf(human: HumanParameters) -> str:
-    """human.sdf with this human's numbers."""
+def human_sdf(human: HumanParameters, person: Person | None = None) -> str:
+    """human.sdf with this human's numbers, and as many legs as the person."""
     model, nominal = _read("human.sdf"), nominal_human()
     width = body_width(human)
     for name in SEGMENTS:
@@ -139,6 +147,7 @@ def human_sdf(human: HumanParameters) -> str:
     _set_frame(model, "vertex", (0.0, human.pelvis.length_m))
     for name in ("heel", "toe", "shank_cuff", "thigh_cuff", "pelvis_cuff"):
         _set_frame(model, name, getattr(human, f"{name}_m"))
+    assembled(model, human, person or Person())
     return _text(model)
 
 
@@ -168,6 +177,23 @@ def exoskeleton_sdf(
     _set_frame(model, "exo_hip_centre", (0.0, exoskeleton.thigh.length_m))
     for name in ("heel", "toe", "shank_cuff", "thigh_cuff", "pelvis_cuff"):
         _set_frame(model, f"exo_{name}", getattr(exoskeleton, f"{name}_m"))
+    return _text(model)
+
+
+def hinged(text: str) -> str:
+    """The shipped device's file with the hinges between its links."""
+    model = ET.fromstring(text)
+    for name, parent, frame, child, axis in _HINGES:
+        pose = ET.Element("pose", relative_to=frame)
+        pose.text = "0 0 0 0 0 0"
+        _link(model, child).insert(0, pose)
+        joint = ET.SubElement(
+            _child(model, "model"), "joint", name=name, type="revolute"
+        )
+        for tag, text in (("parent", parent), ("child", child)):
+            ET.SubElement(joint, tag).text = text
+        xyz = ET.SubElement(ET.SubElement(joint, "axis"), "xyz")
+        xyz.text = f"0 {axis} 0"
     return _text(model)
 
 

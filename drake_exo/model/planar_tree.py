@@ -23,7 +23,7 @@ from pydrake.multibody.tree import (
 
 from drake_exo.model.coordinates import Coordinates, read_coordinates
 
-_CUFF, _DEVICE = "_cuff", "exo_"  # in the names of frames
+_CUFF, DEVICE = "_cuff", "exo_"  # in the names of frames
 _SAMPLES = 64
 _AGREEMENT = 1e-9
 
@@ -37,7 +37,8 @@ class PlanarTree:
         cuffs: cuff -> (link of the human, link of the device) that it joins:
             where both have a frame NAME_cuff and can move against each
             other.
-        foot: the root, which stands on the ground.
+        joints: hinge -> (parent, child) that it joins.
+        root: body whose place and pitch are coordinates.
         names: body names, length nb.
         segment_of: (nb,) index of the rigid segment that carries each body.
         angle_map: (ns, nq - 2) T with absolute angles phi = T theta.
@@ -55,7 +56,8 @@ class PlanarTree:
 
     coordinates: Coordinates
     cuffs: dict[str, tuple[str, str]]
-    foot: str
+    joints: dict[str, tuple[str, str]]
+    root: str
     names: tuple[str, ...]
     segment_of: np.ndarray
     angle_map: np.ndarray
@@ -279,7 +281,8 @@ def _read_tree(plant: MultibodyPlant) -> PlanarTree:
             for cuff, links in _cuffs(plant).items()
             if len({segment_of[names.index(link)] for link in links}) == 2
         },
-        foot=bodies[0].name(),
+        joints=_joints(plant),
+        root=bodies[0].name(),
         names=names,
         segment_of=segment_of,
         angle_map=rows,
@@ -299,9 +302,18 @@ def _cuffs(plant) -> dict[str, tuple[str, str]]:
     for index in range(plant.num_frames()):
         frame = plant.get_frame(FrameIndex(index))
         if frame.name().endswith(_CUFF):
-            cuff = frame.name().removesuffix(_CUFF).removeprefix(_DEVICE)
+            cuff = frame.name().removesuffix(_CUFF).removeprefix(DEVICE)
             found.setdefault(cuff, []).append(frame.body().name())
     return {c: tuple(links) for c, links in found.items() if len(links) == 2}
+
+
+def _joints(plant) -> dict[str, tuple[str, str]]:
+    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
+    return {
+        j.name(): (j.parent_body().name(), j.child_body().name())
+        for j in joints
+        if j.num_positions() == 1
+    }
 
 
 def _body_indices(plant):

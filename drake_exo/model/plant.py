@@ -1,17 +1,16 @@
-"""The three plants: coupled (9 DOF), rigid (6 DOF) and human only (6 DOF).
+"""Plants put together from a description of person, device and cuffs.
 
-All are made of the same links. Drake's SDF parser knows no planar joint to
-the world and the model files hold no joints at all, because the rigid plant
-welds what the coupled plant hinges: joints are added here.
+Drake's SDF parser knows no planar joint to the world, and the person has one
+leg or two: the person's joints are added here, the device's are in its file.
 
-Signs: the pitch of the foot is positive toes up; dorsiflexion, knee flexion
+Signs: the pitch of the root is positive toes up; dorsiflexion, knee flexion
 and hip flexion are positive. Seen from the right, counter-clockwise (about
--y) relative angles are pitch, -ankle, +knee, -hip.
+-y) relative angles are, from the foot up, pitch, -ankle, +knee, -hip.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from pydrake.geometry import Box
@@ -24,25 +23,40 @@ from pydrake.multibody.tree import (
     ModelInstanceIndex,
     PlanarJoint,
     RevoluteJoint,
+    SpatialInertia,
 )
 
 from drake_exo.errors import InputError, check_bounds
+from drake_exo.model.assembly import ASSEMBLIES, Assembly, DeviceFile, Weld
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,
     fit_exoskeleton,
+    hinged,
     human_sdf,
     models_path,
     nominal_human,
 )
-from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.model.segments import ExoskeletonParameters, HumanParameters
+from drake_exo.model.device_file import (
+    add_device,
+    check_planar,
+    link_names,
+    missing_link,
+    placed,
+)
+from drake_exo.model.planar_tree import DEVICE, PlanarTree
+from drake_exo.model.segments import (
+    CUFFED,
+    ExoskeletonParameters,
+    HumanParameters,
+)
+from drake_exo.model.skeleton import Hinge, hinges, soles
 
 GRAVITY = 9.81
 
 Kind = Literal["coupled", "rigid", "human"]
-KINDS = get_args(Kind)
+KINDS = tuple(ASSEMBLIES)
 
 # Turns z to -y and +y. Written out, because cos(pi/2) is not zero in floating
 # point and would litter the symbolic equations of motion.
@@ -59,10 +73,11 @@ class Model:
     """A subject, alone or in a device, as `model.json` holds it.
 
     Attributes:
-        kind: "coupled" (two chains on one foot), "rigid" (the device's links
+        kind: what it is put together of; or the name of one that ships:
+            "coupled" (two chains on one foot), "rigid" (the device's links
             welded to the human's) or "human" (no device).
         human: the subject.
-        exoskeleton: the device; None for the kind "human".
+        exoskeleton: the shipped device; None without it.
         gravity_m_s2: magnitude of gravity.
 
     >>> human = nominal_human()
@@ -73,49 +88,155 @@ class Model:
     ['shank', 'thigh', 'pelvis']
     """
 
-    kind: Kind
+    kind: Kind | Assembly
     human: HumanParameters
     exoskeleton: ExoskeletonParameters | None = None
     gravity_m_s2: float = GRAVITY
 
     def __post_init__(self):
-        if self.kind not in KINDS:
+        if not isinstance(self.kind, Assembly) and self.kind not in KINDS:
             raise InputError(
                 f"there is no model {self.kind!r}; choose one of "
                 f"{', '.join(KINDS)}"
             )
-        if self.kind != "human" and self.exoskeleton is None:
+        if self.assembly.is_fitted and self.exoskeleton is None:
             raise InputError(
-                f"a model of kind {self.kind!r} needs an exoskeleton; "
+                f"a model of kind {self.name!r} needs an exoskeleton; "
                 "give one, or choose 'human'"
             )
         check_bounds("gravity_m_s2", self.gravity_m_s2, {"minimum": 0.0})
 
+    @property
+    def assembly(self) -> Assembly:
+        """What it is put together of."""
+        return (
+            self.kind
+            if isinstance(self.kind, Assembly)
+            else (ASSEMBLIES[self.kind])
+        )
+
+    @property
+    def name(self) -> str:
+        """Of its kind, for messages."""
+        return "described" if isinstance(self.kind, Assembly) else self.kind
+
+    @property
+    def has_device(self) -> bool:
+        """Whether the subject wears one."""
+        return self.assembly.device is not None
+
     @cached_property
     def tree(self) -> PlanarTree:
-        """Batched dynamics of the plant."""
-        return PlanarTree.from_plant(self.plant())
+        """Batched dynamics of the plant.
+
+        Raises:
+            InputError: the device is none that moves in the plane.
+        """
+        plant, device = self.plant(), self.assembly.device
+        if device is not None:
+            check_planar(plant, device)
+        tree = PlanarTree.from_plant(plant)
+        tree = replace(
+            tree,
+            cuffs={
+                cuff: links
+                for cuff, links in tree.cuffs.items()
+                if cuff in self.assembly.cuffs
+            },
+        )
+        if device is None or self.assembly.is_fitted:
+            return tree
+        names = replace(tree.coordinates, coupling=_coupling(self, tree))
+        return replace(tree, coordinates=names)
 
     @cached_property
     def rigid(self) -> "Model":
         """The same with the device welded on, if there is one."""
-        return replace(self, kind="rigid") if self.exoskeleton else self
+        device = self.assembly.device
+        if device is None:
+            return self
+        if self.kind == "coupled":
+            return replace(self, kind="rigid")
+        welds = {
+            link: _seen_from(self, segment, link)
+            for link, segment in _riding(self).items()
+        }
+        welded = replace(self.assembly, device=replace(device, weld=welds))
+        return replace(self, kind=replace(welded, cuffs={}))
 
     @property
     def coordinates(self) -> Coordinates:
         """Names of the coordinates."""
         return self.tree.coordinates
 
+    @cached_property
+    def soles(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Segment -> sphere -> nominal centre (x, z) in the segment [m].
+
+        Raises:
+            InputError: a sphere has no usual place, and none is given.
+        """
+        usual = soles(self.human, self.assembly.human)
+        if self.exoskeleton is not None:
+            own = {"heel": self.exoskeleton.heel_m}
+            own["toe"] = self.exoskeleton.toe_m
+            usual["foot"] = {**usual.get("foot", {}), **own}
+        found: dict[str, dict[str, tuple[float, float]]] = {}
+        for body, spheres in self.assembly.spheres.items():
+            for name, place in spheres.items():
+                place = place or usual.get(body, {}).get(name)
+                if place is None:
+                    known = ", ".join(usual.get(body, {})) or "none"
+                    raise InputError(
+                        f"ground: {name!r} has no usual place on {body} "
+                        f"(there are {known}); give {name}: [x, z] in m"
+                    )
+                found.setdefault(body, {})[name] = place
+        return found
+
     @property
     def spheres(self) -> dict[str, tuple[float, float]]:
-        """Contact sphere -> nominal centre (x, z) in the foot [m]."""
-        foot = self.exoskeleton or self.human
-        return {"heel": foot.heel_m, "toe": foot.toe_m}
+        """Contact sphere -> nominal centre (x, z) in its segment [m].
+
+        Spheres of one name on several segments share their parameters.
+        """
+        found: dict[str, tuple[float, float]] = {}
+        for spheres in self.soles.values():
+            for name, place in spheres.items():
+                if found.setdefault(name, place) != place:
+                    raise InputError(
+                        f"ground: sphere {name!r} has two places; spheres of "
+                        "one name share their parameters, rename one"
+                    )
+        return found
 
     @property
     def cuffs(self) -> dict[str, tuple[float, float]]:
         """Cuff -> nominal place (x, z) in its segment of the human [m]."""
-        return {c: self.human.cuff_m(c) for c in self.tree.cuffs}
+        return {c: self._cuff_m(c) for c in self.tree.cuffs}
+
+    def _cuff_m(self, cuff: str) -> tuple[float, float]:
+        links = self.assembly.cuffs[cuff]
+        segment = links.human.split("_")[0]
+        if links.at_m is not None:
+            return links.at_m
+        if segment not in CUFFED:
+            raise InputError(
+                f"cuff {cuff!r} has no usual place on {links.human}; give at_m"
+            )
+        return self.human.cuff_m(segment)
+
+    def preload(self, cuff: str) -> tuple[float, float]:
+        """How far (x, z) the device's cuff is from the human's [m].
+
+        A device of the user's own is worn without.
+        """
+        if self.exoskeleton is None:
+            return (0.0, 0.0)
+        segment = self.assembly.cuffs[cuff].human
+        x, z = self._cuff_m(cuff)
+        device_x, device_z = self.exoskeleton.cuff_m(segment)
+        return device_x - x, device_z - z
 
     def plant(self, plant: MultibodyPlant | None = None) -> MultibodyPlant:
         """A new plant; or added to the one given, see `build_plant`."""
@@ -135,12 +256,12 @@ def nominal_model(kind: Kind = "coupled") -> Model:
     70.0
     """
     human = nominal_human()
-    device = None if kind == "human" else fit_exoskeleton(human)
+    device = fit_exoskeleton(human) if ASSEMBLIES[kind].device else None
     return Model(kind, human, device)
 
 
 def build_plant(
-    kind: str,
+    kind: str | Assembly,
     human: HumanParameters | None = None,
     exoskeleton: ExoskeletonParameters | None = None,
     *,
@@ -149,13 +270,13 @@ def build_plant(
 ) -> MultibodyPlant:
     """Build the human, with or without the exoskeleton, as a plant.
 
-    Positions and velocities are x, z and pitch of the foot, then ankle, knee
-    and hip of the human and, if coupled, of the exoskeleton.
+    Positions and velocities are x, z and pitch of the root, then the hinges
+    of the human, then those of the device.
 
     Args:
         kind: "coupled" (human and exoskeleton are two chains on one foot,
             9 DOF), "rigid" (the exoskeleton's links welded to the human's,
-            6 DOF) or "human" (6 DOF).
+            6 DOF) or "human" (6 DOF); or what it is put together of.
         human: the subject; the nominal adult if None.
         exoskeleton: the device; fitted to the human if None. Must be None for
             the kind "human".
@@ -170,13 +291,18 @@ def build_plant(
     Raises:
         ValueError: unknown kind, negative gravity, or an exoskeleton for a
             plant without one.
+        InputError: the device does not fit the description.
     """
-    if kind not in KINDS:
+    if isinstance(kind, Assembly):
+        assembly = kind
+    elif kind in KINDS:
+        assembly = ASSEMBLIES[kind]
+    else:
         raise ValueError(
             f"kind must be one of {', '.join(KINDS)}, not {kind!r}"
         )
-    if kind == "human" and exoskeleton is not None:
-        raise ValueError("a plant of kind 'human' takes no exoskeleton")
+    if exoskeleton is not None and not assembly.is_fitted:
+        raise ValueError("a plant of this kind takes no exoskeleton")
     if not gravity >= 0.0:
         raise ValueError(
             f"gravity must be a magnitude in m/s², not {gravity!r}"
@@ -187,14 +313,21 @@ def build_plant(
     plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -gravity])
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(models_path() / "package.xml"))
-    (body,) = parser.AddModelsFromString(human_sdf(human), "sdf")
-    _add_human_joints(plant, body)
-    if kind != "human":
-        exoskeleton = exoskeleton or fit_exoskeleton(human)
-        text = exoskeleton_sdf(exoskeleton, body_width(human))
-        (device,) = parser.AddModelsFromString(text, "sdf")
+    text = human_sdf(human, assembly.human)
+    (body,) = parser.AddModelsFromString(text, "sdf")
+    _add_human_joints(plant, body, assembly)
+    device = assembly.device
+    if device is not None:
+        text = device.text
+        if assembly.is_fitted:
+            exoskeleton = exoskeleton or fit_exoskeleton(human)
+            text = hinged(exoskeleton_sdf(exoskeleton, body_width(human)))
         # Human first: Drake numbers positions in the order joints are added.
-        _join_exoskeleton(plant, body, device, hinged=kind == "coupled")
+        worn = add_device(parser, plant, device, text)
+        _weld(plant, body, worn, device)
+        _check_links(plant, worn, assembly)
+        if not assembly.is_fitted:
+            _add_cuffs(plant, body, worn, assembly, human)
     if plant.geometry_source_is_registered():
         _draw_ground(plant)
     if ours:
@@ -202,63 +335,141 @@ def build_plant(
     return plant
 
 
-def _add_human_joints(plant: MultibodyPlant, body: ModelInstanceIndex) -> None:
-    foot = plant.GetFrameByName("foot", body)
+def _add_human_joints(
+    plant: MultibodyPlant, body: ModelInstanceIndex, assembly: Assembly
+) -> None:
+    name = assembly.human.root
+    root = plant.GetFrameByName(name, body)
     plant.AddJoint(
         PlanarJoint(
-            "foot",
+            name,
             _turned(plant, plant.world_frame(), _Z_TO_MINUS_Y, "ground"),
-            _turned(plant, foot, _Z_TO_MINUS_Y, "foot_planar"),
+            _turned(plant, root, _Z_TO_MINUS_Y, f"{name}_planar"),
             np.zeros(3),
         )
     )
-    _hinge(plant, "ankle", foot, plant.GetFrameByName("shank", body))
-    _hinge(
-        plant,
-        "knee",
-        plant.GetFrameByName("knee_centre", body),
-        plant.GetFrameByName("thigh", body),
-    )
-    _hinge(
-        plant,
-        "hip",
-        plant.GetFrameByName("hip_centre", body),
-        plant.GetFrameByName("pelvis", body),
-    )
-
-
-def _join_exoskeleton(
-    plant: MultibodyPlant,
-    body: ModelInstanceIndex,
-    device: ModelInstanceIndex,
-    hinged: bool,
-) -> None:
-    def exo(name: str) -> Frame:
-        return plant.GetFrameByName(f"exo_{name}", device)
-
-    plant.WeldFrames(plant.GetFrameByName("foot", body), exo("foot"))
-    if hinged:
-        _hinge(plant, "exo_ankle", exo("foot"), exo("shank"))
-        _hinge(plant, "exo_knee", exo("knee_centre"), exo("thigh"))
-        _hinge(plant, "exo_hip", exo("hip_centre"), exo("pelvis"))
-        return
-    for name in ("shank", "thigh", "pelvis"):
-        plant.WeldFrames(plant.GetFrameByName(name, body), exo(name))
+    for hinge in hinges(assembly.human):
+        _hinge(plant, body, hinge)
 
 
 def _hinge(
-    plant: MultibodyPlant, name: str, parent: Frame, child: Frame
+    plant: MultibodyPlant, body: ModelInstanceIndex, hinge: Hinge
 ) -> None:
-    """Add a revolute joint; knees flex about -y, ankles and hips about +y."""
-    turn = _Z_TO_MINUS_Y if name.endswith("knee") else _Z_TO_PLUS_Y
-    plant.AddJoint(
-        RevoluteJoint(
-            name,
-            _turned(plant, parent, turn, f"{name}_parent"),
-            _turned(plant, child, turn, f"{name}_child"),
-            [0.0, 0.0, 1.0],
+    """Add a revolute joint about +y or -y."""
+    turn = _Z_TO_PLUS_Y if hinge.axis > 0 else _Z_TO_MINUS_Y
+    ends = [
+        _turned(plant, plant.GetFrameByName(frame, body), turn, name)
+        for frame, name in (
+            (hinge.parent, f"{hinge.name}_parent"),
+            (hinge.child, f"{hinge.name}_child"),
         )
-    )
+    ]
+    plant.AddJoint(RevoluteJoint(hinge.name, *ends, [0.0, 0.0, 1.0]))
+
+
+def _weld(plant, body, worn, device: DeviceFile) -> None:
+    for link, weld in device.welds.items():
+        plant.WeldFrames(
+            plant.GetFrameByName(weld.to, body),
+            plant.GetFrameByName(link, worn),
+            placed(weld),
+        )
+
+
+def _check_links(plant, worn, assembly: Assembly) -> None:
+    """Refuse a cuff at a link that the device does not have."""
+    known = link_names(plant, worn)
+    for cuff in assembly.cuffs.values():
+        if cuff.device not in known:
+            raise missing_link(assembly.device, cuff.device, known)
+
+
+def _add_cuffs(plant, body, worn, assembly: Assembly, human) -> None:
+    """Frames of the cuffs on a device of the user's own.
+
+    A cuff is strained by how the device's link moves against the segment. Its
+    link gets a body without mass that lies on the segment's frame while both
+    stand upright, so that their frames coincide there as those of the shipped
+    device do.
+    """
+    if not assembly.cuffs:
+        return
+    bare = Model(replace(assembly, cuffs={}), human)
+    for name, cuff in assembly.cuffs.items():
+        weld = _seen_from(bare, cuff.device, cuff.human)
+        link = plant.GetFrameByName(cuff.device, worn)
+        held = plant.AddRigidBody(f"{name}_shell", worn, SpatialInertia.Zero())
+        plant.WeldFrames(link, held.body_frame(), placed(weld))
+        segment = plant.GetFrameByName(cuff.human, body)
+        for frame, owner, names in (
+            (segment, body, f"{name}_cuff"),
+            (held.body_frame(), worn, f"{DEVICE}{name}_cuff"),
+        ):
+            if plant.HasFrameNamed(names, owner):
+                continue
+            plant.AddFrame(FixedOffsetFrame(names, frame, RigidTransform()))
+
+
+def _poses(model: Model) -> dict[str, np.ndarray]:
+    """Body -> x, z and angle in the world while all stand upright."""
+    plant = model.plant()
+    check_planar(plant, model.assembly.device)
+    tree = PlanarTree.from_plant(plant)
+    q = np.zeros((1, tree.num_positions))
+    return {
+        name: np.r_[
+            tree.point_positions(q, name, (0.0, 0.0))[0],
+            tree.body_angles(q, name),
+        ]
+        for name in tree.names
+    }
+
+
+def _seen_from(model: Model, base: str, body: str) -> Weld:
+    """Place of one body on another while all stand upright."""
+    poses = _poses(model)
+    x, z, angle = poses[body] - poses[base]
+    c, s = np.cos(poses[base][2]), np.sin(poses[base][2])
+    at = float(c * x + s * z), float(c * z - s * x)
+    return Weld(base, at, float(np.rad2deg(angle)))
+
+
+def _riding(model: Model) -> dict[str, str]:
+    """Link of the device -> segment of the person that it moves with.
+
+    That which it is welded or strapped to; a link that is neither goes with
+    the next one up its chain.
+    """
+    assembly = model.assembly
+    plant = model.plant()
+    rides = {link: weld.to for link, weld in assembly.device.welds.items()}
+    for cuff in assembly.cuffs.values():
+        rides.setdefault(cuff.device, cuff.human)
+    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
+    ends = [(j.parent_body().name(), j.child_body().name()) for j in joints]
+    segments = assembly.human.segments
+    # Outwards from what is held; each pass reaches one joint further.
+    for _ in ends:
+        for a, b in [*ends, *((b, a) for a, b in ends)]:
+            if a in rides and b not in (*rides, *segments):
+                rides[b] = rides[a]
+    shells = [f"{name}_shell" for name in assembly.cuffs]
+    return {link: s for link, s in rides.items() if link not in shells}
+
+
+def _coupling(model: Model, tree: PlanarTree) -> tuple[tuple[float, ...], ...]:
+    """Turn of the device's hinges by the human's, while it moves with them."""
+    plant, rides, names = model.plant(), _riding(model), tree.coordinates
+    columns = names.columns(names.human)
+    rows = []
+    for name in names.device:
+        joint = plant.GetJointByName(name)
+        ends = [joint.child_body().name(), joint.parent_body().name()]
+        ends = [rides.get(end, end) for end in ends]
+        child, parent = (tree.turning(end)[columns] for end in ends)
+        sign = tree.turning(joint.child_body().name())[names.index(name)]
+        rows.append(tuple(float(x) + 0.0 for x in sign * (child - parent)))
+    return tuple(rows)
 
 
 def _turned(

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from drake_exo.errors import InputError, check_bounds
 
 SEGMENTS = ("foot", "shank", "thigh", "pelvis")
+CUFFED = SEGMENTS[1:]  # segments with a place for a cuff
 
 # Radius of the heel and toe contact spheres when nothing else is said [m].
 CONTACT_RADIUS_M = 0.032

@@ -46,13 +46,17 @@ class DrawnModel:
 
     def __init__(self, model: Model, contact: ContactModel | None = None):
         self.tree = model.tree
-        self._thigh_m = model.human.thigh.length_m
+        self._paths = _paths(model)
+        self._hip = ("pelvis", 0.0)
+        if model.tree.root != "pelvis":
+            self._hip = ("thigh", model.human.thigh.length_m)
         self._bushings = contact.bushings if contact else {}
 
     def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Path of a body -> (n, 7) position and quaternion."""
         return {
-            _path(name): spatial(self.pose(q, name)) for name in self.tree.names
+            path: spatial(self.pose(q, name))
+            for name, path in self._paths.items()
         }
 
     def pose(self, q: np.ndarray, body: str) -> np.ndarray:
@@ -62,7 +66,8 @@ class DrawnModel:
 
     def hip(self, q: np.ndarray) -> np.ndarray:
         """Place (x, z) of the hip joint [m], (n, 2)."""
-        return self.tree.point_positions(q, "thigh", (0.0, self._thigh_m))
+        body, z = self._hip
+        return self.tree.point_positions(q, body, (0.0, z))
 
     def seat_height(self, motion: Trial) -> float:
         """Of a seat that the subject would sit on at the start [m]."""
@@ -120,10 +125,15 @@ def _on_level(wrench: PlanarWrench, height: float) -> np.ndarray:
     return np.column_stack([x, 0.0 * z, z, F_x, 0.0 * z, F_z])
 
 
-def _path(body: str) -> str:
-    """Of a body in meshcat's tree."""
-    owner = "exoskeleton" if body.startswith("exo_") else "human"
-    return f"{owner}/{body}"
+def _paths(model: Model) -> dict[str, str]:
+    """Body -> its path in meshcat's tree."""
+    plant = model.plant()
+    bodies = [plant.GetBodyByName(name) for name in model.tree.names]
+    return {
+        body.name(): f"{plant.GetModelInstanceName(body.model_instance())}/"
+        f"{body.name()}"
+        for body in bodies
+    }
 
 
 SIMULATED, MEASURED = "/simulated", "/measured"
@@ -137,10 +147,8 @@ _GROUND_SCALE, _CUFF_SCALE = 1e-3, 4e-3  # m/N
 _LOADS = {
     "ground": ("ground reaction", "#c8102e", _GROUND_SCALE, "feet"),
     "chair": ("chair", "#8a5a1f", _GROUND_SCALE, "chair"),
-    "pelvis": ("cuff at the pelvis", "#1f5fb4", _CUFF_SCALE, "pelvis"),
-    "thigh": ("cuff at the thigh", "#7a3fb0", _CUFF_SCALE, "thigh"),
-    "shank": ("cuff at the shank", "#0f7f6b", _CUFF_SCALE, "shank"),
 }
+_CUFF_COLOURS = ("#1f5fb4", "#7a3fb0", "#0f7f6b", "#b0603f", "#5f7f0f")
 _WRENCHES = ("ground", "chair")
 _ORDER = ("prediction", "interaction", "foot-ground")
 _PHASES = {"interaction": "B", "foot-ground": "A"}
@@ -263,7 +271,7 @@ def write_replay(
         stage = _stage(model, trials, centre, view, compared)
     clips = [_clip(trial) for trial in trials]
     known = set().union(*(clip.arrows for clip in clips))
-    arrows = [a for a in _arrows() if a.name in known]
+    arrows = [a for a in _arrows(model) if a.name in known]
     drawn = {a.metres_per_newton for a in arrows}
     scales = [text for scale, text in _SCALES.items() if scale in drawn]
     page = Page(
@@ -331,10 +339,15 @@ def _overlay(meshcat, path, shape, colour: str, opacity: float) -> None:
         meshcat.SetProperty(f"{path}/<object>", f"material.{name}", value)
 
 
-def _arrows() -> list[Arrow]:
+def _arrows(model: Model) -> list[Arrow]:
     """All forces, as computed and as measured."""
     drawn = []
-    for name, (text, colour, scale, label) in _LOADS.items():
+    loads = dict(_LOADS)
+    # From above: the pelvis first, as in tables.
+    for i, cuff in enumerate(reversed(model.tree.cuffs)):
+        colour = _CUFF_COLOURS[i % len(_CUFF_COLOURS)]
+        loads[cuff] = (f"cuff at the {cuff}", colour, _CUFF_SCALE, cuff)
+    for name, (text, colour, scale, label) in loads.items():
         radius = 0.011 if scale == _GROUND_SCALE else 0.008
         drawn.append(
             Arrow(name, text, colour, scale, label=label, radius_m=radius)
@@ -380,7 +393,7 @@ def _surroundings(trial: Replayed, motion: Trial) -> dict[str, np.ndarray]:
     tree = trial.drawn.tree
     for name, sphere in trial.spheres.items():
         place = (sphere.x, sphere.z)
-        p_x, p_z = tree.point_positions(motion.q, tree.foot, place).T
+        p_x, p_z = tree.point_positions(motion.q, tree.root, place).T
         place = np.column_stack([p_x, 0.0 * p_x, p_z])
         found[f"{_SPHERES}/{name}"] = _still(place)
     if trial.on_chair:

@@ -252,7 +252,7 @@ def ground_wrench(
     tree: PlanarTree, contact: GroundContact, q, v
 ) -> PlanarWrench:
     """Ground reaction (N,) on the foot."""
-    position, angle, motion = link_motion(tree, q, v, tree.foot)
+    position, angle, motion = link_motion(tree, q, v, tree.root)
     wrench = foot_contact(
         contact.law,
         position[:, :, None],
@@ -323,7 +323,7 @@ def applied(
 ) -> np.ndarray:
     """Generalized forces (N, nq) of ground, chair and cuffs together."""
     loads = wrench_on_body(
-        tree, q, tree.foot, ground_wrench(tree, contact, q, v)
+        tree, q, tree.root, ground_wrench(tree, contact, q, v)
     )
     loads += wrench_on_body(tree, q, "pelvis", chair_wrench(tree, seat, q, v))
     for name, w in interaction(tree, cuffs, q, v)[1].items():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_exo.measurement.settings import SIDES
+from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.segments import HumanParameters
 

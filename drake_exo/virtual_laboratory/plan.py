@@ -227,7 +227,7 @@ class Planner:
 
     def _reference(self, seat, times, q, v, a) -> Reference:
         ground, chair = self._loads(seat, q, v, a)
-        loads = {"pelvis": chair, self.tree.foot: ground}
+        loads = {"pelvis": chair, self.tree.root: ground}
         demand = inverse_dynamics(self.tree, q, v, a, loads)
         torque = demand[:, self.tree.coordinates.joint_columns]
         return Reference(times, q, v, torque, ground.array, chair.array)

@@ -88,6 +88,8 @@ INSTRUMENT_NOISE = InteractionNoise(
     normal_force_n=1.0,
     energy_j=100.0,
 )
+# Of the device's joints in turn.
+_LAGS = (1.0, -0.5, 0.7)
 # What the device's joints do besides following: nothing, nearly.
 _DEVICE_NM = 0.5
 _SPHERE = SphereSettings(
@@ -164,7 +166,8 @@ def draw(
         q[:, names.index(joint)] = angle
     start, top, end = rise.balance_m
     balance = start + (end - start) * step + (top - 0.5 * (start + end)) * bump
-    lag = np.outer(np.deg2rad(rise.lag_deg) * bump, [1.0, -0.5, 0.7])
+    shares = np.resize(_LAGS, len(names.device))
+    lag = np.outer(np.deg2rad(rise.lag_deg) * bump, shares)
     if contact is not None:
         foot = _standing(tree, contact, times, balance)
         q[:, names.root_columns] = foot
@@ -192,13 +195,14 @@ def _balance(tree: PlanarTree, q, balance, lag):
     """Bend the ankle until the centre of mass is where it shall be."""
     names, h = tree.coordinates, 1e-6
     ankle = names.index("ankle")
-    beside = [n for n in names.device if names.follows(n) == "ankle"]
+    along = names.turned_by[:, names.human.index("ankle")]
     for _ in range(8):
         if names.device:
             body = names.aligned(q[:, names.body_columns])
             q[:, names.device_columns] = body[:, names.device_columns] + lag
         bent = q.copy()
-        bent[:, [ankle, *names.columns(beside)]] += h
+        bent[:, ankle] += h
+        bent[:, names.device_columns] += h * along
         x = tree.center_of_mass(q)[:, 0]
         slope = (tree.center_of_mass(bent)[:, 0] - x) / h
         q[:, ankle] += (balance + q[:, 0] - x) / slope
@@ -373,6 +377,7 @@ def rises_in_device(
     nodes_per_second: float = 50.0,
     duration_s: float = 1.5,
     seed: int = 0,
+    model: Model | None = None,
 ) -> RisesInDevice:
     """The nominal adult rises in a passive exoskeleton on known cuffs.
 
@@ -380,10 +385,12 @@ def rises_in_device(
     the foot's place are found close to a drawn rise.
 
     Args:
-        count: of trials; mats alternate as in the paper.
+        count: of trials; mats alternate as in the paper, cuffs of another
+            device have theirs always.
         nodes_per_second: of its grid.
         duration_s: of each movement.
         seed: of the rises.
+        model: one leg in a device; the shipped one by default.
 
     Raises:
         SealedSolutionError: no such movements were found.
@@ -392,12 +399,12 @@ def rises_in_device(
     >>> list(made.trials[0].cuffs)
     ['pelvis']
     """
-    model = nominal_model("coupled")
+    model = model or nominal_model("coupled")
     settings = InteractionSettings(solver=Solver(nodes_per_second))
     foot = FootGroundSettings(heel=_SPHERE, toe=_SPHERE)
     truth = {}
     for cuff, (x, z) in model.cuffs.items():
-        dx, dz, *stiffness = TRUE_CUFFS[cuff]
+        dx, dz, *stiffness = TRUE_CUFFS.get(cuff, TRUE_CUFFS["thigh"])
         names = settings.parameters({cuff: (x, z)})
         values = (x + dx, z + dz, *stiffness)
         truth |= {p.name: v for p, v in zip(names, values, strict=True)}
@@ -409,7 +416,8 @@ def rises_in_device(
         for rise in rises(count, duration_s, seed)
     ]
     problem = _PassiveDevice(model, drawn, contact, [], settings)
-    mats = [MATS[i % len(MATS)] for i in range(count)]
+    cycle = MATS if model.assembly.is_fitted else (tuple(model.cuffs),)
+    mats = [cycle[i % len(cycle)] for i in range(count)]
     trials = _made(problem, mats)
     return RisesInDevice(model, contact, trials, nodes_per_second)
 

@@ -52,7 +52,7 @@ def spoiled(made, trial, skin=0.0, encoder=0.0, unseen=0.0):
     torque = []
     for of in ((trial.q, trial.v, trial.a), (q, v, a)):
         of = [x[:, body] for x in of]
-        Q = inverse_dynamics(tree, *of, {tree.foot: trial.ground})
+        Q = inverse_dynamics(tree, *of, {tree.root: trial.ground})
         Q = from_the_ground_up(tree, of[0], Q)
         torque.append(Q[:, tree.coordinates.joint_columns])
     moments = trial.moments.copy()

@@ -125,7 +125,7 @@ def test_contact_settles_to_body_weight(human, law, transcription):
     np.testing.assert_allclose(cop, com, atol=1e-3)
     # It started in the air; now a sphere presses into the ground.
     lowest = [
-        tree.point_positions(q, tree.foot, point)[:, 1] - 0.032
+        tree.point_positions(q, tree.root, point)[:, 1] - 0.032
         for point in human.spheres.values()
     ]
     assert np.min(lowest, axis=0).max() < -1e-3

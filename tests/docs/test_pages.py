@@ -142,27 +142,20 @@ def test_studies_in_the_pages_are_read():
     assert count >= 3
 
 
-def test_python_in_the_pages_runs():
-    """The device of the models, read as one's own would be."""
-    from drake_exo.model.description import models_path, nominal_exoskeleton
+def test_the_device_in_the_page_is_worn():
+    from drake_exo.files import schema
+    from drake_exo.model.assembly import Assembly
+    from drake_exo.model.description import models_path, nominal_human
+    from drake_exo.model.device_file import with_text
+    from drake_exo.model.plant import Model
 
     page = (ROOT / "docs" / "your_exoskeleton.md").read_text("utf-8")
-    (block,) = [b for k, b in _FENCE.findall(page) if k == "python"]
-    space: dict = {}
-    exec(block, space)
-    # Without its pictures, whose package this parser does not know.
-    text = (models_path() / "exoskeleton.sdf").read_text("utf-8")
-    text = re.sub(r"<visual.*?</visual>", "", text, flags=re.DOTALL)
-    path = ROOT / "tests" / "docs" / "device.sdf"
-    try:
-        path.write_text(text, encoding="utf-8")
-        mass, com, inertia = space["lumped"](path, ["exo_shank"])
-    finally:
-        path.unlink()
-    known = nominal_exoskeleton().shank
-    assert mass == pytest.approx(known.mass_kg)
-    assert com == pytest.approx(known.com_m)
-    assert inertia == pytest.approx(known.inertia_kg_m2)
+    (block,) = [b for k, b in _FENCE.findall(page) if "file:" in b]
+    text = "\n".join(line[2:] for line in block.splitlines()[1:])
+    assembly = schema.load_text(text, Assembly)
+    model = Model(with_text(assembly, models_path()), nominal_human())
+    assert model.coordinates.device == ("motor",)
+    assert list(model.cuffs) == ["calf"]
 
 
 def said() -> list[str]:

@@ -62,7 +62,7 @@ def files(tmp_path, made):
 
 def residual(subject, trial):
     tree = subject.model.rigid.tree
-    loads = {tree.foot: trial.ground}
+    loads = {tree.root: trial.ground}
     return inverse_dynamics(tree, trial.q, trial.v, trial.a, loads)[:, :3]
 
 

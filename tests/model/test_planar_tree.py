@@ -159,7 +159,7 @@ def test_ground_reaction_takes_the_place_of_the_roots_forces():
     tree = PlanarTree.from_plant(_plant())
     q, Q, _ = _states(5)
     wrench = PlanarWrench.of(tree.ground_reaction(q, Q))
-    found = wrench_on_body(tree, q, tree.foot, wrench)
+    found = wrench_on_body(tree, q, tree.root, wrench)
     np.testing.assert_allclose(found[:, :3], Q[:, :3], atol=1e-12)
     assert not found[:, 3:].any()
     assert tree.weight == pytest.approx(11.7 * 9.81)

@@ -1,0 +1,235 @@
+"""Which bodies a model has, and where they are joined and touch.
+
+A person of one leg (both as one) or two, with stiff or hinged toes; a device
+from a file, welded to the person somewhere and held by cuffs elsewhere; and
+the spheres that touch the ground. No numbers of the subject, and no pydrake
+here.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from drake_exo.errors import InputError
+from drake_exo.model.segments import CUFFED
+
+Legs = Literal["one", "two"]
+Toes = Literal["rigid", "hinged"]
+Point = tuple[float, float]
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Person:
+    """Segments of the person.
+
+    Attributes:
+        legs: "one" stands for both, which move alike; "two" move on their
+            own.
+        toes: "hinged" at the ball of the foot, or "rigid" with it.
+
+    >>> Person("two").segments[:4]
+    ('pelvis', 'thigh_left', 'shank_left', 'foot_left')
+    """
+
+    legs: Legs = "one"
+    toes: Toes = "rigid"
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Of the legs that move on their own; none for one leg."""
+        return SIDES if self.legs == "two" else ()
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """What names of a leg's parts end with, leg by leg."""
+        return tuple(f"_{side}" for side in self.sides) or ("",)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Segments of a leg, from above."""
+        toes = ("toes",) if self.toes == "hinged" else ()
+        return ("thigh", "shank", "foot", *toes)
+
+    @property
+    def root(self) -> str:
+        """Segment whose place and pitch are coordinates."""
+        return "pelvis" if self.legs == "two" else "foot"
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """All of them by name."""
+        legs = (p + end for end in self.suffixes for p in self.parts)
+        return ("pelvis", *legs)
+
+    @property
+    def soles(self) -> dict[str, tuple[str, ...]]:
+        """Segment -> its spheres, if nothing else is said."""
+        if self.toes == "rigid":
+            return {f"foot{end}": ("heel", "toe") for end in self.suffixes}
+        found: dict[str, tuple[str, ...]] = {}
+        for end in self.suffixes:
+            found[f"foot{end}"] = ("heel", "ball")
+            found[f"toes{end}"] = ("toe",)
+        return found
+
+    def feet(self, bodies) -> dict[str, tuple[str, ...]]:
+        """Side ("both" for one leg) -> those bodies that are its own."""
+        if not self.sides:
+            return {"both": tuple(bodies)}
+        return {
+            side: tuple(b for b in bodies if b.endswith(f"_{side}"))
+            for side in self.sides
+        }
+
+
+@dataclass(frozen=True)
+class Weld:
+    """Where a link of the device sits on a segment of the person.
+
+    Attributes:
+        to: the segment.
+        at_m: place (x, z) of the link's frame in the segment's.
+        pitch_deg: its turn there, toes up.
+    """
+
+    to: str
+    at_m: Point = field(default=(0.0, 0.0), metadata={"unit": "m"})
+    pitch_deg: float = field(default=0.0, metadata={"unit": "deg"})
+
+
+@dataclass(frozen=True)
+class DeviceFile:
+    """A device, and where it is fixed to the person.
+
+    Attributes:
+        weld: link -> segment of the person, or where on it; at least one.
+            With all joints at zero the device is as an upright person wears
+            it. Joints between two welded links are left out.
+        file: SDF or URDF (what xacro expands to), joints included; left out,
+            the shipped exoskeleton, fitted to the person.
+        text: what the file says; filled in when a study is read.
+    """
+
+    weld: dict[str, str | Weld]
+    file: Path | None = None
+    text: str | None = None
+
+    def __post_init__(self):
+        if not self.weld:
+            raise InputError(
+                "the device is attached to nothing; weld one of its links to "
+                "a segment of the person"
+            )
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return (
+            "the shipped exoskeleton" if self.file is None else self.file.name
+        )
+
+    @property
+    def kind(self) -> str:
+        """Of the text, as Drake's parser calls it."""
+        return "sdf" if self.file is None else self.file.suffix[1:].lower()
+
+    @property
+    def welds(self) -> dict[str, Weld]:
+        """Link -> its place on the person."""
+        return {
+            link: Weld(where) if isinstance(where, str) else where
+            for link, where in self.weld.items()
+        }
+
+
+@dataclass(frozen=True)
+class CuffLinks:
+    """What a cuff joins.
+
+    Attributes:
+        human: segment of the person.
+        device: link of the device.
+        at_m: place (x, z) in the segment; that of the subject's cuff of the
+            segment if left out.
+    """
+
+    human: str
+    device: str
+    at_m: Point | None = field(default=None, metadata={"unit": "m"})
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A person, a device, and how they are joined: a study's `model`.
+
+    Attributes:
+        human: the person.
+        device: left out for a person alone.
+        cuffs: name -> what it joins; any number.
+        ground: segment -> its spheres by name, or with a place (x, z) of
+            their own; those of the person's soles if left out. Spheres of one
+            name share their parameters.
+
+    >>> Assembly(Person("two", "hinged")).spheres["toes_left"]
+    {'toe': None}
+    """
+
+    human: Person = Person()
+    device: DeviceFile | None = None
+    cuffs: dict[str, CuffLinks] = field(default_factory=dict)
+    ground: dict[str, tuple[str, ...] | dict[str, Point]] = field(
+        default_factory=dict
+    )
+
+    def __post_init__(self):
+        segments = self.human.segments
+        if self.cuffs and self.device is None:
+            raise InputError("cuffs need a device; name its file, or drop them")
+        for name, cuff in self.cuffs.items():
+            self._check(f"cuff {name!r}", cuff.human)
+        for body, spheres in self.ground.items():
+            self._check("ground", body)
+            if not spheres:
+                raise InputError(f"ground: {body} has no sphere; name one")
+        for link, weld in (self.device.welds if self.device else {}).items():
+            self._check(f"weld of {link!r}", weld.to)
+        loose = [s for s in self.human.feet(self.spheres).items() if not s[1]]
+        if loose:
+            raise InputError(
+                f"ground: the {loose[0][0]} foot never touches; give a "
+                f"segment of it ({', '.join(segments)}) a sphere"
+            )
+
+    def _check(self, what: str, segment: str) -> None:
+        known = self.human.segments
+        if segment not in known:
+            raise InputError(
+                f"{what}: the person has no segment {segment!r}; it has "
+                f"{', '.join(known)}"
+            )
+
+    @property
+    def spheres(self) -> dict[str, dict[str, Point | None]]:
+        """Segment -> sphere -> its own place (x, z), None for the usual."""
+        found = {}
+        for body, named in (self.ground or self.human.soles).items():
+            own = named if isinstance(named, dict) else dict.fromkeys(named)
+            found[body] = dict(own)
+        return found
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the device is the shipped one, fitted to the person."""
+        return self.device is not None and self.device.file is None
+
+
+_SHIPPED = ("foot", *CUFFED)
+# The three that ship: two chains on one foot; the device welded on; alone.
+COUPLED = Assembly(
+    device=DeviceFile({"exo_foot": "foot"}),
+    cuffs={name: CuffLinks(name, f"exo_{name}") for name in CUFFED},
+)
+RIGID = Assembly(device=DeviceFile({f"exo_{n}": n for n in _SHIPPED}))
+ALONE = Assembly()
+ASSEMBLIES = {"coupled": COUPLED, "rigid": RIGID, "human": ALONE}

@@ -1,0 +1,201 @@
+"""A device of the user's own: its file, and whether it fits into the plane."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
+
+from drake_exo.errors import InputError, reason
+from drake_exo.model.assembly import Assembly, DeviceFile, Weld
+
+_KINDS = (".sdf", ".urdf")
+_STRAIGHT = 1e-6  # largest part of an axis that leaves y
+
+
+def with_text(assembly: Assembly, root: Path) -> Assembly:
+    """The assembly with what its device's file says.
+
+    Args:
+        assembly: as a study has it.
+        root: folder that the file's path starts from.
+
+    Raises:
+        InputError: it cannot be read, or is of another kind.
+    """
+    device = assembly.device
+    if device is None or device.file is None or device.text is not None:
+        return assembly
+    path = root / device.file
+    if path.suffix.lower() == ".xacro":
+        raise InputError(
+            f"{path}: is a xacro file; expand it first ('xacro {path.name} > "
+            f"{path.stem}.urdf') and give what comes out"
+        )
+    if path.suffix.lower() not in _KINDS:
+        raise InputError(
+            f"{path}: is no device that can be read; give one of "
+            f"{', '.join(_KINDS)}"
+        )
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: cannot be read ({reason(error)}); check model.device.file"
+        ) from error
+    return replace(assembly, device=replace(device, text=text))
+
+
+def without_stiff_joints(device: DeviceFile, text: str) -> str:
+    """The file without joints between welded links, and without meshes.
+
+    Meshes of the user's are left out: they lie elsewhere, and results must be
+    readable on any machine.
+
+    Raises:
+        InputError: it is no XML, or holds not exactly one model.
+    """
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError(f"{device.name}: is no XML ({error})") from error
+    owner = root if root.tag == "robot" else root.find("model")
+    if owner is None:
+        raise InputError(
+            f"{device.name}: holds no <robot> and no <model>; give the URDF or "
+            "SDF of one device"
+        )
+    for joint in owner.findall("joint"):
+        ends = [joint.find(end) for end in ("parent", "child")]
+        names = {
+            None if end is None else end.get("link") or (end.text or "").strip()
+            for end in ends
+        }
+        if names <= set(device.weld):
+            owner.remove(joint)
+    if device.file is not None:
+        for link in owner.findall("link"):
+            for shape in link.findall("visual") + link.findall("collision"):
+                if shape.find("geometry/mesh") is not None:
+                    link.remove(shape)
+    return ET.tostring(root, encoding="unicode")
+
+
+def add_device(
+    parser, plant: MultibodyPlant, device: DeviceFile, text: str
+) -> ModelInstanceIndex:
+    """Parse a device into a plant, its links not yet welded.
+
+    Raises:
+        InputError: Drake cannot read it, a welded link is missing, a link is
+            attached to nothing, or joints close a loop.
+    """
+    text = without_stiff_joints(device, text)
+    try:
+        (instance,) = parser.AddModelsFromString(text, device.kind)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"{device.name}: {reason(error)}") from error
+    links = link_names(plant, instance)
+    for link in device.weld:
+        if link not in links:
+            raise missing_link(device, link, links)
+    # Everything welded is one with the person.
+    group = {link: link for link in links}
+
+    def of(name):
+        while group[name] != name:
+            name = group[name]
+        return name
+
+    first = next(iter(device.weld))
+    for link in device.weld:
+        group[of(link)] = of(first)
+    for index in plant.GetJointIndices(instance):
+        joint = plant.get_joint(index)
+        ends = [joint.parent_body().name(), joint.child_body().name()]
+        if not set(ends) <= set(links):
+            raise InputError(
+                f"{device.name}: joint {joint.name()!r} holds the device to "
+                "the world; take it out, weld places the device"
+            )
+        a, b = map(of, ends)
+        if a == b:
+            raise InputError(
+                f"{device.name}: joint {joint.name()!r} closes a loop; weld "
+                "one link fewer, or take the joint out"
+            )
+        group[a] = b
+    for link in links:
+        if of(link) != of(first):
+            raise InputError(
+                f"{device.name}: link {link!r} is attached to nothing; weld "
+                "it to a segment of the person, or give it a joint"
+            )
+    return instance
+
+
+def link_names(plant, instance) -> list[str]:
+    """Links of a model instance."""
+    return [plant.get_body(i).name() for i in plant.GetBodyIndices(instance)]
+
+
+def missing_link(device: DeviceFile, link: str, known) -> InputError:
+    """What to say of a link that the file does not have."""
+    return InputError(
+        f"{device.name}: has no link {link!r}; it has {', '.join(known)}"
+    )
+
+
+def placed(weld: Weld) -> RigidTransform:
+    """Pose of a welded link in its segment; pitch is about -y."""
+    pitch = -np.deg2rad(weld.pitch_deg)
+    x, z = weld.at_m
+    R = (
+        RotationMatrix()
+        if pitch == 0.0
+        else RotationMatrix.MakeYRotation(pitch)
+    )
+    return RigidTransform(R, [x, 0.0, z])
+
+
+def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
+    """Refuse a device whose motion leaves the sagittal plane.
+
+    Args:
+        plant: finalized, with person and device.
+        device: for messages.
+
+    Raises:
+        InputError: a joint that slides or turns about another axis than y, a
+            link that moves and weighs nothing.
+    """
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, np.zeros(plant.num_positions()))
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        if not joint.num_positions() or joint.type_name() == "planar":
+            continue
+        where = f"{device.name}: joint {joint.name()!r}"
+        if joint.type_name() != "revolute":
+            raise InputError(
+                f"{where} is {joint.type_name()}; in the sagittal plane a "
+                "joint turns about y: make it fixed, or leave its links out"
+            )
+        frame = joint.frame_on_parent().CalcPoseInWorld(context)
+        axis = frame.rotation() @ joint.revolute_axis()
+        if np.hypot(axis[0], axis[2]) > _STRAIGHT:
+            raise InputError(
+                f"{where} turns about ({axis[0]:.3g}, {axis[1]:.3g}, "
+                f"{axis[2]:.3g}), out of the sagittal plane, whose normal is "
+                "y; make it fixed"
+            )
+        child = joint.child_body()
+        moved = plant.GetBodiesWeldedTo(child)
+        if not sum(body.get_mass(context) for body in moved) > 0.0:
+            raise InputError(
+                f"{device.name}: link {child.name()!r} moves and weighs "
+                "nothing; give it a mass and an inertia"
+            )

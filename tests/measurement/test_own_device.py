@@ -1,0 +1,119 @@
+"""A study whose model is a description: one leg in a device of one joint."""
+
+import shutil
+
+import numpy as np
+import pytest
+from synthetic_recording import load, write_recording
+
+from drake_exo.cli import main
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.files.csv import write_csv_table
+from drake_exo.files.tables import Table
+from drake_exo.model.description import models_path, nominal_human
+from drake_exo.study import StudyFile
+
+MODEL = {
+    "device": {"file": "ankle_only.urdf", "weld": {"shoe": "foot"}},
+    "cuffs": {"calf": {"human": "shank", "device": "calf"}},
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copy(models_path() / "ankle_only.urdf", tmp_path)
+    return tmp_path
+
+
+def changed(folder, **trial):
+    """The study with its first trial changed."""
+    text = (folder / "study.yaml").read_text()
+    study = schema.yaml.safe_load(text)
+    study["trials"] = [{**study["trials"][0], **trial}]
+    text = schema.yaml.safe_dump(study, sort_keys=False)
+    (folder / "study.yaml").write_text(text)
+    return schema.load_text(text, StudyFile)
+
+
+def test_without_encoders_it_moves_as_the_person_does(folder):
+    _, study = write_recording(folder, nominal_human(), model=MODEL)
+    subject, (trial, _) = load(study, folder)
+    assert trial.coordinates.device == ("motor",)
+    np.testing.assert_allclose(
+        trial.coordinate("motor"), trial.coordinate("ankle")
+    )
+    assert trial.moments is None
+    # What stands on the plates is the person with the device.
+    assert subject.report["standing_mass_kg"] == pytest.approx(66.4, abs=0.1)
+
+
+def test_its_own_columns_alone_are_read(folder):
+    truth, _ = write_recording(folder, nominal_human(), model=MODEL)
+    angle, moment = 0.1 * np.sin(truth.time), 8.0 * np.cos(truth.time)
+    table = Table(truth.time, ("motor",), angle[:, None])
+    write_csv_table(folder / "e.csv", table, ["rad"])
+    table = Table(truth.time, ("motor_moment",), moment[:, None])
+    write_csv_table(folder / "m.csv", table, ["Nm"])
+    study = changed(folder, encoders="e.csv")
+    bare = load(study, folder)[1][0]
+    study = changed(folder, encoders="e.csv", exo_moments="m.csv")
+    (trial,) = load(study, folder)[1]
+    at = trial.start_s + trial.times
+    np.testing.assert_allclose(
+        trial.coordinate("motor"), 0.1 * np.sin(at), atol=2e-4
+    )
+    np.testing.assert_allclose(
+        trial.moment("motor"), 8.0 * np.cos(at), atol=2e-2
+    )
+    # The person's ankle is relieved of it, knee and hip are not.
+    assert bare.moments is None
+    relieved = trial.moment("ankle") + trial.moment("motor")
+    assert np.abs(trial.moment("motor")).max() > 2.0
+    powered = changed(folder, encoders="e.csv", exo_moments="zero.csv")
+    zero = Table(truth.time, ("motor_moment",), 0.0 * moment[:, None])
+    write_csv_table(folder / "zero.csv", zero, ["Nm"])
+    (idle,) = load(powered, folder)[1]
+    np.testing.assert_allclose(relieved, idle.moment("ankle"), atol=1e-6)
+    for joint in ("knee", "hip"):
+        np.testing.assert_allclose(
+            trial.moment(joint), idle.moment(joint), atol=1e-6
+        )
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (
+            {**MODEL, "device": {"file": "none.urdf", "weld": {"a": "foot"}}},
+            "none.urdf: cannot be read",
+        ),
+        (
+            {**MODEL, "cuffs": {"calf": {"human": "shank", "device": "x"}}},
+            "ankle_only.urdf: has no link 'x'",
+        ),
+        ({"human": {"legs": "none"}}, "model.human.legs must be one of"),
+    ],
+)
+def test_bad_descriptions_end_a_command(folder, capsys, model, words):
+    write_recording(folder, nominal_human())
+    path = folder / "study.yaml"
+    study = schema.yaml.safe_load(path.read_text())
+    path.write_text(schema.yaml.safe_dump({**study, "model": model}))
+    out = folder / "out"
+    assert main(["check", str(path), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+
+
+def test_a_mat_lies_on_a_cuff(folder):
+    mat = {
+        "segment": "thigh",
+        "rows": 2,
+        "columns": 2,
+        "cell_area_m2": 1e-4,
+        "plane_normal": [1.0, 0.0, 0.0],
+    }
+    with pytest.raises(InputError, match=r"'thigh' has no cuff"):
+        write_recording(folder, nominal_human(), model=MODEL, mats={"m": mat})

@@ -1,0 +1,330 @@
+"""Models put together from descriptions, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.model.assembly import (
+    ASSEMBLIES,
+    Assembly,
+    CuffLinks,
+    DeviceFile,
+    Person,
+    Weld,
+)
+from drake_exo.model.description import models_path, nominal_human
+from drake_exo.model.device_file import with_text
+from drake_exo.model.plant import Model, nominal_model
+from drake_exo.model.skeleton import foot_and_toes
+
+ANKLE = Assembly(
+    device=DeviceFile({"shoe": "foot"}, Path("ankle_only.urdf")),
+    cuffs={"calf": CuffLinks("shank", "calf")},
+)
+HIP = Assembly(
+    device=DeviceFile({"belt": "pelvis"}, Path("hip_only.urdf")),
+    cuffs={"thigh": CuffLinks("thigh", "bar")},
+)
+
+
+def built(assembly):
+    return Model(with_text(assembly, models_path()), nominal_human())
+
+
+def edited(assembly, *changes):
+    """The model with its device's file changed."""
+    whole = with_text(assembly, models_path())
+    text = whole.device.text
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return Model(
+        replace(whole, device=replace(whole.device, text=text)), nominal_human()
+    )
+
+
+@pytest.mark.parametrize(
+    ("assembly", "mass", "beside"),
+    [(ANKLE, 3.6, "ankle"), (HIP, 4.5, "hip")],
+)
+def test_a_device_of_one_joint(assembly, mass, beside):
+    model = built(assembly)
+    names = model.coordinates
+    assert names.device == ("motor",)
+    assert names.follows("motor") == beside
+    assert list(model.cuffs) == list(assembly.cuffs)
+    assert model.tree.mass == pytest.approx(70.0 + mass)
+    assert model.tree.mass == pytest.approx(model.rigid.tree.mass)
+
+
+@pytest.mark.parametrize("assembly", [ANKLE, HIP])
+def test_worn_stiffly_it_moves_as_the_person_does(assembly):
+    """The rigid model's forces are S^T of those with the device's joints."""
+    model = built(assembly)
+    names = model.coordinates
+    S = names.aligned(np.eye(len(names.body))).T
+    q, v, a = np.random.default_rng(0).normal(size=(3, 5, len(names.body)))
+    found = model.rigid.tree.inverse_dynamics(q, v, a)
+    expected = model.tree.inverse_dynamics(q @ S.T, v @ S.T, a @ S.T) @ S
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_a_joint_that_counts_the_other_way_round():
+    model = edited(ANKLE, ('xyz="0 1 0"', 'xyz="0 -1 0"'))
+    assert model.coordinates.turned_by.tolist() == [[-1.0, 0.0, 0.0]]
+    assert model.coordinates.follows("motor") == "ankle"
+
+
+def test_cuffs_are_slack_while_both_stand_upright():
+    """Also where the device's link has a frame of its own."""
+    shifted = edited(
+        ANKLE,
+        ('<child link="calf"/>', '<child link="calf"/><origin xyz="0 0 0.1"/>'),
+        ('xyz="0.02 0 0.16"', 'xyz="0.02 0 0.06"'),
+    )
+    for model in (built(ANKLE), shifted):
+        tree = model.tree
+        q = np.zeros((1, tree.num_positions))
+        for link in tree.cuffs["calf"]:
+            p = tree.point_positions(q, link, (0.0, 0.25))
+            np.testing.assert_allclose(p, [[0.0, 0.25]], atol=1e-12)
+    # The same centre of mass by another frame is the same device.
+    rng = np.random.default_rng(1)
+    motion = rng.normal(size=(3, 2, 7))
+    motion[0, :, -1] = 0.0
+    motion[1:, :, -1] = 0.0
+    for own, other in zip(
+        built(ANKLE).tree.inverse_dynamics(*motion)[:, :3],
+        shifted.tree.inverse_dynamics(*motion)[:, :3],
+        strict=True,
+    ):
+        np.testing.assert_allclose(own, other, atol=1e-9)
+
+
+def test_the_shipped_three_are_descriptions():
+    for kind, assembly in ASSEMBLIES.items():
+        named = nominal_model(kind)
+        described = replace(named, kind=assembly)
+        assert described.coordinates == named.coordinates
+        assert described.cuffs == named.cuffs
+        assert described.spheres == named.spheres
+        text = schema.dump_text(assembly)
+        assert schema.load_text(text, Assembly) == assembly
+
+
+def test_part_of_the_shipped_device():
+    cuffs = {"thigh": CuffLinks("thigh", "exo_thigh")}
+    whole = nominal_model("coupled")
+    model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
+    assert list(model.tree.cuffs) == ["thigh"]
+    assert model.coordinates == whole.coordinates
+
+
+LEG = ("hip", "knee", "ankle")
+
+
+def two_legged(q):
+    """Coordinates of two legs that move as the one leg (n, 6) does."""
+    one = nominal_model("human").tree
+    hip = one.point_positions(q, "pelvis", (0.0, 0.0))
+    pitch = one.body_angles(q, "pelvis")[:, None]
+    leg = q[:, one.coordinates.columns(LEG)]
+    return np.hstack([hip, pitch, leg, leg])
+
+
+@pytest.mark.parametrize("toes", ["rigid", "hinged"])
+def test_two_legs_that_move_alike_are_the_one_leg(toes):
+    one = nominal_model("human").tree
+    two = Model(Assembly(Person("two", toes)), nominal_human()).tree
+    t = np.linspace(0.0, 1.0, 201)
+    rng = np.random.default_rng(2)
+    knots = np.cumsum(rng.normal(size=(12, 6)), axis=0) * 0.1
+    path = make_interp_spline(np.linspace(0.0, 1.0, 12), knots, k=7)
+    q1 = path(t)
+    q2 = np.zeros((len(t), two.num_positions))
+    q2[
+        :,
+        two.coordinates.columns(
+            ["pelvis_x", "pelvis_z", "pelvis_pitch"]
+            + [f"{j}_{s}" for s in ("left", "right") for j in LEG]
+        ),
+    ] = two_legged(q1)
+    np.testing.assert_allclose(
+        two.center_of_mass(q2), one.center_of_mass(q1), atol=1e-12
+    )
+
+    def power(tree, path):
+        q, v, a = path(t), path.derivative(1)(t), path.derivative(2)(t)
+        return np.sum(v * tree.inverse_dynamics(q, v, a), axis=1)[20:-20]
+
+    found = power(two, make_interp_spline(t, q2, k=7))
+    np.testing.assert_allclose(found, power(one, path), rtol=1e-5, atol=1e-3)
+
+
+def test_foot_and_toes_are_the_foot():
+    human = nominal_human()
+    foot, toes = foot_and_toes(human)
+    assert foot.mass_kg + toes.mass_kg == pytest.approx(human.foot.mass_kg)
+    assert foot.inertia_kg_m2 > 0.0
+    stiff, hinged = (
+        Model(Assembly(Person("one", toes)), human).tree
+        for toes in ("rigid", "hinged")
+    )
+    q, v, a = np.random.default_rng(3).normal(size=(3, 4, 7))
+    for x in (q, v, a):
+        x[:, -1] = 0.0
+    np.testing.assert_allclose(
+        hinged.inverse_dynamics(q, v, a)[:, :6],
+        stiff.inverse_dynamics(q[:, :6], v[:, :6], a[:, :6]),
+        atol=1e-9,
+    )
+
+
+def test_toes_go_up():
+    tree = Model(Assembly(Person("two", "hinged")), nominal_human()).tree
+    q = np.zeros((2, tree.num_positions))
+    q[1, tree.coordinates.index("toes_left")] = 0.3
+    tip = tree.point_positions(q, "toes_left", (0.05, 0.0))[:, 1]
+    assert tip[1] > tip[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            [('xyz="0 1 0"', 'xyz="1 0 0"')],
+            r"ankle_only.urdf: joint 'motor' turns about \(1, 0, 0\)",
+        ),
+        (
+            [('type="revolute"', 'type="prismatic"')],
+            "joint 'motor' is prismatic",
+        ),
+        (
+            [
+                ('<mass value="2.4"/>', '<mass value="0"/>'),
+                (
+                    'ixx="0.02" iyy="0.02" izz="0.006"',
+                    'ixx="0" iyy="0" izz="0"',
+                ),
+            ],
+            "link 'calf' moves and weighs nothing",
+        ),
+        (
+            [
+                (
+                    '<joint name="motor" type="revolute">',
+                    '<joint name="m" type="revolute">',
+                ),
+                ('<parent link="shoe"/>', '<parent link="sho"/>'),
+            ],
+            "ankle_only.urdf: ",
+        ),
+        ([("</robot>", "")], "is no XML"),
+        ([("<robot", "<car"), ("</robot", "</car")], "holds no <robot>"),
+        (
+            [
+                (
+                    "</robot>",
+                    '<link name="loose"><inertial><mass value="1"/>'
+                    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+                    "</inertial></link></robot>",
+                )
+            ],
+            "link 'loose' is attached to nothing",
+        ),
+    ],
+)
+def test_devices_that_cannot_be_are_refused(change, words):
+    with pytest.raises(InputError, match=words) as caught:
+        edited(ANKLE, *change).tree  # noqa: B018
+    assert str(caught.value).count("\n") == 0
+
+
+def test_loops_are_refused():
+    """Both ends of a chain welded, its joints still there."""
+    knee = """<link name="thigh_bar"><inertial><mass value="1"/><inertia
+      ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="upper" type="revolute"><parent link="calf"/>
+      <child link="thigh_bar"/><axis xyz="0 1 0"/>
+      <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    model = edited(ANKLE, ("</robot>", knee))
+    both = {"shoe": "foot", "thigh_bar": "thigh"}
+    loop = replace(
+        model.assembly, device=replace(model.assembly.device, weld=both)
+    )
+    with pytest.raises(InputError, match=r"joint '.*' closes a loop"):
+        replace(model, kind=loop).tree  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{device: {weld: {}}}", "attached to nothing"),
+        ("{device: {weld: {exo_foot: foott}}}", "no segment 'foott'"),
+        ("{human: {legs: three}}", "human.legs must be one of one, two"),
+        ("{cuffs: {thigh: {human: thigh, device: x}}}", "cuffs need a device"),
+        ("{ground: {foot: []}}", "foot has no sphere"),
+        ("{ground: {sole: [heel]}}", "no segment 'sole'"),
+        (
+            "{human: {legs: two}, ground: {foot_left: [heel, toe]}}",
+            "the right foot never touches",
+        ),
+    ],
+)
+def test_descriptions_that_cannot_be_are_refused(text, words):
+    with pytest.raises(InputError, match=words):
+        schema.load_text(text, Assembly)
+
+
+@pytest.mark.parametrize(
+    ("assembly", "words"),
+    [
+        (
+            replace(ANKLE, cuffs={"calf": CuffLinks("shank", "claf")}),
+            "has no link 'claf'; it has shoe, calf",
+        ),
+        (
+            replace(ANKLE, device=replace(ANKLE.device, weld={"sho": "foot"})),
+            "has no link 'sho'",
+        ),
+        (Assembly(ground={"foot": ("heel", "big_toe")}), "'big_toe' has no us"),
+        (
+            replace(ANKLE, cuffs={"f": CuffLinks("foot", "calf")}),
+            "cuff 'f' has no usual place on foot",
+        ),
+    ],
+)
+def test_names_that_are_not_there_are_refused(assembly, words):
+    model = built(assembly)
+    with pytest.raises(InputError, match=words):
+        model.cuffs, model.spheres  # noqa: B018
+
+
+def test_files_that_are_no_device_are_refused(tmp_path):
+    for name, words in (("d.xacro", "expand it first"), ("d.obj", "no device")):
+        device = DeviceFile({"shoe": "foot"}, Path(name))
+        with pytest.raises(InputError, match=words):
+            with_text(Assembly(device=device), tmp_path)
+    device = DeviceFile({"shoe": "foot"}, Path("missing.urdf"))
+    with pytest.raises(InputError, match=r"missing.urdf: cannot be read"):
+        with_text(Assembly(device=device), tmp_path)
+
+
+def test_a_link_turned_on_its_segment():
+    """Its own frame counts for nothing; where its mass is does."""
+    turned = replace(
+        ANKLE,
+        device=replace(
+            ANKLE.device, weld={"shoe": Weld("foot", (0.1, 0.0), 90.0)}
+        ),
+    )
+    tree = built(turned).tree
+    q = np.zeros((1, tree.num_positions))
+    # Toes up by 90 degrees: what lay ahead lies above.
+    place = tree.point_positions(q, "shoe", (0.2, 0.0))
+    np.testing.assert_allclose(place, [[0.1, 0.2]], atol=1e-12)
