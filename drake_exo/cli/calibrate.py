@@ -11,6 +11,7 @@ from pathlib import Path
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.pareto import pareto_front
 from drake_exo.calibration.results import read_contact
+from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.nlp.ipopt import Solution
@@ -89,19 +90,6 @@ def add_study_arguments(
             action="store_true",
             help="continue in --out where a run was cut off",
         )
-
-
-def add_accept(parser: argparse.ArgumentParser) -> None:
-    """Add --accept, which every command that ends with checks has."""
-    parser.add_argument(
-        "--accept",
-        action="append",
-        default=[],
-        metavar="CHECK",
-        help="take a result although this check does not hold, such as "
-        "audit or plausibility.mass; a beginning of dotted names, or all; "
-        "may be given several times, and is recorded",
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,9 +9,8 @@ from pathlib import Path
 # slower than one wherever the cores have other work.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
-
 from drake_exo import soles
+from drake_exo.cli.options import add_accept
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     OutputFolder,
@@ -19,6 +18,7 @@ from drake_exo.files.output import (
     prepare_output_folder,
     write_json,
 )
+from drake_exo.files.verdict import stored
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles.optimize.files import (
     SUMMARY,
@@ -44,6 +44,7 @@ def add_parser(subparsers) -> None:
         "simulate", _simulate, "simulate a sole through one contact phase"
     )
     _add_case(parser)
+    add_accept(parser)
     parser = job("optimize", _optimize, "find the best shape for a case")
     _add_case(parser)
     parser.add_argument(
@@ -54,12 +55,14 @@ def add_parser(subparsers) -> None:
     )
     _add_limits(parser, ("all", "none"))
     _add_iterations(parser)
+    add_accept(parser)
     parser = job("study", _study, "the paper's five cases (Table 2)")
     parser.add_argument(
         "--coarse", action="store_true", help="two coarse stages, two minutes"
     )
     _add_limits(parser, ("all", "none", "both"))
     _add_iterations(parser)
+    add_accept(parser)
     parser.add_argument(
         "--front",
         action="store_true",
@@ -182,53 +185,52 @@ def _progress(name: str, total: int | None = None) -> Progress:
 
 
 def _simulate(args) -> int:
-    """Simulate one case; 0 if every step converged, else 1."""
+    """Simulate one case; the exit code of its verdict."""
     began = time.perf_counter()
     case = _case(args)
     seconds = {"mesh_seconds": round(time.perf_counter() - began, 4)}
     progress = _progress(case.name, len(case.load.times))
     with prepare_output_folder(args.out, args.force) as out:
         step = case.simulate(lambda done, _: progress.update("samples", done))
-        step.write(out, seconds)
+        verdict = step.write(out, seconds, args.accept)
     name = case.name
     print(
         f"{name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} N·m/rad, "
         f"c {step.c:.4g}, {len(step.times)} steps"
     )
-    bad = np.flatnonzero(~step.converged)
-    for q in bad[:5]:
-        print(f"{name}: step {q} failed: {step.history.reports[q].message}")
-    if len(bad):
-        print(f"{name}: {len(bad)} steps failed")
+    print(verdict.text())
     print(f"{name}: results in {args.out}")
-    return 1 if len(bad) else 0
+    return verdict.exit_code
 
 
 def _optimize(args) -> int:
-    """Optimise one case; 0 where the final design simulates throughout."""
+    """Optimise one case; the exit code of its verdict."""
     case = _case(args)
     say = _progress(case.name).update
     # Refused before there is a folder.
     resume = read_checkpoint(args.resume) if args.resume else None
     with prepare_output_folder(args.out, args.force) as out:
-        row = case.optimize(out, say, resume).write(out, say)
+        row = case.optimize(out, say, resume).write(out, say, args.accept)
+    verdict = stored(row)
     print(paper.line(row))
+    print(verdict.text())
     print(f"{case.name}: results in {args.out}")
-    return 1 if row["failed_steps"] else 0
+    return verdict.exit_code
 
 
 def _study(args) -> int:
-    """The paper's five cases; 0 where every final design simulates."""
+    """The paper's five cases; the exit code of all verdicts together."""
     study = paper.Study.read(
         args.data_root, args.mesh, args.coarse, args.limits, args.iterations
     )
     print(f"load: {study.source}")
     with prepare_output_folder(args.out, args.force) as out:
-        good, text = study.run(out, args.jobs, args.front)
+        verdict, text = study.run(out, args.jobs, args.front, args.accept)
         print(text)
         print(paper.report(out, soles.find_designs(out)))
+    print(verdict.text())
     print(f"results in {args.out}")
-    return 0 if good else 1
+    return verdict.exit_code
 
 
 def _front(args) -> int:

@@ -7,13 +7,14 @@ humanoid robots.
 import multiprocessing
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.files.output import Progress, read_json, write_json
+from drake_exo.files.verdict import Check, Verdict, stored
 from drake_exo.soles.case import Case
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
@@ -162,29 +163,34 @@ class Study:
         return cls(source, limits, variants)
 
     def run(
-        self, out: Path, at_once: int = 2, with_front: bool = False
-    ) -> tuple[bool, str]:
+        self,
+        out: Path,
+        at_once: int = 2,
+        with_front: bool = False,
+        accepted: Sequence[str] = (),
+    ) -> tuple[Verdict, str]:
         """Optimise all; a folder a case, summary.json, table.txt, front.png.
 
         Args:
             out: Where to.
             at_once: Processes at a time.
             with_front: Also the front of c_tr against c_rot.
+            accepted: Names of checks that the user accepts.
 
         Returns:
-            Whether every design simulates throughout; the tables.
+            The verdict on all designs together; the tables.
         """
         began, summary = time.perf_counter(), {}
         folders = {
             key: out if key == "cases" else out / key for key in self.variants
         }
         jobs = [
-            (_optimize, folders[key] / case.name, case)
+            (_optimize, folders[key] / case.name, case, tuple(accepted))
             for key, cases in self.variants.items()
             for case in cases
         ]
         if with_front:
-            jobs += [(front_job, *job[1:]) for job in jobs]
+            jobs += [(front_job, *job[1:3]) for job in jobs]
         summary |= {"load": self.source, "limits": self.limits}
 
         def note() -> None:
@@ -201,25 +207,25 @@ class Study:
             write_json(out / SUMMARY, summary)
 
         failed = run_jobs(jobs, at_once, note)
-        for key, cases in self.variants.items():
-            for case in cases:
-                place = folders[key] / case.name
-                if not (place / SUMMARY).is_file():
-                    print(
-                        f"{place.relative_to(out)}: ended without a result; "
-                        "its last lines say why"
-                    )
+        checks = [] if not failed else [
+            Check("solved", False, float(failed), 0.0, "cases",
+                  sentence="ended without a result; their last lines say why")
+        ]  # fmt: skip
+        for row in (row for key in self.variants for row in summary[key]):
+            checks += stored(row).checks
+        verdict = Verdict(tuple(checks), tuple(accepted))
+        summary |= verdict.summary()
+        write_json(out / SUMMARY, summary)
         text = _tables(out, summary)
         (out / "table.txt").write_text(text + "\n", encoding="utf-8")
-        rows = [row for key in self.variants for row in summary[key]]
-        return not (failed or any(r["failed_steps"] for r in rows)), text
+        return verdict, text
 
 
-def _optimize(folder: Path, case: Case) -> None:
+def _optimize(folder: Path, case: Case, accepted) -> None:
     """One design, in a process of its own."""
     folder.mkdir(parents=True, exist_ok=True)
     say = Progress(case.name, interval_seconds=2.0).update
-    print(line(case.optimize(folder, say).write(folder, say)))
+    print(line(case.optimize(folder, say).write(folder, say, accepted)))
 
 
 def front_job(folder: Path, case: Case) -> None:

@@ -110,16 +110,44 @@ class Load:
             else self.free_moment[index],
         )
 
-    def check_inside(self, lP: np.ndarray) -> None:
+    def check_friction(self, friction: float) -> None:
+        """Refuse a force that no sole can carry without slipping away.
+
+        Args:
+            friction: Coulomb's coefficient μ.
+
+        Raises:
+            InputError: Names the first sample beyond the cone.
+        """
+        asked = self.friction_used
+        beyond = asked >= friction
+        if beyond.any():
+            q = int(np.argmax(beyond))
+            raise InputError(
+                f"{self.name}: the force at {self.times[q]:g} s asks for a "
+                f"friction of {asked[q]:.3f} (horizontal over vertical; "
+                f"{beyond.sum()} of {len(beyond)} samples), and "
+                f"contact.friction is {friction:g}: the sole slips away; "
+                "leave these samples out (least_force_n, start_s, end_s), or "
+                "give a larger contact.friction"
+            )
+
+    @property
+    def friction_used(self) -> np.ndarray:
+        """Horizontal over vertical force, (N,)."""
+        return np.hypot(*self.force.T[:2]) / self.force[:, 2]
+
+    def check_inside(self, places: np.ndarray) -> None:
         """Refuse a ZMP outside the sole's outline.
 
         Args:
-            lP: Places of the sole's nodes in its frame [m], (m, 3).
+            places: Of the sole's nodes as it is set down level, on the
+                ground [m], (m, 2).
 
         Raises:
             InputError: Names the first sample outside.
         """
-        hull = ConvexHull(lP[:, :2])
+        hull = ConvexHull(places)
         distance = (
             self.zmp @ hull.equations[:, :2].T + hull.equations[:, 2]
         ).max(axis=1)
@@ -130,9 +158,10 @@ class Load:
             raise InputError(
                 f"{self.name}: the ZMP is outside the sole by "
                 f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s "
-                f"(x {x:.4f} m, y {y:.4f} m in the sole frame, "
+                f"(x {x:.4f} m, y {y:.4f} m in the load's frame, "
                 f"{outside.sum()} of {len(outside)} samples); check the "
-                "load's origin_m and yaw_rad, or take a larger sole"
+                "load's origin_m and yaw_rad and the block start, or take a "
+                "larger sole"
             )
 
 
@@ -391,4 +420,12 @@ def _numbers(path, lines, first: int, columns: int, separator=None):
         for number, line in enumerate(lines, first)
         if line.strip()
     )
-    return number_rows(path, rows, columns)
+    rows = list(rows)
+    values = number_rows(path, rows, columns)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{path}:{rows[bad[0]][0]}: a number is missing or NaN here "
+            f"({len(bad)} such rows); clean the recording"
+        )
+    return values

@@ -23,6 +23,10 @@ from drake_exo.files.mesh import read_cells
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
+# Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
+_LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
+_RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
+
 
 @dataclass(frozen=True, eq=False)
 class TetMesh:
@@ -204,11 +208,12 @@ def read_mesh(
         path: Mesh file in metres.
         origin: Sole frame's origin in the file's frame [m]. By default the
             file's own origin where its top is at z = 0, else the middle of
-            the top's bounding box.
+            the top's bounding box, where the top is a rectangle.
 
     Raises:
         InputError: Unreadable file, no tetrahedra, inverted or unconnected
-            elements, no Dirichlet surface.
+            elements, no Dirichlet surface, not in metres, or a top that
+            needs an origin.
     """
     path = Path(path)
     nodes, tets = read_cells(
@@ -225,16 +230,26 @@ def read_mesh(
     extent = np.ptp(nodes, axis=0).max()
     top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
     if origin is None:
-        origin = _guess_origin(nodes, top, extent)
+        origin = _guess_origin(TetMesh(nodes, tets, top), extent, path)
     return checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
 
 
-def _guess_origin(nodes, top, extent) -> np.ndarray:
-    z = nodes[top, 2].mean()
+def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
+    top = mesh.nodes[mesh.fixed]
+    z = top[:, 2].mean()
     if abs(z) <= 1e-7 * extent:
         return np.zeros(3)
-    low, high = nodes[top].min(axis=0), nodes[top].max(axis=0)
-    return np.array([*(0.5 * (low + high))[:2], z])
+    low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
+    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
+    a, b, c = mesh.nodes[mesh.boundary_faces[fixed]].transpose(1, 0, 2)
+    area = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
+    if 0 < area < _RECTANGLE * np.prod(high - low):
+        raise InputError(
+            f"{path}: the top is no rectangle, and lies at z = {z:g} m, so "
+            "that the place of the foot's frame cannot be guessed; give "
+            "mesh.origin_m, or put the frame's origin at 0 in the file"
+        )
+    return np.array([*(0.5 * (low + high)), z])
 
 
 def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
@@ -257,6 +272,13 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             f"flat (first: element {bad[0]}); remesh"
         )
     i, j = tets[:, [0, 0, 0]].ravel(), tets[:, 1:].ravel()
+    size = np.ptp(nodes, axis=0)
+    if not _LEAST_LENGTH < size.max() < _LARGEST_LENGTH:
+        numbers = " x ".join(f"{x:g}" for x in size)
+        raise InputError(
+            f"{name}: the sole is {numbers} m large, and lengths are in "
+            "metres; scale it (millimetres by 0.001)"
+        )
     graph = coo_matrix((np.ones(len(i)), (i, j)), shape=2 * (len(nodes),))
     parts, _ = connected_components(graph, directed=False)
     if parts > 1:

@@ -415,13 +415,17 @@ class Setup:
             mesh_file: Used instead of the case's mesh.
 
         Raises:
-            InputError: A file cannot be read, or the ZMP leaves the sole.
+            InputError: A file cannot be read, the ZMP leaves the sole, or
+                the force the friction cone.
         """
         root = Path(data_root)
         load = settings.load.load(root)
         mesh = settings.read_mesh(root, mesh_file)
-        load.check_inside(mesh.nodes[mesh.contact])
-        return cls(settings, load, mesh, settings.start_pose(mesh))
+        start = settings.start_pose(mesh)
+        level = start.reference(np.eye(3), mesh.nodes[mesh.contact])
+        load.check_inside(level)
+        load.check_friction(settings.contact.friction)
+        return cls(settings, load, mesh, start)
 
     @property
     def name(self) -> str:

@@ -165,6 +165,7 @@ class Convergence:
     residual: float
     message: str = ""
     history: list = field(default_factory=list)
+    parts: int = 1  # of the time since the sample before
 
 
 class ContactSolver:

@@ -8,7 +8,7 @@ samples, and on a finer mesh.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
+from drake_exo.files.verdict import Check, Verdict
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.mesh import (
     TetMesh,
@@ -66,6 +67,7 @@ from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 _SOUND = 0.15  # least quality at which a finer brick judges a design
 _FORMER = 5  # earlier designs to fall back on
 _NEEDLE = 0.02  # quality below which inner nodes are moved
+_ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
 _WORN_OUT = "elements worn out"
@@ -223,8 +225,42 @@ class Design:
         """Write a page that plays the step of both shapes."""
         self.step.write_animation(path, **{"initial shape": self.first})
 
+    def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
+        """What the design has to hold, and whether it does.
+
+        Besides the step's checks: the case's limits, by the exact law.
+
+        Args:
+            accepted: Names of checks that the user accepts.
+        """
+        limits, name = self.problem.limits, self.setup.name
+        cm3 = 1e6 * self.mesh.volume
+        margin = float(np.min(self.step.stability))
+        held = [
+            ("volume", cm3, 1e6 * limits.volume, "cm³", 1),
+            ("strain", self.step.largest_strain, limits.strain, "", 1),
+            ("tilt", self.step.tilt_deg.max(), limits.tilt_deg, "°", 1),
+            ("stability", margin, limits.stability, "N/m", -1),
+            ("c_rot", self.step.c_rot, limits.c_rot, "N·m/rad", -1),
+        ]
+        checks = [
+            Check(
+                f"bounds.{what}",
+                bool(sign * (value - limit) <= _ROUNDING * limit),
+                float(value), limit, unit, name,
+                "the design by the exact law is outside the case's limit; "
+                "optimise it longer (--resume, --iterations)",
+            )
+            for what, value, limit, unit, sign in held
+            if limit is not None
+        ]  # fmt: skip
+        return Verdict((*self.step.verdict().checks, *checks), tuple(accepted))
+
     def write(
-        self, folder: Path | str, say: Callable[[str], object] | None = None
+        self,
+        folder: Path | str,
+        say: Callable[[str], object] | None = None,
+        accepted: Sequence[str] = (),
     ) -> dict:
         """Write all results and, last, summary.json; what that says.
 
@@ -233,9 +269,10 @@ class Design:
         Args:
             folder: Where to; it is there already.
             say: Called with one line of progress now and then.
+            accepted: Names of checks that the user accepts.
         """
         folder, began = Path(folder), time.perf_counter()
-        row = self.summary()
+        row = self.summary() | self.verdict(accepted).summary()
         row["finer"] = self.check_finer()
         row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
         row["stages_seconds"] = [round(s, 2) for s in self.stages_seconds]

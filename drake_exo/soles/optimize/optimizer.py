@@ -310,9 +310,11 @@ def _furthest(problem, p) -> float:
 
 
 def cost_and_violation(problem, p) -> tuple[float, float]:
-    """Cost and largest violation."""
-    violation = -float(problem.constraints(p).min())
-    return problem.cost(p), max(0.0, violation)
+    """Cost and largest violation, infinite where nothing can be simulated."""
+    values = problem.constraints(p)
+    if not np.isfinite(values).all():
+        return np.inf, np.inf
+    return problem.cost(p), max(0.0, -float(values.min()))
 
 
 def minimise(

@@ -2,7 +2,7 @@
 
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.files.output import write_json
+from drake_exo.files.verdict import Verdict
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
@@ -17,6 +18,7 @@ from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.rotations import angles_xyz, tilt_deg
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.step import stiffness
+from drake_exo.soles.step.checks import step_checks
 from drake_exo.soles.step.simulation import (
     HISTORY,
     StepHistory,
@@ -216,6 +218,14 @@ class Step:
         lP = self.sole.positions
         return complementarity(self.history, self.law, self.setup.start, lP)
 
+    def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
+        """What the step has to hold, and whether it does.
+
+        Args:
+            accepted: Names of checks that the user accepts.
+        """
+        return Verdict(step_checks(self), tuple(accepted))
+
     def table(self) -> dict[str, np.ndarray]:
         """Columns over time, by name with unit, (N,) each."""
         load, reports = self.setup.load, self.history.reports
@@ -234,6 +244,7 @@ class Step:
         columns["stability_n_per_m"] = self.stability
         columns["nodes_in_contact"] = self.touching.sum(axis=1)
         columns["newton_iterations"] = np.array([r.iterations for r in reports])
+        columns["parts_of_time"] = np.array([r.parts for r in reports])
         columns["residual"] = np.array([r.residual for r in reports])
         columns["converged"] = self.converged.astype(int)
         return columns
@@ -244,9 +255,9 @@ class Step:
         density = self.sole.material.density_kg_per_m3
         reports = self.history.reports
         failures = [
-            {"step": q, "message": report.message}
-            for q, report in enumerate(reports)
-            if not report.converged
+            {"step": q, "time_s": float(self.times[q]), "message": status}
+            for q, status in enumerate(self.history.statuses())
+            if not reports[q].converged
         ]
         iterations = [r.iterations for r in reports]
         return {
@@ -258,6 +269,9 @@ class Step:
             "steps": len(reports),
             "failed_steps": self.failed_steps,
             "failures": failures[:20],
+            "steps_refined_in_time": sum(
+                r.converged and r.parts > 1 for r in reports
+            ),
             "contact_nodes": len(mesh.contact),
             "nodes": len(mesh.nodes),
             "tets": len(mesh.tets),
@@ -268,6 +282,7 @@ class Step:
             "stability_min_n_per_m": float(np.min(margin)),
             "tilt_max_deg": float(self.tilt_deg.max()),
             "max_strain": self.largest_strain,
+            "friction_used": float(self.setup.load.friction_used.max()),
             "newton_iterations_mean": float(np.mean(iterations)),
             "newton_iterations_max": int(np.max(iterations)),
         }
@@ -330,15 +345,21 @@ class Step:
                 pictures.save(figure, folder / f"{name}.png")
         self.write_animation(folder / "animation.html")
 
-    def write(self, folder: Path, seconds: dict | None = None) -> None:
+    def write(
+        self,
+        folder: Path,
+        seconds: dict | None = None,
+        accepted: Sequence[str] = (),
+    ) -> Verdict:
         """Tables, arrays, pictures, animation and, last, summary.json.
 
         Args:
             folder: Where to.
             seconds: Further times to note there.
+            accepted: Names of checks that the user accepts.
         """
-        began = time.perf_counter()
-        numbers = self.summary()
+        began, verdict = time.perf_counter(), self.verdict(accepted)
+        numbers = self.summary() | verdict.summary()
         numbers["complementarity"] = self.complementarity()
         moment = self.setup.load.free_moment
         if moment is not None:
@@ -357,6 +378,7 @@ class Step:
         numbers["tables_seconds"] = round(tables - began, 4)
         numbers["pictures_seconds"] = round(time.perf_counter() - tables, 4)
         write_json(folder / "summary.json", numbers)
+        return verdict
 
 
 def principal_strains(eps: np.ndarray) -> np.ndarray:
@@ -405,6 +427,7 @@ def complementarity(
         F, P, R = history.F[q], history.P[q], history.R[q]
         scale = np.linalg.norm(F.sum(axis=0))
         Q = start.reference(R, lP) if before is None else before[:, :2]
+        Q = history.between.get(q, Q)
         f = F / scale
         gap = P[:, 2] * law.penalty / scale
         slip = (P[:, :2] - Q) * law.penalty / scale

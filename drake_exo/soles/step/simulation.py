@@ -31,6 +31,7 @@ _MAX_CANDIDATES = 12
 _MAX_SUBSTEPS = 60
 _LEAP = 0.1  # rad between designs
 _SAME = 1e-6  # rad; solutions are far closer than branches
+_LEAST_PART = 1 / 64  # of the time between samples
 _PATIENCE = 3  # times the Newton steps of a neighbouring design
 # Files of a simulation, and of that of the initial shape beside it.
 HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"
@@ -178,15 +179,16 @@ def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
     Returns:
         State, load that it carries, Newton steps taken.
     """
-    state, depth, total = guess.copy(), 1e-4, 0
+    depth, total = 1e-4, 0
     aim = replace(target, force=np.array([0.0, 0.0, press]))
     for _ in range(6):
-        state.O[2] = guess.O[2] - depth
+        # Afresh at every height: forces of a deeper one would stay behind.
+        state = guess.copy()
+        state.O[2] -= depth
         # The references follow the held pose, as for the first sample.
-        trial, report = solver.solve(state, aim, fixed_pose=True)
+        state, report = solver.solve(state, aim, fixed_pose=True)
         total += report.iterations
-        carried = trial.F[:, 2].sum()
-        state = trial
+        carried = state.F[:, 2].sum()
         if carried > 0.5 * press and carried < 2 * press:
             break
         depth *= np.clip(press / max(carried, 1e-3 * press), 0.2, 10.0)
@@ -241,6 +243,52 @@ def follow_load(
     return new, report
 
 
+def refine_time(
+    solver: ContactSolver,
+    state: State,
+    places: np.ndarray,
+    before: Target,
+    target: Target,
+) -> tuple[State, Convergence, np.ndarray]:
+    """To the target by samples in between, the load linear in time.
+
+    Unlike `follow_load`, every part is a step of its own: the references are
+    the places where the part before it has left the nodes.
+
+    Args:
+        solver: Newton solver.
+        state, places: Solution for `before`, and the nodes' places there.
+        before, target: Loads at both ends; references are not used.
+
+    Returns:
+        The last state that was found; its report: how many parts it took or
+        up to which part of the way it got; the references it has there.
+    """
+    done, part, parts, total = 0.0, 0.5, 0, 0
+    references = places[:, :2]
+    while done < 1.0 and part >= _LEAST_PART:
+        ahead = min(done + part, 1.0)
+        end = replace(target, reference=places[:, :2])
+        here, aim = (end.partway(before, t) for t in (done, ahead))
+        trial, report = follow_load(solver, state, here, aim)
+        total += report.iterations
+        if report.converged:
+            state, done, references = trial, ahead, places[:, :2]
+            places = solver.deformed(state.F, state.R) + state.O
+            part, parts = 2.0 * part, parts + 1
+        else:
+            solver.active.refresh()
+            part *= 0.5
+    report.converged, report.iterations, report.parts = done >= 1, total, parts
+    if not report.converged:
+        report.message = (
+            f"no equilibrium beyond {100 * done:.2f} % of the way from the "
+            f"sample before, in steps of 1/{round(1 / _LEAST_PART)} of it "
+            f"({report.message})"
+        )
+    return state, report, references
+
+
 @dataclass
 class StepHistory:
     """States of a sole over the samples of a contact phase.
@@ -254,6 +302,8 @@ class StepHistory:
         P: Places of the contact nodes, world [m], (N, m, 3).
         K_c: Cartesian stiffness about the ZMP, (N, 6, 6).
         reports: Convergence of every sample.
+        between: Tangential references (m, 2) of samples to which others in
+            between have led.
     """
 
     F: np.ndarray
@@ -262,6 +312,7 @@ class StepHistory:
     P: np.ndarray
     K_c: np.ndarray
     reports: list[Convergence] = field(default_factory=list)
+    between: dict[int, np.ndarray] = field(default_factory=dict)
 
     @property
     def converged(self) -> np.ndarray:
@@ -276,6 +327,15 @@ class StepHistory:
     def state(self, q: int) -> State:
         """State at sample q (counted from 0)."""
         return State(self.F[q], self.O[q], self.R[q])
+
+    def statuses(self) -> list[str]:
+        """How every sample was reached, in words."""
+        return [
+            report.message or ("not followed" if not report.converged else
+            "followed" if report.parts == 1 else
+            f"followed in {report.parts} parts of its time")
+            for report in self.reports
+        ]  # fmt: skip
 
     def costs(self, weight: float = 1.0, fraction: float = 0.1):
         """c_tr, c_rot and c over the samples (NaN where one failed)."""
@@ -317,6 +377,8 @@ def simulate(
         zmp: Desired ZMP on the ground, world [m], (N, 2).
         start: How the sole is held just before contact.
         stop_at_failure: Leave the remaining samples out after a failure.
+            Otherwise a sample that cannot be reached from the one before is
+            led to by samples in between, see `refine_time`.
         near: History of a neighbouring design: a start on another branch
             fails, so does a step that takes far more Newton steps, and its
             increments from sample to sample are the first guess of this
@@ -348,6 +410,13 @@ def simulate(
             before = Target(force[good[0]], zmp[good[0]], reference)
             guess = _alike(near, good[0], q, good[1]) if near else None
             state, report = follow_load(solver, good[1], before, target, guess)
+            if not (report.converged or stop_at_failure):
+                spent = report.iterations
+                state, report, target.reference = refine_time(
+                    solver, good[1], good[2], before, target
+                )
+                report.iterations += spent
+                history.between[q] = target.reference
         if state is not None:
             history.F[q], history.O[q], history.R[q] = (
                 state.F,

@@ -1,0 +1,91 @@
+"""What a simulated step has to hold for its figures to mean something."""
+
+import numpy as np
+
+from drake_exo.files.verdict import SOLVED, Check
+
+# Linear elasticity is some per cent off at the first, and turns elements
+# inside out from the second on.
+SMALL_STRAIN, _INSIDE_OUT = 0.3, 1.0
+_TILT_DEG = 20.0  # beyond, a small-strain pose is not that of a real foot
+_NEAR_SLIP = 0.95  # part of μ
+_COMPLEMENTARITY = 1e-6
+_NOT_SMALL = (
+    "small strain does not hold so far; judge the sole in finite strain "
+    "(drake-exo sole strain)"
+)
+_TURNED_OVER = (
+    "elements turn inside out, so that the figures mean nothing: the load is "
+    "too large for this material and shape; check youngs_modulus_pa and the "
+    "load's units"
+)
+
+
+def step_checks(step) -> tuple[Check, ...]:
+    """Checks of a `Step`, see the table in docs/soles.md."""
+    name = step.setup.name
+    checks = [_solved(step)]
+    if not step.converged.any():
+        return tuple(checks)
+    strain = step.largest_strain
+    beyond_reason = strain >= _INSIDE_OUT
+    limit = _INSIDE_OUT if beyond_reason else SMALL_STRAIN
+    sentence = _TURNED_OVER if beyond_reason else _NOT_SMALL
+    checks.append(
+        Check(
+            "plausibility.strain", strain < limit, strain, limit, "", name,
+            "" if strain < limit else sentence,
+            "fail" if beyond_reason else "note",
+        )
+    )  # fmt: skip
+    tilt = float(step.tilt_deg[step.converged].max())
+    checks.append(
+        _note(
+            "plausibility.tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°", name,
+            "the foot leans far over: a small push may tip it",
+        )
+    )  # fmt: skip
+    margin = float(np.nanmin(step.stability))
+    loose = int(np.sum(step.stability <= 0))
+    checks.append(
+        _note(
+            "plausibility.stability", margin > 0, margin, 0.0, "N/m", name,
+            f"{loose} samples are not shown to be stable: under a force that "
+            "stays as it is the foot may tip there",
+        )
+    )  # fmt: skip
+    used = float(step.setup.load.friction_used.max())
+    limit = _NEAR_SLIP * step.law.friction
+    checks.append(
+        _note(
+            "plausibility.friction", used <= limit, used, limit, "", name,
+            "the sole is about to slip away as a whole",
+        )
+    )  # fmt: skip
+    if step.law.layer == step.law.kappa == 0:
+        worst = step.complementarity()
+        holds = worst <= _COMPLEMENTARITY
+        checks.append(
+            Check(
+                "contact", holds, worst, _COMPLEMENTARITY, "", name,
+                "" if holds else "forces do not obey Signorini's and "
+                "Coulomb's laws: the simulation went wrong",
+            )
+        )  # fmt: skip
+    return tuple(checks)
+
+
+def _note(name, holds, value, limit, unit, where, sentence) -> Check:
+    said = "" if holds else sentence
+    return Check(name, bool(holds), value, limit, unit, where, said, "note")
+
+
+def _solved(step) -> Check:
+    failed = np.flatnonzero(~step.converged)
+    if not len(failed):
+        return Check(SOLVED, True, where=step.setup.name)
+    q = failed[0]
+    return Check(
+        SOLVED, False, float(len(failed)), 0.0, "samples", step.setup.name,
+        f"sample {q} at {step.times[q]:g} s: {step.history.statuses()[q]}",
+    )  # fmt: skip
