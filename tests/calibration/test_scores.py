@@ -1,0 +1,151 @@
+"""RMSD and SD of signals whose differences the test has chosen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured_trials import JOINTS, NAMES, moved, seen
+
+from drake_exo.calibration.scores import rms, rmsd, spread
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce
+
+
+def test_names_are_as_these_tests_write_them_down():
+    assert NAMES.names[:3] == ("foot_x", "foot_z", "foot_pitch")
+    assert NAMES.joints == NAMES.names[3:] == JOINTS
+
+
+def test_rms_is_over_time_and_leaves_out_what_is_missing():
+    values = np.array([[3.0, np.nan], [4.0, 5.0], [np.nan, -5.0]])
+    np.testing.assert_allclose(rms(values), [np.sqrt(12.5), 5.0])
+
+
+def test_each_signal_by_its_name_in_its_unit():
+    measured = seen()
+    dq = np.array([0.001, 0.002, 0.003, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
+    off = moved(
+        measured,
+        q=dq,
+        v=10.0 * dq,
+        moments=np.arange(2.0, 8.0),
+        force=[3.0, -4.0],
+        cop=0.005,
+        normal=-6.0,
+    )
+    found = rmsd(replace(off, name="found"), measured)
+    assert found["trial"] == "found"
+    degrees = 180.0 / np.pi
+    for k, joint in enumerate(JOINTS):
+        angle = degrees * (k + 1) / 100.0
+        assert found["angles_deg"][joint] == pytest.approx(angle)
+        assert found["velocities_deg_s"][joint] == pytest.approx(10.0 * angle)
+        assert found["moments_nm"][joint] == pytest.approx(k + 2.0)
+    assert list(found["angles_deg"]) == list(JOINTS)
+    assert found["foot"] == pytest.approx(
+        {"x_mm": 1.0, "z_mm": 2.0, "pitch_deg": 0.003 * degrees}
+    )
+    assert found["grf_n"] == pytest.approx({"horizontal": 3.0, "vertical": 4.0})
+    assert found["cop_mm"] == pytest.approx(5.0)
+    assert found["interaction_n"] == pytest.approx({"thigh": 6.0})
+
+
+def test_differences_are_squared_and_averaged():
+    """A tenth of the samples is off by 1, the others are not."""
+    measured = seen(n=201)
+    off = np.zeros((201, 1))
+    off[:20] = 1.0
+    share = np.sqrt(20.0 / 201.0)
+    found = rmsd(moved(measured, q=off, normal=off[:, 0]), measured)
+    assert found["angles_deg"]["knee"] == pytest.approx(np.rad2deg(share))
+    assert found["interaction_n"]["thigh"] == pytest.approx(share)
+
+
+def test_a_measurement_is_compared_at_the_nodes_of_what_was_found():
+    measured = seen(n=201)
+    found = measured.sample(np.linspace(0.0, 2.0, 37))
+    scores = rmsd(found, measured)
+    values = [*scores["angles_deg"].values(), *scores["moments_nm"].values()]
+    assert max(values) < 1e-9
+    later = found.sample(found.times)
+    later = replace(later, times=found.times, q=np.roll(found.q, 1, axis=0))
+    assert rmsd(later, measured)["angles_deg"]["hip"] > 1.0
+
+
+def test_what_means_nothing_or_is_not_measured_is_left_out():
+    measured = seen(cuffs=("thigh", "pelvis"))
+    found = replace(measured, cuffs={"thigh": CuffForce(measured.times)})
+    assert set(rmsd(found, measured)["interaction_n"]) == {"thigh"}
+    assert rmsd(found, measured, loads=False)["moments_nm"] == {}
+    without = replace(measured, moments=None)
+    assert rmsd(found, without)["moments_nm"] == {}
+    bare = replace(found, cuffs={})
+    assert rmsd(bare, measured)["interaction_n"] == {}
+
+
+def test_a_centre_of_pressure_counts_only_under_load():
+    measured = seen()
+    F = measured.ground.force.copy()
+    F[:50, 1] = 5.0
+    ground = PlanarWrench(F, -0.3 * F[:, 1])
+    lifted = replace(measured, ground=ground)
+    F = measured.ground.force
+    found = replace(measured, ground=PlanarWrench(F, -0.31 * F[:, 1]))
+    # 10 mm wherever both bear load; else there is no such difference.
+    assert rmsd(found, lifted)["cop_mm"] == pytest.approx(10.0, rel=1e-6)
+
+
+def test_spread_is_one_sd_over_trials_of_any_length():
+    """Constants about 0 with SD 1: (-1, 0, 1) times what stands there."""
+    signs = (-1.0, 0.0, 1.0)
+    dq = np.array([0.005, 0.0, 0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
+    trials = []
+    for k, sign in enumerate(signs):
+        trial = seen(f"rise{k}", 1.0 + 0.3 * k)
+        shift = {"q": dq, "v": 2.0 * dq, "moments": np.arange(1.0, 7.0)}
+        shift |= {"force": np.array([2.0, 9.0]), "cop": 0.012, "normal": 4.0}
+        trials.append(moved(trial, **{n: sign * x for n, x in shift.items()}))
+    found = spread(trials)
+    for k, joint in enumerate(JOINTS):
+        angle = np.rad2deg((k + 1) / 100.0)
+        assert found["angles_deg"][joint] == pytest.approx(angle, rel=1e-4)
+        assert found["velocities_deg_s"][joint] == pytest.approx(
+            2.0 * angle, rel=1e-4
+        )
+        assert found["moments_nm"][joint] == pytest.approx(k + 1.0, rel=1e-4)
+    assert found["grf_n"] == pytest.approx(
+        {"horizontal": 2.0, "vertical": 9.0}, rel=1e-4
+    )
+    # Of the centre of pressure in front of the foot, which moves 5 mm.
+    assert found["cop_mm"] == pytest.approx(7.0, rel=1e-4)
+    assert found["interaction_n"] == pytest.approx({"thigh": 4.0}, rel=1e-4)
+
+
+def test_spread_averages_the_sd_of_each_instant():
+    """An SD that grows linearly from 0 to 1 is a half on average."""
+    trials = [
+        moved(t, q=sign * (t.times / t.duration)[:, None])
+        for t in (seen("a"), seen("b", 1.5))
+        for sign in (-1.0, 1.0)
+    ]
+    found = spread(trials)["angles_deg"]["knee"]
+    # Four values -s, s, -s, s have the SD s sqrt(4/3).
+    expected = np.rad2deg(0.5 * np.sqrt(4.0 / 3.0))
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
+def test_spread_of_cuffs_counts_trials_that_have_them():
+    trials = [seen("a", cuffs=("pelvis",)), seen("b", cuffs=("thigh",))]
+    trials.append(moved(trials[1], normal=2.0))
+    found = spread(trials)["interaction_n"]
+    assert found["thigh"] == pytest.approx(np.sqrt(2.0))
+    assert found["pelvis"] is None
+    assert (
+        spread([replace(t, moments=None) for t in trials])["moments_nm"] == {}
+    )
+
+
+def test_one_trial_has_no_spread():
+    found = spread([seen()])
+    assert np.isnan(list(found["angles_deg"].values())).all()
+    assert np.isnan(found["cop_mm"])

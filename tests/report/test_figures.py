@@ -1,0 +1,225 @@
+"""What is drawn: curves, bands, labels and units, read from the axes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from measured_trials import JOINTS, prediction, seen
+
+from drake_exo.calibration.bands import Bands
+from drake_exo.measurement.quality import TrialQuality
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import CuffForce
+from drake_exo.report import figures
+
+DEGREES = 180.0 / np.pi
+
+
+def lines(ax) -> dict[str, np.ndarray]:
+    """Label -> x and y of what is drawn, (2, n)."""
+    return {x.get_label(): np.array(x.get_data()) for x in ax.get_lines()}
+
+
+def panels(figure, columns: int = 1):
+    """Unit or name on the left -> the axes of its row."""
+    axes = np.reshape(figure.axes, (-1, columns))
+    return {row[0].get_ylabel(): list(row) for row in axes}
+
+
+def colours(ax) -> dict[str, str]:
+    return {x.get_label(): x.get_color() for x in ax.get_lines()}
+
+
+@pytest.fixture(scope="module")
+def trials():
+    return [seen("one"), seen("two", 1.5, ("thigh", "pelvis"))]
+
+
+@pytest.fixture(scope="module")
+def found(trials):
+    return [prediction(t) for t in trials]
+
+
+def same(line, times, values):
+    np.testing.assert_allclose(line, [times, values], rtol=1e-12, atol=1e-12)
+
+
+def test_ground_reaction_and_cop(trials, found):
+    figure = figures.ground_reaction_figure({"model": found}, trials)
+    rows = panels(figure, 2)
+    assert list(rows) == ["$F_x$ [N]", "$F_z$ [N]", "CoP $x$ [m]"]
+    for column, (m, f) in enumerate(zip(trials, found, strict=True)):
+        for label, of in zip(
+            rows,
+            (
+                lambda t: t.ground.force[:, 0],
+                lambda t: t.ground.force[:, 1],
+                lambda t: -t.ground.moment / t.ground.force[:, 1],
+            ),
+            strict=True,
+        ):
+            drawn = lines(rows[label][column])
+            assert set(drawn) == {"measured", "model"}
+            same(drawn["measured"], m.times, of(m))
+            same(drawn["model"], f.times, of(f))
+        assert rows["$F_x$ [N]"][column].get_title() == m.name
+        assert rows["CoP $x$ [m]"][column].get_xlabel() == "time [s]"
+    legend = [t.get_text() for t in figure.legends[0].get_texts()]
+    assert legend == ["measured", "model"]
+
+
+def test_angles_and_velocities_of_both(trials, found):
+    figure = figures.kinematics_figure({"model": found}, trials)
+    rows = panels(figure, 2)
+    human = JOINTS[:3]
+    assert list(rows) == [
+        *(f"{j} [°]" for j in human),
+        *(f"{j} [°/s]" for j in human),
+    ]
+    for column, (m, f) in enumerate(zip(trials, found, strict=True)):
+        for k, joint in enumerate(human):
+            for unit, of in (("°", "q"), ("°/s", "v")):
+                drawn = lines(rows[f"{joint} [{unit}]"][column])
+                for label, t, place in (
+                    ("measured", m, 3 + k),
+                    ("measured, exoskeleton", m, 6 + k),
+                    ("model", f, 3 + k),
+                    ("model, exoskeleton", f, 6 + k),
+                ):
+                    values = DEGREES * getattr(t, of)[:, place]
+                    same(drawn[label], t.times, values)
+                assert len(drawn) == 4
+
+
+def test_moments_of_every_joint(trials, found):
+    rows = panels(figures.moments_figure({"model": found}, trials), 2)
+    assert list(rows) == [f"{j.replace('exo_', 'exo. ')} [N m]" for j in JOINTS]
+    for k, row in enumerate(rows.values()):
+        for ax, m, f in zip(row, trials, found, strict=True):
+            drawn = lines(ax)
+            same(drawn["measured"], m.times, m.moments[:, k])
+            same(drawn["model"], f.times, f.moments[:, k])
+
+
+def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
+    half = {
+        c: CuffForce.of(0.5 * x.components) for c, x in found[1].cuffs.items()
+    }
+    other = replace(found[1], cuffs=half)
+    runs = {"C1": found, "C2": [None, other]}
+    figure = figures.interaction_figure(runs, trials)
+    rows = panels(figure, 2)
+    assert list(rows) == ["thigh [N]", "pelvis [N]", "shank [N]"]
+    assert set(lines(rows["shank [N]"][0])) == {"C1"}  # has no mat
+    first = lines(rows["thigh [N]"][0])
+    assert set(first) == {"measured", "C1"}  # C2 failed there
+    second = lines(rows["thigh [N]"][1])
+    same(second["measured"], trials[1].times, trials[1].cuffs["thigh"].normal)
+    same(second["C1"], found[1].times, found[1].cuffs["thigh"].normal)
+    same(second["C2"], other.times, other.cuffs["thigh"].normal)
+    used = colours(rows["thigh [N]"][1])
+    assert len(set(used.values())) == 3
+    legend = [t.get_text() for t in figure.legends[0].get_texts()]
+    assert legend == ["measured", "C1", "C2"]
+
+
+def band_of(trial, width: float) -> Bands:
+    n = len(trial.times)
+    cuffs = {c: np.tile([1.0, width, 2.0], (n, 1)) for c in trial.cuffs}
+    return Bands(0.0 * trial.q, 0.0 * trial.v, cuffs, {}, trial.q, trial.v)
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_bands_lie_around_the_first_run(trials, found, runs):
+    named = dict.fromkeys(["C1", "C2"][:runs], found)
+    figure = figures.interaction_figure(
+        named, trials, [band_of(found[0], 3.0), None]
+    )
+    rows = panels(figure, 2)
+    for cuff, force in found[0].cuffs.items():
+        (area,) = rows[f"{cuff} [N]"][0].collections
+        corners = area.get_paths()[0].vertices
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        normal = force.normal
+        np.testing.assert_allclose(low, [0.0, normal.min() - 3.0])
+        np.testing.assert_allclose(high, [2.0, normal.max() + 3.0])
+        start = corners[np.isclose(corners[:, 0], 0.0), 1]
+        np.testing.assert_allclose(
+            [start.min(), start.max()], [normal[0] - 3.0, normal[0] + 3.0]
+        )
+        ax = rows[f"{cuff} [N]"][0]
+        colour = to_rgb(colours(ax)["C1"])
+        np.testing.assert_allclose(area.get_facecolor()[0, :3], colour)
+        assert not rows[f"{cuff} [N]"][1].collections
+
+
+def test_all_figures_that_there_are_signals_for(trials, found):
+    one, model = trials[:1], found[:1]
+    drawn = figures.plot_trials(model, one, model)
+    names = ["ground_reaction", "kinematics", "interaction", "moments"]
+    assert list(drawn) == names
+    curves = set(lines(drawn["interaction"].axes[0]))
+    assert curves == {"measured", "calibrated", "uncalibrated"}
+    bare = [replace(one[0], moments=None, cuffs={})]
+    assert list(figures.plot_trials(bare, bare)) == names[:2]
+
+
+def test_a_front_is_force_against_angle():
+    rows = [
+        {"factor": 0.5, "angles_deg": 0.2, "grf_n": 7.0},
+        {"factor": 2.0, "angles_deg": 0.1, "grf_n": 9.0},
+    ]
+    (ax,) = figures.front_figure(rows).axes
+    (line,) = ax.get_lines()
+    np.testing.assert_array_equal(line.get_data(), [[0.2, 0.1], [7.0, 9.0]])
+    assert "angles" in ax.get_xlabel() and "[°]" in ax.get_xlabel()
+    assert "ground reaction" in ax.get_ylabel() and "[N]" in ax.get_ylabel()
+    found = {a.get_text(): a.xy for a in ax.texts}
+    assert found == {"×0.5": (0.2, 7.0), "×2": (0.1, 9.0)}
+
+
+def test_quality_shows_what_was_loaded():
+    trial = replace(
+        seen("one"),
+        start_s=3.0,
+        chair=PlanarWrench.of(np.tile([1.0, 50.0, 7.0], (201, 1))),
+    )
+    residual = np.outer(np.ones(201), [1.0, -2.0, 3.0])
+    quality = TrialQuality(
+        **{
+            **dict.fromkeys(TrialQuality.__dataclass_fields__),
+            "residual": residual,
+            "marker_rms_m": {"WORSE": 0.012, "GOOD": 0.003},
+        }
+    )
+    figure = figures.quality_figure(trial, quality)
+    panels = {ax.get_title(): ax for ax in figure.axes}
+    t = 3.0 + trial.times
+    drawn = lines(panels["angles"])
+    moments = lines(panels["joint moments"])
+    for k, joint in enumerate(JOINTS):
+        same(drawn[joint], t, DEGREES * trial.q[:, 3 + k])
+        same(moments[joint], t, trial.moments[:, k])
+    used = colours(panels["angles"])
+    assert used["knee"] == used["exo_knee"] != used["hip"]
+    forces = lines(panels["forces on the body"])
+    same(forces["feet F_x"], t, trial.ground.force[:, 0])
+    same(forces["feet F_z"], t, trial.ground.force[:, 1])
+    same(forces["chair F_z"], t, np.full(201, 50.0))
+    missed = lines(panels["missed by Newton's law"])
+    for k, name in enumerate(("F_x [N]", "F_z [N]", "M [N m]")):
+        same(missed[name], t, residual[:, k])
+    (mat,) = lines(panels["mats: normal force on the human"]).values()
+    same(mat, t, trial.cuffs["thigh"].normal)
+    markers = panels["markers' distance from the model"]
+    assert markers.get_xlabel() == "mm"
+    assert [b.get_width() for b in markers.patches] == [3.0, 12.0]
+    names = [label.get_text() for label in markers.get_yticklabels()]
+    assert names == ["GOOD", "WORSE"]
+    units = {title: ax.get_ylabel() for title, ax in panels.items()}
+    assert (units["angles"], units["joint moments"]) == ("deg", "N m")
+    nothing = replace(trial, moments=None, cuffs={}, chair=None)
+    figure = figures.quality_figure(nothing, quality)
+    said = [[x.get_text() for x in ax.texts] for ax in figure.axes]
+    assert said.count(["not measured"]) == 2
