@@ -24,6 +24,7 @@ ROOMS = (
     "virtual_laboratory",
     "report",
     "study",
+    "batch",
     "papers",
     "cli",
 )
@@ -91,7 +92,7 @@ def test_soles_and_programs_know_no_exoskeleton():
         assert imported(path) <= allowed.get(room, set(ROOMS)), path
         if "soles" in imported(path):
             users.add(room)
-    assert users <= {"papers", "cli"}
+    assert users <= {"papers", "cli", "batch"}
 
 
 def test_files_are_worth_opening():

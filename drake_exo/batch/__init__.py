@@ -1,0 +1,1 @@
+"""Many tasks on many processes or machines, and tables of their results."""

@@ -1,0 +1,243 @@
+"""The batch file: whom, with which settings, through which steps."""
+
+from __future__ import annotations
+
+import glob
+import itertools
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+
+STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict")
+CASE_STEPS = ("sole simulate", "sole optimize")
+Step = Literal[
+    "check",
+    "calibrate",
+    "crossvalidate",
+    "predict",
+    "sole simulate",
+    "sole optimize",
+]
+# A step builds on the results of another of the same subject.
+BUILDS_ON = {"predict": "calibrate"}
+_OURS = ("--out", "--force", "--resume", "--data-root", "--calibration")
+_LONGEST = 100  # characters of a variant's name
+
+
+@dataclass(frozen=True)
+class SeedRange:
+    """Seeds from `first` to `last`, both included."""
+
+    first: int = field(metadata={"minimum": 0})
+    last: int = field(metadata={"minimum": 0})
+
+    def __post_init__(self):
+        if self.last < self.first:
+            raise InputError(f"last ({self.last}) is before first")
+
+
+@dataclass(frozen=True)
+class Laboratories:
+    """Campaigns of the virtual laboratory, a subject a seed.
+
+    Attributes:
+        seeds: a list, or `first` and `last`.
+        truth: "wide", or "near" to what a calibration begins with.
+        trials: movements; all nine by default.
+        without: disturbances to switch off.
+    """
+
+    seeds: tuple[int, ...] | SeedRange = field(metadata={"minimum": 0})
+    truth: Literal["wide", "near"] = "wide"
+    trials: int | None = field(default=None, metadata={"minimum": 1})
+    without: tuple[str, ...] = ()
+
+    def all_seeds(self) -> tuple[int, ...]:
+        """Every seed once, in the order given."""
+        s = self.seeds
+        if isinstance(s, SeedRange):
+            return tuple(range(s.first, s.last + 1))
+        return tuple(dict.fromkeys(s))
+
+    def options(self) -> list[str]:
+        """Those of `drake-exo lab`, but for seed and folder."""
+        found = ["--truth", self.truth]
+        if self.trials is not None:
+            found += ["--trials", str(self.trials)]
+        return found + (["--without", *self.without] if self.without else [])
+
+
+@dataclass(frozen=True)
+class BatchFile:
+    """A batch.
+
+    Attributes:
+        steps: what is done with every subject or sole.
+        studies: study files; `*` and `**` as in a shell. Relative to the
+            batch file, as all paths.
+        laboratories: subjects that are simulated first.
+        cases: case files of soles.
+        data_root: folder that paths in studies and cases start from; by
+            default each file's own.
+        sweep: dotted key -> values, of which every combination is run; or a
+            list of combinations.
+        options: step -> further options of its command.
+    """
+
+    steps: tuple[Step, ...]
+    studies: tuple[str, ...] = ()
+    laboratories: Laboratories | None = None
+    cases: tuple[str, ...] = ()
+    data_root: Path | None = None
+    sweep: dict[str, tuple[Any, ...]] | tuple[dict[str, Any], ...] = field(
+        default_factory=dict
+    )
+    options: dict[Step, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self):
+        subjects = bool(self.studies) or self.laboratories is not None
+        wanted = [
+            ("studies or laboratories", subjects, STUDY_STEPS),
+            ("cases", bool(self.cases), CASE_STEPS),
+        ]
+        for what, given, steps in wanted:
+            ours = [step for step in self.steps if step in steps]
+            if given and not ours:
+                raise InputError(
+                    f"nothing is done with {what}; add one of "
+                    f"{', '.join(steps)} to steps"
+                )
+            if ours and not given:
+                raise InputError(f"step {ours[0]!r} needs {what}; name some")
+        if not self.steps:
+            raise InputError(
+                f"steps is empty; name some of "
+                f"{', '.join(STUDY_STEPS + CASE_STEPS)}"
+            )
+        for step, base in BUILDS_ON.items():
+            if step in self.steps and base not in self.steps:
+                raise InputError(
+                    f"{step!r} builds on {base!r}; add it to steps"
+                )
+        for step, options in self.options.items():
+            if step not in self.steps:
+                raise InputError(f"options: {step!r} is none of the steps")
+            for option in options:
+                if option.partition("=")[0] in _OURS:
+                    raise InputError(
+                        f"options of {step!r}: the batch itself gives "
+                        f"{option}; leave it out"
+                    )
+        self.variants()
+
+    def variants(self) -> list[dict[str, Any]]:
+        """Changes to make, one dictionary a variant; one empty without sweep.
+
+        Raises:
+            InputError: a key without values, or one combination twice.
+        """
+        if isinstance(self.sweep, dict):
+            for key, values in self.sweep.items():
+                if not values:
+                    raise InputError(f"sweep: {key} has no values")
+            found = [
+                dict(zip(self.sweep, values, strict=True))
+                for values in itertools.product(*self.sweep.values())
+            ]
+        else:
+            found = list(self.sweep) or [{}]
+        names = [variant_name(changes) for changes in found]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"sweep: {name or 'nothing'} is there twice")
+        return found
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A subject or a sole.
+
+    Attributes:
+        name: unique; the folder of its results.
+        path: of its study or case file, None of a laboratory's subject.
+        seed: of the laboratory.
+    """
+
+    name: str
+    path: Path | None = None
+    seed: int | None = None
+
+
+def read_batch(path: str | Path) -> BatchFile:
+    """Read a batch file.
+
+    Raises:
+        InputError: it says something that is not allowed.
+    """
+    return schema.load(path, BatchFile)
+
+
+def entries(batch: BatchFile, folder: Path) -> tuple[list[Entry], list[Entry]]:
+    """Subjects and soles of a batch.
+
+    Args:
+        batch: what the file says.
+        folder: that it stands in.
+
+    Raises:
+        InputError: a pattern finds nothing, or two files share a name.
+    """
+    subjects = _found(batch.studies, folder, "studies")
+    if batch.laboratories is not None:
+        seeds = batch.laboratories.all_seeds()
+        subjects += [Entry(f"seed_{seed}", seed=seed) for seed in seeds]
+    soles = _found(batch.cases, folder, "cases")
+    known: dict[str, Entry] = {}
+    for entry in subjects + soles:
+        if entry.name in known:
+            raise InputError(
+                f"{known[entry.name].path or 'laboratories'} and {entry.path} "
+                f"would both be called {entry.name!r}; rename one"
+            )
+        known[entry.name] = entry
+    return subjects, soles
+
+
+def _found(patterns, folder: Path, key: str) -> list[Entry]:
+    paths: dict[Path, None] = {}
+    for pattern in patterns:
+        hits = sorted(glob.glob(str(folder / pattern), recursive=True))
+        hits = [hit for hit in hits if Path(hit).is_file()]
+        if not hits:
+            raise InputError(f"{key}: {pattern} finds no file; check the path")
+        paths |= dict.fromkeys(Path(os.path.normpath(hit)) for hit in hits)
+    return [Entry(_name(path, folder), path) for path in paths]
+
+
+def _name(path: Path, folder: Path) -> str:
+    """Of what lies in a file: its path, without what says nothing."""
+    parts = list(Path(os.path.relpath(path, folder)).with_suffix("").parts)
+    parts = [part for part in parts if part != ".."]
+    if len(parts) > 1 and parts[-1] in ("study", "case"):
+        parts.pop()
+    return "/".join(re.sub(r"[^\w.+-]", "_", part) for part in parts)
+
+
+def variant_name(changes: dict[str, Any]) -> str:
+    """Folder of a variant: "filter.cutoff_hz=6,mass=70"."""
+    text = ",".join(f"{key}={_value(v)}" for key, v in changes.items())
+    if len(text) <= _LONGEST:
+        return text
+    from hashlib import sha256
+
+    return text[:_LONGEST] + "~" + sha256(text.encode()).hexdigest()[:8]
+
+
+def _value(value: Any) -> str:
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return re.sub(r"[^\w.+-]", "_", text)

@@ -1,0 +1,72 @@
+"""A process that runs one job after the other; see `processes.Worker`.
+
+Jobs come as pickles on standard input, answers go back on what was standard
+output; what a job prints goes to standard error.
+"""
+
+import importlib
+import os
+import pickle
+import queue
+import socket
+import sys
+import threading
+import time
+import traceback
+
+from drake_exo.errors import InputError, reason
+
+
+def bound_memory(megabytes: int) -> None:
+    """Let the system refuse more memory than that (Linux)."""
+    import resource
+
+    limit = megabytes * 2**20
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def call(function: str, arguments: dict) -> dict:
+    """Answer of a job: state, value or error and trace, seconds, host."""
+    start = time.perf_counter()
+    answer = {"state": "failed", "host": socket.gethostname()}
+    try:
+        module, _, name = function.partition(":")
+        found = getattr(importlib.import_module(module), name)
+        answer |= {"state": "done", "value": found(**arguments)}
+    except InputError as error:
+        answer["error"] = str(error)
+    except MemoryError:
+        answer["state"] = "memory"
+    except Exception as error:
+        answer["error"] = f"{type(error).__name__}: {reason(error)}"
+        answer["trace"] = traceback.format_exc()
+    answer["seconds"] = time.perf_counter() - start
+    return answer
+
+
+def _read(inbox, jobs: queue.SimpleQueue) -> None:
+    """Pass jobs on; whoever has lost its master ends, even at work."""
+    try:
+        while True:
+            jobs.put(pickle.load(inbox))
+    except (EOFError, pickle.UnpicklingError):
+        os._exit(1)
+
+
+def main() -> None:
+    """Until the input ends."""
+    outbox = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    if len(sys.argv) > 1:
+        bound_memory(int(sys.argv[1]))
+    jobs: queue.SimpleQueue = queue.SimpleQueue()
+    inbox = sys.stdin.buffer
+    threading.Thread(target=_read, args=(inbox, jobs), daemon=True).start()
+    while True:
+        answer = call(*jobs.get())
+        pickle.dump(answer, outbox)
+        outbox.flush()
+
+
+if __name__ == "__main__":
+    main()

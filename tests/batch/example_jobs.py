@@ -1,0 +1,55 @@
+"""Functions that workers of the tests call."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from drake_exo.errors import InputError
+
+
+def add(a, b):
+    return a + b
+
+
+def sleep(seconds):
+    time.sleep(seconds)
+    return seconds
+
+
+def refuse():
+    raise InputError("a.yaml: wrong; mend it")
+
+
+def fail():
+    raise KeyError("ours")
+
+
+def process():
+    return os.getpid()
+
+
+def die_until(place, times):
+    """Kill its own process, that many times."""
+    path = Path(place)
+    count = len(path.read_text()) if path.exists() else 0
+    path.write_text("x" * (count + 1))
+    if count < times:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return count
+
+
+def fill(megabytes):
+    return len(bytearray(megabytes * 2**20)) and megabytes
+
+
+def abort():
+    """As C++ code does that finds no memory."""
+    os.write(2, b"terminate called: std::bad_alloc\n")
+    os.abort()
+
+
+def spoil_streams():
+    print("printed")
+    os.write(1, b"as C++ code prints")
+    return "answered"

@@ -1,0 +1,223 @@
+"""Jobs in processes: order, failures, killed processes, memory."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
+from drake_exo.batch.processes import ATTEMPTS, Processes
+from drake_exo.errors import InputError
+
+HERE = "example_jobs:"
+
+
+def job(name, function, *needs, **arguments):
+    return Job(name, HERE + function, arguments, needs)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with Processes(2) as pool:
+        yield pool
+
+
+class Recorded:
+    """A pool that does nothing, one at a time."""
+
+    def __init__(self):
+        self.begun, self.now = [], None
+
+    def room(self):
+        return int(self.now is None)
+
+    def start(self, job):
+        self.begun.append(job.name)
+        self.now = job.name
+
+    def wait(self, seconds):
+        name, self.now = self.now, None
+        return [Ended(name, "failed" if "bad" in name else "done", 1)]
+
+    def running(self):
+        return {self.now: 5.0} if self.now else {}
+
+    def workers(self):
+        return 1
+
+
+def test_longest_chain_first_and_needs_before():
+    jobs = [
+        Job("alone", ""),
+        Job("c", "", needs=("b",)),
+        Job("b", "", needs=("a",)),
+        Job("a", ""),
+    ]
+    pool = Recorded()
+    ended = run_jobs(jobs, pool)
+    assert pool.begun == ["a", "b", "alone", "c"]
+    assert list(ended) == [j.name for j in jobs]
+
+
+def test_what_needs_a_failure_is_skipped_and_the_rest_goes_on():
+    jobs = [
+        Job("bad", ""),
+        Job("next", "", needs=("bad",)),
+        Job("last", "", needs=("next",)),
+        Job("other", ""),
+    ]
+    pool, told = Recorded(), []
+    ended = run_jobs(jobs, pool, told.append)
+    assert pool.begun == ["bad", "other"]
+    assert [ended[n].state for n in ended] == [
+        *("failed", "skipped", "skipped", "done"),
+    ]
+    assert "bad was not done" in ended["next"].error
+    assert {row.name for row in told} == set(ended)
+
+
+@pytest.mark.parametrize(
+    ("needs", "words"),
+    [(("missing",), "no job"), (("b",), "needs itself")],
+)
+def test_graphs_that_are_none(needs, words):
+    jobs = [Job("a", "", needs=needs), Job("b", "", needs=("a",))]
+    with pytest.raises(InputError, match=words):
+        run_jobs(jobs, Recorded())
+
+
+def test_two_of_one_name():
+    with pytest.raises(InputError, match="two jobs"):
+        run_jobs([Job("a", ""), Job("a", "")], Recorded())
+
+
+@pytest.mark.slow
+def test_values_and_failures(pool):
+    jobs = [
+        job("sum", "add", a=1, b=2),
+        job("refused", "refuse"),
+        job("broken", "fail"),
+        job("print", "spoil_streams"),
+        job("absent", "no_such_function"),
+    ]
+    ended = run_jobs(jobs, pool)
+    assert ended["sum"].value == 3 and ended["sum"].state == "done"
+    assert ended["refused"].error == "a.yaml: wrong; mend it"
+    assert not ended["refused"].trace
+    assert ended["broken"].error == "KeyError: 'ours'"
+    assert "in fail" in ended["broken"].trace
+    assert ended["print"].value == "answered"
+    assert "AttributeError" in ended["absent"].error
+
+
+@pytest.mark.slow
+def test_a_process_serves_many_jobs(pool):
+    jobs = [job(str(k), "process") for k in range(10)]
+    found = {row.value for row in run_jobs(jobs, pool).values()}
+    assert len(found) <= 2 and os.getpid() not in found
+
+
+@pytest.mark.slow
+def test_a_killed_process_loses_its_job_alone(pool, tmp_path):
+    jobs = [
+        job("once", "die_until", place=str(tmp_path / "a"), times=1),
+        job("ever", "die_until", place=str(tmp_path / "b"), times=99),
+        job("sum", "add", a=1, b=2),
+    ]
+    ended = run_jobs(jobs, pool)
+    assert ended["once"].state == "done" and ended["once"].attempts == 2
+    assert ended["sum"].value == 3
+    assert ended["ever"].state == "lost"
+    assert ended["ever"].attempts == ATTEMPTS
+    assert "SIGKILL" in ended["ever"].error
+
+
+@pytest.mark.slow
+def test_killed_from_outside(pool):
+    def kill():
+        time.sleep(0.3)
+        victim = next(w for w in pool._workers if w.job)
+        victim._process.send_signal(signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    ended = run_jobs([job("nap", "sleep", seconds=1.0)], pool)
+    thread.join()
+    assert ended["nap"].state == "done" and ended["nap"].attempts == 2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the bound is Linux's")
+def test_memory_is_bounded_and_the_job_named():
+    jobs = [
+        job("large", "fill", megabytes=900),
+        job("small", "fill", megabytes=50),
+        job("inside", "abort"),
+    ]
+    with Processes(1, memory_mb=600) as pool:
+        ended = run_jobs(jobs, pool)
+    assert ended["small"].value == 50
+    for name in ("large", "inside"):
+        assert ended[name].state == "memory"
+        assert "600 MB" in ended[name].error
+
+
+@pytest.mark.slow
+def test_a_worker_ends_with_its_master():
+    script = (
+        "import sys, time\n"
+        "from drake_exo.batch.jobs import Job\n"
+        "from drake_exo.batch.processes import Worker\n"
+        "w = Worker()\n"
+        "w.start(Job('nap', 'example_jobs:sleep', {'seconds': 60}))\n"
+        "print(w._process.pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    master = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, env=env
+    )
+    child = int(master.stdout.readline())
+    time.sleep(0.5)
+    os.kill(child, 0)
+    master.kill()
+    master.wait()
+    master.stdout.close()
+    for _ in range(100):
+        if not alive(child):
+            return
+        time.sleep(0.1)
+    pytest.fail("the worker goes on without its master")
+
+
+def alive(pid) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().split()[2] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_progress_counts_and_estimates(tmp_path):
+    log = tmp_path / "log.txt"
+    log.write_text("first\niteration 7\n")
+    now, stream = [0.0], io.StringIO()
+    say = BatchProgress("batch", 2.0, stream, clock=lambda: now[0])
+    jobs = [Job(f"s{k}/check", "", log=str(log)) for k in range(4)]
+    ended = {
+        "s0/check": Ended("s0/check", "done", seconds=60.0),
+        "s1/check": Ended("s1/check", "failed"),
+    }
+    pool = Recorded()
+    pool.now = "s2/check"
+    assert not say.update(ended, pool, jobs)
+    now[0] = 3.0
+    assert say.update(ended, pool, jobs)
+    first, line = stream.getvalue().splitlines()
+    assert "2/4 done, 1 failed, 1 running, about 1 min 55 s left" in first
+    assert line == "  s2/check, 5 s: iteration 7"
