@@ -58,6 +58,17 @@ def _step(path: Path, key: str, place, part: str):
     )
 
 
+def file_class(of_sole: bool) -> type:
+    """The dataclass of a case file, or of a study file."""
+    if of_sole:
+        from drake_exo.soles.settings import Settings
+
+        return Settings
+    from drake_exo.study import StudyFile
+
+    return StudyFile
+
+
 def check_key(cls: type, key: str) -> None:
     """Refuse a key that no file of a kind can have.
 

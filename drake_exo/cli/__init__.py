@@ -23,6 +23,7 @@ _COMMANDS = {
     "demo": "drake_exo.cli.demo",
     "lab": "drake_exo.cli.lab",
     "sole": "drake_exo.cli.sole",
+    "batch": "drake_exo.cli.batch",
     "view": "drake_exo.cli.view",
 }
 

@@ -63,6 +63,12 @@ def add_parser(subparsers) -> None:
         choices=[*DISTURBANCES, "all"],
         help="disturbances to switch off, or all (but variation)",
     )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=PROCESSES,
+        help="processes at a time (default: a core for each, at most 2)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -81,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
             full=args.full,
             files=args.files,
             truth=args.truth,
-            processes=min(PROCESSES, args.trials),
+            processes=max(min(args.jobs, args.trials), 1),
         )
         name = study.name
     print(f"wrote {args.out}/{name} with {args.trials} trials")

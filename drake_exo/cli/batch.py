@@ -1,0 +1,85 @@
+"""`drake-exo batch`: many subjects, settings and steps with one command.
+
+What is done is not done again: the same command goes on after Ctrl-C, a
+machine that went down, or a change in some of the files.
+"""
+
+import argparse
+import os
+from pathlib import Path
+
+from drake_exo.batch.processes import Processes
+from drake_exo.batch.run import Batch, run_batch
+
+_PARSE = "drake_exo.cli:parse"
+
+
+def add_parser(subparsers) -> None:
+    """Add `batch` to the command line."""
+    parser = subparsers.add_parser(
+        "batch",
+        help="many studies, seeds, cases and settings on many processes",
+        description=__doc__,
+    )
+    parser.add_argument("batch", type=Path, metavar="BATCH.yaml")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for all results"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers",
+        type=_positive,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes at a time (default: one for each core)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="workers of the Dask scheduler at tcp://HOST:PORT instead",
+    )
+    parser.add_argument(
+        "--memory",
+        type=_positive,
+        metavar="MB",
+        help="that a task may use; one that needs more is named (Linux)",
+    )
+    parser.set_defaults(run=run)
+
+
+def _positive(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is not done yet; 0 if all of it holds, else 3."""
+
+    def open_pool():
+        if args.scheduler is None:
+            return Processes(args.workers, args.memory)
+        from drake_exo.batch.cluster import Cluster
+
+        cluster = Cluster(args.scheduler, args.memory)
+        print(f"{cluster.workers()} workers", flush=True)
+        if cluster.dashboard:
+            print(f"dashboard: {cluster.dashboard}", flush=True)
+        return cluster
+
+    found = run_batch(args.batch, args.out, open_pool, _PARSE)
+    print(text_of(found))
+    return found.exit_code
+
+
+def text_of(found: Batch) -> str:
+    """Counts, and a line for every task that failed or does not hold."""
+    lines = [
+        f"{task.name}: {row.verdict}: {row.sentence}" for task, row in found.bad
+    ]
+    good = len(found.tasks) - len(lines)
+    lines.append(
+        f"{good} of {len(found.tasks)} tasks hold, {found.fresh} run now; "
+        f"results in {found.out}"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,222 @@
+"""`drake-exo batch` as a user runs it."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from small_step import stage, write_case, write_step
+
+from drake_exo.batch.work import TIMING
+from drake_exo.cli import main
+
+pytestmark = pytest.mark.slow
+
+LABORATORY = """
+steps: [check, calibrate]
+laboratories: {seeds: [1, 2], trials: 1, without: [all]}
+sweep: {foot_ground.solver.nodes_per_second: [40]}
+options: {calibrate: [--phase, foot-ground, --no-front, --accept, all]}
+"""
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every result, but for times."""
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != TIMING
+    }
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """A finished batch of two simulated subjects, by one worker."""
+    folder = tmp_path_factory.mktemp("batch")
+    path = write(folder / "batch.yaml", LABORATORY)
+    out = folder / "one"
+    assert main(["batch", str(path), "--out", str(out), "--workers", "1"]) == 0
+    return path, out
+
+
+def test_results_of_every_task(laboratory):
+    _, out = laboratory
+    place = out / "seed_2" / "foot_ground.solver.nodes_per_second=40"
+    assert (out / "seed_2" / "lab" / "study.yaml").is_file()
+    assert (place / "check" / "quality.json").is_file()
+    summary = json.loads((place / "calibrate" / "summary.json").read_text())
+    assert summary["success"] and "solve_seconds" not in summary
+    assert summary["settings"]["solver"]["nodes_per_second"] == 40
+    timing = json.loads((place / "calibrate" / TIMING).read_text())
+    assert timing["files"]["summary.json"]["solve_seconds"] > 0.0
+    assert any("parameter" in line for line in timing["log"])
+    assert not (out / ".drafts").exists()
+
+
+def test_nothing_is_done_twice(laboratory, capsys):
+    path, out = laboratory
+    before = contents(out)
+    start = time.monotonic()
+    assert main(["batch", str(path), "--out", str(out)]) == 0
+    assert time.monotonic() - start < 3.0
+    assert "6 of 6 tasks hold, 0 run now" in capsys.readouterr().out
+    assert contents(out) == before
+
+
+def test_same_bytes_by_two_workers_one_of_them_killed(laboratory, tmp_path):
+    path, out = laboratory
+    again = tmp_path / "two"
+    batch = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "drake_exo.cli", "batch", str(path)),
+            *("--out", str(again), "--workers", "2"),
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    kills = 0
+    while batch.poll() is None:
+        if kills < 3 and (again / ".drafts").is_dir():
+            kills += kill_a_worker(batch.pid)
+        time.sleep(0.7)
+    said = batch.communicate()[0]
+    assert batch.returncode == 0, said
+    assert kills == 3
+    one, two = contents(out), contents(again)
+    assert set(one) == set(two)
+    assert [name for name in one if one[name] != two[name]] == []
+
+
+def kill_a_worker(master: int) -> int:
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(place.read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):
+            continue
+        if parent == master:
+            os.kill(int(place.parent.name), signal.SIGKILL)
+            return 1
+    return 0
+
+
+def test_seven_are_broken_in_seven_ways(laboratory, tmp_path, capsys):
+    """Of ten small studies; the rest goes on, each is told."""
+    _, out = laboratory
+    sound = out / "seed_1" / "lab"
+    for k in range(10):
+        shutil.copytree(sound, tmp_path / f"s{k}")
+
+    def edit(k, old, new):
+        path = tmp_path / f"s{k}" / "study.yaml"
+        text = path.read_text("utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+    movement = next((tmp_path / "s0").glob("passive*.c3d")).name
+    edit(0, "subject:", "subject")
+    edit(1, "mass_kg:", "mass_lb:")
+    edit(2, "height_m: 1", "height_m: -1")
+    (tmp_path / "s3" / movement).unlink()
+    whole = (tmp_path / "s4" / movement).read_bytes()
+    (tmp_path / "s4" / movement).write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "s5" / "study.yaml").write_bytes(b"\xff\xfe\x00")
+    edit(6, "end_s:", "end_s: -9 #")
+    path = write(
+        tmp_path / "batch.yaml", "steps: [check]\nstudies: ['s*/study.yaml']"
+    )
+    to = tmp_path / "out"
+    assert main(["batch", str(path), "--out", str(to)]) == 3
+    said = capsys.readouterr().out
+    assert "3 of 10 tasks hold, 10 run now" in said
+    lines = [line for line in said.splitlines() if "/check: failed: " in line]
+    assert len(lines) == 7
+    assert len({line.partition("failed: ")[2] for line in lines}) == 7
+    assert str(tmp_path) not in "".join(lines)
+    for k in range(7):
+        found = json.loads((to / f"s{k}" / "check" / "task.json").read_text())
+        assert found["code"] == 2 and found["sentence"]
+    assert (to / "s9" / "check" / "quality.json").is_file()
+    # Mended, it alone is run again.
+    edit(1, "mass_lb:", "mass_kg:")
+    assert main(["batch", str(path), "--out", str(to)]) == 3
+    assert "4 of 10 tasks hold, 1 run now" in capsys.readouterr().out
+
+
+def test_soles_too(tmp_path, capsys):
+    write_case(tmp_path / "brick.yaml", stages=[stage(4, 5e-5, 4)])
+    write_step(tmp_path / "load.csv", 8)
+    path = write(
+        tmp_path / "batch.yaml",
+        "steps: [sole simulate]\ncases: [brick.yaml]\n"
+        "sweep: {contact.friction: [0.5, 0.8]}",
+    )
+    out = tmp_path / "out"
+    assert main(["batch", str(path), "--out", str(out)]) == 0
+    assert "2 of 2 tasks hold" in capsys.readouterr().out
+    rows = [
+        json.loads(p.read_text())
+        for p in out.rglob("sole_simulate/summary.json")
+    ]
+    assert len(rows) == 2 and rows[0] != rows[1]
+
+
+def test_a_bad_batch_file_ends_with_two(tmp_path, capsys):
+    path = write(tmp_path / "batch.yaml", "steps: [check]\nstudies: [no.yaml]")
+    out = tmp_path / "out"
+    assert main(["batch", str(path), "--out", str(out)]) == 2
+    assert "batch.yaml: studies: no.yaml finds no file" in (
+        capsys.readouterr().err
+    )
+    assert not out.exists()
+    write(
+        path,
+        "steps: [check]\nlaboratories: {seeds: [1]}\n"
+        "sweep: {fitler.order: [2]}",
+    )
+    assert main(["batch", str(path), "--out", str(out)]) == 2
+    assert "did you mean 'filter'" in capsys.readouterr().err
+    assert not out.exists()
+    (tmp_path / "other").mkdir()
+    write(tmp_path / "other" / "mine.txt", "")
+    write(path, "steps: [check]\nlaboratories: {seeds: [1]}")
+    assert main(["batch", str(path), "--out", str(tmp_path / "other")]) == 2
+    assert "no batch" in capsys.readouterr().err
+
+
+_FULL = """
+import resource, sys
+from drake_exo import cli
+
+limit = int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+sys.exit(cli.main(sys.argv[2:]))
+"""
+
+
+def test_a_full_disk_is_told_and_the_batch_goes_on_later(laboratory, tmp_path):
+    path, out = laboratory
+    to = tmp_path / "out"
+    shutil.copytree(out / "seed_1" / "lab", tmp_path / "s1")
+    path = write(
+        tmp_path / "batch.yaml", "steps: [check]\nstudies: ['s*/study.yaml']"
+    )
+    command = ["batch", str(path), "--out", str(to)]
+    done = subprocess.run(
+        [sys.executable, "-c", _FULL, "20000", *command],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 3, done.stderr
+    assert "cannot be written (File too large)" in done.stdout
+    assert not (to / "s1" / "check").exists()
+    assert main(command) == 0

@@ -1,0 +1,215 @@
+"""What a batch file may say, and which tasks come of it."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import yaml
+
+from drake_exo.batch.file import BatchFile, entries
+from drake_exo.batch.sweep import changed_text, check_key
+from drake_exo.batch.tasks import SOLE_KEYS, tasks_of
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.soles.settings import Settings
+from drake_exo.study import StudyFile
+
+
+def batch(text):
+    return schema.load_text(text, BatchFile, "batch.yaml")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("anna", "bert"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "study.yaml").write_text("standing: {m: a.trc}\n")
+        (tmp_path / name / "a.trc").write_text(name)
+    return tmp_path
+
+
+def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
+    return {t.name: t.key for t in tasks_of(batch(text), folder)}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("steps: [chek]\nstudies: [a]", "did you mean 'check'"),
+        ("steps: []\nstudies: [a]", "nothing is done with studies"),
+        ("steps: [check]", "needs studies or laboratories"),
+        ("steps: [check]\nstudies: [a]\ncases: [b]", "done with cases"),
+        ("steps: [predict]\nstudies: [a]", "builds on 'calibrate'"),
+        ("steps: [check]\nstudies: [a]\nsweep: {a.b: []}", "has no values"),
+        ("steps: [check]\nstudies: [a]\nsweep: {a: [1, 1]}", "there twice"),
+        ("steps: [check]\nstudies: [a]\noptions: {check: [--out]}", "itself"),
+        (
+            "steps: [check]\nstudies: [a]\noptions: {predict: [x]}",
+            "none of the steps",
+        ),
+        ("steps: [check]\nlaboratories: {seeds: [-1]}", "at least 0"),
+        (
+            "steps: [check]\nlaboratories: {seeds: {first: 3, last: 1}}",
+            "before first",
+        ),
+    ],
+)
+def test_bad_files(text, words):
+    with pytest.raises(InputError, match=words):
+        batch(text)
+
+
+def test_a_pattern_that_finds_nothing(folder):
+    with pytest.raises(InputError, match="finds no file"):
+        entries(batch("steps: [check]\nstudies: [no/*.yaml]"), folder)
+
+
+def test_two_of_one_name(folder):
+    (folder / "anna.yaml").write_text("")
+    text = "steps: [check]\nstudies: ['*.yaml', '*/study.yaml']"
+    with pytest.raises(InputError, match="both be called 'anna'"):
+        entries(batch(text), folder)
+
+
+def test_the_graph():
+    text = """
+steps: [check, calibrate, predict]
+laboratories: {seeds: {first: 2, last: 3}, truth: near, trials: 4}
+sweep:
+  interaction.thigh.normal_n_m.nominal: [2000, 5000]
+  filter.cutoff_hz: [6.0]
+options: {predict: [--scale-interaction, '1.4']}
+"""
+    tasks = {t.name: t for t in tasks_of(batch(text), Path("."))}
+    place = "seed_2/interaction.thigh.normal_n_m.nominal=2000,filter."
+    place += "cutoff_hz=6"
+    assert len(tasks) == 2 * (1 + 2 * 3)
+    predict = tasks[f"{place}/predict"]
+    assert predict.needs == {
+        "lab": "seed_2/lab",
+        "calibrate": f"{place}/calibrate",
+    }
+    assert predict.options == ("--scale-interaction", "1.4")
+    assert tasks["seed_3/lab"].options == (
+        *("--seed", "3", "--truth", "near", "--trials", "4"),
+    )
+    assert next(iter(tasks)) == "seed_2/lab"
+
+
+def test_a_list_of_combinations(folder):
+    text = """
+steps: [check]
+studies: [anna/study.yaml]
+sweep: [{filter.cutoff_hz: 5}, {filter.cutoff_hz: 8, model: human}]
+"""
+    assert list(keys(folder, text)) == [
+        "anna/filter.cutoff_hz=5/check",
+        "anna/filter.cutoff_hz=8,model=human/check",
+    ]
+
+
+def test_each_key_goes_where_it_belongs(folder):
+    (folder / "brick.yaml").write_text("name: brick")
+    text = """
+steps: [check, sole optimize]
+studies: [anna/study.yaml]
+cases: [brick.yaml]
+sweep: {filter.cutoff_hz: [5, 6], contact.friction: [0.5, 0.8]}
+"""
+    assert list(keys(folder, text)) == [
+        "anna/filter.cutoff_hz=5/check",
+        "anna/filter.cutoff_hz=6/check",
+        "brick/contact.friction=0.5/sole_optimize",
+        "brick/contact.friction=0.8/sole_optimize",
+    ]
+    own = {f.name for f in fields(Settings)}
+    assert set(SOLE_KEYS) == own
+    assert not own & {f.name for f in fields(StudyFile)}
+
+
+def test_keys_follow_contents_alone(folder):
+    from drake_exo.batch import tasks
+
+    def fresh(*text):
+        tasks._digests.cache_clear()
+        tasks._digest.cache_clear()
+        return keys(folder, *text)
+
+    first = fresh()
+    assert fresh() == first
+    (folder / "anna" / "a.trc").write_text("changed")
+    second = fresh()
+    assert second["anna/check"] != first["anna/check"]
+    assert second["bert/check"] == first["bert/check"]
+    (folder / "anna" / "a.trc").unlink()
+    assert fresh()["anna/check"] != second["anna/check"]
+    (folder / "anna" / "study.yaml").write_text("not: [valid")
+    assert fresh()["bert/check"] == first["bert/check"]
+    options = "steps: [check]\nstudies: ['bert/*.yaml']\n"
+    changed = fresh(options + "options: {check: [--accept, all]}")
+    assert changed["bert/check"] != first["bert/check"]
+
+
+STUDY = """
+subject: {name: a, mass_kg: 70, height_m: 1.8, sex: male}
+standing: {markers: standing.trc}
+markers:
+  joint_centres:
+    ankle: {left: [a], right: [b]}
+    knee: {left: [a], right: [b]}
+    hip: {left: [a], right: [b]}
+  segments:
+    foot: {left: [a], right: [b]}
+    shank: {left: [a], right: [b]}
+    thigh: {left: [a], right: [b]}
+    pelvis: {left: [a], right: [b]}
+trials:
+  - {name: t, markers: t.trc, forces: t.mot, plates: {both: 1}}
+"""
+
+
+def test_any_key_can_be_changed(tmp_path):
+    path = tmp_path / "study.yaml"
+    path.write_text(STUDY)
+    changes = {
+        "interaction.thigh.normal_n_m.nominal": 2500,
+        "trials.0.use": "prediction",
+        "foot_ground.law": "paper",
+    }
+    for key in changes:
+        check_key(StudyFile, key)
+    found = schema.load_text(
+        changed_text(path, StudyFile, changes), StudyFile, "changed"
+    )
+    whole = schema.load(path, StudyFile)
+    assert found.interaction.thigh.normal_n_m.nominal == 2500
+    assert found.trials[0].use == "prediction"
+    assert found.foot_ground.law == "paper"
+    thigh = whole.interaction.thigh
+    assert found.interaction.shank == whole.interaction.shank
+    assert found.interaction.thigh.normal_n_m.lower == thigh.normal_n_m.lower
+    # Without changes the text says the same.
+    again = schema.load_text(changed_text(path, StudyFile, {}), StudyFile)
+    assert again == whole
+
+
+def test_keys_that_are_none(tmp_path):
+    with pytest.raises(InputError, match="did you mean 'normal_n_m'"):
+        check_key(StudyFile, "interaction.thigh.normal_nm.nominal")
+    with pytest.raises(InputError, match="did you mean 'friction'"):
+        check_key(Settings, "contact.frction")
+    check_key(StudyFile, "mats.left.file")
+    path = tmp_path / "study.yaml"
+    path.write_text(STUDY)
+    with pytest.raises(InputError, match=r"has no key .trials\.1\.use"):
+        changed_text(path, StudyFile, {"trials.1.use": "prediction"})
+
+
+def test_case_files_too(tmp_path):
+    from drake_exo.soles.case import EXAMPLE
+
+    path = tmp_path / "case.yaml"
+    path.write_text(EXAMPLE)
+    text = changed_text(path, Settings, {"contact.friction": 0.5})
+    assert schema.load_text(text, Settings).contact.friction == 0.5
+    assert yaml.safe_load(text)["name"] == "example"
