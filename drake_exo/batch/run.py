@@ -34,12 +34,14 @@ class Batch:
         tasks: in the order of the batch file.
         outcomes: name -> how it ended.
         fresh: how many were run now.
+        interrupted: by Ctrl-C; what was not done then is "not begun".
     """
 
     out: Path
     tasks: tuple[Task, ...]
     outcomes: dict[str, Outcome]
     fresh: int
+    interrupted: bool = False
 
     @property
     def bad(self) -> list[tuple[Task, Outcome]]:
@@ -49,7 +51,9 @@ class Batch:
 
     @property
     def exit_code(self) -> int:
-        """0 where every task is done and holds, else 3."""
+        """0 where every task is done and holds, 130 by Ctrl-C, else 3."""
+        if self.interrupted:
+            return 130
         return 3 if self.bad else 0
 
 
@@ -82,22 +86,29 @@ def run_batch(
     if todo:
         _check_sweep(batch, path)
     _prepare(out, tasks)
-    found = dict(done)
+    ended: dict[str, Ended] = {}
+    interrupted = False
     if todo:
-        jobs = [_job(task, out, parse, path.parent, done) for task in todo]
+        jobs = [_job(task, out, parse, path.parent) for task in todo]
         ready, held = _without_failed(jobs, done)
-        for row in held:
-            found[row.name] = _outcome(_named(tasks, row.name), row, out)
-        with open_pool() as pool:
-            for row in run_jobs(
-                ready, pool, _tell, BatchProgress("batch")
-            ).values():
-                task = _named(tasks, row.name)
-                found[row.name] = _outcome(task, row, out)
-        # What was interrupted may go on from there; nothing else is kept.
-        if all(row.code is not None for row in found.values()):
-            shutil.rmtree(out / DRAFTS, ignore_errors=True)
-    return Batch(out, tuple(tasks), found, len(todo))
+        ended |= {row.name: row for row in held}
+
+        def end(row: Ended) -> None:
+            ended[row.name] = row
+            _tell(row)
+
+        try:
+            with open_pool() as pool:
+                run_jobs(ready, pool, end, BatchProgress("batch"))
+        except KeyboardInterrupt:
+            interrupted = True
+    found = done | {
+        task.name: _outcome(task, ended.get(task.name), out) for task in todo
+    }
+    if all(row.code is not None for row in found.values()):
+        # Else what was cut short may go on from there.
+        shutil.rmtree(out / DRAFTS, ignore_errors=True)
+    return Batch(out, tuple(tasks), found, len(todo), interrupted)
 
 
 def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
@@ -137,7 +148,7 @@ def _prepare(out: Path, tasks: list[Task]) -> None:
         ) from error
 
 
-def _job(task: Task, out: Path, parse: str, near: Path, done: dict) -> Job:
+def _job(task: Task, out: Path, parse: str, near: Path) -> Job:
     arguments = {
         "task": vars(task),
         "out": str(out),
@@ -173,16 +184,13 @@ def _without_failed(
     return ready, list(held.values())
 
 
-def _named(tasks: list[Task], name: str) -> Task:
-    return next(task for task in tasks if task.name == name)
-
-
-def _outcome(task: Task, row: Ended, out: Path) -> Outcome:
+def _outcome(task: Task, row: Ended | None, out: Path) -> Outcome:
     """By task.json, or by what the pool says where there is none."""
     found = read_outcome(out / task.name)
     if found is not None and found.key == task.key:
         return found
-    return outcome(task, None, row.error)
+    error = "interrupted" if row is None else row.error
+    return outcome(task, None, error)
 
 
 def _tell(row: Ended) -> None:

@@ -78,6 +78,7 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
     subjects, soles = entries(batch, folder)
     root = None if batch.data_root is None else folder / batch.data_root
     tasks: dict[str, Task] = {}
+    digests = {e: _digests(e.path, root) for e in subjects + soles if e.path}
     for entry in subjects + soles:
         known = STUDY_STEPS if entry in subjects else CASE_STEPS
         steps = [step for step in known if step in batch.steps]
@@ -85,7 +86,9 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
             _add(tasks, _laboratory(batch, entry))
         for changes in _variants(batch, entry in soles):
             for step in steps:
-                _add(tasks, _task(batch, entry, changes, step, root, tasks))
+                task = _task(batch, entry, changes, step, root)
+                keys = [tasks[name].key for name in task.needs.values()]
+                _add(tasks, _keyed(task, digests.get(entry, {}), keys))
     return list(tasks.values())
 
 
@@ -120,7 +123,7 @@ def _laboratory(batch: BatchFile, entry: Entry) -> Task:
     return _keyed(Task(name, entry.name, "", LAB, tuple(options)), {}, [])
 
 
-def _task(batch, entry, changes, step, root, tasks) -> Task:
+def _task(batch, entry, changes, step, root) -> Task:
     variant = variant_name(changes)
     place = f"{entry.name}/{variant}" if variant else entry.name
     needs = {}
@@ -128,7 +131,7 @@ def _task(batch, entry, changes, step, root, tasks) -> Task:
         needs[LAB] = f"{entry.name}/{LAB}"
     if step in BUILDS_ON:
         needs[BUILDS_ON[step]] = f"{place}/{BUILDS_ON[step]}"
-    task = Task(
+    return Task(
         f"{place}/{step.replace(' ', '_')}",
         entry.name,
         variant,
@@ -139,8 +142,6 @@ def _task(batch, entry, changes, step, root, tasks) -> Task:
         changes,
         needs,
     )
-    digests = {} if entry.path is None else _digests(entry.path, root)
-    return _keyed(task, digests, [tasks[name].key for name in needs.values()])
 
 
 def _keyed(task: Task, digests: dict, keys: list[str]) -> Task:
@@ -176,7 +177,6 @@ def code_digest() -> str:
     return found.hexdigest()
 
 
-@cache
 def _digests(path: Path, root: Path | None) -> dict[str, str]:
     """Of a study or case file and of every file that it names.
 
@@ -207,7 +207,6 @@ def _words(tree) -> list[str]:
     return []
 
 
-@cache
 def _digest(path: Path) -> str:
     """Of a file's contents, "" if it is none."""
     try:

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,12 @@ def outcome(task: Task, code: int | None, sentence: str = "") -> Outcome:
 
 def log_of(task: Task, out: Path) -> Path:
     """Where what it prints goes while it runs."""
-    return out / DRAFTS / f"{task.key[:16]}.log"
+    return out / DRAFTS / f"{_mark(task)}.log"
+
+
+def _mark(task: Task) -> str:
+    """Of a task's drafts; two with the same contents have each its own."""
+    return sha256(f"{task.name} {task.key}".encode()).hexdigest()[:16]
 
 
 def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
@@ -103,8 +109,8 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
     task, out = Task(**task), Path(out)
     drafts = out / DRAFTS
     drafts.mkdir(parents=True, exist_ok=True)
-    earlier = sorted(drafts.glob(f"{task.key[:16]}-*"))
-    draft = Path(tempfile.mkdtemp(prefix=f"{task.key[:16]}-", dir=drafts))
+    earlier = sorted(drafts.glob(f"{_mark(task)}-*"))
+    draft = Path(tempfile.mkdtemp(prefix=f"{_mark(task)}-", dir=drafts))
     results, log = draft / "out", log_of(task, out)
     start = time.perf_counter()
     with _printing_to(log):
@@ -148,7 +154,8 @@ def _run(task, out, draft, earlier, parse) -> tuple[int, str]:
         return 2, str(error)
     except SystemExit:
         # Of the parser, which has said why.
-        return 2, f"options of {task.step}: {_last_line(log_of(task, out))}"
+        said = _last_line(log_of(task, out)).removeprefix("drake-exo: ")
+        return 2, f"options of {task.step}: {said}"
     except OSError as error:
         _raise_if_full(error)
         raise

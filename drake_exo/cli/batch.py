@@ -10,6 +10,7 @@ from pathlib import Path
 
 from drake_exo.batch.processes import Processes
 from drake_exo.batch.run import Batch, run_batch
+from drake_exo.batch.telling import is_told, write_results
 
 _PARSE = "drake_exo.cli:parse"
 
@@ -68,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
         return cluster
 
     found = run_batch(args.batch, args.out, open_pool, _PARSE)
+    if not is_told(found):
+        write_results(found)
     print(text_of(found))
     return found.exit_code
 

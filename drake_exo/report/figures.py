@@ -24,7 +24,7 @@ _MEASURED_DEVICE = {"color": "0.6", "lw": 1.6}
 _ONE = ("#c8102e",)
 _SEVERAL = ("#1f6fb4", "#c8102e", "#2a8c4a", "#8a5fbf")
 _DEVICE = "#1f6fb4"
-_STYLE = {
+STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -168,7 +168,7 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
 
 def front_figure(rows: list[dict]) -> Figure:
     """Pareto front: force error against angle error."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.5, 3.4))
         ax = figure.subplots()
         x = [r["angles_deg"] for r in rows]
@@ -191,7 +191,7 @@ def front_figure(rows: list[dict]) -> Figure:
 def _drawn(runs, trials, rows, height=1.9) -> Figure:
     """Panels of rows (label, signal[, the device's]) by trial."""
     colors = _ONE if len(runs) == 1 else _SEVERAL
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(max(3.0 * len(trials), 4.0), height * len(rows) + 0.6)
         )

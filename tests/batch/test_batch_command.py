@@ -70,6 +70,7 @@ def test_nothing_is_done_twice(laboratory, capsys):
     assert main(["batch", str(path), "--out", str(out)]) == 0
     assert time.monotonic() - start < 3.0
     assert "6 of 6 tasks hold, 0 run now" in capsys.readouterr().out
+    assert {"results.csv", "report.html", "summary.json"} <= set(before)
     assert contents(out) == before
 
 
@@ -220,3 +221,25 @@ def test_a_full_disk_is_told_and_the_batch_goes_on_later(laboratory, tmp_path):
     assert "cannot be written (File too large)" in done.stdout
     assert not (to / "s1" / "check").exists()
     assert main(command) == 0
+
+
+def test_stopped_by_ctrl_c_and_gone_on(laboratory, tmp_path):
+    path, _ = laboratory
+    to = tmp_path / "out"
+    command = ["batch", str(path), "--out", str(to), "--workers", "1"]
+    batch = subprocess.Popen(
+        [sys.executable, "-m", "drake_exo.cli", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    while not (to / "seed_1" / "lab" / "task.json").is_file():
+        assert batch.poll() is None
+        time.sleep(0.1)
+    batch.send_signal(signal.SIGINT)
+    said = batch.communicate()[0]
+    assert batch.returncode == 130
+    assert "Traceback" not in said
+    assert "seed_2/lab: failed: interrupted" in said
+    assert "interrupted" in (to / "results.csv").read_text("utf-8")
+    assert "task.json" in os.listdir(to / "seed_1" / "lab")

@@ -128,25 +128,18 @@ sweep: {filter.cutoff_hz: [5, 6], contact.friction: [0.5, 0.8]}
 
 
 def test_keys_follow_contents_alone(folder):
-    from drake_exo.batch import tasks
-
-    def fresh(*text):
-        tasks._digests.cache_clear()
-        tasks._digest.cache_clear()
-        return keys(folder, *text)
-
-    first = fresh()
-    assert fresh() == first
+    first = keys(folder)
+    assert keys(folder) == first
     (folder / "anna" / "a.trc").write_text("changed")
-    second = fresh()
+    second = keys(folder)
     assert second["anna/check"] != first["anna/check"]
     assert second["bert/check"] == first["bert/check"]
     (folder / "anna" / "a.trc").unlink()
-    assert fresh()["anna/check"] != second["anna/check"]
+    assert keys(folder)["anna/check"] != second["anna/check"]
     (folder / "anna" / "study.yaml").write_text("not: [valid")
-    assert fresh()["bert/check"] == first["bert/check"]
+    assert keys(folder)["bert/check"] == first["bert/check"]
     options = "steps: [check]\nstudies: ['bert/*.yaml']\n"
-    changed = fresh(options + "options: {check: [--accept, all]}")
+    changed = keys(folder, options + "options: {check: [--accept, all]}")
     assert changed["bert/check"] != first["bert/check"]
 
 

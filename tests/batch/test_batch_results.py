@@ -1,0 +1,246 @@
+"""Tables, pages and figures of a batch."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_exo.batch import page
+from drake_exo.batch.figures import (
+    MEASURED,
+    PREDICTED,
+    draw_figures,
+    limits_of_agreement,
+)
+from drake_exo.batch.page import write_report
+from drake_exo.batch.run import Batch
+from drake_exo.batch.table import COLUMNS, Row, rows_of, unit_of, write_table
+from drake_exo.batch.tasks import Task
+from drake_exo.batch.telling import is_told, summary, write_results
+from drake_exo.batch.work import outcome
+from drake_exo.files.output import write_json
+
+SUMMARY = {
+    "phase": "interaction",
+    "objective": 3.5,
+    "success": True,
+    "settings": {"solver": {"tolerance": 1e-6}},
+    "rmsd": [
+        {"trial": "t1", "grf_n": {"vertical": 12.0}, "cop_mm": 2.0},
+        {"trial": "t2", "grf_n": {"vertical": 14.0}, "cop_mm": None},
+    ],
+    "parameters": [
+        {"name": "heel.x", "value": 0.01, "unit": "m", "half_width_95": 0.002},
+        {"name": "toe.x", "value": 0.02, "unit": "m", "half_width_95": None},
+    ],
+    "audit": [{"trial": "t1", "holds": True, "simulated_grf_n": [0.1, 0.2]}],
+    "front": [{"angles_deg": 1.0}],
+}
+
+
+@pytest.fixture
+def batch(tmp_path):
+    """One task that holds, one that does not, one without results."""
+    tasks, outcomes = [], {}
+    for name, code, sentence in (
+        ("anna", 0, ""),
+        ("bert", 3, "audit: off <b>by</b> 3 N"),
+        ("carl", 2, "carl/study.yaml: </script> wrong; mend it"),
+    ):
+        task = Task(f"{name}/calibrate", name, "", "calibrate", key=name)
+        folder = tmp_path / task.name
+        folder.mkdir(parents=True)
+        if code != 2:
+            write_json(folder / "summary.json", SUMMARY)
+        tasks.append(task)
+        outcomes[task.name] = outcome(task, code, sentence)
+    return Batch(tmp_path, tuple(tasks), outcomes, 3)
+
+
+def test_rows(batch):
+    rows = rows_of(batch)
+    anna = {(r.trial, r.signal): r for r in rows if r.subject == "anna"}
+    assert {key: row.value for key, row in anna.items()} == {
+        ("t1", "rmsd.grf_n.vertical"): 12.0,
+        ("t1", "rmsd.cop_mm"): 2.0,
+        ("t2", "rmsd.grf_n.vertical"): 14.0,
+        ("t1", "audit.simulated_grf_n.0"): 0.1,
+        ("t1", "audit.simulated_grf_n.1"): 0.2,
+        ("", "parameters.heel.x"): 0.01,
+        ("", "parameters.heel.x.half_width_95"): 0.002,
+        ("", "parameters.toe.x"): 0.02,
+        ("", "objective"): 3.5,
+    }
+    assert anna["t1", "rmsd.cop_mm"].unit == "mm"
+    assert anna["", "parameters.heel.x"].unit == "m"
+    assert {r.verdict for r in anna.values()} == {"holds"}
+    bert = [r for r in rows if r.subject == "bert"]
+    assert len(bert) == len(anna)
+    assert bert[0].verdict == "does not hold: audit: off <b>by</b> 3 N"
+    (carl,) = (r for r in rows if r.subject == "carl")
+    assert carl.value is None and "mend it" in carl.verdict
+
+
+def test_units():
+    assert unit_of("rmsd.velocities_deg_s.hip") == "deg/s"
+    assert unit_of("rmsd.moments_nm.knee") == "N m"
+    assert unit_of("iterations") == ""
+
+
+def test_csv_is_read_back(batch):
+    rows = rows_of(batch)
+    assert "results.csv" in write_table(batch.out, rows)
+    with (batch.out / "results.csv").open(encoding="utf-8", newline="") as file:
+        found = list(csv.DictReader(file))
+    assert tuple(found[0]) == COLUMNS
+    assert COLUMNS[:7] == (
+        *("subject", "trial", "phase", "signal", "value", "unit", "verdict"),
+    )
+    assert [r["value"] for r in found] == [
+        "" if r.value is None else str(r.value) for r in rows
+    ]
+
+
+def test_parquet_where_it_can_be(batch):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="no pyarrow here")
+    rows = rows_of(batch)
+    assert "results.parquet" in write_table(batch.out, rows)
+    table = parquet.read_table(batch.out / "results.parquet")
+    assert table.column_names == list(COLUMNS)
+    assert table.column("value").to_pylist() == [r.value for r in rows]
+
+
+def test_told_once(batch):
+    assert not is_told(batch)
+    assert "results.csv" in write_results(batch)
+    again = Batch(batch.out, batch.tasks, batch.outcomes, 0)
+    assert is_told(again) and not is_told(batch)
+    fewer = Batch(batch.out, batch.tasks[:2], batch.outcomes, 0)
+    assert not is_told(fewer)
+    assert summary(batch)["verdicts"] == {
+        "holds": 1,
+        "does not hold": 1,
+        "failed": 1,
+    }
+    assert batch.exit_code == 3
+
+
+def results_in(path: Path) -> dict:
+    (found,) = re.findall(
+        r"const RESULTS = (\{.*\});</script>", path.read_text("utf-8")
+    )
+    return json.loads(found)
+
+
+def test_the_page_holds_everything_failures_first(batch):
+    rows = rows_of(batch)
+    write_report(batch, rows, {})
+    text = (batch.out / "report.html").read_text("utf-8")
+    found = results_in(batch.out / "report.html")
+    assert found["count"] == len(rows)
+    verdicts = found["columns"]["verdict"]["texts"]
+    assert verdicts[-1] == "holds" and len(verdicts) == 3
+    assert "off &lt;b&gt;by&lt;/b&gt; 3 N" in text
+    assert 'href="carl/calibrate/"' in text
+    assert text.count("</script>") == 2
+    assert "//" not in "".join(
+        re.findall(r"<(?:script|link|img)\b[^>]*>", text)
+    )
+
+
+def test_the_page_stays_small(batch, monkeypatch):
+    rows = rows_of(batch) * 100
+    monkeypatch.setattr(page, "LARGEST_BYTES", page._TEXT_BYTES + 20_000)
+    write_report(batch, rows, {})
+    text = (batch.out / "report.html").read_text("utf-8")
+    assert results_in(batch.out / "report.html")["count"] < len(rows)
+    assert f"of {len(rows)} rows are shown here" in text
+    assert len(text) < 60_000
+
+
+def many_rows(count):
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=count)
+    return [
+        Row(
+            f"seed_{k % 40}",
+            f"trial_{k % 9}",
+            "predict",
+            f"rmsd.signal_{k % 700}_n",
+            float(values[k]),
+            "N",
+            "holds" if k % 1000 else "failed: why",
+            "",
+            f"seed_{k % 40}/predict",
+        )
+        for k in range(count)
+    ]
+
+
+@pytest.mark.slow
+def test_200_000_rows_in_a_browser(tmp_path):
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no chromium on this machine")
+    batch = Batch(tmp_path, (), {}, 0)
+    rows = many_rows(200_000)
+    write_report(batch, rows, {})
+    report = tmp_path / "report.html"
+    assert report.stat().st_size < page.LARGEST_BYTES
+    done = subprocess.run(
+        [
+            *(browser, "--headless=new", "--no-sandbox", "--disable-gpu"),
+            *("--virtual-time-budget=3000", "--dump-dom"),
+            *("--host-resolver-rules=MAP * ~NOTFOUND",),
+            *(f"--user-data-dir={tmp_path}/b", "--enable-logging=stderr"),
+            f"{report.as_uri()}#sort=value&filter-signal=signal_12_",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert "Uncaught" not in done.stderr
+    (body,) = re.findall(r"<body([^>]*)>", done.stdout)
+    took = dict(re.findall(r'data-([a-z-]+)-ms="(\d+)"', body))
+    assert set(took) == {"ready", "sort", "filtersignal"}
+    assert all(int(ms) <= 2000 for ms in took.values()), took
+    wanted = sorted(r.value for r in rows if "signal_12_" in r.signal)
+    assert f">{len(wanted)} of 200000 rows.<" in done.stdout
+    shown = re.findall(r'class="value" title="(.*?)"', done.stdout)
+    expected = [f"{v:.5g}" for v in wanted[: len(shown)]]
+    assert len(shown) < 100
+    np.testing.assert_allclose(
+        [float(v) for v in shown], [float(v) for v in expected]
+    )
+    assert "<svg" in done.stdout
+
+
+def test_limits_of_agreement():
+    rng = np.random.default_rng(3)
+    off = 2.0 + 0.5 * rng.standard_normal(20_000)
+    np.testing.assert_allclose(
+        limits_of_agreement(off), (2.0, 1.02, 2.98), atol=0.03
+    )
+
+
+def test_figures_where_there_is_enough(tmp_path):
+    def row(subject, trial, signal, value):
+        return Row(subject, trial, "predict", signal, value, "N", *"hvf")
+
+    rows = [
+        row(s, t, "rmsd.grf_n.vertical", 5.0) for s in "ab" for t in ("1", "2")
+    ]
+    assert list(draw_figures(tmp_path, rows)) == ["over_subjects.png"]
+    for k in range(4):
+        rows.append(row("a", str(k), PREDICTED + "force", 10.0 + k))
+        rows.append(row("a", str(k), MEASURED + "force", 11.0))
+    assert list(draw_figures(tmp_path, rows)) == [
+        *("over_subjects.png", "bland_altman.png"),
+    ]
+    assert (tmp_path / "bland_altman.png").read_bytes().startswith(b"\x89PNG")
+    assert draw_figures(tmp_path, []) == {}
