@@ -67,8 +67,13 @@ def read_outcome(folder: Path) -> Outcome | None:
         return None
 
 
-def outcome(task: Task, code: int | None, sentence: str = "") -> Outcome:
-    """Of a task that ended."""
+def outcome(
+    task: Task, code: int | None, sentence: str = "", verdict: str = ""
+) -> Outcome:
+    """Of a task that ended; the verdict goes by the code where none is given.
+
+    Accepted, a result ends with 0 and does not hold.
+    """
     told = {
         "entry": task.entry,
         "variant": task.variant,
@@ -76,7 +81,7 @@ def outcome(task: Task, code: int | None, sentence: str = "") -> Outcome:
         "options": list(task.options),
         "changes": task.changes,
     }
-    word = _WORDS.get(code, "failed")
+    word = verdict or _WORDS.get(code, "failed")
     return Outcome(task.key, code, word, sentence, told)
 
 
@@ -121,7 +126,7 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
                 shutil.rmtree(draft, ignore_errors=True)
             raise
     sentence = _without(sentence, draft, out, Path(near))
-    found = outcome(task, code, sentence)
+    found = outcome(task, code, sentence, _verdict(results, code))
     results.mkdir(exist_ok=True)
     timing = _take_times(results)
     timing |= {
@@ -189,19 +194,29 @@ def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
     return [*command, *task.options, *to]
 
 
+def _summary(results: Path) -> dict:
+    """What summary.json holds; nothing where there is none."""
+    try:
+        found = json.loads((results / "summary.json").read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _verdict(results: Path, code: int) -> str:
+    """The command's own word, "" where it says none."""
+    word = _summary(results).get("verdict") if code != 2 else None
+    return word if isinstance(word, str) else ""
+
+
 def _why(results: Path, code: int, log: Path) -> str:
     """What is wrong with results, in a sentence; "" where nothing is."""
-    if code == 0:
-        return ""
-    try:
-        summary = json.loads((results / "summary.json").read_text("utf-8"))
-        checks = summary.get("checks", [])
-    except (OSError, ValueError, AttributeError):
-        checks = []
-    for check in checks:
+    for check in _summary(results).get("checks", []):
         if check["level"] == "fail" and not check["holds"]:
             parts = (check["name"], check["where"], check["sentence"])
             return first_line(": ".join(part for part in parts if part))
+    if code == 0:
+        return ""
     said = [line for line in _lines(log) if line.startswith("not solved")]
     return first_line(said[0]) if said else _last_line(log)
 

@@ -24,6 +24,7 @@ _COMMANDS = {
     "lab": "drake_exo.cli.lab",
     "sole": "drake_exo.cli.sole",
     "batch": "drake_exo.cli.batch",
+    "compare": "drake_exo.cli.compare",
     "view": "drake_exo.cli.view",
 }
 

@@ -206,7 +206,11 @@ def _drawn(runs, trials, rows, height=1.9) -> Figure:
                 for k, (name, found) in enumerate(runs.items()):
                     if found[column] is not None:
                         curves += _run_curves(
-                            found[column], name, signals, colors[k], len(runs)
+                            found[column],
+                            name,
+                            signals,
+                            colors[k % len(colors)],
+                            len(runs),
                         )
                 for times, values, style in curves:
                     ax.plot(times, values, **style)

@@ -1,0 +1,43 @@
+"""`drake-exo compare`: two or more results of one phase side by side.
+
+Parameters with their intervals, RMSD, largest forces, and what differs in
+settings; with --out also as files, with figures of all of them overlaid.
+"""
+
+import argparse
+from pathlib import Path
+
+from drake_exo.files.output import prepare_output_folder
+from drake_exo.report.comparison import compare
+
+
+def add_parser(subparsers) -> None:
+    """Add `compare` to the command line."""
+    parser = subparsers.add_parser(
+        "compare",
+        help="results of two or more folders side by side",
+        description=__doc__,
+    )
+    parser.add_argument("results", type=Path, nargs="+", metavar="DIR")
+    parser.add_argument("--out", type=Path, help="folder for table and figures")
+    parser.add_argument(
+        "--force", action="store_true", help="replace results in --out"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the tables; write them with figures to --out, if given."""
+    found = compare(args.results)
+    text = found.text()
+    if args.out is not None:
+        from drake_exo.report.figures import save_figure
+
+        with prepare_output_folder(args.out, args.force) as out:
+            (out / "compared.txt").write_text(text + "\n", encoding="utf-8")
+            for name, figure in found.figures().items():
+                save_figure(out / f"{name}.png", figure)
+    print(text)
+    if args.out is not None:
+        print(f"results in {args.out}")
+    return 0

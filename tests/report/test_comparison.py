@@ -1,0 +1,126 @@
+"""Results side by side: what differs, and what cannot be compared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_exo.calibration.results import write_trial
+from drake_exo.calibration.scores import rmsd
+from drake_exo.cli import main
+from drake_exo.errors import InputError
+from drake_exo.files.output import write_json
+from drake_exo.report.comparison import compare
+from drake_exo.virtual_laboratory import synthetic
+
+
+@pytest.fixture(scope="module")
+def trials():
+    return synthetic.rises_in_device(duration_s=0.8, nodes_per_second=40).trials
+
+
+def leave(folder, trials, force, **more):
+    """Results whose normal forces are off by `force` [N]."""
+    folder.mkdir(parents=True)
+    rows = []
+    for trial in trials:
+        trial.save(folder / f"measured_{trial.name}")
+        cuffs = {
+            name: replace(cuff, normal=cuff.normal + force)
+            for name, cuff in trial.cuffs.items()
+        }
+        solved = replace(trial, source="solved", cuffs=cuffs)
+        write_trial(folder, solved)
+        rows.append(rmsd(solved, trial))
+    summary = {
+        "phase": "prediction",
+        "subject": "anna",
+        "objective": "tracking",
+        "rmsd": rows,
+        "measured_sd": {},
+        "checks": [],
+        "settings": {"solver": {"tolerance": 1e-6}, "guess": "line"},
+        "parameters": [
+            {"name": "heel.x", "value": force, "unit": "m"},
+        ],
+    }
+    write_json(folder / "summary.json", summary | more)
+    return folder
+
+
+@pytest.fixture
+def folders(tmp_path, trials):
+    settings = {"solver": {"tolerance": 1e-8}, "guess": "line"}
+    return (
+        leave(tmp_path / "anna" / "predict", trials, 5.0),
+        leave(tmp_path / "bert" / "predict", trials, 20.0, settings=settings),
+    )
+
+
+def test_side_by_side(folders, trials):
+    found = compare(folders)
+    assert found.labels == ("anna", "bert")
+    assert found.trials == tuple(t.name for t in trials)
+    assert found.settings() == {"settings.solver.tolerance": ["1e-06", "1e-08"]}
+    assert found.parameters() == {"heel.x [m]": ["5", "20"]}
+    cuff = next(iter(trials[0].cuffs))
+    assert found.rmsd()[f"normal force {cuff} [N]"] == ["5.00", "20.00"]
+    ours = found.forces()[f"normal force {cuff} [N]"]
+    with_mat = [t.cuffs[cuff].normal for t in trials if cuff in t.cuffs]
+    peaks = [
+        np.mean([np.abs(x + f).max() for x in with_mat]) for f in (5, 20, 0)
+    ]
+    assert ours == [f"{p:.2f}" for p in peaks]
+
+
+def test_half_widths_and_marks(folders, tmp_path, trials):
+    check = {
+        **dict(name="audit", holds=False, value=2.5, limit=1.0, unit="N"),
+        **dict(where="rise1", sentence="", level="fail"),
+    }
+    parameters = [
+        {"name": "heel.x", "value": 1.0, "unit": "m", "half_width_95": 0.25}
+    ]
+    third = leave(
+        tmp_path / "carl", trials, 1.0, checks=[check], parameters=parameters
+    )
+    found = compare([*folders, third])
+    assert found.parameters()["heel.x [m]"][2] == "1 ± 0.25"
+    assert found.marks() == [
+        "carl: DOES NOT HOLD: audit (rise1, 2.5 N, limit 1 N)"
+    ]
+    assert found.text().startswith("carl: DOES NOT HOLD")
+
+
+def test_one_trial_in_common_is_enough(tmp_path, trials):
+    a = leave(tmp_path / "a", trials, 1.0)
+    b = leave(tmp_path / "b", trials[1:], 1.0)
+    assert compare([a, b]).trials == tuple(t.name for t in trials[1:])
+    renamed = [replace(t, name=f"other_{t.name}") for t in trials]
+    c = leave(tmp_path / "c", renamed, 1.0)
+    with pytest.raises(InputError, match="no trial in common"):
+        compare([a, c])
+
+
+def test_what_cannot_be_compared(tmp_path, folders, trials, capsys):
+    other = leave(tmp_path / "x", trials, 1.0, phase="interaction")
+    assert main(["compare", str(folders[0]), str(other)]) == 2
+    assert "compare results of one phase" in capsys.readouterr().err
+    assert main(["compare", str(folders[0])]) == 2
+    assert "two or more" in capsys.readouterr().err
+    assert main(["compare", str(folders[0]), str(tmp_path)]) == 2
+    assert "holds 3 results" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_command_writes_table_and_figures(folders, tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["compare", *map(str, folders), "--out", str(out)]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    text = (out / "compared.txt").read_text("utf-8")
+    assert text in said
+    assert "what differs in settings" in text and "measured" in text
+    assert {p.name for p in out.glob("*.png")} == {
+        *("kinematics.png", "ground_reaction.png", "interaction.png"),
+    }
