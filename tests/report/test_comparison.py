@@ -103,7 +103,8 @@ def test_one_trial_in_common_is_enough(tmp_path, trials):
 
 
 def test_what_cannot_be_compared(tmp_path, folders, trials, capsys):
-    other = leave(tmp_path / "x", trials, 1.0, phase="interaction")
+    more = {"phase": "interaction", "objective": 1.0}
+    other = leave(tmp_path / "x", trials, 1.0, **more)
     assert main(["compare", str(folders[0]), str(other)]) == 2
     assert "compare results of one phase" in capsys.readouterr().err
     assert main(["compare", str(folders[0])]) == 2
