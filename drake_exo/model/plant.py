@@ -256,8 +256,8 @@ def nominal_model(kind: Kind = "coupled") -> Model:
     70.0
     """
     human = nominal_human()
-    device = fit_exoskeleton(human) if ASSEMBLIES[kind].device else None
-    return Model(kind, human, device)
+    alone = kind in ASSEMBLIES and not ASSEMBLIES[kind].device
+    return Model(kind, human, None if alone else fit_exoskeleton(human))
 
 
 def build_plant(
