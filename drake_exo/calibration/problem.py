@@ -136,7 +136,9 @@ class PhaseProblem(ABC):
         for variable, unknown in zip(variables, unknowns, strict=True):
             prog.SetVariableScaling(variable, unknown.sd)
         mean, covariance = self.errors.prior()
-        prog.AddQuadraticErrorCost(np.linalg.inv(covariance), mean, variables)
+        # Drake's cost has no half.
+        weight = 0.5 * np.linalg.inv(covariance)
+        prog.AddQuadraticErrorCost(weight, mean, variables)
         return variables
 
     def _effects(self, at: Trial) -> Effects | None:

@@ -340,7 +340,7 @@ def add_parameters(
                 np.array([[variable]]),
             )
             continue
-        weight = 1.0 / p.prior_sd**2
+        weight = 0.5 / p.prior_sd**2  # Drake's cost has no half
         prog.AddQuadraticErrorCost(
             np.array([[weight]]), [p.nominal], [variable]
         )

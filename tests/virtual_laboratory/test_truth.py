@@ -47,6 +47,7 @@ def drawn():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(truth, "levelled", lambda tree, contact, *_: contact)
             patch.setattr(truth, "nominal_model", lambda kind: MODEL)
+            patch.setattr(truth, "fit_exoskeleton", lambda _: MODEL.exoskeleton)
             return [
                 draw_truth(np.random.default_rng(k), frozenset(active), kind)
                 for k in range(count)
