@@ -1,0 +1,458 @@
+"""Bands, their coverage, and what is written of results, by known numbers."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from measured_trials import CUFFS, JOINTS, NAMES, moved, prediction, seen
+from scipy.linalg import null_space
+
+from drake_exo.calibration import bands as module
+from drake_exo.calibration.bands import Bands, bands
+from drake_exo.calibration.error_model import ErrorSizes
+from drake_exo.calibration.interaction import InteractionCalibration
+from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.results import (
+    phase_summary,
+    write_bands,
+    write_trial,
+)
+from drake_exo.calibration.settings import (
+    InteractionSettings,
+    PredictionSettings,
+    Solver,
+)
+from drake_exo.calibration.uncertainty import (
+    QUANTILE_95,
+    Uncertainty,
+    noise_basis,
+    posterior,
+)
+
+DEGREES = 180.0 / np.pi
+
+
+def wide(trial, q=0.1, v=1.0, normal=5.0, mats=8.0) -> Bands:
+    n = len(trial.times)
+    return Bands(
+        np.full((n, 9), q),
+        np.full((n, 9), v),
+        {c: np.tile([1.0, normal, 0.1], (n, 1)) for c in trial.cuffs},
+        {c: np.linspace(0.0, 2.0 * mats, n) for c in list(trial.cuffs)[:2]},
+        np.full((n, 9), 2.0 * q),
+        np.full((n, 9), 2.0 * v),
+    )
+
+
+def test_coverage_is_the_share_of_samples_within():
+    """Off by as much as the sample's number; in within 30 of 101 of them."""
+    measured = seen(n=101, cuffs=("thigh", "pelvis"))
+    off = np.arange(101.0)
+    found = moved(measured, q=0.01 * off[:, None], v=-off[:, None])
+    cuffs = dict(found.cuffs)
+    cuffs["pelvis"] = replace(
+        cuffs["pelvis"], normal=cuffs["pelvis"].normal - off
+    )
+    found = replace(found, name="found", cuffs=cuffs)
+    band = Bands(
+        q=np.zeros((101, 9)),
+        v=np.zeros((101, 9)),
+        cuffs={},
+        mats={"pelvis": np.full(101, 19.5), "shank": np.ones(101)},
+        seen_q=np.full((101, 9), 0.295),
+        seen_v=np.full((101, 9), 9.5) + 10.0 * (np.arange(9) == 4),
+    )
+    told = band.coverage(found, measured)
+    assert told["trial"] == "found"
+    assert list(told["angles_deg"]) == list(JOINTS)
+    assert set(told["angles_deg"].values()) == {30 / 101}
+    assert told["velocities_deg_s"]["knee"] == 20 / 101
+    assert told["velocities_deg_s"]["hip"] == 10 / 101
+    assert told["interaction_n"] == {"pelvis": 20 / 101}
+    assert told["half_width_n"] == {"pelvis": 19.5}
+
+
+def test_a_measurement_is_looked_at_where_the_bands_are():
+    measured = seen(n=201)
+    found = prediction(measured)
+    narrow = wide(found, q=1e-3, v=0.02)
+    told = narrow.coverage(found, measured)
+    assert set(told["angles_deg"].values()) == {0.0}  # 10 mrad off
+    told = wide(found, q=6e-3, v=0.06).coverage(found, measured)
+    assert set(told["angles_deg"].values()) == {1.0}
+    assert set(told["velocities_deg_s"].values()) == {1.0}
+
+
+def test_what_mats_show_is_less_sure_than_the_force():
+    names = ["mat.thigh.unseen", "mat.thigh.offset", "mat.pelvis.offset"]
+    noise = SimpleNamespace(normal_force_n=2.0)
+    problem = SimpleNamespace(
+        errors=SimpleNamespace(names=names),
+        settings=SimpleNamespace(noise=noise),
+    )
+    prior = np.diag([0.05**2, 3.0**2, 4.0**2])
+    sd, force = np.array([1.0, 6.0]), np.array([0.0, -100.0])
+    found = module._of_mats(problem, prior, "thigh", sd, force)
+    expected = np.sqrt([1.0 + 9.0 + 4.0, 36.0 + 25.0 + 9.0 + 4.0])
+    np.testing.assert_allclose(found, expected)
+    found = module._of_mats(problem, prior, "pelvis", sd, force)
+    np.testing.assert_allclose(found, np.sqrt([1 + 16 + 4.0, 36 + 16 + 4.0]))
+
+
+def test_noise_for_about_a_second_is_orthonormal():
+    times = np.linspace(1.0, 3.0, 4001)
+    modes = module._modes(times)
+    assert modes.shape == (4001, 4)  # two a second
+    gram = np.trapezoid(modes[:, :, None] * modes[:, None], times, axis=0)
+    np.testing.assert_allclose(gram, np.eye(4), atol=1e-3)
+    crossings = (np.diff(np.sign(modes), axis=0) != 0).sum(axis=0)
+    np.testing.assert_array_equal(crossings, [0, 1, 2, 3])
+
+
+def test_a_root_of_a_covariance():
+    full = np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 9.0]])
+    root = module._root(full)  # singular
+    np.testing.assert_allclose(root @ root.T, full, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def coarse(in_device):
+    """Phase B of one trial with errors, 10 nodes a second."""
+    settings = InteractionSettings(solver=Solver(10.0), errors=ErrorSizes())
+    found = InteractionCalibration(
+        in_device.model, in_device.trials[:1], in_device.contact, settings
+    ).solve()
+    assert found.success
+    return found
+
+
+def tangent(program, y):
+    """Directions in which y may move, and curvature of the cost (dense)."""
+    free = np.flatnonzero(
+        np.minimum(y - program.y_lower, program.y_upper - y) > 1e-6
+    )
+    m, n = program.num_constraints, program.num_unknowns
+    A = np.zeros((m, n))
+    np.add.at(A, program.jacobian_structure, program.jacobian(y))
+    g = program.constraints(y)
+    held = np.minimum(g - program.g_lower, program.g_upper - g) < 1e-6
+    H = np.zeros((n, n))
+    np.add.at(H, program.hessian_structure, program.hessian(y, 0.0 * g, 1.0))
+    H = H + H.T - np.diag(np.diag(H))
+    Z = np.zeros((n, 0))
+    inner = null_space(A[held][:, free])
+    Z = np.zeros((n, inner.shape[1]))
+    Z[free] = inner
+    return Z, H
+
+
+def test_a_posterior_is_the_inverse_of_the_curvature(coarse):
+    """In the directions that the constraints leave, by dense algebra."""
+    problem = coarse.problem
+    program = problem.compiled
+    x = coarse.solution.raw_values()
+    y = program.restrict(x)
+    Z, H = tangent(program, y)
+    covariance_y = Z @ np.linalg.solve(Z.T @ H @ Z, Z.T)
+    matrix = program.unknowns.matrix
+    covariance_x = matrix @ (matrix @ covariance_y).T
+    known = posterior(coarse)
+    free = [p.name for p in problem.parameters if p.free]
+    shared = [u.name for u in problem.errors.unknowns if u.trial is None]
+    assert list(known.names) == free + shared
+    variables = np.r_[
+        problem.variables_of(free),
+        problem.error_variables[
+            [problem.errors.names.index(name) for name in shared]
+        ],
+    ]
+    index = problem.program.indices(variables)
+    np.testing.assert_allclose(known.values, x[index])
+    expected = covariance_x[np.ix_(index, index)]
+    sd = np.sqrt(np.diag(expected))
+    assert (sd[len(free) :] > 0.0).all()
+    np.testing.assert_allclose(
+        np.diag(known.covariance), sd**2, rtol=1e-3, atol=1e-12
+    )
+    scale = np.outer(sd, sd) + 1e-30
+    assert np.abs((known.covariance - expected) / scale).max() < 2e-3
+    # Data can only add to what was known before.
+    prior = np.sqrt(np.diag(problem.errors.prior()[1]))
+    own = [problem.errors.names.index(name) for name in shared]
+    assert (sd[len(free) :] < 1.001 * prior[own]).all()
+
+
+@pytest.mark.slow
+def test_bands_by_dense_algebra(in_device, coarse):
+    """Every part that is not known, through the optimum's dense conditions."""
+    known = posterior(coarse)
+    contact = replace(coarse.contact, posterior=known)
+    settings = PredictionSettings(solver=Solver(10.0))
+    problem = PredictionProblem(
+        in_device.model, in_device.trials[:1], contact, settings
+    )
+    result = problem.solve()
+    assert result.success
+    found = bands(result)
+    program = problem.compiled
+    y = program.restrict(result.solution.raw_values())
+    Z, H = tangent(program, y)
+    matrix = program.unknowns.matrix.toarray()
+    # Answers of program variables to changes of the gradient, (n, n).
+    answer = -matrix @ Z @ np.linalg.solve(Z.T @ H @ Z, Z.T) @ matrix.T
+    place = problem.program.indices
+    (movement,) = problem.movements
+    _, prior = problem.errors.prior()
+    errors = place(problem.error_variables)
+    names = problem.errors.names
+    parameters = [n for n in known.names if n in contact.values()]
+    shared = [n for n in names if n in known.names]
+    _, joint = known.of([*parameters, *shared])
+    # Of what is fixed in a prediction: by differences of its optimum.
+    by_fixed = fixed_answers(problem, y, parameters, Z, H, matrix)
+    by_mean = -answer[:, errors] @ np.linalg.inv(prior)
+    total = np.zeros((len(matrix), 0))
+    columns = [names.index(n) for n in shared]
+    moving = np.hstack([by_fixed, by_mean[:, columns]])
+    total = np.hstack([total, moving @ module._root(joint)])
+    own = [k for k, n in enumerate(names) if n not in shared]
+    sizes = np.sqrt(np.diag(prior))[own]
+    total = np.hstack([total, by_mean[:, own] * sizes])
+    for term in movement.tracked:
+        if term.role != "regulariser":
+            total = np.hstack(
+                [total, noise_answers(term, movement, answer, place, errors)]
+            )
+    sd = np.sqrt(np.sum(total**2, axis=1))
+    grid = movement.grid
+    for band, variables in ((found.q, grid.q), (found.v, grid.v)):
+        expected = 1.959964 * sd[place(variables)]
+        size = expected.max(axis=0)
+        assert (np.abs(band - expected) < 0.02 * size + 1e-9).all()
+    for cuff, variables in movement.cuffs.items():
+        force = result.trials[0].cuffs[cuff].components
+        own_sd = np.hypot(sd[place(variables)], 0.12 * force)
+        off = np.abs(found.cuffs[cuff] - 1.959964 * own_sd)
+        assert (off < 0.02 * 1.96 * own_sd.max(axis=0)).all()
+    # What markers show: noise of a sample, and errors of measurement.
+    effects = problem.errors.effects(in_device.trials[0].sample(grid.times))
+    sigma = movement.tracked[0].sigma[0]
+    by_errors = np.einsum("nqa,ab,nqb->nq", effects.q, prior, effects.q)
+    shown = np.sqrt((found.q / 1.959964) ** 2 + sigma**2 + by_errors)
+    np.testing.assert_allclose(found.seen_q, 1.959964 * shown)
+    by_errors = np.einsum("nqa,ab,nqb->nq", effects.v, prior, effects.v)
+    sigma = movement.tracked[1].sigma[0]
+    shown = np.sqrt((found.v / 1.959964) ** 2 + sigma**2 + by_errors)
+    np.testing.assert_allclose(found.seen_v, 1.959964 * shown)
+    (mat,) = found.mats
+    assert mat in in_device.trials[0].cuffs
+    assert (found.mats[mat] > found.cuffs[mat][:, 1]).all()
+
+
+def fixed_answers(problem, y, parameters, Z, H, matrix) -> np.ndarray:
+    """Answers (n, k) to parameters of the contact that move by 1."""
+    program = problem.compiled
+    m = program.num_constraints
+    A = np.zeros((m, len(y)))
+    np.add.at(A, program.jacobian_structure, program.jacobian(y))
+    g = program.constraints(y)
+    held = np.minimum(g - program.g_lower, program.g_upper - g) < 1e-6
+    free = np.flatnonzero(
+        np.minimum(y - program.y_lower, program.y_upper - y) > 1e-6
+    )
+    gradient = program.gradient(y)
+    multipliers = np.linalg.lstsq(
+        A[held][:, free].T, -gradient[free], rcond=None
+    )[0]
+    index = problem.program.indices(problem.variables_of(parameters))
+
+    def conditions(variable, step):
+        program.move_fixed(variable, step)
+        B = np.zeros((m, len(y)))
+        np.add.at(B, program.jacobian_structure, program.jacobian(y))
+        slope = program.gradient(y) + B[held].T @ multipliers
+        value = program.constraints(y)[held]
+        program.move_fixed(variable, -step)
+        return slope, value
+
+    columns = []
+    pseudo = np.linalg.pinv(A[held][:, free])
+    for variable in index:
+        step = 1e-4 * program.unknowns.scale[variable]
+        up, down = conditions(variable, step), conditions(variable, -step)
+        slope, value = (
+            (a - b) / (2.0 * step) for a, b in zip(up, down, strict=True)
+        )
+        dy = np.zeros(len(y))
+        dy[free] = -pseudo @ value
+        dy -= Z @ np.linalg.solve(Z.T @ H @ Z, Z.T @ (slope + H @ dy))
+        columns.append(matrix @ dy)
+    return np.array(columns).T
+
+
+def noise_answers(term, movement, answer, place, errors) -> np.ndarray:
+    """Answers (n, k) to the noise of a tracked signal's targets."""
+    times, (n, r) = movement.grid.times, term.target.shape
+    ends = np.flatnonzero(term.weights)
+    if len(ends) == 2:
+        shapes = np.zeros((n, 2))
+        shapes[ends, [0, 1]] = 1.0  # weight of a second
+    else:
+        shapes = module._modes(times)
+    columns = []
+    for k in range(r):
+        for shape in shapes.T:
+            # d(cost)/dx of a target that moves by sigma times the shape.
+            change = np.zeros(len(answer))
+            for node in range(n):
+                if not np.isfinite(term.sigma[node, k]):
+                    continue
+                size = term.weights[node] * shape[node] / term.sigma[node, k]
+                variables = place(term.variables[node])
+                np.add.at(change, variables, -size * term.rows[node, k])
+                if term.effects is not None:
+                    change[errors] -= size * term.effects[node, k]
+            columns.append(answer @ change)
+    return np.array(columns).T
+
+
+def read(path) -> tuple[dict[str, np.ndarray], bool]:
+    """Columns of an OpenSim file and whether it is in degrees, by hand."""
+    head, _, body = path.read_text().partition("endheader\n")
+    rows = [line.split() for line in body.strip().splitlines()]
+    values = np.array(rows[1:], float)
+    degrees = re.search(r"inDegrees=(\w+)", head)[1] == "yes"
+    return dict(zip(rows[0], values.T, strict=True)), degrees
+
+
+def test_a_trial_on_disk_is_in_opensims_units(tmp_path):
+    trial = prediction(seen())
+    write_trial(tmp_path, trial)
+    for kind, values in (("coordinates", trial.q), ("speeds", trial.v)):
+        found, degrees = read(tmp_path / f"rise_{kind}.sto")
+        assert degrees
+        np.testing.assert_allclose(found["time"], trial.times, atol=1e-9)
+        assert list(found) == ["time", *NAMES.names]
+        for k, name in enumerate(NAMES.names):
+            unit = 1.0 if name in ("foot_x", "foot_z") else DEGREES
+            np.testing.assert_allclose(
+                found[name], unit * values[:, k], rtol=1e-6, atol=1e-9
+            )
+    ground, degrees = read(tmp_path / "rise_ground_reaction.sto")
+    assert not degrees
+    F = trial.ground.force
+    for name, values in (
+        ("ground_force_vx", F[:, 0]),
+        ("ground_force_vy", F[:, 1]),  # up
+        ("ground_force_vz", 0.0),
+        ("ground_force_px", -trial.ground.moment / F[:, 1]),
+        ("ground_force_py", 0.0),
+        ("ground_torque_z", 0.0),
+    ):
+        np.testing.assert_allclose(ground[name], values + 0.0 * F[:, 0])
+    torques, _ = read(tmp_path / "rise_torques.sto")
+    for k, joint in enumerate(JOINTS):
+        np.testing.assert_allclose(
+            torques[f"{joint}_moment"], trial.moments[:, k]
+        )
+    forces, _ = read(tmp_path / "rise_interaction.sto")
+    for cuff in CUFFS:
+        own = trial.cuffs[cuff]
+        for name, values in (
+            ("tangential", own.tangential),
+            ("normal", own.normal),
+            ("rotation", own.moment),
+        ):
+            np.testing.assert_allclose(forces[f"{cuff}_{name}"], values)
+
+
+def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
+    trial = prediction(seen())
+    found = wide(trial)
+    write_bands(tmp_path, trial, found)
+    columns, degrees = read(tmp_path / "rise_bands.sto")
+    assert degrees
+    for k, name in enumerate(NAMES.names):
+        unit = 1.0 if k < 2 else DEGREES
+        for suffix, middle, width in (
+            ("", trial.q[:, k], 0.1),
+            ("_speed", trial.v[:, k], 1.0),
+        ):
+            for end, sign in (("lower", -1.0), ("upper", 1.0)):
+                np.testing.assert_allclose(
+                    columns[f"{name}{suffix}_{end}"],
+                    unit * (middle + sign * width),
+                    rtol=1e-6,
+                    atol=1e-9,
+                )
+    for cuff in CUFFS:
+        for i, (component, width) in enumerate(
+            (("tangential", 1.0), ("normal", 5.0), ("rotation", 0.1))
+        ):
+            middle = trial.cuffs[cuff].components[:, i]
+            low = columns[f"{cuff}_{component}_lower"]
+            np.testing.assert_allclose(low, middle - width, atol=1e-9)
+
+
+def test_a_summary_holds_parameters_with_their_bounds(coarse):
+    summary = phase_summary("interaction", "me", coarse)
+    assert (summary["phase"], summary["subject"]) == ("interaction", "me")
+    assert summary["success"] is True
+    assert summary["iterations"] == coarse.solution.iterations
+    told = {p["name"]: p for p in summary["parameters"]}
+    for p in coarse.problem.parameters:
+        own = told[p.name]
+        assert (own["lower"], own["upper"]) == (p.lower, p.upper)
+        assert (own["unit"], own["free"]) == (p.unit, p.free)
+        index = coarse.problem.program.indices(
+            coarse.problem.variables_of([p.name])
+        )
+        value = coarse.solution.raw_values()[index[0]]
+        assert own["value"] == pytest.approx(value, rel=1e-6)
+    assert summary["rmsd"][0]["moments_nm"]
+    assert not phase_summary("foot-ground", "me", coarse)["rmsd"][0][
+        "moments_nm"
+    ]
+
+
+def test_intervals_are_two_sigma_with_the_pull():
+    found = Uncertainty(
+        ["a", "b", "c"],
+        np.array([[9.0, 3.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 1.0]]),
+        pull=np.array([4.0, 0.0, 0.0]),
+        prior_sd=np.array([6.1, 4.0, 9.0]),
+        at_bound=np.array([False, False, True]),
+    )
+    np.testing.assert_allclose(found.sd, [3.0, 2.0, np.nan])
+    np.testing.assert_allclose(
+        found.half_width, [1.959964 * 5.0, 1.959964 * 2.0, np.nan]
+    )
+    assert pytest.approx(1.959963985) == QUANTILE_95
+    np.testing.assert_array_equal(found.identifiable, [True, False, False])
+    assert found.correlation[0, 1] == pytest.approx(0.5)
+
+
+def test_noise_of_a_filter_has_its_spectrum():
+    """Variance 1; half of the power's amplitude gone at the cut-off."""
+    times = np.linspace(0.0, 2.0, 101)
+    values, slopes = noise_basis(times, 6.0, 4)
+    np.testing.assert_allclose((values**2).sum(axis=1), 1.0)
+    k = values.shape[1] // 2
+    amplitude = np.hypot(values[0, :k], values[0, k:])
+    rate = np.hypot(slopes[0, :k], slopes[0, k:])
+    frequency = rate / amplitude / (2.0 * np.pi)
+    np.testing.assert_allclose(np.diff(frequency), 0.125)
+    gain = (
+        amplitude
+        / amplitude[0]
+        * (1.0 + (np.sqrt(2.0) - 1.0) * (frequency[0] / 6.0) ** 4) ** -1
+    )
+    expected = 1.0 / (1.0 + (np.sqrt(2.0) - 1.0) * (frequency / 6.0) ** 4)
+    np.testing.assert_allclose(gain, expected)
+    assert frequency[-1] == pytest.approx(18.0, abs=0.13)
+    # The second is the derivative of the first.
+    h = times[1] - times[0]
+    smooth = np.gradient(values[:, 0], h)[1:-1]
+    np.testing.assert_allclose(smooth, slopes[1:-1, 0], atol=1e-2)
