@@ -322,7 +322,7 @@ def test_a_first_contact_on_another_branch_is_refused(sole):
     assert report.converged
     np.testing.assert_array_equal(again.F, flat.F)  # the cold start's own
 
-    upright = exp_rotation(np.array([np.deg2rad(80), 0.0, 0.0]))
+    upright = exp_rotation(np.array([np.deg2rad(88), 0.0, 0.0]))
     below = np.array([0.0, -0.065, -0.02])
     O = np.append(target.zmp, 0.0) - upright @ below  # noqa: E741
     unloaded = State(np.zeros_like(sole.positions), O, upright)

@@ -18,6 +18,7 @@ from drake_exo.soles.contact.newton import (
     Target,
     move,
 )
+from drake_exo.soles.elasticity.linear import Sole
 
 _LOCAL_STEPS = 60
 
@@ -52,6 +53,11 @@ class GaussSeidelSolver(ContactSolver):
         self.relaxation = relaxation
         self.max_sweeps = max_sweeps
         self.sweeps = 0
+
+    @classmethod
+    def of(cls, sole: Sole, law, **options) -> "GaussSeidelSolver":
+        """Of a sole; sweeps go over all nodes that may touch."""
+        return cls(sole.compliance, sole.positions, law, **options)
 
     def solve(
         self, state: State, target: Target, fixed_pose: bool = False

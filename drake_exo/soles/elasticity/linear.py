@@ -24,7 +24,11 @@ from drake_exo.errors import InputError
 from drake_exo.soles.mesh import TetMesh
 
 Element = Literal["linear", "smoothed"]
-_BATCH = 32  # contact nodes whose compliance is computed at a time
+_BATCH = 42  # contact nodes whose compliance is computed at a time
+# Places of xx, yy, zz, yz, xz, xy, and how often each is there.
+_PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+_TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+_SAMPLE = 64  # contact nodes whose compliance gives the law's scale
 
 
 def node_dofs(nodes: np.ndarray) -> np.ndarray:
@@ -206,17 +210,18 @@ class Sole:
         dofs = node_dofs(self.free)
         return _Factor(self.stiffness[dofs][:, dofs])
 
-    def influence(self, nodes: np.ndarray) -> np.ndarray:
-        """Columns of N = K_ff⁻¹ E: free displacements per contact force.
+    def carry(self, forces: np.ndarray) -> np.ndarray:
+        """Free displacements under contact forces: N f = K_ff⁻¹ E f.
 
         Args:
-            nodes: Contact nodes, (k,).
+            forces: At the contact dofs, sole frame [N], (3m, k).
 
         Returns:
-            (3n_f, 3k).
+            (3 n_f, k).
         """
-        self.need(nodes)
-        return self._influence[node_dofs(nodes)].T
+        out = np.zeros((3 * len(self.free), forces.shape[1]))
+        out[self.contact_rows] = forces
+        return self._factor.solve(out, overwrite=True)
 
     def need(self, nodes: np.ndarray) -> None:
         """See to it that `flexibility` has the rows of these contact nodes."""
@@ -226,13 +231,15 @@ class Sole:
         new = np.unique(new)
         if len(new) < _BATCH:
             new = self._with_neighbours(new)
-        dofs = node_dofs(new)
-        E = np.zeros((3 * len(self.free), len(dofs)))
-        E[self.contact_rows[dofs], np.arange(len(dofs))] = 1.0
-        rows = self.solve(E).T
-        self._influence[dofs] = rows
-        self.flexibility[dofs] = rows[:, self.contact_rows]
+        for part in np.array_split(new, -(-len(new) // _BATCH)):
+            self.flexibility[node_dofs(part)] = self._rows(node_dofs(part))
         self._known[new] = True
+
+    def _rows(self, dofs: np.ndarray) -> np.ndarray:
+        """Rows of C, (k, 3m)."""
+        unit = np.zeros((3 * len(self.mesh.contact), len(dofs)))
+        unit[dofs, np.arange(len(dofs))] = 1.0
+        return self.carry(unit)[self.contact_rows].T
 
     def _with_neighbours(self, new: np.ndarray) -> np.ndarray:
         """A whole batch: it costs little more, and they touch next."""
@@ -246,10 +253,6 @@ class Sole:
     @cached_property
     def _known(self) -> np.ndarray:
         return np.zeros(len(self.mesh.contact), dtype=bool)
-
-    @cached_property
-    def _influence(self) -> np.ndarray:
-        return np.zeros((3 * len(self.mesh.contact), 3 * len(self.free)))
 
     @cached_property
     def flexibility(self) -> np.ndarray:
@@ -272,8 +275,15 @@ class Sole:
 
     @cached_property
     def penalty(self) -> float:
-        """Scale r = 1 / median(C_nn) [N/m] of the contact law."""
-        return float(1.0 / np.median(np.diag(self.compliance)[2::3]))
+        """Scale r = 1 / median(C_nn) [N/m] of the contact law.
+
+        The median of some nodes spread over all: it is but a scale.
+        """
+        m = len(self.mesh.contact)
+        some = np.unique(np.linspace(0, m - 1, _SAMPLE).round().astype(int))
+        normal = 3 * some + 2
+        rows = self._rows(normal)
+        return float(1.0 / np.median(rows[np.arange(len(some)), normal]))
 
     def displacement(self, f_L: np.ndarray) -> np.ndarray:
         """Displacement of every node under contact forces (sole frame).
@@ -287,10 +297,8 @@ class Sole:
         lead = f_L.shape[:-2]
         f_L = f_L.reshape(-1, len(self.mesh.contact), 3)
         u = np.zeros((len(f_L), len(self.mesh.nodes), 3))
-        loaded = np.flatnonzero(f_L.any(axis=(0, 2)))
-        flat = f_L[:, loaded].reshape(len(u), -1)
-        moved = flat @ self.influence(loaded).T
-        u[:, self.free] = moved.reshape(len(u), -1, 3)
+        moved = self.carry(f_L.reshape(len(u), -1).T)
+        u[:, self.free] = moved.T.reshape(len(u), -1, 3)
         return u.reshape(*lead, -1, 3)
 
     def strain(self, u: np.ndarray) -> np.ndarray:
@@ -298,41 +306,41 @@ class Sole:
         H = displacement_gradient(self.mesh, u)
         return 0.5 * (H + np.swapaxes(H, -1, -2))
 
-    def stress_and_energy(self, H: np.ndarray):
-        """Cauchy stress [Pa] (..., e, 3, 3), energy density [J/m³] (..., e).
+    def stress_and_energy(self, H: np.ndarray, factors: np.ndarray):
+        """Stresses of many fields, and the sum of their energies.
 
         With "smoothed", the mean of the stresses of an element's edges
         (deviator) and nodes (pressure).
 
         Args:
-            H: Displacement gradients of the elements, (..., e, 3, 3).
+            H: Displacement gradients ∂u_i/∂X_j, (3 (j), e, 3 (i), k).
+            factors: Of the fields in the sum, (k,).
+
+        Returns:
+            Cauchy stresses xx, yy, zz, yz, xz, xy [Pa], (e, 6, k); sum of
+            the energy densities [J/m³], (e,).
         """
-        eps = 0.5 * (H + np.swapaxes(H, -1, -2))
-        eye = np.eye(3)
+        e, k = H.shape[1], len(factors)
+        eps = np.empty((e, 6, k))
+        for row, (i, j) in enumerate(_PLACES):
+            eps[:, row] = 0.5 * (H[j, :, i] + H[i, :, j])
+        trace = eps[:, :3].sum(axis=1)
         shear = self.material.shear_modulus
         if self.element == "linear":
-            trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None]
-            sigma = 2 * shear * eps + self.material.lame_lambda * trace * eye
-            return sigma, 0.5 * (sigma * eps).sum(axis=(-2, -1))
-        lead, e = eps.shape[:-3], len(self.mesh.tets)
-        flat = np.moveaxis(eps.reshape(-1, e, 9), 1, 0).reshape(e, -1)
+            sigma = 2 * shear * eps
+            sigma[:, :3] += self.material.lame_lambda * trace[:, None]
+            return sigma, 0.5 * ((sigma * eps) @ factors) @ _TWICE
         (edge, to_edge), (node, to_node) = self._averages
-        around = (edge @ flat).reshape(edge.shape[0], -1, 3, 3)
-        third = np.trace(around, axis1=-2, axis2=-1)[..., None, None] / 3
-        deviator = around - third * eye
-        dilatation = node @ np.trace(
-            flat.reshape(e, -1, 3, 3), axis1=-2, axis2=-1
-        )
+        around = (edge @ eps.reshape(e, -1)).reshape(-1, 6, k)
+        around[:, :3] -= around[:, :3].mean(axis=1, keepdims=True)
+        dilatation = node @ trace
         bulk = self.material.bulk_modulus
-        sigma = to_edge @ (2 * shear * deviator).reshape(edge.shape[0], -1)
-        sigma = sigma.reshape(e, -1, 3, 3)
-        sigma += (to_node @ (bulk * dilatation))[..., None, None] * eye
-        energy = to_edge @ (shear * (deviator**2).sum(axis=(-2, -1)))
-        energy += to_node @ (0.5 * bulk * dilatation**2)
-        return (
-            np.moveaxis(sigma, 0, 1).reshape(*lead, e, 3, 3),
-            energy.T.reshape(*lead, e),
-        )
+        sigma = to_edge @ (2 * shear * around.reshape(-1, 6 * k))
+        sigma = sigma.reshape(e, 6, k)
+        sigma[:, :3] += (to_node @ (bulk * dilatation))[:, None]
+        energy = to_edge @ (shear * ((around**2) @ factors) @ _TWICE)
+        energy += to_node @ (0.5 * bulk * dilatation**2 @ factors)
+        return sigma, energy
 
     @cached_property
     def _averages(self):
@@ -362,9 +370,9 @@ class _Factor:
         except ValueError as error:
             raise np.linalg.LinAlgError(str(error)) from None
 
-    def solve(self, b: np.ndarray) -> np.ndarray:
+    def solve(self, b: np.ndarray, overwrite: bool = False) -> np.ndarray:
         flat = np.ascontiguousarray(b.reshape(b.shape[0], -1))
-        x = np.zeros_like(flat)
+        x = flat if overwrite else np.empty_like(flat)
         # cholespy takes at most 128 right-hand sides at a time.
         for start in range(0, flat.shape[1], 128):
             rhs = np.ascontiguousarray(flat[:, start : start + 128])

@@ -19,13 +19,13 @@ import numpy as np
 from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity.linear import Sole, gradient_operators
+from drake_exo.soles.elasticity.shape_gradient import energy_gradient, pairs
 from drake_exo.soles.mesh import scatter
 from drake_exo.soles.optimize.adjoint import (
     ForceTerm,
     heavy,
     singular_terms,
     stability_terms,
-    stiffness_gradients,
     tilt_terms,
 )
 from drake_exo.soles.rotations import multiply
@@ -108,7 +108,7 @@ class StrainNorm:
         free = sole.free
         u = self._u[kept][:, free].reshape(len(kept), -1).T
         v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
-        by_nodes += stiffness_gradients(sole, v[None], u)[0]
+        by_nodes += energy_gradient(sole, *pairs(v, u))
         terms = [[] for _ in self._u]
         for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
