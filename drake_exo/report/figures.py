@@ -240,7 +240,8 @@ def _run_curves(trial: Trial, name: str, signals, color, count):
             "ls": ":",
         }
         curves.append((trial.times, device(trial), style))
-    return curves
+    # Models that are compared may have other cuffs.
+    return [curve for curve in curves if curve[1] is not None]
 
 
 def _finish(figure: Figure, axes) -> None:
