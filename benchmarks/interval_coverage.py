@@ -3,51 +3,66 @@
 Phase B on made-up data (truth = model) with noise alone, many seeds. Noise is
 made by filtering white noise; the intervals come from the optimum's conditions.
 
-    python benchmarks/interval_coverage.py --seeds 200 [--json]
+    python benchmarks/interval_coverage.py --seeds 200 [--json] [--workers N]
 """
 
 import argparse
 import json
 from dataclasses import asdict, replace
+from functools import cache
 
 import numpy as np
 
+from drake_exo.batch.calls import run_calls
 from drake_exo.calibration.uncertainty import uncertainty
-from drake_exo.files.output import Progress
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
-    RisesInDevice,
     noisy,
     rises_in_device,
 )
 
 
-def coverage(made: RisesInDevice, seeds: int) -> list[dict]:
-    """One row for each parameter: share of seeds whose interval holds it."""
+@cache
+def _made(nodes_per_second: float):
+    """Exact trials, settings, and the true parameters by name."""
+    made = rises_in_device(nodes_per_second=nodes_per_second)
     settings = made.settings(noise=INSTRUMENT_NOISE, prior_weight=0.01)
     settings = replace(
         settings, solver=replace(settings.solver, tolerance=1e-5)
     )
     names = [p.name for p in settings.parameters(made.model.cuffs)]
     truth = np.array([made.contact.values()[name] for name in names])
-    rows, failed = [], 0
-    with Progress("coverage", total=seeds) as progress:
-        for seed in range(seeds):
-            trials = [
-                noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
-                for k, trial in enumerate(made.trials)
-            ]
-            result = made.calibration(settings, trials).solve()
-            progress.update(
-                f"seed {seed}, {result.solution.iterations} iterations",
-                done=seed + 1,
-            )
-            if not result.success:
-                failed += 1
-                continue
-            found = uncertainty(result)
-            off = np.array([p.nominal for p in result.parameters]) - truth
-            rows.append((off, found.half_width, found.identifiable))
+    return made, settings, dict(zip(names, truth, strict=True))
+
+
+def solve(nodes_per_second: float, seed: int) -> tuple | None:
+    """Errors, half widths and what is identifiable; None if it failed."""
+    made, settings, truth = _made(nodes_per_second)
+    trials = [
+        noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
+        for k, trial in enumerate(made.trials)
+    ]
+    result = made.calibration(settings, trials).solve()
+    if not result.success:
+        return None
+    found = uncertainty(result)
+    off = np.array([p.nominal for p in result.parameters])
+    off -= list(truth.values())
+    return off, found.half_width, found.identifiable
+
+
+def coverage(
+    nodes_per_second: float, seeds: int, workers: int = 2
+) -> list[dict]:
+    """One row for each parameter: share of seeds whose interval holds it."""
+    calls = [
+        {"nodes_per_second": nodes_per_second, "seed": seed}
+        for seed in range(seeds)
+    ]
+    found = run_calls(solve, calls, workers, "coverage")
+    rows = [row for row in found if row is not None]
+    failed = len(found) - len(rows)
+    *_, truth = _made(nodes_per_second)
     error, half, identifiable = (np.array(x) for x in zip(*rows, strict=True))
     # A parameter counts if most seeds call it identifiable.
     return [
@@ -58,11 +73,11 @@ def coverage(made: RisesInDevice, seeds: int) -> list[dict]:
             "bias": float(error[:, k].mean()),
             "error_sd": float(error[:, k].std()),
             "half_width_95": float(half[:, k].mean()),
-            "true": truth[k],
+            "true": float(true),
             "seeds": len(rows),
             "failed": failed,
         }
-        for k, name in enumerate(names)
+        for k, (name, true) in enumerate(truth.items())
     ]
 
 
@@ -70,11 +85,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--nodes-per-second", type=float, default=50.0)
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    rows = coverage(
-        rises_in_device(nodes_per_second=args.nodes_per_second), args.seeds
-    )
+    rows = coverage(args.nodes_per_second, args.seeds, args.workers)
     if args.json:
         print(
             json.dumps(

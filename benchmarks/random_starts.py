@@ -1,6 +1,6 @@
 """From random starts to one optimum: how many calibrations agree.
 
-    python benchmarks/random_starts.py [--starts N] [--json]
+    python benchmarks/random_starts.py [--starts N] [--json] [--workers N]
                                        [--exact] [--nodes-per-second R]
 
 Three noisy trials of the coupled model (9 degrees of freedom) with a known
@@ -14,9 +14,11 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from drake_exo.batch.calls import run_calls
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,
@@ -33,6 +35,7 @@ _NEGLIGIBLE = 1e-6  # of exact data's objective, which is zero at the truth
 _TRUTH = {"stiffness": 1.3, "dissipation": 1.4}
 
 
+@cache
 def _problem(nodes_per_second: float, exact: bool):
     """The problem, its nominal parameters and the true ones."""
     model = nominal_model("coupled")
@@ -67,36 +70,50 @@ def _problem(nodes_per_second: float, exact: bool):
     return FootGroundCalibration(model, data, settings), nominal, truth
 
 
-def _solve(problem, values) -> dict:
+def solve(nodes_per_second: float, exact: bool, values: list[float]) -> dict:
+    """From one start."""
+    problem, nominal, truth = _problem(nodes_per_second, exact)
     start = time.perf_counter()
-    result = problem.solve(problem.guess(values))
+    result = problem.solve(problem.guess(np.array(values)))
     solution = result.solution
+    free = [p.free for p in nominal]
+    found, true = (
+        np.array([p.nominal for p in parameters])[free]
+        for parameters in (result.parameters, truth)
+    )
     return {
         "success": solution.success,
         "status": solution.status,
         "objective": solution.objective,
         "iterations": solution.iterations,
         "seconds": time.perf_counter() - start,
-        "values": [p.nominal for p in result.parameters],
+        "furthest_from_truth": float(np.abs(found / true - 1.0).max()),
     }
 
 
-def run(starts: int, nodes_per_second: float, exact: bool, seed: int = 0):
+def run(
+    starts: int,
+    nodes_per_second: float,
+    exact: bool,
+    seed: int = 0,
+    workers: int = 2,
+) -> list[dict]:
     """Solve from every start.
 
     Returns:
         Rows, each start's own, and the largest relative difference of its
         parameters from the true ones.
     """
-    problem, nominal, truth = _problem(nodes_per_second, exact)
-    free = [p.free for p in nominal]
-    true = np.array([p.nominal for p in truth])[free]
-    rows = []
-    for values in synthetic.random_values(nominal, starts, seed):
-        row = _solve(problem, values)
-        found = np.array(row.pop("values"))[free]
-        row["furthest_from_truth"] = float(np.abs(found / true - 1.0).max())
-        rows.append(row)
+    _, nominal, _ = _problem(nodes_per_second, exact)
+    calls = [
+        {
+            "nodes_per_second": nodes_per_second,
+            "exact": exact,
+            "values": [float(v) for v in values],
+        }
+        for values in synthetic.random_values(nominal, starts, seed)
+    ]
+    rows = run_calls(solve, calls, workers, "random starts")
     best = min(r["objective"] for r in rows if r["success"])
     allowed = _NEGLIGIBLE if exact else _TOLERANCE * best
     for row in rows:
@@ -110,9 +127,12 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=50)
     parser.add_argument("--nodes-per-second", type=float, default=50.0)
     parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    rows = run(args.starts, args.nodes_per_second, args.exact)
+    rows = run(
+        args.starts, args.nodes_per_second, args.exact, workers=args.workers
+    )
     if args.json:
         print(json.dumps(rows, indent=2))
         return

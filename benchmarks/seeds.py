@@ -13,22 +13,19 @@ Settings of the program were chosen on seeds 1 to 40.
 """
 
 import argparse
-import contextlib
-import io
 import json
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 import drake_exo as dx
+from drake_exo.batch.calls import run_calls
 from drake_exo.calibration.scores import rms
 from drake_exo.files.opensim import read_table
-from drake_exo.files.output import Progress, read_json
+from drake_exo.files.output import read_json
 from drake_exo.study import uncalibrated
 
 
@@ -37,14 +34,9 @@ def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(data or scratch) / str(seed)
         folder.mkdir(parents=True, exist_ok=True)
-        quiet = io.StringIO()
-        with (
-            contextlib.redirect_stderr(quiet),
-            contextlib.redirect_stdout(quiet),
-        ):
-            if not (folder / "study.yaml").is_file():
-                dx.write_campaign(folder, seed, truth=kind)
-            return _row(folder, seed, floor)
+        if not (folder / "study.yaml").is_file():
+            dx.write_campaign(folder, seed, truth=kind)
+        return _row(folder, seed, floor)
 
 
 def _row(folder: Path, seed: int, floor: bool) -> dict:
@@ -235,6 +227,7 @@ def main() -> None:
     parser.add_argument("--truth", default="wide", choices=["wide", "near"])
     parser.add_argument("--floor", action="store_true")
     parser.add_argument("--data", help="folder that keeps the campaigns")
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     if ":" in args.seeds:
@@ -242,20 +235,17 @@ def main() -> None:
         seeds = list(range(first, last + 1))
     else:
         seeds = [int(s) for s in args.seeds.split(",")]
-    rows = []
-    with (
-        Progress("seeds", total=len(seeds)) as progress,
-        ProcessPoolExecutor(2, get_context("spawn")) as pool,
-    ):
-        jobs = [
-            pool.submit(run, seed, args.truth, args.data, args.floor)
-            for seed in seeds
-        ]
-        for seed, job in zip(seeds, jobs, strict=True):
-            rows.append(job.result())
-            progress.update(f"seed {seed}", done=len(rows))
-            if not args.json:
-                print(_text(rows[-1]), flush=True)
+    calls = [
+        {"seed": s, "kind": args.truth, "data": args.data, "floor": args.floor}
+        for s in seeds
+    ]
+    rows = run_calls(
+        run,
+        calls,
+        args.workers,
+        "seeds",
+        None if args.json else lambda row: print(_text(row), flush=True),
+    )
     found = {"truth": args.truth, "rows": rows, "summary": summary(rows)}
     print(json.dumps(found if args.json else found["summary"], indent=1))
 

@@ -5,17 +5,20 @@ limits as in the paper, coarse mesh, thick layer then thinner. Prints the
 spread of the optima.
 
 python benchmarks/sole_starts.py [--json] [--data-root DIR] [--starts 10]
+    [--workers N]
 """
 
 import argparse
 import json
 import os
+from functools import cache
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from drake_exo.batch.calls import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
 from drake_exo.soles.optimize.design import first_design, stage_problem
 from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
@@ -42,15 +45,23 @@ def random_shape(problem, bounds, rng):
             return p
 
 
-def optimum(setup, rng):
-    """Cost, errors and ratios from one random start."""
+@cache
+def setup_of(root):
+    """Case 1-Ref without limits, coarse."""
+    settings = five_cases(step_block(root), coarse=True)[0]
+    return Setup.open(settings, root).without_limits()
+
+
+def optimum(root, start):
+    """Cost, errors and ratios from one start."""
+    setup = setup_of(root)
     bounds = tuple(setup.settings.optimize.bounds)
-    p = approximation = warm = None
+    p = np.array(start)
+    approximation, warm = QuasiNewton(len(p)), None
+    begun = None
     for stage in STAGES:
         problem = stage_problem(setup, stage)
-        if p is None:
-            p = random_shape(problem, bounds, rng)
-            approximation = QuasiNewton(len(p))
+        if begun is None:
             begun = problem.cost(p)
         found = minimise(
             problem, p, bounds, stage.iterations,
@@ -72,23 +83,31 @@ def optimum(setup, rng):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--data-root", type=Path)
     parser.add_argument("--starts", type=int, default=10)
     args = parser.parse_args()
     root = args.data_root or Path(".")
-    settings = five_cases(step_block(root), coarse=True)[0]
-    setup = Setup.open(settings, root).without_limits()
+    setup = setup_of(root)
+    bounds = tuple(setup.settings.optimize.bounds)
     rng = np.random.default_rng(0)
-    rows = []
-    for k in range(args.starts):
-        rows.append(optimum(setup, rng))
-        if not args.json:
-            text = ", ".join(
-                f"{n} {'-' if v is None else format(v, '.4g')}"
-                for n, v in rows[-1].items()
-            )
-            print(f"start {k + 1}: {text}", flush=True)
+    calls = []
+    for _ in range(args.starts):
+        problem = stage_problem(setup, STAGES[0])
+        shape = random_shape(problem, bounds, rng)
+        calls.append({"root": root, "start": shape.tolist()})
+
+    def tell(row):
+        text = ", ".join(
+            f"{n} {'-' if v is None else format(v, '.4g')}"
+            for n, v in row.items()
+        )
+        print(text, flush=True)
+
+    rows = run_calls(
+        optimum, calls, args.workers, "starts", None if args.json else tell
+    )
     costs = np.array([row["cost"] for row in rows])
     spread = {
         "least": costs.min(), "median": np.median(costs),

@@ -4,15 +4,16 @@ De Magistris, Miossec, Escande and Kheddar, Design of optimized soft soles for
 humanoid robots.
 """
 
-import multiprocessing
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
+from drake_exo.batch.processes import Processes
 from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.files.verdict import Check, Verdict, stored
 from drake_exo.soles.case import Case
@@ -65,7 +66,6 @@ _WHOLE, _REGULARIZATION = "1-Ref", 3.0
 UNLIMITED = "unlimited"
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
 _FRONT, SOLES = "front.json", "soles.png"
-_POLL_SECONDS = 0.2
 _LEAST_ERROR = 1e-8  # errors below are drawn there
 
 
@@ -184,13 +184,17 @@ class Study:
         folders = {
             key: out if key == "cases" else out / key for key in self.variants
         }
-        jobs = [
-            (_optimize, folders[key] / case.name, case, tuple(accepted))
+        every = [
+            (folders[key] / case.name, case)
             for key, cases in self.variants.items()
             for case in cases
         ]
+        jobs = [
+            _job("optimize", out, *one, accepted=tuple(accepted))
+            for one in every
+        ]
         if with_front:
-            jobs += [(front_job, *job[1:3]) for job in jobs]
+            jobs += [_job("front", out, *one) for one in every]
         summary |= {"load": self.source, "limits": self.limits}
 
         def note() -> None:
@@ -206,11 +210,21 @@ class Study:
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / SUMMARY, summary)
 
-        failed = run_jobs(jobs, at_once, note)
-        checks = [] if not failed else [
-            Check("solved", False, float(failed), 0.0, "cases",
-                  sentence="ended without a result; their last lines say why")
-        ]  # fmt: skip
+        def end(row: Ended) -> None:
+            print(row.value or f"{row.name}: {row.error}", flush=True)
+            note()
+
+        try:
+            with Processes(at_once) as pool:
+                ended = run_jobs(jobs, pool, end, BatchProgress("study"))
+        except KeyboardInterrupt:
+            note()
+            raise
+        checks = [
+            Check("solved", False, where=row.name, sentence=row.error)
+            for row in ended.values()
+            if row.state != "done"
+        ]
         for row in (row for key in self.variants for row in summary[key]):
             checks += stored(row).checks
         verdict = Verdict(tuple(checks), tuple(accepted))
@@ -221,15 +235,34 @@ class Study:
         return verdict, text
 
 
-def _optimize(folder: Path, case: Case, accepted) -> None:
-    """One design, in a process of its own."""
+def _job(kind: str, out: Path, folder: Path, case: Case, **more) -> Job:
+    """A case's optimisation, or its part of the front."""
     folder.mkdir(parents=True, exist_ok=True)
-    say = Progress(case.name, interval_seconds=2.0).update
-    print(line(case.optimize(folder, say).write(folder, say, accepted)))
+    log = folder / f"{kind}.log"
+    return Job(
+        f"{folder.relative_to(out).as_posix()}/{kind}",
+        f"{__name__}:{kind}_job",
+        {"folder": folder, "case": case, "log": log} | more,
+        log=str(log),
+    )
 
 
-def front_job(folder: Path, case: Case) -> None:
-    """Write a case's part of a study: front.json.
+@contextmanager
+def _saying(case: Case, log: Path):
+    """What a job says, to a file that the study reads while it runs."""
+    with log.open("w", encoding="utf-8") as file:
+        yield Progress(case.name, interval_seconds=2.0, stream=file).update
+    log.unlink()
+
+
+def optimize_job(folder: Path, case: Case, log: Path, accepted=()) -> str:
+    """One design, in a process of its own; the line on it."""
+    with _saying(case, log) as say:
+        return line(case.optimize(folder, say).write(folder, say, accepted))
+
+
+def front_job(folder: Path, case: Case, log: Path) -> str:
+    """Write a case's part of a study: front.json; says how many points.
 
     The front of 1-Ref; of every other case the paper's own ratio.
     """
@@ -238,11 +271,11 @@ def front_job(folder: Path, case: Case) -> None:
     if case.name != _WHOLE:
         floors = (rot / rot0,)
         case = case.optimizing(roughness=_REGULARIZATION)
-    say = Progress(f"{case.name}, front", interval_seconds=2.0).update
-    points = pareto_front(case, floors, say)
+    with _saying(case, log) as say:
+        points = pareto_front(case, floors, say)
     points[0]["paper_ratio_tr"] = tr / tr0
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / _FRONT, points)
+    return f"{case.name}: {len(points)} points of the front"
 
 
 def study_front(folder: Path, cases: list[Case]) -> dict:
@@ -257,48 +290,6 @@ def study_front(folder: Path, cases: list[Case]) -> dict:
             found["points"] = points
         found["at_paper"] += points[:1]
     return found
-
-
-def run_jobs(
-    jobs: list[tuple], at_once: int, on_end: Callable[[], None]
-) -> int:
-    """Run (function, *arguments) each in its process; how many failed.
-
-    Results travel by files. Ctrl-C reaches every process (they share the
-    terminal's group), which keeps its best so far on disk; it is raised
-    again once all have ended.
-
-    Args:
-        jobs: Module-level functions with picklable arguments.
-        at_once: Processes at a time.
-        on_end: Called here after every job.
-    """
-    context = multiprocessing.get_context("spawn")
-    waiting, running, failed = list(jobs), [], 0
-    try:
-        while waiting or running:
-            while waiting and len(running) < at_once:
-                process = context.Process(target=_call, args=waiting.pop(0))
-                process.start()
-                running.append(process)
-            time.sleep(_POLL_SECONDS)
-            for process in [p for p in running if not p.is_alive()]:
-                running.remove(process)
-                failed += process.exitcode != 0
-                on_end()
-    finally:
-        for process in running:
-            process.join()
-        if running:
-            on_end()
-    return failed
-
-
-def _call(function, *arguments) -> None:
-    try:
-        function(*arguments)
-    except KeyboardInterrupt:
-        sys.exit(130)  # the parent says so
 
 
 def line(row: dict) -> str:

@@ -1,15 +1,13 @@
 """Processes, tables and the front of the study, on tiny cases."""
 
 import json
-import sys
-from pathlib import Path
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_step import write_case, write_step
+from small_step import stage, write_case, write_step
 
-from drake_exo.files.output import read_json
 from drake_exo.papers import de_magistris as paper
 from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case
@@ -19,26 +17,27 @@ from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.settings import LoadBlock, Pattern, Stage
 
 
-def _write(path: Path, number: int) -> None:
-    path.write_text(json.dumps(number), encoding="utf-8")
-
-
-def _fail() -> None:
-    sys.exit(1)
-
-
 @pytest.mark.slow
-def test_every_job_runs_and_failures_are_counted(tmp_path):
-    jobs = [(_write, tmp_path / f"{k}.json", k) for k in range(3)]
-    ends = []
-    failed = paper.run_jobs([*jobs, (_fail,)], 2, lambda: ends.append(1))
-    assert failed == 1
-    assert len(ends) == 4
-    assert [read_json(tmp_path / f"{k}.json", "") for k in range(3)] == [
-        0,
-        1,
-        2,
-    ]
+def test_a_study_runs_its_cases_side_by_side(tmp_path, capsys):
+    write_step(tmp_path / "load.csv", 8)
+    cases = []
+    for name in ("1-Ref", "2-Rot", "3-Rubber"):
+        path = tmp_path / f"{name}.yaml"
+        write_case(path, name, stages=[stage(4, 5e-5, 2)])
+        cases.append(Case.read(path))
+    cases[2] = replace(cases[2], mesh=None)
+    out = tmp_path / "out"
+    out.mkdir()
+    study = paper.Study("a small step", "all", {"cases": cases})
+    verdict, text = study.run(out, 2)
+    said = capsys.readouterr().out
+    assert "1-Ref: c_tr" in said and "3-Rubber/optimize: " in said
+    assert "2-Rot" in text
+    (failed,) = (c for c in verdict.checks if c.where == "3-Rubber/optimize")
+    assert failed.name == "solved" and failed.sentence
+    rows = json.loads((out / "summary.json").read_text("utf-8"))["cases"]
+    assert [row["name"] for row in rows] == ["1-Ref", "2-Rot"]
+    assert not list(out.rglob("optimize.log"))[1:]
 
 
 def test_the_papers_optimum_is_rescaled_to_our_brick():
@@ -109,7 +108,8 @@ def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     five = paper.five_cases(LoadBlock(pattern=Pattern()), coarse=True)
     cases = [Case.open(settings) for settings in five[:3]]
     for case in cases[:2]:  # the third ended without
-        paper.front_job(tmp_path / case.name, case)
+        (tmp_path / case.name).mkdir()
+        paper.front_job(tmp_path / case.name, case, tmp_path / "log")
     found = paper.study_front(tmp_path, cases)
     assert [p["floor"] for p in found["points"]] == list(paper.FLOORS)
     assert len(paper.FLOORS) >= 7

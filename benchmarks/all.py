@@ -1,0 +1,73 @@
+"""Every benchmark, one after the other.
+
+    python benchmarks/all.py [--quick] [--json] [--data-root DIR]
+
+With --quick each in a small size, two minutes in all on a quiet machine with
+two cores: to see that they run, and roughly how fast. Prints what each took;
+with --json also what it says.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+# Script -> options of the small size.
+QUICK = {
+    "phase_a.py": ("--only", "1x50"),
+    "phases.py": ("--nodes-per-second", "50"),
+    "random_starts.py": ("--starts", "4", "--nodes-per-second", "25"),
+    "interval_coverage.py": ("--seeds", "4", "--nodes-per-second", "25"),
+    "seeds.py": ("--seeds", "1,2"),
+    "weights.py": ("--factors", "4"),
+    "scale.py": ("--tasks", "5", "--workers", "1", "16"),
+    "sole.py": (),
+    "sole_starts.py": ("--starts", "2"),
+    "sole_interruptions.py": ("--divisions", *"642", "--samples", "8"),
+}
+WITH_DATA = ("sole.py", "sole_starts.py", "sole_interruptions.py")
+
+
+def run(script: str, quick: bool, data_root: Path) -> dict:
+    """Seconds, exit code, and what the script says as JSON."""
+    options = [*(QUICK[script] if quick else ()), "--json"]
+    if script in WITH_DATA:
+        options += ["--data-root", str(data_root)]
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, str(HERE / script), *options],
+        capture_output=True,
+        text=True,
+    )
+    row = {"seconds": time.perf_counter() - start, "code": done.returncode}
+    if done.returncode:
+        return row | {"error": done.stderr.strip().splitlines()[-1:]}
+    return row | {"says": json.loads(done.stdout)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--data-root", type=Path, default=Path("../shared/data")
+    )
+    args = parser.parse_args()
+    rows = {}
+    for script in QUICK:
+        row = rows[script] = run(script, args.quick, args.data_root)
+        if not args.json:
+            end = "" if row["code"] == 0 else f", failed: {row['error']}"
+            print(f"{script}: {row['seconds']:.1f} s{end}", flush=True)
+    if args.json:
+        print(json.dumps(rows, indent=2))
+    else:
+        print(f"all: {sum(row['seconds'] for row in rows.values()):.0f} s")
+    sys.exit(any(row["code"] for row in rows.values()))
+
+
+if __name__ == "__main__":
+    main()
