@@ -69,6 +69,8 @@ class PhaseProblem(ABC):
             `parameters` take the place of its own.
         parameters: of the contact that are calibrated; the others are known.
         settings: of the phase, with solver and noise.
+        errors: what goes wrong in measurement, if anything.
+        program: to add to; a new one by default.
 
     Attributes:
         program: `program.prog` is a MathematicalProgram that may be added to
@@ -88,6 +90,7 @@ class PhaseProblem(ABC):
         parameters: list[ContactParameter],
         settings,
         errors: ErrorModel | None = None,
+        program: BatchedProgram | None = None,
     ):
         start = time.perf_counter()
         self.model = model
@@ -107,7 +110,7 @@ class PhaseProblem(ABC):
             for cuff, bushing in contact.bushings.items()
         }
         self.errors = errors
-        self.program = BatchedProgram()
+        self.program = program or BatchedProgram()
         self._add_parameters()
         self.error_variables = self._add_errors()
         self.movements = [self._add(trial) for trial in self.trials]
@@ -121,9 +124,15 @@ class PhaseProblem(ABC):
             parameters = [
                 chosen.get(p.name, p) for p in self.contact.fixed(group)
             ]
-            self._variables[group] = add_parameters(self.program, parameters)
+            self._variables[group] = self._add_group(group, parameters)
         names = [p.name for p in self.parameters]
         self.parameter_variables = self.variables_of(names)
+
+    def _add_group(
+        self, group: str, parameters: list[ContactParameter]
+    ) -> np.ndarray:
+        """Decision variables of one sphere or cuff."""
+        return add_parameters(self.program, parameters)
 
     def _add_errors(self) -> np.ndarray | None:
         """Decision variables of the unknown errors, with their prior."""

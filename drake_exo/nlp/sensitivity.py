@@ -5,6 +5,7 @@ Gauss-Newton Hessian H and the Jacobian A of equations and active bounds.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -132,6 +133,40 @@ class Optimum:
         none = np.zeros((len(self.held), change.shape[1]))
         return self._moved(np.vstack([-change[self.free], none]))
 
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Of `held`, with which the cost's gradient is balanced."""
+        start = np.concatenate(
+            [
+                -self._problem.gradient(self._y)[self.free],
+                np.zeros(len(self.held)),
+            ]
+        )
+        return self.solve(start[:, None])[len(self.free) :, 0]
+
+    def cost_by_fixed(self, variables: np.ndarray) -> np.ndarray:
+        """Derivative (k,) of the optimal cost by fixed program variables.
+
+        That of the Lagrangian, by differences: what the unknowns do besides
+        is of second order.
+        """
+        problem, y = self._problem, self._y
+
+        def lagrangian(variable: int, step: float) -> float:
+            problem.move_fixed(variable, step)
+            value = problem.constraints(y)[self.held] @ self.multipliers
+            value += problem.objective(y)
+            problem.move_fixed(variable, -step)
+            return float(value)
+
+        steps = _DIFFERENCE * problem.unknowns.scale[variables]
+        return np.array(
+            [
+                (lagrangian(v, h) - lagrangian(v, -h)) / (2.0 * h)
+                for v, h in zip(variables, steps, strict=True)
+            ]
+        )
+
     def by_fixed(self, variables: np.ndarray) -> np.ndarray:
         """Changes (num_unknowns, k) of y if fixed program variables move by 1.
 
@@ -139,20 +174,16 @@ class Optimum:
         """
         problem, y, size = self._problem, self._y, len(self.free)
         unit = problem.unknowns.scale[variables]
-        start = np.concatenate(
-            [-problem.gradient(y)[self.free], np.zeros(len(self.held))]
-        )
-        multipliers = self.solve(start[:, None])[size:, 0]
 
         def conditions(variable: int, step: float) -> np.ndarray:
             problem.move_fixed(variable, step)
             A = _jacobian(problem, y)[self.held]
-            slope = problem.gradient(y) + A.T @ multipliers
+            slope = problem.gradient(y) + A.T @ self.multipliers
             value = problem.constraints(y)[self.held]
             problem.move_fixed(variable, -step)
             return np.concatenate([slope[self.free], value])
 
-        change = np.empty((len(start), len(variables)))
+        change = np.empty((size + len(self.held), len(variables)))
         for k, variable in enumerate(variables):
             step = _DIFFERENCE * unit[k]
             change[:, k] = (

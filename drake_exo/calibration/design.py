@@ -1,0 +1,765 @@
+"""Phase D: cuffs and assistance for the people who will wear them.
+
+All trials of all wearers in one program with shared design variables: place
+of each cuff, compliance of its straps, factors on the device's torques. What
+is minimised is a smooth peak (a norm of high order) or the mean of the cuffs'
+forces over time, cuffs, trials and wearers, besides the person's effort;
+limits on what is felt and on the device's work are bounds by name.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from drake_exo.calibration.design_settings import DesignSettings
+from drake_exo.calibration.own_movement import own_kinematics
+from drake_exo.calibration.problem import (
+    PhaseProblem,
+    PhaseResult,
+    bound_foot,
+    ground_terms,
+)
+from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
+from drake_exo.collocation.design_kernels import (
+    AssistanceKernel,
+    CuffKernel,
+    ForceNormKernel,
+    MigrationKernel,
+    WorkKernel,
+)
+from drake_exo.collocation.trial_program import TrialProgram, minimised
+from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
+from drake_exo.contact.parameters import ContactModel, ContactParameter
+from drake_exo.contact.strap import STRAPS, CuffDesign, Design
+from drake_exo.errors import InputError
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model
+from drake_exo.nlp import ipopt
+from drake_exo.nlp.ipopt import Iterate, Solution
+from drake_exo.nlp.program import BatchedProgram
+from drake_exo.nlp.sensitivity import Optimum
+from drake_exo.nlp.sparse import SparseProgram
+
+# A cuff stays this far from the joints at its limb's ends.
+_FROM_JOINT_M = 0.05
+# A force that is felt, at least, so that the objective has a scale.
+_LEAST_SCALE_N = 5.0
+_HELD = 1e-9
+
+
+@dataclass(frozen=True)
+class Wearer:
+    """Somebody who wears the design.
+
+    Attributes:
+        name: unique.
+        model: subject and device.
+        contact: of today's cuffs.
+        trials: own movements on them, solved (`OwnMovement`).
+    """
+
+    name: str
+    model: Model
+    contact: ContactModel
+    trials: tuple[Trial, ...]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A design variable.
+
+    Attributes:
+        name: such as "thigh.along_m" or "exo_knee.factor".
+        unit: of its values.
+        lower, upper: bounds; equal ones hold it.
+        today: value that changes nothing.
+        size: typical one.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    today: float
+    size: float
+
+    @property
+    def free(self) -> bool:
+        """Whether it may change."""
+        return self.lower < self.upper
+
+    def at_bound(self, value: float) -> bool:
+        """Whether a value sits at a bound, within 0.5 % of the range."""
+        margin = 5e-3 * (self.upper - self.lower)
+        return self.free and not (
+            self.lower + margin < value < self.upper - margin
+        )
+
+
+def design_variables(
+    wearers: Sequence[Wearer], settings: DesignSettings
+) -> list[Variable]:
+    """All of them: five for each cuff, one for each joint of the device.
+
+    Straps are varied as compliance [m/N]: 0 for one that adds nothing.
+    """
+    found = []
+    model = wearers[0].model
+    for cuff in model.cuffs:
+        freedom = settings.freedom(cuff)
+        lower, upper = _along(cuff, wearers, freedom.along_m)
+        found += [
+            Variable(f"{cuff}.across_m", "m", *freedom.across_m, 0.0, 0.01),
+            Variable(f"{cuff}.along_m", "m", lower, upper, 0.0, 0.01),
+        ]
+        for strap in STRAPS.values():
+            rotates = strap.endswith("rad")
+            softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m
+            unit = "rad/(N m)" if rotates else "m/N"
+            size = 1e-2 if rotates else 1e-4
+            most = 0.0 if softest is None else 1.0 / softest
+            found.append(Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size))
+    for joint in model.coordinates.device:
+        found.append(
+            Variable(f"{joint}.factor", "1", *settings.assistance, 1.0, 0.1)
+        )
+    return found
+
+
+def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
+    """How far a cuff may go along the limb of every wearer [m]."""
+    lower, upper = wanted
+    for wearer in wearers:
+        length = getattr(wearer.model.human, cuff).length_m
+        place = wearer.contact.bushings[cuff].origin_z
+        lower = max(lower, min(_FROM_JOINT_M - place, 0.0))
+        upper = min(upper, max(length - _FROM_JOINT_M - place, 0.0))
+    return lower, upper
+
+
+def design_of(values: Mapping[str, float]) -> Design:
+    """The design that values of all variables make."""
+    cuffs: dict[str, dict] = {}
+    assistance = {}
+    for name, value in values.items():
+        group, _, what = name.partition(".")
+        if what == "factor":
+            assistance[group] = float(value)
+            continue
+        if what.startswith("strap"):
+            value = 1.0 / value if value > 0.0 else None
+        cuffs.setdefault(group, {})[what] = None if value is None else float(value)
+    return Design({c: CuffDesign(**v) for c, v in cuffs.items()}, assistance)
+
+
+def values_of(design: Design, names: Sequence[str]) -> np.ndarray:
+    """Values of design variables, the inverse of `design_of`."""
+    found = []
+    for name in names:
+        group, _, what = name.partition(".")
+        if what == "factor":
+            found.append(design.gain(group))
+            continue
+        value = getattr(design.cuffs.get(group, CuffDesign()), what)
+        if what.startswith("strap"):
+            value = 0.0 if value is None else 1.0 / value
+        found.append(value)
+    return np.array(found)
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """What every wearer's part of a program needs.
+
+    Attributes:
+        settings: of the design.
+        variables: name -> decision variable of the design.
+        scale: force that the norm is taken of [N].
+        weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
+        today: wearer -> cuff -> largest force (3,) of today; None where no
+            limit is relative to it.
+        work_j: wearer -> work of today; likewise.
+    """
+
+    settings: DesignSettings
+    variables: Mapping[str, object]
+    scale: float
+    weights_s: float
+    today: Mapping[str, Mapping[str, np.ndarray]] | None
+    work_j: Mapping[str, float] | None
+
+
+class _Wearing(PhaseProblem):
+    """One wearer's trials in the program of a design."""
+
+    def __init__(self, wearer: Wearer, posed: _Posed, program: BatchedProgram):
+        self.wearer, self._posed = wearer, posed
+        settings = posed.settings
+        phase = PredictionSettings(solver=settings.solver, guess="data")
+        self._work: list = []
+        super().__init__(
+            wearer.model,
+            [replace(t, name=f"{wearer.name} {t.name}") for t in wearer.trials],
+            wearer.contact,
+            [],
+            phase,
+            program=program,
+        )
+        self._limit_support()
+
+    def _add_group(self, group, parameters):
+        if group not in self.contact.bushings:
+            return super()._add_group(group, parameters)
+        bushing = self.contact.bushings[group]
+        prog = self.program.prog
+        own = np.array([*bushing.origin, *(1.0 / np.array(bushing.stiffness))])
+        variables = np.array(
+            [
+                prog.NewContinuousVariables(1, f"{self.wearer.name} {p.name}")[0]
+                for p in parameters
+            ]
+        )
+        for variable, p in zip(variables, parameters, strict=True):
+            prog.SetVariableScaling(variable, max(abs(p.nominal), 0.01))
+        design = [
+            self._posed.variables[f"{group}.{what}"]
+            for what in ("across_m", "along_m", *STRAPS.values())
+        ]
+        self.program.add_constraints(
+            f"{self.wearer.name} {group} as designed",
+            CuffKernel(),
+            np.concatenate([variables, design])[None],
+            data=own[None],
+        )
+        return variables
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = self._movement(trial)
+        settings, noise = self._posed.settings, self.settings.noise
+        at = trial.sample(movement.grid.times)
+        human = movement.torque[:, ~movement.coordinates.is_device_joint]
+        terms = [minimised(human, settings.effort_nm)]
+        if settings.response == "own":
+            near = replace(
+                noise,
+                angle_deg=settings.own_angle_deg,
+                velocity_deg_s=10.0 * settings.own_angle_deg,
+                foot_pitch_deg=settings.own_angle_deg,
+                foot_m=1e-4,
+            )
+            terms += own_kinematics(movement, at, near)
+            terms += ground_terms(movement, at, noise)
+        else:
+            self._hold_person(movement, at)
+        movement.add_tracking_cost(terms)
+        movement.add_jerk_cost(noise.jerk)
+        self._drive(movement, at)
+        self._add_forces(movement)
+        self._limit(movement)
+        return movement
+
+    def _hold_person(self, movement: TrialProgram, at: Trial) -> None:
+        """The person's ends; the device's follow from its equations."""
+        names = movement.coordinates
+        own = names.columns(names.human)
+        for i in (0, -1):
+            for variables, values in (
+                (movement.grid.q, at.q),
+                (movement.grid.v, at.v),
+            ):
+                given = values[i, own]
+                movement.bound(variables[i, own], given, given)
+        bound_foot(movement, at, PredictionEnds())
+
+    def _drive(self, movement: TrialProgram, at: Trial) -> None:
+        """The device's torques are those of today times factors."""
+        names = movement.coordinates
+        factors = np.array(
+            [self._posed.variables[f"{j}.factor"] for j in names.device]
+        )
+        device = names.is_device_joint
+        torque = movement.torque[:, device]
+        self.program.add_constraints(
+            f"{movement.name} assistance",
+            AssistanceKernel(len(factors)),
+            np.hstack([torque, np.broadcast_to(factors, torque.shape)]),
+            data=at.moments[:, device],
+        )
+
+    def _add_forces(self, movement: TrialProgram) -> None:
+        """The norm of the cuffs' forces as a cost."""
+        posed = self._posed
+        settings = posed.settings
+        kernel = ForceNormKernel(
+            settings.exponent, posed.scale, settings.shear_weight
+        )
+        share = movement.grid.quadrature / posed.weights_s
+        used = share > 0.0
+        for cuff, force in movement.cuffs.items():
+            self.program.add_residuals(
+                f"{movement.name} {cuff} force",
+                kernel,
+                force[used][:, [TANGENTIAL, NORMAL]],
+                np.sqrt(settings.weight * share[used])[:, None],
+            )
+
+    def _limit(self, movement: TrialProgram) -> None:
+        """Bounds on what is felt, by name."""
+        settings = self._posed.settings
+        limits, program = settings.limits, self.program
+        times = [f"at {t:.3g} s" for t in movement.grid.times]
+        n = len(times)
+        for cuff, force in movement.cuffs.items():
+            area = settings.freedom(cuff).area_m2
+            most = np.full(3, np.inf)
+            most[NORMAL] = min(
+                limits.normal_n or np.inf,
+                (limits.pressure_kpa or np.inf) * 1e3 * area,
+            )
+            most[TANGENTIAL] = limits.shear_n or np.inf
+            most[ROTATION] = limits.moment_nm or np.inf
+            if self._posed.today is not None:
+                today = self._posed.today[self.wearer.name][cuff]
+                for k, factor in (
+                    (TANGENTIAL, limits.shear_factor),
+                    (ROTATION, limits.moment_factor),
+                ):
+                    most[k] = min(most[k], (factor or np.inf) * today[k])
+            program.label(
+                "limit",
+                force,
+                [
+                    f"{movement.name} {cuff} {what}"
+                    for what in ("shear", "normal force", "moment")
+                ],
+                times,
+                [("N", 1.0), ("N", 1.0), ("N m", 1.0)],
+            )
+            bounded = np.isfinite(most)
+            if bounded.any():
+                edge = np.broadcast_to(most[bounded], (n, bounded.sum())).ravel()
+                movement.bound(force[:, bounded].ravel(), -edge, edge)
+            if limits.migration_mm is not None:
+                self._limit_migration(movement, cuff, times)
+        if limits.support is not None and self._posed.work_j is not None:
+            self._add_work(movement)
+
+    def _limit_migration(self, movement, cuff: str, times) -> None:
+        prog, grid = self.program.prog, movement.grid
+        n = len(times)
+        slid = prog.NewContinuousVariables(
+            n, f"{movement.name} {cuff} migration"
+        ).reshape(n, 1)
+        for variable in slid.ravel():
+            prog.SetVariableScaling(variable, 0.01)
+        self.program.label(
+            "limit",
+            slid,
+            [f"{movement.name} {cuff} migration"],
+            times,
+            [("mm", 1e3)],
+        )
+        most = np.full(n, 1e-3 * self._posed.settings.limits.migration_mm)
+        movement.bound(slid.ravel(), -most, most)
+        origin = self._variables[cuff][:2]
+        self.program.add_constraints(
+            f"{movement.name} {cuff} migration",
+            MigrationKernel(self.bushings[cuff]),
+            np.hstack([grid.q, np.broadcast_to(origin, (n, 2)), slid]),
+        )
+
+    def _add_work(self, movement: TrialProgram) -> None:
+        names, grid = movement.coordinates, movement.grid
+        torque = movement.torque[:, names.is_device_joint]
+        rate = grid.v[:, names.device_columns]
+        prog = self.program.prog
+        work = prog.NewContinuousVariables(1, f"{movement.name} work")
+        prog.SetVariableScaling(work[0], 10.0)
+        self._work.append(work[0])
+        self.program.add_constraints(
+            f"{movement.name} work",
+            WorkKernel(*torque.shape),
+            np.concatenate([torque.ravel(), rate.ravel(), work])[None],
+            data=grid.quadrature[None],
+        )
+
+    def _limit_support(self) -> None:
+        """The device's work over all trials, about that of today."""
+        if not self._work:
+            return
+        prog = self.program.prog
+        total = prog.NewContinuousVariables(1, f"{self.wearer.name} work")
+        prog.SetVariableScaling(total[0], 10.0)
+        row = np.r_[np.ones(len(self._work)), -1.0][None]
+        prog.AddLinearEqualityConstraint(
+            row, [0.0], np.concatenate([self._work, total])
+        ).evaluator().set_description(f"{self.wearer.name} work")
+        today = self._posed.work_j[self.wearer.name]
+        slack = abs(today) * self._posed.settings.limits.support
+        prog.AddBoundingBoxConstraint(
+            [today - slack], [today + slack], total
+        )
+        self.program.label(
+            "limit",
+            total[None],
+            [f"{self.wearer.name} work of the device"],
+            [""],
+            [("J", 1.0)],
+        )
+        self._total = total
+
+    def fill(self, x: np.ndarray, design: Design) -> None:
+        """Program variables of these trials as they are today."""
+        contact = design.contact(self.wearer.contact)
+        for group, variables in self._variables.items():
+            x[self.program.indices(variables)] = [
+                p.nominal for p in contact.fixed(group)
+            ]
+        for movement, trial in zip(self.movements, self.trials, strict=True):
+            at = trial.sample(movement.grid.times)
+            self._fill_trial(x, movement, at, contact)
+
+    def _fill_trial(self, x, movement, at: Trial, contact) -> None:
+        grid = movement.grid
+        jerk = np.gradient(at.a, grid.times, axis=0)
+        filled = [
+            (grid.q, at.q),
+            (grid.v, at.v),
+            (grid.a, at.a),
+            (grid.jerk, jerk[: len(grid.jerk)]),
+            (movement.ground, at.ground.array),
+            (movement.torque, at.moments),
+        ]
+        for cuff, kinematics in self.bushings.items():
+            bushing = contact.bushings[cuff]
+            origin = np.broadcast_to(bushing.origin, (len(at.q), 2))
+            terms = kinematics.terms(at.q, origin)
+            force = bushing.stiffness * kinematics.deflection(at.q, terms)
+            filled.append((movement.cuffs[cuff], force))
+        for variables, numbers in filled:
+            x[self.program.indices(variables)] = numbers
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """What a design found.
+
+    Attributes:
+        problem: that was solved.
+        solution: state of the solve.
+        values: name -> value of each design variable (straps as compliance).
+        wearers: name -> its trials on the design.
+    """
+
+    problem: DesignProblem
+    solution: Solution
+    values: dict[str, float]
+    wearers: dict[str, PhaseResult]
+
+    @property
+    def design(self) -> Design:
+        """What is to be built.
+
+        Raises:
+            SealedSolutionError: the solve failed.
+        """
+        self.solution.check()
+        return design_of(self.values)
+
+    @property
+    def norm_n(self) -> float:
+        """The norm of all cuffs' forces that was minimised [N]."""
+        settings = self.problem.settings
+        p, total, weights = settings.exponent, 0.0, 0.0
+        for found in self.wearers.values():
+            for movement, trial in zip(
+                found.problem.movements, found.trials, strict=True
+            ):
+                w = movement.grid.quadrature
+                for force in trial.cuffs.values():
+                    square = (
+                        force.normal**2
+                        + settings.shear_weight * force.tangential**2
+                    )
+                    total += w @ square ** (p / 2.0)
+                    weights += w.sum()
+        return float((total / weights) ** (1.0 / p))
+
+    def slopes(self) -> dict[str, float]:
+        """Derivative of the optimum by each design variable that is held.
+
+        Of the whole cost; held are those whose bounds are equal, or that sit
+        at a bound.
+        """
+        problem = self.problem
+        program = problem.compiled
+        y = program.restrict(self.solution.raw_values())
+        index = {
+            n: int(problem.program.indices(np.array([v]))[0])
+            for n, v in problem.variables.items()
+        }
+        fixed = {
+            v.name: index[v.name] for v in problem.design if not v.free
+        }
+        free = [i for n, i in index.items() if n not in fixed]
+        border = program.unknowns.column_of(np.array(sorted(free), int))
+        optimum = Optimum(program, y, border)
+        slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
+        return dict(zip(fixed, map(float, slopes), strict=True))
+
+
+class DesignProblem:
+    """A design posed as one MathematicalProgram.
+
+    Args:
+        wearers: who wear it, with their movements of today.
+        settings: what may change, what counts.
+        held: values of design variables that are given, by name; True for
+            those of today, all of them.
+        today: the solution with nothing changed, which says what limits that
+            are relative to today mean; without it there are none.
+
+    Attributes:
+        program: `program.prog` is a MathematicalProgram that may be added to
+            before `solve`.
+        design: the design variables.
+        variables: name -> decision variable.
+        parts: one for each wearer.
+
+    Raises:
+        InputError: there are no wearers, they wear different devices, or
+            trials know no device torques.
+    """
+
+    def __init__(
+        self,
+        wearers: Sequence[Wearer],
+        settings: DesignSettings | None = None,
+        *,
+        held: Mapping[str, float] | bool = False,
+        today: DesignResult | None = None,
+    ):
+        start = time.perf_counter()
+        self.wearers = list(wearers)
+        self.settings = settings = settings or DesignSettings()
+        check_wearers(self.wearers)
+        self.program = BatchedProgram()
+        self.design = [
+            _held(v, held) for v in design_variables(self.wearers, settings)
+        ]
+        self.variables = {v.name: self._variable(v) for v in self.design}
+        cuffs = len(self.wearers[0].model.cuffs)
+        weights = [t.duration for w in self.wearers for t in w.trials]
+        peaks = [
+            np.abs(f.normal).max()
+            for w in self.wearers
+            for t in w.trials
+            for f in t.cuffs.values()
+        ]
+        posed = _Posed(
+            settings,
+            self.variables,
+            max(*peaks, _LEAST_SCALE_N),
+            cuffs * sum(weights),
+            None if today is None else largest_forces(today),
+            None if today is None else works(today),
+        )
+        self.parts = [_Wearing(w, posed, self.program) for w in self.wearers]
+        self.build_seconds = time.perf_counter() - start
+
+    def _variable(self, v: Variable):
+        prog = self.program.prog
+        (variable,) = prog.NewContinuousVariables(1, v.name)
+        prog.SetVariableScaling(variable, v.size)
+        prog.AddBoundingBoxConstraint(v.lower, v.upper, variable)
+        return variable
+
+    @cached_property
+    def compiled(self) -> SparseProgram:
+        """The sparse problem, as the solver sees it."""
+        start = time.perf_counter()
+        solver = self.settings.solver
+        grids = [m.grid for part in self.parts for m in part.movements]
+        compiled = SparseProgram(
+            self.program,
+            tuple(g.substitution(self.program) for g in grids)
+            if solver.reduce
+            else (),
+            solver.hessian == "exact",
+        )
+        self.build_seconds += time.perf_counter() - start
+        return compiled
+
+    def guess(self, values: Mapping[str, float] | None = None) -> np.ndarray:
+        """Program variables with the movements of today.
+
+        Args:
+            values: of design variables; those of today by default.
+        """
+        x = np.zeros(self.program.prog.num_vars())
+        chosen = {
+            v.name: float(
+                np.clip((values or {}).get(v.name, v.today), v.lower, v.upper)
+            )
+            for v in self.design
+        }
+        for name, value in chosen.items():
+            x[self.program.indices(np.array([self.variables[name]]))] = value
+        design = design_of(chosen)
+        for part in self.parts:
+            part.fill(x, design)
+        return x
+
+    def solve(
+        self,
+        guess: np.ndarray | None = None,
+        on_iterate: Callable[[Iterate], None] | None = None,
+    ) -> DesignResult:
+        """Solve and collect."""
+        compiled = self.compiled
+        guess = self.guess() if guess is None else guess
+        solution = ipopt.solve(
+            compiled, guess, self.settings.solver.options(), on_iterate
+        )
+        solution.seconds["build"] = self.build_seconds
+        x = solution.raw_values()
+        values = {
+            v.name: float(
+                np.clip(
+                    x[self.program.indices(np.array([self.variables[v.name]]))][
+                        0
+                    ],
+                    v.lower,
+                    v.upper,
+                )
+            )
+            for v in self.design
+        }
+        solution.active_bounds = [
+            v.name for v in self.design if v.at_bound(values[v.name])
+        ]
+        design = design_of(values)
+        wearers = {}
+        for part in self.parts:
+            trials = [
+                replace(part._read(m, t, x), name=own.name)
+                for m, t, own in zip(
+                    part.movements,
+                    part.trials,
+                    part.wearer.trials,
+                    strict=True,
+                )
+            ]
+            contact = design.contact(part.wearer.contact)
+            wearers[part.wearer.name] = PhaseResult(
+                part, solution, [], contact, trials
+            )
+        return DesignResult(self, solution, values, wearers)
+
+
+def check_wearers(wearers: Sequence[Wearer]) -> None:
+    """Refuse wearers that no design can be made for.
+
+    Raises:
+        InputError: see DesignProblem.
+    """
+    if not wearers:
+        raise InputError("there are no wearers; give at least one calibration")
+    first = wearers[0].model
+    for wearer in wearers:
+        if list(wearer.model.cuffs) != list(first.cuffs):
+            raise InputError(
+                f"{wearer.name} has the cuffs {', '.join(wearer.model.cuffs)}, "
+                f"{wearers[0].name} {', '.join(first.cuffs)}; design for "
+                "wearers of one device"
+            )
+        for trial in wearer.trials:
+            if trial.moments is None:
+                raise InputError(
+                    f"trial {trial.name}: the device's torques are not "
+                    "known; give exo_moments or device in the study"
+                )
+
+
+def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
+    if held is True:
+        return replace(v, lower=v.today, upper=v.today)
+    if held and v.name in held:
+        return replace(v, lower=held[v.name], upper=held[v.name])
+    return v
+
+
+def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:
+    """Wearer -> cuff -> largest force (3,) over its trials [N, N, N m]."""
+    return {
+        name: {
+            cuff: np.max(
+                [np.abs(t.cuffs[cuff].components).max(axis=0) for t in found.trials],
+                axis=0,
+            )
+            for cuff in found.problem.bushings
+        }
+        for name, found in result.wearers.items()
+    }
+
+
+def works(result: DesignResult) -> dict[str, float]:
+    """Wearer -> work of the device over its trials [J]."""
+    return {
+        name: sum(device_work(t) for t in found.trials)
+        for name, found in result.wearers.items()
+    }
+
+
+def device_work(trial: Trial) -> float:
+    """Work of the device's joints over a trial [J], by the trapezoid rule."""
+    names = trial.coordinates
+    torque = trial.moments[:, names.is_device_joint]
+    power = np.sum(torque * trial.v[:, names.device_columns], axis=1)
+    return float(np.trapezoid(power, trial.times))
+
+
+def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
+    """Wearers drawn from what a calibration left open.
+
+    Args:
+        wearer: as calibrated.
+        count: of draws.
+        seed: of the random numbers.
+
+    Returns:
+        None where no calibration says how sure it is. A stiffness is drawn
+        log-normal, so that it stays positive.
+    """
+    known = wearer.contact.posterior
+    if known is None or not count:
+        return []
+    values = wearer.contact.values()
+    names = [
+        n
+        for n in known.names
+        if n in values and n.partition(".")[0] in wearer.contact.bushings
+    ]
+    middle, covariance = known.of(names)
+    log = np.array([n.endswith("_stiffness") for n in names])
+    unit = np.where(log, middle, 1.0)
+    root = np.linalg.cholesky(
+        covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(names))
+    )
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(count):
+        change = root @ rng.standard_normal(len(names))
+        new = np.where(
+            log, middle * np.exp(np.clip(change, -2.0, 2.0)), middle + change
+        )
+        contact = wearer.contact.with_values(dict(zip(names, new, strict=True)))
+        found.append(
+            replace(wearer, name=f"{wearer.name} draw {k + 1}", contact=contact)
+        )
+    return found

@@ -1,0 +1,139 @@
+"""Settings of Phase D, as they stand under `design` in a study file."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from drake_exo.calibration.settings import Solver
+from drake_exo.contact.strap import SOFTEST_N_M, SOFTEST_NM_RAD
+from drake_exo.errors import InputError
+
+
+def _positive(default: float | None, unit: str):
+    return field(default=default, metadata={"unit": unit, "above": 0.0})
+
+
+@dataclass(frozen=True)
+class CuffFreedom:
+    """What may change of one cuff.
+
+    Attributes:
+        along_m: how far it may move down (negative) and up its limb.
+        across_m: likewise backwards and forwards; [0, 0] to keep it.
+        strap_n_m: softest strap along and across the limb; null to add none.
+        strap_nm_rad: softest strap in rotation; null to add none.
+        area_m2: of skin that bears its force.
+
+    >>> CuffFreedom(along_m=(-0.02, 0.05)).across_m
+    (0.0, 0.0)
+    """
+
+    along_m: tuple[float, float] = field(
+        default=(-0.08, 0.08), metadata={"unit": "m"}
+    )
+    across_m: tuple[float, float] = field(
+        default=(0.0, 0.0), metadata={"unit": "m"}
+    )
+    strap_n_m: float | None = field(
+        default=SOFTEST_N_M, metadata={"unit": "N/m", "minimum": SOFTEST_N_M}
+    )
+    strap_nm_rad: float | None = field(
+        default=SOFTEST_NM_RAD,
+        metadata={"unit": "N m/rad", "minimum": SOFTEST_NM_RAD},
+    )
+    area_m2: float = _positive(0.01, "m^2")
+
+    def __post_init__(self):
+        for what in ("along_m", "across_m"):
+            lower, upper = getattr(self, what)
+            if not lower <= 0.0 <= upper:
+                raise InputError(
+                    f"{what} is {lower:g} to {upper:g}; the place of today, "
+                    "0, must be within"
+                )
+
+
+@dataclass(frozen=True)
+class DesignLimits:
+    """What no wearer may feel more of; null for no such limit.
+
+    Attributes:
+        normal_n: force of a cuff across the limb.
+        shear_n: along it.
+        pressure_kpa: force across the limb over the cuff's area, mean.
+        migration_mm: deflection along the limb.
+        moment_nm: of a cuff on the limb.
+        moment_factor: its moment against the largest one of today.
+        shear_factor: its force along the limb, likewise.
+        support: how far the device's work may be from today's, as a share.
+    """
+
+    normal_n: float | None = _positive(None, "N")
+    shear_n: float | None = _positive(None, "N")
+    pressure_kpa: float | None = _positive(None, "kPa")
+    migration_mm: float | None = _positive(10.0, "mm")
+    moment_nm: float | None = _positive(None, "N m")
+    moment_factor: float | None = _positive(1.0, "1")
+    shear_factor: float | None = _positive(None, "1")
+    support: float | None = _positive(0.02, "1")
+
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """Phase D.
+
+    Attributes:
+        objective: "peak" (the norm of order `order` over time, cuffs, trials
+            and wearers) or "mean" (of order 2).
+        order: of the norm; the larger, the nearer to the largest force.
+        shear_weight: of forces along the limb beside those across it.
+        weight: of the objective against the person's own movement.
+        response: how the person answers: "own" (moves as before) or "free"
+            (as is least effort, between the ends).
+        own_angle_deg: how near to the own movement, one standard deviation.
+        effort_nm: typical moment of the person's joints in the cost.
+        draws: wearers drawn from each calibration's posterior, besides the
+            one that it found.
+        cuffs: what may change of each, by name; defaults where none is
+            named.
+        assistance: lowest and highest factor on the device's torques.
+        limits: what no wearer may feel more of.
+        solver: grid and solver.
+
+    >>> DesignSettings(cuffs={"thigh": CuffFreedom(strap_n_m=None)}).freedom(
+    ...     "shank").strap_n_m
+    1000.0
+    """
+
+    objective: Literal["peak", "mean"] = "peak"
+    order: float = field(default=8.0, metadata={"minimum": 4.0})
+    shear_weight: float = field(default=0.25, metadata={"minimum": 0.0})
+    weight: float = _positive(10.0, "1")
+    response: Literal["own", "free"] = "own"
+    own_angle_deg: float = _positive(0.05, "deg")
+    effort_nm: float = _positive(2000.0, "N m")
+    draws: int = field(default=2, metadata={"minimum": 0})
+    cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
+    assistance: tuple[float, float] = field(
+        default=(0.8, 1.2), metadata={"above": 0.0}
+    )
+    limits: DesignLimits = DesignLimits()
+    solver: Solver = field(
+        default_factory=lambda: Solver(nodes_per_second=50.0)
+    )
+
+    def __post_init__(self):
+        lower, upper = self.assistance
+        if not lower <= 1.0 <= upper:
+            raise InputError(
+                f"assistance is {lower:g} to {upper:g}; the factor of today, "
+                "1, must be within"
+            )
+
+    @property
+    def exponent(self) -> float:
+        """Order of the norm."""
+        return self.order if self.objective == "peak" else 2.0
+
+    def freedom(self, cuff: str) -> CuffFreedom:
+        """What may change of a cuff."""
+        return self.cuffs.get(cuff, CuffFreedom())

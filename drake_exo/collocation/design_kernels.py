@@ -1,0 +1,176 @@
+"""What a design adds to trials: cuffs that change, forces felt, work done."""
+
+import numpy as np
+
+from drake_exo.collocation.kernels import MOMENT_UNIT
+from drake_exo.contact.bushing import TANGENTIAL, BushingKinematics
+
+PLACE_UNIT = 0.01  # m
+WORK_UNIT = 10.0  # J
+# Keeps the norm of a force smooth at zero, in parts of its scale, squared.
+_SMALL = 1e-6
+
+
+class CuffKernel:
+    """Ties a wearer's cuff to a design, 0 where it is as designed.
+
+    Inputs: origin (2) and stiffness (3) of the cuff, then place x, z of the
+    design [m] and compliance of its straps (3) [m/N, m/N, rad/(N m)].
+    Outputs: origin - own origin - place, stiffness (own compliance + that of
+    the strap) - 1. Data: (1, 5) own origin and own compliance.
+    """
+
+    def __init__(self):
+        pattern = np.zeros((5, 10), bool)
+        pattern[np.arange(5), np.arange(5)] = True
+        pattern[np.arange(5), 5 + np.arange(5)] = True
+        self.sparsity = pattern
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        origin, stiffness, place, strap = np.split(x, [2, 5, 7], axis=1)
+        return np.hstack(
+            [
+                (origin - data[:, :2] - place) / PLACE_UNIT,
+                stiffness * (data[:, 2:] + strap) - 1.0,
+            ]
+        )
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = np.zeros((len(x), 5, 10))
+        i, k = np.arange(2), np.arange(2, 5)
+        J[:, i, i] = 1.0 / PLACE_UNIT
+        J[:, i, 5 + i] = -1.0 / PLACE_UNIT
+        J[:, k, k] = data[:, 2:] + x[:, 7:]
+        J[:, k, 5 + k] = x[:, 2:5]
+        return J
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        H = np.zeros((len(x), 10, 10))
+        k = np.arange(2, 5)
+        H[:, k, 5 + k] = H[:, 5 + k, k] = weights[:, k]
+        return H
+
+
+class AssistanceKernel:
+    """Device torque minus a factor times the torque of today.
+
+    Inputs: torques (m) [N m], factors (m). Data: (n, m) torques of today.
+    """
+
+    def __init__(self, num_joints: int):
+        eye = np.eye(num_joints, dtype=bool)
+        self.sparsity = np.hstack([eye, eye])
+        self._m = num_joints
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        torque, factor = x[:, : self._m], x[:, self._m :]
+        return (torque - factor * data) / MOMENT_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        m = np.arange(self._m)
+        J = np.zeros((len(x), *self.sparsity.shape))
+        J[:, m, m] = 1.0 / MOMENT_UNIT
+        J[:, m, self._m + m] = -data / MOMENT_UNIT
+        return J
+
+
+class ForceNormKernel:
+    """A cuff's force to a power: half its square sums to a norm.
+
+    Inputs: force along and across the limb [N]. Output: the weight in `data`
+    (n, 1) times u^(order/4), u = (across^2 + shear along^2)/scale^2.
+
+    Args:
+        order: of the norm, from 2 on.
+        scale: typical force [N].
+        shear: weight of the square of the force along the limb.
+    """
+
+    sparsity = np.ones((1, 2), bool)
+
+    def __init__(self, order: float, scale: float, shear: float):
+        self._power = order / 4.0
+        self._weights = np.array([shear, 1.0]) / scale**2
+
+    def _square(self, x):
+        return x**2 @ self._weights + _SMALL
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        return data * (self._square(x) ** self._power)[:, None]
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        slope = self._power * self._square(x) ** (self._power - 1.0)
+        return (data * slope[:, None] * 2.0 * x * self._weights)[:, None, :]
+
+
+class MigrationKernel:
+    """Deflection along the limb minus a variable, both [m].
+
+    Inputs: q, origin (2), the variable. Output in units of 1 cm.
+    """
+
+    def __init__(self, bushing: BushingKinematics):
+        self._bushing = bushing
+        nq = self._nq = bushing.nq
+        self.sparsity = np.ones((1, nq + 3), bool)
+        self.sparsity[:, :nq] = bushing.moved_by
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        q, origin = x[:, : self._nq], x[:, self._nq : -1]
+        d = self._bushing.deflection(q, self._bushing.terms(q, origin))
+        return (d[:, [TANGENTIAL]] - x[:, [-1]]) / PLACE_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        q, origin = x[:, : self._nq], x[:, self._nq : -1]
+        b, nq = self._bushing, self._nq
+        J = np.zeros((len(x), 1, nq + 3))
+        terms = b.terms(q, origin)
+        J[:, 0, :nq] = b.deflection_jacobian(terms)[:, TANGENTIAL]
+        J[:, 0, nq:-1] = b.by_origin(b.turn(q))[:, TANGENTIAL]
+        J[:, 0, -1] = -1.0
+        return J / PLACE_UNIT
+
+
+class WorkKernel:
+    """Work of some joints over a trial minus a variable [J], / 10 J.
+
+    One instance is a whole trial. Inputs: torques (n m), rates (n m), each
+    node's together, then the variable. Data: (1, n) weights of the nodes [s].
+
+    Args:
+        num_nodes, num_joints: n and m.
+    """
+
+    def __init__(self, num_nodes: int, num_joints: int):
+        self._shape = num_nodes, num_joints
+        self.sparsity = np.ones((1, 2 * num_nodes * num_joints + 1), bool)
+
+    def _split(self, x):
+        n, m = self._shape
+        torque, rate = x[:, : n * m], x[:, n * m : -1]
+        return torque.reshape(-1, n, m), rate.reshape(-1, n, m)
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        torque, rate = self._split(x)
+        work = np.einsum("an,anm,anm->a", data, torque, rate)
+        return (work - x[:, -1])[:, None] / WORK_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        torque, rate = self._split(x)
+        weights = data[:, :, None]
+        parts = [
+            (weights * part).reshape(len(x), -1) for part in (rate, torque)
+        ]
+        ones = np.ones((len(x), 1))
+        return np.hstack([*parts, -ones])[:, None, :] / WORK_UNIT

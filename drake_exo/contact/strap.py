@@ -1,0 +1,178 @@
+"""A cuff as it is to be built: moved, and with a strap of its own.
+
+A cuff is tissue and strap in series, 1/k = 1/k_tissue + 1/k_strap. What a
+calibration finds is k; only the strap can be designed, and the tissue stays
+with the person, also where the cuff is moved. The strap of today counts as
+stiff, so that everything that was found is tissue: a new strap may soften a
+cuff, and nothing is promised that tissue would have to give.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.contact.bushing import BushingParameters
+from drake_exo.contact.parameters import ContactModel
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+
+DESIGN = "design.yaml"
+# What a strap may be at its softest; below, cuffs are no cuffs any more.
+SOFTEST_N_M = 1000.0
+SOFTEST_NM_RAD = 5.0
+_STRAP = {"unit": "N/m", "minimum": SOFTEST_N_M}
+# A cuff's stiffness -> the strap that is in series with it.
+STRAPS = {
+    "tangential_stiffness": "strap_tangential_n_m",
+    "normal_stiffness": "strap_normal_n_m",
+    "rotational_stiffness": "strap_rotational_nm_rad",
+}
+# Where a cuff's origin goes -> by how much.
+PLACES = {"origin_x": "across_m", "origin_z": "along_m"}
+
+
+@dataclass(frozen=True)
+class CuffDesign:
+    """One cuff, against the one that was calibrated.
+
+    Attributes:
+        along_m, across_m: how far it moves up the limb, and forwards.
+        strap_tangential_n_m, strap_normal_n_m, strap_rotational_nm_rad:
+            strap put in series; null for one that adds nothing.
+
+    >>> soft = CuffDesign(along_m=0.05, strap_normal_n_m=5000.0)
+    >>> built = soft.built(BushingParameters(origin_z=0.25))
+    >>> built.origin_z, built.normal_stiffness
+    (0.3, 2500.0)
+    """
+
+    along_m: float = field(default=0.0, metadata={"unit": "m"})
+    across_m: float = field(default=0.0, metadata={"unit": "m"})
+    strap_tangential_n_m: float | None = field(default=None, metadata=_STRAP)
+    strap_normal_n_m: float | None = field(default=None, metadata=_STRAP)
+    strap_rotational_nm_rad: float | None = field(
+        default=None, metadata={"unit": "N m/rad", "minimum": SOFTEST_NM_RAD}
+    )
+
+    def built(self, cuff: BushingParameters) -> BushingParameters:
+        """The cuff with this strap, at this place."""
+        moved = {k: getattr(cuff, k) + getattr(self, PLACES[k]) for k in PLACES}
+        stiffness = {
+            k: in_series(getattr(cuff, k), getattr(self, strap))
+            for k, strap in STRAPS.items()
+        }
+        return replace(cuff, **moved, **stiffness)
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a design changes, as `design.yaml` holds it.
+
+    Attributes:
+        cuffs: those that change, by name.
+        assistance: joint of the device -> factor on its torque.
+
+    >>> Design(assistance={"exo_knee": 1.1}).gain("exo_hip")
+    1.0
+    """
+
+    cuffs: dict[str, CuffDesign] = field(default_factory=dict)
+    assistance: dict[str, float] = field(
+        default_factory=dict, metadata={"minimum": 0.0}
+    )
+
+    def gain(self, joint: str) -> float:
+        """Factor on the torque of a joint of the device."""
+        return self.assistance.get(joint, 1.0)
+
+    def gains(self, joints) -> np.ndarray:
+        """Factors (n,) of several joints."""
+        return np.array([self.gain(joint) for joint in joints])
+
+    def check(self, cuffs, joints) -> None:
+        """Refuse a design of another device.
+
+        Args:
+            cuffs: of the model.
+            joints: of the device.
+
+        Raises:
+            InputError: it names a cuff or joint that there is not.
+        """
+        for what, own, known in (
+            ("cuffs", self.cuffs, cuffs),
+            ("assistance", self.assistance, joints),
+        ):
+            for name in own:
+                if name not in known:
+                    raise InputError(
+                        f"{DESIGN}: {what}.{name}: the model has none; it has "
+                        f"{', '.join(known) or 'none'}"
+                    )
+
+    def bushings(
+        self, cuffs: Mapping[str, BushingParameters]
+    ) -> dict[str, BushingParameters]:
+        """Cuffs as they are built."""
+        return {
+            name: self.cuffs[name].built(cuff) if name in self.cuffs else cuff
+            for name, cuff in cuffs.items()
+        }
+
+    def contact(self, contact: ContactModel) -> ContactModel:
+        """The contact with these cuffs, as sure as it was before.
+
+        What is not known of the tissue is known no better where a cuff
+        moves: a stiffness k in series with a strap has the derivative
+        (k_built/k)^2 by k.
+        """
+        built = replace(contact, bushings=self.bushings(contact.bushings))
+        known = contact.posterior
+        if known is None:
+            return built
+        old, new = contact.values(), built.values()
+        slope = np.ones(len(known.names))
+        values = known.values.copy()
+        for i, name in enumerate(known.names):
+            if name not in new:
+                continue
+            if name.endswith("_stiffness"):
+                slope[i] = (new[name] / old[name]) ** 2
+            values[i] += new[name] - old[name]
+        covariance = np.outer(slope, slope) * known.covariance
+        return replace(
+            built,
+            posterior=replace(known, values=values, covariance=covariance),
+        )
+
+
+def in_series(stiffness: float, strap: float | None) -> float:
+    """Stiffness of a cuff with a strap in series; None for a stiff one."""
+    if strap is None or stiffness == 0.0:
+        return stiffness
+    return 1.0 / (1.0 / stiffness + 1.0 / strap)
+
+
+def read_design(folder: str | Path) -> Design:
+    """Read the design.yaml that `drake-exo design` has written.
+
+    Args:
+        folder: its --out folder, or the file itself.
+
+    Raises:
+        InputError: it is missing, or says something that is not allowed.
+    """
+    path = Path(folder)
+    return schema.load(path / DESIGN if path.is_dir() else path, Design)
+
+
+def write_design(folder: str | Path, design: Design) -> None:
+    """Write what `read_design` reads."""
+    text = schema.dump_text(design)
+    (Path(folder) / DESIGN).write_text(
+        "# What is to be built; predict --design and lab --design read it.\n"
+        + text,
+        encoding="utf-8",
+    )
