@@ -34,8 +34,14 @@ from drake_exo.collocation.design_kernels import (
 )
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
-from drake_exo.contact.parameters import ContactModel, ContactParameter
-from drake_exo.contact.strap import STRAPS, CuffDesign, Design
+from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import (
+    STRAPS,
+    Assistance,
+    CuffDesign,
+    Design,
+    hats,
+)
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -49,7 +55,8 @@ from drake_exo.nlp.sparse import SparseProgram
 _FROM_JOINT_M = 0.05
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
-_HELD = 1e-9
+# What the name of a factor on a joint's torque begins with.
+_FACTOR = "factor_at_"
 
 
 @dataclass(frozen=True)
@@ -123,12 +130,24 @@ def design_variables(
             unit = "rad/(N m)" if rotates else "m/N"
             size = 1e-2 if rotates else 1e-4
             most = 0.0 if softest is None else 1.0 / softest
-            found.append(Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size))
+            found.append(
+                Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size)
+            )
     for joint in model.coordinates.device:
-        found.append(
-            Variable(f"{joint}.factor", "1", *settings.assistance, 1.0, 0.1)
-        )
+        for angle in _angles(joint, wearers, settings.points):
+            name = f"{joint}.{_FACTOR}{angle:g}_deg"
+            found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
     return found
+
+
+def _angles(joint: str, wearers, count: int) -> np.ndarray:
+    """Whole degrees (k,) over the range that a joint moves in."""
+    seen = [t.coordinate(joint) for w in wearers for t in w.trials]
+    lower, upper = (
+        float(np.rad2deg(f([f(x) for x in seen]))) for f in (min, max)
+    )
+    points = np.round(np.linspace(lower, upper, count))
+    return np.unique(points) if count > 1 else np.zeros(1)
 
 
 def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
@@ -145,31 +164,25 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
 def design_of(values: Mapping[str, float]) -> Design:
     """The design that values of all variables make."""
     cuffs: dict[str, dict] = {}
-    assistance = {}
+    factors: dict[str, dict[float, float]] = {}
     for name, value in values.items():
         group, _, what = name.partition(".")
-        if what == "factor":
-            assistance[group] = float(value)
-            continue
-        if what.startswith("strap"):
-            value = 1.0 / value if value > 0.0 else None
-        cuffs.setdefault(group, {})[what] = None if value is None else float(value)
-    return Design({c: CuffDesign(**v) for c, v in cuffs.items()}, assistance)
-
-
-def values_of(design: Design, names: Sequence[str]) -> np.ndarray:
-    """Values of design variables, the inverse of `design_of`."""
-    found = []
-    for name in names:
-        group, _, what = name.partition(".")
-        if what == "factor":
-            found.append(design.gain(group))
-            continue
-        value = getattr(design.cuffs.get(group, CuffDesign()), what)
-        if what.startswith("strap"):
-            value = 0.0 if value is None else 1.0 / value
-        found.append(value)
-    return np.array(found)
+        value = float(value)
+        if what.startswith(_FACTOR):
+            angle = float(what.removeprefix(_FACTOR).removesuffix("_deg"))
+            factors.setdefault(group, {})[angle] = value
+        elif what.startswith("strap"):
+            strap = 1.0 / value if value > 0.0 else None
+            cuffs.setdefault(group, {})[what] = strap
+        else:
+            cuffs.setdefault(group, {})[what] = value
+    return Design(
+        {cuff: CuffDesign(**v) for cuff, v in cuffs.items()},
+        {
+            joint: Assistance(tuple(v), tuple(v.values()))
+            for joint, v in factors.items()
+        },
+    )
 
 
 @dataclass(frozen=True)
@@ -184,6 +197,7 @@ class _Posed:
         today: wearer -> cuff -> largest force (3,) of today; None where no
             limit is relative to it.
         work_j: wearer -> work of today; likewise.
+        moments: wearer -> largest moment of each of the person's joints.
     """
 
     settings: DesignSettings
@@ -192,6 +206,7 @@ class _Posed:
     weights_s: float
     today: Mapping[str, Mapping[str, np.ndarray]] | None
     work_j: Mapping[str, float] | None
+    moments: Mapping[str, np.ndarray] | None
 
 
 class _Wearing(PhaseProblem):
@@ -220,7 +235,9 @@ class _Wearing(PhaseProblem):
         own = np.array([*bushing.origin, *(1.0 / np.array(bushing.stiffness))])
         variables = np.array(
             [
-                prog.NewContinuousVariables(1, f"{self.wearer.name} {p.name}")[0]
+                prog.NewContinuousVariables(1, f"{self.wearer.name} {p.name}")[
+                    0
+                ]
                 for p in parameters
             ]
         )
@@ -278,18 +295,27 @@ class _Wearing(PhaseProblem):
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
         """The device's torques are those of today times factors."""
-        names = movement.coordinates
-        factors = np.array(
-            [self._posed.variables[f"{j}.factor"] for j in names.device]
-        )
+        names, posed = movement.coordinates, self._posed
         device = names.is_device_joint
-        torque = movement.torque[:, device]
-        self.program.add_constraints(
-            f"{movement.name} assistance",
-            AssistanceKernel(len(factors)),
-            np.hstack([torque, np.broadcast_to(factors, torque.shape)]),
-            data=at.moments[:, device],
-        )
+        torque, today = movement.torque[:, device], at.moments[:, device]
+        for i, joint in enumerate(names.device):
+            own = [n for n in posed.variables if n.startswith(f"{joint}.")]
+            points = [
+                float(n.partition(_FACTOR)[2].removesuffix("_deg")) for n in own
+            ]
+            factors = np.array([posed.variables[n] for n in own])
+            weights = hats(points, at.coordinate(joint))
+            self.program.add_constraints(
+                f"{movement.name} {joint} assistance",
+                AssistanceKernel(1, len(own)),
+                np.hstack(
+                    [
+                        torque[:, [i]],
+                        np.broadcast_to(factors, (len(torque), len(own))),
+                    ]
+                ),
+                data=(today[:, [i]] * weights)[:, None],
+            )
 
     def _add_forces(self, movement: TrialProgram) -> None:
         """The norm of the cuffs' forces as a cost."""
@@ -342,10 +368,17 @@ class _Wearing(PhaseProblem):
             )
             bounded = np.isfinite(most)
             if bounded.any():
-                edge = np.broadcast_to(most[bounded], (n, bounded.sum())).ravel()
+                edge = np.broadcast_to(
+                    most[bounded], (n, bounded.sum())
+                ).ravel()
                 movement.bound(force[:, bounded].ravel(), -edge, edge)
             if limits.migration_mm is not None:
                 self._limit_migration(movement, cuff, times)
+        if limits.effort_factor and self._posed.moments is not None:
+            own = movement.torque[:, ~movement.coordinates.is_device_joint]
+            most = limits.effort_factor * self._posed.moments[self.wearer.name]
+            edge = np.broadcast_to(most, own.shape).ravel()
+            movement.bound(own.ravel(), -edge, edge)
         if limits.support is not None and self._posed.work_j is not None:
             self._add_work(movement)
 
@@ -401,9 +434,7 @@ class _Wearing(PhaseProblem):
         ).evaluator().set_description(f"{self.wearer.name} work")
         today = self._posed.work_j[self.wearer.name]
         slack = abs(today) * self._posed.settings.limits.support
-        prog.AddBoundingBoxConstraint(
-            [today - slack], [today + slack], total
-        )
+        prog.AddBoundingBoxConstraint([today - slack], [today + slack], total)
         self.program.label(
             "limit",
             total[None],
@@ -474,21 +505,8 @@ class DesignResult:
     @property
     def norm_n(self) -> float:
         """The norm of all cuffs' forces that was minimised [N]."""
-        settings = self.problem.settings
-        p, total, weights = settings.exponent, 0.0, 0.0
-        for found in self.wearers.values():
-            for movement, trial in zip(
-                found.problem.movements, found.trials, strict=True
-            ):
-                w = movement.grid.quadrature
-                for force in trial.cuffs.values():
-                    square = (
-                        force.normal**2
-                        + settings.shear_weight * force.tangential**2
-                    )
-                    total += w @ square ** (p / 2.0)
-                    weights += w.sum()
-        return float((total / weights) ** (1.0 / p))
+        trials = [t for found in self.wearers.values() for t in found.trials]
+        return norm_of(trials, self.problem.settings)
 
     def slopes(self) -> dict[str, float]:
         """Derivative of the optimum by each design variable that is held.
@@ -503,9 +521,7 @@ class DesignResult:
             n: int(problem.program.indices(np.array([v]))[0])
             for n, v in problem.variables.items()
         }
-        fixed = {
-            v.name: index[v.name] for v in problem.design if not v.free
-        }
+        fixed = {v.name: index[v.name] for v in problem.design if not v.free}
         free = [i for n, i in index.items() if n not in fixed]
         border = program.unknowns.column_of(np.array(sorted(free), int))
         optimum = Optimum(program, y, border)
@@ -554,20 +570,15 @@ class DesignProblem:
         ]
         self.variables = {v.name: self._variable(v) for v in self.design}
         cuffs = len(self.wearers[0].model.cuffs)
-        weights = [t.duration for w in self.wearers for t in w.trials]
-        peaks = [
-            np.abs(f.normal).max()
-            for w in self.wearers
-            for t in w.trials
-            for f in t.cuffs.values()
-        ]
+        own = [t for w in self.wearers for t in w.trials]
         posed = _Posed(
             settings,
             self.variables,
-            max(*peaks, _LEAST_SCALE_N),
-            cuffs * sum(weights),
+            max(norm_of(own, settings), _LEAST_SCALE_N),
+            cuffs * sum(t.duration for t in own),
             None if today is None else largest_forces(today),
             None if today is None else works(today),
+            None if today is None else largest_moments(today),
         )
         self.parts = [_Wearing(w, posed, self.program) for w in self.wearers]
         self.build_seconds = time.perf_counter() - start
@@ -694,16 +705,47 @@ def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
     return v
 
 
+def norm_of(trials: Sequence[Trial], settings: DesignSettings) -> float:
+    """The norm that is minimised, of all cuffs' forces in some trials [N]."""
+    total, duration = 0.0, 0.0
+    for trial in trials:
+        for force in trial.cuffs.values():
+            square = force.normal**2
+            square = square + settings.shear_weight * force.tangential**2
+            total += np.trapezoid(
+                square ** (settings.exponent / 2), trial.times
+            )
+            duration += trial.duration
+    return float((total / duration) ** (1.0 / settings.exponent))
+
+
 def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:
     """Wearer -> cuff -> largest force (3,) over its trials [N, N, N m]."""
     return {
         name: {
-            cuff: np.max(
-                [np.abs(t.cuffs[cuff].components).max(axis=0) for t in found.trials],
-                axis=0,
-            )
-            for cuff in found.problem.bushings
+            cuff: peaks(found.trials, cuff) for cuff in found.problem.bushings
         }
+        for name, found in result.wearers.items()
+    }
+
+
+def peaks(trials: Sequence[Trial], cuff: str) -> np.ndarray:
+    """Largest tangential, normal force and moment (3,) over trials."""
+    return np.max(
+        [np.abs(t.cuffs[cuff].components).max(axis=0) for t in trials], axis=0
+    )
+
+
+def largest_moments(result: DesignResult) -> dict[str, np.ndarray]:
+    """Wearer -> largest moment of each of its joints over trials [N m]."""
+    return {
+        name: np.max(
+            [
+                np.abs(t.moments[:, ~t.coordinates.is_device_joint]).max(axis=0)
+                for t in found.trials
+            ],
+            axis=0,
+        )
         for name, found in result.wearers.items()
     }
 

@@ -28,7 +28,7 @@ class CuffFreedom:
     """
 
     along_m: tuple[float, float] = field(
-        default=(-0.08, 0.08), metadata={"unit": "m"}
+        default=(-0.1, 0.1), metadata={"unit": "m"}
     )
     across_m: tuple[float, float] = field(
         default=(0.0, 0.0), metadata={"unit": "m"}
@@ -64,6 +64,8 @@ class DesignLimits:
         moment_nm: of a cuff on the limb.
         moment_factor: its moment against the largest one of today.
         shear_factor: its force along the limb, likewise.
+        effort_factor: moments of the person's joints against the largest
+            ones of today.
         support: how far the device's work may be from today's, as a share.
     """
 
@@ -74,6 +76,7 @@ class DesignLimits:
     moment_nm: float | None = _positive(None, "N m")
     moment_factor: float | None = _positive(1.0, "1")
     shear_factor: float | None = _positive(None, "1")
+    effort_factor: float | None = _positive(1.05, "1")
     support: float | None = _positive(0.02, "1")
 
 
@@ -96,6 +99,8 @@ class DesignSettings:
         cuffs: what may change of each, by name; defaults where none is
             named.
         assistance: lowest and highest factor on the device's torques.
+        points: angles of each of its joints at which there is a factor; 1
+            for one throughout.
         limits: what no wearer may feel more of.
         solver: grid and solver.
 
@@ -107,15 +112,16 @@ class DesignSettings:
     objective: Literal["peak", "mean"] = "peak"
     order: float = field(default=8.0, metadata={"minimum": 4.0})
     shear_weight: float = field(default=0.25, metadata={"minimum": 0.0})
-    weight: float = _positive(10.0, "1")
+    weight: float = _positive(2.0, "1")
     response: Literal["own", "free"] = "own"
-    own_angle_deg: float = _positive(0.05, "deg")
+    own_angle_deg: float = _positive(0.02, "deg")
     effort_nm: float = _positive(2000.0, "N m")
     draws: int = field(default=2, metadata={"minimum": 0})
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = field(
-        default=(0.8, 1.2), metadata={"above": 0.0}
+        default=(0.7, 1.3), metadata={"above": 0.0}
     )
+    points: int = field(default=4, metadata={"minimum": 1})
     limits: DesignLimits = DesignLimits()
     solver: Solver = field(
         default_factory=lambda: Solver(nodes_per_second=50.0)

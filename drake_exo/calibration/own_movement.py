@@ -91,13 +91,13 @@ def assisted(trial: Trial, design: Design) -> Trial:
 
     What the device bears more the person bears less.
     """
-    names = trial.coordinates
-    gains = design.gains(names.device)
-    if trial.moments is None or (gains == 1.0).all():
+    if trial.moments is None or not design.assistance:
         return trial
-    moments = trial.moments.copy()
-    for joint, gain in zip(names.device, gains, strict=True):
-        more = (gain - 1.0) * trial.moment(joint)
+    names, moments = trial.coordinates, trial.moments.copy()
+    angles = trial.q[:, names.device_columns]
+    factors = design.factors(names.device, angles)
+    for i, joint in enumerate(names.device):
+        more = (factors[:, i] - 1.0) * trial.moment(joint)
         moments[:, names.joint(joint)] += more
         moments[:, names.joint(names.follows(joint))] -= more
     return replace(trial, moments=moments)

@@ -3,6 +3,7 @@
 import argparse
 import os
 
+from drake_exo.contact.strap import read_design
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.virtual_laboratory.campaign import (
     FILES,
@@ -69,6 +70,12 @@ def add_parser(subparsers) -> None:
         default=PROCESSES,
         help="processes at a time (default: a core for each, at most 2)",
     )
+    parser.add_argument(
+        "--design",
+        metavar="DIR",
+        help="results of 'drake-exo design': its cuffs and assistance on the "
+        "same subject",
+    )
     parser.set_defaults(run=run)
 
 
@@ -78,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
     if "all" in off:
         off |= set(DISTURBANCES) - {"variation"}
     active = [name for name in DISTURBANCES if name not in off]
+    design = None if args.design is None else read_design(args.design)
     with prepare_output_folder(args.out, args.force) as folder:
         study = write_campaign(
             folder,
@@ -88,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
             files=args.files,
             truth=args.truth,
             processes=max(min(args.jobs, args.trials), 1),
+            design=design,
         )
         name = study.name
     print(f"wrote {args.out}/{name} with {args.trials} trials")

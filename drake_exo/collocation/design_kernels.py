@@ -57,26 +57,34 @@ class CuffKernel:
 class AssistanceKernel:
     """Device torque minus a factor times the torque of today.
 
-    Inputs: torques (m) [N m], factors (m). Data: (n, m) torques of today.
+    The factor is a sum of k design variables. Inputs: torques (m) [N m],
+    the variables of the joints (m k). Data: (n, m, k) torque of today times
+    the weight of each variable.
+
+    Args:
+        num_joints, num_points: m and k.
     """
 
-    def __init__(self, num_joints: int):
+    def __init__(self, num_joints: int, num_points: int):
+        self._m, self._k = num_joints, num_points
         eye = np.eye(num_joints, dtype=bool)
-        self.sparsity = np.hstack([eye, eye])
-        self._m = num_joints
+        self.sparsity = np.hstack([eye, np.repeat(eye, num_points, axis=1)])
 
     def evaluate(self, x, data):
         """See Kernel."""
-        torque, factor = x[:, : self._m], x[:, self._m :]
-        return (torque - factor * data) / MOMENT_UNIT
+        torque = x[:, : self._m]
+        factor = x[:, self._m :].reshape(len(x), self._m, self._k)
+        return (torque - np.sum(factor * data, axis=2)) / MOMENT_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
         m = np.arange(self._m)
         J = np.zeros((len(x), *self.sparsity.shape))
-        J[:, m, m] = 1.0 / MOMENT_UNIT
-        J[:, m, self._m + m] = -data / MOMENT_UNIT
-        return J
+        J[:, m, m] = 1.0
+        for j in m:
+            first = self._m + j * self._k
+            J[:, j, first : first + self._k] = -data[:, j]
+        return J / MOMENT_UNIT
 
 
 class ForceNormKernel:

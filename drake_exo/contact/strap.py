@@ -67,6 +67,45 @@ class CuffDesign:
 
 
 @dataclass(frozen=True)
+class Assistance:
+    """Factor on the torque of one joint of the device, by its own angle.
+
+    Attributes:
+        angle_deg: of the joint, increasing.
+        factor: at each; linear between them, constant beyond.
+
+    >>> Assistance((0.0, 60.0), (1.2, 0.9)).factors(np.deg2rad([30.0]))
+    array([1.05])
+    """
+
+    angle_deg: tuple[float, ...] = field(
+        default=(0.0,), metadata={"unit": "deg"}
+    )
+    factor: tuple[float, ...] = field(default=(1.0,), metadata={"minimum": 0.0})
+
+    def __post_init__(self):
+        if not self.angle_deg or len(self.angle_deg) != len(self.factor):
+            raise InputError(
+                f"{len(self.factor)} factors at {len(self.angle_deg)} angles; "
+                "give one at each"
+            )
+        if (np.diff(self.angle_deg) <= 0.0).any():
+            raise InputError("angle_deg does not increase; put it in order")
+
+    def factors(self, angle: np.ndarray) -> np.ndarray:
+        """Factors (...) at angles (...) [rad]."""
+        return hats(self.angle_deg, angle) @ np.array(self.factor)
+
+
+def hats(angle_deg, angle: np.ndarray) -> np.ndarray:
+    """Weights (..., k) of values at k angles [deg], at angles (...) [rad]."""
+    points = np.deg2rad(angle_deg)
+    return np.stack(
+        [np.interp(angle, points, row) for row in np.eye(len(points))], axis=-1
+    )
+
+
+@dataclass(frozen=True)
 class Design:
     """What a design changes, as `design.yaml` holds it.
 
@@ -74,22 +113,26 @@ class Design:
         cuffs: those that change, by name.
         assistance: joint of the device -> factor on its torque.
 
-    >>> Design(assistance={"exo_knee": 1.1}).gain("exo_hip")
-    1.0
+    >>> Design().cuffs
+    {}
     """
 
     cuffs: dict[str, CuffDesign] = field(default_factory=dict)
-    assistance: dict[str, float] = field(
-        default_factory=dict, metadata={"minimum": 0.0}
-    )
+    assistance: dict[str, Assistance] = field(default_factory=dict)
 
-    def gain(self, joint: str) -> float:
-        """Factor on the torque of a joint of the device."""
-        return self.assistance.get(joint, 1.0)
+    def factors(self, joints, angles: np.ndarray) -> np.ndarray:
+        """Factors on the torques of joints of the device.
 
-    def gains(self, joints) -> np.ndarray:
-        """Factors (n,) of several joints."""
-        return np.array([self.gain(joint) for joint in joints])
+        Args:
+            joints: (m,) names.
+            angles: (..., m) of them [rad].
+        """
+        none = Assistance()
+        columns = [
+            self.assistance.get(joint, none).factors(angles[..., i])
+            for i, joint in enumerate(joints)
+        ]
+        return np.stack(columns, axis=-1)
 
     def check(self, cuffs, joints) -> None:
         """Refuse a design of another device.

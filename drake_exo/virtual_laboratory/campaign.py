@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress, write_json
@@ -45,6 +46,7 @@ from drake_exo.virtual_laboratory.truth import (
     checked,
     draw_truth,
     truth_table,
+    wearing,
     write_parameters,
 )
 
@@ -144,6 +146,8 @@ def write_campaign(
     files: str = "c3d",
     truth: str = "wide",
     processes: int = 1,
+    design: Design | None = None,
+    assisted: bool = False,
 ) -> Path:
     """Simulate a subject and write what a laboratory would hand over.
 
@@ -159,13 +163,16 @@ def write_campaign(
         truth: "wide", or "near" to what a calibration begins with.
         processes: that work at once; has no influence on the result. With
             more than one, a script needs `if __name__ == "__main__"`.
+        design: built and worn by the same subject, who does the same.
+        assisted: leave out movements in the passive device.
 
     Returns:
         The study file.
 
     Raises:
         InputError: unknown disturbance, kind of files or truth, negative
-            seed, or an impossible number of trials.
+            seed, an impossible number of trials, or a design of another
+            device.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -173,6 +180,8 @@ def write_campaign(
     'study.yaml'
     """
     movements = protocol(trials, full)
+    if assisted:
+        movements = [m for m in movements if m.mode == "assisted"]
     if seed < 0:
         raise InputError(f"seed is {seed}; give a number from 0 on")
     for what, value, known in (
@@ -184,7 +193,7 @@ def write_campaign(
                 f"{what} is {value!r}; give one of {', '.join(known)}"
             )
     active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
-    job = Campaign(Path(folder), seed, active, files, truth)
+    job = Campaign(Path(folder), seed, active, files, truth, design)
     (job.folder / "truth").mkdir(parents=True, exist_ok=True)
     with Progress(
         "virtual laboratory", len(movements), interval_seconds=2.0
@@ -233,6 +242,7 @@ class Campaign:
         active: disturbances.
         files: "c3d" or "opensim".
         kind: of truth.
+        design: what is built; what there is if None.
     """
 
     def __init__(
@@ -242,12 +252,15 @@ class Campaign:
         active: frozenset[str],
         files: str,
         kind: str,
+        design: Design | None = None,
     ):
         self.folder = folder
         self.seed = seed
         self.active = active
         self.kind = kind
         self.truth: Truth = draw_truth(self._rng(0), active, kind)
+        if design is not None:
+            self.truth = wearing(self.truth, design)
         model = self.truth.model
         self.planner = Planner(model.rigid.tree, self.truth.contact)
         markers, rng = marker_set(self.truth.human), self._rng(1)
@@ -287,6 +300,8 @@ class Campaign:
             "disturbances": self.active,
             "faults": self.laboratory.faults,
         }
+        if self.truth.design.cuffs or self.truth.design.assistance:
+            about["design"] = self.truth.design
         write_parameters(truth, self.truth, about)
         return write_scans(
             self.folder,

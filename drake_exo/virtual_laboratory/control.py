@@ -7,6 +7,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Multiplexer
 from scipy.interpolate import CubicSpline
 
+from drake_exo.contact.strap import Design
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory.plan import Reference
@@ -118,6 +119,7 @@ class DeviceController(LeafSystem):
         model: the coupled one.
         share: of the gravity torque at ankle, knee and hip.
         friction: of the joints.
+        design: factors on the help by the joints' angles.
     """
 
     def __init__(
@@ -125,6 +127,7 @@ class DeviceController(LeafSystem):
         model: Model,
         share: tuple[float, float, float],
         friction: Friction,
+        design: Design | None = None,
     ):
         super().__init__()
         self.set_name("device")
@@ -133,6 +136,7 @@ class DeviceController(LeafSystem):
         names = model.coordinates
         self._columns, self._nq = names.device_columns, len(names)
         self._friction = friction
+        self._design, self._joints = design or Design(), names.device
         self.DeclareVectorInputPort("state", 2 * self._nq)
         if self._share.any():
             self.DeclareVectorInputPort("ground_reaction", 3)
@@ -154,7 +158,8 @@ class DeviceController(LeafSystem):
         low, high = _ENGAGED
         s = np.clip((load / self._weight - low) / (high - low), 0.0, 1.0)
         engaged = s * s * (3.0 - 2.0 * s)
-        return engaged[:, None] * self._share * gravity
+        factors = self._design.factors(self._joints, angles)
+        return engaged[:, None] * self._share * factors * gravity
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)

@@ -83,7 +83,9 @@ def simulate(
 
 
 def _controllers(truth: Truth, reference: Reference, help_share):
-    device = DeviceController(truth.model, help_share, truth.friction)
+    device = DeviceController(
+        truth.model, help_share, truth.friction, truth.design
+    )
     names = truth.model.rigid.coordinates
     angles = reference.q[:, names.joint_columns]
     help_expected = device.help(angles, reference.ground[:, 1])

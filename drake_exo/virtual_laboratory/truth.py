@@ -1,7 +1,7 @@
 """The subject as it really is, which no calibration may look at."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from drake_exo.contact.parameters import (
     GroundContact,
     nominal_contact,
 )
+from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 from drake_exo.files.tables import Table
@@ -137,12 +138,14 @@ class Truth:
         contact: foot-ground contact, spheres in the foot link.
         cuffs: between human and exoskeleton, by name.
         friction: of the device's joints.
+        design: what has been built, already part of `cuffs`.
     """
 
     model: Model
     contact: GroundContact
     cuffs: dict[str, Cuff]
     friction: Friction
+    design: Design = field(default_factory=Design)
 
     @property
     def human(self) -> HumanParameters:
@@ -191,6 +194,25 @@ def draw_truth(
         nominal = replace(nominal, human=masses)
     friction = _FRICTION if "friction" in active else Friction()
     return Truth(nominal, flat, cuffs, friction)
+
+
+def wearing(truth: Truth, design: Design) -> Truth:
+    """The same subject with designed cuffs, whose tissue stays its own.
+
+    The small deflections' stiffness is that of tissue and strap in series;
+    how cuffs stiffen and slip stays.
+
+    Raises:
+        InputError: the design is of another device.
+    """
+    names = truth.model.coordinates
+    design.check(truth.cuffs, names.device)
+    built = design.bushings({n: c.bushing for n, c in truth.cuffs.items()})
+    cuffs = {
+        name: replace(cuff, bushing=built[name])
+        for name, cuff in truth.cuffs.items()
+    }
+    return replace(truth, cuffs=cuffs, design=design)
 
 
 def _two_spheres(usual: GroundContact, rng) -> GroundContact:
