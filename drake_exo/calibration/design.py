@@ -217,6 +217,7 @@ class _Wearing(PhaseProblem):
         settings = posed.settings
         phase = PredictionSettings(solver=settings.solver, guess="data")
         self._work: list = []
+        self._slid: dict[tuple[str, str], np.ndarray] = {}
         super().__init__(
             wearer.model,
             [replace(t, name=f"{wearer.name} {t.name}") for t in wearer.trials],
@@ -397,6 +398,7 @@ class _Wearing(PhaseProblem):
             times,
             [("mm", 1e3)],
         )
+        self._slid[cuff, movement.name] = slid
         most = np.full(n, 1e-3 * self._posed.settings.limits.migration_mm)
         movement.bound(slid.ravel(), -most, most)
         origin = self._variables[cuff][:2]
@@ -442,27 +444,36 @@ class _Wearing(PhaseProblem):
             [""],
             [("J", 1.0)],
         )
-        self._total = total
+        self._total = total[0]
 
-    def fill(self, x: np.ndarray, design: Design) -> None:
-        """Program variables of these trials as they are today."""
+    def fill(
+        self, x: np.ndarray, design: Design, trials: Sequence[Trial]
+    ) -> None:
+        """Program variables of these trials from solved ones."""
         contact = design.contact(self.wearer.contact)
         for group, variables in self._variables.items():
             x[self.program.indices(variables)] = [
                 p.nominal for p in contact.fixed(group)
             ]
-        for movement, trial in zip(self.movements, self.trials, strict=True):
-            at = trial.sample(movement.grid.times)
-            self._fill_trial(x, movement, at, contact)
+        works = []
+        for movement, trial in zip(self.movements, trials, strict=True):
+            self._fill_trial(x, movement, trial, contact)
+            works.append(device_work(trial))
+        if self._work:
+            index = self.program.indices(np.array([*self._work, self._total]))
+            x[index] = [*works, sum(works)]
 
-    def _fill_trial(self, x, movement, at: Trial, contact) -> None:
+    def _fill_trial(self, x, movement, trial: Trial, contact) -> None:
         grid = movement.grid
-        jerk = np.gradient(at.a, grid.times, axis=0)
+        at = trial.sample(grid.times)
+        jerk = np.gradient(at.a, grid.times, axis=0)[: len(grid.jerk)]
+        if trial.jerk is not None and trial.jerk.shape == jerk.shape:
+            jerk = trial.jerk
         filled = [
             (grid.q, at.q),
             (grid.v, at.v),
             (grid.a, at.a),
-            (grid.jerk, jerk[: len(grid.jerk)]),
+            (grid.jerk, jerk),
             (movement.ground, at.ground.array),
             (movement.torque, at.moments),
         ]
@@ -470,8 +481,12 @@ class _Wearing(PhaseProblem):
             bushing = contact.bushings[cuff]
             origin = np.broadcast_to(bushing.origin, (len(at.q), 2))
             terms = kinematics.terms(at.q, origin)
-            force = bushing.stiffness * kinematics.deflection(at.q, terms)
+            deflection = kinematics.deflection(at.q, terms)
+            force = bushing.stiffness * deflection
             filled.append((movement.cuffs[cuff], force))
+            slid = self._slid.get((cuff, movement.name))
+            if slid is not None:
+                filled.append((slid, deflection[:, [TANGENTIAL]]))
         for variables, numbers in filled:
             x[self.program.indices(variables)] = numbers
 
@@ -581,6 +596,7 @@ class DesignProblem:
             None if today is None else largest_moments(today),
         )
         self.parts = [_Wearing(w, posed, self.program) for w in self.wearers]
+        self._today = today
         self.build_seconds = time.perf_counter() - start
 
     def _variable(self, v: Variable):
@@ -623,7 +639,10 @@ class DesignProblem:
             x[self.program.indices(np.array([self.variables[name]]))] = value
         design = design_of(chosen)
         for part in self.parts:
-            part.fill(x, design)
+            name, trials = part.wearer.name, part.trials
+            if self._today is not None:
+                trials = self._today.wearers[name].trials
+            part.fill(x, design, trials)
         return x
 
     def solve(

@@ -124,7 +124,7 @@ class DesignSettings:
     points: int = field(default=4, metadata={"minimum": 1})
     limits: DesignLimits = DesignLimits()
     solver: Solver = field(
-        default_factory=lambda: Solver(nodes_per_second=50.0)
+        default_factory=lambda: Solver(nodes_per_second=50.0, tolerance=1e-4)
     )
 
     def __post_init__(self):
