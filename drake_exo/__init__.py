@@ -23,6 +23,8 @@ _PLACES = {
     "calibration.interaction": ["InteractionCalibration"],
     "calibration.prediction": ["PredictionProblem"],
     "calibration.results": ["read_contact", "read_trial"],
+    "calibration.design": ["DesignProblem"],
+    "calibration.design_settings": ["DesignSettings"],
     "calibration.settings": [
         "FootGroundSettings",
         "InteractionSettings",
@@ -31,6 +33,8 @@ _PLACES = {
     "contact.controllers": ["AssistController"],
     "contact.diagram": ["build_diagram", "build_simulator"],
     "contact.parameters": ["ContactModel", "nominal_contact"],
+    "contact.strap": ["Design", "read_design"],
+    "designing": ["design"],
     "errors": ["InputError"],
     "measurement.sagittal": ["PlanarWrench"],
     "measurement.trial": ["CuffForce", "Trial"],

@@ -18,6 +18,7 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
 from drake_exo.calibration.bands import Bands, bands
+from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
@@ -77,6 +78,7 @@ class StudyFile(RecordingSettings):
         default_factory=InteractionSettings
     )
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
+    design: DesignSettings = field(default_factory=DesignSettings)
 
     def __post_init__(self):
         super().__post_init__()
@@ -90,7 +92,8 @@ class Study:
         model: subject and device.
         trials: measured, simulated or made in any other way.
         name: of the subject.
-        foot_ground, interaction, prediction: settings of Phases A, B, C.
+        foot_ground, interaction, prediction, design: settings of Phases A
+            to D.
         filter: that the trials' signals went through.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -109,6 +112,7 @@ class Study:
         foot_ground: FootGroundSettings | None = None,
         interaction: InteractionSettings | None = None,
         prediction: PredictionSettings | None = None,
+        design: DesignSettings | None = None,
         filter: Filter | None = None,
     ):
         self.model = model
@@ -116,6 +120,7 @@ class Study:
         self.foot_ground = foot_ground or FootGroundSettings()
         self.interaction = interaction or InteractionSettings()
         self.prediction = prediction or PredictionSettings()
+        self.design = design or DesignSettings()
         self.filter = filter or Filter()
         self._trials = tuple(trials)
 
@@ -144,6 +149,7 @@ class RecordedStudy(Study):
         self.foot_ground = file.foot_ground
         self.interaction = file.interaction
         self.prediction = file.prediction
+        self.design = file.design
         self.filter = file.filter
         self._loaded: dict[str, Trial] = {}
 

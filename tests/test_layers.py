@@ -24,6 +24,7 @@ ROOMS = (
     "virtual_laboratory",
     "report",
     "study",
+    "designing",
     "batch",
     "papers",
     "cli",

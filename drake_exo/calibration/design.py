@@ -68,12 +68,15 @@ class Wearer:
         model: subject and device.
         contact: of today's cuffs.
         trials: own movements on them, solved (`OwnMovement`).
+        is_drawn: whether drawn from a posterior: then a limit that is not
+            kept today need not be kept.
     """
 
     name: str
     model: Model
     contact: ContactModel
     trials: tuple[Trial, ...]
+    is_drawn: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,9 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
     """How far a cuff may go along the limb of every wearer [m]."""
     lower, upper = wanted
     for wearer in wearers:
-        length = getattr(wearer.model.human, cuff).length_m
+        segment = wearer.model.tree.cuffs[cuff][0]
+        part = getattr(wearer.model.human, segment, None)
+        length = np.inf if part is None else part.length_m
         place = wearer.contact.bushings[cuff].origin_z
         lower = max(lower, min(_FROM_JOINT_M - place, 0.0))
         upper = min(upper, max(length - _FROM_JOINT_M - place, 0.0))
@@ -194,9 +199,9 @@ class _Posed:
         variables: name -> decision variable of the design.
         scale: force that the norm is taken of [N].
         weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
-        today: wearer -> cuff -> largest force (3,) of today; None where no
-            limit is relative to it.
-        work_j: wearer -> work of today; likewise.
+        today: wearer -> cuff -> largest force (3,) of today; None while that
+            is not known: then there are no limits.
+        work_j: wearer -> work that the device is to do; likewise.
         moments: wearer -> largest moment of each of the person's joints.
     """
 
@@ -336,7 +341,9 @@ class _Wearing(PhaseProblem):
             )
 
     def _limit(self, movement: TrialProgram) -> None:
-        """Bounds on what is felt, by name."""
+        """Bounds on what is felt, by name; today is as it is."""
+        if self._posed.today is None:
+            return
         settings = self._posed.settings
         limits, program = settings.limits, self.program
         times = [f"at {t:.3g} s" for t in movement.grid.times]
@@ -350,13 +357,14 @@ class _Wearing(PhaseProblem):
             )
             most[TANGENTIAL] = limits.shear_n or np.inf
             most[ROTATION] = limits.moment_nm or np.inf
-            if self._posed.today is not None:
-                today = self._posed.today[self.wearer.name][cuff]
-                for k, factor in (
-                    (TANGENTIAL, limits.shear_factor),
-                    (ROTATION, limits.moment_factor),
-                ):
-                    most[k] = min(most[k], (factor or np.inf) * today[k])
+            today = self._posed.today[self.wearer.name][cuff]
+            for k, factor in (
+                (TANGENTIAL, limits.shear_factor),
+                (ROTATION, limits.moment_factor),
+            ):
+                most[k] = min(most[k], (factor or np.inf) * today[k])
+            if self.wearer.is_drawn:
+                most = np.maximum(most, today)
             program.label(
                 "limit",
                 force,
@@ -375,12 +383,12 @@ class _Wearing(PhaseProblem):
                 movement.bound(force[:, bounded].ravel(), -edge, edge)
             if limits.migration_mm is not None:
                 self._limit_migration(movement, cuff, times)
-        if limits.effort_factor and self._posed.moments is not None:
+        if limits.effort_factor is not None:
             own = movement.torque[:, ~movement.coordinates.is_device_joint]
             most = limits.effort_factor * self._posed.moments[self.wearer.name]
             edge = np.broadcast_to(most, own.shape).ravel()
             movement.bound(own.ravel(), -edge, edge)
-        if limits.support is not None and self._posed.work_j is not None:
+        if limits.support is not None:
             self._add_work(movement)
 
     def _limit_migration(self, movement, cuff: str, times) -> None:
@@ -399,7 +407,12 @@ class _Wearing(PhaseProblem):
             [("mm", 1e3)],
         )
         self._slid[cuff, movement.name] = slid
-        most = np.full(n, 1e-3 * self._posed.settings.limits.migration_mm)
+        most = 1e-3 * self._posed.settings.limits.migration_mm
+        if self.wearer.is_drawn:
+            today = self._posed.today[self.wearer.name][cuff][TANGENTIAL]
+            own = self.contact.bushings[cuff].tangential_stiffness
+            most = max(most, today / own)
+        most = np.full(n, most)
         movement.bound(slid.ravel(), -most, most)
         origin = self._variables[cuff][:2]
         self.program.add_constraints(
@@ -552,8 +565,9 @@ class DesignProblem:
         settings: what may change, what counts.
         held: values of design variables that are given, by name; True for
             those of today, all of them.
-        today: the solution with nothing changed, which says what limits that
-            are relative to today mean; without it there are none.
+        today: the solution with nothing changed, which some limits are
+            relative to; without it there are no limits.
+        support: share of today's work that the device is to do.
 
     Attributes:
         program: `program.prog` is a MathematicalProgram that may be added to
@@ -574,6 +588,7 @@ class DesignProblem:
         *,
         held: Mapping[str, float] | bool = False,
         today: DesignResult | None = None,
+        support: float = 1.0,
     ):
         start = time.perf_counter()
         self.wearers = list(wearers)
@@ -592,7 +607,9 @@ class DesignProblem:
             max(norm_of(own, settings), _LEAST_SCALE_N),
             cuffs * sum(t.duration for t in own),
             None if today is None else largest_forces(today),
-            None if today is None else works(today),
+            None
+            if today is None
+            else {name: support * j for name, j in works(today).items()},
             None if today is None else largest_moments(today),
         )
         self.parts = [_Wearing(w, posed, self.program) for w in self.wearers]
@@ -821,6 +838,11 @@ def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
         )
         contact = wearer.contact.with_values(dict(zip(names, new, strict=True)))
         found.append(
-            replace(wearer, name=f"{wearer.name} draw {k + 1}", contact=contact)
+            replace(
+                wearer,
+                name=f"{wearer.name} draw {k + 1}",
+                contact=contact,
+                is_drawn=True,
+            )
         )
     return found

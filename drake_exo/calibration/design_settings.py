@@ -77,7 +77,7 @@ class DesignLimits:
     moment_factor: float | None = _positive(1.0, "1")
     shear_factor: float | None = _positive(None, "1")
     effort_factor: float | None = _positive(1.05, "1")
-    support: float | None = _positive(0.02, "1")
+    support: float | None = _positive(0.005, "1")
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,7 @@ class DesignSettings:
         effort_nm: typical moment of the person's joints in the cost.
         draws: wearers drawn from each calibration's posterior, besides the
             one that it found.
+        seed: of those draws.
         cuffs: what may change of each, by name; defaults where none is
             named.
         assistance: lowest and highest factor on the device's torques.
@@ -117,6 +118,7 @@ class DesignSettings:
     own_angle_deg: float = _positive(0.02, "deg")
     effort_nm: float = _positive(2000.0, "N m")
     draws: int = field(default=2, metadata={"minimum": 0})
+    seed: int = field(default=0, metadata={"minimum": 0})
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = field(
         default=(0.7, 1.3), metadata={"above": 0.0}

@@ -16,6 +16,7 @@ _COMMANDS = {
     "check": "drake_exo.cli.check",
     "calibrate": "drake_exo.cli.calibrate",
     "predict": "drake_exo.cli.predict",
+    "design": "drake_exo.cli.design",
     "crossvalidate": "drake_exo.cli.crossvalidate",
     "report": "drake_exo.cli.report",
     "sensitivity": "drake_exo.cli.sensitivity",

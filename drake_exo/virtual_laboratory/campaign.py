@@ -12,7 +12,7 @@ import numpy as np
 from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import write_table
-from drake_exo.files.output import Progress, write_json
+from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
 from drake_exo.virtual_laboratory.instruments import (
@@ -203,6 +203,28 @@ def write_campaign(
     path = job.folder / "study.yaml"
     write_study(path, job.truth, job.laboratory, mats, entries)
     return path
+
+
+def read_about(folder: str | Path) -> dict:
+    """What `write_campaign` was told, as its arguments by name.
+
+    Args:
+        folder: that it wrote.
+
+    Raises:
+        InputError: it holds no campaign of the virtual laboratory.
+    """
+    remedy = "give the study.yaml of 'drake-exo lab'"
+    path = Path(folder) / "truth" / "truth.json"
+    about = read_json(path, remedy)
+    try:
+        return {
+            "seed": int(about["seed"]),
+            "disturbances": checked(map(str, about["disturbances"])),
+            "truth": str(about["truth"]),
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
 def _recorded(job, movements, processes, progress) -> list[Entry]:

@@ -1,0 +1,146 @@
+"""`drake-exo design`: cuffs and assistance for the people who wear them.
+
+The trials with `use: prediction` of each study are what the design is worn in;
+each study has its --calibration, in the same order. design.yaml in --out is
+what is to be built: `drake-exo predict --design` and `drake-exo lab --design`
+read it.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from drake_exo.calibration.results import read_contact
+from drake_exo.cli.calibrate import report_failure
+from drake_exo.cli.options import add_accept
+from drake_exo.designing import Designed, design, front
+from drake_exo.errors import InputError
+from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.report.design_figures import front_figure
+from drake_exo.report.figures import save_figure
+from drake_exo.report.tables import format_table
+from drake_exo.study import RecordedStudy, calibrate_interaction, read_study
+
+_TRUTH = "truth"
+
+
+def add_parser(subparsers) -> None:
+    """Add `design` to the command line."""
+    parser = subparsers.add_parser(
+        "design",
+        help="design cuffs and assistance with calibrated contact",
+        description=__doc__,
+    )
+    parser.add_argument("study", type=Path, nargs="+", metavar="STUDY.yaml")
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="results of 'drake-exo calibrate', one for each study",
+    )
+    parser.add_argument("--data-root", type=Path, help="as in other commands")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument(
+        "--force", action="store_true", help="replace results in --out"
+    )
+    parser.add_argument(
+        "--response",
+        choices=["own", "free"],
+        help="how the person answers, instead of the study's design.response",
+    )
+    parser.add_argument(
+        "--parts",
+        action="store_true",
+        help="also tell what places, straps and assistance reach alone",
+    )
+    parser.add_argument(
+        "--front",
+        action="store_true",
+        help="also draw the front of the largest force against the device's "
+        "work",
+    )
+    parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="calibrate if there is no --calibration, design, build it in the "
+        "virtual laboratory that the study comes from, and measure it there",
+    )
+    add_accept(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, forecast, and write everything to --out."""
+    studies = [read_study(path, args.data_root) for path in args.study]
+    if args.verify and len(studies) > 1:
+        raise InputError("--verify takes one study: one laboratory builds it")
+    if not args.verify and not args.calibration:
+        raise InputError(
+            "--calibration is missing; give the --out folder of "
+            "'drake-exo calibrate'"
+        )
+    contacts = [read_contact(folder) for folder in args.calibration]
+    for study in studies:
+        study.trials("prediction")  # bad input ends before a folder is made
+        if args.response:
+            study.design = replace(study.design, response=args.response)
+    laboratory = _laboratory(args.study[0]) if args.verify else None
+    with prepare_output_folder(args.out, args.force) as out:
+        if not contacts:
+            found = calibrate_interaction(studies[0])
+            if not found.success:
+                return report_failure(found.solution)
+            contacts = [found.contact]
+        made = design(studies, contacts, parts=args.parts)
+        if made.success and laboratory is not None:
+            made = _built(made, studies[0], laboratory, out)
+        verdict = made.write(out, args.accept)
+        if not made.success:
+            return report_failure(made.solution)
+        print(made.table())
+        if args.front:
+            _write_front(made, out)
+        print(verdict.text())
+    print(f"results in {args.out}")
+    return verdict.exit_code
+
+
+def _laboratory(path: Path) -> dict:
+    """Seed, disturbances and kind of the laboratory beside a study file.
+
+    Raises:
+        InputError: the study comes from no virtual laboratory.
+    """
+    from drake_exo.virtual_laboratory.campaign import read_about
+
+    return read_about(path.parent)
+
+
+def _built(
+    made: Designed, study: RecordedStudy, laboratory: dict, out: Path
+) -> Designed:
+    """Build the design on the laboratory's subject, and measure it."""
+    from drake_exo.virtual_laboratory.campaign import write_campaign
+
+    folder = out / "built"
+    folder.mkdir()
+    path = write_campaign(
+        folder, **laboratory, design=made.design, assisted=True
+    )
+    measured = read_study(path).trials("prediction")
+    (name,) = made.before
+    return replace(made, measured={name: measured})
+
+
+def _write_front(made: Designed, out: Path) -> None:
+    rows = front(made)
+    write_json(out / "front.json", rows)
+    print(
+        format_table(
+            ["work of the device, share", "work [J]", "norm of forces [N]"],
+            [[f"{r['share']:g}", r["work_j"], r["norm_n"]] for r in rows],
+        )
+    )
+    save_figure(out / "front.png", front_figure(rows))

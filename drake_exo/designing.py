@@ -1,0 +1,729 @@
+"""Phase D as users call it: from calibrated wearers to a design and forecast.
+
+The trials of a study that are for prediction are moved by the person's own
+movement on the cuffs of today, a design is found for all wearers at once, and
+the same movements on the design are its forecast. Where a laboratory can build
+the design, `verified` measures it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.calibration.bands import Bands, bands
+from drake_exo.calibration.design import (
+    DesignProblem,
+    DesignResult,
+    Variable,
+    Wearer,
+    design_of,
+    device_work,
+    drawn,
+    norm_of,
+    works,
+)
+from drake_exo.calibration.design_settings import DesignSettings
+from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.own_movement import OwnMovement, assisted
+from drake_exo.calibration.results import solve_summary, write_contact
+from drake_exo.calibration.solving import SolveWatch
+from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
+from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import STRAPS, Design, write_design
+from drake_exo.errors import InputError
+from drake_exo.files.output import Progress, write_json
+from drake_exo.files.verdict import SOLVED, Check, Verdict
+from drake_exo.measurement.trial import Trial
+from drake_exo.nlp.ipopt import Solution
+from drake_exo.report.tables import format_table
+from drake_exo.study import Calibration, Study, contact_of, write_inputs
+
+# A cuff that moves further than this is where nothing was calibrated.
+_KNOWN_M = 0.03
+# Mats and model differ by no more than this factor, or one of them is wrong.
+_DIFFER = 2.0
+# Share that a forecast may be off the norm that the design promised.
+_KEPT = 0.1
+_BOLD = 1e-3  # of a change that is one
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A trial's own movement on some cuffs.
+
+    Attributes:
+        trial: solved.
+        bands: of 95 %; None where no calibration says how sure it is.
+        measured: the trial as it was recorded, on the cuffs of today.
+    """
+
+    trial: Trial
+    bands: Bands | None
+    measured: Trial
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Largest normal force of one cuff in a trial, mean over trials [N].
+
+    Attributes:
+        measured_before: by mats; None where there were none.
+        model_before, model_after: of the model, on the cuffs of today and on
+            the design.
+        forecast_after: of what mats would show on the design: the model's
+            times what mats and model differ by today.
+        forecast_low, forecast_high: ends of its band of 95 %.
+        measured_after: by mats, once it was built.
+    """
+
+    measured_before: float | None
+    model_before: float
+    model_after: float
+    forecast_after: float
+    forecast_low: float
+    forecast_high: float
+    measured_after: float | None = None
+
+
+@dataclass(frozen=True)
+class Designed:
+    """A design with its forecast; see `design`.
+
+    Attributes:
+        settings: of the design.
+        today, found: program with nothing changed, and of the design.
+        before, after: wearer -> its movements on today's cuffs and on the
+            design.
+        parts: what was free -> the norm of forces that it reached [N], and
+            the same in a forecast.
+        measured: wearer -> its trials on the design, once it was built.
+    """
+
+    settings: DesignSettings
+    today: DesignResult = field(repr=False)
+    found: DesignResult = field(repr=False)
+    before: dict[str, list[Moved]] = field(repr=False)
+    after: dict[str, list[Moved]] = field(repr=False)
+    parts: dict[str, float] = field(default_factory=dict)
+    measured: dict[str, Sequence[Trial]] = field(
+        default_factory=dict, repr=False
+    )
+
+    @property
+    def solution(self) -> Solution:
+        """State of the solve."""
+        return self.found.solution
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.solution.success
+
+    @property
+    def design(self) -> Design:
+        """What is to be built; raises SealedSolutionError likewise."""
+        return self.found.design
+
+    @cached_property
+    def peaks(self) -> dict[str, Peak]:
+        """Cuff -> its peak over all wearers' trials."""
+        self.solution.check()
+        (first, *_) = self.before.values()
+        return {cuff: self._peak(cuff) for cuff in first[0].trial.cuffs}
+
+    def _peak(self, cuff: str) -> Peak:
+        before = [m for moved in self.before.values() for m in moved]
+        after = [m for moved in self.after.values() for m in moved]
+        seen = [k for k, m in enumerate(before) if cuff in m.measured.cuffs]
+        chosen = seen or list(range(len(before)))
+        peak = {
+            what: np.mean([_largest(moved[k].trial, cuff) for k in chosen])
+            for what, moved in (("before", before), ("after", after))
+        }
+        width = np.mean([_half_width(after[k], cuff) for k in chosen])
+        built = [
+            t for ts in self.measured.values() for t in ts if cuff in t.cuffs
+        ]
+        measured = _mean([_largest(before[k].measured, cuff) for k in seen])
+        ratio = 1.0 if measured is None else measured / peak["before"]
+        ratio = float(np.clip(ratio, 1.0 / _DIFFER, _DIFFER))
+        forecast, width = ratio * peak["after"], max(ratio, 1.0) * width
+        return Peak(
+            measured,
+            float(peak["before"]),
+            float(peak["after"]),
+            float(forecast),
+            float(max(forecast - width, 0.0)),
+            float(forecast + width),
+            _mean([_largest(t, cuff) for t in built]),
+        )
+
+    @property
+    def support(self) -> dict[str, float | None]:
+        """Work of the device over all trials [J], before, after, measured."""
+        return {
+            "before": _work(self.before),
+            "after": _work(self.after),
+            "measured_before": sum(
+                _measured_work(m.measured)
+                for moved in self.before.values()
+                for m in moved
+            ),
+            "measured_after": sum(
+                _measured_work(t) for ts in self.measured.values() for t in ts
+            )
+            or None,
+        }
+
+    @cached_property
+    def slopes(self) -> dict[str, float]:
+        """Change of the cost for a step of each variable from today."""
+        slopes = self.today.slopes()
+        return {
+            v.name: slopes[v.name] * v.size
+            for v in self.found.problem.design
+            if v.name in slopes
+        }
+
+    def variables(self) -> list[dict]:
+        """A row for each design variable that may change."""
+        rows = []
+        for v in self.found.problem.design:
+            if not v.free:
+                continue
+            value = self.found.values[v.name]
+            row = {
+                "name": v.name,
+                "unit": v.unit,
+                "today": v.today,
+                "value": value,
+                "lower": v.lower,
+                "upper": v.upper,
+                "at_bound": v.at_bound(value),
+                "slope_today": self.slopes.get(v.name),
+                "extrapolated": self._is_extrapolated(v, value),
+            }
+            if v.name.partition(".")[2] in STRAPS.values():
+                strap = 1.0 / value if value > 0.0 else None
+                row |= {"strap": strap, "strap_unit": _strap_unit(v)}
+            rows.append(row)
+        return rows
+
+    def _is_extrapolated(self, v: Variable, value: float) -> bool:
+        return v.unit == "m" and abs(value) > _KNOWN_M
+
+    def felt(self) -> list[dict]:
+        """What every cuff does to the person, before and after."""
+        rows = []
+        for cuff in self.peaks:
+            area = self.settings.freedom(cuff).area_m2
+            row: dict = {"cuff": cuff}
+            for what, moved in (("before", self.before), ("after", self.after)):
+                trials = [m.trial for ms in moved.values() for m in ms]
+                force = [t.cuffs[cuff].components for t in trials]
+                stiffness = self._stiffness(cuff, what)
+                peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
+                mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])
+                row[what] = {
+                    "peak_n": float(peak[NORMAL]),
+                    "mean_n": float(mean),
+                    "shear_n": float(peak[TANGENTIAL]),
+                    "moment_nm": float(peak[ROTATION]),
+                    "pressure_kpa": float(1e-3 * peak[NORMAL] / area),
+                    "migration_mm": float(1e3 * peak[TANGENTIAL] / stiffness),
+                    "deflection_mm": float(
+                        1e3 * peak[NORMAL] / self._stiffness(cuff, what, NORMAL)
+                    ),
+                }
+            rows.append(row)
+        return rows
+
+    def _stiffness(self, cuff: str, what: str, component=TANGENTIAL) -> float:
+        """The softest of all wearers'."""
+        design = Design() if what == "before" else self.design
+        return min(
+            design.contact(w.contact).bushings[cuff].stiffness[component]
+            for w in self.found.problem.wearers
+            if w.name in self.before
+        )
+
+    def checks(self) -> tuple[Check, ...]:
+        """What the design has to hold."""
+        solution = self.solution
+        found = [
+            Check(SOLVED, solution.success, sentence=_failed(solution)),
+        ]
+        if not self.success:
+            return tuple(found)
+        s = self.support
+        limit = 3.0
+        change = 100.0 * abs(s["after"] / s["before"] - 1.0)
+        found.append(
+            Check(
+                "design.support",
+                change <= limit or self.settings.limits.support is None,
+                change,
+                limit,
+                "%",
+                sentence="the device's work is not that of today: tighten "
+                "design.limits.support",
+            )
+        )
+        promised = self.found.norm_n
+        forecast = self._forecast_norm()
+        found.append(
+            Check(
+                "design.forecast",
+                forecast <= (1.0 + _KEPT) * promised,
+                forecast,
+                (1.0 + _KEPT) * promised,
+                "N",
+                sentence="the person's movement would have to change for what "
+                "the design promised: lower design.own_angle_deg or weight",
+            )
+        )
+        largest = {
+            what: max(getattr(p, f"model_{what}") for p in self.peaks.values())
+            for what in ("before", "after")
+        }
+        found.append(
+            Check(
+                "design.better",
+                largest["after"] < largest["before"],
+                largest["after"],
+                largest["before"],
+                "N",
+                sentence="the largest force does not fall: give the design "
+                "more freedom or wider limits",
+            )
+        )
+        for row in self.variables():
+            if row["at_bound"]:
+                found.append(
+                    Check(
+                        "design.bounds",
+                        False,
+                        row["value"],
+                        where=row["name"],
+                        unit=row["unit"],
+                        sentence="is at a bound: what is beyond was not "
+                        "asked for",
+                        level="note",
+                    )
+                )
+            if row["extrapolated"]:
+                found.append(
+                    Check(
+                        "design.extrapolation",
+                        False,
+                        row["value"],
+                        _KNOWN_M,
+                        row["unit"],
+                        row["name"],
+                        "moves a cuff to where nothing was calibrated",
+                        "note",
+                    )
+                )
+        for cuff in self.softened():
+            found.append(
+                Check(
+                    "design.extrapolation",
+                    False,
+                    where=cuff,
+                    sentence="deflects further than in any trial of today",
+                    level="note",
+                )
+            )
+        return tuple(found)
+
+    def softened(self) -> list[str]:
+        """Cuffs that deflect further than in any trial of today."""
+        return [
+            row["cuff"]
+            for row in self.felt()
+            if any(
+                row["after"][k] > (1.0 + _BOLD) * row["before"][k]
+                for k in ("deflection_mm", "migration_mm")
+            )
+        ]
+
+    def _forecast_norm(self) -> float:
+        """The norm of forces in the forecast against that of the design.
+
+        Of the calibrated wearers alone.
+        """
+        forecast = [m.trial for ms in self.after.values() for m in ms]
+        own = [t for n in self.after for t in self.found.wearers[n].trials]
+        ratio = norm_of(forecast, self.settings) / norm_of(own, self.settings)
+        return ratio * self.found.norm_n
+
+    def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
+        """All checks."""
+        return Verdict(self.checks(), tuple(accepted))
+
+    def summary(self, accepted: Sequence[str] = ()) -> dict:
+        """What summary.json holds."""
+        found = {
+            "phase": "design",
+            "subjects": list(self.before),
+            **solve_summary(self.solution),
+            "settings": asdict(self.settings),
+            **self.verdict(accepted).summary(),
+        }
+        if not self.success:
+            return found
+        return found | {
+            "response": self.settings.response,
+            "peaks_n": {c: asdict(p) for c, p in self.peaks.items()},
+            "support": self.support,
+            "norm_n": {
+                "before": self.today.norm_n,
+                "after": self.found.norm_n,
+                "forecast": self._forecast_norm(),
+            },
+            "felt": self.felt(),
+            "variables": self.variables(),
+            "parts": self.parts,
+            "extrapolated": bool(
+                self.softened()
+                or any(row["extrapolated"] for row in self.variables())
+            ),
+        }
+
+    def table(self) -> str:
+        """Before and after by cuff, and the design."""
+        rows = [
+            [
+                cuff + (" *" if self._marked(cuff) else ""),
+                p.measured_before,
+                p.model_before,
+                p.forecast_after,
+                p.forecast_low,
+                p.forecast_high,
+                p.measured_after,
+            ]
+            for cuff, p in self.peaks.items()
+        ]
+        header = ["peak force [N]", "measured", "model", "forecast"]
+        header += ["from", "to", "built"]
+        parts = [format_table(header, rows, 1)]
+        rows = []
+        for row in self.felt():
+            for what in ("before", "after"):
+                own = row[what]
+                rows.append([f"{row['cuff']} {what}", *own.values()])
+        header = ["cuff", "peak N", "mean N", "shear N", "moment N m"]
+        header += ["pressure kPa", "migration mm", "deflection mm"]
+        parts.append(format_table(header, rows, 1))
+        rows = [
+            [
+                row["name"] + (" *" if row["extrapolated"] else ""),
+                _told(row),
+                "at its bound" if row["at_bound"] else "",
+                row["slope_today"],
+            ]
+            for row in self.variables()
+        ]
+        header = ["design", "value", "", "cost by a step"]
+        parts.append(format_table(header, rows, 3))
+        s = self.support
+        parts.append(
+            f"work of the device {s['before']:.1f} J today, "
+            f"{s['after']:.1f} J "
+            f"on the design; the person moves {_RESPONSE[self.settings.response]}"
+        )
+        if self.parts:
+            parts.append(
+                format_table(
+                    ["what may change", "norm of forces [N]"],
+                    [[k, v] for k, v in self.parts.items()],
+                )
+            )
+        if self.softened() or any(r["extrapolated"] for r in self.variables()):
+            parts.append("* beyond what was calibrated: an extrapolation")
+        return "\n\n".join(parts)
+
+    def _marked(self, cuff: str) -> bool:
+        return cuff in self.softened() or any(
+            r["extrapolated"] and r["name"].startswith(f"{cuff}.")
+            for r in self.variables()
+        )
+
+    def write(
+        self, folder: str | Path, accepted: Sequence[str] = ()
+    ) -> Verdict:
+        """Table, figure, design.yaml and summary.json into a folder."""
+        from drake_exo.report import design_figures
+        from drake_exo.report.figures import save_figure
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        verdict = self.verdict(accepted)
+        if self.success:
+            write_design(folder, self.design)
+            text = self.table()
+            if verdict.mark:
+                text = f"{verdict.mark}\n\n{text}"
+            (folder / "design.txt").write_text(text + "\n", encoding="utf-8")
+            figure = design_figures.forces_figure(self)
+            save_figure(folder / "forces.png", figure)
+            first = next(iter(self.before))
+            moved = self.before[first]
+            (wearer,) = (
+                w for w in self.found.problem.wearers if w.name == first
+            )
+            write_inputs(folder, wearer.model, [m.measured for m in moved])
+            write_contact(folder, self.design.contact(wearer.contact))
+            for what in ("before", "after"):
+                for name, movements in getattr(self, what).items():
+                    for m in movements:
+                        label = m.trial.name
+                        if len(self.before) > 1:
+                            label = f"{name}_{label}"
+                        m.trial.save(folder / f"{what}_{label}")
+        write_json(folder / "summary.json", self.summary(accepted))
+        return verdict
+
+
+_RESPONSE = {
+    "own": "as before (own movement)",
+    "free": "as is least effort between the ends of its movement (free)",
+}
+
+
+def design(
+    study: Study | Sequence[Study],
+    calibration: Calibration | ContactModel | Sequence,
+    settings: DesignSettings | None = None,
+    *,
+    parts: bool = False,
+) -> Designed:
+    """Phase D: cuffs and assistance for the people who will wear them.
+
+    Args:
+        study: of each wearer; its trials for prediction are what the design
+            is worn in.
+        calibration: of each wearer, in the same order.
+        settings: instead of the first study's.
+        parts: also tell how much place, straps and assistance do alone.
+
+    Raises:
+        InputError: studies and calibrations do not match, a trial does not
+            know the device's torques, or from a pre-flight check.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> study = Study(made.model, made.trials, name="somebody")
+    >>> found = design(study, made.contact)
+    >>> found.success, found.peaks["thigh"].forecast_after < 100.0
+    (True, True)
+    """
+    studies = [study] if isinstance(study, Study) else list(study)
+    contacts = (
+        [calibration]
+        if isinstance(calibration, Calibration | ContactModel)
+        else list(calibration)
+    )
+    if len(studies) != len(contacts):
+        raise InputError(
+            f"there are {len(studies)} studies and {len(contacts)} "
+            "calibrations; give one --calibration for each study"
+        )
+    settings = settings or studies[0].design
+    names = _names(studies)
+    before, wearers = {}, []
+    for name, own, contact in zip(names, studies, contacts, strict=True):
+        contact = contact_of(contact)
+        before[name] = movements(own, contact, settings)
+        wearers.append(
+            Wearer(
+                name, own.model, contact, tuple(m.trial for m in before[name])
+            )
+        )
+    everybody = [
+        w
+        for own in wearers
+        for w in (own, *drawn(own, settings.draws, settings.seed))
+    ]
+    today = DesignProblem(everybody, settings, held=True).solve(
+        on_iterate=SolveWatch("today")
+    )
+    if not today.solution.success:
+        return Designed(settings, today, today, before, before)
+    problem = DesignProblem(everybody, settings, today=today)
+    found = problem.solve(on_iterate=SolveWatch("design"))
+    if not found.solution.success:
+        return Designed(settings, today, found, before, before)
+    after = {
+        name: movements(own, contact_of(contact), settings, found.design)
+        for name, own, contact in zip(names, studies, contacts, strict=True)
+    }
+    made = Designed(settings, today, found, before, after)
+    if parts:
+        made = replace(made, parts=_parts(made))
+    return made
+
+
+def _names(studies: Sequence[Study]) -> list[str]:
+    """Of the wearers, different ones."""
+    own = [s.name for s in studies]
+    if len(set(own)) == len(own):
+        return own
+    return [f"{name} {k + 1}" for k, name in enumerate(own)]
+
+
+def movements(
+    study: Study,
+    contact: ContactModel,
+    settings: DesignSettings,
+    design: Design | None = None,
+) -> list[Moved]:
+    """Own movements of a study's trials on its cuffs, or on a design.
+
+    Raises:
+        InputError: a movement cannot be solved; or likewise.
+    """
+    check_has_cuffs(study.model)
+    design = design or Design()
+    design.check(study.model.cuffs, study.model.coordinates.device)
+    trials = study.trials("prediction")
+    built = design.contact(contact)
+    # Its noise and errors, on the grid of the design.
+    phase = replace(study.prediction, solver=settings.solver, guess="data")
+    found = []
+    progress = Progress("own movements", len(trials))
+    for trial in trials:
+        if trial.moments is None:
+            raise InputError(
+                f"trial {trial.name}: the device's torques are not known; "
+                "give exo_moments or device in the study"
+            )
+        result = OwnMovement(
+            study.model, [assisted(trial, design)], built, phase
+        ).solve()
+        if not result.success:
+            raise InputError(
+                f"trial {trial.name}: the movement does not fit these cuffs "
+                f"({result.solution.status}); {result.solution.explain()}"
+            )
+        found.append(Moved(result.trials[0], bands(result), trial))
+        progress.update(trial.name, len(found))
+    progress.close()
+    return found
+
+
+_KINDS = {
+    "places": ("across_m", "along_m"),
+    "straps": tuple(STRAPS.values()),
+    "assistance": ("factor",),
+}
+
+
+def _parts(made: Designed) -> dict[str, float]:
+    """Norm of the forces that each kind of variable reaches alone [N]."""
+    problem = made.found.problem
+    reached = {"nothing": made.today.norm_n}
+    for kind, names in _KINDS.items():
+        held = {
+            v.name: v.today
+            for v in problem.design
+            if not v.name.partition(".")[2].startswith(names)
+        }
+        alone = DesignProblem(
+            problem.wearers, made.settings, held=held, today=made.today
+        ).solve(on_iterate=SolveWatch(f"{kind} alone"))
+        if alone.solution.success:
+            reached[f"{kind} alone"] = alone.norm_n
+    return reached | {"all": made.found.norm_n}
+
+
+def front(
+    made: Designed, shares: Sequence[float] = (0.25, 0.5, 0.75, 1.0, 1.25)
+) -> list[dict]:
+    """The least norm of forces for each share of today's support.
+
+    Args:
+        made: a design that was found.
+        shares: of the device's work of today. Factors on its torques may go
+            as low as the share asks for.
+
+    Returns:
+        Rows share, work_j, norm_n, success, design.
+    """
+    rows = []
+    problem, settings = made.found.problem, made.settings
+    low, high = settings.assistance
+    for share in shares:
+        wide = replace(
+            settings,
+            assistance=(min(low, low * share), max(high, high * share)),
+        )
+        found = DesignProblem(
+            problem.wearers, wide, today=made.today, support=share
+        ).solve(on_iterate=SolveWatch(f"support x {share:g}"))
+        if found.solution.was_stopped:
+            break
+        rows.append(
+            {
+                "share": share,
+                "work_j": sum(works(found)[name] for name in made.before),
+                "norm_n": found.norm_n,
+                "success": found.solution.success,
+                "design": asdict(design_of(found.values)),
+            }
+        )
+    return [row for row in rows if row["success"]]
+
+
+def _largest(trial: Trial, cuff: str) -> float:
+    return float(np.abs(trial.cuffs[cuff].normal).max())
+
+
+def _half_width(moved: Moved, cuff: str) -> float:
+    """Of the band at the largest force; 0 where there is none."""
+    if moved.bands is None:
+        return 0.0
+    at = int(np.argmax(np.abs(moved.trial.cuffs[cuff].normal)))
+    if cuff in moved.bands.mats:
+        return float(moved.bands.mats[cuff][at])
+    return float(moved.bands.cuffs[cuff][at, NORMAL])
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _work(moved: dict[str, list[Moved]]) -> float:
+    return sum(device_work(m.trial) for ms in moved.values() for m in ms)
+
+
+def _measured_work(trial: Trial) -> float:
+    return 0.0 if trial.moments is None else device_work(trial)
+
+
+def _strap_unit(v: Variable) -> str:
+    return "N m/rad" if v.unit.startswith("rad") else "N/m"
+
+
+def _told(row: dict) -> str:
+    if "strap" in row:
+        if row["strap"] is None or row["strap"] > _STIFF:
+            return "stiff"
+        return f"{row['strap']:.4g} {row['strap_unit']}"
+    if row["unit"] == "m":
+        return f"{1e3 * row['value']:+.1f} mm"
+    return f"{row['value']:.3f}"
+
+
+_STIFF = 1e6
+
+
+def _failed(solution: Solution) -> str:
+    if solution.success:
+        return ""
+    return f"{solution.status}: {solution.explain()}"

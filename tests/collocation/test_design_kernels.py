@@ -1,0 +1,157 @@
+"""What a design adds to a program: values by hand, derivatives."""
+
+import numpy as np
+import pytest
+
+from drake_exo.collocation.design_kernels import (
+    AssistanceKernel,
+    CuffKernel,
+    ForceNormKernel,
+    MigrationKernel,
+    WorkKernel,
+)
+from drake_exo.contact.bushing import BushingKinematics
+
+N = 6
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def cases(rng, tree):
+    """Name -> kernel, inputs and data."""
+    bushing = BushingKinematics(tree, "thigh")
+    cuff = np.array([0.02, 0.25, 3000.0, 5000.0, 60.0])
+    own = np.array([0.0, 0.24, 1 / 4e3, 1 / 6e3, 1 / 70.0])
+    strap = np.array([0.02, 0.01, 8e-5, 3e-5, 2e-3])
+    share = rng.uniform(0.9, 1.1, (N, 10))
+    return {
+        "cuff": (CuffKernel(), share * np.r_[cuff, strap], share[:, :5] * own),
+        "assistance": (
+            AssistanceKernel(2, 3),
+            rng.uniform(-30.0, 30.0, (N, 8)),
+            rng.uniform(-20.0, 20.0, (N, 2, 3)),
+        ),
+        "peak": (
+            ForceNormKernel(8.0, 25.0, 0.25),
+            rng.uniform(-40.0, 40.0, (N, 2)),
+            rng.uniform(0.1, 1.0, (N, 1)),
+        ),
+        "mean": (
+            ForceNormKernel(2.0, 25.0, 0.25),
+            rng.uniform(-40.0, 40.0, (N, 2)),
+            rng.uniform(0.1, 1.0, (N, 1)),
+        ),
+        "migration": (
+            MigrationKernel(bushing),
+            rng.uniform(-0.5, 0.5, (N, bushing.nq + 3)),
+            None,
+        ),
+        "work": (
+            WorkKernel(4, 2),
+            rng.uniform(-3.0, 3.0, (N, 17)),
+            rng.uniform(0.1, 0.2, (N, 4)),
+        ),
+    }
+
+
+NAMES = ["cuff", "assistance", "peak", "mean", "migration", "work"]
+
+
+def by_complex_step(kernel, x, data):
+    J = np.zeros((len(x), *kernel.sparsity.shape))
+    for k in range(x.shape[1]):
+        moved = x.astype(complex)
+        moved[:, k] += 1e-30j
+        J[:, :, k] = kernel.evaluate(moved, data).imag / 1e-30
+    return J
+
+
+def by_differences(kernel, x, data):
+    J = np.zeros((len(x), *kernel.sparsity.shape))
+    for k in range(x.shape[1]):
+        h = np.zeros_like(x)
+        h[:, k] = 1e-6 * np.maximum(np.abs(x[:, k]), 1e-3)
+        change = kernel.evaluate(x + h, data) - kernel.evaluate(x - h, data)
+        J[:, :, k] = change / (2.0 * h[:, [k]])
+    return J
+
+
+def check(kernel, x, data, name):
+    J = kernel.jacobian(x, data)
+    # Deflections are complex numbers themselves: differences there.
+    expected = (by_differences if name == "migration" else by_complex_step)(
+        kernel, x, data
+    )
+    scale = np.abs(expected).max(axis=(0, 1)) + 1e-12
+    error = np.abs(J - expected).max(axis=(0, 1)) / scale
+    assert error.max() < 1e-6, f"input {error.argmax()}"
+    assert not J[:, ~kernel.sparsity].any()
+    assert (np.abs(J) > 0.0).any(axis=0)[kernel.sparsity].mean() > 0.7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_derivatives(name, rng, nominal):
+    kernel, x, data = cases(rng, nominal("coupled").tree)[name]
+    check(kernel, x, data, name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_wrong_derivative_is_caught(name, rng, nominal, monkeypatch):
+    kernel, x, data = cases(rng, nominal("coupled").tree)[name]
+    right = kernel.jacobian
+
+    def wrong(x, data):
+        J = right(x, data).copy()
+        row, column = np.argwhere(kernel.sparsity)[-1]
+        J[:, row, column] *= 1.001
+        return J
+
+    monkeypatch.setattr(kernel, "jacobian", wrong)
+    with pytest.raises(AssertionError, match="input"):
+        check(kernel, x, data, name)
+
+
+def test_curvature_of_a_cuff(rng, nominal):
+    kernel, x, data = cases(rng, nominal("coupled").tree)["cuff"]
+    weights = rng.uniform(-1.0, 1.0, (N, 5))
+    H = kernel.curvature(x, weights, data)
+    for k in range(x.shape[1]):
+        h = np.zeros_like(x)
+        h[:, k] = 1e-4 * np.abs(x[:, k])
+        change = kernel.jacobian(x + h, data) - kernel.jacobian(x - h, data)
+        expected = np.einsum("no,noi->ni", weights, change)
+        expected /= 2.0 * h[:, [k]]
+        np.testing.assert_allclose(H[:, k], expected, atol=1e-6)
+
+
+def test_a_cuff_in_series_satisfies_its_kernel():
+    own, strap = np.array([4000.0, 6000.0, 70.0]), np.array([2e3, 9e3, 30.0])
+    together = 1.0 / (1.0 / own + 1.0 / strap)
+    x = np.r_[0.03, 0.29, together, 0.03, 0.04, 1.0 / strap][None]
+    data = np.r_[0.0, 0.25, 1.0 / own][None]
+    np.testing.assert_allclose(CuffKernel().evaluate(x, data), 0.0, atol=1e-12)
+
+
+def test_squares_sum_to_the_norm(rng):
+    """Half of their sum is half the norm over its scale to its order."""
+    order, scale, shear = 8.0, 30.0, 0.25
+    force = rng.uniform(-50.0, 50.0, (40, 2))
+    weights = rng.uniform(0.1, 1.0, 40)
+    weights /= weights.sum()
+    kernel = ForceNormKernel(order, scale, shear)
+    r = kernel.evaluate(force, np.sqrt(weights)[:, None])
+    size = np.hypot(force[:, 1], np.sqrt(shear) * force[:, 0])
+    norm = (weights @ size**order) ** (1.0 / order)
+    assert np.sum(r * r) == pytest.approx((norm / scale) ** order, rel=1e-4)
+
+
+def test_work_is_that_of_the_power(rng):
+    torque, rate = rng.uniform(-2.0, 2.0, (2, 5, 3))
+    weights = rng.uniform(0.1, 0.3, 5)
+    x = np.r_[torque.ravel(), rate.ravel(), 0.0][None]
+    found = WorkKernel(5, 3).evaluate(x, weights[None])
+    expected = np.sum(weights[:, None] * torque * rate)
+    assert found[0, 0] == pytest.approx(expected / 10.0)
