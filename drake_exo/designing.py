@@ -302,6 +302,23 @@ class Designed:
                 "more freedom or wider limits",
             )
         )
+        most = self.settings.limits.migration_mm
+        for row in self.felt():
+            value = row["after"]["migration_mm"]
+            if most is not None and value > (1.0 + _BOLD) * most:
+                found.append(
+                    Check(
+                        "design.migration",
+                        False,
+                        value,
+                        most,
+                        "mm",
+                        row["cuff"],
+                        "deflects along the limb by more than its limit, as "
+                        "it does today",
+                        "note",
+                    )
+                )
         for row in self.variables():
             if row["at_bound"]:
                 found.append(
@@ -432,10 +449,10 @@ class Designed:
         header = ["design", "value", "", "cost by a step"]
         parts.append(format_table(header, rows, 3))
         s = self.support
+        how = _RESPONSE[self.settings.response]
         parts.append(
             f"work of the device {s['before']:.1f} J today, "
-            f"{s['after']:.1f} J "
-            f"on the design; the person moves {_RESPONSE[self.settings.response]}"
+            f"{s['after']:.1f} J on the design; the person moves {how}"
         )
         if self.parts:
             parts.append(

@@ -407,12 +407,10 @@ class _Wearing(PhaseProblem):
             [("mm", 1e3)],
         )
         self._slid[cuff, movement.name] = slid
-        most = 1e-3 * self._posed.settings.limits.migration_mm
-        if self.wearer.is_drawn:
-            today = self._posed.today[self.wearer.name][cuff][TANGENTIAL]
-            own = self.contact.bushings[cuff].tangential_stiffness
-            most = max(most, today / own)
-        most = np.full(n, most)
+        today = self._posed.today[self.wearer.name][cuff][TANGENTIAL]
+        today /= self.contact.bushings[cuff].tangential_stiffness
+        wanted = 1e-3 * self._posed.settings.limits.migration_mm
+        most = np.full(n, max(wanted, today))
         movement.bound(slid.ravel(), -most, most)
         origin = self._variables[cuff][:2]
         self.program.add_constraints(

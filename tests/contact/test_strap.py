@@ -116,7 +116,7 @@ def test_a_wrong_file_is_one_sentence(tmp_path, text, said):
 
 
 def test_a_missing_file_is_one_sentence(tmp_path):
-    with pytest.raises(InputError, match="design.yaml"):
+    with pytest.raises(InputError, match=r"design\.yaml"):
         read_design(tmp_path)
 
 

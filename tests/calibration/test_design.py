@@ -1,0 +1,262 @@
+"""Phase D: better cuffs for wearers of known truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from program_derivatives import check_derivatives
+
+from drake_exo.calibration.design import (
+    DesignProblem,
+    Wearer,
+    design_of,
+    design_variables,
+    device_work,
+    drawn,
+    largest_forces,
+    norm_of,
+    works,
+)
+from drake_exo.calibration.design_settings import (
+    CuffFreedom,
+    DesignLimits,
+    DesignSettings,
+)
+from drake_exo.calibration.error_model import NO_ERRORS
+from drake_exo.calibration.own_movement import OwnMovement, assisted
+from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.contact.parameters import Posterior
+from drake_exo.contact.strap import Assistance, Design
+from drake_exo.errors import InputError
+
+pytestmark = pytest.mark.slow
+
+SOLVER = Solver(20.0, tolerance=1e-6)
+SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
+_DRIVE_NM = {"exo_knee": -20.0, "exo_hip": -12.0}
+
+
+def phase():
+    return PredictionSettings(solver=SOLVER, guess="data", errors=NO_ERRORS)
+
+
+@pytest.fixture(scope="module")
+def driven(in_device):
+    """The first rise with a device that bears a part of it."""
+    trial = in_device.trials[0]
+    names, moments = trial.coordinates, trial.moments.copy()
+    s = np.sin(np.pi * trial.times / trial.duration) ** 2
+    for joint, nm in _DRIVE_NM.items():
+        moments[:, names.joint(joint)] += nm * s
+        moments[:, names.joint(names.follows(joint))] -= nm * s
+    return replace(trial, moments=moments)
+
+
+def moved(in_device, trial, contact=None):
+    posed = OwnMovement(
+        in_device.model, [trial], contact or in_device.contact, phase()
+    )
+    result = posed.solve()
+    assert result.success
+    return result.trials[0]
+
+
+@pytest.fixture(scope="module")
+def wearer(in_device, driven):
+    return Wearer(
+        "somebody",
+        in_device.model,
+        in_device.contact,
+        (moved(in_device, driven),),
+    )
+
+
+@pytest.fixture(scope="module")
+def today(wearer):
+    result = DesignProblem([wearer], SETTINGS, held=True).solve()
+    assert result.solution.success
+    return result
+
+
+@pytest.fixture(scope="module")
+def found(wearer, today):
+    result = DesignProblem([wearer], SETTINGS, today=today).solve()
+    assert result.solution.success
+    return result
+
+
+def test_a_passive_device_moves_as_it_did(in_device):
+    """Own movement on the true cuffs gives back the forces of the data."""
+    trial = in_device.trials[0]
+    found = moved(in_device, trial)
+    for cuff, force in trial.cuffs.items():
+        own = force.normal - found.sample(trial.times).cuffs[cuff].normal
+        assert np.abs(own).max() < 1.5
+
+
+def test_today_is_the_own_movement(today, wearer):
+    (own,), (again,) = wearer.trials, today.wearers["somebody"].trials
+    for cuff, force in own.cuffs.items():
+        np.testing.assert_allclose(
+            again.cuffs[cuff].normal, force.normal, atol=1.0
+        )
+
+
+def test_derivatives_of_the_program(wearer, today):
+    problem = DesignProblem([wearer], SETTINGS, today=today)
+    compiled = problem.compiled
+    y = compiled.restrict(problem.guess())
+    rng = np.random.default_rng(1)
+    check_derivatives(
+        compiled, y + 1e-3 * rng.standard_normal(len(y)), tolerance=1e-4
+    )
+
+
+def test_a_design_lowers_the_norm_and_keeps_its_limits(found, today):
+    assert found.norm_n < 0.9 * today.norm_n
+    before, after = (largest_forces(r)["somebody"] for r in (today, found))
+    for cuff, force in after.items():
+        assert force[2] <= before[cuff][2] * (1.0 + 1e-4)
+    work = [works(r)["somebody"] for r in (today, found)]
+    assert work[1] == pytest.approx(work[0], rel=0.006)
+    for v in found.problem.design:
+        assert v.lower <= found.values[v.name] <= v.upper
+
+
+def test_the_forecast_is_what_the_design_promised(found, in_device, driven):
+    """The same person on the built cuffs, without the design's objective."""
+    design = found.design
+    again = moved(
+        in_device,
+        assisted(driven, design),
+        design.contact(in_device.contact),
+    )
+    (promised,) = found.wearers["somebody"].trials
+    assert norm_of([again], SETTINGS) == pytest.approx(found.norm_n, rel=0.05)
+    assert device_work(again) == pytest.approx(device_work(promised), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "step"),
+    [
+        ("thigh.along_m", 0.02, 2e-3),
+        ("shank.strap_normal_n_m", 1e-4, 1e-5),
+        ("exo_knee.factor_at_0_deg", 1.05, 5e-3),
+    ],
+)
+def test_slope_is_that_of_problems_solved_again(
+    wearer, name, value, step, today
+):
+    """Gradient of the optimum by a variable, to 1 %."""
+    free = replace(
+        SETTINGS,
+        limits=DesignLimits(
+            migration_mm=None,
+            moment_factor=None,
+            effort_factor=None,
+            support=None,
+        ),
+    )
+
+    def solved(at):
+        held = {v.name: v.today for v in today.problem.design} | {name: at}
+        result = DesignProblem([wearer], free, held=held).solve()
+        assert result.solution.success
+        return result
+
+    slope = solved(value).slopes()[name]
+    up, down = (solved(value + s * step) for s in (1.0, -1.0))
+    expected = up.solution.objective - down.solution.objective
+    assert slope == pytest.approx(expected / (2.0 * step), rel=0.01)
+
+
+def test_more_freedom_is_never_worse(wearer, today, found):
+    held = {
+        v.name: v.today
+        for v in today.problem.design
+        if not v.name.endswith("along_m")
+    }
+    places = DesignProblem([wearer], SETTINGS, today=today, held=held).solve()
+    assert places.solution.success
+    assert found.solution.objective <= places.solution.objective * 1.001
+    assert places.norm_n <= today.norm_n
+
+
+def test_limits_that_contradict_each_other_are_named(wearer, today):
+    limits = replace(SETTINGS.limits, normal_n=4.0)
+    solution = (
+        DesignProblem([wearer], replace(SETTINGS, limits=limits), today=today)
+        .solve()
+        .solution
+    )
+    assert not solution.success
+    assert solution.binding
+    text = solution.explain()
+    assert "normal force" in text and "its bound is" in text and " N" in text
+
+
+def test_one_who_answers_freely_feels_less(wearer, today, found):
+    free = replace(SETTINGS, response="free", effort_nm=200.0)
+    result = DesignProblem([wearer], free, today=today).solve()
+    assert result.solution.success
+    assert result.norm_n < found.norm_n
+
+
+def test_wearers_are_drawn_from_what_is_known(wearer):
+    names = ("thigh.origin_z", "thigh.normal_stiffness")
+    values = [wearer.contact.values()[n] for n in names]
+    known = Posterior(
+        names, np.array(values), np.diag([0.01, 0.2 * values[1]]) ** 2
+    )
+    sure = replace(wearer, contact=replace(wearer.contact, posterior=known))
+    draws = drawn(sure, 300)
+    origin, stiffness = (
+        np.array([d.contact.values()[n] for d in draws]) for n in names
+    )
+    assert origin.std() == pytest.approx(0.01, rel=0.15)
+    assert np.log(stiffness).std() == pytest.approx(0.2, rel=0.15)
+    assert (stiffness > 0.0).all()
+    assert drawn(wearer, 3) == []
+    again = drawn(sure, 1)[0].contact.values()
+    assert again == draws[0].contact.values()
+
+
+def test_cuffs_stay_on_their_limbs(wearer):
+    wide = DesignSettings(
+        cuffs={"thigh": CuffFreedom(along_m=(-0.5, 0.5))}, draws=0
+    )
+    (along,) = (
+        v for v in design_variables([wearer], wide) if v.name == "thigh.along_m"
+    )
+    length = wearer.model.human.thigh.length_m
+    place = wearer.contact.bushings["thigh"].origin_z
+    assert place + along.lower == pytest.approx(0.05)
+    assert place + along.upper == pytest.approx(length - 0.05)
+
+
+def test_nothing_changed_is_no_design(wearer):
+    values = {v.name: v.today for v in design_variables([wearer], SETTINGS)}
+    design = design_of(values)
+    contact = wearer.contact
+    assert design.contact(contact).values() == contact.values()
+    assert design.assistance["exo_knee"].factor == (1.0,)
+
+
+def test_assistance_moves_load_between_person_and_device(driven):
+    design = Design(assistance={"exo_knee": Assistance((0.0,), (1.5,))})
+    changed = assisted(driven, design)
+    more = changed.moment("exo_knee") - driven.moment("exo_knee")
+    np.testing.assert_allclose(more, 0.5 * driven.moment("exo_knee"))
+    np.testing.assert_allclose(
+        changed.moment("knee") + more, driven.moment("knee")
+    )
+    assert assisted(driven, Design()) is driven
+
+
+def test_wearers_that_do_not_fit_are_refused(wearer):
+    with pytest.raises(InputError, match="no wearers"):
+        DesignProblem([])
+    (own,) = wearer.trials
+    passive = replace(wearer, trials=(replace(own, moments=None),))
+    with pytest.raises(InputError, match="torques are not known"):
+        DesignProblem([passive])
