@@ -13,6 +13,7 @@ from types import FunctionType
 
 from pydrake.systems.framework import System
 
+from drake_exo.calibration.own_movement import assisted
 from drake_exo.calibration.results import (
     read_contact,
     solve_summary,
@@ -23,6 +24,7 @@ from drake_exo.calibration.results import (
 from drake_exo.calibration.scores import spread
 from drake_exo.cli.calibrate import add_study_arguments, report_failure
 from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import Design, read_design
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.report.figures import draw_figures
@@ -84,6 +86,13 @@ def add_parser(subparsers) -> None:
         help="a stateless LeafSystem that gives the exoskeleton's torques, "
         "such as drake_exo:AssistController; without it they are as measured",
     )
+    parser.add_argument(
+        "--design",
+        type=Path,
+        metavar="DIR",
+        help="results of 'drake-exo design': predict with its cuffs, and with "
+        "its factors on the device's torques",
+    )
     parser.set_defaults(run=run)
 
 
@@ -95,6 +104,8 @@ def run(args: argparse.Namespace) -> int:
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
     study.trials("prediction")  # bad input ends before a folder is made
+    if args.design is not None:
+        study, contact = on_design(study, contact, read_design(args.design))
     with prepare_output_folder(args.out, args.force, args.resume) as out:
         code = write_predictions(
             study,
@@ -108,6 +119,27 @@ def run(args: argparse.Namespace) -> int:
     if not code:
         print(f"results in {args.out}")
     return code
+
+
+def on_design(
+    study: Study, contact: ContactModel, design: Design
+) -> tuple[Study, ContactModel]:
+    """Study and contact with a design: trials for prediction alone.
+
+    Raises:
+        InputError: the design is of another device.
+    """
+    model = study.model
+    design.check(model.cuffs, model.coordinates.device)
+    trials = [assisted(trial, design) for trial in study.trials("prediction")]
+    own = Study(
+        model,
+        trials,
+        name=study.name,
+        prediction=study.prediction,
+        filter=study.filter,
+    )
+    return own, design.contact(contact)
 
 
 def write_predictions(

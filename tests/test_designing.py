@@ -1,0 +1,172 @@
+"""`dx.design` and the command: forecast, files, verdict, refusals."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import drake_exo as dx
+from drake_exo.calibration.design import DesignProblem, device_work
+from drake_exo.calibration.design_settings import DesignSettings
+from drake_exo.calibration.error_model import NO_ERRORS
+from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.cli import main
+from drake_exo.contact.strap import read_design
+from drake_exo.designing import Peak, front
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+
+SOLVER = Solver(20.0, tolerance=1e-4)
+SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Two rises with a device that bears a part of it."""
+    made = dx.synthetic.rises_in_device(2, nodes_per_second=25.0)
+    trials = []
+    for trial in made.trials:
+        names, moments = trial.coordinates, trial.moments.copy()
+        s = np.sin(np.pi * trial.times / trial.duration) ** 2
+        for joint, nm in (("exo_knee", -20.0), ("exo_hip", -12.0)):
+            moments[:, names.joint(joint)] += nm * s
+            moments[:, names.joint(names.follows(joint))] -= nm * s
+        trials.append(replace(trial, moments=moments))
+    prediction = PredictionSettings(errors=NO_ERRORS)
+    own = dx.Study(made.model, trials, prediction=prediction, design=SETTINGS)
+    return own, made.contact
+
+
+@pytest.fixture(scope="module")
+def found(study):
+    return dx.design(*study, parts=True)
+
+
+@pytest.mark.slow
+def test_a_design_holds_and_tells_what_it_buys(found):
+    assert found.success
+    verdict = found.verdict()
+    assert verdict.word == "holds", verdict.text()
+    norms = found.summary()["norm_n"]
+    assert norms["after"] < 0.9 * norms["before"]
+    assert norms["forecast"] == pytest.approx(norms["after"], rel=0.1)
+    support = found.support
+    assert support["after"] == pytest.approx(support["before"], rel=0.03)
+    parts = found.parts
+    assert set(parts) > {"nothing", "all"}
+    assert min(parts.values()) == parts["all"]
+
+
+@pytest.mark.slow
+def test_peaks_are_means_over_trials_that_have_mats(found, study):
+    own, _ = study
+    for cuff, peak in found.peaks.items():
+        seen = [
+            np.abs(t.cuffs[cuff].normal).max()
+            for t in own.trials()
+            if cuff in t.cuffs
+        ]
+        if not seen:
+            assert peak.measured_before is None
+            assert peak.forecast_after == peak.model_after
+            continue
+        assert peak.measured_before == pytest.approx(np.mean(seen))
+        ratio = peak.forecast_after / peak.model_after
+        expected = peak.measured_before / peak.model_before
+        assert ratio == pytest.approx(expected)
+        assert peak.forecast_low <= peak.forecast_after <= peak.forecast_high
+
+
+@pytest.mark.slow
+def test_files(found, study, tmp_path):
+    verdict = found.write(tmp_path)
+    assert verdict.exit_code == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["verdict"] == "holds"
+    assert set(summary["peaks_n"]) == {"shank", "thigh", "pelvis"}
+    assert set(summary["peaks_n"]["thigh"]) == set(Peak.__dataclass_fields__)
+    assert {"before", "after"} <= set(summary["support"])
+    assert read_design(tmp_path) == found.design
+    contact = dx.read_contact(tmp_path)
+    built = found.design.contact(study[1])
+    assert contact.values() == pytest.approx(built.values())
+    names = {row["name"] for row in summary["variables"]}
+    assert {"thigh.along_m", "exo_knee.factor_at_0_deg"} <= names
+    text = (tmp_path / "design.txt").read_text()
+    assert "thigh.along_m" in text and "N" in text
+    assert (tmp_path / "forces.png").stat().st_size > 10_000
+    work = summary["support"]["before"]
+    own = sum(device_work(m.trial) for ms in found.before.values() for m in ms)
+    assert work == pytest.approx(own)
+
+
+@pytest.mark.slow
+def test_what_lies_beyond_calibration_is_marked(found):
+    rows = found.variables()
+    far = [r for r in rows if r["unit"] == "m" and abs(r["value"]) > 0.03]
+    assert far and all(r["extrapolated"] for r in far)
+    assert found.summary()["extrapolated"]
+    assert "beyond what was calibrated" in found.table()
+    notes = {c.name for c in found.checks() if not c.holds}
+    assert "design.extrapolation" in notes
+
+
+@pytest.mark.slow
+def test_built_forces_stand_beside_the_forecast(found):
+    """What was measured on the design: here the forecast's own forces."""
+    trials = [m.trial for ms in found.after.values() for m in ms]
+    (name,) = found.after
+    built = replace(found, measured={name: trials})
+    for peak in built.peaks.values():
+        assert peak.measured_after is not None
+    assert built.support["measured_after"] == pytest.approx(
+        built.support["after"]
+    )
+
+
+@pytest.mark.slow
+def test_less_support_costs_less_force(found):
+    rows = front(found, (0.6, 1.0))
+    assert [r["share"] for r in rows] == [0.6, 1.0]
+    assert rows[0]["norm_n"] < rows[1]["norm_n"]
+    assert rows[0]["work_j"] == pytest.approx(0.6 * rows[1]["work_j"], rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_failed_design_is_sealed_and_written_as_such(found, tmp_path):
+    short = replace(SETTINGS, solver=replace(SOLVER, max_iterations=2))
+    wearers = found.found.problem.wearers
+    failed = DesignProblem(wearers, short, today=found.today).solve()
+    made = replace(found, found=failed)
+    assert not made.success
+    assert made.write(tmp_path).exit_code == 1
+    assert not (tmp_path / "design.yaml").exists()
+    with pytest.raises(dx.SealedSolutionError):
+        made.design  # noqa: B018
+
+
+def test_studies_and_calibrations_must_match(study):
+    own, contact = study
+    with pytest.raises(InputError, match="1 studies and 2 calibrations"):
+        dx.design(own, [contact, contact])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("order: 2", "order"),
+        ("cuffs: {thigh: {along_m: [0.1, 0.2]}}", "place of today"),
+        ("assistance: [1.1, 1.2]", "factor of today"),
+        ("limits: {support: -1}", "support"),
+    ],
+)
+def test_wrong_settings_are_one_sentence(text, said):
+    with pytest.raises(InputError, match=said):
+        schema.load_text(text, DesignSettings)
+
+
+def test_a_missing_calibration_is_one_sentence(capsys, tmp_path, data_root):
+    path = data_root.parent / "nowhere.yaml"
+    assert main(["design", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert "cannot be read" in capsys.readouterr().err
