@@ -23,7 +23,6 @@ _PLACES = {
     "calibration.interaction": ["InteractionCalibration"],
     "calibration.prediction": ["PredictionProblem"],
     "calibration.results": ["read_contact", "read_trial"],
-    "calibration.design": ["DesignProblem"],
     "calibration.design_settings": ["DesignSettings"],
     "calibration.settings": [
         "FootGroundSettings",
@@ -33,7 +32,7 @@ _PLACES = {
     "contact.controllers": ["AssistController"],
     "contact.diagram": ["build_diagram", "build_simulator"],
     "contact.parameters": ["ContactModel", "nominal_contact"],
-    "contact.strap": ["Design", "read_design"],
+    "contact.strap": ["read_design"],
     "designing": ["design"],
     "errors": ["InputError"],
     "measurement.sagittal": ["PlanarWrench"],

@@ -96,7 +96,7 @@ class DesignSettings:
         own_angle_deg: how near to the own movement, one standard deviation.
         effort_nm: typical moment of the person's joints in the cost.
         draws: wearers drawn from each calibration's posterior, besides the
-            one that it found.
+            one that it found; a design for them is safer and less good.
         seed: of those draws.
         cuffs: what may change of each, by name; defaults where none is
             named.
@@ -118,7 +118,7 @@ class DesignSettings:
     response: Literal["own", "free"] = "own"
     own_angle_deg: float = _positive(0.02, "deg")
     effort_nm: float = _positive(2000.0, "N m")
-    draws: int = field(default=2, metadata={"minimum": 0})
+    draws: int = field(default=0, metadata={"minimum": 0})
     seed: int = field(default=0, metadata={"minimum": 0})
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = field(

@@ -206,6 +206,12 @@ def read_design(folder: str | Path) -> Design:
 
     Raises:
         InputError: it is missing, or says something that is not allowed.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_design(folder, Design({"thigh": CuffDesign(along_m=0.02)}))
+    ...     read_design(folder).cuffs["thigh"].along_m
+    0.02
     """
     path = Path(folder)
     return schema.load(path / DESIGN if path.is_dir() else path, Design)
