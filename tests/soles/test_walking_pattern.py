@@ -9,7 +9,12 @@ from scipy.optimize import minimize
 from drake_exo.errors import InputError
 from drake_exo.soles import loads
 from drake_exo.soles.settings import Pattern as PatternBlock
-from drake_exo.soles.walking_pattern import Robot, _least_squares, plan
+from drake_exo.soles.walking_pattern import (
+    Robot,
+    _least_squares,
+    plan,
+    smooth_share,
+)
 
 ROBOT = Robot(
     80.0, 0.8085, 0.2633, 0.162, 1.0, 0.195, -0.1, 0.1, 0.05, -0.05
@@ -73,6 +78,35 @@ def test_both_feet_carry_the_whole_load(pattern):
     # 5 ms apart: no jump, the ZMP moves at most at 0.6 m/s.
     assert np.abs(np.diff(load.zmp, axis=0)).max() < 3e-3
     assert np.abs(np.diff(load.force[:, 2])).max() < 0.06 * 80 * 9.81
+
+
+def test_horizontal_forces_move_the_body(pattern):
+    """Newton, with accelerations by differences; the next step mirrored."""
+    load = pattern.foot_load(period=0.005, least=1e-6)
+    h, T = 1e-4, 1.0
+    t = load.times
+    ahead = t > T
+    here = np.where(ahead, t - T, t)
+    here = np.clip(here, h, T - h)
+    c = pattern.com
+    acceleration = (c(here + h) - 2.0 * c(here) + c(here - h)) / h**2
+    acceleration[ahead, 1] *= -1.0
+    share = load.force[:, 2] / (80.0 * 9.81)
+    expected = 80.0 * share[:, None] * acceleration
+    size = np.abs(expected).max(axis=0)
+    assert (size > 5.0).all()
+    assert (np.abs(load.force[:, :2] - expected) < 0.01 * size).all()
+
+
+def test_loads_share_goes_over_twice_differentiably():
+    s = np.linspace(0.0, 1.0, 2001)
+    share = smooth_share(s)
+    np.testing.assert_allclose(share[[0, 1000, -1]], [0.0, 0.5, 1.0])
+    slope = np.gradient(share, s)
+    bend = np.gradient(slope, s)
+    assert slope.max() == pytest.approx(15.0 / 8.0, rel=1e-3)
+    assert np.abs(bend[[2, -3]]).max() < 0.2 and np.abs(bend).max() > 5.0
+    np.testing.assert_allclose(smooth_share(np.array([-1.0, 2.0])), [0, 1])
 
 
 @pytest.mark.parametrize(

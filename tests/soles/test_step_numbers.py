@@ -1,0 +1,244 @@
+"""A step's figures, tables and costs against sums over its nodes by hand."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_step import write_case, write_step
+
+from drake_exo.soles.case import Case
+from drake_exo.soles.step import results, stiffness
+from drake_exo.soles.step.results import Step
+
+
+@pytest.fixture(scope="module")
+def step(tmp_path_factory) -> Step:
+    folder = tmp_path_factory.mktemp("step")
+    write_step(folder / "load.csv", 11)
+    write_case(folder / "case.yaml")
+    found = Case.read(folder / "case.yaml").simulate()
+    assert found.failed_steps == 0
+    return found
+
+
+def test_forces_and_zmp_are_the_nodes_sums(step):
+    load = step.setup.load
+    for q in range(11):
+        F, P = step.history.F[q], step.history.P[q]
+        np.testing.assert_allclose(step.force[q], F.sum(axis=0))
+        np.testing.assert_allclose(F.sum(axis=0), load.force[q], atol=1e-5)
+        zmp = (P[:, :2] * F[:, 2:]).sum(axis=0) / F[:, 2].sum()
+        np.testing.assert_allclose(step.zmp[q], zmp)
+        np.testing.assert_allclose(zmp, load.zmp[q], atol=1e-7)
+
+
+def test_pressure_is_force_over_a_nodes_area(step):
+    mesh = step.sole.mesh
+    area = mesh.contact_areas
+    # The bottom, and of the sides what nodes below the top stand for: three
+    # quarters of two layers.
+    sides = 2.0 * (0.23 + 0.13) * 0.03
+    assert area.sum() == pytest.approx(0.23 * 0.13 + 0.75 * sides)
+    for q in (0, 5):
+        expected = step.node_forces[q, :, 2] / area
+        np.testing.assert_allclose(step.pressure[q], expected)
+    carried = (step.pressure * area).sum(axis=1)
+    np.testing.assert_allclose(carried, step.setup.load.force[:, 2], rtol=1e-6)
+    np.testing.assert_array_equal(step.touching, step.pressure > 0)
+
+
+def test_stiffness_of_known_matrices():
+    """Diagonal blocks: their entries are the singular values."""
+    K = np.zeros((4, 6, 6))
+    K[0] = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])
+    K[1] = -np.diag([5e4, 1e4, 2e4, 90.0, 80.0, 30.0])
+    K[2, :3, 3:] = 7.0  # coupling has no part in either block
+    K[3] = np.nan
+    found = stiffness.sigma_max_translation(K)
+    np.testing.assert_allclose(found, [3e4, 5e4, 0.0, np.nan])
+    found = stiffness.sigma_min_rotation(K)
+    np.testing.assert_allclose(found, [20.0, 30.0, 0.0, np.nan])
+    # Rotations over (0.05 m)^2: 20 / 0.0025 = 8000 N/m.
+    found = stiffness.stability(K[:2])
+    np.testing.assert_allclose(found, [8e3, 1e4])
+    assert np.isnan(stiffness.stability(K[3]))
+    K[0, 0, 1] = 2e4  # the symmetric part alone counts
+    sym = np.array([[1e4, -1e4], [-1e4, 3e4]])
+    expected = min(np.linalg.eigvalsh(sym)[0], 8e3)
+    assert stiffness.stability(K[0]) == pytest.approx(expected)
+    assert stiffness.stability(-K[1]) == pytest.approx(-5e4)
+
+
+@pytest.mark.parametrize(
+    ("samples", "fraction", "count"),
+    [(10, 0.1, 1), (19, 0.1, 1), (20, 0.1, 2), (5, 0.1, 1), (9, 0.5, 4)],
+)
+def test_heel_strike_is_the_first_part(samples, fraction, count):
+    assert stiffness.heel_strike_count(samples, fraction) == count
+
+
+def test_costs_are_plain_sums():
+    K = np.zeros((20, 6, 6))
+    for q in range(20):
+        K[q] = -np.diag([1.0, 2.0, 10.0 + q, 3.0 + q, 50.0, 60.0])
+    c_tr, c_rot, c = stiffness.costs(K, weight=0.5, fraction=0.1)
+    assert c_tr == pytest.approx(10.0 + 11.0)
+    assert c_rot == pytest.approx(sum(3.0 + q for q in range(20)))
+    assert c == pytest.approx(c_tr - 0.5 * c_rot)
+
+
+def by_hand(K: np.ndarray) -> tuple[float, float]:
+    """Largest and least stretch of a block's rows, by its Gram matrix."""
+    largest = np.sqrt(np.linalg.eigvalsh(K[:3, :3].T @ K[:3, :3]).max())
+    least = np.sqrt(np.linalg.eigvalsh(K[3:, 3:].T @ K[3:, 3:]).min())
+    return largest, least
+
+
+def test_a_steps_costs_are_those_of_its_stiffness(step):
+    cost = step.setup.settings.cost
+    tr, rot = np.array([by_hand(K) for K in step.stiffness]).T
+    np.testing.assert_allclose(step.sigma_max_translation, tr)
+    np.testing.assert_allclose(step.sigma_min_rotation, rot, rtol=1e-6)
+    count = max(1, int(cost.heel_strike_fraction * 11))
+    assert step.heel_strike == count
+    assert step.c_tr == pytest.approx(tr[:count].sum())
+    assert step.c_rot == pytest.approx(rot.sum(), rel=1e-6)
+    assert step.c == pytest.approx(step.c_tr - cost.weight * step.c_rot)
+
+
+def test_table_columns_are_in_the_unit_of_their_name(step):
+    table, load = step.table(), step.setup.load
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_array_equal(
+            table[f"force_{axis}_n"], load.force[:, k]
+        )
+        origin = step.history.O[:, k]
+        np.testing.assert_array_equal(table[f"origin_{axis}_m"], origin)
+    np.testing.assert_array_equal(table["zmp_x_m"], load.zmp[:, 0])
+    np.testing.assert_array_equal(table["zmp_y_m"], load.zmp[:, 1])
+    # R = Rx Ry Rz: R02 = sin(pitch), R12 = -sin(roll) cos(pitch).
+    R = step.history.R
+    pitch = np.arcsin(R[:, 0, 2])
+    roll = np.arctan2(-R[:, 1, 2], R[:, 2, 2])
+    yaw = np.arctan2(-R[:, 0, 1], R[:, 0, 0])
+    for name, angle in (("roll", roll), ("pitch", pitch), ("yaw", yaw)):
+        np.testing.assert_allclose(
+            table[f"{name}_deg"], angle * 180.0 / np.pi, atol=1e-9
+        )
+    tilt = np.arccos(R[:, 2, 2]) * 180.0 / np.pi
+    np.testing.assert_allclose(table["tilt_deg"], tilt, atol=1e-5)
+    touching = (step.history.F[:, :, 2] > 0).sum(axis=1)
+    np.testing.assert_array_equal(table["nodes_in_contact"], touching)
+    np.testing.assert_array_equal(
+        table["sigma_max_tr_n_per_m"], step.sigma_max_translation
+    )
+    np.testing.assert_array_equal(
+        table["sigma_min_rot_nm_per_rad"], step.sigma_min_rotation
+    )
+    np.testing.assert_array_equal(table["stability_n_per_m"], step.stability)
+    assert table["converged"].tolist() == [1] * 11
+    reports = step.history.reports
+    assert table["newton_iterations"].tolist() == [
+        r.iterations for r in reports
+    ]
+
+
+def test_summary_is_in_the_unit_of_its_name(step):
+    told, mesh = step.summary(), step.sole.mesh
+    assert told["volume_cm3"] == pytest.approx(23.0 * 13.0 * 3.0)
+    density = step.sole.material.density_kg_per_m3
+    assert told["mass_kg"] == pytest.approx(density * 0.23 * 0.13 * 0.03)
+    assert told["tilt_max_deg"] == pytest.approx(step.table()["tilt_deg"].max())
+    assert told["stability_min_n_per_m"] == step.stability.min()
+    assert told["stable"] is bool(step.stability.min() > 0)
+    assert (told["c_tr"], told["c_rot"], told["c"]) == step.costs
+    assert told["steps"] == 11 and told["failed_steps"] == 0
+    assert told["contact_nodes"] == len(mesh.contact)
+    assert (told["nodes"], told["tets"]) == (len(mesh.nodes), len(mesh.tets))
+    iterations = [r.iterations for r in step.history.reports]
+    assert told["newton_iterations_max"] == max(iterations)
+    assert told["newton_iterations_mean"] == pytest.approx(np.mean(iterations))
+    strains = []
+    for q in range(11):
+        # Forces in the sole's own axes.
+        f_L = np.einsum("ji,mj->mi", step.rotation[q], step.node_forces[q])
+        eps = step.sole.strain(step.sole.displacement(f_L))
+        strains.append(np.abs(np.linalg.eigvalsh(eps)).max())
+    assert told["max_strain"] == pytest.approx(max(strains))
+
+
+def test_a_step_that_is_not_stable_everywhere_is_not_stable(step):
+    loose = step.history.K_c.copy()
+    loose[3] = -loose[3]
+    other = replace(step, history=replace(step.history, K_c=loose))
+    assert other.summary()["stable"] is False
+
+
+def test_principal_strains_are_eigenvalues():
+    rng = np.random.default_rng(0)
+    eps = rng.normal(size=(50, 3, 3))
+    eps = eps + eps.swapaxes(1, 2)
+    eps[0] = 0.2 * np.eye(3)
+    found = results.principal_strains(eps)
+    expected = np.linalg.eigvalsh(eps)[:, ::-1]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def complementarity(step, **change) -> float:
+    history = replace(step.history, **change)
+    return replace(step, history=history).complementarity()
+
+
+def test_laws_that_are_broken_are_told_by_how_much(step):
+    """Exact laws hold nearly; each is broken in turn by a known amount."""
+    law, q = step.law, 4
+    base = step.complementarity()
+    assert base < 1e-6
+    F, P = step.history.F, step.history.P
+    total = np.linalg.norm(F[q].sum(axis=0))
+    node = int(np.argmax(F[q, :, 2]))
+    free = int(np.argmin(F[q, :, 2]))
+    assert F[q, free, 2] == 0.0
+
+    pulled = F.copy()
+    pulled[q, free, 2] = -0.1 * total
+    shift = 1.0 + 0.1  # the sum is smaller by what pulls
+    found = complementarity(step, F=pulled)
+    assert found > 0.09 * shift
+
+    deep = P.copy()
+    deep[q, free, 2] = -0.02 * total / law.penalty
+    assert complementarity(step, P=deep) == pytest.approx(0.02, rel=1e-3)
+
+    high = P.copy()
+    high[q, node, 2] += 3.0 * total / law.penalty
+    share = F[q, node, 2] / total
+    expected = 3.0 * share
+    assert complementarity(step, P=high) == pytest.approx(expected, rel=0.1)
+
+    sheared = F.copy()
+    up = law.friction * F[q, node, 2]
+    sheared[q, node, :2] = [2.0 * up, 0.0]
+    new = np.linalg.norm(sheared[q].sum(axis=0))
+    assert complementarity(step, F=sheared) >= 0.99 * up / new
+
+
+def test_files_hold_the_table_and_the_summary(step, tmp_path, monkeypatch):
+    monkeypatch.setattr(Step, "draw", lambda *_: None)
+    step.write(tmp_path, {"more_seconds": 1.5})
+    with (tmp_path / "steps.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    table = step.table()
+    assert list(rows[0]) == list(table)
+    for name, values in table.items():
+        np.testing.assert_allclose(
+            [float(row[name]) for row in rows], values, rtol=1e-9
+        )
+    told = json.loads((tmp_path / "summary.json").read_text())
+    for key, value in step.summary().items():
+        if isinstance(value, float):
+            assert told[key] == pytest.approx(value)
+    assert told["complementarity"] == step.complementarity()
+    assert told["more_seconds"] == 1.5
