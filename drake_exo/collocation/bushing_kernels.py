@@ -39,8 +39,6 @@ class CoupledDynamicsKernel:
         self._first = self._dynamics.sparsity.shape[1]
         pattern = np.zeros((nq, self._first + 5 * nb), bool)
         pattern[:, : self._first] = self._dynamics.sparsity
-        moved = np.zeros((nq, 2), bool)
-        moved[2:] = True
         for b, bushing in enumerate(bushings):
             angles = bushing.moved_by
             force = slice(self._first + 3 * b, self._first + 3 * b + 3)

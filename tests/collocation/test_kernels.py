@@ -13,6 +13,7 @@ from drake_exo.collocation.kernels import (
     FORCE_UNIT,
     DynamicsKernel,
     FootGroundKernel,
+    _motion_curvature,
 )
 from drake_exo.contact.bushing import (
     BushingKinematics,
@@ -141,6 +142,31 @@ def test_contact_curvature_equals_differences_of_the_jacobian(
     largest = np.abs(H * np.outer(size, size)).max()
     picked = difference[:, keep][:, :, keep]
     assert np.abs(picked).max() < 1e-3 * largest
+
+
+def test_curvature_of_a_spheres_motion_is_exact(contact_kernel):
+    """Entry by entry, each against its own size, by a complex step."""
+    kernel = contact_kernel("simbody")
+    rng = np.random.default_rng(9)
+    x = rng.normal(size=(3, 19))
+    weights = rng.normal(size=(3, 5))
+    p, _, _ = kernel._sphere(x, 0)
+    found = _motion_curvature(x, p, weights)
+    columns = [*range(6), 11, 12]  # q, v, and where the first sphere sits
+
+    def gradient(x):
+        d = kernel._sphere(x, 0)[2]
+        return np.einsum("no,nok->nk", weights, d)
+
+    h = 1e-5
+    for k, column in enumerate(columns):
+        up, down = x.copy(), x.copy()
+        up[:, column] += h
+        down[:, column] -= h
+        expected = (gradient(up) - gradient(down)) / (2.0 * h)
+        np.testing.assert_allclose(
+            found[:, k, : len(columns)], expected, atol=1e-8
+        )
 
 
 def test_a_wrong_contact_derivative_is_caught(monkeypatch, contact_kernel):

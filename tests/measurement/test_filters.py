@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.measurement.filters import derivatives, low_pass, resample
+from drake_exo.measurement.filters import (
+    derivatives,
+    low_pass,
+    minimum_jerk,
+    resample,
+)
 
 
 def sine(hz, rate, seconds=20.0):
@@ -72,3 +77,18 @@ def test_resampling_a_smooth_signal():
     new = np.linspace(0.0, t[-1], 357)
     expected = np.sin(2.0 * np.pi * new)
     assert np.abs(resample(t, x, new) - expected).max() < 1e-5
+
+
+def test_minimum_jerk_and_its_derivatives():
+    s = np.linspace(0.0, 1.0, 2001)
+    step, rate, bend = minimum_jerk(s)
+    np.testing.assert_allclose(step[[0, 1000, -1]], [0.0, 0.5, 1.0])
+    np.testing.assert_allclose(rate[[0, 1000, -1]], [0.0, 15 / 8, 0.0])
+    np.testing.assert_allclose(
+        np.gradient(step, s)[1:-1], rate[1:-1], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        np.gradient(rate, s)[1:-1], bend[1:-1], atol=1e-4
+    )
+    beyond = np.array(minimum_jerk(np.array([-1.0, 2.0])))
+    np.testing.assert_array_equal(beyond, [[0, 1], [0, 0], [0, 0]])

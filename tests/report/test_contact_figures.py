@@ -37,6 +37,32 @@ def test_figure_8_is_monotone_with_a_slope_in_the_zoom():
     assert np.max(small) < 0.475
 
 
+def test_figure_8_draws_each_law_in_millimetres():
+    """Hertz at rest where the surfaces are well in; damping by 1 + 3/2 c v."""
+    curves = ContactCurves()
+    (axes,) = draw_normal_force(curves).axes
+    drawn = {li.get_label(): li.get_data() for li in axes.get_lines()}
+    x, rest = drawn["paper, at rest"]
+    deep = np.searchsorted(x, 19.0)
+    # Force of Hertz for a plane-strain modulus halved by two bodies.
+    hertz = 4.0 / 3.0 * (0.5 * 5e6) * np.sqrt(0.032) * 0.019**1.5
+    own, simbody = (
+        drawn[k][1][deep] for k in ("paper, at rest", "simbody, at rest")
+    )
+    assert own / simbody == pytest.approx(1.0, rel=0.02)
+    assert 0.3 < own / hertz < 3.0
+    for rate in (0.1, -0.1):
+        word = "sinking" if rate > 0.0 else "leaving"
+        _, moving = drawn[f"paper, {word} at 0.1 m/s"]
+        expected = 1.0 + 1.5 * 2.0 * rate
+        assert moving[deep] / rest[deep] == pytest.approx(expected, rel=0.02)
+        assert len(moving) == len(x)
+    assert axes.get_xlabel() == "indentation (mm)"
+    for label in drawn:
+        if "rest" in label or "m/s" in label:
+            np.testing.assert_allclose(drawn[label][0][[0, -1]], [-50, 20])
+
+
 def test_figure_9_peaks_at_one_and_is_flat_from_three():
     figure = draw_friction(ContactCurves())
     ratio, mu = line(figure.axes[0], r"paper, $\mu_2$").get_data()

@@ -40,6 +40,7 @@ from drake_exo.virtual_laboratory.pressure_mats import (
     CELL_AREA_M2,
     CONFIGURATIONS,
     cell_pressures,
+    cells,
     write_scans,
 )
 from drake_exo.virtual_laboratory.simulation import equilibrium
@@ -251,3 +252,26 @@ def test_study_names_markers_that_exist():
         for name in names
     ]
     assert set(named) <= set(markers)
+
+
+@pytest.mark.parametrize("mat", [m for c in CONFIGURATIONS.values() for m in c])
+def test_cells_lie_about_the_middle_of_a_face(mat):
+    """A pitch apart, as many before as behind, normals inwards."""
+    centres, inward, around, along = cells(mat, HUMAN)
+    front = 1.0 if mat.face == "front" else -1.0
+    assert (front * centres[:, 0] > 0.0).mean() > 0.6
+    assert centres[:, 1].mean() == pytest.approx(0.0, abs=1e-4)
+    assert around.mean() == pytest.approx(0.0, abs=1e-3)
+    assert along.mean() == pytest.approx(0.0, abs=1e-12)
+    cuff = HUMAN.cuff_m(mat.segment)[1]
+    np.testing.assert_allclose(centres[:, 2], cuff + along)
+    assert (np.sum(inward[:, :2] * centres[:, :2], axis=1) < 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(inward, axis=1), 1.0)
+    steps = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    np.fill_diagonal(steps, np.inf)
+    np.testing.assert_allclose(
+        steps.min(axis=1), np.sqrt(CELL_AREA_M2), rtol=0.02
+    )
+    # An ellipse: the normal is its gradient.
+    a, b = np.abs(centres[:, :2]).max(axis=0)
+    assert a < 0.2 and b < 0.2
