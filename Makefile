@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
     MPLCONFIGDIR="$(CURDIR)/$(VENV)/matplotlib"
 
-.PHONY: demo test quick docs coverage lint clean
+.PHONY: demo test quick docs coverage mutants lint clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -34,6 +34,11 @@ docs: $(VENV)/installed
 coverage: $(VENV)/installed
 	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal \
 	    --cov=drake_exo --cov-branch --cov-report=term-missing:skip-covered
+
+# Errors planted one at a time: those of a list, then some that nobody chose.
+mutants: $(VENV)/installed
+	$(TEST_ENV) $(BIN)/python tests/mutants.py
+	$(TEST_ENV) $(BIN)/python tests/mutants.py --drawn 30 --seed 1
 
 lint: $(VENV)/installed
 	$(BIN)/ruff format .
