@@ -12,7 +12,8 @@ leg is followed on its own; the planar model's leg is their mean, since feet
 that stand apart fore and aft give the legs different angles.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +63,49 @@ class MarkerModel:
         """Index of a segment of one leg."""
         return self.segments.index(f"{segment}_{side}")
 
+    def on(self, segment: str, side: str) -> list[str]:
+        """Names of the markers on a segment of one leg."""
+        own = self.segment_of == self.index(segment, side)
+        return [n for n, here in zip(self.names, own, strict=True) if here]
+
+    def without(self, names: Iterable[str]) -> "MarkerModel":
+        """The same model without some markers."""
+        gone = set(names)
+        keep = [i for i, n in enumerate(self.names) if n not in gone]
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in keep),
+            segment_of=self.segment_of[keep],
+            levers=self.levers[keep],
+            weights=self.weights[keep],
+        )
+
+    def loose(self) -> str | None:
+        """A segment that the markers leave free to turn; None if all hold."""
+        w = np.exp(1j * self.standing_angles)
+        J = (
+            np.column_stack(
+                [np.ones(len(self.names)), 1j * np.ones(len(self.names))]
+                + [1j * w[k] * self.levers[:, k] for k in range(len(w))]
+            )
+            * np.sqrt(self.weights)[:, None]
+        )
+        _, values, rows = np.linalg.svd(np.concatenate([J.real, J.imag]))
+        if len(values) >= len(w) + 2 and values[-1] >= 1e-3 * values[0]:
+            return None
+        return self.segments[int(np.argmax(np.abs(rows[-1][2:])))]
+
+    def determined(self, hidden: np.ndarray) -> np.ndarray:
+        """Frames (N,) in which the markers that are seen hold every segment.
+
+        Args:
+            hidden: (N, M) bool, in the order of `names`.
+        """
+        patterns, which = np.unique(hidden, axis=0, return_inverse=True)
+        names = np.array(self.names)
+        holds = [self.without(names[p]).loose() is None for p in patterns]
+        return np.array(holds)[which.ravel()]
+
 
 def build_marker_model(
     standing: MarkerData, markers: Markers, frame: SagittalFrame
@@ -81,7 +125,7 @@ def build_marker_model(
     centres = _joint_centres(standing, markers, frame, sides)
     segments = ("pelvis", *(f"{s}_{side}" for side in sides for s in LEG))
     hip = np.mean([centres[side]["hip"] for side in sides])
-    w, joints = _skeleton(segments, centres, hip)
+    w, joints = _skeleton(segments, centres, hip, standing.source)
     names, segment_of, levers = [], [], []
     for segment, side, name in _attachments(markers, sides):
         k = segments.index(segment if side is None else f"{segment}_{side}")
@@ -151,7 +195,7 @@ def _joint_centres(standing, markers, frame, sides):
     }
 
 
-def _skeleton(segments, centres, hip):
+def _skeleton(segments, centres, hip, source):
     """Unit vectors of the segments in standing, and levers of the joints."""
     w = np.ones(len(segments), complex)
     joints = {}
@@ -161,11 +205,12 @@ def _skeleton(segments, centres, hip):
         )
         lengths = c["hip"] - c["knee"], c["knee"] - c["ankle"]
         for k, d in zip((thigh, shank), lengths, strict=True):
-            if abs(d) < 0.05:
+            if not 0.05 < abs(d) < 1.5:
                 raise InputError(
-                    f"the {segments[k].replace('_', ' ')} measures "
+                    f"{source}: the {segments[k].replace('_', ' ')} measures "
                     f"{abs(d):.3f} m in standing; check the markers of its "
-                    "joint centres and the units of the marker file"
+                    "joint centres and the unit of length (mm, cm, m) in the "
+                    "file's header"
                 )
             w[k] = d / abs(d) / 1j  # along the segment is +z
         levers = {"hip": np.zeros(len(segments), complex)}
@@ -208,26 +253,21 @@ def _check_weights(model: MarkerModel, markers: Markers) -> None:
 
 def _check_determined(model: MarkerModel, source: str) -> None:
     """Refuse a marker set that leaves a segment free to turn."""
-    w = np.exp(1j * model.standing_angles)
-    J = (
-        np.column_stack(
-            [np.ones(len(model.names)), 1j * np.ones(len(model.names))]
-            + [1j * w[k] * model.levers[:, k] for k in range(len(w))]
-        )
-        * np.sqrt(model.weights)[:, None]
-    )
-    _, values, rows = np.linalg.svd(np.concatenate([J.real, J.imag]))
-    if len(values) < len(w) + 2 or values[-1] < 1e-3 * values[0]:
-        loose = int(np.argmax(np.abs(rows[-1][2:])))
+    loose = model.loose()
+    if loose is not None:
         raise InputError(
             f"{source}: the marker set cannot determine the angle of the "
-            f"{model.segments[loose].replace('_', ' ')}; add markers to it "
-            "in markers.segments"
+            f"{loose.replace('_', ' ')}; add markers to it in "
+            "markers.segments"
         )
 
 
 _MAX_ITERATIONS = 50
 _CONVERGED = 1e-10  # largest step [m or rad]
+# Weight of a marker that is not seen: none, but every frame has a solution.
+_UNSEEN = 1e-8
+# Markers may spread this many times as far as in standing, either way.
+_SPREAD = 5.0
 
 
 @dataclass(frozen=True)
@@ -237,7 +277,7 @@ class Poses:
     Attributes:
         hip: (N,) complex x + i z, middle of the hips [m].
         angles: (N, S) absolute segment angles [rad].
-        residuals: (N, M) complex, measured minus model [m].
+        residuals: (N, M) complex, measured minus model [m]; NaN where hidden.
     """
 
     hip: np.ndarray
@@ -250,6 +290,7 @@ def solve_poses(
     points: np.ndarray,
     source: str = "markers",
     progress: Progress | None = None,
+    hidden: np.ndarray | None = None,
 ) -> Poses:
     """Fit the marker model to measured points by Gauss-Newton.
 
@@ -259,21 +300,27 @@ def solve_poses(
             [m], without gaps.
         source: file name, for messages.
         progress: told of every iteration.
+        hidden: (N, M) bool, where points are not to be believed; nowhere by
+            default.
 
     Raises:
         InputError: the markers do not fit the model.
     """
     p = points[..., 0] + 1j * points[..., 1]
+    if hidden is None:
+        hidden = np.zeros(p.shape, bool)
+    counts = model.determined(hidden)
+    _check_spread(model, p[counts], source)
     phi = _first_guess(model, p)
     hip = np.mean(p - np.exp(1j * phi) @ model.levers.T, axis=1)
-    W = np.sqrt(model.weights)
+    W = np.sqrt(np.where(hidden, _UNSEEN, model.weights))
     for iteration in range(_MAX_ITERATIONS):
         w = np.exp(1j * phi)
         r = p - hip[:, None] - w @ model.levers.T
         J = np.empty((*p.shape, phi.shape[1] + 2), complex)
         J[..., 0], J[..., 1] = 1.0, 1j
         J[..., 2:] = 1j * w[:, None, :] * model.levers
-        J *= W[:, None]
+        J *= W[..., None]
         A = np.concatenate([J.real, J.imag], axis=1)
         b = np.concatenate([(r * W).real, (r * W).imag], axis=1)
         normal = np.einsum("nmi,nmj->nij", A, A, optimize=True)
@@ -284,7 +331,7 @@ def solve_poses(
         step[:, 2:] = np.clip(step[:, 2:], -0.5, 0.5)
         hip = hip + step[:, 0] + 1j * step[:, 1]
         phi = phi + step[:, 2:]
-        largest = np.abs(step).max()
+        largest = np.abs(step[counts]).max(initial=0.0)
         if progress:
             progress.update(f"iteration {iteration + 1}, step {largest:.1e}")
         if largest < _CONVERGED:
@@ -296,7 +343,39 @@ def solve_poses(
         )
     phi = np.unwrap(phi, axis=0)
     r = p - hip[:, None] - np.exp(1j * phi) @ model.levers.T
-    return Poses(hip, phi, r)
+    return Poses(hip, phi, np.where(hidden, np.nan, r))
+
+
+def _check_spread(model: MarkerModel, p: np.ndarray, source: str) -> None:
+    """Refuse markers (N, M) in another unit of length than in standing.
+
+    Judged by how far each is, in the median frame, from the median marker.
+    """
+    if not len(p):
+        return
+    standing = model.levers @ np.exp(1j * model.standing_angles)
+    usual = np.abs(standing - _middle(standing))
+    found = np.median(np.abs(p - _middle(p)[:, None]), axis=0)
+    ratio = float(np.median(found) / np.median(usual))
+    if not 1.0 / _SPREAD < ratio < _SPREAD:
+        raise InputError(
+            f"{source}: markers are {np.median(found):.3g} m apart, "
+            f"{np.median(usual):.3g} m in standing; one of the two files is "
+            "in another unit of length (mm, cm, m) than its header says"
+        )
+    far = found - usual > 10.0  # m; nobody is that large
+    if far.any():
+        names = ", ".join(np.array(model.names)[far])
+        raise InputError(
+            f"{source}: {names} lie {found[far].max():.3g} m from the other "
+            "markers; they are in another unit of length (mm, cm, m), or "
+            "not of this subject"
+        )
+
+
+def _middle(p: np.ndarray) -> np.ndarray:
+    """Median of complex points along the last axis."""
+    return np.median(p.real, axis=-1) + 1j * np.median(p.imag, axis=-1)
 
 
 def _first_guess(model: MarkerModel, p: np.ndarray) -> np.ndarray:
@@ -351,8 +430,29 @@ def merge_legs(
 def residual_rms(model: MarkerModel, poses: Poses) -> dict[str, float]:
     """Root mean square distance of each marker from the model [m].
 
-    A marker on two segments has one entry, its mean over both.
+    A marker on two segments has one entry, its mean over both; frames in which
+    it is hidden do not count.
     """
-    square = np.mean(np.abs(poses.residuals) ** 2, axis=0)
+    square = np.abs(poses.residuals) ** 2
     names = np.array(model.names)
-    return {n: float(np.sqrt(square[names == n].mean())) for n in model.names}
+    found = {}
+    for name in model.names:
+        own = square[:, names == name]
+        seen = own[np.isfinite(own)]
+        found[name] = float(np.sqrt(seen.mean())) if seen.size else 0.0
+    return found
+
+
+def leg_angles(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
+    """Ankle, knee and hip (N, 3) of each leg, as `merge_legs` has them."""
+    found = {}
+    for side in model.sides:
+        foot, shank, thigh = (
+            poses.angles[:, model.index(s, side)]
+            for s in ("foot", "shank", "thigh")
+        )
+        pelvis = poses.angles[:, 0]
+        found[side] = np.column_stack(
+            [foot - shank, thigh - shank, thigh - pelvis]
+        )
+    return found

@@ -25,11 +25,13 @@ from drake_exo.measurement.exoskeleton import (
     within,
 )
 from drake_exo.measurement.filters import derivatives, resample
+from drake_exo.measurement.gaps import Gap, Gaps, fill_gaps, gap_remedy
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
 )
 from drake_exo.measurement.kinematics import (
+    leg_angles,
     merge_legs,
     residual_rms,
     solve_poses,
@@ -38,7 +40,6 @@ from drake_exo.measurement.mats import MatForce, read_mat_forces
 from drake_exo.measurement.recording import (
     FootForces,
     common_time,
-    fill_gaps,
     merge_plates,
     read_feet,
     read_markers,
@@ -77,7 +78,11 @@ class Motion:
         ankles: side -> (N, 2) filtered ankle centres [m].
         hip_z: (N,) height of the middle of the hips [m].
         residuals_m: marker -> RMS distance from the model.
-        gaps: marker -> share of frames that was filled.
+        gaps: of the markers.
+        known: (N,) whether the markers that are seen hold every segment.
+        legs: side -> (N, 3) ankle, knee, hip of that leg [rad].
+        feet: side -> (N, k, 3) markers of the foot: forward, left, up [m].
+        without: markers that are hidden for too long, and left out.
     """
 
     time: np.ndarray
@@ -87,7 +92,11 @@ class Motion:
     ankles: dict[str, np.ndarray]
     hip_z: np.ndarray
     residuals_m: dict[str, float]
-    gaps: dict[str, float]
+    gaps: Gaps
+    known: np.ndarray
+    legs: dict[str, np.ndarray]
+    feet: dict[str, np.ndarray]
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,33 +127,84 @@ class Recording:
     clocks: dict[str, Clock]
 
 
+class Recordings:
+    """Processed recordings of a study, each made once.
+
+    Args:
+        settings: of the study.
+        root: folder that its paths start from.
+        subject: fitted to the standing trial.
+    """
+
+    def __init__(
+        self, settings: RecordingSettings, root: Path, subject: SubjectModel
+    ):
+        self._made_with = subject, settings, root
+        self._found: dict[Any, Recording] = {}
+
+    def of(self, files: TrialFiles, without: tuple[str, ...] = ()) -> Recording:
+        """The recording that a trial is cut from; raises as `process`."""
+        key = _recording(files), without
+        if key not in self._found:
+            self._found[key] = process(key[0], *self._made_with, without)
+        return self._found[key]
+
+    def used(self, files: TrialFiles) -> Recording:
+        """Likewise, without markers hidden for too long in the used part."""
+        return self.of(
+            files, tuple(sorted({g.marker for g in self._long(files)}))
+        )
+
+    def problem(self, files: TrialFiles) -> str | None:
+        """What is hidden for too long where too few other markers are left."""
+        long = self._long(files)
+        markers = self._made_with[0].markers
+        loose = markers.without(gap.marker for gap in long).loose()
+        if loose is None:
+            return None
+        gaps = self.of(files).motion.gaps
+        return (
+            f"{gaps.source}: trial {files.name}: {gaps.sentence(long)}, and "
+            f"too few others are left on the {loose.replace('_', ' ')}"
+        )
+
+    def _long(self, files: TrialFiles) -> list[Gap]:
+        found = self.of(files)
+        start, end, _ = _bounds(files, found)
+        return found.motion.gaps.too_long(start, end)
+
+
 def load_trials(
     settings: RecordingSettings,
     root: Path,
     subject: SubjectModel,
     files: tuple[TrialFiles, ...],
+    recordings: Recordings | None = None,
 ) -> tuple[Trial, ...]:
     """Read and process files, and cut out their trials.
 
-    Trials from the same recording share its inverse kinematics.
+    Trials from the same recording share its inverse kinematics. Markers that
+    are hidden for too long in the used part are left out where enough others
+    of their segment remain.
 
     Args:
         settings: of the study.
         root: folder that its paths start from.
         subject: fitted to the standing trial.
         files: of the trials.
+        recordings: keeps what they are cut from.
 
     Raises:
         InputError: a file or the study is not as it should be.
     """
-    recordings: dict[Any, Recording] = {}
-    trials = []
-    for one in files:
-        key = _recording(one)
-        if key not in recordings:
-            recordings[key] = process(one, subject, settings, root)
-        trials.append(cut(one, recordings[key], subject, settings))
-    return tuple(trials)
+    recordings = recordings or Recordings(settings, root, subject)
+    problems = [p for p in map(recordings.problem, files) if p is not None]
+    if problems:
+        longest = settings.laboratory.fill_gaps_s
+        raise InputError(f"{'; '.join(problems)}; {gap_remedy(longest)}")
+    return tuple(
+        cut(one, recordings.used(one), subject, settings) for one in files
+    )
 
 
 def _recording(files: TrialFiles) -> TrialFiles:
@@ -165,12 +225,21 @@ def process(
     subject: SubjectModel,
     settings: RecordingSettings,
     root: Path,
+    without: tuple[str, ...] = (),
 ) -> Recording:
     """Read, clean, synchronise and filter a whole recording.
+
+    Args:
+        files: of a trial.
+        subject: fitted to the standing trial.
+        settings: of the study.
+        root: folder that its paths start from.
+        without: markers to leave out.
 
     Raises:
         InputError: as `load_trials`.
     """
+    subject = replace(subject, markers=subject.markers.without(without))
     laboratory, low_pass_filter = settings.laboratory, settings.filter
     model = subject.model
     markers, gaps = fill_gaps(
@@ -181,6 +250,7 @@ def process(
     forces = read_feet(files, laboratory, low_pass_filter, root)
     time = common_time(markers, forces, low_pass_filter)
     motion = _follow(files.name, markers, gaps, time, subject, settings)
+    motion = replace(motion, without=without)
     forces, force_clock = _on_marker_clock(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory
     )
@@ -216,19 +286,21 @@ def process(
 def _follow(
     name: str,
     markers: MarkerData,
-    gaps: dict[str, float],
+    gaps: Gaps,
     time: np.ndarray,
     subject: SubjectModel,
     settings: RecordingSettings,
 ) -> Motion:
     """Inverse kinematics of the frames at `time`, filtered."""
     frame = settings.laboratory.marker_axes.frame
-    points = frame.points(markers.of(subject.markers.names))
-    inside = np.searchsorted(markers.time, time[0] - 1e-9)
-    points = points[inside : inside + len(time)]
+    model = subject.markers
+    first = np.searchsorted(markers.time, time[0] - 1e-9)
+    inside = slice(first, first + len(time))
+    points = frame.points(markers.of(model.names))[inside]
+    hidden = gaps.hidden(model.names)[inside]
     with Progress(f"inverse kinematics of {name}") as progress:
-        poses = solve_poses(subject.markers, points, markers.source, progress)
-    q, ankles = merge_legs(subject.markers, poses)
+        poses = solve_poses(model, points, markers.source, progress, hidden)
+    q, ankles = merge_legs(model, poses)
 
     def smooth(values):
         return settings.filter.smooth(values, markers.rate_hz, markers.source)
@@ -242,8 +314,14 @@ def _follow(
         a,
         {side: smooth(p) for side, p in ankles.items()},
         smooth(poses.hip.imag),
-        residual_rms(subject.markers, poses),
+        residual_rms(model, poses),
         gaps,
+        model.determined(hidden),
+        {side: smooth(x) for side, x in leg_angles(model, poses).items()},
+        {
+            side: frame.space(markers.of(model.on("foot", side)))[inside]
+            for side in model.sides
+        },
     )
 
 
@@ -279,15 +357,21 @@ def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
     needed, F_z = _needed(rigid, motion), forces.total(feet)
     reach = laboratory.largest_delay_s
     if chair is not None:  # together they bear the body all the time
-        everywhere = np.ones(len(time), bool)
         total = F_z + chair.force_z
-        return force_delay(time, needed, total, everywhere, reach)
+        return force_delay(time, needed, total, motion.known, reach)
     rises = _rises(motion, feet, chair, forces, rigid)
     used = np.zeros(len(time), bool)
     for rise in rises:
         used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
     if not rises:
         used = F_z > 0.5 * rigid.tree.weight
+    used &= motion.known
+    if not used.any():
+        raise InputError(
+            f"{forces.source}: the plates bear {F_z.max():.3g} N at most, the "
+            f"body weighs {rigid.tree.weight:.0f} N; check plates and the unit "
+            "of force (N, not kN), or do not estimate_force_delay"
+        )
     return force_delay(time, needed, F_z, used, reach)
 
 
@@ -332,8 +416,8 @@ def _device(files, motion, model: Model, settings, root):
         clock = Clock(lag)
         if laboratory.estimate_encoder_delay:
             late, explained = encoder_delay(
-                motion.time,
-                (motion.q, motion.v, motion.a),
+                motion.time[motion.known],
+                [x[motion.known] for x in (motion.q, motion.v, motion.a)],
                 angles.delayed(lag),
                 _drive(device, moments, lag, model),
                 model,
@@ -369,6 +453,7 @@ def _mat_clock(motion, angles: Signal | None, mats, model, laboratory):
     if angles is None:
         return Clock(lag, "not estimated: there are no encoders")
     seen = (motion.time >= angles.time[0]) & (motion.time <= angles.time[-1])
+    seen &= motion.known
     time = motion.time[seen]
     q = np.hstack([motion.q[seen], angles.at(time, "encoder angles")])
     signals = [(m.segment, m.time - lag, m.normal) for m in mats]
@@ -426,6 +511,10 @@ def cut(
     provenance = {
         **_provenance(files, recording, subject, settings),
         "part": how,
+        "gaps_filled": {
+            name: count / int(inside.sum())
+            for name, count in motion.gaps.frames(time[0], time[-1]).items()
+        },
         "plate_shift_m": shifts,
         "moments": source,
         "chair": "plate" if recording.chair is not None else "not measured",
@@ -460,7 +549,7 @@ def _provenance(
         "one_leg_doubled": recording.forces.is_one_leg,
         "legs_followed": list(subject.markers.sides),
         "marker_residual_rms_m": recording.motion.residuals_m,
-        "gaps_filled": recording.motion.gaps,
+        "markers_left_out": list(recording.motion.without),
     }
 
 

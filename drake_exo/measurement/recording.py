@@ -1,4 +1,4 @@
-"""Marker and force files on one time base: gaps filled, plates levelled.
+"""Marker and force files on one time base, plates levelled.
 
 Nothing is filtered here but what judges whether a plate is loaded.
 """
@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
@@ -16,14 +15,15 @@ from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
-    missing_column,
     uniform_time,
 )
 from drake_exo.measurement.filters import check_filterable, resample
+from drake_exo.measurement.gaps import runs
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     merge_feet,
     planar_wrench,
+    spatial_wrench,
 )
 from drake_exo.measurement.settings import (
     Filter,
@@ -33,80 +33,6 @@ from drake_exo.measurement.settings import (
     TrialFiles,
 )
 from drake_exo.model.assembly import SIDES
-
-_NEIGHBOURS = 10  # seen frames on each side that carry the spline
-
-
-def fill_gaps(
-    data: MarkerData, names, longest_s: float
-) -> tuple[MarkerData, dict[str, float]]:
-    """Fill gaps of some markers by cubic splines through their surroundings.
-
-    Args:
-        data: markers on an even time base.
-        names: the markers that are needed; others stay as they are.
-        longest_s: longest gap that may be filled [s].
-
-    Returns:
-        The markers without gaps, and the share of frames that was filled of
-        each marker that had any.
-
-    Raises:
-        InputError: a marker is missing, or unseen for longer than
-            `longest_s`, or at either end of the recording.
-    """
-    positions = data.positions.copy()
-    shares = {}
-    for name in dict.fromkeys(names):
-        if name not in data.names:
-            raise missing_column(data.source, name, data.names, "marker")
-        p = positions[:, data.names.index(name)]
-        unseen = ~np.isfinite(p).all(axis=1)
-        if not unseen.any():
-            continue
-        shares[name] = float(unseen.mean())
-        for start, end in _runs(unseen):
-            _check_gap(data, name, start, end, longest_s)
-        _fill(data.time, p, unseen)
-    return replace(data, positions=positions), shares
-
-
-def _runs(mask: np.ndarray) -> list[list[int]]:
-    """Start and end of each run of True in a (N,) bool."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
-    return edges.reshape(-1, 2).tolist()
-
-
-def _check_gap(data, name, start: int, end: int, longest_s: float) -> None:
-    length = (end - start) / data.rate_hz
-    where = (
-        f"{data.source}: marker {name!r} has no value in {end - start} "
-        f"frames from {data.time[start]:g} s"
-    )
-    if length > longest_s + 1e-9:
-        raise InputError(
-            f"{where}, {length:g} s long; gaps up to laboratory.fill_gaps_s "
-            f"({longest_s:g} s) are filled: raise it, or fill the gap in the "
-            "motion-capture software"
-        )
-    if start == 0 or end == len(data.time):
-        raise InputError(
-            f"{where}, at the end of the recording, where nothing can be "
-            "interpolated; cut those frames off"
-        )
-
-
-def _fill(time: np.ndarray, p: np.ndarray, unseen: np.ndarray) -> None:
-    """Fill p (N, 3) in place."""
-    seen = np.flatnonzero(~unseen)
-    for start, end in _runs(unseen):
-        before = seen[seen < start][-_NEIGHBOURS:]
-        after = seen[seen >= end][:_NEIGHBOURS]
-        knots = np.r_[before, after]
-        degree = min(3, len(knots) - 1)
-        spline = make_interp_spline(time[knots], p[knots], k=degree)
-        p[start:end] = spline(time[start:end])
-
 
 _BAND_N = 12.0  # unloaded samples scatter within this around their level
 _SMOOTH_S = 0.025
@@ -135,7 +61,7 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
     smooth = np.convolve(padded, np.ones(width) / width, mode="same")
     smooth = smooth[width:-width]
     near = np.abs(smooth - np.quantile(smooth, 0.02)) < _BAND_N
-    for start, end in _runs(near):
+    for start, end in runs(near):
         # Its edges are still, or already, a load.
         cut = round(_EDGE_S / step)
         long = end - start - 2 * cut >= _SHORTEST_S / step
@@ -189,6 +115,8 @@ class FootForces:
         source: file name.
         chair: of the plate under the chair, if there is one.
         levels: plate ("left", ..., "chair") -> offset and drift taken out.
+        recorded: plate -> (N, 6) force [N] and moment about the origin [N m],
+            forward, left, up, neither levelled nor filtered.
     """
 
     time: np.ndarray
@@ -196,6 +124,7 @@ class FootForces:
     source: str
     chair: PlanarWrench | None = None
     levels: dict[str, dict] = field(default_factory=dict)
+    recorded: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rate_hz(self) -> float:
@@ -363,14 +292,14 @@ def read_foot_forces(
         for foot in (*SIDES, "both", "chair")
         if getattr(plates, foot) is not None
     }
-    wrenches = {
-        foot: planar_wrench(_plate(path, recorded, number), frame)
-        for foot, number in numbers.items()
-    }
+    used = {foot: _plate(path, recorded, n) for foot, n in numbers.items()}
+    wrenches = {foot: planar_wrench(p, frame) for foot, p in used.items()}
+    plain = {foot: spatial_wrench(p, frame) for foot, p in used.items()}
     if laboratory.forces_act_on == "plate":
         wrenches = {foot: w.reversed() for foot, w in wrenches.items()}
+        plain = {foot: -w for foot, w in plain.items()}
     chair = wrenches.pop("chair", None)
-    forces = FootForces(time, wrenches, str(path), chair)
+    forces = FootForces(time, wrenches, str(path), chair, recorded=plain)
     check_filterable(
         forces.source, len(time), forces.rate_hz, settings.cutoff_hz
     )

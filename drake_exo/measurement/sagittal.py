@@ -35,6 +35,10 @@ class SagittalFrame:
         """Points or forces (..., 3) -> their (..., 2) x and z."""
         return np.asarray(p) @ self.R_PL[[0, 2]].T
 
+    def space(self, p: np.ndarray) -> np.ndarray:
+        """Points, forces or moments (..., 3) -> forward, left, up (..., 3)."""
+        return np.asarray(p) @ self.R_PL.T
+
     def pitch_moment(self, m: np.ndarray) -> np.ndarray:
         """Moments (..., 3) -> their (...) component about y (left)."""
         return np.asarray(m) @ self.R_PL[1]
@@ -126,6 +130,17 @@ def planar_wrench(plate: PlateRecording, frame: SagittalFrame) -> PlanarWrench:
     return PlanarWrench(
         frame.points(plate.force),
         frame.pitch_moment(plate.moment_about_origin()),
+    )
+
+
+def spatial_wrench(plate: PlateRecording, frame: SagittalFrame) -> np.ndarray:
+    """A plate's force on the body and its moment about the origin.
+
+    Returns:
+        (N, 6) force [N] and moment [N m], each forward, left, up.
+    """
+    return np.hstack(
+        [frame.space(plate.force), frame.space(plate.moment_about_origin())]
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
+from drake_exo.measurement.gaps import fill_gaps
 from drake_exo.measurement.kinematics import (
     MarkerModel,
     build_marker_model,
@@ -16,7 +17,6 @@ from drake_exo.measurement.kinematics import (
     solve_poses,
 )
 from drake_exo.measurement.recording import (
-    fill_gaps,
     merge_plates,
     read_feet,
     read_markers,
@@ -73,6 +73,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     standing, gaps = fill_gaps(
         standing, _all_names(settings.markers), settings.laboratory.fill_gaps_s
     )
+    gaps.check()
     markers = build_marker_model(standing, settings.markers, frame)
     points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
     poses = solve_poses(markers, points, standing.source)
@@ -82,7 +83,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         "stated_mass_kg": settings.subject.mass_kg,
         "standing_angles_deg": np.rad2deg(q[0, 2:]),
         "standing_residual_rms_m": residual_rms(markers, poses),
-        "standing_gaps_filled": gaps,
+        "standing_gaps_filled": gaps.frames(-np.inf, np.inf),
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),
     }

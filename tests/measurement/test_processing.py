@@ -313,47 +313,91 @@ def test_refuses_slow_forces(files):
     assert "sts.mot" in message and "four times" in message
 
 
-def test_refuses_a_marker_with_a_gap(files):
-    folder, study = files
+def hide(folder, names, start, end):
+    """Markers unseen in the frames from start to end."""
 
-    def hide(data):
-        data.positions[200:230, data.names.index("R_sh1")] = np.nan
+    def change(data):
+        for name in names:
+            data.positions[start:end, data.names.index(name)] = np.nan
         return data
 
-    edit_markers(folder, hide)
+    edit_markers(folder, change)
+
+
+def test_a_marker_hidden_for_long_is_left_out_where_it_matters(files, loaded):
+    folder, study = files
+    hide(folder, ["R_sh1"], 150, 180)
+    _, trials = load(study, folder)
+    told = [t.provenance["markers_left_out"] for t in trials]
+    assert told == [["R_sh1"], []]  # the second rise is elsewhere
+    assert all(t.provenance["gaps_filled"] == {} for t in trials)
+    for trial, whole in zip(trials, loaded[1], strict=True):
+        assert np.abs(trial.q - whole.q).max() < 1e-6
+    alone = load_trials(study, folder, loaded[0], study.trials[1:])
+    np.testing.assert_array_equal(alone[0].q, trials[1].q)
+
+
+def test_refuses_too_few_markers_and_lists_all_gaps(files):
+    folder, study = files
+    hide(folder, ["R_heel"], 150, 180)
+    hide(folder, ["R_meta"], 170, 185)
+    hide(folder, ["R_ank"], 190, 200)
+    hide(folder, ["L_meta", "L_heel", "L_ank"], 690, 700)
     message = refusal(study, folder)
-    assert "'R_sh1' has no value in 30 frames from 2 s" in message
-    lax = replace(study.laboratory, fill_gaps_s=0.2)
-    message = refusal(replace(study, laboratory=lax), folder)
-    assert "0.3 s long; gaps up to laboratory.fill_gaps_s (0.2 s)" in message
+    for part in (
+        "sts.trc: trial rise1: ",
+        "'R_heel' in 30 frames from 1.5 s (0.3 s)",
+        "'R_meta' in 15 frames from 1.7 s",
+        "'R_ank' in 10 frames from 1.9 s",
+        "too few others are left on the foot right",
+        "trial rise2: ",
+        "'L_meta' in 10 frames from 6.9 s",
+        "too few others are left on the foot left",
+        "laboratory.fill_gaps_s (0 s)",
+    ):
+        assert part in message
 
 
 def test_fills_gaps_up_to_the_stated_length(files, loaded):
     folder, study = files
-
-    def hide(data):
-        data.positions[200:220, data.names.index("R_sh1")] = np.nan
-        return data
-
-    edit_markers(folder, hide)
+    hide(folder, ["R_sh1"], 160, 180)
     lax = replace(study.laboratory, fill_gaps_s=0.2)
     _, trials = load(replace(study, laboratory=lax), folder)
-    assert trials[0].provenance["gaps_filled"] == {"R_sh1": 20 / 850}
+    frames = len(trials[0].times)
+    assert trials[0].provenance["gaps_filled"] == {"R_sh1": 20 / frames}
+    assert trials[1].provenance["gaps_filled"] == {}
     change = np.abs(trials[0].q - loaded[1][0].q)
     assert 0.0 < change.max() < 5e-4
 
 
-def test_refuses_a_marker_unseen_at_the_end(files):
+def test_gaps_outside_the_used_part_do_no_harm(files, loaded):
+    folder, study = files
+    everything = [f"R_{n}" for n in ("sh1", "sh2", "kne", "heel", "meta")]
+    hide(folder, everything, 840, 850)
+    _, trials = load(study, folder)
+    for trial, whole in zip(trials, loaded[1], strict=True):
+        assert trial.provenance["markers_left_out"] == []
+        assert np.abs(trial.q - whole.q).max() < 1e-6
+
+
+def test_lengths_in_another_unit_are_told(files):
     folder, study = files
 
-    def hide(data):
-        data.positions[-3:, data.names.index("R_sh1")] = np.nan
-        return data
+    def in_millimetres(data):
+        return replace(data, positions=1e3 * data.positions)
 
-    edit_markers(folder, hide)
-    lax = replace(study.laboratory, fill_gaps_s=0.2)
-    message = refusal(replace(study, laboratory=lax), folder)
-    assert "at the end of the recording" in message
+    edit_markers(folder, in_millimetres)
+    message = refusal(study, folder)
+    assert "sts.trc" in message and "another unit of length" in message
+
+    def one_in_metres(data):
+        p = 1e-3 * data.positions
+        p[:, data.names.index("R_sh1")] *= 1e3
+        return replace(data, positions=p)
+
+    edit_markers(folder, one_in_metres)
+    message = refusal(study, folder)
+    assert "R_sh1 lie" in message and "another unit of length" in message
 
 
 def test_refuses_a_missing_marker(files):

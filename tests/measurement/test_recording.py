@@ -5,7 +5,8 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.recording import fill_gaps, level, unloaded
+from drake_exo.measurement.gaps import fill_gaps
+from drake_exo.measurement.recording import level, unloaded
 from drake_exo.measurement.sagittal import PlanarWrench
 
 FRAMES = np.arange(200) / 100.0
@@ -21,28 +22,51 @@ def data():
 
 
 def test_gaps_are_filled_smoothly(data):
-    found, shares = fill_gaps(data, ["a", "b", "b"], 0.1)
-    assert shares == {"b": 13 / 200}
+    found, gaps = fill_gaps(data, ["a", "b", "b"], 0.1)
+    assert gaps.frames(0.0, 2.0) == {"b": 13}
+    assert gaps.frames(0.55, 0.63) == {"b": 7}
+    assert gaps.frames(0.7, 2.0) == {} and not gaps.too_long(0.0, 2.0)
+    assert not gaps.hidden(["a", "b"]).any()
+    gaps.check()
     np.testing.assert_allclose(found.positions[:, 1], 2.0 * PATH, atol=2e-5)
     np.testing.assert_array_equal(found.positions[:, 0], PATH)
     assert np.isnan(data.positions[55, 1]).all()  # the input stays
 
 
 def test_markers_that_are_not_needed_keep_their_gaps(data):
-    found, shares = fill_gaps(data, ["a"], 0.0)
-    assert shares == {} and np.isnan(found.positions[55, 1]).all()
+    found, gaps = fill_gaps(data, ["a"], 0.0)
+    assert gaps.unseen == {} and np.isnan(found.positions[55, 1]).all()
 
 
-def test_longer_gaps_are_refused(data):
-    with pytest.raises(InputError, match=r"'b'.*10 frames from 0\.5 s"):
-        fill_gaps(data, ["b"], 0.09)
-    with pytest.raises(InputError, match="fill_gaps_s"):
-        fill_gaps(data, ["b"], 0.0)
-
-
-def test_gaps_at_the_ends_are_refused(data):
+def test_longer_gaps_are_told_all_at_once(data):
     data.positions[:2, 0] = np.nan
-    with pytest.raises(InputError, match="cut those frames off"):
+    _, gaps = fill_gaps(data, ["a", "b"], 0.09)
+    with pytest.raises(InputError) as error:
+        gaps.check()
+    text = str(error.value)
+    assert "'a' in 2 frames from 0 s (0.02 s)" in text  # at the end
+    assert "'b' in 10 frames from 0.5 s (0.1 s)" in text
+    assert "0.62 s" not in text and "fill_gaps_s (0.09 s)" in text
+    assert [g.marker for g in gaps.too_long(0.0, 0.4)] == ["a"]
+    assert [g.marker for g in gaps.too_long(0.595, 2.0)] == []
+    gaps.check(0.6, 2.0)
+
+
+def test_what_is_hidden_for_long_is_bridged_and_marked(data):
+    data.positions[-4:, 0] = np.nan
+    found, gaps = fill_gaps(data, ["a", "b"], 0.05)
+    hidden = gaps.hidden(["a", "b"])
+    assert hidden[-4:, 0].all() and hidden[50:60, 1].all()
+    assert hidden.sum() == 14
+    assert np.ptp(found.positions[-5:, 0], axis=0).max() == 0.0
+    middle = found.positions[[49, 60], 1].mean(axis=0)
+    between = found.positions[54:56, 1].mean(axis=0)
+    np.testing.assert_allclose(between, middle, atol=1e-9)
+
+
+def test_hidden_markers_written_as_zeros_are_told(data):
+    data.positions[20:25, 0] = 0.0
+    with pytest.raises(InputError, match=r"'a' in 5 frames from 0\.2 s.*zeros"):
         fill_gaps(data, ["a"], 1.0)
 
 
