@@ -52,7 +52,10 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files import schema
 from drake_exo.files.output import Progress, write_json
-from drake_exo.measurement.processing import load_trials
+from drake_exo.files.verdict import Check
+from drake_exo.measurement.plausibility.evidence import Evidence
+from drake_exo.measurement.plausibility.gate import plausibility, refuse
+from drake_exo.measurement.processing import Recordings, load_trials
 from drake_exo.measurement.quality import Quality, assess
 from drake_exo.measurement.settings import Filter, RecordingSettings, Use
 from drake_exo.measurement.subject import SubjectModel, fit_subject
@@ -133,6 +136,36 @@ class Study:
         """
         return self._trials
 
+    def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
+        """Whether recordings can be what the study takes them for.
+
+        Of trials that are not cut from recordings nothing is judged.
+
+        Args:
+            use: of the trials; all by default.
+        """
+        return ()
+
+    def gate(
+        self, use: Use | None = None, accepted: Sequence[str] = ()
+    ) -> tuple[Check, ...]:
+        """The checks of `plausibility`, once they let the trials pass.
+
+        Args:
+            use: of the trials; all by default.
+            accepted: names of checks, or beginnings of them, that may fail.
+
+        Raises:
+            InputError: another one fails.
+
+        >>> from drake_exo.virtual_laboratory import synthetic
+        >>> Study(*synthetic.rises_on_spheres(1, nodes_per_second=40)).gate()
+        ()
+        """
+        checks = self.plausibility(use)
+        refuse(checks, accepted, self.name)
+        return checks
+
 
 class RecordedStudy(Study):
     """A study whose trials are cut from recordings when they are asked for.
@@ -154,6 +187,11 @@ class RecordedStudy(Study):
         self._loaded: dict[str, Trial] = {}
 
     @cached_property
+    def recordings(self) -> Recordings:
+        """What trials are cut from."""
+        return Recordings(self.file, self.root, self.subject)
+
+    @cached_property
     def subject(self) -> SubjectModel:
         """The subject, fitted to the standing trial."""
         return fit_subject(self.file, self.root)
@@ -171,13 +209,25 @@ class RecordedStudy(Study):
                 f"no trial is for {use}; give those that are 'use: {use}'"
             )
         missing = tuple(f for f in files if f.name not in self._loaded)
-        found = load_trials(self.file, self.root, self.subject, missing)
+        found = load_trials(
+            self.file, self.root, self.subject, missing, self.recordings
+        )
         self._loaded |= {trial.name: trial for trial in found}
         return tuple(self._loaded[f.name] for f in files)
 
     def quality(self) -> Quality:
         """How good the recordings are, without solving anything."""
-        return assess(self.subject, self.trials())
+        return assess(self.subject, self.trials(), self.plausibility())
+
+    def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
+        """See Study."""
+        evidence = [
+            Evidence(f, trial, self.recordings.used(f), self.subject)
+            for trial in self.trials(use)
+            for f in self.file.trials
+            if f.name == trial.name
+        ]
+        return plausibility(self.subject, self.file.standing, evidence)
 
 
 def read_study(

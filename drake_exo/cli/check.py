@@ -3,12 +3,14 @@
 import argparse
 from pathlib import Path
 
+from drake_exo.cli.calibrate import add_accept
 from drake_exo.files.output import (
     Progress,
     prepare_output_folder,
     write_json,
 )
-from drake_exo.measurement.quality import text_of
+from drake_exo.files.verdict import Verdict
+from drake_exo.measurement.quality import Quality, text_of
 from drake_exo.study import RecordedStudy, read_study
 
 
@@ -32,31 +34,41 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--force", action="store_true", help="replace results in --out"
     )
+    add_accept(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the report; write it with pictures to --out, if given."""
+    """Print report and checks; write them with pictures to --out, if given."""
     study = read_study(args.study, args.data_root)
     folder = None
     if args.out is not None:
         folder = prepare_output_folder(args.out, args.force)
     quality = study.quality()
+    verdict = Verdict(quality.checks, tuple(args.accept))
     print(text_of(quality))
+    print(verdict.text())
     if folder is not None:
         with folder as out:
-            _write(out, study, quality)
+            _write(out, study, quality, verdict)
         print(f"report in {args.out}")
-    return 0
+    return verdict.exit_code
 
 
-def _write(out: Path, study: RecordedStudy, quality) -> None:
+def _write(
+    out: Path, study: RecordedStudy, quality: Quality, verdict: Verdict
+) -> None:
     from drake_exo.report.figures import quality_figure, save_figure
 
-    (out / "quality.txt").write_text(text_of(quality) + "\n", encoding="utf-8")
+    text = f"{text_of(quality)}\n{verdict.text(color=False)}\n"
+    (out / "quality.txt").write_text(text, encoding="utf-8")
     write_json(
         out / "quality.json",
-        {**quality.summary(), "standing": study.subject.report},
+        {
+            **quality.summary(),
+            "standing": study.subject.report,
+            **verdict.summary(),
+        },
     )
     trials = study.trials()
     progress = Progress("drawing", total=len(trials))

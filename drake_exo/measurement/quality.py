@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from drake_exo.files.verdict import Check
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 
-# Beyond these a line of the report is marked; they refuse nothing.
+# Beyond these a line of the report is marked; what refuses is `plausibility`.
 LARGEST_MARKER_RMS_M = 0.02
 LARGEST_RESIDUAL_N = 0.05  # of body weight
 LARGEST_MASS_ERROR = 0.05
@@ -27,7 +28,9 @@ class TrialQuality:
         marker_rms_m: marker -> RMS distance from the model.
         worst_marker: with the largest of them.
         marker_rms_all_m: over all markers.
-        gaps: share of marker frames that were filled, over all markers.
+        gaps: share of marker frames of the used part that were filled.
+        filled_frames: how many of the used part, over all markers.
+        left_out: markers that are hidden for too long.
         residual_n: RMS of F_x and F_z that Newton's law misses.
         residual_nm: RMS of the pitch moment about the ankle it misses.
         residual: (N, 3) the same over time.
@@ -43,6 +46,8 @@ class TrialQuality:
     worst_marker: str
     marker_rms_all_m: float
     gaps: float
+    filled_frames: int
+    left_out: tuple[str, ...]
     residual_n: tuple[float, float]
     residual_nm: float
     residual: np.ndarray
@@ -64,16 +69,19 @@ class Quality:
         stated_mass_kg: by the study, None if it says nothing.
         trials: in the study's order.
         warnings: of the standing trial.
+        checks: of plausibility.
     """
 
     standing_mass_kg: float | None
     stated_mass_kg: float | None
     trials: tuple[TrialQuality, ...]
     warnings: tuple[str, ...]
+    checks: tuple[Check, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Everything but time series."""
-        return {**vars(self), "trials": [t.summary() for t in self.trials]}
+        rest = {k: v for k, v in vars(self).items() if k != "checks"}
+        return {**rest, "trials": [t.summary() for t in self.trials]}
 
 
 def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
@@ -90,8 +98,18 @@ def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
     return Q[:, tree.coordinates.root_columns]
 
 
-def assess(subject: SubjectModel, trials: tuple[Trial, ...]) -> Quality:
-    """Quality of loaded trials."""
+def assess(
+    subject: SubjectModel,
+    trials: tuple[Trial, ...],
+    checks: tuple[Check, ...] = (),
+) -> Quality:
+    """Quality of loaded trials.
+
+    Args:
+        subject: fitted to standing.
+        trials: cut from recordings.
+        checks: of their plausibility.
+    """
     report = subject.report
     measured = report.get("standing_mass_kg")
     stated = report["stated_mass_kg"]
@@ -108,6 +126,7 @@ def assess(subject: SubjectModel, trials: tuple[Trial, ...]) -> Quality:
         stated,
         tuple(_of_trial(subject, trial) for trial in trials),
         tuple(warnings),
+        checks,
     )
 
 
@@ -135,6 +154,9 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
         )
     if gaps > LARGEST_GAPS:
         warnings.append(f"{100 * gaps:.0f} % of marker frames are filled")
+    if said["markers_left_out"]:
+        names = ", ".join(said["markers_left_out"])
+        warnings.append(f"left out, hidden for too long: {names}")
     warnings += [
         f"the clock of {name} is {1e3 * d:+.0f} ms off"
         for name, d in said["delays_s"].items()
@@ -148,6 +170,10 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
         worst_marker=worst,
         marker_rms_all_m=_mean_square(markers),
         gaps=float(gaps),
+        filled_frames=round(
+            sum(said["gaps_filled"].values()) * len(trial.times)
+        ),
+        left_out=tuple(said["markers_left_out"]),
         residual_n=(float(size[0]), float(size[1])),
         residual_nm=float(size[2]),
         residual=residual,
@@ -202,7 +228,8 @@ def text_of(quality: Quality) -> str:
             f"{t.name} ({t.start_s:.2f} to {t.end_s:.2f} s)",
             f"  markers: {1e3 * t.marker_rms_all_m:.1f} mm from the model, "
             f"worst {t.worst_marker} {worst:.1f} mm; "
-            f"gaps filled {100 * t.gaps:.1f} %",
+            f"gaps filled in {t.filled_frames} marker frames"
+            + (f" ({100 * t.gaps:.2g} %)" if t.filled_frames else ""),
             f"  Newton's law misses: F_x {t.residual_n[0]:.1f} N, "
             f"F_z {t.residual_n[1]:.1f} N, moment {t.residual_nm:.1f} N m",
             "  clocks: "

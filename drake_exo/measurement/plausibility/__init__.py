@@ -1,0 +1,1 @@
+"""Whether recordings can be what they are taken for."""
