@@ -16,8 +16,10 @@ tests/studies.
 import argparse
 import contextlib
 import copy
+import functools
 import io
 import json
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,12 +30,14 @@ import yaml
 
 import drake_exo as dx
 from drake_exo.errors import InputError
-from drake_exo.files.c3d import read_c3d
 from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.output import Progress
-from drake_exo.files.tables import PlateRecording, Table
+from drake_exo.files.tables import MarkerData, PlateRecording, Table
+from drake_exo.measurement import recording
 
+# A campaign's files are read once, not once for each mistake.
+recording.read_c3d = functools.cache(recording.read_c3d)
 JOINTS = ("ankle", "knee", "hip")
 LEFT, RIGHT, CHAIR = 1, 2, 3
 
@@ -61,11 +65,16 @@ class Plant:
 
     @property
     def trial(self) -> dict:
-        """The one of the three in which a file goes wrong."""
-        return self.study["trials"][1]
+        """The one in which a file goes wrong."""
+        return self.study["trials"][1 % len(self.study["trials"])]
+
+    def alone(self) -> None:
+        """Leave only that trial in the study."""
+        self.study["trials"] = [self.trial]
 
     def laboratory(self, **changes) -> None:
         """Change the study's laboratory."""
+        self.alone()
         self.study["laboratory"].update(changes)
 
     def encoders(self, change: Callable[[Table], Table]) -> None:
@@ -79,42 +88,40 @@ class Plant:
     def forces(
         self,
         change: Callable[[np.ndarray, PlateRecording], PlateRecording],
-        trials: list[dict] | None = None,
         until_s: float = np.inf,
     ) -> None:
-        """Write the plates of some trials anew, as a .mot file.
+        """Write the plates of the trial anew, as a .mot file.
 
         Args:
             change: of time and a plate to another plate.
-            trials: the one that goes wrong by default.
             until_s: where the file ends.
         """
-        for trial in trials or [self.trial]:
-            file = read_c3d(self.campaign / trial["forces"])
-            names, columns = [], []
-            for plate in file.plates:
-                p = change(file.plate_time, plate)
-                for kind, values in (
-                    ("force_{}_v", p.force),
-                    ("force_{}_p", p.point),
-                    ("torque_{}_", p.torque),
-                ):
-                    label = f"ground_{kind.format(p.number)}"
-                    names += [f"{label}{axis}" for axis in "xyz"]
-                    columns.append(values)
-            rows = file.plate_time <= until_s
-            time, values = file.plate_time[rows], np.hstack(columns)[rows]
-            path = self.scratch / f"{trial['name']}_forces.mot"
-            write_table(path, Table(time, tuple(names), values))
-            trial["forces"] = str(path)
+        self.alone()
+        file = recording.read_c3d(self.campaign / self.trial["forces"])
+        names, columns = [], []
+        for plate in file.plates:
+            p = change(file.plate_time, plate)
+            for kind, values in (
+                ("force_{}_v", p.force),
+                ("force_{}_p", p.point),
+                ("torque_{}_", p.torque),
+            ):
+                label = f"ground_{kind.format(p.number)}"
+                names += [f"{label}{axis}" for axis in "xyz"]
+                columns.append(values)
+        rows = file.plate_time <= until_s
+        time, values = file.plate_time[rows], np.hstack(columns)[rows]
+        path = self.scratch / f"{self.trial['name']}_forces.mot"
+        write_table(path, Table(time, tuple(names), values))
+        self.trial["forces"] = str(path)
 
-    def markers(self, change, trials: list[dict] | None = None) -> None:
+    def markers(self, change: Callable[[MarkerData], MarkerData]) -> None:
         """Likewise the markers, as a .trc file."""
-        for trial in trials or [self.trial]:
-            data = read_c3d(self.campaign / trial["markers"]).markers
-            path = self.scratch / f"{trial['name']}.trc"
-            write_trc(path, change(data))
-            trial["markers"] = str(path)
+        self.alone()
+        data = recording.read_c3d(self.campaign / self.trial["markers"]).markers
+        path = self.scratch / f"{self.trial['name']}.trc"
+        write_trc(path, change(data))
+        self.trial["markers"] = str(path)
 
 
 def marker_axes(p: Plant) -> None:
@@ -204,12 +211,13 @@ def cop_unit(p: Plant) -> None:
 
 def plates_exchanged(p: Plant) -> None:
     """Left and right plate exchanged."""
-    for trial in p.study["trials"]:
-        trial["plates"] |= {"left": RIGHT, "right": LEFT}
+    p.alone()
+    p.trial["plates"] |= {"left": RIGHT, "right": LEFT}
 
 
 def mass(p: Plant) -> None:
     """80 instead of 60 kg."""
+    p.alone()
     p.study["subject"]["mass_kg"] *= 80.0 / 60.0
 
 
@@ -289,6 +297,7 @@ def pounds(p: Plant) -> None:
 
 def unloaded(p: Plant) -> None:
     """The chair's plate, which bears nothing, named as that of both feet."""
+    p.alone()
     p.trial["plates"] = {"both": CHAIR}
 
 
@@ -337,7 +346,7 @@ def judge(study: dict, folder: Path, root: Path) -> dict[str, str]:
     path = folder / "study.yaml"
     path.write_text(yaml.safe_dump(study, sort_keys=False), encoding="utf-8")
     try:
-        with contextlib.redirect_stderr(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()):
             checks = dx.read_study(path, root).plausibility()
     except InputError as error:
         return {"input": str(error)}
@@ -362,6 +371,7 @@ def run(campaign: Path, seed: int, mistakes) -> dict:
             p = Plant(campaign, scratch, study, seed)
             mistake(p)
             row["said"][mistake.__name__] = judge(p.study, scratch, campaign)
+    recording.read_c3d.cache_clear()
     return row
 
 
@@ -428,7 +438,9 @@ def main() -> None:
         data = Path(args.data or scratch)
         for kind in args.truth:
             rows = []
-            with Progress(kind, total=len(seeds)) as progress:
+            with Progress(
+                kind, total=len(seeds), stream=sys.stderr
+            ) as progress:
                 for seed in seeds:
                     rows.append(run(_campaign(data, kind, seed), seed, chosen))
                     progress.update(f"seed {seed}", done=len(rows))

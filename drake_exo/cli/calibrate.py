@@ -95,7 +95,8 @@ def add_study_arguments(
 def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
     study = read_study(args.study, args.data_root)
-    study.trials("calibration")  # bad input ends before a folder is made
+    # Bad input ends before a folder is made.
+    study.gate("calibration", args.accept)
     only_foot = args.phase == "foot-ground" or (
         args.phase is None and not study.model.cuffs
     )

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from drake_exo.cli.calibrate import add_accept
+from drake_exo.cli.options import add_accept
 from drake_exo.files.output import (
     Progress,
     prepare_output_folder,

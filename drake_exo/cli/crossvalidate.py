@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.study}: no trial for calibration has pressure mats to "
             "compare with; give 'pressure' for at least one"
         )
+    study.gate("calibration", args.accept)
     folds: list[dict] = []
     with prepare_output_folder(args.out, args.force) as out:
         for trial in trials:

@@ -103,7 +103,8 @@ def run(args: argparse.Namespace) -> int:
     controller = load_controller(args.controller)
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
-    study.trials("prediction")  # bad input ends before a folder is made
+    # Bad input ends before a folder is made.
+    study.gate("prediction", args.accept)
     if args.design is not None:
         study, contact = on_design(study, contact, read_design(args.design))
     with prepare_output_folder(args.out, args.force, args.resume) as out:

@@ -14,6 +14,7 @@ from drake_exo.calibration.uncertainty import (
     contact_sensitivity,
     radius_profile,
 )
+from drake_exo.cli.options import add_accept
 from drake_exo.files.output import (
     Progress,
     prepare_output_folder,
@@ -34,12 +35,14 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--data-root", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--force", action="store_true")
+    add_accept(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Solve, analyse, print and write sensitivity.json."""
     study = read_study(args.study, args.data_root)
+    study.gate("calibration", args.accept)
     trials = study.trials("calibration")
     with prepare_output_folder(args.out, args.force) as out:
         result = calibrate_foot_ground(study, trials).result

@@ -39,6 +39,7 @@ from drake_exo.measurement.kinematics import (
 from drake_exo.measurement.mats import MatForce, read_mat_forces
 from drake_exo.measurement.recording import (
     FootForces,
+    check_loaded,
     common_time,
     merge_plates,
     read_feet,
@@ -488,6 +489,12 @@ def cut(
         {foot: w.cut(inside) for foot, w in recording.feet.items()},
         {side: p[inside] for side, p in motion.ankles.items()},
     )
+    check_loaded(
+        recording.forces.source,
+        wrench,
+        subject.model.rigid.tree.weight,
+        f"trial {files.name}, {start:g} to {end:g} s",
+    )
     time = motion.time[inside]
     (q, v, a), exo = _coordinates(files, recording, inside, subject.model)
     cuffs, mats = _cuff_forces(recording, time)
@@ -587,8 +594,9 @@ def _bounds(files: TrialFiles, recording: Recording):
     if outside > time[1] - time[0]:
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s reaches beyond the "
-            f"recording ({time[0]:g} to {time[-1]:g} s); correct start_s and "
-            "end_s"
+            f"recording ({time[0]:g} to {time[-1]:g} s) that both "
+            f"{files.markers} and {files.forces} hold; correct start_s and "
+            "end_s, or export the whole file"
         )
     return start, end, how
 

@@ -371,6 +371,37 @@ def merge_plates(
     return merge_feet(feet, {side: places.get(side, middle) for side in feet})
 
 
+# Of body weight; plates that bear less do not measure what they should.
+_LEAST_LOAD = 0.1
+
+
+def check_loaded(
+    source: str, wrench: PlanarWrench, weight: float, where: str
+) -> None:
+    """Refuse feet that bear next to nothing.
+
+    Args:
+        source: file name.
+        wrench: of both feet in the used part.
+        weight: of the body [N].
+        where: that part, for the sentence.
+
+    Raises:
+        InputError: with the likely cause.
+    """
+    most = float(wrench.force_z.max())
+    if most > _LEAST_LOAD * weight:
+        return
+    cause = (
+        "check the numbers in plates, the unit of force (N, not kN) and the "
+        "part that is used"
+    )
+    raise InputError(
+        f"{source}: the feet bear {most:.3g} N at most ({where}), the body "
+        f"weighs {weight:.0f} N; {cause}"
+    )
+
+
 def common_time(
     markers: MarkerData, forces: FootForces, settings: Filter
 ) -> np.ndarray:

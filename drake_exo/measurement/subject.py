@@ -17,6 +17,7 @@ from drake_exo.measurement.kinematics import (
     solve_poses,
 )
 from drake_exo.measurement.recording import (
+    check_loaded,
     merge_plates,
     read_feet,
     read_markers,
@@ -38,6 +39,8 @@ from drake_exo.model.segments import (
     SegmentParameters,
     with_overrides,
 )
+
+_LEAST_MASS_KG = 20.0  # where none is stated
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,11 @@ def _body_mass(settings: RecordingSettings, wrench, report) -> float:
             "the body mass is unknown: give subject.mass_kg, or "
             "standing.forces of quiet standing"
         )
+    if wrench is not None:
+        usual = (stated or _LEAST_MASS_KG) * settings.gravity_m_s2
+        check_loaded(
+            str(settings.standing.forces), wrench, usual, "in standing"
+        )
     report["mass_from"] = "standing" if stated is None else "study"
     mass = measured if stated is None else stated
     if not mass > 0.0:
@@ -250,7 +258,8 @@ def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
         raise InputError(
             f"{settings.standing.forces}: standing puts the trunk's centre of "
             f"mass {dx:.2f} m off the hips; check that markers and plates "
-            "share one origin, and standing.plates"
+            "share one origin, laboratory.force_axes, the unit of the plates' "
+            "points (m, not mm), and standing.plates"
         )
     com = (pelvis.com_m[0] + dx, pelvis.com_m[1])
     return replace(human, pelvis=replace(pelvis, com_m=com))

@@ -48,12 +48,13 @@ class Seated:
 def _plates(time, feet: PlanarWrench, chair: PlanarWrench) -> Table:
     names, columns = [], []
     zero = np.zeros(len(time))
-    parts = ((1, 0.4, feet), (2, 0.6, feet), (3, 1.0, chair))
-    for number, share, wrench in parts:
+    parts = ((1, 0.4, feet, 0.1), (2, 0.6, feet, -0.1), (3, 1.0, chair, 0.0))
+    for number, share, wrench, right in parts:
         F_x, F_z = share * wrench.force.T
-        columns += [F_x, F_z, zero]
-        # At the origin, with the whole moment as a free one (about -z).
-        columns += [zero, zero, zero, zero, zero, -share * wrench.moment]
+        x = np.where(wrench.is_loaded, wrench.cop_x, 0.0) if right else zero
+        columns += [F_x, F_z, zero, x, zero, zero + right]
+        # Elsewhere, the whole moment is a free one (about -z).
+        columns += [zero, zero, -(share * wrench.moment + x * F_z)]
         names += [
             f"ground_force_{number}_{kind}{a}" for kind in "vpm" for a in "xyz"
         ]
@@ -65,11 +66,7 @@ def write_seated(folder, human, **changes):
     truth = record(human, kind="rigid")
     tree, time, q = truth.tree, truth.time, truth.q
     v, a = derivatives(time, q)
-    hip = tree.point_positions(q, "pelvis", (0.0, 0.0))
-    chair = PlanarWrench(
-        np.column_stack([0.0 * truth.chair, truth.chair]),
-        -hip[:, 0] * truth.chair,
-    )
+    chair = truth.chair
     loads = {"pelvis": chair, "foot": truth.wrench}
     resultant = inverse_dynamics(tree, q, v, a, loads)[:, 3:]
     exo = -VISCOUS * v[:, 3:]

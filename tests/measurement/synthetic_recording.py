@@ -1,7 +1,8 @@
 """A recording made from the plant itself, so that the truth is known.
 
 One person sits, stands up, sits down, stands up. Markers sit on both legs;
-the chair bears a share of the weight at the hips until seat-off.
+the chair bears a share of the weight until seat-off, behind the hips as far as
+keeps the centre of pressure under the feet.
 """
 
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from drake_exo.study import StudyFile
 RATE = 100.0
 SEAT_OFF = (1.5, 6.5)
 STANDING = (2.6, 7.6)
+PRESSURE_X = 0.05  # in front of the ankle while seated
 ANKLE_HEIGHT = 0.0663  # of the nominal human, below
 POINTS = {  # body -> name -> (x, z) on it
     "foot": {"heel": (-0.05, -0.03), "meta": (0.12, -0.04), "ank": (0, 0)},
@@ -44,7 +46,7 @@ class Recording:
     time: np.ndarray
     q: np.ndarray
     wrench: PlanarWrench
-    chair: np.ndarray
+    chair: PlanarWrench
 
 
 def load(study, folder):
@@ -82,12 +84,15 @@ def record(human, gravity=9.81, kind="human"):
         - step(time, 1.1, SEAT_OFF[0])
         + (step(time, 4.8, 5.2) - step(time, 6.1, SEAT_OFF[1]))
     )
-    chair = 0.7 * tree.weight * seated
-    hip = tree.point_positions(q, "pelvis", (0.0, 0.0))
-    on_pelvis = PlanarWrench(
-        np.column_stack([0.0 * chair, chair]), -hip[:, 0] * chair
+    nothing = inverse_dynamics(tree, q, v, a, {})
+    _, F_z, moment = tree.ground_reaction(q, nothing).T
+    bears = 0.7 * tree.weight * seated
+    under = q[:, 0] + PRESSURE_X
+    chair = PlanarWrench(
+        np.column_stack([0.0 * bears, bears]),
+        seated * (moment + under * (F_z - bears)),
     )
-    Q = inverse_dynamics(tree, q, v, a, {"pelvis": on_pelvis})
+    Q = inverse_dynamics(tree, q, v, a, {"pelvis": chair})
     wrench = PlanarWrench.of(tree.ground_reaction(q, Q))
     left = wrench_on_body(tree, q, "foot", wrench) - Q
     assert np.abs(left[:, :3]).max() < 1e-8
@@ -119,7 +124,7 @@ def force_table(time, wrench, share=0.4):
         zero = np.zeros(len(time))
         force = [part * F_x, part * F_z, zero]
         x = -wrench.moment / F_z
-        point = [x, zero, zero + 0.1]
+        point = [x, zero, zero + (0.1 if number == 1 else -0.1)]
         for kind, values in (("v", force), ("p", point), ("m", [zero] * 3)):
             names += [f"ground_force_{number}_{kind}{a}" for a in "xyz"]
             columns += values

@@ -7,8 +7,9 @@ import numpy as np
 from drake_exo.files.verdict import Check
 from drake_exo.measurement.plausibility.evidence import JOINTS, Evidence
 from drake_exo.measurement.plausibility.plates import likely_cause
-from drake_exo.measurement.settings import SIDES, Standing
+from drake_exo.measurement.settings import Standing
 from drake_exo.measurement.subject import SubjectModel
+from drake_exo.model.assembly import SIDES
 
 # How each limit was chosen, and how often it errs: docs/plausibility.md.
 LARGEST_MASS_ERROR = 0.05
@@ -141,10 +142,7 @@ def _markers(e: Evidence) -> Check:
 def _dynamics(e: Evidence) -> Iterator[Check]:
     missing = e.needed - e.measured
     rms = np.sqrt(np.mean(missing**2, axis=0))
-    # About the ankle, so that the laboratory's origin plays no part.
-    x, z = e.body[0][:, 0], e.body[0][:, 1]
-    pitch = missing[:, 2] - (z * missing[:, 0] - x * missing[:, 1])
-    moment = float(np.sqrt(np.mean(pitch**2)))
+    moment = e.pitch_error()
     force = float(rms[:2].max())
     borne = float(np.mean(e.measured[:, 1]) / np.mean(e.needed[:, 1]))
     cause = _unit_of(borne) or likely_cause(e)

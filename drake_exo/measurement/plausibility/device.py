@@ -6,22 +6,25 @@ a few degrees; speeds agree to a third.
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
 from drake_exo.files.verdict import Check
 from drake_exo.measurement.gaps import runs
-from drake_exo.measurement.plausibility.evidence import JOINTS, Evidence
+from drake_exo.measurement.plausibility.evidence import Evidence
 
 LEAST_CORRELATION = 0.5
 GAINS = (0.4, 2.5)
 LARGEST_OFFSET_DEG = 9.0
-LARGEST_MISMATCH = 0.35  # of the speed of knee and hip
-LARGEST_SWAP = 1.1
+LARGEST_MISMATCH = 0.35  # of the speed
+LARGEST_EXCHANGED = 1.1
+LARGEST_FROZEN_DEG = 5.0
 _MOVES_DEG = 10.0  # a joint that moves less says little
+_FAR_DEG = 30.0  # and of speeds, one that moves less
 _UPRIGHT_SHARE = 0.05  # of the trial, around its most upright posture
 _STEP_S = 0.005
-_FROZEN_DEG, _FROZEN_S = 5.0, 0.1
+_STILL_DEG_S, _FROZEN_S = 0.5, 0.1  # slower than that, for so long
 
 
 def device_checks(e: Evidence) -> Iterator[Check]:
@@ -29,12 +32,11 @@ def device_checks(e: Evidence) -> Iterator[Check]:
     if e.recording.angles is None:
         return
     names = e.trial.coordinates
-    human = np.rad2deg(e.body[0][:, -len(JOINTS) :])
+    human = np.rad2deg(e.expected(e.body[0]))
     device = np.rad2deg(e.trial.q[:, names.device_columns])
     upright = _most_upright(human)
     for i, name in enumerate(names.device):
-        k = JOINTS.index(names.follows(name))
-        h, d = human[:, k], device[:, i]
+        h, d = human[:, i], device[:, i]
         if np.ptp(h) > _MOVES_DEG:
             yield from _follows(e, name, h, d)
         offset = float(np.mean(d[upright] - h[upright]))
@@ -44,19 +46,20 @@ def device_checks(e: Evidence) -> Iterator[Check]:
             LARGEST_OFFSET_DEG,
             "deg",
             e.files.encoders,
-            f"{name} reads {offset:+.0f} deg off the person's {JOINTS[k]} in "
-            "the most upright posture; the encoder's zero is wrong, or it is "
-            "another joint's",
+            f"{name} reads {offset:+.0f} deg off the person's "
+            f"{names.follows(name)} in the most upright posture; the "
+            "encoder's zero is wrong, or it is another joint's",
         )
-        yield _frozen(e, name, k)
-    if len(names.device) == len(JOINTS):
-        yield _swapped(e, human, device)
+        yield _frozen(e, i)
+    moving = [i for i, h in enumerate(human.T) if np.ptp(h) > _FAR_DEG]
+    yield from _exchanged(e, human, device, moving)
+    if moving:
         yield _mismatch(e)
 
 
 def _most_upright(human: np.ndarray) -> np.ndarray:
-    """Frames around that of the least flexion of knee and hip (n,) bool."""
-    at = int(np.argmin(human[:, 1] + human[:, 2]))
+    """Frames around that in which joints are bent least (n,) bool."""
+    at = int(np.argmin(np.abs(human).sum(axis=1)))
     reach = max(2, round(0.5 * _UPRIGHT_SHARE * len(human)))
     return np.abs(np.arange(len(human)) - at) <= reach
 
@@ -92,62 +95,59 @@ def _follows(e: Evidence, name: str, h, d) -> Iterator[Check]:
     )
 
 
-def _frozen(e: Evidence, name: str, k: int) -> Check:
+def _frozen(e: Evidence, i: int) -> Check:
     """Whether an encoder stands still while the person moves."""
     angles, motion = e.recording.angles, e.recording.motion
-    x = angles.values[:, list(e.trial.coordinates.device).index(name)]
-    human = np.interp(angles.time, motion.time, motion.q[:, -len(JOINTS) + k])
-    still = np.abs(np.r_[1.0, np.diff(x)]) < 1e-7
-    rate = 1.0 / (angles.time[1] - angles.time[0])
-    moved = [
-        np.ptp(np.rad2deg(human[a:b]))
-        for a, b in runs(still)
-        if (b - a) / rate >= _FROZEN_S
-    ]
+    human = e.expected(motion.q)[:, i]
+    human = np.rad2deg(np.interp(angles.time, motion.time, human))
+    speed = np.gradient(np.rad2deg(angles.values[:, i]), angles.time)
+    still = np.abs(speed) < _STILL_DEG_S
+    least = _FROZEN_S / (angles.time[1] - angles.time[0])
+    moved = [np.ptp(human[a:b]) for a, b in runs(still) if b - a >= least]
     most = max(moved, default=0.0)
     return e.check(
         "encoder_frozen",
         most,
-        _FROZEN_DEG,
+        LARGEST_FROZEN_DEG,
         "deg",
         e.files.encoders,
-        f"{name} stands still while the person's joint turns by {most:.0f} "
-        "deg; the channel is flat or saturated",
+        f"{e.trial.coordinates.device[i]} stands still while the person's "
+        f"joint turns by {most:.0f} deg; the channel is flat or saturated",
     )
 
 
-def _swapped(e: Evidence, human, device) -> Check:
-    """Whether knee and hip fit better the other way round."""
-    own, other = (
-        float(np.sqrt(np.mean((device[:, order] - human[:, 1:]) ** 2)))
-        for order in ([1, 2], [2, 1])
-    )
-    ratio = own / max(other, 1e-9)
-    return e.check(
-        "encoder_joints",
-        ratio,
-        LARGEST_SWAP,
-        "",
-        e.files.encoders,
-        "the encoder of the knee follows the person's hip, and that of the "
-        "hip the knee; their columns look exchanged",
-    )
-
-
-def _speeds(e: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """Time in the recording (n,) [s], speed of knee and hip (n, 2)."""
-    return e.trial.start_s + e.trial.times, e.body[1][:, -2:]
+def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
+    """Whether two encoders fit better the other way round."""
+    names = e.trial.coordinates.device
+    for a, b in combinations(moving, 2):
+        own, other = (
+            float(np.linalg.norm(device[:, pair] - human[:, [a, b]]))
+            for pair in ([a, b], [b, a])
+        )
+        yield e.check(
+            "encoder_joints",
+            own / max(other, 1e-9),
+            LARGEST_EXCHANGED,
+            "",
+            e.files.encoders,
+            f"{names[a]} moves as the joint of {names[b]} should, and the "
+            "other way round; their columns look exchanged",
+        )
 
 
 def misfit(e: Evidence, encoders: Evidence, reach_s: float) -> float:
     """Share of a person's speed that some encoders do not follow.
 
-    Of knee and hip together; at the best lag of the clocks within
-    `reach_s`. Infinite where the encoders do not cover the movement.
+    Of all joints that move far; at the best lag of the clocks within
+    `reach_s`. Infinite where the encoders do not cover the movement, or
+    nothing moves far.
     """
-    time, v = _speeds(e)
+    moving = np.ptp(np.rad2deg(e.expected(e.body[0])), axis=0) > _FAR_DEG
+    if not moving.any():
+        return np.inf
+    time, v = e.trial.start_s + e.trial.times, e.expected(e.body[1])[:, moving]
     angles = encoders.recording.angles
-    rates = np.gradient(angles.values[:, -2:], angles.time, axis=0)
+    rates = np.gradient(angles.values[:, moving], angles.time, axis=0)
     best = np.inf
     for lag in np.arange(-reach_s, reach_s + 1e-9, _STEP_S):
         t = time + lag
@@ -166,7 +166,7 @@ def _mismatch(e: Evidence) -> Check:
         100.0 * LARGEST_MISMATCH,
         "%",
         e.files.encoders,
-        f"{100 * found:.0f} % of the speed of knee and hip is not in the "
+        f"{100 * found:.0f} % of the joints' speed is not in the "
         "encoders; the file may be of another trial, or its clock far off",
     )
 
@@ -179,7 +179,6 @@ _REACH_S = 0.06
 def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Whether encoders belong to the trial that names them."""
     known = [e for e in evidence if e.recording.angles is not None]
-    known = [e for e in known if len(e.trial.coordinates.device) == 3]
     for e in known:
         others = [o for o in known if o.files.markers != e.files.markers]
         if not others:
@@ -189,7 +188,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
         own = misfit(e, e, _REACH_S)
         fits = {o.trial.name: misfit(o, e, _REACH_S) for o in others}
         best = min(fits, key=fits.get)
-        ratio = own / max(fits[best], 1e-9)
+        ratio = own / max(fits[best], 1e-9) if np.isfinite(own) else 0.0
         yield e.check(
             "encoder_file",
             ratio,

@@ -8,9 +8,10 @@ import numpy as np
 from drake_exo.files.verdict import Check
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.processing import Recording
-from drake_exo.measurement.settings import SIDES, TrialFiles
+from drake_exo.measurement.settings import TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import SIDES
 
 JOINTS = ("ankle", "knee", "hip")
 # A plate that bears less has no centre of pressure worth a judgement [N].
@@ -89,6 +90,15 @@ class Evidence:
             x[:, columns] for x in (self.trial.q, self.trial.v, self.trial.a)
         ]
 
+    def expected(self, body: np.ndarray) -> np.ndarray:
+        """The device's angles or speeds (n, device's) if it moves as the body.
+
+        Args:
+            body: (n, .) positions or velocities of the body.
+        """
+        names = self.trial.coordinates
+        return body[:, -len(names.human) :] @ names.turned_by.T
+
     @cached_property
     def needed(self) -> np.ndarray:
         """F_x, F_z [N] and moment [N m] (n, 3) that motion asks for.
@@ -100,10 +110,28 @@ class Evidence:
         return tree.ground_reaction(self.body[0], Q)
 
     @cached_property
+    def needed_z(self) -> np.ndarray:
+        """Vertical force (N,) that the whole recording's motion asks for."""
+        motion, tree = self.recording.motion, self.subject.model.rigid.tree
+        Q = tree.inverse_dynamics(motion.q, motion.v, motion.a)
+        return tree.ground_reaction(motion.q, Q)[:, 1]
+
+    @cached_property
     def measured(self) -> np.ndarray:
         """The same as the plates have it (n, 3)."""
         loads = (self.trial.ground, *self.trial.chair_loads().values())
         return sum(w.array for w in loads)
+
+    def pitch_error(self, turned: bool = False) -> float:
+        """RMS moment about the ankle that Euler's law misses [N m].
+
+        Args:
+            turned: as if the plates' axes were turned by half a turn.
+        """
+        measured = self.measured * ([-1.0, 1.0, -1.0] if turned else 1.0)
+        F_x, F_z, moment = (self.needed - measured).T
+        x, z = self.body[0][:, :2].T
+        return float(np.sqrt(np.mean((moment - (z * F_x - x * F_z)) ** 2)))
 
     @cached_property
     def plates(self) -> dict[str, np.ndarray]:

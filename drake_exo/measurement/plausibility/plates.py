@@ -16,7 +16,7 @@ _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2}
 LARGEST_FLAT_SHARE = 0.25  # of the time it is loaded
 _FLAT_SAMPLES, _FLAT_S = 5, 0.05
 _FLAT_N = 20.0
-_CLIPPED_N, _FLANK_S = 5.0, 0.05
+_MOVES_SHARE = 0.02  # of body weight: the motion asks for another force
 LARGEST_CHAIR_SHARE = 0.15  # of body weight, RMS
 
 
@@ -44,10 +44,11 @@ def likely_cause(e: Evidence) -> str | None:
     for unit, scale in _LENGTHS.items():
         if _fits(e, scale=scale):
             return f"the points of the force file look like {unit}"
+    exchanged = e.has_two_plates and e.has_both_feet and e.off_side() < 0.0
+    if exchanged and e.pitch_error() <= e.pitch_error(turned=True):
+        return "plates.left and plates.right look exchanged"
     if _fits(e, turned=True):
         return "laboratory.force_axes look turned round"
-    if e.has_two_plates and e.has_both_feet and e.off_side() < 0.0:
-        return "plates.left and plates.right look exchanged"
     return (
         "check plates, laboratory.force_axes and that markers and plates "
         "share one origin"
@@ -111,62 +112,60 @@ def _sides(e: Evidence) -> Check:
     )
 
 
-def _flat(e: Evidence, name: str, F_z: np.ndarray) -> Check:
-    forces = e.recording.forces
+def _repeats(e: Evidence, F_z: np.ndarray) -> list[tuple[int, int]]:
+    """Runs in which a loaded plate repeats itself while the body moves."""
+    forces, motion = e.recording.forces, e.recording.motion
     loaded = np.abs(F_z) > _FLAT_N
-    longest, share = 0.0, 0.0
-    if loaded.any():
-        same = np.r_[False, np.diff(F_z) == 0.0] & loaded
-        least = max(_FLAT_SAMPLES, _FLAT_S * forces.rate_hz)
-        found = [(a, b) for a, b in runs(same) if b - a >= least]
-        share = sum(b - a for a, b in found) / loaded.sum()
-        longest = max((b - a for a, b in found), default=0) / forces.rate_hz
-    value = F_z[loaded][-1] if loaded.any() else 0.0
+    same = np.r_[False, np.diff(F_z) == 0.0] & loaded
+    least = max(_FLAT_SAMPLES, _FLAT_S * forces.rate_hz)
+    needed = np.interp(forces.time, motion.time, e.needed_z)
+    return [
+        (a, b)
+        for a, b in runs(same)
+        if b - a >= least and np.ptp(needed[a:b]) > _MOVES_SHARE * e.weight
+    ]
+
+
+def _flat(e: Evidence, name: str, F_z: np.ndarray) -> Check:
+    found = _repeats(e, F_z)
+    loaded = max(int((np.abs(F_z) > _FLAT_N).sum()), 1)
+    share = sum(b - a for a, b in found) / loaded
+    longest = max(found, key=lambda run: run[1] - run[0], default=(0, 0))
+    seconds = (longest[1] - longest[0]) / e.recording.forces.rate_hz
     return e.check(
         "flat_channel",
         100.0 * share,
         100.0 * LARGEST_FLAT_SHARE,
         "%",
         e.files.forces,
-        f"plate {name!r} stays at exactly {value:.4g} N for up to "
-        f"{longest:.2g} s; the channel is a filler, not a measurement: leave "
-        "the plate out of plates or export its signal",
+        f"plate {name!r} stays at exactly {F_z[longest[0]]:.4g} N for "
+        f"{seconds:.2g} s while the body moves; the channel is a filler, not "
+        "a measurement: leave the plate out of plates or export its signal",
     )
 
 
 def _clipped(e: Evidence, name: str, F_z: np.ndarray) -> Check:
-    """A peak that is cut off: level on top, steep on both sides."""
-    forces = e.recording.forces
+    """A peak that is cut off: level on top while the body moves."""
     top = F_z.max()
-    at_top = F_z == top
-    reach = max(1, round(_FLANK_S * forces.rate_hz))
-    longest = 0.0
-    for a, b in runs(at_top) if top > _FLAT_N else ():
-        before, after = (
-            F_z[max(a - reach, 0)],
-            F_z[min(b + reach, len(F_z)) - 1],
-        )
-        if b - a >= _FLAT_SAMPLES and top - max(before, after) > _CLIPPED_N:
-            longest = max(longest, (b - a) / forces.rate_hz)
+    found = [(a, b) for a, b in _repeats(e, F_z) if F_z[a] == top]
+    longest = max((b - a for a, b in found), default=0)
+    seconds = longest / e.recording.forces.rate_hz
     return e.check(
         "saturated_channel",
-        longest,
+        seconds,
         0.0,
         "s",
         e.files.forces,
-        f"plate {name!r} is cut off at {top:.4g} N for {longest:.2g} s; its "
+        f"plate {name!r} is cut off at {top:.4g} N for {seconds:.2g} s; its "
         "amplifier is saturated: choose a larger range and record again",
     )
 
 
 def _chair(e: Evidence) -> Check:
     """Whether feet and chair together bear the body, seated and rising."""
-    recording, motion = e.recording, e.recording.motion
-    tree = e.subject.model.rigid.tree
-    Q = tree.inverse_dynamics(motion.q, motion.v, motion.a)
-    needed = tree.ground_reaction(motion.q, Q)[:, 1]
+    recording = e.recording
     borne = recording.forces.total(recording.feet) + recording.chair.force_z
-    left = (needed - borne)[motion.known]
+    left = (e.needed_z - borne)[recording.motion.known]
     rms = float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
     return e.check(
         "chair",

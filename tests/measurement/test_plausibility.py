@@ -1,0 +1,399 @@
+"""Each mistake that a laboratory makes once, planted and told.
+
+One recording, sound as it is; every test spoils one thing and reads which check
+says so, and what it says.
+"""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from seated_recording import EXO_JOINTS, write_seated
+
+from drake_exo.cli import main
+from drake_exo.errors import InputError
+from drake_exo.files.csv import read_csv_table, write_csv_table
+from drake_exo.files.opensim import (
+    read_table,
+    read_trc,
+    write_table,
+    write_trc,
+)
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.study import read_study
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A trial with plates under both feet and the chair, and encoders."""
+    folder = tmp_path_factory.mktemp("sound")
+    write_seated(folder, scale_human(70.0, 1.75))
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path, sound):
+    for path in sound.iterdir():
+        shutil.copy(path, tmp_path)
+    return tmp_path
+
+
+def failing(folder):
+    """Name -> sentences of the checks that fail."""
+    found = {}
+    for c in read_study(folder / "study.yaml").plausibility():
+        assert c.name.startswith("plausibility.")
+        assert np.isfinite(c.value) and np.isfinite(c.limit)
+        assert c.holds == (c.sentence == "")
+        if not c.holds:
+            name = c.name.removeprefix("plausibility.")
+            found.setdefault(name, []).append(f"{c.where}: {c.sentence}")
+    return found
+
+
+def said(folder, name):
+    """The first sentence of a check that must fail."""
+    found = failing(folder)
+    assert name in found, sorted(found)
+    return found[name][0]
+
+
+def edit(folder, old, new):
+    path = folder / "study.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def forces(folder, change, names=r"ground_force_\d_\w+", file="sts.mot"):
+    """Columns of the force file, each through a function of time and values."""
+    table = read_table(folder / file)
+    values = table.values.copy()
+    for i, name in enumerate(table.names):
+        if re.fullmatch(names, name):
+            values[:, i] = change(table.time, values[:, i])
+    write_table(folder / file, replace(table, values=values))
+
+
+def encoders(folder, change):
+    """The encoders (N, 3) ankle, knee, hip [rad] through a function."""
+    table = read_csv_table(folder / "exo.csv")
+    assert table.names == EXO_JOINTS
+    table = replace(table, values=change(table.values.copy()))
+    write_csv_table(folder / "exo.csv", table, ["deg"] * 3)
+
+
+def markers(folder, change, file="sts.trc"):
+    data = read_trc(folder / file)
+    write_trc(folder / file, replace(data, positions=change(data)))
+
+
+def test_a_sound_recording_holds_every_check(folder):
+    checks = read_study(folder / "study.yaml").plausibility()
+    assert [c for c in checks if not c.holds] == []
+    names = {c.name.removeprefix("plausibility.") for c in checks}
+    assert names >= {
+        "mass", "standing_posture", "standing_balance", "markers", "end",
+        "ankle_range", "knee_range", "hip_range", "newton", "euler",
+        "leg_angles", "feet_apart", "leg_share", "lifted_foot",
+        "cop_along", "cop_across", "cop_unit", "plate_sides", "chair",
+        "flat_channel", "saturated_channel", "encoder_sign",
+        "encoder_offset", "encoder_unit", "encoder_joints",
+        "encoder_motion", "encoder_frozen",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["marker_axes", "both"])
+def test_markers_turned_round_bend_the_knees_backwards(folder, name):
+    axes = "{marker_axes: {forward: -x, up: y}"
+    if name == "both":
+        axes += ", force_axes: {forward: -x, up: y}"
+    edit(folder, "trials:", f"laboratory: {axes}}}\ntrials:")
+    text = said(folder, "knee_range")
+    assert "sts.trc" in text and "bends backwards" in text
+    assert "marker_axes look turned round" in text
+
+
+def test_plates_turned_round(folder):
+    axes = "{force_axes: {forward: -x, up: y}}"
+    edit(folder, "trials:", f"laboratory: {axes}\ntrials:")
+    found = failing(folder)
+    assert "force_axes look turned round" in found["plate_sides"][0]
+    assert "cop_along" in found and "euler" in found
+
+
+def test_encoders_that_count_the_other_way(folder):
+    encoders(folder, lambda x: x * [1.0, -1.0, 1.0])
+    text = said(folder, "encoder_sign")
+    assert text.startswith("rise1: exo.csv: exo_knee")
+    assert "sign looks flipped" in text
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_an_encoder_with_an_offset(folder, joint):
+    encoders(folder, lambda x: x + np.deg2rad(15.0) * np.eye(3)[joint])
+    text = said(folder, "encoder_offset")
+    assert f"{EXO_JOINTS[joint]} reads +15 deg off" in text
+
+
+def test_knee_and_hip_exchanged(folder):
+    encoders(folder, lambda x: x[:, [0, 2, 1]])
+    assert "columns look exchanged" in said(folder, "encoder_joints")
+
+
+def test_encoders_in_another_unit(folder):
+    encoders(folder, np.rad2deg)
+    assert "degrees may be taken for radians" in said(folder, "encoder_unit")
+
+
+def test_an_encoder_that_stands_still(folder):
+    def change(x):
+        x[150:200, 1] = x[150, 1]
+        return x
+
+    encoders(folder, change)
+    assert "exo_knee stands still" in said(folder, "encoder_frozen")
+
+
+def test_encoders_of_another_movement(folder):
+    encoders(folder, lambda x: np.roll(x, 40, axis=0))
+    text = said(folder, "encoder_motion")
+    assert "the file may be of another trial" in text
+
+
+def another_trial(folder, own="other.csv"):
+    """A second trial, 0.4 s earlier on its own clock."""
+    for old, new in (("sts.trc", "b.trc"), ("sts.mot", "b.mot")):
+        shutil.copy(folder / old, folder / new)
+
+    def earlier(data):
+        return replace(data, time=data.time - 0.4)
+
+    write_trc(folder / "b.trc", earlier(read_trc(folder / "b.trc")))
+    write_table(folder / "b.mot", earlier(read_table(folder / "b.mot")))
+    table = earlier(read_csv_table(folder / "exo.csv"))
+    table = replace(table, values=1.01 * table.values)
+    write_csv_table(folder / "other.csv", table, ["deg"] * 3)
+    path = folder / "study.yaml"
+    text = path.read_text()
+    start = text.index("- name: rise1")
+    entry = text[start : text.index("device:")]
+    entry = entry.replace("rise1", "rise2").replace("exo.csv", own)
+    entry = entry.replace("sts.", "b.")
+    path.write_text(text.replace("device:", f"{entry}device:"))
+
+
+def test_encoders_of_another_trial_of_the_study(folder):
+    another_trial(folder)
+    assert failing(folder) == {}
+    edit(folder, "encoders: exo.csv", "encoders: swap")
+    edit(folder, "encoders: other.csv", "encoders: exo.csv")
+    edit(folder, "encoders: swap", "encoders: other.csv")
+    text = said(folder, "encoder_file")
+    assert "fit the movement of trial rise2" in text
+
+
+def test_two_trials_with_the_same_encoders(folder):
+    another_trial(folder, own="exo.csv")
+    text = said(folder, "encoder_file")
+    assert "holds the same angles as the file of trial rise" in text
+
+
+def test_centres_of_pressure_in_millimetres(folder):
+    forces(folder, lambda _, x: 1e3 * x, r"ground_force_[12]_(p.|m.)")
+    text = said(folder, "cop_unit")
+    assert "sts.mot" in text and "look like millimetres" in text
+
+
+def test_plates_exchanged(folder):
+    edit(folder, "left: 2\n    right: 1", "left: 1\n    right: 2")
+    text = said(folder, "plate_sides")
+    assert "plates.left and plates.right look exchanged" in text
+
+
+def test_a_mass_that_plates_do_not_show(folder):
+    edit(folder, "mass_kg: 70.0", "mass_kg: 84.0")
+    text = said(folder, "mass")
+    assert "the plates bear 70 kg" in text and "mass_kg says 84 kg" in text
+
+
+def test_forces_in_pounds(folder):
+    forces(folder, lambda _, x: x / 4.448, r"ground_force_\d_(v|m).")
+    assert "forces look like lbf" in said(folder, "newton")
+
+
+def test_forces_that_end_in_the_middle_of_the_rise(folder):
+    table = read_table(folder / "sts.mot")
+    rows = table.time <= 1.9
+    table = replace(table, time=table.time[rows], values=table.values[rows])
+    write_table(folder / "sts.mot", table)
+    text = said(folder, "end")
+    assert "the recording ends at 1.9 s while the hips still move" in text
+
+
+def test_a_chair_that_is_a_filler(folder):
+    forces(
+        folder,
+        lambda t, x: np.where(t > 4.0, 565.0, 0.0),
+        "ground_force_3_vy",
+    )
+    forces(folder, lambda _, x: 0.0 * x, "ground_force_3_mz")
+    text = said(folder, "flat_channel")
+    assert "plate 'chair' stays at exactly 565 N" in text
+    assert "chair" in failing(folder)
+
+
+def test_a_plate_that_is_cut_off(folder):
+    forces(
+        folder, lambda _, x: np.minimum(x, 0.9 * x.max()), "ground_force_2_vy"
+    )
+    text = said(folder, "saturated_channel")
+    assert "plate 'left' is cut off at" in text
+
+
+def test_one_leg_bears_most(folder):
+    forces(folder, lambda _, x: 0.26 / 0.4 * x, "ground_force_1_[vm].")
+    forces(folder, lambda _, x: 0.74 / 0.6 * x, "ground_force_2_[vm].")
+    assert "the left leg bears 74 %" in said(folder, "leg_share")
+
+
+def test_feet_apart(folder):
+    def apart(data):
+        p = data.positions.copy()
+        for i, name in enumerate(data.names):
+            if name[2:] not in ("asis", "psis"):
+                p[:, i, 0] += 0.0725 if name.startswith("L") else -0.0725
+        return p
+
+    markers(folder, apart)
+    assert "apart fore and aft" in said(folder, "feet_apart")
+
+
+def test_legs_that_move_in_turn(folder):
+    """Walking is no movement of one leg."""
+
+    def swung(data):
+        p = data.positions.copy()
+        hip = p[:, data.names.index("L_hip")].copy()
+        turn = np.exp(1j * np.deg2rad(30.0))
+        for i, name in enumerate(data.names):
+            if name.startswith("L_") and name[2:] not in ("asis", "psis"):
+                x, y = (p[:, i] - hip)[:, :2].T
+                z = (x + 1j * y) * turn
+                p[:, i, 0], p[:, i, 1] = hip[:, 0] + z.real, hip[:, 1] + z.imag
+        return p
+
+    markers(folder, swung)
+    text = said(folder, "leg_angles")
+    assert "may be walking" in text
+
+    def lifted(t, x):
+        return np.where((t > 1.5) & (t < 1.7), 0.0, x)
+
+    forces(folder, lifted, "ground_force_1_[vm].")
+    assert "in the air" in said(folder, "lifted_foot")
+
+
+def refused(folder):
+    with pytest.raises(InputError) as caught:
+        read_study(folder / "study.yaml").plausibility()
+    return str(caught.value)
+
+
+def test_forces_in_kilonewtons_end_with_a_sentence(folder):
+    forces(folder, lambda _, x: 1e-3 * x, r"ground_force_\d_(v|m).")
+    text = refused(folder)
+    assert "sts.mot: the feet bear 0." in text and "not kN" in text
+    forces(
+        folder, lambda _, x: 1e-3 * x, r"ground_force_\d_(v|m).", "static.mot"
+    )
+    assert "static.mot: the feet bear 0." in refused(folder)
+
+
+def test_plates_that_bear_nothing_end_with_a_sentence(folder):
+    old = "forces: static.mot\n  plates:\n    left: 2\n    right: 1\n"
+    edit(folder, old, "forces: static.mot\n  plates: {both: 3}\n")
+    assert "static.mot: the feet bear 0 N at most (in standing)" in refused(
+        folder
+    )
+
+
+def test_the_command_ends_with_3_unless_it_is_accepted(folder, capsys):
+    study = str(folder / "study.yaml")
+    encoders(folder, lambda x: x + np.deg2rad(15.0) * np.eye(3)[2])
+    assert main(["check", study]) == 3
+    text = capsys.readouterr().out
+    assert "FAILS  plausibility.encoder_offset (rise1, 15 deg" in text
+    accept = "plausibility.encoder_offset"
+    assert f"--accept {accept}" in text
+    out = folder / "out"
+    again = ["check", study, "--accept", accept, "--out", str(out)]
+    assert main(again) == 0
+    told = json.loads((out / "quality.json").read_text())
+    assert told["accepted"] == [accept]
+    assert told["verdict"] == "does not hold"
+
+
+@pytest.mark.parametrize(
+    "command", [["calibrate", "--phase", "foot-ground"], ["sensitivity"]]
+)
+def test_nothing_is_solved_with_input_that_cannot_be(folder, capsys, command):
+    edit(folder, "left: 2\n    right: 1", "left: 1\n    right: 2")
+    out = folder / "out"
+    study = str(folder / "study.yaml")
+    assert main([*command, study, "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert "recordings are not plausible" in message
+    assert "plausibility.plate_sides (rise1)" in message
+    assert "--accept plausibility.plate_sides" in message
+    assert not out.exists()
+
+
+def test_a_made_study_has_nothing_to_judge():
+    from drake_exo.virtual_laboratory import synthetic
+
+    model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    from drake_exo.study import Study
+
+    assert Study(model, trials).gate() == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["opencap_sts1", "opencap_predict", "boxlifting_squat"]
+)
+def test_real_studies_raise_no_alarm(data_root, request, name):
+    study = request.path.parents[1] / "studies" / f"{name}.yaml"
+    checks = read_study(study, data_root).plausibility()
+    assert [c for c in checks if not c.holds] == []
+
+
+@pytest.mark.slow
+def test_walking_is_no_rise(data_root, request, tmp_path):
+    study = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
+    text = study.read_text()
+    start = text.index("trials:")
+    walk = """trials:
+  - name: walk
+    markers: opencap_subject4/MarkerData/walking1.trc
+    forces: opencap_subject4/ID/walking1_grf.mot
+    plates: {left: 2, right: 1}
+    start_s: 0.3
+    end_s: 1.0
+"""
+    path = tmp_path / "study.yaml"
+    rest = text[text.index("foot_ground:") :]
+    path.write_text(text[:start] + walk + rest)
+    checks = read_study(path, data_root).plausibility()
+    failed = {c.name for c in checks if not c.holds}
+    assert "plausibility.leg_angles" in failed
+    assert "plausibility.lifted_foot" in failed
+    # As the sit-to-stand that it is taken for.
+    path.write_text(
+        path.read_text().replace("start_s: 0.3\n    end_s: 1.0", "rise: 1")
+    )
+    with pytest.raises(InputError, match="0 were found"):
+        read_study(path, data_root).trials()
