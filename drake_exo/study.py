@@ -53,8 +53,8 @@ from drake_exo.errors import InputError, check_bounds
 from drake_exo.files import schema
 from drake_exo.files.output import Progress, write_json
 from drake_exo.files.verdict import Check
+from drake_exo.measurement.plausibility import plausibility, refuse
 from drake_exo.measurement.plausibility.evidence import Evidence
-from drake_exo.measurement.plausibility.gate import plausibility, refuse
 from drake_exo.measurement.processing import Recordings, load_trials
 from drake_exo.measurement.quality import Quality, assess
 from drake_exo.measurement.settings import Filter, RecordingSettings, Use

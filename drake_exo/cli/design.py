@@ -82,8 +82,9 @@ def run(args: argparse.Namespace) -> int:
             "'drake-exo calibrate'"
         )
     contacts = [read_contact(folder) for folder in args.calibration]
+    # Bad input ends before a folder is made.
     for study in studies:
-        study.trials("prediction")  # bad input ends before a folder is made
+        study.gate("prediction", args.accept)
         if args.response:
             study.design = replace(study.design, response=args.response)
     laboratory = _laboratory(args.study[0]) if args.verify else None

@@ -106,7 +106,7 @@ def test_the_command_writes_what_it_found(
     monkeypatch.setattr(command, "read_study", lambda *paths: study)
     monkeypatch.setattr(command, "radius_profile", lambda result: iter([row]))
     args = argparse.Namespace(
-        study="s", data_root=None, out=tmp_path / "out", force=False
+        accept=[], study="s", data_root=None, out=tmp_path / "out", force=False
     )
     assert command.run(args) == 0
     assert "Calibrated again with other radii" in capsys.readouterr().out

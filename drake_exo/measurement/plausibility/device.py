@@ -17,8 +17,11 @@ from drake_exo.measurement.plausibility.evidence import Evidence
 LEAST_CORRELATION = 0.5
 GAINS = (0.4, 2.5)
 LARGEST_OFFSET_DEG = 9.0
-LARGEST_MISMATCH = 0.35  # of the speed
+LARGEST_MISMATCH = 0.22  # of the joints' speed, at the best lag of clocks
 LARGEST_EXCHANGED = 1.1
+# So much better may encoders fit the movement of another trial.
+LARGEST_RATIO = 1.5
+_REACH_S = 0.06
 LARGEST_FROZEN_DEG = 5.0
 _MOVES_DEG = 10.0  # a joint that moves less says little
 _FAR_DEG = 30.0  # and of speeds, one that moves less
@@ -159,7 +162,7 @@ def misfit(e: Evidence, encoders: Evidence, reach_s: float) -> float:
 
 
 def _mismatch(e: Evidence) -> Check:
-    found = misfit(e, e, 0.0)
+    found = misfit(e, e, _REACH_S)
     return e.check(
         "encoder_motion",
         100.0 * found,
@@ -169,11 +172,6 @@ def _mismatch(e: Evidence) -> Check:
         f"{100 * found:.0f} % of the joints' speed is not in the "
         "encoders; the file may be of another trial, or its clock far off",
     )
-
-
-# Of two trials, encoders fit the other so much better.
-LARGEST_RATIO = 2.0
-_REACH_S = 0.06
 
 
 def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
