@@ -209,7 +209,7 @@ class MeshBlock:
     file: str | None = None
     brick: Brick | None = None
     origin_m: Vector3 | None = None
-    element: Literal["linear", "smoothed"] = "linear"
+    element: Literal["linear", "smoothed"] = "smoothed"
 
     def __post_init__(self):
         exactly_one(self, ("file", "brick"))
@@ -287,8 +287,7 @@ _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start.
 STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 50),
-    Stage(_FINE, None, 3e-5, 0.2, 20),
-    Stage(_FINE, None, 5e-6, 0.2, 25),
+    Stage(_FINE, None, 5e-6, 0.2, 45),
 )
 
 
@@ -306,7 +305,6 @@ class OptimizeBlock:
     use_tr: float = not_negative("", 1.0)
     roughness: float = not_negative("", 5.0)
     tolerance: float = positive("", 1e-4)
-    solver: Literal["ipopt", "snopt"] = "ipopt"
     remeshes: int = field(default=3, metadata={"minimum": 0})
     stages: tuple[Stage, ...] = STAGES
 

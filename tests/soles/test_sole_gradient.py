@@ -188,28 +188,6 @@ def test_a_shape_that_cannot_be_simulated_is_nan(problem):
     assert np.isnan(problem.constraints(p)).all()
 
 
-def test_mathematical_program_carries_the_same_derivatives(problem):
-    from pydrake.autodiffutils import (
-        ExtractGradient,
-        ExtractValue,
-        InitializeAutoDiff,
-    )
-
-    from drake_exo.soles.optimize.optimizer import Program
-
-    prog = Program(problem, (0.3, 1.4), problem.derivatives).prog
-    x = np.full(problem.spline.count, 0.97)
-    gradient, jacobian = problem.derivatives(x)
-    gradient = gradient + problem.regularization(x)[1]
-    cost = prog.GetAllCosts()[0].evaluator()
-    y = cost.Eval(InitializeAutoDiff(x).ravel())
-    np.testing.assert_allclose(ExtractValue(y).ravel(), problem.cost(x))
-    np.testing.assert_allclose(ExtractGradient(y).ravel(), gradient)
-    limits = prog.generic_constraints()[0].evaluator()
-    y = limits.Eval(InitializeAutoDiff(x).ravel())
-    np.testing.assert_allclose(ExtractGradient(y), jacobian)
-
-
 def test_optimiser_lowers_the_cost_within_the_limits(problem):
     from drake_exo.soles.optimize.optimizer import minimise
 
@@ -276,45 +254,6 @@ def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
     assert problem.evaluate(0.98 * p) is None
     problem.leave_branch()
     assert problem.evaluate(0.98 * p) is not None
-
-
-@pytest.mark.slow
-def test_snopt_lowers_the_cost_and_outlives_failed_simulations(
-    problem, monkeypatch
-):
-    from drake_exo.soles.optimize.optimizer import minimise_by_snopt
-
-    asked, real = [], problem._simulate
-
-    def sometimes(p):
-        asked.append(p)
-        return None if len(asked) in (4, 9) else real(p)
-
-    monkeypatch.setattr(problem, "_simulate", sometimes)
-    monkeypatch.setattr(problem, "limited", [])
-    monkeypatch.setattr(problem, "branch", None)  # put back after the test
-    p0 = np.full(problem.spline.count, 0.96)
-    before, seen = problem.cost(p0), []
-    best = minimise_by_snopt(
-        problem, p0, (0.5, 1.25), 10, 1e-4, lambda k, best: seen.append(k)
-    )
-    assert len(asked) > 9
-    assert best.violation < 1e-4
-    assert best.cost < before
-    assert seen == list(range(len(best.trace)))
-    assert len(best.multipliers) == len(problem.names())
-
-
-def test_ctrl_c_ends_snopt(problem, monkeypatch):
-    from drake_exo.soles.optimize.optimizer import minimise_by_snopt
-
-    def interrupt(iteration, best):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(problem, "branch", None)
-    p0 = np.full(problem.spline.count, 0.96)
-    with pytest.raises(KeyboardInterrupt):
-        minimise_by_snopt(problem, p0, (0.5, 1.25), 8, 1e-4, interrupt)
 
 
 @pytest.mark.parametrize(

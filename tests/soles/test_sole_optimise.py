@@ -60,16 +60,6 @@ def test_a_better_sole_comes_out(folder):
         assert (folder / "out" / name).stat().st_size > 1000
 
 
-def test_snopt_can_be_chosen(folder):
-    _write_case(folder / "snopt.yaml", iterations=2, solver="snopt")
-    out = folder / "snopt"
-    assert optimize(folder / "snopt.yaml", out) == 0
-    row = json.loads((out / "summary.json").read_text())
-    assert row["c"] < row["c_initial"]
-    assert row["status"] == "iteration limit"
-    assert row["optimality_error"] > 0
-
-
 def test_the_mesh_written_is_the_design(folder):
     row = json.loads((folder / "out" / "summary.json").read_text())
     mesh = read_mesh(folder / "out" / "sole.vtk")

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize import design as designs
 from drake_exo.soles.optimize import remeshing
-from drake_exo.soles.optimize.design import stage_problem
 from drake_exo.soles.optimize.files import (
     Checkpoint,
     find_designs,
@@ -152,74 +150,19 @@ def test_interrupted_on_new_elements_the_best_is_on_disk(
     assert np.isfinite(design.smoothed).all()
 
 
-def test_where_the_remesher_fails_the_search_goes_on(folder, monkeypatch):
+def test_where_the_remesher_fails_the_search_stops_and_says_so(
+    folder, monkeypatch
+):
     def fail(problem, p):
         raise RemeshError("no memory")
 
     monkeypatch.setattr(designs, "with_new_elements", fail)
     design, lines = _optimise(folder, folder / "failed", iterations=20)
     told = [line for line in lines if "no memory" in line]
-    assert told == ["stage 1: elements stay as they are: no memory"]
-    assert design.optima[-1].trace[-1][0] == 20
+    assert told == ["stage 1: no new elements: no memory"]
+    assert design.optima[-1].status == "elements worn out; no memory"
+    assert design.optima[-1].trace[-1][0] < 20
     assert design.remeshed == ()
-
-
-@pytest.fixture
-def refining(folder, without, monkeypatch):
-    """Begins a stage of more elements, none of which count as sound."""
-    case = _case(folder)
-    coarse = case.settings.optimize.stages[0]
-    stages = (coarse, replace(coarse, divisions=(8, 5, 2)))
-    at = Checkpoint(1, 0, without.coefficients, without.coefficients)
-    monkeypatch.setattr(designs, "is_worn", lambda *_: True)
-
-    def begin(say, **block):
-        changed = case.optimizing(stages=stages, **block)
-        problem = stage_problem(changed, stages[1])
-        return designs._on_mesh(problem, changed, 1, at, say)
-
-    return begin
-
-
-def test_a_finer_stage_gets_elements_made_from_the_coarser(refining, without):
-    lines = []
-    new, at = refining(lines.append)
-    tets, p = 6 * 8 * 5 * 2, without.coefficients
-    assert tets <= len(new.mesh.tets) < 1.5 * tets
-    assert new.deformed(p).quality().min() > 0.2
-    assert new.evaluate(p) is not None
-    size = np.prod(np.ptp(new.mesh.nodes, axis=0))
-    assert new.mesh.volume == pytest.approx(size, rel=1e-3)
-    assert [row["stage"] for row in at.remeshed] == [2]
-    assert "stage 2, iteration 0: elements made anew" in lines[0]
-
-
-def test_where_none_carry_the_design_those_there_are_go_on(
-    refining, without, monkeypatch
-):
-    def fail(*_):
-        raise RemeshError("no memory")
-
-    monkeypatch.setattr(designs, "carried", fail)
-    lines = []
-    new, at = refining(lines.append)
-    assert len(new.mesh.tets) == 6 * 8 * 5 * 2  # the brick's, worn
-    assert at.remeshed == ()
-
-    evaluate = designs.ShapeProblem.evaluate
-
-    def fails_on_the_brick(problem, p):
-        same = (p == without.coefficients).all()
-        if problem.meshed_at is None and same:
-            return None
-        return evaluate(problem, p)
-
-    monkeypatch.setattr(designs.ShapeProblem, "evaluate", fails_on_the_brick)
-    new, at = refining(lines.append)
-    assert len(new.mesh.tets) == len(without.mesh.tets)
-    assert new.evaluate(without.coefficients) is not None
-    assert lines[0] == "stage 2: elements stay as they are: no memory"
-    assert len(at.remeshed) == 1
 
 
 def test_a_damaged_mesh_in_a_checkpoint_is_refused(folder, tmp_path):

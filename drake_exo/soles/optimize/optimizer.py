@@ -1,4 +1,4 @@
-"""Solve a shape problem, with IPOPT or SNOPT.
+"""Solve a shape problem with IPOPT.
 
 IPOPT is called directly (its wheel brings MUMPS). It asks for a Hessian; it
 gets the exact one of the regularization plus a dense BFGS matrix for all that
@@ -6,9 +6,6 @@ comes out of simulations (Nocedal and Wright, Numerical Optimization, 2nd ed.,
 procedure 18.2: Powell's damping keeps it positive definite). Unlike IPOPT's
 own limited-memory matrix nothing is forgotten, and what cheap coarse stages
 taught serves the fine ones.
-
-SNOPT gets the problem as a MathematicalProgram. It needs more simulations and
-is there to compare with.
 """
 
 from collections.abc import Callable
@@ -443,128 +440,3 @@ def _verify(problem, best, p, bounds, derivatives) -> None:
     )
     if best.optimal:
         best.p, best.cost, best.violation = p.copy(), cost, violation
-
-
-_SNOPT_STATUS = {
-    1: "optimal",
-    3: "optimal, but not to the accuracy asked for",
-    13: "infeasible",
-    32: "iteration limit",
-    41: "no better point found",
-}
-
-
-class Program:
-    """The problem as a MathematicalProgram.
-
-    Where a simulation fails cost and constraints are NaN, which SNOPT takes
-    as a rejected step.
-
-    Args:
-        problem: What to minimise.
-        bounds: Lower and upper bound of every coefficient.
-        derivatives: Gives gradient, without regularization, and Jacobian at a
-            design.
-
-    Attributes:
-        prog: The program.
-        p: Its decision variables, (P,).
-        stopped: Ctrl-C came, which must not surface in the solver's code;
-            all is NaN from then on, so that it ends.
-    """
-
-    def __init__(self, problem: ShapeProblem, bounds, derivatives):
-        from pydrake.solvers import MathematicalProgram
-
-        self.problem, self.derivatives = problem, derivatives
-        self.stopped = False
-        self.prog = prog = MathematicalProgram()
-        self.p = prog.NewContinuousVariables(problem.spline.count, "p")
-        prog.AddBoundingBoxConstraint(*bounds, self.p)
-        cost = self._with_gradient(problem.cost, 1, 0)
-        prog.AddCost(lambda x: cost(x)[0], vars=self.p, description="c")
-        m = len(problem.names())
-        prog.AddConstraint(
-            self._with_gradient(problem.constraints, m, 1),
-            np.zeros(m),
-            np.full(m, np.inf),
-            vars=self.p,
-            description=", ".join(problem.names()),
-        )
-
-    def _with_gradient(self, function, count: int, which: int):
-        from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
-
-        problem = self.problem
-
-        def values(p, dx):
-            y = np.atleast_1d(function(p))
-            if dx is None or not np.isfinite(y).all():
-                return y, np.nan
-            gradient, jacobian = self.derivatives(p)
-            gradient = gradient + problem.regularization(p)[1]
-            rows = jacobian if which else gradient
-            # A linear chain: derivatives of x need not be the identity.
-            return y, np.atleast_2d(rows) @ dx
-
-        def evaluate(x):
-            plain = x.dtype == float
-            p = x if plain else ExtractValue(x).ravel()
-            dx = None if plain else np.array([xi.derivatives() for xi in x])
-            y = J = np.nan
-            try:
-                if not self.stopped:
-                    y, J = values(p, dx)
-            except KeyboardInterrupt:
-                self.stopped = True
-            y = np.broadcast_to(y, count)
-            if plain:
-                return y
-            J = np.broadcast_to(J, (count, dx.shape[1]))
-            return InitializeAutoDiff(y, gradient=J).ravel()
-
-        return evaluate
-
-
-def minimise_by_snopt(
-    problem: ShapeProblem,
-    p0: np.ndarray,
-    bounds: tuple[float, float],
-    iterations: int,
-    tolerance: float,
-    on_iterate=None,
-) -> Optimum:
-    """Run SNOPT from p0; arguments as for `minimise`.
-
-    `on_iterate` is called at designs whose derivatives SNOPT asks for.
-    """
-    from pydrake.solvers import SnoptSolver, SolverOptions
-
-    best = Optimum(np.clip(p0, *bounds))
-    p = best.p
-
-    def note(design, cost, violation):
-        best.trace.append((len(best.trace), cost, violation, np.nan))
-        if on_iterate is not None:
-            on_iterate(len(best.trace) - 1, best)
-
-    options = SolverOptions()
-    for name, value in (
-        ("Major iterations limit", iterations),
-        ("Major optimality tolerance", tolerance),
-        ("Verify level", -1),
-    ):
-        options.SetOption(SnoptSolver.id(), name, value)
-    derivatives = AcceptedDesigns(problem, best, note).at
-    program = Program(problem, bounds, derivatives)
-    result = SnoptSolver().Solve(program.prog, p, options)
-    if program.stopped:
-        raise KeyboardInterrupt
-    details = result.get_solver_details()
-    best.optimal = details.info == 1
-    best.status = _SNOPT_STATUS.get(details.info, f"SNOPT info {details.info}")
-    # Its multipliers are derivatives of the cost by the bounds.
-    best.multipliers = -details.Fmul[1:]
-    best.at_bounds = np.maximum(details.xmul, 0), np.maximum(-details.xmul, 0)
-    conclude(problem, best, result.get_x_val(), bounds, derivatives)
-    return best

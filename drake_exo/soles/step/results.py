@@ -41,7 +41,7 @@ class Step:
     >>> step.failed_steps, step.force.shape, step.stiffness.shape
     (0, (5, 3), (5, 6, 6))
     >>> print(f"{step.c_tr:.3g} N/m, {step.c_rot:.3g} N·m/rad")
-    1.3e+06 N/m, 1.17e+04 N·m/rad
+    1.27e+06 N/m, 9.21e+03 N·m/rad
     >>> figure = step.plot()
 
     Attributes:
