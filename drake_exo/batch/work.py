@@ -14,7 +14,6 @@ import json
 import os
 import shutil
 import socket
-import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -236,26 +235,24 @@ def _raise_if_full(error: BaseException) -> None:
 @contextlib.contextmanager
 def _printing_to(log: Path):
     """Send what Python and compiled code print to a file."""
-    sys.stdout.flush()
-    sys.stderr.flush()
     kept = [os.dup(1), os.dup(2)]
-    with log.open("wb") as file:
+    with log.open("a", encoding="utf-8", buffering=1) as file:
+        file.truncate(0)
         for fd in (1, 2):
             os.dup2(file.fileno(), fd)
         try:
-            yield
+            with (
+                contextlib.redirect_stdout(file),
+                contextlib.redirect_stderr(file),
+            ):
+                yield
         finally:
-            with contextlib.suppress(OSError):
-                sys.stdout.flush()
-                sys.stderr.flush()
             for fd, old in zip((1, 2), kept, strict=True):
                 os.dup2(old, fd)
                 os.close(old)
 
 
 def _lines(log: Path) -> list[str]:
-    sys.stdout.flush()
-    sys.stderr.flush()
     return log.read_text("utf-8", "replace").splitlines()
 
 

@@ -1,0 +1,178 @@
+"""One task: its command, its verdict, its times, what a full disk does."""
+
+import argparse
+import errno
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from drake_exo.batch import work
+from drake_exo.batch.tasks import Task
+from drake_exo.batch.work import TASK, TIMING, read_outcome, run_task
+from drake_exo.errors import InputError
+from drake_exo.files.output import write_json
+
+TASK_OF_BERT = Task(
+    "bert/check", "bert", "", "check", source=Path("/b/bert.yaml"), key="k" * 64
+)
+ACTED = {}
+
+
+def parse(command):
+    """In the place of the command line's: does what a test wants."""
+    ACTED["command"] = command
+    out = Path(command[command.index("--out") + 1])
+    return argparse.Namespace(run=lambda args: ACTED["run"](out))
+
+
+def act(tmp_path, run, task=TASK_OF_BERT):
+    ACTED["run"] = run
+    return run_task(vars(task), str(tmp_path), f"{__name__}:parse", "/b")
+
+
+def test_results_hold_no_times(tmp_path):
+    def run(out):
+        out.mkdir()
+        print("iteration 7")
+        tree = {
+            "solve_seconds": 1.5,
+            "cases": [{"seconds": 3.0, "nodes_per_second": 40}],
+        }
+        write_json(out / "summary.json", tree)
+        return 0
+
+    assert act(tmp_path, run) == "holds"
+    folder = tmp_path / "bert" / "check"
+    found = json.loads((folder / "summary.json").read_text())
+    assert found == {"cases": [{"nodes_per_second": 40}]}
+    timing = json.loads((folder / TIMING).read_text())
+    assert timing["files"] == {
+        "summary.json": {"solve_seconds": 1.5, "cases.0.seconds": 3.0}
+    }
+    assert "iteration 7" in timing["log"] and timing["host"]
+    assert read_outcome(folder).key == TASK_OF_BERT.key
+
+
+def test_earlier_results_are_replaced_whole(tmp_path):
+    folder = tmp_path / "bert" / "check"
+    folder.mkdir(parents=True)
+    (folder / "old.txt").write_text("old")
+    assert act(tmp_path, lambda out: out.mkdir()) == "holds"
+    assert not (folder / "old.txt").exists()
+    assert {p.name for p in folder.iterdir()} == {TASK, TIMING}
+    assert not list((tmp_path / ".drafts").iterdir())
+
+
+def refused(out):
+    raise InputError(f"/b/bert.yaml: wrong in {out / 'x'}; mend it")
+
+
+def test_bad_input_is_told_without_the_machine(tmp_path):
+    with pytest.raises(InputError):
+        act(tmp_path, refused)
+    found = read_outcome(tmp_path / "bert" / "check")
+    assert (found.code, found.verdict) == (2, "failed")
+    assert found.sentence == "bert.yaml: wrong in out/x; mend it"
+    assert not found.is_solved
+
+
+def check_that_fails(accepted):
+    def run(out):
+        out.mkdir()
+        row = {
+            "name": "audit",
+            "where": "t1",
+            "sentence": "3 N",
+            "holds": False,
+        }
+        row["level"] = "fail"
+        summary = {"checks": [row], "verdict": "does not hold"}
+        write_json(out / "summary.json", summary)
+        return 0 if accepted else 3
+
+    return run
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_what_does_not_hold_says_so_accepted_or_not(tmp_path, accepted):
+    assert act(tmp_path, check_that_fails(accepted)) == "does not hold"
+    found = read_outcome(tmp_path / "bert" / "check")
+    assert found.code == (0 if accepted else 3)
+    assert found.sentence == "audit: t1: 3 N" and found.is_solved
+
+
+def test_not_solved(tmp_path):
+    def run(out):
+        out.mkdir()
+        print("not solved: iteration limit after 5 iterations. More.")
+        return 1
+
+    with pytest.raises(InputError, match="iteration limit"):
+        act(tmp_path, run)
+    found = read_outcome(tmp_path / "bert" / "check")
+    assert found.verdict == "not solved" and not found.is_solved
+
+
+def test_a_full_disk_leaves_the_task_to_the_next_run(tmp_path):
+    def run(out):
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        except OSError as error:
+            raise InputError("out: cannot be written") from error
+
+    with pytest.raises(InputError, match="make room and run the batch again"):
+        act(tmp_path, run)
+    assert read_outcome(tmp_path / "bert" / "check") is None
+    assert not list((tmp_path / ".drafts").glob("*/out"))
+
+
+def test_a_mistake_of_ours_is_no_outcome(tmp_path):
+    def run(out):
+        raise ZeroDivisionError("ours")
+
+    with pytest.raises(ZeroDivisionError):
+        act(tmp_path, run)
+    assert read_outcome(tmp_path / "bert" / "check") is None
+
+
+def test_a_sole_goes_on_from_its_checkpoint(tmp_path):
+    task = replace(
+        TASK_OF_BERT, step="sole optimize", name="bert/sole_optimize"
+    )
+
+    def killed(out):
+        out.mkdir()
+        (out / "checkpoint.json").write_text("{}")
+        raise ZeroDivisionError("in the place of kill -9")
+
+    with pytest.raises(ZeroDivisionError):
+        act(tmp_path, killed, task)
+    assert "--resume" not in ACTED["command"]
+    act(tmp_path, lambda out: out.mkdir(), task)
+    command = ACTED["command"]
+    left = Path(command[command.index("--resume") + 1])
+    assert left.name == "out" and left.parent.parent.name == ".drafts"
+    assert not list((tmp_path / ".drafts").iterdir())
+
+
+def test_damaged_task_files_are_none(tmp_path):
+    for text in ("", "{", "[]", '{"code": 0}'):
+        (tmp_path / TASK).write_text(text)
+        assert read_outcome(tmp_path) is None
+
+
+@pytest.mark.slow
+def test_sentences_of_the_parser(tmp_path):
+    from drake_exo import cli
+
+    task = replace(TASK_OF_BERT, options=("--no-such",))
+    with pytest.raises(InputError, match="unrecognized arguments"):
+        run_task(
+            vars(task), str(tmp_path), f"{cli.__name__}:parse", str(tmp_path)
+        )
+    found = read_outcome(tmp_path / "bert" / "check")
+    assert found.code == 2
+    assert found.sentence.startswith("options of check: error: unrecognized")
+    assert work.TASK in {p.name for p in (tmp_path / "bert/check").iterdir()}
