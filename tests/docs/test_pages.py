@@ -100,7 +100,13 @@ def test_commands_are_understood(page, words):
     words = [word.split("|")[0] for word in words]
     words = [{"N": "1", "FACTOR": "1.4"}.get(word, word) for word in words]
     required = {"predict": ["--calibration", "--out"]}
-    for name in ("calibrate", "crossvalidate", "sensitivity", "contact"):
+    for name in (
+        "calibrate",
+        "crossvalidate",
+        "sensitivity",
+        "contact",
+        "design",
+    ):
         required[name] = ["--out"]
     inline = [w for w in required.get(words[0], []) if w not in words]
     for option in inline:  # quoted in a sentence, where it may be left out

@@ -17,7 +17,7 @@ import drake_exo as dx
 _ROOT = Path(__file__).resolve().parents[2]
 _FOLDER = _ROOT / "tutorials"
 _NOTEBOOKS = sorted(_FOLDER.glob("*.ipynb"))
-_NUM_TUTORIALS = 10
+_NUM_TUTORIALS = 11
 # Seconds for a cell and for a kernel to start: a busy machine is no failure.
 _PATIENCE = ("--timeout=600", "--startup_timeout=300")
 # Meshcat tells where it listens; nothing else may be said on stderr.
