@@ -6,7 +6,7 @@ import pytest
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SolverOptions
 from drake_exo.nlp.program import AffineKernel, BatchedProgram
-from drake_exo.nlp.sensitivity import response
+from drake_exo.nlp.sensitivity import Optimum, response
 from drake_exo.nlp.sparse import SparseProgram
 
 N = 7
@@ -105,3 +105,41 @@ def test_some_unknowns_respond_as_among_all(solved):
     np.testing.assert_allclose(
         few.by_bounds, found.by_bounds[[5, 1, 2]], atol=1e-9
     )
+
+
+def _with_fixed(value):
+    """A residual and a constraint that a fixed variable enters."""
+    program = BatchedProgram()
+    prog = program.prog
+    x, p = prog.NewContinuousVariables(2, "x"), prog.NewContinuousVariables(1)
+    prog.AddBoundingBoxConstraint(value, value, p[0])
+    prog.SetVariableScaling(p[0], 3.0)
+    program.add_residuals(
+        "pull", AffineKernel([[1.0, 0.0, 0.7], [0.3, 1.0, 0.0]]), _row(x, p)
+    )
+    program.add_constraints(
+        "tie", AffineKernel([[1.0, -2.0, -1.5]]), _row(x, p), 1.0, 1.0
+    )
+    return SparseProgram(program), program.indices(p)
+
+
+def _row(x, p):
+    return np.concatenate([x, p])[None]
+
+
+def test_the_optimal_cost_follows_a_fixed_variable():
+    costs = []
+    for value in (0.8 - 1e-4, 0.8 + 1e-4):
+        problem, _ = _with_fixed(value)
+        y = ipopt.solve(
+            problem, np.zeros(3), SolverOptions(tolerance=1e-11)
+        ).raw_values()
+        costs.append(problem.objective(problem.restrict(y)))
+    problem, index = _with_fixed(0.8)
+    x = ipopt.solve(
+        problem, np.zeros(3), SolverOptions(tolerance=1e-11)
+    ).raw_values()
+    optimum = Optimum(problem, problem.restrict(x), np.zeros(0, int))
+    expected = (costs[1] - costs[0]) / 2e-4
+    assert abs(expected) > 0.1
+    assert optimum.cost_by_fixed(index)[0] == pytest.approx(expected, rel=1e-5)

@@ -1,0 +1,89 @@
+"""A design on the laboratory's subject: tissue and person stay."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drake_exo.cli import main
+from drake_exo.contact.strap import Assistance, CuffDesign, Design
+from drake_exo.errors import InputError
+from drake_exo.virtual_laboratory.campaign import read_about
+from drake_exo.virtual_laboratory.control import DeviceController
+from drake_exo.virtual_laboratory.truth import TRUTH, draw_truth, wearing
+
+DESIGN = Design(
+    {"thigh": CuffDesign(along_m=0.05, strap_normal_n_m=3000.0)},
+    {"exo_knee": Assistance((0.0, 60.0), (1.0, 0.4))},
+)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return draw_truth(np.random.default_rng(3), frozenset(TRUTH))
+
+
+def test_tissue_and_what_no_model_knows_stay_with_the_person(truth):
+    worn = wearing(truth, DESIGN)
+    own, built = truth.cuffs["thigh"], worn.cuffs["thigh"]
+    assert built.bushing.origin_z == pytest.approx(own.bushing.origin_z + 0.05)
+    tissue = 1.0 / built.bushing.normal_stiffness - 1.0 / 3000.0
+    assert tissue == pytest.approx(1.0 / own.bushing.normal_stiffness)
+    assert built.bushing.tangential_stiffness == (
+        own.bushing.tangential_stiffness
+    )
+    assert (built.progression, built.slip) == (own.progression, own.slip)
+    assert worn.cuffs["shank"] == truth.cuffs["shank"]
+    assert worn.human == truth.human and worn.friction == truth.friction
+
+
+def test_help_follows_the_factors_and_friction_does_not(truth):
+    share = (0.0, 0.2, 0.2)
+    angles = np.deg2rad([[10.0, 0.0, 30.0], [10.0, 60.0, 30.0]])
+    load = np.full(2, truth.model.tree.weight)
+    rates = np.ones((2, 3))
+    own, built = (
+        DeviceController(truth.model, share, truth.friction, design)
+        for design in (None, DESIGN)
+    )
+    ratio = built.help(angles, load)[:, 1:] / own.help(angles, load)[:, 1:]
+    np.testing.assert_allclose(ratio, [[1.0, 1.0], [0.4, 1.0]])
+    friction = [
+        d.torques(angles, rates, load) - d.help(angles, load)
+        for d in (own, built)
+    ]
+    np.testing.assert_allclose(*friction)
+
+
+def test_a_design_of_another_device_is_refused(truth):
+    with pytest.raises(InputError, match=r"cuffs\.elbow"):
+        wearing(truth, Design({"elbow": CuffDesign()}))
+
+
+def test_the_laboratory_reads_designs(tmp_path, capsys):
+    """A wrong one ends before anything is simulated."""
+    (tmp_path / "design.yaml").write_text("cuffs: {thigh: {along: 1}}")
+    out = tmp_path / "out"
+    command = ["lab", "--design", str(tmp_path), "--out", str(out)]
+    assert main(command) == 2
+    assert "design.yaml" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_what_a_campaign_was_made_with(tmp_path):
+    (tmp_path / "truth").mkdir()
+    path = tmp_path / "truth" / "truth.json"
+    about = {"seed": 4, "truth": "wide", "disturbances": ["shear"]}
+    path.write_text(json.dumps(about))
+    assert read_about(tmp_path) == {
+        "seed": 4,
+        "truth": "wide",
+        "disturbances": frozenset({"shear"}),
+    }
+    for damaged in ("{}", '{"seed": "x"}', "[1]"):
+        path.write_text(damaged)
+        with pytest.raises(InputError, match=r"truth\.json"):
+            read_about(tmp_path)
+    path.unlink()
+    with pytest.raises(InputError, match="truth"):
+        read_about(tmp_path)
