@@ -1,0 +1,101 @@
+"""Phase D: time by number of movements, and random starts.
+
+    python benchmarks/design.py STUDY.yaml CALIBRATION [--starts N]
+
+Prints a table of programs of 3, 6 and 12 movements (one to three wearers, the
+second and third drawn from the calibration's posterior), and what N random
+starts within the bounds lead to. Times are of a quiet machine only if it is.
+"""
+
+import argparse
+import resource
+import time
+from dataclasses import replace
+
+import numpy as np
+
+import drake_exo as dx
+from drake_exo.calibration.design import DesignProblem, Wearer, drawn
+from drake_exo.designing import movements
+from drake_exo.report.tables import format_table
+
+# Movements -> trials, wearers.
+SIZES = {3: (3, 1), 6: (6, 1), 12: (4, 3)}
+# Optima count as one within this of the best cost.
+_ONE = 0.01
+
+
+def wearers_of(wearer: Wearer, trials: int, count: int) -> list[Wearer]:
+    """The calibrated wearer and some drawn ones, in their first trials."""
+    own = replace(wearer, trials=wearer.trials[:trials])
+    return [own, *drawn(own, count - 1)]
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study")
+    parser.add_argument("calibration")
+    parser.add_argument("--starts", type=int, default=0)
+    args = parser.parse_args()
+    study, contact = (
+        dx.read_study(args.study),
+        dx.read_contact(args.calibration),
+    )
+    settings = study.design
+    moved = movements(study, contact, settings)
+    wearer = Wearer(
+        study.name, study.model, contact, tuple(m.trial for m in moved)
+    )
+    rows = []
+    for size, (trials, count) in SIZES.items():
+        people = wearers_of(wearer, trials, count)
+        today = DesignProblem(people, settings, held=True).solve()
+        start = time.perf_counter()
+        found = DesignProblem(people, settings, today=today).solve()
+        elapsed = time.perf_counter() - start
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        solution = found.solution
+        rows.append(
+            [
+                str(size),
+                str(count),
+                solution.iterations,
+                elapsed,
+                memory,
+                today.norm_n,
+                found.norm_n,
+                solution.status,
+            ]
+        )
+        if size == min(SIZES):
+            first = people, today, found
+    header = ["movements", "wearers", "iterations", "s", "GB so far"]
+    header += ["norm N", "designed N", ""]
+    print(format_table(header, rows, 1))
+    if args.starts:
+        _starts(*first, settings, args.starts)
+
+
+def _starts(people, today, found, settings, count: int) -> None:
+    problem = DesignProblem(people, settings, today=today)
+    rng = np.random.default_rng(0)
+    costs = []
+    for _ in range(count):
+        values = {v.name: rng.uniform(v.lower, v.upper) for v in problem.design}
+        solution = problem.solve(problem.guess(values)).solution
+        costs.append(solution.objective if solution.success else np.inf)
+    best = min([*costs, found.solution.objective])
+    at = sum(cost <= (1.0 + _ONE) * best for cost in costs)
+    solved = np.isfinite(costs).sum()
+    rest = sorted(
+        c for c in costs if np.isfinite(c) and c > (1.0 + _ONE) * best
+    )
+    print(
+        f"{at} of {count} random starts at one optimum (cost {best:.4g}), "
+        f"{solved} solved; others at {[round(c, 4) for c in rest]}"
+    )
+
+
+if __name__ == "__main__":
+    main()
