@@ -495,8 +495,13 @@ def calibrate_foot_ground(
     (True, 'm')
     """
     trials = study.trials("calibration") if trials is None else trials
-    problem = FootGroundCalibration(study.model, trials, study.foot_ground)
-    result = solve(problem, "calibrate foot-ground", folder, resume)
+
+    def pose(refined):
+        return FootGroundCalibration(
+            study.model, trials, study.foot_ground, refined=refined
+        )
+
+    result = solve(pose, "calibrate foot-ground", folder, resume)
     return Calibration("foot-ground", study, result)
 
 
@@ -530,10 +535,14 @@ def calibrate_interaction(
     trials = study.trials("calibration") if trials is None else trials
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
-    problem = InteractionCalibration(
-        study.model, trials, contact_of(contact), study.interaction
-    )
-    result = solve(problem, "calibrate interaction", folder, resume)
+    ground = contact_of(contact)
+
+    def pose(refined):
+        return InteractionCalibration(
+            study.model, trials, ground, study.interaction, refined=refined
+        )
+
+    result = solve(pose, "calibrate interaction", folder, resume)
     return Calibration("interaction", study, result)
 
 
@@ -573,15 +582,20 @@ def predict(
     (True, True)
     """
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
-    problem = PredictionProblem(
-        study.model,
-        [trial],
-        contact_of(contact).scaled(scale_interaction),
-        settings or study.prediction,
-        controller=controller,
-    )
-    result = solve(problem, f"predict {trial.name}", folder, resume)
-    (found,) = result.trials
+    scaled = contact_of(contact).scaled(scale_interaction)
+
+    def pose(refined):
+        return PredictionProblem(
+            study.model,
+            [trial],
+            scaled,
+            settings or study.prediction,
+            controller=controller,
+            refined=refined,
+        )
+
+    result = solve(pose, f"predict {trial.name}", folder, resume)
+    (found,) = result.unsealed().trials
     own = {f.name: getattr(found, f.name) for f in fields(found)}
     return Prediction(**own, result=result)
 

@@ -1,4 +1,10 @@
-"""Does the solution hold between its nodes, and does it simulate?"""
+"""Does the solution hold between its nodes, and does it simulate?
+
+Equations of motion and contact laws hold at the nodes. Between them they are
+evaluated with states as the grid's polynomials and controls as cubic splines
+through the nodes; and the motion is simulated in the Diagram, whose integrator
+knows nothing of the grid.
+"""
 
 from dataclasses import dataclass
 
@@ -9,16 +15,27 @@ from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.scores import rms
 from drake_exo.collocation.bushing_kernels import UNITS
 from drake_exo.collocation.kernels import FORCE_UNIT, GROUND_MOMENT_UNIT
-from drake_exo.collocation.transcription import TRANSCRIPTIONS
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.controllers import TrackingController
 from drake_exo.contact.diagram import build_diagram, build_simulator
 from drake_exo.contact.systems import Chair
+from drake_exo.files.verdict import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 
 FORCE_TOLERANCE = 1.0  # N
 MOMENT_TOLERANCE = 0.5  # N m
+ANGLE_TOLERANCE = 0.1  # deg
+# Where each interval is looked at.
+_FRACTIONS = (0.25, 0.5, 0.75)
+_BETWEEN = (
+    "laws and equations of motion that hold at the nodes miss this between "
+    "them; solve on a finer grid (solver.nodes_per_second)"
+)
+_SIMULATED = (
+    "the motion does not come out again when it is simulated; the contact is "
+    "too stiff for the grid (solver.nodes_per_second), or leaves the ground"
+)
 
 
 @dataclass(frozen=True)
@@ -34,6 +51,7 @@ class Audit:
         simulated_angles_deg: largest RMS difference of a joint angle.
         simulated_interaction_n: largest RMS difference of an interaction
             force; None without bushings.
+        intervals: of the grid.
     """
 
     trial: str
@@ -42,14 +60,33 @@ class Audit:
     simulated_grf_n: tuple[float, float]
     simulated_angles_deg: float
     simulated_interaction_n: float | None = None
+    intervals: int = 0
 
     @property
     def holds(self) -> bool:
-        """Whether the residuals between nodes are within tolerance."""
-        return (
-            self.force_n <= FORCE_TOLERANCE
-            and self.moment_nm <= MOMENT_TOLERANCE
+        """Whether all residuals are within tolerance."""
+        return all(check.holds for check in self.checks())
+
+    def checks(self) -> list[Check]:
+        """What it holds against the tolerances: "audit" and "simulation"."""
+        forces = [*self.simulated_grf_n, self.simulated_interaction_n or 0.0]
+        rows = (
+            ("audit", self.force_n, FORCE_TOLERANCE, "N", _BETWEEN),
+            ("audit", self.moment_nm, MOMENT_TOLERANCE, "N m", _BETWEEN),
+            ("simulation", max(forces), FORCE_TOLERANCE, "N", _SIMULATED),
+            (
+                "simulation",
+                self.simulated_angles_deg,
+                ANGLE_TOLERANCE,
+                "deg",
+                _SIMULATED,
+            ),
         )
+        return [
+            # NaN is within no tolerance.
+            Check(name, value <= limit, value, limit, unit, self.trial, text)
+            for name, value, limit, unit, text in rows
+        ]
 
     def summary(self) -> dict:
         """What summary.json holds of it."""
@@ -75,27 +112,39 @@ def audit(result: PhaseResult, index: int = 0) -> Audit:
     angles = rms(np.rad2deg(simulated.q - found.q)[:, joints])
     return Audit(
         found.name,
-        force,
-        moment,
+        float(force.max()),
+        float(moment.max()),
         (float(grf[0]), float(grf[1])),
         float(angles.max()),
         float(rms(np.hstack(off)).max()) if off else None,
+        len(force),
     )
 
 
-def between_nodes(result: PhaseResult, index: int) -> tuple[float, float]:
-    """Largest force [N] and moment [N m] missing midway between nodes.
-
-    Controls are cubic splines through the nodes.
+def between_nodes(
+    result: PhaseResult, index: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Largest force [N] and moment [N m] missing in each mesh interval, (m,).
 
     Args:
         result: of a phase.
         index: of the trial.
     """
+    parts = [_residuals(result, index, fraction) for fraction in _FRACTIONS]
+    return tuple(
+        np.max([np.abs(part[kind]).max(axis=1) for part in parts], axis=0)
+        for kind in range(2)
+    )
+
+
+def _residuals(
+    result: PhaseResult, index: int, fraction: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (m, .) and moments (m, .) missing at one place of m intervals."""
     problem, found = result.problem, result.trials[index]
-    grid = TRANSCRIPTIONS[problem.settings.solver.transcription]
-    times, q, v, a = grid.midpoints(
-        found.times, found.q, found.v, found.a, found.jerk
+    grid = problem.movements[index].grid
+    times, q, v, a = grid.between(
+        fraction, found.times, found.q, found.v, found.a, found.jerk
     )
     root = found.coordinates.root_columns
 
@@ -132,10 +181,7 @@ def between_nodes(result: PhaseResult, index: int) -> tuple[float, float]:
         r = UNITS * law.evaluate(np.hstack([q, v, force, values]), None)
         forces.append(r[:, :ROTATION])
         moments.append(r[:, ROTATION:])
-    return tuple(
-        float(max(np.abs(r).max() for r in parts))
-        for parts in (forces, moments)
-    )
+    return np.hstack(forces), np.hstack(moments)
 
 
 def simulate(result: PhaseResult, index: int = 0) -> Trial:

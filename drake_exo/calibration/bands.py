@@ -87,7 +87,7 @@ def bands(result: PhaseResult) -> Bands | None:
         return None
     (movement,), (trial,) = problem.movements, result.trials
     program = problem.compiled
-    y = program.restrict(result.solution.raw_values())
+    y = program.restrict(result.values)
     place = problem.program.indices
     errors = place(problem.error_variables)
     optimum = Optimum(program, y, program.unknowns.column_of(errors))

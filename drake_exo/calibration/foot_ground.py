@@ -6,7 +6,7 @@ all trials; initial and final states are given; human and exoskeleton do not
 touch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from drake_exo.calibration.problem import (
     PhaseProblem,
@@ -42,6 +42,8 @@ class FootGroundCalibration(PhaseProblem):
         trials: Sequence[Trial],
         settings: FootGroundSettings | None = None,
         parameters: list[ContactParameter] | None = None,
+        *,
+        refined: Mapping[str, int] | None = None,
     ):
         settings = settings or FootGroundSettings()
         super().__init__(
@@ -50,6 +52,7 @@ class FootGroundCalibration(PhaseProblem):
             settings.contact(model.spheres),
             parameters or settings.parameters(model.spheres),
             settings,
+            refined=refined,
         )
 
     def _add(self, trial: Trial) -> TrialProgram:

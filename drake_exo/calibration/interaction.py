@@ -6,7 +6,7 @@ the normal forces that mats measured are tracked, the contact energy of all
 other components is minimised.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from drake_exo.calibration.error_model import ErrorModel
@@ -53,6 +53,8 @@ class InteractionCalibration(PhaseProblem):
         trials: Sequence[Trial],
         contact: ContactModel,
         settings: InteractionSettings | None = None,
+        *,
+        refined: Mapping[str, int] | None = None,
     ):
         check_has_cuffs(model)
         settings = settings or InteractionSettings()
@@ -63,6 +65,7 @@ class InteractionCalibration(PhaseProblem):
             settings.parameters(model.cuffs),
             settings,
             ErrorModel(model, trials, settings.errors),
+            refined,
         )
 
     def _add(self, trial: Trial) -> TrialProgram:

@@ -8,7 +8,7 @@ it minimises the interaction with bounded effort, for designs that were never
 measured.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +67,7 @@ class PredictionProblem(PhaseProblem):
         settings: PredictionSettings | None = None,
         *,
         controller: System | None = None,
+        refined: Mapping[str, int] | None = None,
     ):
         if not set(model.cuffs) <= set(contact.bushings):
             raise InputError(
@@ -84,7 +85,7 @@ class PredictionProblem(PhaseProblem):
         own = {cuff: contact.bushings[cuff] for cuff in model.cuffs}
         contact = replace(contact, bushings=own)
         errors = ErrorModel(model, trials, settings.errors, contact.posterior)
-        super().__init__(model, trials, contact, [], settings, errors)
+        super().__init__(model, trials, contact, [], settings, errors, refined)
 
     def _add(self, trial: Trial) -> TrialProgram:
         movement = self._movement(trial)

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from drake_exo.calibration.audit import (
+    FORCE_TOLERANCE,
+    MOMENT_TOLERANCE,
+    between_nodes,
+)
 from drake_exo.calibration.problem import PhaseProblem, PhaseResult
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress, read_arrays
 from drake_exo.nlp.ipopt import Iterate
 
 CHECKPOINT = "checkpoint.npz"
+REFINEMENTS = 2
 _CHECKPOINT_SECONDS = 2.0
 
 
@@ -55,15 +62,22 @@ class SolveWatch:
 
 
 def solve(
-    problem: PhaseProblem,
+    pose: Callable[[Mapping[str, int]], PhaseProblem],
     title: str,
     folder: str | Path | None = None,
     resume: bool = False,
 ) -> PhaseResult:
-    """Solve with progress; the newest iterate is kept in `folder`.
+    """Solve with progress, on a grid on which the audit holds.
+
+    A trial whose laws or equations of motion do not hold between its nodes
+    gets a grid twice as fine, started from the solution, `REFINEMENTS` times
+    at most; what then does not hold, the audit says. Its whole grid, because
+    a step that changes within a trial sets off an oscillation from node to
+    node that a quartic spline does not damp.
 
     Args:
-        problem: the phase.
+        pose: makes the phase with grids as fine as it is told, see
+            `PhaseProblem`.
         title: begins every line of progress.
         folder: where checkpoint.npz is written while solving; it stays there
             if the solve does not succeed. None keeps nothing.
@@ -73,6 +87,43 @@ def solve(
         InputError: the checkpoint belongs to another problem, or is damaged;
             or from the pre-flight check.
     """
+    result = _solve_first(pose({}), title, folder, resume)
+    for _ in range(REFINEMENTS):
+        refined = finer(result) if result.success else None
+        if not refined:
+            break
+        names = ", ".join(refined)
+        problem = pose(refined)
+        again = problem.solve(
+            problem.guess_from(result),
+            on_iterate=SolveWatch(f"{title}, finer grid for {names}"),
+        )
+        if not again.success:
+            break  # the coarser solution stands, and its audit says so
+        result = again
+    if folder is not None and result.success:
+        (Path(folder) / CHECKPOINT).unlink(missing_ok=True)
+    return result
+
+
+def finer(result: PhaseResult) -> dict[str, int]:
+    """How fine each trial's grid is to be; empty where the audit holds."""
+    refined, fails = dict(result.problem.refined), False
+    for i, trial in enumerate(result.problem.trials):
+        force, moment = between_nodes(result, i)
+        if force.max() > FORCE_TOLERANCE or moment.max() > MOMENT_TOLERANCE:
+            refined[trial.name] = 2 * refined.get(trial.name, 1)
+            fails = True
+    return refined if fails else {}
+
+
+def _solve_first(
+    problem: PhaseProblem,
+    title: str,
+    folder: str | Path | None,
+    resume: bool,
+) -> PhaseResult:
+    """On the grid of the settings; the newest iterate is kept in `folder`."""
     if folder is None:
         return problem.solve(on_iterate=SolveWatch(title))
     folder = Path(folder)
@@ -84,11 +135,9 @@ def solve(
         size = problem.program.prog.num_vars()
         guess = read_checkpoint(checkpoint, fingerprint, size)
         print(f"{title}: resumed from {CHECKPOINT}")
-    watch = SolveWatch(title, checkpoint, fingerprint)
-    result = problem.solve(guess, on_iterate=watch)
-    if result.success:
-        checkpoint.unlink(missing_ok=True)
-    return result
+    return problem.solve(
+        guess, on_iterate=SolveWatch(title, checkpoint, fingerprint)
+    )
 
 
 def read_checkpoint(path: Path, fingerprint: str, size: int) -> np.ndarray:

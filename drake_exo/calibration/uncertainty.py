@@ -100,7 +100,7 @@ def uncertainty(
     if not free or not problem.settings.solver.reduce:
         return None
     program = problem.compiled
-    y = program.restrict(result.solution.raw_values())
+    y = program.restrict(result.values)
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
@@ -115,7 +115,7 @@ def uncertainty(
         for part in _noise(movement, program, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
     chosen = [problem.parameters[k] for k in free]
-    x = result.solution.raw_values()[index]
+    x = result.values[index]
     prior = np.array(
         [_prior_sd(p, value) for p, value in zip(chosen, x, strict=True)]
     )
@@ -156,7 +156,7 @@ def posterior(result: PhaseResult) -> Posterior:
         names += [problem.errors.names[k] for k in shared]
         variables = np.r_[variables, problem.error_variables[shared]]
     program = problem.compiled
-    x = result.solution.raw_values()
+    x = result.values
     y = program.restrict(x)
     index = problem.program.indices(variables)
     columns = program.unknowns.column_of(index)
@@ -222,7 +222,7 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
     g = np.zeros(len(x))
     for movement in problem.movements:
         jerk = problem.program.indices(movement.grid.jerk)
-        weight = movement.jerk_weight / movement.jerk_sigma**2
+        weight = movement.grid.jerk_weights[:, None] / movement.jerk_sigma**2
         g[jerk] += weight * x[jerk]
         weights = movement.grid.quadrature[:, None]
         for term in movement.tracked:

@@ -20,6 +20,7 @@ from scipy.interpolate import BSpline
 from drake_exo.nlp.program import AffineKernel, BatchedProgram
 from drake_exo.nlp.unknowns import Substitution
 
+FEWEST = 4  # mesh intervals of a trial
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
 _SIZES = (1.0, 1.0, 10.0, 100.0)
 # How well a guess is to be kept: a tenth of a millimetre is tens of newtons
@@ -46,8 +47,8 @@ class Transcription(ABC):
     jerk: np.ndarray
 
     def __init__(self, program, name, num_dof, duration, num_intervals):
-        if num_intervals < 4:
-            raise ValueError(f"{name}: {num_intervals} intervals; 4 at least")
+        if num_intervals < FEWEST:
+            raise ValueError(f"{name}: {num_intervals} intervals")
         self.name = name
         self.num_dof = num_dof
         self.num_intervals = num_intervals
@@ -66,14 +67,15 @@ class Transcription(ABC):
 
     @staticmethod
     @abstractmethod
-    def midpoints(times, q, v, a, jerk):
-        """State in the middle of each interval of a solution.
+    def between(fraction, times, q, v, a, jerk):
+        """State at one place in each mesh interval of a solution.
 
         Args:
+            fraction: of the interval, from 0 to 1.
             times, q, v, a, jerk: values at the nodes.
 
         Returns:
-            times (m,), q, v, a (m, n_dof).
+            times (m,), q, v, a (m, n_dof) in each of m intervals.
         """
 
     @abstractmethod
@@ -138,11 +140,12 @@ class HermiteSimpson(Transcription):
         )
 
     @staticmethod
-    def midpoints(times, q, v, a, jerk):
+    def between(fraction, times, q, v, a, jerk):
         """See Transcription; jerk is linear in each interval."""
-        s = 0.5 * np.diff(times)[:, None]
+        h = np.diff(times)[:, None]
+        s = fraction * h
         j0, j1 = jerk[:-1], jerk[1:]
-        snap = 0.5 * (j1 - j0) / s
+        snap = (j1 - j0) / h
         a_mid = a[:-1] + s * (j0 + s * snap / 2.0)
         v_mid = v[:-1] + s * (a[:-1] + s * (j0 / 2.0 + s * snap / 6.0))
         q_mid = q[:-1] + s * (
@@ -208,23 +211,24 @@ class Pseudospectral(Transcription):
         )
 
     @staticmethod
-    def midpoints(times, q, v, a, jerk):
+    def between(fraction, times, q, v, a, jerk):
         """See Transcription; each state is a cubic in each interval."""
         points, _, _ = radau_points()
         nodes = np.r_[0.0, points]
         weights = np.array(
             [
-                np.prod(0.5 - np.delete(nodes, i))
+                np.prod(fraction - np.delete(nodes, i))
                 / np.prod(nodes[i] - np.delete(nodes, i))
                 for i in range(4)
             ]
         )
         first = np.arange(0, len(times) - 1, 3)
-        middle = [
+        start, end = times[first], times[first + 3]
+        found = [
             sum(w * x[first + i] for i, w in enumerate(weights))
             for x in (q, v, a)
         ]
-        return 0.5 * (times[first] + times[first + 3]), *middle
+        return start + fraction * (end - start), *found
 
     def _scalar_basis(self):
         """Values q, v, a at the mesh points determine each interval."""

@@ -22,7 +22,11 @@ from drake_exo.collocation.kernels import (
     FootGroundKernel,
 )
 from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
-from drake_exo.collocation.transcription import TRANSCRIPTIONS, Transcription
+from drake_exo.collocation.transcription import (
+    FEWEST,
+    TRANSCRIPTIONS,
+    Transcription,
+)
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
@@ -52,7 +56,8 @@ class TrialProgram:
         name: of the trial.
         tree: dynamics of the model.
         duration: of the movement [s].
-        nodes_per_second: mesh intervals per second.
+        nodes_per_second: mesh intervals per second; a short movement has
+            `FEWEST` of them.
         transcription: name in TRANSCRIPTIONS.
         bushings: cuff -> what couples human and device there, and its origin
             (2,) as decision variables.
@@ -73,7 +78,7 @@ class TrialProgram:
         self.name = name
         self.program = program
         self.coordinates = tree.coordinates
-        intervals = max(round(duration * nodes_per_second), 1)
+        intervals = max(round(duration * nodes_per_second), FEWEST)
         self.grid: Transcription = TRANSCRIPTIONS[transcription](
             program, name, tree.num_positions, duration, intervals
         )

@@ -107,8 +107,9 @@ def test_minimum_jerk_quintic_converges(name):
     assert order > 1.7, f"{name}: errors {coarse:.2e}, {fine:.2e}: {order:.2f}"
 
 
+@pytest.mark.parametrize("fraction", [0.0, 0.25, 0.5, 1.0])
 @pytest.mark.parametrize("name", _GRIDS)
-def test_midpoints_follow_the_polynomials(name):
+def test_states_between_nodes_follow_the_polynomials(name, fraction):
     """A quartic position has every state within reach of both grids."""
     _, grid = _grid(name, 1, 0.6, 6)
     t = grid.times
@@ -119,9 +120,9 @@ def test_midpoints_follow_the_polynomials(name):
         poly.deriv(k)(t)[:, None] if k else poly(t)[:, None] for k in range(4)
     ]
     jerk = arrays[3][len(t) - len(grid.jerk) :]
-    times, q, v, a = grid.midpoints(t, *arrays[:3], jerk)
+    times, q, v, a = grid.between(fraction, t, *arrays[:3], jerk)
     np.testing.assert_allclose(
-        times, grid.step * (np.arange(6) + 0.5), atol=1e-13
+        times, grid.step * (np.arange(6) + fraction), atol=1e-13
     )
     for found, order in ((q, 0), (v, 1), (a, 2)):
         expected = poly.deriv(order)(times) if order else poly(times)
