@@ -18,6 +18,7 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
 from drake_exo.calibration.bands import Bands, bands
+from drake_exo.calibration.checks import phase_checks
 from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
@@ -27,6 +28,7 @@ from drake_exo.calibration.interaction import (
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.results import (
+    Origin,
     phase_summary,
     write_contact,
     write_model,
@@ -52,7 +54,7 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files import schema
 from drake_exo.files.output import Progress, write_json
-from drake_exo.files.verdict import Check
+from drake_exo.files.verdict import Check, Verdict, write_text
 from drake_exo.measurement.plausibility import plausibility, refuse
 from drake_exo.measurement.plausibility.evidence import Evidence
 from drake_exo.measurement.processing import Recordings, load_trials
@@ -347,7 +349,23 @@ class Calibration:
 
     def audit(self) -> list[Audit]:
         """Whether each trial holds between its nodes, and simulates."""
-        return audit_all([self.result])
+        return list(self._audits)
+
+    @cached_property
+    def _audits(self) -> tuple[Audit, ...]:
+        return tuple(audit_all([self.result])) if self.success else ()
+
+    def verdict(
+        self, checks: Sequence[Check] = (), accepted: Sequence[str] = ()
+    ) -> Verdict:
+        """What the result has to hold.
+
+        Args:
+            checks: of its input, which come first.
+            accepted: names of checks that need not hold.
+        """
+        own = phase_checks(self.result, self._audits)
+        return Verdict((*checks, *own), tuple(accepted))
 
     def plot(self) -> Figure:
         """Joint angles and velocities beside what was measured."""
@@ -357,46 +375,59 @@ class Calibration:
             {"model": self.trials}, self.result.problem.trials
         )
 
-    def summary(self) -> dict:
-        """What summary.json holds, but for the audit."""
-        summary = phase_summary(self.phase, self.study.name, self.result)
-        found = self.uncertainty() if self.success else None
-        if found is not None:
+    def summary(self, verdict: Verdict | None = None) -> dict:
+        """What summary.json holds.
+
+        Args:
+            verdict: that of `verdict` if None.
+        """
+        found = self.result.unsealed()
+        summary = phase_summary(self.phase, self.study.name, found)
+        summary |= (verdict or self.verdict()).summary()
+        summary["audit"] = [a.summary() for a in self._audits]
+        known = self.uncertainty() if self.success else None
+        if known is not None:
             rows = {row["name"]: row for row in summary["parameters"]}
-            for k, name in enumerate(found.names):
+            for k, name in enumerate(known.names):
                 rows[name] |= {
-                    "sd": _known(found.sd[k]),
-                    "pull": found.pull[k],
-                    "half_width_95": _known(found.half_width[k]),
-                    "identifiable": bool(found.identifiable[k]),
+                    "sd": _known(known.sd[k]),
+                    "pull": known.pull[k],
+                    "half_width_95": _known(known.half_width[k]),
+                    "identifiable": bool(known.identifiable[k]),
                 }
         return summary
 
-    def write(self, folder: str | Path, summary: dict | None = None) -> None:
+    def write(self, folder: str | Path, verdict: Verdict | None = None) -> dict:
         """Model, contact, trajectories, tables and figures into a folder.
 
         Args:
-            folder: made if it is not there; a failed solve is written, too,
-                marked as failed.
-            summary: for summary.json; that of `summary` with the audit if
-                None.
+            folder: made if it is not there. What failed or does not hold is
+                written, too, marked everywhere.
+            verdict: that of `verdict` if None.
+
+        Returns:
+            What summary.json holds.
         """
         from drake_exo.report import figures
 
-        folder, found = Path(folder), self.result
+        folder, found = Path(folder), self.result.unsealed()
         folder.mkdir(parents=True, exist_ok=True)
-        if summary is None:
-            summary = self.summary()
-            if self.success:
-                summary["audit"] = [a.summary() for a in self.audit()]
-        write_inputs(folder, self.study.model, found.problem.trials)
-        write_contact(folder, self.contact if self.success else found.contact)
+        verdict = verdict or self.verdict()
+        summary, mark = self.summary(verdict), verdict.mark
+        study, trials = self.study, found.problem.trials
+        write_inputs(folder, study.model, trials)
+        write_contact(
+            folder,
+            self.contact if self.success else found.contact,
+            Origin.of(study.name, study.model, trials, verdict),
+        )
         for trial in found.trials:
-            write_trial(folder, trial)
+            write_trial(folder, trial, mark)
         text = rmsd_table(summary["rmsd"], summary["measured_sd"])
-        (folder / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
-        figures.draw_figures(folder, found.trials, found.problem.trials)
+        write_text(folder / "rmsd.txt", text, mark)
+        figures.draw_figures(folder, found.trials, trials, mark=mark)
         write_json(folder / "summary.json", summary)
+        return summary
 
 
 _SIGNALS = frozenset(("q", "v", "a", "ground", "moments", "cuffs", "jerk"))

@@ -16,6 +16,7 @@ from drake_exo.contact.parameters import (
     GroundContact,
 )
 from drake_exo.files.output import write_json
+from drake_exo.files.verdict import Verdict
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
@@ -100,7 +101,7 @@ def measured(chair=False):
     )
 
 
-def write_results(folder, chair=False):
+def write_results(folder, chair=False, checks=()):
     """Write the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     write_model(folder, MODEL)
@@ -114,6 +115,8 @@ def write_results(folder, chair=False):
             "subject": "made_up",
             "rmsd": [{"trial": NAME}],
             "measured_sd": {},
+            "success": True,
+            **Verdict(checks).summary(),
         },
     )
     return folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -27,8 +28,9 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
-from drake_exo.files.output import write_json
+from drake_exo.files.output import checksum, write_json
 from drake_exo.files.tables import Table
+from drake_exo.files.verdict import HOLDS, Check, Verdict, is_accepted
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
@@ -89,6 +91,36 @@ class _StoredPosterior:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """What a calibration was made of, and what came of it.
+
+    Attributes:
+        subject: of the study.
+        model: checksum of subject and device.
+        data: trial -> checksum of what was measured.
+        verdict: see `Verdict.word`.
+        failed: names of the checks that failed.
+    """
+
+    subject: str
+    model: str
+    data: dict[str, str]
+    verdict: str
+    failed: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(subject: str, model: Model, trials, verdict: Verdict) -> Origin:
+        """Of a phase's inputs and its verdict."""
+        return Origin(
+            subject,
+            checksum(model),
+            {t.name: checksum([t.times, t.q, t.ground.array]) for t in trials},
+            verdict.word,
+            tuple(dict.fromkeys(c.name for c in verdict.failing)),
+        )
+
+
+@dataclass(frozen=True)
 class _Stored:
     """A `ContactModel` as `parameters.json` holds it.
 
@@ -101,6 +133,7 @@ class _Stored:
             Phase A.
         preload: cuff -> x, z, angle of its preload; of cuffs that have one.
         posterior: how sure a calibration was; None where none was.
+        origin: of the calibration; None where it is not known.
     """
 
     law: Literal["simbody", "paper"]
@@ -110,6 +143,7 @@ class _Stored:
     damping: dict[str, tuple[float, float, float]]
     preload: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     posterior: _StoredPosterior | None = None
+    origin: Origin | None = None
 
     def __post_init__(self):
         settings = FootGroundSettings(self.law, self.constants)
@@ -160,8 +194,16 @@ class _Stored:
         return found
 
 
-def write_contact(folder: Path, contact: ContactModel) -> None:
-    """Write all that a later phase needs of the contact."""
+def write_contact(
+    folder: Path, contact: ContactModel, origin: Origin | None = None
+) -> None:
+    """Write all that a later phase needs of the contact.
+
+    Args:
+        folder: of the results.
+        contact: calibrated or not.
+        origin: of the calibration; without it `read_contact` asks for leave.
+    """
     stored = {
         "law": contact.ground.law,
         "constants": asdict(contact.ground.constants),
@@ -176,14 +218,117 @@ def write_contact(folder: Path, contact: ContactModel) -> None:
         stored["preload"] = preload
     if contact.posterior is not None:
         stored["posterior"] = asdict(contact.posterior)
+    if origin is not None:
+        stored["origin"] = origin
     write_json(folder / PARAMETERS, stored)
 
 
-def read_contact(folder: str | Path) -> ContactModel:
-    """Read the contact from a folder that a calibration has written.
+@dataclass(frozen=True)
+class StoredCalibration:
+    """A calibration on disk.
+
+    Attributes:
+        folder: where.
+        contact: what it found.
+        origin: what it was made of; None where that is not known.
+    """
+
+    folder: Path
+    contact: ContactModel
+    origin: Origin | None
+
+    def checks(
+        self, subject: str, model: Model, law: str, trials: Sequence[Trial] = ()
+    ) -> list[Check]:
+        """Whether it holds, and belongs to a study: "provenance".
+
+        Args:
+            subject, model, law: of the study.
+            trials: that it is to be used for.
+        """
+        made_of, where = self.origin, str(self.folder)
+
+        def check(name, holds, sentence, level="fail"):
+            text = "" if holds else sentence
+            return Check(
+                f"provenance.{name}", holds, None, None, "", where, text, level
+            )
+
+        if made_of is None:
+            return [
+                check(
+                    "calibration",
+                    False,
+                    "it is not known what it was calibrated on; run "
+                    "'drake-exo calibrate' again",
+                )
+            ]
+        return [
+            check(
+                "calibration",
+                made_of.verdict == HOLDS,
+                f"the calibration itself: {made_of.verdict} "
+                f"({', '.join(made_of.failed)})",
+            ),
+            check(
+                "subject",
+                made_of.subject == subject,
+                f"it is of subject {made_of.subject!r}, the study of "
+                f"{subject!r}",
+            ),
+            check(
+                "model",
+                made_of.model == checksum(model),
+                "it was made with another model of subject and device (mass, "
+                "segments, device or cuffs differ)",
+            ),
+            check(
+                "law",
+                self.contact.ground.law == law,
+                f"its foot-ground law is {self.contact.ground.law!r}, the "
+                f"study's {law!r}",
+            ),
+            check(
+                "unseen",
+                not any(
+                    made_of.data.get(t.name)
+                    == checksum([t.times, t.q, t.ground.array])
+                    for t in trials
+                ),
+                "it was calibrated on trials that it is to predict",
+                "note",
+            ),
+        ]
+
+
+def read_calibration(folder: str | Path) -> StoredCalibration:
+    """Read what a calibration has written, whether it holds or not.
 
     Raises:
-        InputError: it holds none.
+        InputError: the folder holds none.
+    """
+    path = Path(folder) / PARAMETERS
+    try:
+        stored = schema.load(path, _Stored)
+    except InputError as error:
+        raise InputError(
+            f"no calibrated parameters ({error}); give the --out folder of a "
+            "successful 'drake-exo calibrate'"
+        ) from error
+    return StoredCalibration(Path(folder), stored.contact, stored.origin)
+
+
+def read_contact(
+    folder: str | Path, accept: Sequence[str] = ()
+) -> ContactModel:
+    """Read the contact of a calibration that holds.
+
+    Args:
+        folder: that a calibration has written.
+        accept: names of checks that need not hold.
+
+    Raises:
+        InputError: it holds none, or one that failed or does not hold.
 
     >>> import tempfile
     >>> from drake_exo.contact.parameters import nominal_contact
@@ -191,17 +336,24 @@ def read_contact(folder: str | Path) -> ContactModel:
     >>> contact = nominal_contact(nominal_model("coupled"))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_contact(Path(folder), contact)
-    ...     read_contact(folder).values() == contact.values()
+    ...     found = read_contact(folder, accept=["provenance"])
+    ...     found.values() == contact.values()
     True
     """
-    path = Path(folder) / PARAMETERS
-    try:
-        return schema.load(path, _Stored).contact
-    except InputError as error:
+    found = read_calibration(folder)
+    origin = found.origin
+    holds = origin is not None and origin.verdict == HOLDS
+    if not holds and not is_accepted("provenance.calibration", accept):
+        why = (
+            "it is not known what they were calibrated on"
+            if origin is None
+            else f"{origin.verdict}: {', '.join(origin.failed)}"
+        )
         raise InputError(
-            f"no calibrated parameters ({error}); give the --out folder of a "
-            "successful 'drake-exo calibrate'"
-        ) from error
+            f"{folder}: its parameters are not to be used ({why}); calibrate "
+            "again, or accept provenance.calibration"
+        )
+    return found.contact
 
 
 def solve_summary(solution: Solution) -> dict:
@@ -253,15 +405,20 @@ def phase_summary(phase: str, subject: str, result: PhaseResult) -> dict:
     }
 
 
-def write_trial(folder: Path, trial: Trial) -> None:
-    """Motion and forces as OpenSim reads them, and all of it as .npz."""
+def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
+    """Motion and forces as OpenSim reads them, and all of it as .npz.
+
+    Args:
+        folder: of the results.
+        trial: as found.
+        mark: `Verdict.mark`, in the first line of each table.
+    """
     names = trial.coordinates
     for kind, values in (("coordinates", trial.q), ("speeds", trial.v)):
         degrees = np.where(names.is_angle, np.rad2deg(values), values)
         table = Table(trial.times, names.names, degrees, in_degrees=True)
-        write_table(
-            folder / f"{trial.name}_{kind}.sto", table, kind.capitalize()
-        )
+        path = folder / f"{trial.name}_{kind}.sto"
+        write_table(path, table, _titled(kind.capitalize(), mark))
     ground = trial.ground
     cop, zero = np.nan_to_num(ground.cop_x), 0.0 * trial.times
     force = np.column_stack(
@@ -282,11 +439,18 @@ def write_trial(folder: Path, trial: Trial) -> None:
         )
     for kind, (columns, values, title) in tables.items():
         table = Table(trial.times, tuple(columns), values, in_degrees=False)
-        write_table(folder / f"{trial.name}_{kind}.sto", table, title)
+        path = folder / f"{trial.name}_{kind}.sto"
+        write_table(path, table, _titled(title, mark))
     trial.save(folder / f"solution_{trial.name}")
 
 
-def write_bands(folder: Path, trial: Trial, found: Bands) -> None:
+def _titled(title: str, mark: str) -> str:
+    return f"{title} ({mark})" if mark else title
+
+
+def write_bands(
+    folder: Path, trial: Trial, found: Bands, mark: str = ""
+) -> None:
     """Lower and upper ends of 95 % bands as a table that OpenSim reads."""
     names = trial.coordinates
     unit = np.where(names.is_angle, np.rad2deg(1.0), 1.0)
@@ -307,7 +471,8 @@ def write_bands(folder: Path, trial: Trial, found: Bands) -> None:
     table = Table(
         trial.times, tuple(columns), np.column_stack(values), in_degrees=True
     )
-    write_table(folder / f"{trial.name}_bands.sto", table, "Bands of 95 %")
+    path = folder / f"{trial.name}_bands.sto"
+    write_table(path, table, _titled("Bands of 95 %", mark))
 
 
 def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:

@@ -6,14 +6,30 @@ foot_ground) and then the interaction of human and exoskeleton (Phase B).
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.pareto import pareto_front
-from drake_exo.calibration.results import read_contact
+from drake_exo.calibration.results import read_calibration
 from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.errors import InputError
+from drake_exo.files.output import (
+    prepare_output_folder,
+    read_json,
+    write_json,
+)
+from drake_exo.files.verdict import (
+    FAILS_CODE,
+    NOT_SOLVED_CODE,
+    STOPPED_CODE,
+    UNSOLVED,
+    Check,
+    Verdict,
+    stored,
+)
+from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure, save_figure
 from drake_exo.report.tables import (
@@ -31,7 +47,7 @@ from drake_exo.study import (
     write_inputs,
 )
 
-FOOT_GROUND = "foot_ground"
+FOOT_GROUND, SUMMARY = "foot_ground", "summary.json"
 
 
 def add_parser(subparsers) -> None:
@@ -100,32 +116,70 @@ def run(args: argparse.Namespace) -> int:
     only_foot = args.phase == "foot-ground" or (
         args.phase is None and not study.model.cuffs
     )
-    contact = None
+    contact, checks = None, []
     if not only_foot:
         check_has_cuffs(study.model)
         if args.calibration is not None:
-            contact = read_contact(args.calibration)
+            contact, checks = usable(args.calibration, study, args.accept)
     with prepare_output_folder(args.out, args.force, args.resume) as out:
-        if args.resume and _succeeded(out):
+        done = _finished(out) if args.resume else None
+        if done is not None:
             print(f"{args.out} is complete; nothing to resume")
-            return 0
+            return done.exit_code
         if only_foot:
             front = not args.no_front and bool(study.foot_ground.front)
-            code = write_foot_ground(study, out, args.resume, front)
+            code = write_foot_ground(
+                study, out, args.resume, front, checks, args.accept
+            )
         else:
-            code = write_interaction(study, out, args.resume, contact)
-    if not code:
-        print(f"results in {args.out}")
+            code = write_interaction(
+                study, out, args.resume, contact, checks, args.accept
+            )
+    print(f"results in {args.out}")
     return code
 
 
+def usable(
+    folder: Path,
+    study: Study,
+    accepted: Sequence[str],
+    trials: Sequence[Trial] = (),
+) -> tuple[ContactModel, list[Check]]:
+    """A calibration that holds and is of this study, or is accepted.
+
+    Returns:
+        Its contact, and the checks of its provenance.
+
+    Raises:
+        InputError: it is to be refused.
+    """
+    found = read_calibration(folder)
+    checks = found.checks(
+        study.name, study.model, study.foot_ground.law, trials
+    )
+    refused = Verdict(tuple(checks), tuple(accepted)).refused
+    if refused:
+        why = "; ".join(c.sentence for c in refused)
+        options = " ".join(f"--accept {c.name}" for c in refused)
+        raise InputError(
+            f"{folder}: is refused: {why}. Give a calibration of this study "
+            f"that holds, or {options}"
+        )
+    return found.contact, checks
+
+
 def write_foot_ground(
-    study: Study, out: Path, resume: bool = False, front: bool = False
+    study: Study,
+    out: Path,
+    resume: bool = False,
+    front: bool = False,
+    checks: Sequence[Check] = (),
+    accepted: Sequence[str] = (),
 ) -> int:
     """Phase A into a folder; returns the exit code."""
     write_inputs(out, study.model, study.trials("calibration"))
     found = calibrate_foot_ground(study, folder=out, resume=resume)
-    return _write(found, out, {}, front)
+    return _write(found, out, {}, front, checks, accepted)
 
 
 def write_interaction(
@@ -133,52 +187,69 @@ def write_interaction(
     out: Path,
     resume: bool = False,
     contact: ContactModel | None = None,
+    checks: Sequence[Check] = (),
+    accepted: Sequence[str] = (),
 ) -> int:
     """Phase A, unless its contact is given, then Phase B; as above."""
-    more = {}
+    more, code = {}, 0
     if contact is None:
         folder = out / FOOT_GROUND
         folder.mkdir(exist_ok=True)
-        if not (resume and _succeeded(folder)):
-            code = write_foot_ground(study, folder, resume)
-            if code:
-                return code
-        text = (folder / "summary.json").read_text("utf-8")
+        done = _finished(folder) if resume else None
+        code = (
+            write_foot_ground(study, folder, resume, False, checks, accepted)
+            if done is None
+            else done.exit_code
+        )
+        if code not in (0, FAILS_CODE):
+            return code
+        text = (folder / SUMMARY).read_text("utf-8")
         more = {"foot_ground": json.loads(text)}
-        contact = read_contact(folder)
+        contact = read_calibration(folder).contact
+        # What the first phase does not hold, the second one does not.
+        checks = [c for c in stored(more["foot_ground"]).checks if not c.holds]
     write_inputs(out, study.model, study.trials("calibration"))
     found = calibrate_interaction(
         study, contact=contact, folder=out, resume=resume
     )
-    return _write(found, out, more)
+    return _write(found, out, more, False, checks, accepted)
 
 
-def _succeeded(folder: Path) -> bool:
-    path = folder / "summary.json"
-    return path.is_file() and json.loads(path.read_text("utf-8")).get(
-        "success", False
-    )
+def _finished(folder: Path) -> Verdict | None:
+    """The verdict of a run that solved its problem, if there was one."""
+    path = folder / SUMMARY
+    if not path.is_file():
+        return None
+    found = stored(read_json(path, "leave out --resume to start afresh"))
+    return None if found is None or found.word == UNSOLVED else found
 
 
 def _write(
-    found: Calibration, out: Path, more: dict, front: bool = False
+    found: Calibration,
+    out: Path,
+    more: dict,
+    front: bool,
+    checks: Sequence[Check],
+    accepted: Sequence[str],
 ) -> int:
     """Write what a phase found and say it; returns the exit code."""
-    summary = found.summary() | more
-    found.write(out, summary)
+    verdict = found.verdict(checks, accepted)
+    summary = found.write(out, verdict) | more
     print(parameters_table(summary["parameters"]))
     print(rmsd_table(summary["rmsd"], summary["measured_sd"]))
+    if found.success:
+        print(audit_table(summary["audit"]))
+        if front:
+            summary["front"] = pareto_front(found.result)
+            print("Pareto front of kinematics against forces")
+            print(front_table(summary["front"]))
+            figure = front_figure(summary["front"])
+            save_figure(out / "front.png", figure, verdict.mark)
+    write_json(out / SUMMARY, summary)
+    print(verdict.text())
     if not found.success:
         return report_failure(found.solution)
-    summary["audit"] = [audit.summary() for audit in found.audit()]
-    print(audit_table(summary["audit"]))
-    if front:
-        summary["front"] = pareto_front(found.result)
-        print("Pareto front of kinematics against forces")
-        print(front_table(summary["front"]))
-        save_figure(out / "front.png", front_figure(summary["front"]))
-    write_json(out / "summary.json", summary)
-    return 0
+    return verdict.exit_code
 
 
 def report_failure(solution: Solution) -> int:
@@ -188,4 +259,4 @@ def report_failure(solution: Solution) -> int:
         f"iterations. {solution.explain()} What was reached so far is "
         "written, marked as failed."
     )
-    return 130 if solution.was_stopped else 1
+    return STOPPED_CODE if solution.was_stopped else NOT_SOLVED_CODE

@@ -13,6 +13,7 @@ from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.cli.calibrate import add_study_arguments
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.files.verdict import SOLVED, STOPPED_CODE, Check, Verdict
 from drake_exo.report.tables import format_table
 from drake_exo.study import (
     Study,
@@ -55,39 +56,55 @@ def run(args: argparse.Namespace) -> int:
     with prepare_output_folder(args.out, args.force) as out:
         for trial in trials:
             folds.append(fold(study, trial.name))
-            summary = {"subject": study.name, "folds": folds} | verdict(folds)
+            held = Verdict(
+                tuple(
+                    Check(SOLVED, f["success"], where=f"without {f['trial']}")
+                    for f in folds
+                ),
+                tuple(args.accept),
+            )
+            summary = {"subject": study.name, "folds": folds}
+            summary |= verdict(folds) | held.summary()
             write_json(out / "summary.json", summary)
+            if folds[-1]["stopped"]:
+                break
     print(_table(folds))
     print(summary["sentence"])
+    print(held.text())
     print(f"results in {args.out}")
-    return 0 if all(f["success"] for f in folds) else 1
+    return STOPPED_CODE if folds[-1]["stopped"] else held.exit_code
 
 
 def fold(study: Study, name: str) -> dict:
     """One trial left out.
 
     Returns:
-        trial; success of all solves; rmsd and rmsd_uncalibrated as
-        `scores.rmsd`, None where a solve failed.
+        trial; success of all solves; stopped, whether by the user; rmsd and
+        rmsd_uncalibrated as `scores.rmsd`, None where a solve failed.
     """
     trials = study.trials("calibration")
     (left,) = (t for t in trials if t.name == name)
     others = [t for t in trials if t.name != name]
     row = {"trial": name, "rmsd": None, "rmsd_uncalibrated": None}
+
+    def failed(solution):
+        return row | {"success": False, "stopped": solution.was_stopped}
+
     ground = calibrate_foot_ground(study, others)
     if not ground.success:
-        return row | {"success": False}
+        return failed(ground.solution)
     cuffs = calibrate_interaction(study, others, ground)
     if not cuffs.success:
-        return row | {"success": False}
+        return failed(cuffs.solution)
     for key, contact in (
         ("rmsd", cuffs.contact),
         ("rmsd_uncalibrated", uncalibrated(study.model, ground)),
     ):
         found = predict(study, left, contact)
-        row[key] = found.rmsd(left) if found.success else None
-    solved = row["rmsd"] is not None and row["rmsd_uncalibrated"] is not None
-    return row | {"success": solved}
+        if not found.success:
+            return failed(found.solution)
+        row[key] = found.rmsd(left)
+    return row | {"success": True, "stopped": False}
 
 
 def verdict(folds: list[dict]) -> dict:

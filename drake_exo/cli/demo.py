@@ -10,13 +10,13 @@ the paper's figures, and writes a page that replays every movement.
 import argparse
 from pathlib import Path
 
-from drake_exo.calibration.results import read_contact
-from drake_exo.cli.calibrate import write_interaction
+from drake_exo.cli.calibrate import usable, write_interaction
 from drake_exo.cli.lab import PROCESSES
 from drake_exo.cli.predict import write_predictions
 from drake_exo.cli.report import write_report
 from drake_exo.cli.view import REPLAY, write_view
 from drake_exo.files.output import OutputFolder, prepare_output_folder
+from drake_exo.files.verdict import FAILS_CODE
 from drake_exo.report.gathering import gather
 from drake_exo.study import read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign
@@ -39,10 +39,10 @@ def add_parser(subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the steps one after the other; stops at the first that fails."""
+    """Run the steps one after the other; stops where nothing is solved."""
     with prepare_output_folder(args.out, args.force) as out:
         code = _steps(out)
-    if not code:
+    if code in (0, FAILS_CODE):
         print(f"all of it is in {args.out}; open in a browser:")
         print(f"  {(args.out / REPLAY).resolve()}")
     return code
@@ -60,9 +60,10 @@ def _steps(out: Path) -> int:
         study = read_study(write_campaign(folder, _SEED, processes=PROCESSES))
     title = "Phases A and B: calibrate from three movements"
     with part("calibration", title) as folder:
-        if code := write_interaction(study, folder):
+        code = write_interaction(study, folder)
+        if code not in (0, FAILS_CODE):
             return code
-        contact = read_contact(folder)
+        contact, checks = usable(folder, study, ["all"])
     for name, factor, title in (
         (
             "prediction",
@@ -76,13 +77,14 @@ def _steps(out: Path) -> int:
         ),
     ):
         with part(name, title) as folder:
-            code = write_predictions(
-                study, contact, folder, scale_interaction=factor
+            predicted = write_predictions(
+                study, contact, folder, scale_interaction=factor, checks=checks
             )
-            if code:
-                return code
+            if predicted not in (0, FAILS_CODE):
+                return predicted
+            code = max(code, predicted)
     with part("report", "report") as folder:
         write_report(folder, gather(out))
     print("== replay", flush=True)
     write_view(out, out / REPLAY)
-    return 0
+    return code

@@ -7,32 +7,38 @@ final state (Phase C1; C2 with --scale-interaction 1.4).
 import argparse
 import importlib
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import FunctionType
 
 from pydrake.systems.framework import System
 
+from drake_exo.calibration.checks import phase_checks
 from drake_exo.calibration.own_movement import assisted
 from drake_exo.calibration.results import (
-    read_contact,
     solve_summary,
     write_bands,
     write_contact,
     write_trial,
 )
 from drake_exo.calibration.scores import spread
-from drake_exo.cli.calibrate import add_study_arguments, report_failure
+from drake_exo.cli.calibrate import (
+    STOPPED_CODE,
+    add_study_arguments,
+    report_failure,
+    usable,
+)
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, read_design
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.files.verdict import Check, Verdict, write_text
 from drake_exo.report.figures import draw_figures
 from drake_exo.report.tables import audit_table, format_table, rmsd_table
 from drake_exo.study import (
     Prediction,
     Study,
-    audit_all,
     predict,
     read_study,
     uncalibrated,
@@ -99,12 +105,14 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Predict every trial, audit, and write everything to --out."""
     changes = _changes(args)
-    contact = read_contact(args.calibration)
     controller = load_controller(args.controller)
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
     # Bad input ends before a folder is made.
-    study.gate("prediction", args.accept)
+    contact, checks = usable(
+        args.calibration, study, args.accept, study.trials("prediction")
+    )
+    checks += study.gate("prediction", args.accept)
     if args.design is not None:
         study, contact = on_design(study, contact, read_design(args.design))
     with prepare_output_folder(args.out, args.force, args.resume) as out:
@@ -116,9 +124,10 @@ def run(args: argparse.Namespace) -> int:
             controller=controller,
             controller_name=args.controller,
             resume=args.resume,
+            checks=checks,
+            accepted=args.accept,
         )
-    if not code:
-        print(f"results in {args.out}")
+    print(f"results in {args.out}")
     return code
 
 
@@ -152,16 +161,18 @@ def write_predictions(
     controller: System | None = None,
     controller_name: str | None = None,
     resume: bool = False,
+    checks: Sequence[Check] = (),
+    accepted: Sequence[str] = (),
 ) -> int:
     """Every trial for prediction into a folder; returns the exit code."""
     trials = study.trials("prediction")
     write_inputs(out, study.model, trials)
     write_contact(out, contact)
-    found: list[Prediction] = []
-    baseline: list[Prediction] = []
     usual = uncalibrated(study.model, contact)
     how = {"scale_interaction": scale_interaction, "controller": controller}
-    code = 0
+    found: list[Prediction] = []
+    baseline: list[Prediction | None] = []
+    checks, audits, stopped = list(checks), [], False
     for trial in trials:
         folder = out / f"unfinished_{trial.name}"
         folder.mkdir(exist_ok=True)
@@ -169,42 +180,49 @@ def write_predictions(
             study, trial, contact, folder=folder, resume=resume, **how
         )
         found.append(prediction)
+        beside, audited = None, []
         if prediction.success:
             folder.rmdir()
-            if not study.model.cuffs:
-                continue
-            baseline.append(predict(study, trial, usual, **how))
-            if baseline[-1].solution.was_stopped:
-                code = 130
-                break
-            continue
-        print(trial.name, end=": ")
-        code = report_failure(prediction.solution)
-        if code == 130:
+            audited = [prediction.audit()]
+            if study.model.cuffs:
+                beside = predict(study, trial, usual, **how)
+                stopped = beside.solution.was_stopped
+        else:
+            print(trial.name, end=": ")
+            stopped = report_failure(prediction.solution) == STOPPED_CODE
+        baseline.append(beside)
+        audits += audited
+        checks += phase_checks(prediction.result, audited)
+        if stopped:
             break
+    verdict = Verdict(tuple(checks), tuple(accepted))
     summary = {
         "scale_interaction": scale_interaction,
         "controller": controller_name,
         **_summary(study, found, trials),
+        **verdict.summary(),
     }
-    good = [(p, t) for p, t in zip(found, trials, strict=False) if p.success]
-    bands = [p.bands() for p, _ in good]
+    good = [
+        (p, b, t)
+        for p, b, t in zip(found, baseline, trials, strict=False)
+        if p.success
+    ]
+    bands = [p.bands() for p, _, _ in good]
     summary["rmsd_uncalibrated"] = [
-        usual.rmsd(t) if usual.success else None
-        for usual, (_, t) in zip(baseline, good, strict=False)
+        b.rmsd(t) if b is not None and b.success else None for _, b, t in good
     ]
     summary["band_coverage"] = [
         band.coverage(p, t)
-        for band, (p, t) in zip(bands, good, strict=True)
+        for band, (p, _, t) in zip(bands, good, strict=True)
         if band is not None
     ]
+    summary["audit"] = [audit.summary() for audit in audits]
     if good:
-        _write(out, good, baseline, bands, summary)
-        audits = audit_all([p.result for p, _ in good])
-        summary["audit"] = [audit.summary() for audit in audits]
+        _write(out, good, bands, summary, verdict.mark)
         print(audit_table(summary["audit"]))
     write_json(out / "summary.json", summary)
-    return code
+    print(verdict.text())
+    return STOPPED_CODE if stopped else verdict.exit_code
 
 
 def _changes(args: argparse.Namespace) -> dict:
@@ -292,19 +310,19 @@ def _summary(study: Study, found: list[Prediction], trials) -> dict:
 
 
 def _write(
-    out: Path, good: list[tuple], baseline, bands, summary: dict
+    out: Path, good: list[tuple], bands, summary: dict, mark: str
 ) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
-    for (prediction, _), band in zip(good, bands, strict=True):
-        write_trial(out, prediction)
+    for (prediction, _, _), band in zip(good, bands, strict=True):
+        write_trial(out, prediction, mark)
         if band is not None:
-            write_bands(out, prediction, band)
+            write_bands(out, prediction, band, mark)
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
     usual = [r for r in summary["rmsd_uncalibrated"] if r is not None]
     if usual:
         text += "\n\nthe same with uncalibrated cuffs\n" + rmsd_table(usual)
     text += f"\nmovements start from {summary['starts_from']}"
-    (out / "rmsd.txt").write_text(text + "\n", encoding="utf-8")
+    write_text(out / "rmsd.txt", text, mark)
     print(text)
     rows = [
         [
@@ -319,8 +337,9 @@ def _write(
     print(format_table(["trial", "iterations", "build s", "solve s", ""], rows))
     draw_figures(
         out,
-        [p for p, _ in good],
-        [t for _, t in good],
-        [p if p.success else None for p in baseline],
+        [p for p, _, _ in good],
+        [t for _, _, t in good],
+        [b if b is not None and b.success else None for _, b, _ in good],
         bands,
+        mark,
     )

@@ -10,9 +10,10 @@ import argparse
 import csv
 from pathlib import Path
 
+from drake_exo.cli.options import add_accept
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.papers.serrancoli import draw_figures, tables
-from drake_exo.report.gathering import Results, gather
+from drake_exo.report.gathering import Results, check_one_study, gather
 
 
 def add_parser(subparsers) -> None:
@@ -29,6 +30,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--force", action="store_true", help="replace an earlier report"
     )
+    add_accept(parser)
     parser.set_defaults(run=run)
 
 
@@ -38,7 +40,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: there are no results in DIR, or a report already.
     """
-    found = gather(args.results)
+    found = gather(args.results, args.accept)
+    check_one_study(found)
     out = args.out or args.results / "report"
     with prepare_output_folder(out, args.force) as folder:
         write_report(folder, found)
@@ -49,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
 def write_report(folder: Path, found: list[Results]) -> None:
     """Tables and figures into a folder; prints the tables."""
     made, texts = tables(found)
+    marks = [f"{r.folder.name}: {r.mark}" for r in found if r.mark]
+    texts = [*marks, *texts]
     for name, rows in made.items():
         _write_csv(folder / f"{name}.csv", rows)
     for text in texts:

@@ -11,10 +11,12 @@ from __future__ import annotations
 import argparse
 import tempfile
 import webbrowser
+from collections.abc import Sequence
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from drake_exo.cli.options import add_accept
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json
 
@@ -43,6 +45,7 @@ def add_parser(subparsers) -> None:
         action="store_true",
         help="serve the page and print its address, but open no browser",
     )
+    add_accept(parser)
     parser.set_defaults(run=run)
 
 
@@ -54,17 +57,22 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.out is not None:
         _check_target(args.out, args.force)
-        write_view(args.results, args.out)
+        write_view(args.results, args.out, args.accept)
         print(f"replay in {args.out}: open it in a browser")
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        write_view(args.results, Path(folder) / REPLAY)
+        write_view(args.results, Path(folder) / REPLAY, args.accept)
         _serve(Path(folder), not args.no_browser)
     return 0
 
 
-def write_view(results: Path, path: Path) -> None:
+def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
     """Write the page of all results under a folder.
+
+    Args:
+        results: the folder.
+        path: of the page.
+        accept: "solved" shows what was not solved, marked.
 
     Raises:
         InputError: there is nothing to replay, or it cannot be written.
@@ -78,7 +86,9 @@ def write_view(results: Path, path: Path) -> None:
     if _holds_soles(results):
         from drake_exo.soles.animation import replay_soles as replay
     else:
-        from drake_exo.report.replay import replay_results as replay
+        from drake_exo.report.replay import replay_results
+
+        replay = partial(replay_results, accept=accept)
     try:
         replay(results, Path(path))
     except OSError as error:

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import hashlib
 import io
 import json
 import math
@@ -152,6 +153,27 @@ def write_json(path: str | Path, obj: Any) -> None:
     except OSError:
         draft.unlink(missing_ok=True)
         raise
+
+
+def checksum(obj: Any) -> str:
+    """Sixteen digits that tell contents apart: JSON, numbers to six digits.
+
+    Other machines round otherwise; six digits are the same on all.
+
+    >>> checksum({"mass_kg": 75.0}) == checksum({"mass_kg": 75.0 + 1e-9})
+    True
+    """
+    text = json.dumps(_rounded(_jsonable(obj)), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    # Zero has no sign here.
+    return float(f"{value:.6g}") + 0.0 if isinstance(value, float) else value
 
 
 def read_json(path: str | Path, remedy: str) -> Any:

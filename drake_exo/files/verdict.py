@@ -11,13 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from drake_exo.errors import InputError
 
 SOLVED = "solved"
 HOLDS, FAILS, UNSOLVED = "holds", "does not hold", "not solved"
-NOT_SOLVED_CODE, FAILS_CODE = 1, 3
+NOT_SOLVED_CODE, FAILS_CODE, STOPPED_CODE = 1, 3, 130
 _ALL = "all"
 _RED, _PLAIN = "\x1b[31m", "\x1b[0m"
 
@@ -143,6 +144,12 @@ def mark_of(word: str, failed: Sequence[str]) -> str:
     if word == HOLDS:
         return ""
     return f"{word.upper()}: {'; '.join(failed)}"
+
+
+def write_text(path: Path, text: str, mark: str = "") -> None:
+    """Write a text for a reader, under its mark if it has one."""
+    text = f"{mark}\n\n{text}" if mark else text
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def stored_mark(summary: Mapping[str, Any]) -> str:

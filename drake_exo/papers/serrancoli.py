@@ -68,7 +68,12 @@ def tables(found: list[Results]) -> tuple[dict[str, list[list]], list[str]]:
         if runs:
             rows = made[name] = comparison(runs)
             texts.append(f"{title}, RMSD\n{format_table(rows[0], rows[1:])}")
-    return made, [*texts, *_starts(predicted), *_changes(predicted)]
+    return made, [
+        *texts,
+        *_missing(predicted),
+        *_starts(predicted),
+        *_changes(predicted),
+    ]
 
 
 def _calibrations(found: list[Results]) -> dict[str, Results]:
@@ -84,6 +89,8 @@ def _predictions(found: list[Results]) -> dict[str, Results]:
 def comparison(runs: dict[str, Results]) -> list[list]:
     """Rows of a table over several runs, the first is the header.
 
+    A run that does not hold says so in its header.
+
     Mean and SD over trials of each, one standard deviation over the measured
     trials, and the paper's figure for the virtual subject.
     """
@@ -91,8 +98,9 @@ def comparison(runs: dict[str, Results]) -> list[list]:
     last = list(runs.values())[-1].summary
     beside = last["subject"] == VIRTUAL_SUBJECT
     header = ["signal"]
-    for label in runs:
-        header += [f"{label} mean", f"{label} SD"]
+    for label, run in runs.items():
+        name = f"{label} ({run.mark.partition(':')[0]})" if run.mark else label
+        header += [f"{name} mean", f"{name} SD"]
     header.append("measured SD")
     if beside:
         header += [f"paper {label}" for label in runs]
@@ -109,6 +117,16 @@ def comparison(runs: dict[str, Results]) -> list[list]:
                 row.append(texts.get(path[-1], texts.get(path[0], "")))
         rows.append(row)
     return rows
+
+
+def _missing(runs: dict[str, Results]) -> list[str]:
+    """Trials that stand in no mean."""
+    return [
+        f"{label}: means are of {len(r.summary['rmsd'])} trials; not solved: "
+        + ", ".join(r.not_solved)
+        for label, r in runs.items()
+        if r.not_solved
+    ]
 
 
 def _starts(runs: dict[str, Results]) -> list[str]:
@@ -151,6 +169,10 @@ def draw_figures(folder: Path, found: list[Results]) -> None:
     """Figures 2 to 7 into a folder, as far as there are results."""
     drawn = {}
     calibrated = _calibrations(found)
+    predicted = _predictions(found)
+    marks = {
+        label: r.mark for label, r in (calibrated | predicted).items() if r.mark
+    }
     if "A" in calibrated:
         runs, trials = _curves({"model": calibrated["A"]})
         drawn[2] = figures.ground_reaction_figure(runs, trials)
@@ -159,14 +181,21 @@ def draw_figures(folder: Path, found: list[Results]) -> None:
         runs, trials = _curves({"model": calibrated["B"]})
         drawn[4] = figures.interaction_figure(runs, trials)
         drawn[5] = figures.moments_figure(runs, trials)
-    predicted = _predictions(found)
     if predicted:
         runs, trials = _curves(predicted)
         drawn[6] = figures.kinematics_figure(runs, trials)
         if any(t.cuffs for t in trials):
             drawn[7] = figures.interaction_figure(runs, trials)
     for number, figure in drawn.items():
-        figures.save_figure(folder / f"figure_{number}.png", figure)
+        shown = {2: "A", 3: "A", 4: "B", 5: "B"}.get(number)
+        own = [
+            m
+            for k, m in marks.items()
+            if k == shown or (shown is None and k in predicted)
+        ]
+        figures.save_figure(
+            folder / f"figure_{number}.png", figure, "; ".join(own)
+        )
 
 
 def _curves(results: dict[str, Results]):

@@ -73,6 +73,7 @@ class Clip:
         arrows: name -> (n, 6) point [m] and force [N]; hidden where NaN.
         surfaces: path -> what deforms.
         note: a line of text shown with it.
+        mark: that it does not hold, and why; shown with it in red.
     """
 
     title: str
@@ -82,6 +83,7 @@ class Clip:
     arrows: Mapping[str, np.ndarray] = field(default_factory=dict)
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
     note: str = ""
+    mark: str = ""
 
     def __post_init__(self):
         n = len(self.times)
@@ -201,6 +203,7 @@ def _card(page: Page, clips: Sequence[Clip]) -> str:
     parts = [
         f"<h1>{_text(page.title)}</h1>",
         f'<select id="player-clip" aria-label="trial">{chooser}</select>',
+        '<p class="player-mark" id="player-mark"></p>',
         '<p class="player-quiet" id="player-note"></p>',
     ]
     if page.ghost is not None:
@@ -256,6 +259,7 @@ def _data(page: Page, clips: Sequence[Clip]) -> str:
 def _clip(clip: Clip) -> dict:
     return {
         "note": clip.note,
+        "mark": clip.mark,
         "times": _packed(clip.times, "f4"),
         "bodies": {k: _packed(v, "f4") for k, v in clip.bodies.items()},
         "arrows": {k: _packed(v, "f4") for k, v in clip.arrows.items()},

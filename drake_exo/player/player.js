@@ -185,6 +185,7 @@
     $("player-slider").max = end;
     $("player-slider").step = end / 1000;
     $("player-note").textContent = clip.note;
+    $("player-mark").textContent = clip.mark;
     draw();
   };
   const draw = () => {

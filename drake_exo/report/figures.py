@@ -4,6 +4,7 @@ A run is a list of solved trials with a label; several runs (C1 and C2) are
 drawn over the same measured curves. One column for each trial.
 """
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -41,11 +42,12 @@ def draw_figures(
     measured: Sequence[Trial],
     uncalibrated: Sequence[Trial | None] = (),
     bands: Sequence[Bands | None] = (),
+    mark: str = "",
 ) -> None:
     """Figures of one phase into a folder, as far as there are signals."""
     figures = plot_trials(found, measured, uncalibrated, bands)
     for name, figure in figures.items():
-        save_figure(folder / f"{name}.png", figure)
+        save_figure(folder / f"{name}.png", figure, mark)
 
 
 def plot_trials(
@@ -85,10 +87,40 @@ def plot_trials(
     return drawn
 
 
-def save_figure(path: Path, figure: Figure) -> None:
-    """Write a figure; the same input gives the same bytes."""
+def save_figure(path: Path, figure: Figure, mark: str = "") -> None:
+    """Write a figure; the same input gives the same bytes.
+
+    Args:
+        path: of the picture.
+        figure: to be written.
+        mark: `Verdict.mark`, written across it and under it.
+    """
+    if mark:
+        _draw_mark(figure, mark)
     # Without the software's name.
-    figure.savefig(path, metadata={"Software": None})
+    figure.savefig(
+        path,
+        metadata={"Software": None},
+        bbox_inches="tight" if mark else None,
+    )
+
+
+def _draw_mark(figure: Figure, mark: str) -> None:
+    width, height = figure.get_size_inches()
+    style = {"color": "#c8102e", "ha": "center"}
+    figure.text(
+        0.5,
+        0.5,
+        mark.partition(":")[0],
+        va="center",
+        rotation=np.rad2deg(np.arctan2(height, width)),
+        fontsize=7.0 * np.hypot(width, height) * 0.6,
+        alpha=0.18,
+        weight="bold",
+        **style,
+    )
+    lines = textwrap.wrap(mark, int(12 * width))
+    figure.text(0.5, -0.02, "\n".join(lines), va="top", fontsize=9, **style)
 
 
 def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:

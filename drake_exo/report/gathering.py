@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from drake_exo.calibration.results import read_trial
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json
+from drake_exo.files.verdict import SOLVED, is_accepted, stored, stored_mark
 from drake_exo.measurement.trial import Trial
 
 _LARGEST = 1e30  # of a score
@@ -50,6 +52,22 @@ class Results:
             parts.append(self.summary["controller"].rpartition(":")[2])
         return " ".join(parts)
 
+    @property
+    def mark(self) -> str:
+        """What has to stand wherever it is shown; empty where it holds."""
+        return stored_mark(self.summary)
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether every solve met its tolerances."""
+        return bool(self.summary.get("success"))
+
+    @property
+    def not_solved(self) -> list[str]:
+        """Names of trials of a prediction that were not solved."""
+        solves = self.summary.get("solves", [])
+        return [s["trial"] for s in solves if not s.get("success")]
+
     def pairs(self) -> list[tuple[Trial, Trial]]:
         """Every scored trial as found, and as measured."""
         return [
@@ -61,11 +79,16 @@ class Results:
         ]
 
 
-def gather(folder: Path) -> list[Results]:
+def gather(folder: Path, accept: Sequence[str] = ()) -> list[Results]:
     """All results under a folder, in the order of their paths.
 
+    Args:
+        folder: to look through.
+        accept: "solved" lets pass what was not solved, marked.
+
     Raises:
-        InputError: there are none, or a summary cannot be read.
+        InputError: there are none, a summary cannot be read, or one is of a
+            solve that failed.
     """
     found = []
     for path in sorted(Path(folder).rglob("summary.json")):
@@ -78,14 +101,53 @@ def gather(folder: Path) -> list[Results]:
             f"{folder}: holds no results; give a folder that 'drake-exo "
             "calibrate' or 'drake-exo predict' wrote"
         )
+    failed = [r for r in found if not r.is_solved]
+    if failed and not is_accepted(SOLVED, accept):
+        raise InputError(
+            f"{failed[0].folder}: is {failed[0].mark or 'not solved'}; solve "
+            f"it again, or show it, marked, with --accept {SOLVED}"
+        )
     return found
+
+
+def check_one_study(found: Sequence[Results]) -> None:
+    """Refuse what would be mixed up in one table.
+
+    Raises:
+        InputError: results are of several subjects, or two have one label.
+    """
+    first: dict[tuple, Results] = {}
+    for r in found:
+        if r.summary["subject"] != found[0].summary["subject"]:
+            raise InputError(
+                f"{r.folder}: is of subject {r.summary['subject']!r}, "
+                f"{found[0].folder} of {found[0].summary['subject']!r}; report "
+                "a folder of one subject"
+            )
+        label = r.label if r.phase == "prediction" else ""
+        other = first.setdefault((r.phase, label), r)
+        if other is not r:
+            raise InputError(
+                f"{r.folder}: and {other.folder} are both {label or r.phase}; "
+                "report a folder with one of them"
+            )
 
 
 def _check(path: Path, summary: dict[str, Any]) -> None:
     """Refuse a summary that is not as a phase writes it."""
+    try:
+        stored(summary)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     rows = summary.get("rmsd")
+    solves = summary.get("solves", [])
     whole = (
         isinstance(rows, list)
+        and isinstance(solves, list)
+        and all(
+            isinstance(s, dict) and isinstance(s.get("trial"), str)
+            for s in solves
+        )
         and isinstance(summary.get("subject"), str)
         and _is_number(summary.get("scale_interaction", 1.0))
         and _is_objective(summary)

@@ -14,7 +14,7 @@ import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
-from drake_exo.calibration.results import read_contact, read_model
+from drake_exo.calibration.results import read_calibration, read_model
 from drake_exo.contact.bushing import ROTATION, bushing_wrench
 from drake_exo.contact.parameters import ContactModel, ContactSphere
 from drake_exo.errors import InputError
@@ -164,18 +164,21 @@ _SCALES = {
 _AROUND = "Grid: 0.25 m. Both legs are summed."
 
 
-def replay_results(folder: Path, path: Path) -> None:
+def replay_results(
+    folder: Path, path: Path, accept: Sequence[str] = ()
+) -> None:
     """Write the page of all results under a folder.
 
     Args:
         folder: that `calibrate`, `predict` or `demo` wrote.
         path: of the page.
+        accept: see `gather`.
 
     Raises:
         InputError: no results, of several models, or none that succeeded.
     """
     found = sorted(
-        (r for r in gather(folder) if r.summary["rmsd"]),
+        (r for r in gather(folder, accept) if r.summary["rmsd"]),
         key=lambda r: _ORDER.index(r.phase),
     )
     if not found:
@@ -213,6 +216,7 @@ class Replayed:
         measured: as measured; None if there is nothing to compare with.
         spheres: name -> contact sphere in the foot.
         on_chair: whether to draw a stool.
+        mark: of a result that does not hold.
     """
 
     title: str
@@ -222,11 +226,12 @@ class Replayed:
     measured: Trial | None
     spheres: dict[str, ContactSphere]
     on_chair: bool = False
+    mark: str = ""
 
 
 def _replayed(results: Results, model: Model) -> list[Replayed]:
     """The trials of one result."""
-    contact = read_contact(results.folder)
+    contact = read_calibration(results.folder).contact
     drawn = DrawnModel(model, contact)
     label = _PHASES.get(results.phase) or results.label
     group = f"{_GROUPS[results.phase]}, Phase {label}"
@@ -240,6 +245,7 @@ def _replayed(results: Results, model: Model) -> list[Replayed]:
             contact.ground.spheres,
             # A plate under a chair says that there was one.
             measured.chair is not None,
+            results.mark,
         )
         for found, measured in results.pairs()
     ]
@@ -384,7 +390,9 @@ def _clip(trial: Replayed) -> Clip:
         for name, rows in trial.drawn.arrows(at).items():
             arrows[f"{name}_measured" if ghost else name] = rows
     bodies |= _surroundings(trial, trial.simulated.sample(times))
-    return Clip(trial.title, trial.group, times, bodies, arrows)
+    return Clip(
+        trial.title, trial.group, times, bodies, arrows, mark=trial.mark
+    )
 
 
 def _surroundings(trial: Replayed, motion: Trial) -> dict[str, np.ndarray]:

@@ -6,6 +6,7 @@ Of simulations at hand, or of the folders that the commands wrote.
 from __future__ import annotations
 
 import base64
+import html
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -198,7 +199,7 @@ def write_animation(
         clips.append(_clip(number, motion, pressure / top, box))
     viewer = files("meshcat").joinpath("viewer", "dist", "main.min.js")
     stage = _PAGE.format(
-        title=title,
+        title=html.escape(title),
         viewer=viewer.read_text(encoding="utf-8"),
         commands="\n".join(
             f'show("{base64.b64encode(umsgpack.packb(c.lower())).decode()}");'

@@ -11,10 +11,23 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
 
 
+def saying(result, **found):
+    """The same result with other trials or another contact."""
+    other = replace(result)
+    other.__dict__.update(found)
+    return other
+
+
 def spoiled(result, **fields):
     """The same result with other signals in its only trial."""
     (trial,) = result.trials
-    return replace(result, trials=[replace(trial, **fields)])
+    return saying(result, trials=[replace(trial, **fields)])
+
+
+def missing(result):
+    """Largest force and moment between nodes."""
+    force, moment = between_nodes(result, 0)
+    return float(force.max()), float(moment.max())
 
 
 def shifted(trial, **components):
@@ -28,7 +41,7 @@ def shifted(trial, **components):
 @pytest.fixture(scope="module")
 def base(predicted):
     """What a sound solution misses between its nodes: next to nothing."""
-    found = between_nodes(predicted, 0)
+    found = missing(predicted)
     assert max(found) < 2.5
     return found
 
@@ -37,7 +50,7 @@ def test_a_moment_too_much_is_missing_in_the_equations(predicted, base):
     (trial,) = predicted.trials
     moments = trial.moments.copy()
     moments[:, 4] += 40.0
-    force, moment = between_nodes(spoiled(predicted, moments=moments), 0)
+    force, moment = missing(spoiled(predicted, moments=moments))
     assert moment == pytest.approx(40.0, abs=base[1] + 1e-6)
     assert force == pytest.approx(base[0], abs=1e-6)
 
@@ -49,14 +62,14 @@ def test_a_ground_reaction_too_much_is_missing_twice(predicted, base, column):
     force = trial.ground.force.copy()
     force[:, column] -= 25.0
     ground = PlanarWrench(force, trial.ground.moment)
-    found = between_nodes(spoiled(predicted, ground=ground), 0)
+    found = missing(spoiled(predicted, ground=ground))
     assert found[0] == pytest.approx(25.0, abs=base[0] + 1e-6)
 
 
 def test_a_ground_moment_too_much_is_missing(predicted, base):
     (trial,) = predicted.trials
     ground = PlanarWrench(trial.ground.force, trial.ground.moment + 30.0)
-    force, moment = between_nodes(spoiled(predicted, ground=ground), 0)
+    force, moment = missing(spoiled(predicted, ground=ground))
     assert moment == pytest.approx(30.0, abs=base[1] + 1e-6)
     assert force == pytest.approx(base[0], abs=1e-6)
 
@@ -67,7 +80,7 @@ def test_a_cuff_that_is_not_as_its_law_says(predicted, base, component, of):
     added = np.zeros(3)
     added[component] = 60.0
     cuffs = shifted(trial, thigh=added)
-    found = between_nodes(spoiled(predicted, cuffs=cuffs), 0)
+    found = missing(spoiled(predicted, cuffs=cuffs))
     # The bushing's law misses it all, the equations what it does to joints.
     assert found[of] == pytest.approx(60.0, abs=base[of] + 0.5)
 
@@ -80,19 +93,19 @@ def test_a_law_that_differs_between_nodes_is_missed_there(predicted, base):
     (trial,) = predicted.trials
     spring = np.abs(trial.cuffs["pelvis"].normal).max()
     assert spring > 10.0
-    force, moment = between_nodes(replace(predicted, contact=other), 0)
+    force, moment = missing(saying(predicted, contact=other))
     # Damping has a small part in the force.
     assert force == pytest.approx(spring, rel=0.1)
     assert moment == pytest.approx(base[1], abs=1e-6)
 
 
-def test_residuals_are_looked_for_midway(predicted, base):
+def test_residuals_are_looked_for_between_nodes(predicted, base):
     """A control that is off at one node: half of it, and more, beside it."""
     (trial,) = predicted.trials
     moments = trial.moments.copy()
     moments[20, 5] += 40.0
-    _, moment = between_nodes(spoiled(predicted, moments=moments), 0)
-    assert 15.0 < moment < 30.0
+    _, moment = missing(spoiled(predicted, moments=moments))
+    assert 15.0 < moment < 36.0
 
 
 @pytest.fixture
@@ -145,10 +158,10 @@ def test_without_cuffs_there_is_no_interaction(predicted, monkeypatch):
     (found,) = predicted.trials
     bare = replace(found, cuffs={})
     monkeypatch.setattr(module, "simulate", lambda *_: bare)
-    monkeypatch.setattr(module, "between_nodes", lambda *_: (0.1, 0.2))
-    assert audit(replace(predicted, trials=[bare])).simulated_interaction_n is (
-        None
-    )
+    monkeypatch.setattr(module, "between_nodes", lambda *_: np.ones((2, 5)))
+    found = audit(saying(predicted, trials=[bare]))
+    assert found.simulated_interaction_n is None
+    assert found.intervals == 5
 
 
 @pytest.mark.parametrize(
@@ -156,11 +169,46 @@ def test_without_cuffs_there_is_no_interaction(predicted, monkeypatch):
     [(1.0, 0.5, True), (1.01, 0.1, False), (0.1, 0.51, False)],
 )
 def test_within_a_newton_and_half_a_newton_metre(force, moment, holds):
-    found = Audit("a", force, moment, (9.0, 9.0), 9.0)
+    found = Audit("a", force, moment, (0.9, 0.9), 0.09)
     assert found.holds is holds
     summary = found.summary()
     assert summary["holds"] is holds
     assert (summary["force_n"], summary["moment_nm"]) == (force, moment)
+
+
+@pytest.mark.parametrize(
+    ("grf", "angles", "interaction", "unit"),
+    [
+        ((0.9, 313.0), 0.0, None, "N"),
+        ((1.1, 0.0), 0.0, 0.1, "N"),
+        ((0.0, 0.0), 0.11, 0.1, "deg"),
+        ((0.0, 0.0), 0.0, 1.1, "N"),
+        ((0.0, np.nan), 0.0, None, "N"),
+    ],
+)
+def test_a_simulation_that_differs_does_not_hold(
+    grf, angles, interaction, unit
+):
+    found = Audit("a", 0.1, 0.1, grf, angles, interaction)
+    (failing,) = (c for c in found.checks() if not c.holds)
+    assert (failing.name, failing.unit, failing.where) == (
+        "simulation",
+        unit,
+        "a",
+    )
+    assert not found.holds
+
+
+def test_the_worst_of_each_interval_is_told(predicted):
+    """One node that is off spoils the intervals around it, no other."""
+    before = between_nodes(predicted, 0)[1]
+    (trial,) = predicted.trials
+    moments = trial.moments.copy()
+    moments[20, 5] += 40.0
+    after = between_nodes(spoiled(predicted, moments=moments), 0)[1]
+    assert len(after) == len(trial.times) - 1
+    worst = np.argsort(after - before)[-2:]
+    assert set(worst) == {19, 20}
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from drake_exo.calibration.error_model import (
 )
 from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.prediction import PredictionProblem
-from drake_exo.calibration.results import read_contact, write_contact
+from drake_exo.calibration.results import read_calibration, write_contact
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.uncertainty import posterior
 from drake_exo.cli.crossvalidate import verdict
@@ -157,7 +157,7 @@ def test_what_is_known_goes_to_disk_and_into_bands(
     assert np.linalg.eigvalsh(known.covariance).min() > 0.0
     contact = replace(estimated.contact, posterior=known)
     write_contact(tmp_path, contact)
-    again = read_contact(tmp_path)
+    again = read_calibration(tmp_path).contact
     assert again.posterior.names == known.names
     np.testing.assert_allclose(again.posterior.covariance, known.covariance)
     stiff = again.scaled(1.4).posterior
@@ -185,7 +185,7 @@ def test_what_is_known_goes_to_disk_and_into_bands(
     at_bound = replace(contact, posterior=replace(known, covariance=held))
     write_contact(tmp_path, at_bound)
     result = PredictionProblem(
-        in_device.model, [trial], read_contact(tmp_path), settings
+        in_device.model, [trial], read_calibration(tmp_path).contact, settings
     ).solve()
     assert np.isfinite(bands(result).cuffs["shank"]).all()
     plain = PredictionProblem(
@@ -258,11 +258,11 @@ def test_a_damaged_posterior_is_refused(in_device, tmp_path):
     known = Posterior(("a", "b"), np.zeros(2), np.array([[1.0, 2], [2, 1]]))
     write_contact(tmp_path, replace(in_device.contact, posterior=known))
     with pytest.raises(InputError, match="not positive"):
-        read_contact(tmp_path)
+        read_calibration(tmp_path)
     short = replace(known, values=np.zeros(1))
     write_contact(tmp_path, replace(in_device.contact, posterior=short))
     with pytest.raises(InputError, match="sizes of its parts"):
-        read_contact(tmp_path)
+        read_calibration(tmp_path)
 
 
 def test_a_verdict_says_whether_calibrating_helps():

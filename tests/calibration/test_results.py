@@ -8,6 +8,8 @@ import pytest
 from drake_exo.calibration.audit import audit
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.results import (
+    Origin,
+    read_calibration,
     read_contact,
     read_model,
     read_trial,
@@ -19,13 +21,14 @@ from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json
+from drake_exo.files.verdict import Check, Verdict
 
 
 @pytest.fixture
 def read_back(in_device, tmp_path):
     """The contact after a round through a file."""
     write_contact(tmp_path, in_device.contact)
-    return read_contact(tmp_path)
+    return read_calibration(tmp_path).contact
 
 
 def test_contact_survives_disk(in_device, read_back):
@@ -40,13 +43,13 @@ def test_preload_of_a_strap_survives_disk(in_device, tmp_path):
     bushings["thigh"] = replace(bushings["thigh"], preload_x=0.004)
     strapped = replace(in_device.contact, bushings=bushings)
     write_contact(tmp_path, strapped)
-    assert read_contact(tmp_path) == strapped
+    assert read_calibration(tmp_path).contact == strapped
 
 
 def test_ground_contact_alone_survives_disk(in_device, tmp_path):
     ground = ContactModel(in_device.contact.ground)
     write_contact(tmp_path, ground)
-    assert read_contact(tmp_path) == ground
+    assert read_calibration(tmp_path).contact == ground
 
 
 def test_cuffs_are_in_the_models_order(in_device, read_back, tmp_path):
@@ -120,3 +123,77 @@ def test_model_and_trials_survive_disk(in_device, predicted, tmp_path):
         )
     for name in ("times", "q", "v", "a", "moments", "jerk"):
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
+
+
+_HELD = Verdict((Check("solved", True),))
+_FAILED = Verdict((Check("solved", True), Check("audit", False, 2.0, 1.0)))
+
+
+def _stored(in_device, folder, verdict=_HELD):
+    origin = Origin.of("one", in_device.model, in_device.trials, verdict)
+    write_contact(folder, in_device.contact, origin)
+    return read_calibration(folder)
+
+
+def _failing(found, in_device, subject="one", model=None, law="simbody", of=()):
+    checks = found.checks(subject, model or in_device.model, law, of)
+    return [c.name for c in checks if not c.holds]
+
+
+def test_a_calibration_that_holds_is_used(in_device, tmp_path):
+    found = _stored(in_device, tmp_path)
+    assert _failing(found, in_device) == []
+    assert read_contact(tmp_path) == in_device.contact
+
+
+@pytest.mark.parametrize(
+    "verdict", [_FAILED, Verdict((Check("solved", False),))]
+)
+def test_a_calibration_that_fails_is_refused(in_device, tmp_path, verdict):
+    found = _stored(in_device, tmp_path, verdict)
+    assert _failing(found, in_device) == ["provenance.calibration"]
+    with pytest.raises(InputError, match=verdict.failing[0].name):
+        read_contact(tmp_path)
+    assert read_contact(tmp_path, ["provenance"]) == in_device.contact
+
+
+def test_an_accepted_failure_stays_one(in_device, tmp_path):
+    verdict = Verdict(_FAILED.checks, ("audit",))
+    _stored(in_device, tmp_path, verdict)
+    with pytest.raises(InputError, match="does not hold: audit"):
+        read_contact(tmp_path)
+
+
+def test_parameters_of_unknown_origin_are_refused(in_device, tmp_path):
+    write_contact(tmp_path, in_device.contact)
+    found = read_calibration(tmp_path)
+    assert _failing(found, in_device) == ["provenance.calibration"]
+    with pytest.raises(InputError, match="not known"):
+        read_contact(tmp_path)
+
+
+def test_a_calibration_of_another_is_told(in_device, tmp_path):
+    found = _stored(in_device, tmp_path)
+    other = replace(
+        in_device.model,
+        human=replace(
+            in_device.model.human,
+            thigh=replace(
+                in_device.model.human.thigh,
+                mass_kg=1.01 * in_device.model.human.thigh.mass_kg,
+            ),
+        ),
+    )
+    assert _failing(found, in_device, subject="two") == ["provenance.subject"]
+    assert _failing(found, in_device, model=other) == ["provenance.model"]
+    assert _failing(found, in_device, law="paper") == ["provenance.law"]
+    own = in_device.trials[:1]
+    assert _failing(found, in_device, of=own) == ["provenance.unseen"]
+    (note,) = (
+        c
+        for c in found.checks("one", in_device.model, "simbody", own)
+        if not c.holds
+    )
+    assert note.level == "note"
+    moved = replace(own[0], q=own[0].q + 0.01)
+    assert _failing(found, in_device, of=[moved]) == []

@@ -9,7 +9,7 @@ import numpy as np
 from sound_files import written
 
 from drake_exo.calibration.results import (
-    read_contact,
+    read_calibration,
     read_model,
     read_trial,
     write_contact,
@@ -153,7 +153,7 @@ def results() -> dict:
                 lambda p: write_contact(p.parent, nominal_contact(_MODEL)),
                 "parameters.json",
             ),
-            lambda p: read_contact(p.parent),
+            lambda p: read_calibration(p.parent),
         ),
         "summary": ("summary.json", "json", json.dumps(_summary()), report),
         "checkpoint": (

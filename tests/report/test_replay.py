@@ -8,6 +8,7 @@ from drake_exo.calibration.results import MODEL
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json, write_json
+from drake_exo.files.verdict import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.report.replay import DrawnModel, replay_results
@@ -167,6 +168,17 @@ def test_unsolved_results_are_refused(tmp_path):
     write_json(folder / "summary.json", summary)
     with pytest.raises(InputError, match="no solved trial"):
         replay_results(folder, tmp_path / "page.html")
+    write_json(folder / "summary.json", summary | {"success": False})
+    with pytest.raises(InputError, match="--accept solved"):
+        replay_results(folder, tmp_path / "page.html")
+
+
+def test_what_does_not_hold_is_marked_on_the_page(tmp_path):
+    audit = Check("audit", False, 2.5, 1.0, "N", "rise_1")
+    folder = write_results(tmp_path / "off", checks=[audit])
+    replay_results(folder, tmp_path / "page.html")
+    (clip,) = player_data(tmp_path / "page.html")["clips"]
+    assert clip["mark"].startswith("DOES NOT HOLD: audit (rise_1, 2.5 N")
 
 
 def test_motion_is_sampled_between_nodes():

@@ -180,7 +180,8 @@ class Told:
 
     def results(self) -> Results:
         summary = {"phase": self.phase, "subject": "virtual_subject"}
-        summary |= {"rmsd": self.rmsd, "measured_sd": SPREAD, **self.more}
+        summary |= {"rmsd": self.rmsd, "measured_sd": SPREAD, "checks": []}
+        summary |= self.more
         return Results(Path("nowhere"), summary)
 
 
