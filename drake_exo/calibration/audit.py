@@ -70,6 +70,7 @@ class Audit:
     def checks(self) -> list[Check]:
         """What it holds against the tolerances: "audit" and "simulation"."""
         forces = [*self.simulated_grf_n, self.simulated_interaction_n or 0.0]
+        worst = float(np.max(forces))
         rows = (
             ("audit", self.force_n, FORCE_TOLERANCE, "N", _BETWEEN),
             ("audit", self.moment_nm, MOMENT_TOLERANCE, "N m", _BETWEEN),
