@@ -74,13 +74,7 @@ class Audit:
         rows = (
             ("audit", self.force_n, FORCE_TOLERANCE, "N", _BETWEEN),
             ("audit", self.moment_nm, MOMENT_TOLERANCE, "N m", _BETWEEN),
-            (
-                "simulation",
-                float(np.max(forces)),
-                FORCE_TOLERANCE,
-                "N",
-                _SIMULATED,
-            ),
+            ("simulation", worst, FORCE_TOLERANCE, "N", _SIMULATED),
             (
                 "simulation",
                 self.simulated_angles_deg,
