@@ -339,8 +339,8 @@ def test_the_law_of_a_prediction_has_the_scaled_damping(in_device, factor):
         np.testing.assert_allclose(np.abs(found), np.abs(expected), rtol=1e-9)
 
 
-def test_ends_are_given_and_the_foot_within_its_tolerance(in_device, trial):
-    """Joints as measured; the foot by 10 mm, 5 mm, 2 degrees."""
+def test_ends_are_near_what_was_measured(in_device, trial):
+    """Joints near what was measured; the foot by 10 mm, 5 mm, 2 degrees."""
     cost = interaction_cost(in_device, trial, 1.0)
     grid, at = cost.movement.grid, cost.at
     prog = cost.problem.program.prog
@@ -351,13 +351,14 @@ def test_ends_are_given_and_the_foot_within_its_tolerance(in_device, trial):
         high[i] = np.minimum(high[i], b.evaluator().upper_bound())
     foot = [0.01, 0.005, 2.0 * DEGREE]
     for node in (0, -1):
-        reach = np.r_[foot, np.zeros(6)]
+        reach = np.r_[foot, np.full(6, 0.3)]
         i = cost.place(grid.q[node])
         np.testing.assert_allclose(low[i], at.q[node] - reach, atol=1e-12)
         np.testing.assert_allclose(high[i], at.q[node] + reach, atol=1e-12)
         i = cost.place(grid.v[node])
-        np.testing.assert_allclose(low[i[3:]], at.v[node, 3:], atol=1e-12)
-        np.testing.assert_allclose(high[i[3:]], at.v[node, 3:], atol=1e-12)
+        v = at.v[node, 3:]
+        np.testing.assert_allclose(low[i[3:]], v - 0.3, atol=1e-12)
+        np.testing.assert_allclose(high[i[3:]], v + 0.3, atol=1e-12)
         assert np.isinf(low[i[:3]]).all()
     middle = cost.place(grid.q[1:-1])
     assert np.isinf(low[middle]).all() and np.isinf(high[middle]).all()
