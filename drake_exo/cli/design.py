@@ -81,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
             "--calibration is missing; give the --out folder of "
             "'drake-exo calibrate'"
         )
-    contacts = [read_contact(folder) for folder in args.calibration]
+    contacts = [
+        read_contact(folder, args.accept) for folder in args.calibration
+    ]
     # Bad input ends before a folder is made.
     for study in studies:
         study.gate("prediction", args.accept)
