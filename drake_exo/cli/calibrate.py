@@ -112,15 +112,16 @@ def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
     study = read_study(args.study, args.data_root)
     # Bad input ends before a folder is made.
-    study.gate("calibration", args.accept)
+    checks = list(study.gate("calibration", args.accept))
     only_foot = args.phase == "foot-ground" or (
         args.phase is None and not study.model.cuffs
     )
-    contact, checks = None, []
+    contact = None
     if not only_foot:
         check_has_cuffs(study.model)
         if args.calibration is not None:
-            contact, checks = usable(args.calibration, study, args.accept)
+            contact, made_of = usable(args.calibration, study, args.accept)
+            checks += made_of
     with prepare_output_folder(args.out, args.force, args.resume) as out:
         done = _finished(out) if args.resume else None
         if done is not None:
@@ -207,7 +208,11 @@ def write_interaction(
         more = {"foot_ground": json.loads(text)}
         contact = read_calibration(folder).contact
         # What the first phase does not hold, the second one does not.
-        checks = [c for c in stored(more["foot_ground"]).checks if not c.holds]
+        found = stored(more["foot_ground"]).checks
+        checks = [
+            *checks,
+            *(c for c in found if not c.holds and c not in checks),
+        ]
     write_inputs(out, study.model, study.trials("calibration"))
     found = calibrate_interaction(
         study, contact=contact, folder=out, resume=resume

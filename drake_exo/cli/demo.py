@@ -60,10 +60,12 @@ def _steps(out: Path) -> int:
         study = read_study(write_campaign(folder, _SEED, processes=PROCESSES))
     title = "Phases A and B: calibrate from three movements"
     with part("calibration", title) as folder:
-        code = write_interaction(study, folder)
+        checks = study.gate("calibration")
+        code = write_interaction(study, folder, checks=checks)
         if code not in (0, FAILS_CODE):
             return code
-        contact, checks = usable(folder, study, ["all"])
+        contact, made_of = usable(folder, study, ["all"])
+        checks = [*study.gate("prediction"), *made_of]
     for name, factor, title in (
         (
             "prediction",
