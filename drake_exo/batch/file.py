@@ -13,18 +13,19 @@ from typing import Any, Literal
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 
-STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict")
+STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")
 Step = Literal[
     "check",
     "calibrate",
     "crossvalidate",
     "predict",
+    "design",
     "sole simulate",
     "sole optimize",
 ]
 # A step builds on the results of another of the same subject.
-BUILDS_ON = {"predict": "calibrate"}
+BUILDS_ON = {"predict": "calibrate", "design": "calibrate"}
 _OURS = ("--out", "--force", "--resume", "--data-root", "--calibration")
 _LONGEST = 100  # characters of a variant's name
 

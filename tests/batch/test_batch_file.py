@@ -73,7 +73,7 @@ def test_two_of_one_name(folder):
 
 def test_the_graph():
     text = """
-steps: [check, calibrate, predict]
+steps: [check, calibrate, predict, design]
 laboratories: {seeds: {first: 2, last: 3}, truth: near, trials: 4}
 sweep:
   interaction.thigh.normal_n_m.nominal: [2000, 5000]
@@ -83,12 +83,13 @@ options: {predict: [--scale-interaction, '1.4']}
     tasks = {t.name: t for t in tasks_of(batch(text), Path("."))}
     place = "seed_2/interaction.thigh.normal_n_m.nominal=2000,filter."
     place += "cutoff_hz=6"
-    assert len(tasks) == 2 * (1 + 2 * 3)
+    assert len(tasks) == 2 * (1 + 2 * 4)
     predict = tasks[f"{place}/predict"]
     assert predict.needs == {
         "lab": "seed_2/lab",
         "calibrate": f"{place}/calibrate",
     }
+    assert tasks[f"{place}/design"].needs == predict.needs
     assert predict.options == ("--scale-interaction", "1.4")
     assert tasks["seed_3/lab"].options == (
         *("--seed", "3", "--truth", "near", "--trials", "4"),

@@ -1,0 +1,50 @@
+"""Scripts that call one function many times."""
+
+import os
+import subprocess
+import sys
+
+import example_jobs
+import pytest
+
+from drake_exo.batch.calls import run_calls
+
+pytestmark = pytest.mark.slow
+
+SCRIPT = """
+from drake_exo.batch.calls import run_calls
+
+def square(x):
+    return x * x
+
+if __name__ == "__main__":
+    print(run_calls(square, [{"x": k} for k in range(5)], 2, "squares"))
+"""
+
+
+def test_values_in_the_order_of_the_calls():
+    told = []
+    calls = [{"seconds": 0.3}, {"seconds": 0.01}, {"seconds": 0.02}]
+    found = run_calls(example_jobs.sleep, calls, 2, "naps", told.append)
+    assert found == [0.3, 0.01, 0.02]
+    assert sorted(told) == [0.01, 0.02, 0.3]
+
+
+def test_a_call_that_fails_is_named():
+    with pytest.raises(RuntimeError, match=r"add.*'b'.*TypeError"):
+        run_calls(example_jobs.add, [{"a": 1, "b": "x"}], 1)
+
+
+@pytest.mark.parametrize("how", [["room/script.py"], ["-m", "room.script"]])
+def test_from_a_script(tmp_path, how):
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "script.py").write_text(SCRIPT)
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(
+        [sys.executable, *how],
+        cwd=tmp_path,
+        env=env,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.strip() == "[0, 1, 4, 9, 16]", done.stderr
