@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
@@ -221,3 +222,22 @@ def test_progress_counts_and_estimates(tmp_path):
     first, line = stream.getvalue().splitlines()
     assert "2/4 done, 1 failed, 1 running, about 1 min 55 s left" in first
     assert line == "  s2/check, 5 s: iteration 7"
+
+
+@pytest.mark.slow
+def test_two_workers_wait_for_nothing(pool):
+    """Forty chains of three: within a tenth of the sum of times over two."""
+    rng = np.random.default_rng(0)
+    jobs = []
+    for k in range(40):
+        before = ()
+        for step, mean in (("lab", 0.1), ("calibrate", 0.2), ("predict", 0.1)):
+            seconds = mean * rng.uniform(0.5, 1.5)
+            name = f"{k}/{step}"
+            jobs.append(job(name, "sleep", *before, seconds=seconds))
+            before = (name,)
+    start = time.perf_counter()
+    ended = run_jobs(jobs, pool)
+    took = time.perf_counter() - start
+    total = sum(row.seconds for row in ended.values())
+    assert took <= 1.1 * total / 2, took / (total / 2)
