@@ -25,6 +25,7 @@ FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
+_UPWARDS = 1e-3  # of a face's normal: beyond rounding
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
 
 
@@ -113,6 +114,18 @@ class TetMesh:
         g[:, 1:] = inverse.transpose(0, 2, 1)
         g[:, 0] = -g[:, 1:].sum(axis=1)
         return g
+
+    @property
+    def undercut(self) -> float:
+        """Part of the bare surface that faces upwards [0, 1].
+
+        A mould that opens upwards does not let go of it.
+        """
+        x = self.nodes[self.contact_faces]
+        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        size = np.linalg.norm(area, axis=1)
+        up = area[:, 2] > _UPWARDS * size
+        return float(size[up].sum() / size.sum())
 
     def volume_gradient(self) -> np.ndarray:
         """∂volume/∂nodes [m²], (n, 3): Σ_e V_e g_a."""

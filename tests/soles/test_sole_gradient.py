@@ -10,7 +10,7 @@ from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
 from drake_exo.soles.optimize.design import settle
-from drake_exo.soles.optimize.limits import Limits, soft_minimum
+from drake_exo.soles.optimize.limits import Limits, StrainNorm, soft_minimum
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
 from drake_exo.soles.optimize.problem import (
     ShapeProblem,
@@ -98,21 +98,32 @@ def test_gradient_matches_central_differences(divisions, count, element):
     assert abs((plus - minus) / (2 * h) / (1.0001 * slope) - 1) > 1e-5
 
 
-@pytest.fixture(scope="module")
-def problem():
-    setting = Setting((6, 4, 3), 12)
+def _problem(element):
+    setting = Setting((6, 4, 3), 12, element)
     return ShapeProblem(
         setting.mesh, setting.spline, setting.material, setting.law,
         setting.load, START, 1.0,
         Limits(
             813e-6, stability=500.0, tilt_deg=20.0, strain=0.5, c_rot=1e4
         ),
-        regularization_weight=1e-2, samples=8,
+        element, regularization_weight=1e-2, samples=8,
     )  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def problem():
+    return _problem("linear")
+
+
+@pytest.fixture(scope="module")
+def smoothed():
+    return _problem("smoothed")
+
+
 @pytest.mark.slow
-def test_cost_and_constraints_have_right_derivatives(problem):
+@pytest.mark.parametrize("element", ["problem", "smoothed"])
+def test_cost_and_constraints_have_right_derivatives(element, request):
+    problem = request.getfixturevalue(element)
     rng = np.random.default_rng(1)
     p = 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
     direction = rng.standard_normal(len(p))
@@ -155,6 +166,23 @@ def test_strain_norm_is_close_above_the_largest_strain(problem):
     e = problem.evaluate(np.full(problem.spline.count, 0.97))
     largest = largest_strain(e.sole, e.history)
     assert largest <= e.strain.value < 1.15 * largest
+
+
+@pytest.mark.slow
+def test_shares_of_the_averages_count_in_the_strains_gradient(
+    smoothed, monkeypatch
+):
+    p = np.full(smoothed.spline.count, 0.97)
+    direction = np.random.default_rng(4).standard_normal(len(p))
+    row = smoothed.names().index("strain")
+    right = smoothed.derivatives(p)[1][row] @ direction
+    around = StrainNorm._elements_around
+    monkeypatch.setattr(
+        StrainNorm,
+        "_elements_around",
+        lambda self, by_nodes: around(self, np.zeros_like(by_nodes)),
+    )
+    assert abs(smoothed.derivatives(p)[1][row] @ direction / right - 1) > 1e-4
 
 
 def test_second_derivative_of_the_smoothness(problem):

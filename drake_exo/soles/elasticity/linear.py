@@ -302,9 +302,19 @@ class Sole:
         return u.reshape(*lead, -1, 3)
 
     def strain(self, u: np.ndarray) -> np.ndarray:
-        """Small strain of every element, (..., e, 3, 3)."""
+        """Small strain of every element, (..., e, 3, 3).
+
+        With "smoothed", around every edge: that of a single element has no
+        energy of its own, and scatters.
+        """
         H = displacement_gradient(self.mesh, u)
-        return 0.5 * (H + np.swapaxes(H, -1, -2))
+        eps = 0.5 * (H + np.swapaxes(H, -1, -2))
+        if self.element == "linear":
+            return eps
+        flat = np.moveaxis(eps, -3, 0)
+        (edge, _), _ = self._averages
+        mean = edge @ flat.reshape(len(flat), -1)
+        return np.moveaxis(mean.reshape(-1, *flat.shape[1:]), 0, -3)
 
     def stress_and_energy(self, H: np.ndarray, factors: np.ndarray):
         """Stresses of many fields, and the sum of their energies.

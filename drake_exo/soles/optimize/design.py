@@ -60,6 +60,7 @@ from drake_exo.soles.step.simulation import (
 from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 
 _FORMER = 5  # earlier designs to fall back on
+_FINER = 0.03  # of c, on twice the elements
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
@@ -149,7 +150,8 @@ class Design:
                 "name", "c_tr", "c_rot", "c", "failed_steps", "failures",
                 "volume_cm3", "stable", "stability_min_n_per_m",
                 "tilt_max_deg", "max_strain", "tets", "contact_nodes",
-                "least_quality", "weight",
+                "least_quality", "weight", "undercut", "c_tr_mean_n_per_m",
+                "c_rot_mean_nm_per_rad",
             )
         }  # fmt: skip
         row |= {
@@ -223,13 +225,16 @@ class Design:
         """Write a page that plays the step of both shapes."""
         self.step.write_animation(path, **{"initial shape": self.first})
 
-    def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
+    def verdict(
+        self, accepted: Sequence[str] = (), finer: dict | None = None
+    ) -> Verdict:
         """What the design has to hold, and whether it does.
 
         Besides the step's checks: the case's limits, by the exact law.
 
         Args:
             accepted: Names of checks that the user accepts.
+            finer: What `check_finer` has found, if it has been asked.
         """
         limits, name = self.problem.limits, self.setup.name
         cm3 = 1e6 * self.mesh.volume
@@ -252,6 +257,21 @@ class Design:
             for what, value, limit, unit, sign in held
             if limit is not None
         ]  # fmt: skip
+        if finer is not None:
+            change = finer["change"]
+            holds = bool(abs(change) <= _FINER)
+            worn = bool(np.isnan(change))
+            checks.append(
+                Check(
+                    "plausibility.mesh", holds, None if worn else change,
+                    _FINER, "", name,
+                    "" if holds else "the design turns elements of a finer "
+                    "mesh over: its elements are worn out" if worn else
+                    "c on a mesh of twice the elements differs by so much: "
+                    "the elements are too coarse, or worn out",
+                    "note",
+                )
+            )  # fmt: skip
         return Verdict((*self.step.verdict().checks, *checks), tuple(accepted))
 
     def write(
@@ -270,8 +290,8 @@ class Design:
             accepted: Names of checks that the user accepts.
         """
         folder, began = Path(folder), time.perf_counter()
-        row = self.summary() | self.verdict(accepted).summary()
-        row["finer"] = self.check_finer()
+        row, finer = self.summary(), self.check_finer()
+        row |= self.verdict(accepted, finer).summary() | {"finer": finer}
         row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
         row["stages_seconds"] = [round(s, 2) for s in self.stages_seconds]
         write_json(

@@ -18,7 +18,11 @@ import numpy as np
 
 from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
-from drake_exo.soles.elasticity.linear import Sole, gradient_operators
+from drake_exo.soles.elasticity.linear import (
+    Sole,
+    edge_average,
+    gradient_operators,
+)
 from drake_exo.soles.elasticity.shape_gradient import energy_gradient, pairs
 from drake_exo.soles.mesh import scatter
 from drake_exo.soles.optimize.adjoint import (
@@ -63,9 +67,12 @@ class StrainNorm:
         self.value = float(unit * total ** (1 / ORDER))
 
     def _collect(self) -> None:
-        """Sample, element and gradient H of all strains that count."""
+        """Sample, element or edge, and gradient H of strains that count."""
         mesh = self.sole.mesh
         operators = gradient_operators(mesh)
+        if self.sole.element == "smoothed":
+            self._edges, _ = edge_average(mesh)
+            operators = [self._edges @ D for D in operators]
         found, largest = [], 0.0
         for first in range(0, len(self._u), _BATCH):
             u = self._u[first : first + _BATCH]
@@ -93,16 +100,19 @@ class StrainNorm:
             Terms for every sample, ∂Φ/∂X (n, 3).
         """
         sole, mesh = self.sole, self.sole.mesh
-        G, tets = self._by_strain(), mesh.tets[self._e]
-        g = np.swapaxes(mesh.gradients[self._e], 1, 2)
+        by_nodes = np.zeros_like(mesh.nodes)
+        if sole.element == "linear":
+            q, e, H, G = self._q, self._e, self._H, self._by_strain()
+        else:
+            q, e, H, G = self._elements_around(by_nodes)
+        tets, g = mesh.tets[e], np.swapaxes(mesh.gradients[e], 1, 2)
         shape = self._u.shape
         pull = np.zeros((shape[0] * shape[1], 3))
-        place = self._q[:, None] * shape[1] + tets
+        place = q[:, None] * shape[1] + tets
         scatter(pull, place, np.swapaxes(G @ g, 1, 2))
         pull = pull.reshape(shape)
         # Gradients of the shape functions change with the nodes.
-        by_nodes = np.zeros_like(mesh.nodes)
-        moved = np.swapaxes(self._H, 1, 2) @ G @ g
+        moved = np.swapaxes(H, 1, 2) @ G @ g
         scatter(by_nodes, tets, -np.swapaxes(moved, 1, 2))
         kept = heavy(pull)
         free = sole.free
@@ -113,6 +123,28 @@ class StrainNorm:
         for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
         return terms, by_nodes
+
+    def _elements_around(self, by_nodes: np.ndarray):
+        """Samples, elements, their H and ∂Φ/∂ε, of the edges that count.
+
+        Args:
+            by_nodes: Gets the part of the averages' own shares, (n, 3).
+        """
+        mesh, A = self.sole.mesh, self._edges
+        counts = np.diff(A.indptr)[self._e]
+        owner = np.repeat(np.arange(len(counts)), counts)
+        first = np.repeat(
+            A.indptr[self._e] - np.cumsum(counts) + counts, counts
+        )
+        entry = first + np.arange(len(owner))
+        e, share, q = A.indices[entry], A.data[entry], self._q[owner]
+        g = mesh.gradients[e]
+        H = np.swapaxes(self._u[q[:, None], mesh.tets[e]], 1, 2) @ g
+        G = share[:, None, None] * self._by_strain()[owner]
+        # A share is the element's volume over that of all around the edge.
+        gain = (G * (H - self._H[owner])).sum(axis=(1, 2))
+        scatter(by_nodes, mesh.tets[e], gain[:, None, None] * g)
+        return q, e, H, G
 
     def _by_strain(self) -> np.ndarray:
         """∂Φ/∂ε = n (ε/Φ)^(p−1), (k, 3, 3)."""

@@ -9,6 +9,7 @@ from drake_exo.files.verdict import SOLVED, Check
 SMALL_STRAIN, _INSIDE_OUT = 0.3, 1.0
 _TILT_DEG = 20.0  # beyond, a small-strain pose is not that of a real foot
 _NEAR_SLIP = 0.95  # part of μ
+_UNDERCUT = 0.01  # part of the bare surface
 _COMPLEMENTARITY = 1e-6
 _NOT_SMALL = (
     "small strain does not hold so far; judge the sole in finite strain "
@@ -60,6 +61,15 @@ def step_checks(step) -> tuple[Check, ...]:
         _note(
             "plausibility.friction", used <= limit, used, limit, "", name,
             "the sole is about to slip away as a whole",
+        )
+    )  # fmt: skip
+    undercut = step.sole.mesh.undercut
+    checks.append(
+        _note(
+            "plausibility.undercut", undercut <= _UNDERCUT, undercut,
+            _UNDERCUT, "", name,
+            "so much of the bare surface faces upwards: a rigid mould that "
+            "opens upwards does not let go of the sole",
         )
     )  # fmt: skip
     if step.law.layer == step.law.kappa == 0:
