@@ -75,6 +75,25 @@ def check_fields(values: object, what: str) -> None:
         check_bounds(f"{what}: {name}", value, field.metadata)
 
 
+def check_file_name(where: str, name: str) -> None:
+    """Refuse a name that files cannot be named by.
+
+    Args:
+        where: the field, as the sentence names it.
+        name: its value.
+
+    Raises:
+        InputError: empty, too long, or with more than letters, digits,
+            spaces, and ._-+() in it.
+    """
+    allowed = all(c.isalnum() or c in " ._-+()" for c in name)
+    if not (allowed and len(name.strip(" .")) > 0 and len(name) <= 100):
+        raise InputError(
+            f"{where} is {first_line(name)!r}, but names files; use letters, "
+            "digits, spaces and ._-+() only, at most 100"
+        )
+
+
 def nearest(name: str | None, names: Iterable[str]) -> str:
     """The end of a sentence about a wrong name: "; did you mean 'hip'?".
 

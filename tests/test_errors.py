@@ -3,7 +3,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from drake_exo.errors import InputError, check_bounds, check_fields, nearest
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_fields,
+    check_file_name,
+    nearest,
+)
 
 MASS = {"unit": "kg", "above": 0.0, "maximum": 300.0}
 
@@ -63,3 +69,16 @@ def test_the_nearest_name_is_suggested_if_one_is_near():
     names = ("hip_torque", "knee_torque")
     assert nearest("hip_torqe", names) == "; did you mean 'hip_torque'?"
     assert nearest("mass", names) == nearest(None, names) == ""
+
+
+@pytest.mark.parametrize("name", ["rise1", "Aufstehen 2 (links)", "a.b-c+d_é"])
+def test_names_that_files_can_have_pass(name):
+    check_file_name("trials[0].name", name)
+
+
+@pytest.mark.parametrize(
+    "name", ["", " ", "..", "a/b", "../x", "a\\b", "a\nb", "<i>", "x" * 101]
+)
+def test_names_that_no_file_should_have_are_refused(name):
+    with pytest.raises(InputError, match="names files"):
+        check_file_name("trials[0].name", name)

@@ -222,7 +222,7 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
     g = np.zeros(len(x))
     for movement in problem.movements:
         jerk = problem.program.indices(movement.grid.jerk)
-        weight = movement.grid.jerk_weights[:, None] / movement.jerk_sigma**2
+        weight = movement.jerk_weight / movement.jerk_sigma**2
         g[jerk] += weight * x[jerk]
         weights = movement.grid.quadrature[:, None]
         for term in movement.tracked:

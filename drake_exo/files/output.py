@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import fcntl
 import hashlib
 import io
 import json
@@ -10,6 +11,7 @@ import os
 import shutil
 import sys
 import time
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TextIO
@@ -22,6 +24,10 @@ from drake_exo.files.text import read_bytes
 # Names what a run wrote, so that replacing results never removes files that
 # somebody else put into the folder.
 MANIFEST = ".drake_exo_files"
+# Held while a run writes; the system lets go of it when the process ends,
+# however that is.
+LOCK = ".drake_exo_lock"
+_LARGEST_ARRAYS = 2**31  # bytes of one file, unpacked
 
 
 class OutputFolder:
@@ -38,20 +44,24 @@ class OutputFolder:
     fails leaves the old results untouched and its own in `NAME.partial`.
     """
 
-    def __init__(self, target: Path, path: Path):
+    def __init__(self, target: Path, path: Path, lock: int):
         self.target = target
         self.path = path
+        self._lock = lock
 
     def __enter__(self) -> Path:
         return self.path
 
     def __exit__(self, kind, value, traceback) -> None:
-        if kind is None:
-            self.commit()
-        elif self.path == self.target:
-            # What ended the run matters more than a disk too full for this.
-            with contextlib.suppress(OSError):
-                _write_manifest(self.target, _files(self.target))
+        try:
+            if kind is None:
+                self.commit()
+            elif self.path == self.target:
+                # What ended the run matters more than a full disk.
+                with contextlib.suppress(OSError):
+                    _write_manifest(self.target, _files(self.target))
+        finally:
+            _release(self.target, self._lock)
 
     def commit(self) -> None:
         """Make the results final: replace old ones, note what was written."""
@@ -79,12 +89,20 @@ def prepare_output_folder(
         resume: go on in it, or in what a run with `force` left of its own.
 
     Raises:
-        InputError: it already holds files and `force` is not set, or it
-            cannot be created.
+        InputError: it already holds files and `force` is not set, it cannot
+            be created, or another run is writing there.
     """
     target = Path(path)
     try:
-        return OutputFolder(target, _place(target, force, resume))
+        if target.exists() and not target.is_dir():
+            raise InputError(f"{target}: is a file; give a folder for --out")
+        target.mkdir(parents=True, exist_ok=True)
+        lock = _locked(target)
+        try:
+            return OutputFolder(target, _place(target, force, resume), lock)
+        except BaseException:
+            _release(target, lock)
+            raise
     except OSError as error:
         raise InputError(
             f"{target}: cannot be written ({error.strerror}); choose "
@@ -94,15 +112,13 @@ def prepare_output_folder(
 
 def _place(target: Path, force: bool, resume: bool) -> Path:
     """Where to write what ends up in `target`, ready for it."""
-    if target.exists() and not target.is_dir():
-        raise InputError(f"{target}: is a file; give a folder for --out")
-    occupied = target.is_dir() and bool(_files(target))
+    occupied = bool(_files(target))
     if occupied and not (force or resume):
         raise InputError(
             f"{target}: already holds results; choose another folder for "
             "--out, or replace them with --force"
         )
-    partial = target.with_name(target.resolve().name + ".partial")
+    partial = _beside(target)
     if resume and occupied:
         return partial if force and partial.is_dir() else target
     if occupied:
@@ -113,18 +129,60 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
     return place
 
 
+def _beside(target: Path) -> Path:
+    """Where new results grow; "." has no name, its whole path has."""
+    plain = target.name not in ("", "..")
+    named = target if plain else target.resolve()
+    return named.with_name(target.resolve().name + ".partial")
+
+
 def _files(folder: Path) -> set[str]:
     return {
         p.relative_to(folder).as_posix()
         for p in folder.rglob("*")
-        if p.is_file() and p.name != MANIFEST
+        if p.is_file() and p.name not in (MANIFEST, LOCK)
     }
+
+
+def _release(folder: Path, lock: int) -> None:
+    with contextlib.suppress(OSError):
+        (folder / LOCK).unlink()
+    os.close(lock)
+
+
+def _locked(folder: Path) -> int:
+    """Descriptor of the folder's lock.
+
+    Raises:
+        InputError: another run holds it.
+    """
+    path = folder / LOCK
+    while True:
+        lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(lock), os.stat(path)):
+                return lock
+        except FileNotFoundError:
+            pass  # a run that ended meanwhile has taken its file away
+        except BlockingIOError:
+            os.close(lock)
+            raise InputError(
+                f"{folder}: another run is writing there; wait for it, or "
+                "choose another folder for --out"
+            ) from None
+        os.close(lock)
 
 
 def _read_manifest(folder: Path) -> set[str]:
     place = folder / MANIFEST
     lines = place.read_text("utf-8").splitlines() if place.is_file() else []
-    return {line for line in lines if line}
+    return {line for line in lines if line and _is_inside(folder, line)}
+
+
+def _is_inside(folder: Path, name: str) -> bool:
+    """Whether a name from a file means something in a folder, not beyond."""
+    return (folder / name).parent.resolve().is_relative_to(folder.resolve())
 
 
 def _write_manifest(folder: Path, names: set[str]) -> None:
@@ -200,6 +258,17 @@ def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
     checksums, and that it holds numbers or text alone.
     """
     whole = io.BytesIO(read_bytes(path, remedy))
+    try:
+        with zipfile.ZipFile(whole) as parts:
+            size = sum(part.file_size for part in parts.infolist())
+    except zipfile.BadZipFile as error:
+        raise InputError(f"{path}: is damaged; {remedy}") from error
+    if size > _LARGEST_ARRAYS:
+        raise InputError(
+            f"{path}: unpacks to {size / 1e9:.1f} GB, more than any result "
+            f"holds; {remedy}"
+        )
+    whole.seek(0)
     try:
         with np.load(whole, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}

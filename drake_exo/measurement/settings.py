@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_file_name
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.model.assembly import ASSEMBLIES, Assembly
@@ -433,6 +433,7 @@ class TrialFiles:
     end_s: float | None = field(default=None, metadata=_SECONDS)
 
     def __post_init__(self):
+        check_file_name("name", self.name)
         _check_window(self.start_s, self.end_s)
         if self.seated_s > 0.0 and self.rise is None:
             raise InputError("seated_s counts back from a rise; name it")

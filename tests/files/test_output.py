@@ -1,5 +1,7 @@
 import io
 import json
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,7 +9,15 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import Progress, prepare_output_folder, write_json
+from drake_exo.files import output
+from drake_exo.files.output import (
+    LOCK,
+    MANIFEST,
+    Progress,
+    prepare_output_folder,
+    read_arrays,
+    write_json,
+)
 
 
 def test_fresh_folder_is_written_in_place(tmp_path):
@@ -130,3 +140,80 @@ def test_progress_goes_to_stdout(capsys):
     progress = Progress("slow", interval_seconds=0.0)
     progress.update("iteration 3", done=3)
     assert capsys.readouterr().out.startswith("slow: 3, iteration 3 (")
+
+
+def test_a_manifest_removes_nothing_outside_its_folder(tmp_path):
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "kept.txt").write_text("mine")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "linked").symlink_to(elsewhere)
+    (out / "old.txt").write_text("ours")
+    names = ["../victim.txt", str(victim), "linked/kept.txt", "old.txt"]
+    (out / MANIFEST).write_text("\n".join(names))
+    with prepare_output_folder(out, force=True) as folder:
+        (folder / "new.txt").write_text("new")
+    assert victim.read_text() == "mine"
+    assert (elsewhere / "kept.txt").read_text() == "mine"
+    assert not (out / "old.txt").exists()
+
+
+def test_the_working_folder_can_be_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "old.txt").write_text("ours")
+    with prepare_output_folder(".", force=True) as folder:
+        (folder / "new.txt").write_text("new")
+    assert (tmp_path / "new.txt").read_text() == "new"
+    assert not tmp_path.with_name(tmp_path.name + ".partial").exists()
+
+
+def test_a_second_run_into_a_folder_is_refused(tmp_path):
+    out = tmp_path / "out"
+    with prepare_output_folder(out) as folder:
+        for options in ({}, {"force": True}, {"resume": True}):
+            with pytest.raises(InputError, match="another run is writing"):
+                prepare_output_folder(out, **options)
+        (folder / "a.txt").write_text("a")
+    assert not (out / LOCK).exists()
+    with prepare_output_folder(out, force=True) as folder:
+        (folder / "b.txt").write_text("b")
+    assert sorted(p.name for p in out.iterdir()) == [MANIFEST, "b.txt"]
+
+
+def test_the_lock_of_a_run_that_was_killed_is_stale(tmp_path):
+    code = (
+        "import os, signal, sys\n"
+        "from drake_exo.files.output import prepare_output_folder\n"
+        "kept = prepare_output_folder(sys.argv[1])\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    out = tmp_path / "out"
+    subprocess.run([sys.executable, "-c", code, str(out)], check=False)
+    assert (out / LOCK).exists()
+    with prepare_output_folder(out) as folder:
+        (folder / "a.txt").write_text("a")
+    assert not (out / LOCK).exists()
+
+
+def test_a_refused_run_lets_go_of_the_folder(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "old.txt").write_text("old")
+    with pytest.raises(InputError, match="already holds"):
+        prepare_output_folder(out)
+    assert not (out / LOCK).exists()
+    with prepare_output_folder(out, force=True):
+        pass
+
+
+def test_arrays_that_unpack_to_too_much_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "bomb.npz"
+    np.savez_compressed(path, x=np.zeros(10**6))
+    assert path.stat().st_size < 20_000
+    assert read_arrays(path, "again")["x"].size == 10**6
+    monkeypatch.setattr(output, "_LARGEST_ARRAYS", 10**6)
+    with pytest.raises(InputError, match="unpacks to"):
+        read_arrays(path, "again")
