@@ -433,7 +433,6 @@ class TrialFiles:
     end_s: float | None = field(default=None, metadata=_SECONDS)
 
     def __post_init__(self):
-        check_file_name("name", self.name)
         _check_window(self.start_s, self.end_s)
         if self.seated_s > 0.0 and self.rise is None:
             raise InputError("seated_s counts back from a rise; name it")
@@ -475,7 +474,8 @@ class RecordingSettings:
 
     def __post_init__(self):
         names = [trial.name for trial in self.trials]
-        for name in names:
+        for i, name in enumerate(names):
+            check_file_name(f"trials[{i}].name", name)
             if names.count(name) > 1:
                 raise InputError(f"two trials are named {name!r}; rename one")
         if not names:
