@@ -13,6 +13,7 @@ from drake_exo.errors import InputError
 # as a default. Modules are imported on demand: `drake-exo sole` must not load
 # the exoskeleton half, nor pay for it.
 _COMMANDS = {
+    "inspect": "drake_exo.cli.inspect",
     "check": "drake_exo.cli.check",
     "calibrate": "drake_exo.cli.calibrate",
     "predict": "drake_exo.cli.predict",

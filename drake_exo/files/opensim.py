@@ -117,6 +117,11 @@ def read_plates(path: str | Path) -> tuple[np.ndarray, list[PlateRecording]]:
     return table.time, plates_of(table)
 
 
+def has_plates(table: Table) -> bool:
+    """Whether some columns are of force plates."""
+    return any(map(_PLATE_COLUMN.fullmatch, table.names))
+
+
 def plates_of(table: Table) -> list[PlateRecording]:
     """The force plates among the columns of a table; see `read_plates`."""
     columns: dict[str, dict[str, str]] = {}

@@ -166,6 +166,12 @@ def check_gaps(source, what, time, values) -> None:
         )
 
 
+def runs(mask: np.ndarray) -> list[list[int]]:
+    """Start and end of each run of True in a (N,) bool."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
+    return edges.reshape(-1, 2).tolist()
+
+
 def is_translation(name: str) -> bool:
     """Whether a coordinate's name says that it is a length."""
     return name.endswith(("_tx", "_ty", "_tz", "_x", "_y", "_z"))

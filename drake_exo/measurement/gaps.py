@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData, missing_column
+from drake_exo.files.tables import MarkerData, missing_column, runs
 
 _NEIGHBOURS = 10  # seen frames on each side that carry the spline
 _TOLD = 12  # gaps that a sentence lists
@@ -157,12 +157,6 @@ def fill_gaps(
         p = positions[:, data.names.index(name)]
         _fill(data.time, p, mask, gaps.hidden([name])[:, 0])
     return replace(data, positions=positions), gaps
-
-
-def runs(mask: np.ndarray) -> list[list[int]]:
-    """Start and end of each run of True in a (N,) bool."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
-    return edges.reshape(-1, 2).tolist()
 
 
 def _check_zeros(data: MarkerData, names: tuple[str, ...]) -> None:

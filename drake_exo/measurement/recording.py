@@ -15,10 +15,10 @@ from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
+    runs,
     uniform_time,
 )
 from drake_exo.measurement.filters import check_filterable, resample
-from drake_exo.measurement.gaps import runs
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     merge_feet,

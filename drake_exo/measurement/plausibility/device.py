@@ -10,8 +10,8 @@ from itertools import combinations
 
 import numpy as np
 
+from drake_exo.files.tables import runs
 from drake_exo.files.verdict import Check
-from drake_exo.measurement.gaps import runs
 from drake_exo.measurement.plausibility.evidence import Evidence
 
 LEAST_CORRELATION = 0.5

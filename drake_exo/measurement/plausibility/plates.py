@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from drake_exo.files.tables import runs
 from drake_exo.files.verdict import Check
-from drake_exo.measurement.gaps import runs
 from drake_exo.measurement.plausibility.evidence import Evidence
 
 LARGEST_ALONG_M = 0.03

@@ -1,0 +1,28 @@
+"""`drake-exo inspect`: what a laboratory's file holds.
+
+Markers with their gaps, force plates with their load, channels, rates, units
+and duration, of every format that is read.
+"""
+
+import argparse
+from pathlib import Path
+
+from drake_exo.files.inspection import inspect, text_of
+
+
+def add_parser(subparsers) -> None:
+    """Add `inspect` to the command line."""
+    parser = subparsers.add_parser(
+        "inspect",
+        help="list what recorded files hold",
+        description=__doc__,
+    )
+    parser.add_argument("file", type=Path, nargs="+", metavar="FILE")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the contents of each file."""
+    for path in args.file:
+        print(text_of(path, inspect(path)))
+    return 0

@@ -1,0 +1,196 @@
+"""What a laboratory's file holds, for every format that is read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.c3d import read_c3d
+from drake_exo.files.csv import read_csv_table
+from drake_exo.files.opensim import has_plates, plates_of, read_table, read_trc
+from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
+from drake_exo.files.pressure import (
+    PressureRecording,
+    read_novel_asc,
+    read_pressure_csv,
+)
+from drake_exo.files.tables import MarkerData, PlateRecording, Table, runs
+from drake_exo.files.text import read_text
+
+_TOLD = 6  # gaps that a line lists
+_LOADED_N = 20.0
+
+
+@dataclass(frozen=True)
+class Section:
+    """One kind of signal of a file.
+
+    Attributes:
+        title: what it is, with rate and duration.
+        lines: one a signal.
+    """
+
+    title: str
+    lines: tuple[str, ...]
+
+
+def inspect(path: str | Path) -> tuple[Section, ...]:
+    """What a file holds: markers with gaps, plates with load, channels.
+
+    Args:
+        path: .c3d, .trc, .mot, .sto, .csv (table, Motive's, pressure) or .asc.
+
+    Raises:
+        InputError: another format, or the file cannot be read.
+
+    >>> inspect("walk.avi")
+    Traceback (most recent call last):
+    drake_exo.errors.InputError: walk.avi: is of no format that is read; give \
+one of .c3d, .trc, .mot, .sto, .csv, .asc
+    """
+    readers: dict[str, Callable[[Path], list[Section]]] = {
+        ".c3d": _of_c3d,
+        ".trc": lambda p: [_markers(read_trc(p))],
+        ".mot": _of_table,
+        ".sto": _of_table,
+        ".csv": _of_csv,
+        ".asc": lambda p: [_pressure(read_novel_asc(p))],
+    }
+    kind = Path(path).suffix.lower()
+    if kind not in readers:
+        raise InputError(
+            f"{path}: is of no format that is read; give one of "
+            f"{', '.join(readers)}"
+        )
+    return tuple(readers[kind](Path(path)))
+
+
+def text_of(path: str | Path, sections: tuple[Section, ...]) -> str:
+    """The contents of a file as text."""
+    lines = [str(path)]
+    for section in sections:
+        lines += [section.title, *(f"  {line}" for line in section.lines)]
+    return "\n".join(lines)
+
+
+def _of_c3d(path: Path) -> list[Section]:
+    file = read_c3d(path)
+    found = [] if file.markers is None else [_markers(file.markers)]
+    if file.plates:
+        found.append(_plates(file.plate_time, file.plates))
+    if file.analog is not None:
+        found.append(_channels(file.analog, "as the file has them"))
+    return found
+
+
+def _of_table(path: Path) -> list[Section]:
+    table = read_table(path)
+    angles = {True: "angles in degrees", False: "angles in radians"}
+    said = angles.get(table.in_degrees, "the header says no unit of angles")
+    found = []
+    if has_plates(table):
+        found.append(_plates(table.time, plates_of(table)))
+    return [*found, _channels(table, said)]
+
+
+def _of_csv(path: Path) -> list[Section]:
+    lines = read_text(path).splitlines()
+    first = next((s for s in lines if s.strip()), "")
+    if any(s.startswith("MocapFrame") for s in lines):
+        time, plate = read_plate_csv(path)
+        return [_plates(time, [plate])]
+    if "Format Version" in first:
+        return [_markers(read_markers_csv(path))]
+    cells = first.split(",")
+    if ";" in cells[0]:
+        whole = {"cells": (1, len(cells) - 1)}
+        return [_pressure(read_pressure_csv(path, whole))]
+    return [_channels(read_csv_table(path), "in SI units, angles in radians")]
+
+
+def _span(time: np.ndarray) -> str:
+    """Rate, duration and number of samples."""
+    if len(time) < 2 or not time[-1] > time[0]:
+        return f"{len(time)} samples"
+    rate = (len(time) - 1) / (time[-1] - time[0])
+    return f"{rate:.4g} Hz, {time[0]:g} to {time[-1]:g} s, {len(time)} samples"
+
+
+def _markers(data: MarkerData) -> Section:
+    lines = []
+    for i, name in enumerate(data.names):
+        p = data.positions[:, i]
+        unseen = ~np.isfinite(p).all(axis=1)
+        if unseen.all():
+            lines.append(f"{name}: never seen")
+            continue
+        middle = ", ".join(f"{x:.3f}" for x in np.median(p[~unseen], axis=0))
+        lines.append(f"{name}: around ({middle}) m{_gaps(data.time, unseen)}")
+        if (p == 0.0).all(axis=1).any():
+            lines[-1] += "; at exactly (0, 0, 0) at times: hidden, as zeros"
+    return Section(
+        f"{len(data.names)} markers, positions in m, {_span(data.time)}",
+        tuple(lines),
+    )
+
+
+def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
+    found = runs(unseen)
+    if not found:
+        return ""
+    told = [f"{time[a]:g} to {time[b - 1]:g}" for a, b in found[:_TOLD]]
+    more = ", ..." if len(found) > _TOLD else ""
+    return f"; not seen in {unseen.sum()} frames: {', '.join(told)}{more} s"
+
+
+def _plates(time: np.ndarray, plates: list[PlateRecording]) -> Section:
+    lines = []
+    for plate in plates:
+        size = np.linalg.norm(plate.force, axis=1)
+        loaded = size > _LOADED_N
+        line = f"plate {plate.number}: "
+        if not loaded.any():
+            lines.append(
+                f"{line}never above {_LOADED_N:g} N (at most "
+                f"{size.max(initial=0.0):.3g} N)"
+            )
+            continue
+        first, last = time[loaded][[0, -1]]
+        axis = int(np.argmax(np.abs(plate.force[loaded].mean(axis=0))))
+        mean = plate.force[loaded, axis].mean()
+        lines.append(
+            f"{line}loaded {100 * loaded.mean():.0f} % of the time, "
+            f"{first:g} to {last:g} s; up to {size.max():.0f} N, mostly along "
+            f"{'-' if mean < 0 else ''}{'xyz'[axis]} ({abs(mean):.0f} N)"
+        )
+    return Section(f"{len(plates)} force plates, {_span(time)}", tuple(lines))
+
+
+def _channels(table: Table, said: str) -> Section:
+    lines = []
+    for name, x in zip(table.names, table.values.T, strict=True):
+        seen = x[np.isfinite(x)]
+        if not len(seen):
+            lines.append(f"{name}: no value")
+            continue
+        line = f"{name}: {seen.min():.4g} to {seen.max():.4g}"
+        if seen.min() == seen.max():
+            line = f"{name}: {seen[0]:.4g} throughout"
+        lines.append(line + _gaps(table.time, ~np.isfinite(x)))
+    return Section(
+        f"{len(table.names)} channels, {said}, {_span(table.time)}",
+        tuple(lines),
+    )
+
+
+def _pressure(data: PressureRecording) -> Section:
+    lines = []
+    for name, cells in data.groups.items():
+        p = data.pressure[:, cells]
+        lines.append(
+            f"{name}: {len(cells)} cells, up to {1e-3 * p.max():.3g} kPa, "
+            f"{int((p > 0.0).any(axis=0).sum())} of them pressed"
+        )
+    return Section(f"pressure in kPa, {_span(data.time)}", tuple(lines))

@@ -1,0 +1,121 @@
+"""What `drake-exo inspect` says of each format, and of a bad file."""
+
+import numpy as np
+import pytest
+
+from drake_exo.cli import main
+from drake_exo.files.csv import write_csv_table
+from drake_exo.files.inspection import inspect, text_of
+from drake_exo.files.opensim import write_table, write_trc
+from drake_exo.files.tables import MarkerData, PlateRecording, Table
+from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
+
+TIME = np.arange(200) / 100.0
+
+
+@pytest.fixture
+def markers():
+    p = np.tile([[0.1, 0.2, 0.3], [1.0, 1.1, 1.2]], (200, 1, 1))
+    p[50:60, 1] = np.nan
+    p[-3:, 1] = np.nan
+    return MarkerData(TIME, ("A", "B"), p, 100.0)
+
+
+def text(path):
+    return text_of(path, inspect(path))
+
+
+def test_markers_and_their_gaps(tmp_path, markers):
+    write_trc(tmp_path / "a.trc", markers)
+    found = text(tmp_path / "a.trc")
+    assert "2 markers, positions in m, 100 Hz, 0 to 1.99 s, 200" in found
+    assert "  A: around (0.100, 0.200, 0.300) m\n" in found
+    assert "  B: around (1.000, 1.100, 1.200) m; not seen in 13 frames: " in (
+        found
+    )
+    assert "0.5 to 0.59, 1.97 to 1.99 s" in found
+
+
+def test_hidden_markers_as_zeros_are_pointed_at(tmp_path, markers):
+    markers.positions[:5, 0] = 0.0
+    write_trc(tmp_path / "a.trc", markers)
+    assert "(0, 0, 0) at times: hidden, as zeros" in text(tmp_path / "a.trc")
+
+
+def plate(number, force_z):
+    force = np.zeros((len(force_z), 3))
+    force[:, 2] = force_z
+    rest = np.zeros_like(force)
+    return PlateRecording(number, force, rest, rest)
+
+
+def test_c3d_markers_plates_and_channels(tmp_path, markers):
+    load = np.where(TIME < 1.0, 0.0, 600.0)
+    square = [[0.3, 0.3, 0], [-0.3, 0.3, 0], [-0.3, -0.3, 0], [0.3, -0.3, 0]]
+    write_c3d(
+        tmp_path / "a.c3d",
+        markers,
+        [plate(1, load), plate(2, 0.0 * load)],
+        [PlateDesign(np.array(square))] * 2,
+    )
+    found = text(tmp_path / "a.c3d")
+    assert "2 markers" in found and "not seen in 13 frames" in found
+    assert "2 force plates, 100 Hz" in found
+    assert "plate 1: loaded 50 % of the time, 1 to 1.99 s; up to 600 N" in found
+    assert "mostly along z (600 N)" in found
+    assert "plate 2: never above 20 N" in found
+    assert "12 channels" in found and "Fz_1: " in found
+
+
+def test_tables_say_their_unit_of_angles(tmp_path):
+    values = np.column_stack([np.linspace(0, 90, 200), np.full(200, 5.0)])
+    table = Table(TIME, ("knee", "hip"), values, True)
+    write_table(tmp_path / "a.mot", table)
+    found = text(tmp_path / "a.mot")
+    assert "2 channels, angles in degrees, 100 Hz, 0 to 1.99 s" in found
+    assert "knee: 0 to 90" in found and "hip: 5 throughout" in found
+    names = [f"ground_force_1_{k}{a}" for k in "vp" for a in "xyz"]
+    force = np.zeros((200, 6))
+    force[:, 1] = 700.0
+    write_table(tmp_path / "b.sto", Table(TIME, tuple(names), force, False))
+    assert "mostly along y (700 N)" in text(tmp_path / "b.sto")
+
+
+def test_csv_of_signals_and_of_pressure(tmp_path):
+    table = Table(TIME, ("exo_knee",), TIME[:, None], False)
+    write_csv_table(tmp_path / "a.csv", table, ["deg"])
+    assert "exo_knee: 0 to 1.99" in text(tmp_path / "a.csv")
+    rows = ["time [s]; kPa,1,2,3"]
+    rows += [f"{t:g},0,{10 * t:g},0" for t in TIME]
+    (tmp_path / "p.csv").write_text("\n".join(rows) + "\n")
+    found = text(tmp_path / "p.csv")
+    assert "cells: 3 cells, up to 19.9 kPa, 1 of them pressed" in found
+
+
+def test_real_files_of_every_kind(data_root):
+    for name, words in (
+        ("boxlifting_squat/SquatLifting_Markers.csv", "BODY:RANK: around"),
+        ("boxlifting_squat/SquatLifting_Forceplate.csv", "plate 1: loaded"),
+        ("c3d/opensim_walking5.c3d", "2 force plates"),
+    ):
+        assert words in text(data_root / name)
+    asc = next((data_root / "novel_asc").glob("*.asc"))
+    assert "99 cells" in text(asc)
+
+
+@pytest.mark.parametrize("ending", ["c3d", "trc", "mot", "csv", "asc", "avi"])
+def test_a_bad_file_is_one_sentence(tmp_path, capsys, ending):
+    path = tmp_path / f"a.{ending}"
+    path.write_bytes(b"nothing of the kind\n")
+    assert main(["inspect", str(path)]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("drake-exo: error: ") and str(path) in message
+    assert message.count("\n") == 1
+
+
+def test_the_command_prints_it(tmp_path, capsys, markers):
+    write_trc(tmp_path / "a.trc", markers)
+    assert main(["inspect", str(tmp_path / "a.trc")]) == 0
+    assert capsys.readouterr().out.startswith(
+        f"{tmp_path / 'a.trc'}\n2 markers"
+    )
