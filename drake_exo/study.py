@@ -24,6 +24,7 @@ from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
     check_has_cuffs,
+    check_is_measured,
 )
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.problem import PhaseResult
@@ -564,6 +565,7 @@ def calibrate_interaction(
     """
     check_has_cuffs(study.model)
     trials = study.trials("calibration") if trials is None else trials
+    check_is_measured(trials)
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
     ground = contact_of(contact)

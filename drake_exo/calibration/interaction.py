@@ -98,3 +98,20 @@ def check_has_cuffs(model: Model) -> None:
             f"the study's model is '{model.name}': there is no exoskeleton "
             "to interact with; use 'model: coupled', or --phase foot-ground"
         )
+
+
+def check_is_measured(trials: Sequence[Trial]) -> None:
+    """Raises InputError if nothing of the device was measured.
+
+    Without angles, moments and mats there is nothing that cuffs could be
+    calibrated with.
+    """
+    if not any(
+        t.cuffs or t.moments is not None or "encoders" in t.provenance
+        for t in trials
+    ):
+        raise InputError(
+            "nothing of the exoskeleton was measured: no trial has encoders, "
+            "exo_moments or pressure, and the study has no device; say "
+            "'model: human' if none was worn, or use --phase foot-ground"
+        )

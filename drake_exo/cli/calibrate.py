@@ -9,7 +9,10 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.interaction import (
+    check_has_cuffs,
+    check_is_measured,
+)
 from drake_exo.calibration.pareto import pareto_front
 from drake_exo.calibration.results import read_calibration
 from drake_exo.cli.options import add_accept
@@ -119,6 +122,7 @@ def run(args: argparse.Namespace) -> int:
     contact = None
     if not only_foot:
         check_has_cuffs(study.model)
+        check_is_measured(study.trials("calibration"))
         if args.calibration is not None:
             contact, made_of = usable(args.calibration, study, args.accept)
             checks += made_of

@@ -352,6 +352,21 @@ def test_nothing_is_solved_with_input_that_cannot_be(folder, capsys, command):
     assert not out.exists()
 
 
+def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
+    folder, capsys
+):
+    """`model` left out means a device; here there is none."""
+    path = folder / "study.yaml"
+    text = path.read_text()
+    text = text[: text.index("device:")].replace("  encoders: exo.csv\n", "")
+    path.write_text(text.replace("model: coupled\n", ""))
+    out = folder / "out"
+    assert main(["calibrate", str(path), "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert "nothing of the exoskeleton was measured" in message
+    assert "say 'model: human'" in message and not out.exists()
+
+
 def test_a_made_study_has_nothing_to_judge():
     from drake_exo.virtual_laboratory import synthetic
 
