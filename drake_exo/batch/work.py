@@ -194,12 +194,15 @@ def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
 
 
 def _summary(results: Path) -> dict:
-    """What summary.json holds; nothing where there is none."""
-    try:
-        found = json.loads((results / "summary.json").read_text("utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    """What the command says of its results; nothing where it says none."""
+    for name in ("summary.json", "quality.json"):
+        try:
+            found = json.loads((results / name).read_text("utf-8"))
+        except (OSError, ValueError):
+            continue
+        if isinstance(found, dict):
+            return found
+    return {}
 
 
 def _verdict(results: Path, code: int) -> str:

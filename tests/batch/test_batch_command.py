@@ -21,7 +21,14 @@ LABORATORY = """
 steps: [check, calibrate]
 laboratories: {seeds: [1, 2], trials: 1, without: [all]}
 sweep: {foot_ground.solver.nodes_per_second: [40]}
-options: {calibrate: [--phase, foot-ground, --no-front, --accept, all]}
+options:
+  check: [--accept, all]
+  calibrate: [--phase, foot-ground, --no-front, --accept, all]
+"""
+CHECKS = """
+steps: [check]
+studies: ['s*/study.yaml']
+options: {check: [--accept, all]}
 """
 
 
@@ -132,9 +139,7 @@ def test_seven_are_broken_in_seven_ways(laboratory, tmp_path, capsys):
     (tmp_path / "s4" / movement).write_bytes(whole[: len(whole) // 2])
     (tmp_path / "s5" / "study.yaml").write_bytes(b"\xff\xfe\x00")
     edit(6, "end_s:", "end_s: -9 #")
-    path = write(
-        tmp_path / "batch.yaml", "steps: [check]\nstudies: ['s*/study.yaml']"
-    )
+    path = write(tmp_path / "batch.yaml", CHECKS)
     to = tmp_path / "out"
     assert main(["batch", str(path), "--out", str(to)]) == 3
     said = capsys.readouterr().out
@@ -208,9 +213,7 @@ def test_a_full_disk_is_told_and_the_batch_goes_on_later(laboratory, tmp_path):
     path, out = laboratory
     to = tmp_path / "out"
     shutil.copytree(out / "seed_1" / "lab", tmp_path / "s1")
-    path = write(
-        tmp_path / "batch.yaml", "steps: [check]\nstudies: ['s*/study.yaml']"
-    )
+    path = write(tmp_path / "batch.yaml", CHECKS)
     command = ["batch", str(path), "--out", str(to)]
     done = subprocess.run(
         [sys.executable, "-c", _FULL, "20000", *command],
