@@ -302,6 +302,22 @@ class Designed:
                 "more freedom or wider limits",
             )
         )
+        for cuff, peak in self.peaks.items():
+            value = peak.measured_after
+            if value is None:
+                continue
+            found.append(
+                Check(
+                    "design.measured",
+                    peak.forecast_low <= value <= peak.forecast_high,
+                    value,
+                    peak.forecast_after,
+                    "N",
+                    cuff,
+                    "as built it bears what its forecast's band does not hold",
+                    "note",
+                )
+            )
         most = self.settings.limits.migration_mm
         for row in self.felt():
             value = row["after"]["migration_mm"]
@@ -623,6 +639,8 @@ def movements(
         result = OwnMovement(
             study.model, [assisted(trial, design)], built, phase
         ).solve()
+        if result.solution.was_stopped:
+            raise KeyboardInterrupt
         if not result.success:
             raise InputError(
                 f"trial {trial.name}: the movement does not fit these cuffs "
