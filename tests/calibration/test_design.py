@@ -260,3 +260,35 @@ def test_wearers_that_do_not_fit_are_refused(wearer):
     passive = replace(wearer, trials=(replace(own, moments=None),))
     with pytest.raises(InputError, match="torques are not known"):
         DesignProblem([passive])
+
+
+def test_one_design_for_two_wearers(wearer, in_device, driven):
+    """Shared variables, a tissue of one's own."""
+    soft = in_device.contact.scaled(0.7)
+    other = replace(
+        wearer,
+        name="somebody else",
+        contact=soft,
+        trials=(moved(in_device, driven, soft),),
+    )
+    both = [wearer, other]
+    before = DesignProblem(both, SETTINGS, held=True).solve()
+    after = DesignProblem(both, SETTINGS, today=before).solve()
+    assert after.solution.success
+    assert after.norm_n < 0.95 * before.norm_n
+    for own in both:
+        (trial,) = after.wearers[own.name].trials
+        built = after.design.contact(own.contact)
+        assert after.wearers[own.name].contact.values() == built.values()
+        posed = after.wearers[own.name].problem
+        at = built.bushings["thigh"]
+        kinematics = posed.bushings["thigh"]
+        origin = np.broadcast_to(at.origin, (len(trial.q), 2))
+        terms = kinematics.terms(trial.q, origin)
+        d = kinematics.deflection(trial.q, terms)[:, 1]
+        rate = kinematics.deflection_jacobian(terms)[:, 1]
+        rate = np.sum(rate * trial.v, axis=1)
+        expected = at.normal_stiffness * d + at.normal_damping * rate
+        np.testing.assert_allclose(
+            trial.cuffs["thigh"].normal, expected, atol=0.1
+        )
