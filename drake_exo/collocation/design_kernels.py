@@ -117,6 +117,15 @@ class ForceNormKernel:
         slope = self._power * self._square(x) ** (self._power - 1.0)
         return (data * slope[:, None] * 2.0 * x * self._weights)[:, None, :]
 
+    def curvature(self, x, weights, data):
+        """See Kernel; without it a norm of high order is found slowly."""
+        u, a, n = self._square(x), self._power, 2.0 * x * self._weights
+        bend = a * (a - 1.0) * u ** (a - 2.0)
+        H = bend[:, None, None] * n[:, :, None] * n[:, None, :]
+        slope = a * u ** (a - 1.0)
+        H += slope[:, None, None] * 2.0 * np.diag(self._weights)
+        return (weights * data)[:, :, None] * H
+
 
 class MigrationKernel:
     """Deflection along the limb minus a variable, both [m].

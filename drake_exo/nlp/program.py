@@ -27,7 +27,8 @@ class Kernel(Protocol):
 
     A kernel may also have `curvature(x, weights, data)`, the Hessians
     (n, n_in, n_in) of its outputs summed with weights (n, n_out): it then
-    enters the Lagrangian's Hessian beside the Gauss-Newton terms. Where that
+    enters the Lagrangian's Hessian beside the Gauss-Newton terms: of residuals
+    always, of constraints once they nearly hold. Where that
     is zero for some inputs, `curved_inputs` (n_in,) tells the others.
 
     Attributes:

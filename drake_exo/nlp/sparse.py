@@ -278,11 +278,11 @@ class SparseProgram:
 
     def _curvature_weights(self, y, multipliers, factor):
         weights = {id(b): np.full((1, 1), factor) for b in self._costs}
-        if self.exact_hessian:
-            terms = self._residual_terms(y)
-            for b, r in zip(self.residual_blocks, terms, strict=True):
+        terms = self._residual_terms(y)
+        for b, r in zip(self.residual_blocks, terms, strict=True):
+            if self.exact_hessian or hasattr(b.batch.kernel, "curvature"):
                 weights[id(b)] = factor * r
-        else:
+        if not self.exact_hessian:
             enough = _FAR if self._is_near else _NEARLY_FEASIBLE
             self._is_near = self._violation(y) <= enough
             if not self._is_near:
