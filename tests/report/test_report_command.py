@@ -11,6 +11,7 @@ from drake_exo.calibration.results import read_trial, write_trial
 from drake_exo.calibration.scores import rmsd, spread
 from drake_exo.cli import main
 from drake_exo.files.output import write_json
+from drake_exo.files.verdict import Check, Verdict
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.virtual_laboratory import synthetic
 
@@ -36,6 +37,8 @@ def leave(folder, trials, phase, **more):
         "subject": "virtual_subject",
         "rmsd": [rmsd(f, t) for f, t in zip(found, trials, strict=True)],
         "measured_sd": spread(trials),
+        "success": True,
+        **Verdict(()).summary(),
         **more,
     }
     write_json(folder / "summary.json", summary)
@@ -100,3 +103,54 @@ def test_a_folder_without_results_is_one_sentence(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "no results" in error and error.count("\n") == 1
+
+
+_OFF = Verdict((Check("audit", False, 2.5, 1.0, "N", "rise1"),)).summary()
+
+
+@pytest.mark.slow
+def test_what_does_not_hold_is_marked_everywhere(trials, tmp_path):
+    leave(tmp_path / "c1", trials, "prediction", **_OFF)
+    assert main(["report", str(tmp_path)]) == 0
+    out = tmp_path / "report"
+    assert "DOES NOT HOLD: audit (rise1, 2.5 N" in (
+        (out / "tables.txt").read_text("utf-8")
+    )
+    header = (out / "table_3.csv").read_text("utf-8").splitlines()[0]
+    assert header.count("C1 (DOES NOT HOLD)") == 2
+    # The mark is drawn: other pixels than those of the same that holds.
+    leave(tmp_path / "good" / "c1", trials, "prediction")
+    assert main(["report", str(tmp_path / "good")]) == 0
+    good = tmp_path / "good" / "report"
+    drawn = sorted(p.name for p in out.glob("*.png"))
+    assert drawn == ["figure_6.png", "figure_7.png"]
+    for name in drawn:
+        assert (out / name).read_bytes() != (good / name).read_bytes()
+
+
+def test_what_was_not_solved_is_refused(trials, tmp_path, capsys):
+    failed = Verdict((Check("solved", False, where="rise2"),)).summary()
+    solves = [{"trial": "rise1", "success": True}]
+    solves.append({"trial": "rise2", "success": False})
+    more = {"success": False, "solves": solves, **failed}
+    leave(tmp_path / "c1", trials[:1], "prediction", **more)
+    assert main(["report", str(tmp_path)]) == 2
+    assert "--accept solved" in capsys.readouterr().err
+    assert main(["report", str(tmp_path), "--accept", "solved"]) == 0
+    text = capsys.readouterr().out
+    assert "NOT SOLVED: solved (rise2)" in text
+    assert "means are of 1 trials; not solved: rise2" in text
+
+
+def test_two_of_one_label_are_refused(trials, tmp_path, capsys):
+    leave(tmp_path / "a", trials, "prediction")
+    leave(tmp_path / "b", trials, "prediction")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "are both C1" in capsys.readouterr().err
+
+
+def test_two_subjects_are_refused(trials, tmp_path, capsys):
+    leave(tmp_path / "a", trials, "prediction")
+    leave(tmp_path / "b", trials, "interaction", subject="another")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "report a folder of one subject" in capsys.readouterr().err

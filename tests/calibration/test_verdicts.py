@@ -1,0 +1,135 @@
+"""A result that does not hold never passes for one that does."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from undrawn import undrawn
+
+import drake_exo as dx
+from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.settings import FootGroundSettings, Solver
+from drake_exo.calibration.solving import finer, solve
+from drake_exo.cli import main
+from drake_exo.files.output import read_json, write_json
+from drake_exo.nlp.ipopt import SealedSolutionError
+from drake_exo.virtual_laboratory import synthetic
+
+STOPPED = FootGroundSettings(solver=Solver(40.0, max_iterations=2))
+
+
+@pytest.fixture(scope="module")
+def failed():
+    """Phase A after two iterations."""
+    model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    study = dx.Study(model, trials, foot_ground=STOPPED)
+    return dx.calibrate_foot_ground(study)
+
+
+@pytest.mark.parametrize("name", ["values", "parameters", "contact", "trials"])
+def test_a_failed_solve_says_no_number(failed, name):
+    with pytest.raises(SealedSolutionError):
+        getattr(failed.result, name)
+    assert getattr(failed.result.unsealed(), name) is not None
+    with pytest.raises(SealedSolutionError):
+        getattr(failed.result, name)
+
+
+def test_a_failed_solve_is_written_marked(failed, tmp_path):
+    with undrawn():
+        summary = failed.write(tmp_path)
+    assert summary["verdict"] == "not solved"
+    assert summary["audit"] == []
+    for path in (*tmp_path.glob("*.sto"), tmp_path / "rmsd.txt"):
+        first = path.read_text("utf-8").splitlines()[0]
+        assert "NOT SOLVED: solved" in first, path.name
+    origin = read_json(tmp_path / "parameters.json", "")["origin"]
+    assert (origin["verdict"], origin["failed"]) == ("not solved", ["solved"])
+
+
+@pytest.mark.slow
+def test_a_failed_calibration_goes_no_further(command, tmp_path, capsys):
+    """calibrate exits 1; predict, report and view refuse its folder."""
+    _, path, *root = command("calibrate")
+    text = Path(path).read_text("utf-8")
+    study = tmp_path / "study.yaml"
+    assert "nodes_per_second: 200" in text
+    study.write_text(
+        text.replace(
+            "nodes_per_second: 200", "nodes_per_second: 40, max_iterations: 2"
+        )
+        if "{nodes" in text
+        else text.replace(
+            "nodes_per_second: 200",
+            "nodes_per_second: 40\n    max_iterations: 2",
+        )
+    )
+    cal, out = str(tmp_path / "cal"), str(tmp_path / "c1")
+    more = ["--phase", "foot-ground", "--no-front", "--out", cal]
+    with undrawn():
+        assert main(["calibrate", str(study), *root, *more]) == 1
+        more = ["--calibration", cal, "--out", out]
+        assert main(["predict", path, *root, *more]) == 2
+    said = capsys.readouterr().err
+    assert "not solved (solved)" in said
+    assert "--accept provenance.calibration" in said
+    assert not (tmp_path / "c1").exists()
+    assert main(["report", cal]) == 2
+    assert main(["view", cal, "--out", str(tmp_path / "page.html")]) == 2
+    assert not (tmp_path / "page.html").exists()
+
+
+@pytest.mark.slow
+def test_a_calibration_of_another_is_refused(
+    command, calibrated, tmp_path, capsys
+):
+    """Another subject, and another body of the same name."""
+    other = tmp_path / "cal"
+    other.mkdir()
+    for name in ("parameters.json", "model.json", "summary.json"):
+        (other / name).write_bytes((calibrated / name).read_bytes())
+    stored = read_json(other / "parameters.json", "")
+    stored["origin"] |= {"subject": "another", "model": "0" * 16}
+    write_json(other / "parameters.json", stored)
+    more = ["--calibration", str(other), "--out", str(tmp_path / "c1")]
+    assert main([*command("predict"), *more]) == 2
+    said = capsys.readouterr().err
+    assert "it is of subject 'another'" in said
+    assert "another model" in said
+    more += ["--accept", "provenance"]
+    with undrawn():
+        assert main([*command("predict"), *more]) == 0
+    summary = json.loads((tmp_path / "c1" / "summary.json").read_text("utf-8"))
+    assert summary["verdict"] == "does not hold"
+    assert summary["accepted"] == ["provenance"]
+    text = (tmp_path / "c1" / "rise4_coordinates.sto").read_text("utf-8")
+    assert "DOES NOT HOLD: provenance.subject" in text.splitlines()[0]
+
+
+@pytest.mark.slow
+def test_a_grid_that_misses_is_halved():
+    """Two places in the program: the trial's grid, and the solve's start."""
+    model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    settings = FootGroundSettings(solver=Solver(12.0))
+
+    def pose(refined):
+        posed = FootGroundCalibration(model, trials, settings, refined=refined)
+        sizes.append(len(posed.movements[0].grid.times))
+        return posed
+
+    sizes = []
+    coarse = pose({}).solve()
+    assert coarse.success
+    assert finer(coarse) == {"rise1": 2}
+    found = solve(pose, "calibrate")
+    assert found.success
+    n = sizes[0] - 1
+    assert sizes[1:3] == [n + 1, 2 * n + 1]
+    # Nearer to what the trial was made of.
+    off = [
+        np.abs(r.trials[0].q - trials[0].sample(r.trials[0].times).q).max()
+        for r in (coarse, found)
+    ]
+    assert off[1] < off[0]
+    assert found.problem.refined["rise1"] >= 2
