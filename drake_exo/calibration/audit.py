@@ -14,7 +14,11 @@ from scipy.interpolate import CubicSpline
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.scores import rms
 from drake_exo.collocation.bushing_kernels import UNITS
-from drake_exo.collocation.kernels import FORCE_UNIT, GROUND_MOMENT_UNIT
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    GROUND_MOMENT_UNIT,
+    PoseKernel,
+)
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.controllers import TrackingController
 from drake_exo.contact.diagram import build_diagram, build_simulator
@@ -147,7 +151,6 @@ def _residuals(
     times, q, v, a = grid.between(
         fraction, found.times, found.q, found.v, found.a, found.jerk
     )
-    root = found.coordinates.root_columns
 
     def at(values):
         return CubicSpline(found.times, values)(times)
@@ -156,7 +159,8 @@ def _residuals(
         return np.broadcast_to(values, (len(times), len(values)))
 
     cuffs = {c: at(force.components) for c, force in found.cuffs.items()}
-    ground = at(found.ground.array)
+    # Of every segment that touches, also where a foot has several.
+    ground = at(result.grounds[index])
     inputs = [q, v, a, at(found.moments), ground, *cuffs.values()]
     inputs += [repeated(result.contact.bushings[c].origin) for c in cuffs]
     movement = problem.movements[index]
@@ -164,18 +168,18 @@ def _residuals(
         np.hstack(inputs), movement.loads(times)
     )
     value = result.contact.values()
-    spheres = [
-        value[p.name]
-        for sphere in result.contact.ground.spheres
-        for p in result.contact.fixed(sphere)
-    ]
-    contact = problem.kernel.evaluate(
-        np.hstack([q[:, root], v[:, root], ground, repeated(spheres)]), None
-    )
-    contact = contact * [FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT]
     is_angle = found.coordinates.is_angle
-    forces = [dynamics[:, ~is_angle], contact[:, :2]]
-    moments = [dynamics[:, is_angle], contact[:, 2:]]
+    forces, moments = [dynamics[:, ~is_angle]], [dynamics[:, is_angle]]
+    wrenches = np.split(ground, len(problem.soles), axis=1)
+    for body, wrench in zip(problem.soles, wrenches, strict=True):
+        spheres = problem.sphere_values(result.contact, body).ravel()
+        pose = PoseKernel(problem.tree, body).poses(q, v)
+        contact = problem.kernels[body].evaluate(
+            np.hstack([pose, wrench, repeated(spheres)]), None
+        )
+        contact = contact * [FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT]
+        forces.append(contact[:, :2])
+        moments.append(contact[:, 2:])
     for cuff, force in cuffs.items():
         values = repeated([value[f"{cuff}.{name}"] for name in CALIBRATED])
         law = problem.laws[cuff]
@@ -213,7 +217,8 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
     built.plant.SetPositions(plant_context, found.q[0])
     built.plant.SetVelocities(plant_context, found.v[0])
     simulator.Initialize()
-    ports = ["state", "ground_reaction", "joint_torques"]
+    grounds = _ground_ports(built)
+    ports = ["state", "joint_torques", *grounds.values()]
     if built.bushings is not None:
         ports.append("interaction_forces")
     rows = {name: [] for name in ports}
@@ -232,6 +237,10 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
             cuff: CuffForce.of(part)
             for cuff, part in zip(names, parts, strict=True)
         }
+    feet = {
+        side: PlanarWrench.of(sum(np.array(rows[grounds[b]]) for b in bodies))
+        for side, bodies in result.problem.feet.items()
+    }
     return Trial(
         found.name,
         found.coordinates,
@@ -239,11 +248,19 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
         q,
         v,
         np.gradient(v, found.times, axis=0),
-        PlanarWrench.of(np.array(rows["ground_reaction"])),
+        PlanarWrench.of(sum(w.array for w in feet.values())),
         source="simulated",
+        feet=feet if found.feet else {},
         moments=np.array(rows["joint_torques"]),
         cuffs=cuffs,
     )
+
+
+def _ground_ports(built) -> dict[str, str]:
+    """Segment that touches -> port of its ground reaction."""
+    if len(built.contacts) == 1:
+        return dict.fromkeys(built.contacts, "ground_reaction")
+    return {body: f"ground_reaction_{body}" for body in built.contacts}
 
 
 def _chair(model, trial: Trial) -> list:

@@ -227,7 +227,7 @@ class ErrorModel:
         """Change (n, n_joints) of the human's moments by skin that slides."""
         tree, names = self._model.rigid.tree, self._model.coordinates
         body = names.body_columns
-        loads = {tree.root: at.ground, **at.chair_loads()}
+        loads = at.loads(tree.root)
 
         def resultant(size):
             x = [

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.error_model import Effects, ErrorModel
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
+from drake_exo.calibration.start import settled
 from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
-from drake_exo.collocation.initial_guess import settle_foot
-from drake_exo.collocation.kernels import FootGroundKernel
+from drake_exo.collocation.kernels import BodyWrench, FootGroundKernel
 from drake_exo.collocation.loads import AppliedWrench
 from drake_exo.collocation.trial_program import (
     Tracking,
@@ -81,6 +82,15 @@ class PhaseResult:
         """The solution of each trial."""
         return self.problem.trials_at(self.values)
 
+    @cached_property
+    def grounds(self) -> list[np.ndarray]:
+        """Of each trial, ground reaction (n, 3 k) of the k segments that touch.
+
+        Side by side, in the order of `problem.soles`.
+        """
+        indices = self.problem.program.indices
+        return [self.values[indices(m.ground)] for m in self.problem.movements]
+
 
 class PhaseProblem(ABC):
     """One phase posed as one MathematicalProgram.
@@ -101,7 +111,8 @@ class PhaseProblem(ABC):
         program: `program.prog` is a MathematicalProgram that may be added to
             before `solve`.
         movements: one for each trial.
-        kernel: law under the foot.
+        soles: segment that touches the ground -> its spheres' names.
+        kernels: such a segment -> law under it.
         bushings, laws: cuff -> geometry and law.
         build_seconds: time to pose and compile; a solve adds that of its
             guess and checks.
@@ -127,7 +138,11 @@ class PhaseProblem(ABC):
         self.parameters = parameters
         self.settings = settings
         self.refined = refined or {}
-        self.kernel = FootGroundKernel(contact.ground)
+        under = contact.ground.under(model)
+        self.soles = {body: list(own.spheres) for body, own in under.items()}
+        self.kernels = {
+            body: FootGroundKernel(own) for body, own in under.items()
+        }
         self.bushings = {
             cuff: BushingKinematics(self.tree, cuff, bushing.preload)
             for cuff, bushing in contact.bushings.items()
@@ -199,20 +214,33 @@ class PhaseProblem(ABC):
         are: real rises are predicted better so (hip 1.5 for 4.5 degrees).
         """
         grid, joints = movement.grid, movement.coordinates.joint_columns
-        reach = _END_REACH if self.model.cuffs else 0.0
+        reach = rate = _END_REACH if self.model.cuffs else 0.0
+        if len(self.feet) > 1:
+            # Two feet and the joints between them cannot all be given.
+            pitch = np.deg2rad(self.settings.end_tolerance.pitch_deg)
+            reach, rate = max(reach, pitch), np.inf
         for i in (0, -1):
-            for variables, values in ((grid.q, at.q), (grid.v, at.v)):
+            for variables, values, by in (
+                (grid.q, at.q, reach),
+                (grid.v, at.v, rate),
+            ):
                 given = values[i, joints]
-                movement.bound(
-                    variables[i, joints], given - reach, given + reach
-                )
-        bound_foot(movement, at, self.settings.end_tolerance)
+                movement.bound(variables[i, joints], given - by, given + by)
+        bound_feet(movement, at, self.settings.end_tolerance)
 
     @property
-    def _sphere_variables(self) -> np.ndarray:
-        """Variables of all spheres, in the kernel's order."""
-        spheres = self.contact.ground.spheres
-        return np.concatenate([self._variables[name] for name in spheres])
+    def feet(self) -> dict[str, tuple[str, ...]]:
+        """Side, or "both", -> its segments that touch the ground."""
+        return self.model.assembly.human.feet(self.soles)
+
+    def sphere_values(self, contact: ContactModel, body: str) -> np.ndarray:
+        """Parameters (m, 5) of the spheres under a segment."""
+        return np.array(
+            [
+                [p.nominal for p in contact.fixed(sphere)]
+                for sphere in self.soles[body]
+            ]
+        )
 
     @abstractmethod
     def _add(self, trial: Trial) -> TrialProgram:
@@ -234,8 +262,13 @@ class PhaseProblem(ABC):
                 for cuff, bushing in self.bushings.items()
             },
             _chair(self.tree, trial),
+            self.soles,
         )
-        movement.add_ground_contact(self.kernel, self._sphere_variables)
+        for body, spheres in self.soles.items():
+            variables = [self._variables[name] for name in spheres]
+            movement.add_ground_contact(
+                body, self.kernels[body], np.concatenate(variables)
+            )
         for cuff, law in self.laws.items():
             movement.add_bushing(cuff, law, self._variables[cuff])
         return movement
@@ -303,15 +336,24 @@ class PhaseProblem(ABC):
             shared.append(self.error_variables)
         index = self.program.indices(np.concatenate(shared))
         x[index] = found.values[index]
-        for movement, solved in zip(self.movements, found.trials, strict=True):
+        for movement, solved, ground in zip(
+            self.movements, found.trials, found.grounds, strict=True
+        ):
             grid = movement.grid
             at = solved.sample(grid.times)
             filled = [
                 (grid.q, at.q),
                 (grid.v, at.v),
                 (grid.a, at.a),
-                (movement.ground, at.ground.array),
+                (
+                    movement.ground,
+                    CubicSpline(solved.times, ground)(grid.times),
+                ),
                 (movement.torque, at.moments),
+            ]
+            filled += [
+                (movement.poses[body], tie.poses(at.q, at.v))
+                for body, tie in movement.ties.items()
             ]
             filled += [
                 (variables, at.cuffs[cuff].components)
@@ -328,30 +370,16 @@ class PhaseProblem(ABC):
     def _fill(self, x, movement: TrialProgram, at: Trial, contact) -> None:
         """Variables of one trial, so that the equations of motion hold."""
         names, grid = self.tree.coordinates, movement.grid
-        root = names.root_columns
-        q, v, a = at.q.copy(), at.v.copy(), at.a.copy()
-        ground = at.ground.array
-        if not ground.any():  # not measured
-            forces = self.tree.inverse_dynamics(q, v, a)
-            forces -= movement.applied(q)
-            ground = self.tree.ground_reaction(q, forces)
-        spheres = [p for s in contact.ground.spheres for p in contact.fixed(s)]
-        q[:, root], v[:, root] = settle_foot(
-            self.kernel,
-            np.array([p.nominal for p in spheres]),
-            grid.times,
-            at.q[:, root],
-            ground,
-        )
-        a[:, root] = np.gradient(v[:, root], grid.times, axis=0)
+        start = settled(self, movement, at, contact)
+        q, v, a = start.q, start.v, start.a
         forces = self.tree.inverse_dynamics(q, v, a)
         forces -= movement.applied(q)
-        filled = [
-            (grid.q, q),
-            (grid.v, v),
-            (grid.a, a),
-            (movement.ground, ground),
-        ]
+        filled = [(grid.q, q), (grid.v, v), (grid.a, a)]
+        for body, wrench in start.ground.items():
+            filled.append((movement.grounds[body], wrench))
+            forces -= BodyWrench(self.tree, body).generalized(q, wrench)
+        for body, tie in movement.ties.items():
+            filled.append((movement.poses[body], tie.poses(q, v)))
         for cuff, kinematics in self.bushings.items():
             bushing = contact.bushings[cuff]
             origin = np.broadcast_to(bushing.origin, (len(q), 2))
@@ -443,6 +471,14 @@ class PhaseProblem(ABC):
             return x[self.program.indices(variables)]
 
         grid = movement.grid
+        zero = PlanarWrench.of(np.zeros((len(grid.times), 3)))
+        feet = {
+            side: sum(
+                (PlanarWrench.of(read(movement.grounds[b])) for b in bodies),
+                zero,
+            )
+            for side, bodies in self.feet.items()
+        }
         chair = trial.sample(grid.times).chair if trial.chair_shares else None
         return Trial(
             trial.name,
@@ -451,8 +487,9 @@ class PhaseProblem(ABC):
             read(grid.q),
             read(grid.v),
             read(grid.a),
-            PlanarWrench.of(read(movement.ground)),
+            sum(feet.values(), zero),
             source="solved",
+            feet=feet if self.model.assembly.human.sides else {},
             moments=read(movement.torque),
             cuffs={
                 cuff: CuffForce.of(read(variables))
@@ -525,27 +562,45 @@ def _chair(tree, trial: Trial) -> AppliedWrench | None:
     return AppliedWrench(tree, shares, trial.times, trial.chair.array)
 
 
-def bound_foot(
+def bound_feet(
     movement: TrialProgram, at: Trial, tolerance: EndTolerance
 ) -> None:
-    """Keep the foot within a tolerance at both ends (II-C)."""
+    """Keep feet within a tolerance at both ends (II-C)."""
+
+    def or_free(value, factor=1.0):
+        return np.inf if value is None else factor * value
+
+    degree = np.deg2rad(1.0)
+    speed = or_free(tolerance.velocity_m_s)
     reach = np.array(
-        [tolerance.x_m, tolerance.z_m, np.deg2rad(tolerance.pitch_deg)]
-    )
-    speed = np.array(
-        [np.inf if tolerance.velocity_m_s is None else tolerance.velocity_m_s]
-        * 2
-        + [
-            np.inf
-            if tolerance.pitch_rate_deg_s is None
-            else np.deg2rad(tolerance.pitch_rate_deg_s)
+        [
+            tolerance.x_m,
+            tolerance.z_m,
+            degree * tolerance.pitch_deg,
+            speed,
+            speed,
+            or_free(tolerance.pitch_rate_deg_s, degree),
         ]
     )
-    grid, root = movement.grid, movement.coordinates.root_columns
-    for i in (0, -1):
-        foot, moving = at.q[i, root], at.v[i, root]
-        movement.bound(grid.q[i, root], foot - reach, foot + reach)
-        movement.bound(grid.v[i, root], moving - speed, moving + speed)
+    for foot, measured in measured_feet(movement, at).items():
+        for i in (0, -1):
+            given = measured[i]
+            movement.bound(
+                movement.poses[foot][i], given - reach, given + reach
+            )
+
+
+def measured_feet(movement: TrialProgram, at: Trial) -> dict[str, np.ndarray]:
+    """Foot -> its pose and motion (n, 6) as measured; toes are no feet."""
+    root = at.coordinates.root_columns
+    found = {}
+    for body in movement.poses:
+        if body in movement.ties:
+            if body.startswith("foot"):
+                found[body] = movement.ties[body].poses(at.q, at.v)
+        else:
+            found[body] = np.hstack([at.q[:, root], at.v[:, root]])
+    return found
 
 
 def kinematic_terms(
@@ -570,11 +625,20 @@ def kinematic_terms(
         noise.foot_velocity_m_s,
         np.deg2rad(noise.foot_pitch_rate_deg_s),
     )
+    root_q, root_v, feet = foot_q, foot_v, []
+    if len(at.soles) > 1:
+        root_q = (noise.pelvis_m, noise.pelvis_m, np.deg2rad(noise.angle_deg))
+        root_v = (
+            noise.pelvis_velocity_m_s,
+            noise.pelvis_velocity_m_s,
+            np.deg2rad(noise.velocity_deg_s),
+        )
+        feet = list(measured_feet(movement, at).items())
     joint_q = np.where(device, noise.exo_angle_deg, noise.angle_deg)
     joint_v = np.where(device, noise.exo_velocity_deg_s, noise.velocity_deg_s)
-    sigma_q = np.r_[foot_q, np.deg2rad(joint_q)]
-    sigma_v = np.r_[foot_v, np.deg2rad(joint_v)]
-    return [
+    sigma_q = np.r_[root_q, np.deg2rad(joint_q)]
+    sigma_v = np.r_[root_v, np.deg2rad(joint_v)]
+    terms = [
         Tracking(
             grid.q,
             at.q,
@@ -590,6 +654,13 @@ def kinematic_terms(
             effects=effects and effects.v,
         ),
     ]
+    for foot, measured in feet:
+        pose = movement.poses[foot]
+        terms += [
+            Tracking(pose[:, :3], measured[:, :3], foot_q, role="position"),
+            Tracking(pose[:, 3:], measured[:, 3:], foot_v, role="velocity"),
+        ]
+    return terms
 
 
 def ground_terms(
@@ -600,18 +671,36 @@ def ground_terms(
     The latter as (M_y + CoP F_z)/F_ref, without dividing by a force that
     varies; samples that hardly load are left out.
     """
-    loaded = at.ground.is_loaded
-    reference = at.ground.force_z[loaded].mean()
-    rows = np.zeros((len(loaded), 1, 2))
-    rows[:, 0, 0] = np.where(loaded, at.ground.cop_x, 0.0)
-    rows[:, 0, 1] = 1.0
-    spread = np.where(loaded, noise.cop_m * reference, np.inf)[:, None]
-    return [
-        Tracking(movement.ground[:, :2], at.ground.force, noise.force_n),
-        Tracking(
-            movement.ground[:, 1:], np.zeros((len(loaded), 1)), spread, rows
-        ),
-    ]
+    terms = []
+    for side, measured in at.soles.items():
+        variables = movement.foot(side)
+        loaded = measured.is_loaded
+        # Segments of one foot bear its force together.
+        parts = variables.shape[1] // 3
+        force = np.tile(np.eye(2, 3), parts)
+        rows = np.zeros((len(loaded), 1, 3 * parts))
+        rows[:, 0, 1::3] = np.where(loaded, measured.cop_x, 0.0)[:, None]
+        rows[:, 0, 2::3] = 1.0
+        reference = measured.force_z[loaded].mean()
+        spread = np.where(loaded, noise.cop_m * reference, np.inf)[:, None]
+        used = [0, 1] if parts == 1 else slice(None)
+        terms += [
+            Tracking(
+                variables[:, used],
+                measured.force,
+                noise.force_n,
+                np.broadcast_to(
+                    force[:, used], (len(loaded), 2, force[:, used].shape[1])
+                ),
+            ),
+            Tracking(
+                variables[:, 1:] if parts == 1 else variables,
+                np.zeros((len(loaded), 1)),
+                spread,
+                rows[:, :, 1:] if parts == 1 else rows,
+            ),
+        ]
+    return terms
 
 
 def torque_terms(

@@ -419,13 +419,15 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
         table = Table(trial.times, names.names, degrees, in_degrees=True)
         path = folder / f"{trial.name}_{kind}.sto"
         write_table(path, table, _titled(kind.capitalize(), mark))
-    ground = trial.ground
-    cop, zero = np.nan_to_num(ground.cop_x), 0.0 * trial.times
-    force = np.column_stack(
-        [ground.force_x, ground.force_z, zero, cop, *[zero] * 5]
-    )
-    columns = [f"ground_force_{k}{a}" for k in "vp" for a in "xyz"]
-    columns += [f"ground_torque_{a}" for a in "xyz"]
+    zero = 0.0 * trial.times
+    columns, force = [], []
+    for side, ground in trial.soles.items():
+        cop = np.nan_to_num(ground.cop_x)
+        force += [ground.force_x, ground.force_z, zero, cop, *[zero] * 5]
+        end = "" if side == "both" else f"{side}_"
+        columns += [f"ground_force_{end}{k}{a}" for k in "vp" for a in "xyz"]
+        columns += [f"ground_torque_{end}{a}" for a in "xyz"]
+    force = np.column_stack(force)
     moments = [f"{n}_moment" for n in names.joints]
     tables = {
         "ground_reaction": (columns, force, "Ground reaction"),

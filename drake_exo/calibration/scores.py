@@ -22,15 +22,22 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
             nothing while human and exoskeleton do not touch (Phase A).
 
     Returns:
-        trial, angles_deg and velocities_deg_s by joint, foot (x_mm, z_mm,
-        pitch_deg), grf_n (horizontal, vertical), cop_mm; where they were
-        measured, moments_nm by joint and interaction_n (normal force) by
-        cuff, empty otherwise.
+        trial, angles_deg and velocities_deg_s by joint, the root's place under
+        its name (x_mm, z_mm, pitch_deg), grf_n (horizontal, vertical) and
+        cop_mm, each by foot where there are two; where they were measured,
+        moments_nm by joint and interaction_n (normal force) by cuff, empty
+        otherwise.
     """
     at, names = measured.sample(found.times), found.coordinates
     d_q, d_v = rms(found.q - at.q), rms(found.v - at.v)
-    d_ground = rms(found.ground.force - at.ground.force)
-    cop = (found.ground.cop_x - at.ground.cop_x)[:, None]
+    grf, cop = {}, {}
+    for side, measured_wrench in at.soles.items():
+        wrench = found.soles[side]
+        d_ground = rms(wrench.force - measured_wrench.force)
+        off = (wrench.cop_x - measured_wrench.cop_x)[:, None]
+        end = "" if side == "both" else f" {side}"
+        grf |= _by_name((f"horizontal{end}", f"vertical{end}"), d_ground)
+        cop[side] = float(1e3 * rms(off)[0])
     x, z, pitch = d_q[names.root_columns]
     moments, interaction = {}, {}
     if at.moments is not None and loads:
@@ -43,13 +50,13 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
         "trial": found.name,
         "angles_deg": _of_joints(names, d_q),
         "velocities_deg_s": _of_joints(names, d_v),
-        "foot": {
+        names.root[0].removesuffix("_x"): {
             "x_mm": float(1e3 * x),
             "z_mm": float(1e3 * z),
             "pitch_deg": float(np.rad2deg(pitch)),
         },
-        "grf_n": _by_name(("horizontal", "vertical"), d_ground),
-        "cop_mm": float(1e3 * rms(cop)[0]),
+        "grf_n": grf,
+        "cop_mm": cop.get("both", cop),
         "moments_nm": moments,
         "interaction_n": interaction,
     }
@@ -81,14 +88,21 @@ def spread(trials: list[Trial]) -> dict:
         having = [t for t in sampled if cuff in t.cuffs]
         found = deviation(lambda t, c=cuff: t.cuffs[c].normal, having)
         interaction[cuff] = None if np.isnan(found) else float(found)
-    force = deviation(lambda t: t.ground.force)
-    foot = names.root[0]
+    grf, cop = {}, {}
+    root = names.root[0]
+    for side in trials[0].soles:
+        end = "" if side == "both" else f" {side}"
+        force = deviation(lambda t, side=side: t.soles[side].force)
+        grf |= _by_name((f"horizontal{end}", f"vertical{end}"), force)
+        with np.errstate(invalid="ignore"):
+            cop[side] = 1e3 * deviation(
+                lambda t, side=side: t.soles[side].cop_x - t.coordinate(root)
+            )
     return {
         "angles_deg": _of_joints(names, deviation(lambda t: t.q)),
         "velocities_deg_s": _of_joints(names, deviation(lambda t: t.v)),
-        "grf_n": _by_name(("horizontal", "vertical"), force),
-        "cop_mm": 1e3
-        * deviation(lambda t: t.ground.cop_x - t.coordinate(foot)),
+        "grf_n": grf,
+        "cop_mm": cop.get("both", cop),
         "moments_nm": moments,
         "interaction_n": interaction,
     }

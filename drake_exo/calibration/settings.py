@@ -116,6 +116,8 @@ class TrackingNoise:
         exo_angle_deg, exo_velocity_deg_s: the exoskeleton's, by encoders.
         foot_m, foot_pitch_deg: place of the foot.
         foot_velocity_m_s, foot_pitch_rate_deg_s: its motion.
+        pelvis_m, pelvis_velocity_m_s: of the pelvis, where two legs hang on
+            it: hips lie beside each other in a plane alone.
         force_n, cop_m: ground reaction and centre of pressure.
         torque_nm: typical torque; large, so that torques are minimised
             without competing with what was measured.
@@ -134,6 +136,8 @@ class TrackingNoise:
     foot_pitch_deg: float = _sigma(1.0, "deg")
     foot_velocity_m_s: float = _sigma(0.03, "m/s")
     foot_pitch_rate_deg_s: float = _sigma(5.0, "deg/s")
+    pelvis_m: float = _sigma(0.01, "m")
+    pelvis_velocity_m_s: float = _sigma(0.05, "m/s")
     force_n: float = _sigma(5.0, "N")
     cop_m: float = _sigma(0.001, "m")
     torque_nm: float = _sigma(5000.0, "N m")

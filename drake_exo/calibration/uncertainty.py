@@ -25,6 +25,7 @@ from drake_exo.calibration.scores import rms
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
     GROUND_MOMENT_UNIT,
+    PoseKernel,
 )
 from drake_exo.collocation.trial_program import TrialProgram
 from drake_exo.contact.parameters import ContactParameter, Posterior
@@ -307,6 +308,25 @@ class Identifiability:
         return lines
 
 
+def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
+    """Wrench (n, 3, parameters) of a segment by all spheres' parameters."""
+    problem, names = result.problem, [p.name for p in result.parameters]
+    values = problem.sphere_values(result.contact, body).ravel()
+    pose = PoseKernel(problem.tree, body).poses(trial.q, trial.v)
+    n = len(trial.times)
+    x = np.hstack([pose, 0.0 * pose[:, :3], np.tile(values, (n, 1))])
+    own = problem.kernels[body].jacobian(x, None)[:, :, -len(values) :]
+    own = own * np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])[:, None]
+    J = np.zeros((n, 3, len(names)))
+    columns = [
+        names.index(p.name)
+        for sphere in problem.soles[body]
+        for p in result.contact.fixed(sphere)
+    ]
+    J[:, :, columns] = own
+    return J
+
+
 def contact_sensitivity(result: PhaseResult) -> Identifiability:
     """Sensitivity of ground reaction and CoP at the calibrated motion.
 
@@ -314,34 +334,25 @@ def contact_sensitivity(result: PhaseResult) -> Identifiability:
     """
     problem, noise = result.problem, result.problem.settings.noise
     scale = np.array([p.span / 4.0 for p in result.parameters])
-    values = [p.nominal for p in result.parameters]
-    names = problem.tree.coordinates
     blocks = []
     for trial in result.trials:
-        n = len(trial.times)
-        x = np.hstack(
-            [
-                trial.q[:, names.root_columns],
-                trial.v[:, names.root_columns],
-                trial.ground.array,
-                np.broadcast_to(values, (n, len(values))),
-            ]
-        )
-        J = problem.kernel.jacobian(x, None)[:, :, -len(values) :]
-        J = J * np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])[:, None]
-        ground = trial.ground.cut(trial.ground.is_loaded)
-        J = J[trial.ground.is_loaded]
-        load, cop = ground.force_z[:, None], ground.cop_x[:, None]
-        d_cop = -(J[:, 2] + cop * J[:, 1]) / load
-        scaled = np.stack(
-            [
-                J[:, 0] / noise.force_n,
-                J[:, 1] / noise.force_n,
-                d_cop / noise.cop_m,
-            ],
-            axis=1,
-        )
-        blocks.append((scaled * scale).reshape(-1, len(scale)))
+        for side, wrench in trial.soles.items():
+            J = sum(
+                _by_parameters(result, trial, body)
+                for body in problem.feet[side]
+            )
+            ground, J = wrench.cut(wrench.is_loaded), J[wrench.is_loaded]
+            load, cop = ground.force_z[:, None], ground.cop_x[:, None]
+            d_cop = -(J[:, 2] + cop * J[:, 1]) / load
+            scaled = np.stack(
+                [
+                    J[:, 0] / noise.force_n,
+                    J[:, 1] / noise.force_n,
+                    d_cop / noise.cop_m,
+                ],
+                axis=1,
+            )
+            blocks.append((scaled * scale).reshape(-1, len(scale)))
     return analyse([p.name for p in result.parameters], np.vstack(blocks))
 
 

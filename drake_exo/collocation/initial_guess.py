@@ -72,7 +72,7 @@ def settle_foot(
         else:
             q[:, 1:], loads, depths = _together(kernel, spheres, q, loads)
         height = _height(kernel.law, spheres, loads, depths)
-        slip = _slip(kernel, spheres, loads, ground[:, 0])
+        slip = slip_velocity(kernel, spheres, loads, ground[:, 0])
         v = np.gradient(q, times, axis=0)
         v[:, 0] = slip - (q[:, 1] - height) * v[:, 2]
         steps = 0.5 * np.diff(times) * (v[1:, 0] + v[:-1, 0])
@@ -130,9 +130,9 @@ def _depths(kernel, spheres, loads):
     """Indentations (n, 2) that carry the loads [m]."""
 
     def excess(depth):
-        return _static(kernel, spheres, depth) - loads
+        return static_force(kernel, spheres, depth) - loads
 
-    return _root(excess, -_CLEARANCE, _DEEPEST, loads.shape)
+    return bisected(excess, -_CLEARANCE, _DEEPEST, loads.shape)
 
 
 def _height(law, spheres, loads, depths):
@@ -168,25 +168,25 @@ def _together(kernel, spheres, q, loads):
 
         def excess(depth):
             depths = below - (lowest - depth)[:, None]
-            return _static(kernel, spheres, depths).sum(axis=1) - total
+            return static_force(kernel, spheres, depths).sum(axis=1) - total
 
-        depth = _root(excess, -_CLEARANCE, _DEEPEST, total.shape)
+        depth = bisected(excess, -_CLEARANCE, _DEEPEST, total.shape)
         height = lowest - depth
         return height, below - height[:, None]
 
     def behind(pitch):
-        force = _static(kernel, spheres, settled(pitch)[1])
+        force = static_force(kernel, spheres, settled(pitch)[1])
         return moment - np.sum(force * _ahead(spheres, pitch), axis=1)
 
     level = -np.arctan2(pz[-1] - pz[0], px[-1] - px[0])
     tilt = np.arcsin(_LARGEST_SLOPE)
-    pitch = _root(behind, level - tilt, level + tilt, total.shape, _TILTS)
+    pitch = bisected(behind, level - tilt, level + tilt, total.shape, _TILTS)
     height, depths = settled(pitch)
-    forces = _static(kernel, spheres, depths)
+    forces = static_force(kernel, spheres, depths)
     return np.column_stack([height, pitch]), forces, depths
 
 
-def _static(kernel, spheres, depths):
+def static_force(kernel, spheres, depths):
     """Normal force (n, m) of spheres at rest at indentations (n, m) [N]."""
     stiffness, dissipation, _, _, radius = spheres.T
     force, _ = sphere_force(
@@ -202,7 +202,7 @@ def _static(kernel, spheres, depths):
     return force
 
 
-def _slip(kernel, spheres, loads, force_x):
+def slip_velocity(kernel, spheres, loads, force_x):
     """Slip velocity (n,) at which friction gives F_x [m/s]."""
 
     def excess(slip):
@@ -220,10 +220,10 @@ def _slip(kernel, spheres, loads, force_x):
         )
         return force_x - loads.sum(axis=1) * friction / normal
 
-    return _root(excess, -_FASTEST, _FASTEST, force_x.shape)
+    return bisected(excess, -_FASTEST, _FASTEST, force_x.shape)
 
 
-def _root(increasing, lower, upper, shape, steps=_BISECTIONS):
+def bisected(increasing, lower, upper, shape, steps=_BISECTIONS):
     """Bisection for all entries at once; an end where there is no root."""
     low, high = np.full(shape, lower), np.full(shape, upper)
     for _ in range(steps):

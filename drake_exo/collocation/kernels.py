@@ -4,6 +4,8 @@ Forces enter as decision variables ("controls"), so the equations of motion
 and the contact laws are two algebraic constraints at each node.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drake_exo.contact.hunt_crossley import (
@@ -19,52 +21,128 @@ MOMENT_UNIT = 100.0  # N m
 GROUND_MOMENT_UNIT = 10.0  # N m
 
 
-class DynamicsKernel:
-    """Inverse-dynamics residual of a model that stands on its root.
+class BodyWrench:
+    """What a wrench on one body does to a model.
 
-    Inputs: q, v, a (nq each), joint torques (nj), then ground reaction F_x,
-    F_z and M_y about the laboratory origin. Outputs (nq): generalized force
-    missing in each coordinate, in units of 100 N and 100 N m.
-
-    Data, if any: (n, nq) generalized forces applied by others.
+    Args:
+        tree: the model.
+        body: its name.
     """
 
-    def __init__(self, tree: PlanarTree):
+    def __init__(self, tree: PlanarTree, body: str):
+        self._map = tree.angles_by_q
+        index = tree.body_index(body)
+        self._lever = tree.origins[index]
+        self._turn = tree.turning(body)
+
+    @property
+    def moved_by(self) -> np.ndarray:
+        """Coordinates that the body's motion depends on, (nq,) bool."""
+        moved = self._map[self._lever != 0.0].any(axis=0)
+        moved = moved | (self._turn != 0.0)
+        moved[:2] = True
+        return moved
+
+    def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Generalized forces (n, nq) of wrenches (n, 3) at positions q.
+
+        Args:
+            q: (n, nq) positions.
+            wrench: F_x, F_z [N] and M_y = z F_x - x F_z about the
+                laboratory's origin [N m].
+        """
+        return np.einsum("nqw,nw->nq", self.by_wrench(q), wrench)
+
+    def by_wrench(self, q: np.ndarray) -> np.ndarray:
+        """Derivatives (n, nq, 3) of `generalized` by the wrench."""
+        x, z, dx, dz = self._point(q)
+        turn = self._turn
+        D = np.empty((*q.shape, 3), q.dtype)
+        # Angles are counter-clockwise, M_y is about y: clockwise.
+        D[:, :, 0] = dx + z[:, None] * turn
+        D[:, :, 1] = dz - x[:, None] * turn
+        D[:, :, 2] = -turn
+        D[:, 0, 0] += 1.0
+        D[:, 1, 1] += 1.0
+        return D
+
+    def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Derivatives (n, nq, nq) of `generalized` by q."""
+        w = self._directions(q)
+        F_x, F_z = wrench.T[:2, :, None]
+        # Of the lever's ends: d2p/dtheta2 = -w L.
+        ends = w * self._lever
+        bend = -(F_x * ends.real + F_z * ends.imag)
+        J = np.einsum(
+            "nk,ki,kj->nij", bend, self._map, self._map, optimize=True
+        )
+        _, _, slide_x, slide_z = self._point(q)
+        slide_x[:, 0] += 1.0
+        slide_z[:, 1] += 1.0
+        moved = F_x * slide_z - F_z * slide_x
+        return J + self._turn[None, :, None] * moved[:, None, :]
+
+    def _directions(self, q):
+        phi = q @ self._map.T
+        return np.cos(phi) + 1j * np.sin(phi)
+
+    def _point(self, q):
+        """x, z (n,) of the body, and derivatives by angles (n, nq)."""
+        phi = q @ self._map.T
+        c, s, L = np.cos(phi), np.sin(phi), self._lever
+        x = q[:, 0] + c @ L.real - s @ L.imag
+        z = q[:, 1] + s @ L.real + c @ L.imag
+        dx = (-s * L.real - c * L.imag) @ self._map
+        dz = (c * L.real - s * L.imag) @ self._map
+        return x, z, dx, dz
+
+
+class DynamicsKernel:
+    """Inverse-dynamics residual of a model that stands on some bodies.
+
+    Inputs: q, v, a (nq each), joint torques (nj), then of each body the ground
+    reaction F_x, F_z and M_y about the laboratory origin. Outputs (nq):
+    generalized force missing in each coordinate, in units of 100 N and 100 N m.
+
+    Args:
+        tree: the model.
+        bodies: that touch the ground; the root by default.
+    """
+
+    def __init__(self, tree: PlanarTree, bodies: Sequence[str] | None = None):
         self.tree = tree
         nq = tree.num_positions
         self.num_positions = nq
         self._root = tree.coordinates.root_columns
         self._joints = tree.coordinates.joint_columns
-        sizes = [nq, nq, nq, len(self._joints), 3]
+        bodies = (tree.root,) if bodies is None else bodies
+        self._wrenches = [BodyWrench(tree, body) for body in bodies]
+        sizes = [nq, nq, nq, len(self._joints), 3 * len(bodies)]
         *self._cuts, n_in = np.cumsum(sizes)
         pattern = np.zeros((nq, n_in), bool)
         pattern[:, : 3 * nq] = True
         # No force depends on where the model stands or drifts.
-        x, z, pitch = self._root
+        x, z, _ = self._root
         for column in (x, z, nq + x, nq + z):
             pattern[:, column] = False
-        pattern[pitch, [x, z]] = True
-        torques, ground = self._columns()
-        pattern[self._joints, torques] = True
-        pattern[x, ground[0]] = pattern[z, ground[1]] = True
-        pattern[pitch, ground] = True
-        self.sparsity = pattern
-
-    def _columns(self):
-        """Columns of the torques and of the ground reaction."""
         first = self._cuts[2]
-        count = len(self._joints)
-        return first + np.arange(count), first + count + np.arange(3)
+        pattern[self._joints, first + np.arange(len(self._joints))] = True
+        for i, wrench in enumerate(self._wrenches):
+            turned = wrench.moved_by.copy()
+            turned[[x, z]] = False
+            # Of a wrench about the laboratory's origin.
+            pattern[np.ix_(turned, [x, z])] = True
+            columns = self._cuts[3] + 3 * i + np.arange(3)
+            pattern[np.ix_(turned, columns)] = True
+            pattern[x, columns[0]] = pattern[z, columns[1]] = True
+        self.sparsity = pattern
 
     def evaluate(self, x, data):
         """See Kernel."""
         q, v, a, torque, ground = np.split(x, self._cuts, axis=1)
         r = self.tree.inverse_dynamics(q, v, a)
-        i, k, pitch = self._root
-        r[:, [i, k]] -= ground[:, :2]
-        # M_y about the origin of a force that acts at the root's origin.
-        moment = q[:, k] * ground[:, 0] - q[:, i] * ground[:, 1]
-        r[:, pitch] += ground[:, 2] - moment
+        for i, wrench in enumerate(self._wrenches):
+            r -= wrench.generalized(q, ground[:, 3 * i : 3 * i + 3])
         r[:, self._joints] -= torque
         if data is not None:
             r -= data
@@ -78,16 +156,104 @@ class DynamicsKernel:
         parts = self.tree.inverse_dynamics_jacobians(q, v, a)
         for n, part in enumerate(parts):
             J[:, :, n * nq : (n + 1) * nq] = part
-        i, k, pitch = self._root
-        torques, (F_x, F_z, M_y) = self._columns()
-        J[:, pitch, i] += ground[:, 1]
-        J[:, pitch, k] -= ground[:, 0]
-        J[:, i, F_x] = J[:, k, F_z] = -1.0
-        J[:, pitch, F_x] = -q[:, k]
-        J[:, pitch, F_z] = q[:, i]
-        J[:, pitch, M_y] = 1.0
-        J[:, self._joints, torques] = -1.0
+        for i, wrench in enumerate(self._wrenches):
+            own = ground[:, 3 * i : 3 * i + 3]
+            J[:, :, :nq] -= wrench.by_positions(q, own)
+            first = self._cuts[3] + 3 * i
+            J[:, :, first : first + 3] = -wrench.by_wrench(q)
+        J[:, self._joints, self._cuts[2] + np.arange(len(self._joints))] = -1.0
         return J / FORCE_UNIT
+
+
+class PoseKernel:
+    """Pose and motion of a body, minus its variables.
+
+    Inputs: q, v (nq each), then x, z, angle of the body and their rates.
+    Outputs: the six differences [m, rad; m/s, rad/s].
+
+    Args:
+        tree: the model.
+        body: its name.
+    """
+
+    def __init__(self, tree: PlanarTree, body: str):
+        self._nq = nq = tree.num_positions
+        self._map = tree.angles_by_q
+        index = tree.body_index(body)
+        self._lever = tree.origins[index]
+        self._turn = tree.turning(body)
+        self._offset = np.angle(tree.offsets[index])
+        moved = self._map[self._lever != 0.0].any(axis=0)
+        pattern = np.zeros((6, 2 * nq + 6), bool)
+        for row, column in ((0, 0), (1, 1)):
+            pattern[row, :nq] = moved
+            pattern[row, column] = True
+            pattern[3 + row, :nq] = pattern[3 + row, nq : 2 * nq] = moved
+            pattern[3 + row, nq + column] = True
+        pattern[2, :nq] = pattern[5, nq : 2 * nq] = self._turn != 0.0
+        pattern[np.arange(6), 2 * nq + np.arange(6)] = True
+        self.sparsity = pattern
+        self.curved_inputs = np.zeros(2 * nq + 6, bool)
+        self.curved_inputs[:nq] = self.curved_inputs[nq : 2 * nq] = moved
+
+    def poses(self, q, v) -> np.ndarray:
+        """x, z, angle and their rates, (n, 6)."""
+        arms, rate = self._arms(q), v @ self._map.T
+        p, dp = arms.sum(axis=1), (1j * rate * arms).sum(axis=1)
+        return np.column_stack(
+            [
+                q[:, 0] + p.real,
+                q[:, 1] + p.imag,
+                q @ self._turn + self._offset,
+                v[:, 0] + dp.real,
+                v[:, 1] + dp.imag,
+                v @ self._turn,
+            ]
+        )
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        nq = self._nq
+        return self.poses(x[:, :nq], x[:, nq : 2 * nq]) - x[:, 2 * nq :]
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        nq, T = self._nq, self._map
+        q, v = x[:, :nq], x[:, nq : 2 * nq]
+        arms, rate = self._arms(q), v @ T.T
+        by_angle, by_rate = (1j * arms) @ T, (-rate * arms) @ T
+        J = np.zeros((len(x), *self.sparsity.shape))
+        J[:, 0, :nq], J[:, 1, :nq] = by_angle.real, by_angle.imag
+        J[:, 0, 0] += 1.0
+        J[:, 1, 1] += 1.0
+        J[:, 2, :nq] = J[:, 5, nq : 2 * nq] = self._turn
+        J[:, 3, :nq], J[:, 4, :nq] = by_rate.real, by_rate.imag
+        J[:, 3:5, nq : 2 * nq] = J[:, :2, :nq]
+        J[:, np.arange(6), 2 * nq + np.arange(6)] = -1.0
+        return J
+
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in).
+
+        Stiff spheres weigh on the ties between their feet and the joints.
+        """
+        nq, T = self._nq, self._map
+        arms, rate = self._arms(x[:, :nq]), x[:, nq : 2 * nq] @ T.T
+        place = weights[:, 0] + 1j * weights[:, 1]
+        motion = weights[:, 3] + 1j * weights[:, 4]
+        # d2p/dphi2 = -arm; dp' = i rate arm.
+        by_phi = -(np.conj(place)[:, None] * arms).real
+        by_phi += (np.conj(motion)[:, None] * (-1j * rate * arms)).real
+        across = -(np.conj(motion)[:, None] * arms).real
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        H[:, :nq, :nq] = np.einsum("nk,ki,kj->nij", by_phi, T, T, optimize=True)
+        mixed = np.einsum("nk,ki,kj->nij", across, T, T, optimize=True)
+        H[:, :nq, nq : 2 * nq] = H[:, nq : 2 * nq, :nq] = mixed
+        return H
+
+    def _arms(self, q):
+        phi = q @ self._map.T
+        return (np.cos(phi) + 1j * np.sin(phi)) * self._lever
 
 
 class FootGroundKernel:

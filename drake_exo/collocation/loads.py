@@ -15,7 +15,11 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.systems.framework import System
 from scipy.interpolate import CubicSpline
 
-from drake_exo.collocation.kernels import FORCE_UNIT, MOMENT_UNIT
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    MOMENT_UNIT,
+    BodyWrench,
+)
 from drake_exo.errors import InputError, reason
 from drake_exo.model.planar_tree import PlanarTree
 
@@ -39,14 +43,9 @@ class AppliedWrench:
         wrench: np.ndarray,
     ):
         self._spline = CubicSpline(times, wrench)
-        nq = tree.num_positions
-        self._map = np.zeros((tree.angle_map.shape[0], nq))
-        self._map[:, 2:] = tree.angle_map
-        self._levers = []
-        for name, share in shares.items():
-            index = tree.body_index(name)
-            turn = self._map[tree.segment_of[index]]
-            self._levers.append((share, tree.origins[index], turn))
+        self._bodies = [
+            (share, BodyWrench(tree, name)) for name, share in shares.items()
+        ]
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """The wrench (n, 3) at times [s]."""
@@ -54,50 +53,11 @@ class AppliedWrench:
 
     def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Generalized forces (n, nq) of wrenches (n, 3) at positions q."""
-        c, s = self._directions(q)
-        F_x, F_z, M_y = wrench.T[:, :, None]
-        Q = np.zeros(q.shape, np.result_type(q, wrench))
-        for share, L, turn in self._levers:
-            x, z, dx, dz = self._point(q, c, s, L)
-            moment = M_y - (z[:, None] * F_x - x[:, None] * F_z)
-            # Angles are counter-clockwise, M_y is about y: clockwise.
-            Q += share * (F_x * dx + F_z * dz - moment * turn)
-            Q[:, 0] += share * F_x[:, 0]
-            Q[:, 1] += share * F_z[:, 0]
-        return Q
+        return sum(k * b.generalized(q, wrench) for k, b in self._bodies)
 
     def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Derivatives (n, nq, nq) of `generalized` by q."""
-        c, s = self._directions(q)
-        F_x, F_z = wrench.T[:2, :, None]
-        nq = q.shape[1]
-        J = np.zeros((len(q), nq, nq))
-        for share, L, turn in self._levers:
-            _, _, dx, dz = self._point(q, c, s, L)
-            # Of the lever's ends: d2p/dtheta2 = -w L.
-            bend = F_x * (L.imag * s - L.real * c)
-            bend -= F_z * (L.real * s + L.imag * c)
-            J += share * np.einsum(
-                "nk,ki,kj->nij", bend, self._map, self._map, optimize=True
-            )
-            slide_x, slide_z = dx.copy(), dz.copy()
-            slide_x[:, 0] += 1.0
-            slide_z[:, 1] += 1.0
-            moved = F_x * slide_z - F_z * slide_x
-            J += share * turn[None, :, None] * moved[:, None, :]
-        return J
-
-    def _directions(self, q):
-        phi = q @ self._map.T
-        return np.cos(phi), np.sin(phi)
-
-    def _point(self, q, c, s, L):
-        """x, z (n,) of a point, and derivatives by angles (n, nq)."""
-        x = q[:, 0] + c @ L.real - s @ L.imag
-        z = q[:, 1] + s @ L.real + c @ L.imag
-        dx = (-s * L.real - c * L.imag) @ self._map
-        dz = (c * L.real - s * L.imag) @ self._map
-        return x, z, dx, dz
+        return sum(k * b.by_positions(q, wrench) for k, b in self._bodies)
 
 
 class LoadedDynamicsKernel:

@@ -5,6 +5,7 @@ forces as controls, and the equations that tie them. Several trials share one
 program and one set of contact parameters.
 """
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from drake_exo.collocation.kernels import (
     MOMENT_UNIT,
     DynamicsKernel,
     FootGroundKernel,
+    PoseKernel,
 )
 from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
 from drake_exo.collocation.transcription import (
@@ -43,8 +45,12 @@ class TrialProgram:
         coordinates: of the model.
         grid: transcription with q, v, a and jerk.
         torque: (n, n_joints) joint torques [N m].
-        ground: (n, 3) ground reaction F_x, F_z [N] and M_y about the
-            laboratory origin [N m].
+        grounds: body that touches -> (n, 3) ground reaction F_x, F_z [N] and
+            M_y about the laboratory origin [N m].
+        poses: such a body -> (n, 6) x, z, pitch and their rates: those of the
+            root, or further variables that kinematics ties, so that the law
+            under every body is one and the same function.
+        ties: body -> kernel of that, but for the root.
         cuffs: cuff -> (n, 3) force of its bushing on the human: tangential,
             normal [N], moment [N m].
         dynamics: kernel of the equations of motion; its inputs are q, v, a,
@@ -62,6 +68,7 @@ class TrialProgram:
         bushings: cuff -> what couples human and device there, and its origin
             (2,) as decision variables.
         chair: wrench of the chair, if the movement starts seated.
+        bodies: that touch the ground; the root by default.
     """
 
     def __init__(
@@ -74,6 +81,7 @@ class TrialProgram:
         transcription: str = "hermite_simpson",
         bushings: dict[str, tuple[BushingKinematics, np.ndarray]] | None = None,
         chair: AppliedWrench | None = None,
+        bodies: Sequence[str] | None = None,
     ):
         self.name = name
         self.program = program
@@ -84,13 +92,19 @@ class TrialProgram:
         )
         moments = np.full(tree.coordinates.num_joints, MOMENT_UNIT)
         self.torque = self._new("torque", moments)
-        self.ground = self._new(
-            "ground", (FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT)
-        )
+        bodies = (tree.root,) if bodies is None else tuple(bodies)
+        wrench = (FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT)
+        self.ground = self._new("ground", wrench * len(bodies))
+        parts = np.split(self.ground, len(bodies), axis=1)
+        self.grounds = dict(zip(bodies, parts, strict=True))
+        self.poses: dict[str, np.ndarray] = {}
+        self.ties: dict[str, PoseKernel] = {}
+        for body in bodies:
+            self._add_pose(tree, body)
         self._label()
         grid = self.grid
         inputs = [grid.q, grid.v, grid.a, self.torque, self.ground]
-        kernel = DynamicsKernel(tree)
+        kernel = DynamicsKernel(tree, bodies)
         bushings = bushings or {}
         units = np.tile(CUFF_UNITS, len(bushings))
         if bushings:
@@ -112,6 +126,21 @@ class TrialProgram:
             kernel,
             np.hstack(inputs),
             data=self.loads(grid.times),
+        )
+
+    def _add_pose(self, tree: PlanarTree, body: str) -> None:
+        """Pose and motion of a body that touches the ground."""
+        grid = self.grid
+        if body == tree.root:
+            root = self.coordinates.root_columns
+            self.poses[body] = np.hstack([grid.q[:, root], grid.v[:, root]])
+            return
+        self.poses[body] = self._new(f"{body} pose", np.ones(6))
+        self.ties[body] = PoseKernel(tree, body)
+        self.program.add_constraints(
+            f"{self.name} pose of {body}",
+            self.ties[body],
+            np.hstack([grid.q, grid.v, self.poses[body]]),
         )
 
     def _new(self, what: str, units) -> np.ndarray:
@@ -161,25 +190,21 @@ class TrialProgram:
             self.program.label(kind, variables, columns, at, units)
 
     def add_ground_contact(
-        self, kernel: FootGroundKernel, parameters: np.ndarray
+        self, body: str, kernel: FootGroundKernel, parameters: np.ndarray
     ) -> None:
-        """Tie the ground reaction to the contact law.
+        """Tie the ground reaction of a body to the contact law.
 
         Args:
+            body: that touches.
             kernel: the law.
             parameters: its decision variables, in the kernel's order.
         """
-        grid, root = self.grid, self.coordinates.root_columns
         variables = np.hstack(
-            [
-                grid.q[:, root],
-                grid.v[:, root],
-                self.ground,
-                self._at_nodes(parameters),
-            ]
+            [self.poses[body], self.grounds[body], self._at_nodes(parameters)]
         )
+        where = "" if len(self.grounds) == 1 else f" {body}"
         self.program.add_constraints(
-            f"{self.name} foot-ground", kernel, variables
+            f"{self.name} foot-ground{where}", kernel, variables
         )
 
     def add_bushing(self, cuff: str, kernel: BushingKernel, parameters) -> None:
@@ -197,6 +222,19 @@ class TrialProgram:
             kernel,
             np.hstack([*variables, self._at_nodes(parameters)]),
         )
+
+    def foot(self, side: str) -> np.ndarray:
+        """Ground reaction (n, 3 k) on the k segments of a foot.
+
+        Args:
+            side: "left", "right", or "both" for all.
+        """
+        own = [
+            wrench
+            for body, wrench in self.grounds.items()
+            if side == "both" or body.endswith(f"_{side}")
+        ]
+        return np.hstack(own)
 
     def bound(self, variables, lower, upper) -> None:
         """Bound variables of this trial; equal bounds fix them."""

@@ -50,20 +50,27 @@ class ExoskeletonDiagram:
     """A diagram with its parts.
 
     Attributes:
-        diagram: outputs state, ground_reaction, sphere_wrenches and, with
+        diagram: outputs state, ground_reaction, sphere_wrenches (of several
+            segments that touch, each with _SEGMENT at its end) and, with
             bushings, interaction_forces, deflections, energies; input
             joint_torques if there is no controller.
         plant: finalized.
-        contact: `FootGroundContact`.
+        contacts: segment that touches -> its `FootGroundContact`.
         bushings: `HumanExoskeletonBushings`, None where there are none.
         controller: as given.
     """
 
     diagram: Diagram
     plant: MultibodyPlant
-    contact: LeafSystem
+    contacts: dict[str, LeafSystem]
     bushings: LeafSystem | None
     controller: LeafSystem | None
+
+    @property
+    def contact(self) -> LeafSystem:
+        """That of a model on one segment."""
+        (only,) = self.contacts.values()
+        return only
 
     def plant_context(self, context: Context) -> Context:
         """The plant's part of the diagram's context, mutable."""
@@ -104,20 +111,24 @@ def build_diagram(
     contact = contact or nominal_contact(model)
     builder = DiagramBuilder()
     plant = _add_plant(builder, model, meshcat)
-    ground = builder.AddSystem(
-        FootGroundContact(
-            plant.GetBodyByName(model.tree.root).index(), contact.ground
+    contacts = {
+        body: builder.AddSystem(
+            FootGroundContact(plant.GetBodyByName(body).index(), own)
         )
-    )
-    systems = [ground]
+        for body, own in contact.ground.under(model).items()
+    }
+    if len(contacts) > 1:
+        for body, system in contacts.items():
+            system.set_name(f"{system.get_name()}_{body}")
+    systems = list(contacts.values())
     bushings = None
     if contact.bushings:
         bushings = builder.AddSystem(_bushings(plant, model, contact.bushings))
         systems.append(bushings)
     systems.extend(builder.AddSystem(force) for force in forces)
-    _connect(builder, plant, systems, controller, bushings)
+    _connect(builder, plant, contacts, systems, controller, bushings)
     return ExoskeletonDiagram(
-        builder.Build(), plant, ground, bushings, controller
+        builder.Build(), plant, contacts, bushings, controller
     )
 
 
@@ -224,12 +235,15 @@ def _bushings(plant, model: Model, bushings) -> LeafSystem:
     )
 
 
-def _connect(builder, plant, systems, controller, bushing_system) -> None:
+def _connect(
+    builder, plant, contacts, systems, controller, bushing_system
+) -> None:
     """Connects forces and controller to the plant and exports ports."""
-    contact = systems[0]
     sources = {name: plant.GetOutputPort(name) for name in _PLANT_PORTS}
-    for name in ("ground_reaction", "sphere_wrenches"):
-        sources[name] = contact.GetOutputPort(name)
+    for body, contact in contacts.items():
+        end = f"_{body}" if len(contacts) > 1 else ""
+        for name in ("ground_reaction", "sphere_wrenches"):
+            sources[name + end] = contact.GetOutputPort(name)
     if bushing_system is not None:
         for name in ("interaction_forces", "deflections", "energies"):
             sources[name] = bushing_system.GetOutputPort(name)

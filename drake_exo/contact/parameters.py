@@ -144,6 +144,19 @@ class GroundContact:
         check_fields(constants, f"constants of contact law '{self.law}'")
         return GroundContact(self.law, dict(self.spheres), constants)
 
+    def under(self, model: Model) -> "dict[str, GroundContact]":
+        """Segment that touches the ground -> the contact of its spheres.
+
+        Segments may have spheres of one name, which share their parameters;
+        where one segment touches, all spheres are its own.
+        """
+        if len(model.soles) == 1:
+            return dict.fromkeys(model.soles, self)
+        return {
+            body: replace(self, spheres={n: self.spheres[n] for n in names})
+            for body, names in model.soles.items()
+        }
+
 
 @dataclass(frozen=True)
 class Posterior:

@@ -1,15 +1,15 @@
 """From markers to joint angles of the planar body.
 
 Seven segments in the sagittal plane: pelvis (with trunk, head and arms),
-and thigh, shank and foot of each leg. With complex numbers p = x + i z, and
-w_k = exp(i phi_k) for the absolute angle of segment k (counter-clockwise
-seen from the right), every marker is p_0 + C w with constant C, p_0 being the
-middle of the hips. Angles are zero for vertical thighs and shanks, a trunk as
-upright as in standing and feet as flat as there.
+and thigh, shank and foot of each leg; nine where toes are hinged. With complex
+numbers p = x + i z, and w_k = exp(i phi_k) for the absolute angle of segment k
+(counter-clockwise seen from the right), every marker is p_0 + C w with constant
+C, p_0 being the middle of the hips. Angles are zero for vertical thighs and
+shanks, a trunk as upright as in standing and feet as flat as there.
 
 Joint angles follow by weighted least squares over all frames at once. Each
-leg is followed on its own; the planar model's leg is their mean, since feet
-that stand apart fore and aft give the legs different angles.
+leg is followed on its own; a model's one leg is their mean, since feet that
+stand apart fore and aft give the legs different angles.
 """
 
 from collections.abc import Iterable
@@ -23,11 +23,13 @@ from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.measurement.settings import Markers
 from drake_exo.model.assembly import SIDES
+from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import Model
 
-LEG = ("thigh", "shank", "foot")
+LEG = ("thigh", "shank", "foot", "toes")
 _JOINTS = ("ankle", "knee", "hip")
 # The joint at the origin of each segment of a leg, and the one above.
-_ORIGIN = {"thigh": "knee", "shank": "ankle", "foot": "ankle"}
+_ORIGIN = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "ball"}
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,10 @@ class MarkerModel:
 
 
 def build_marker_model(
-    standing: MarkerData, markers: Markers, frame: SagittalFrame
+    standing: MarkerData,
+    markers: Markers,
+    frame: SagittalFrame,
+    ball_m: tuple[float, float] | None = None,
 ) -> MarkerModel:
     """Measure lengths and marker places in a standing trial.
 
@@ -116,18 +121,26 @@ def build_marker_model(
         standing: quiet part of the trial; its mean posture is used.
         markers: which markers are on which segment.
         frame: directions of the planar frame in the trial's axes.
+        ball_m: place (x, z) of the toes' hinge before the ankle of a flat
+            foot; None where toes are rigid.
 
     Raises:
         InputError: a marker is missing or has gaps, no leg is complete, or
             the set cannot determine a segment's angle.
     """
-    sides = _complete_sides(markers, standing.source)
+    leg = LEG if ball_m else LEG[:-1]
+    sides = _complete_sides(markers, standing.source, leg)
     centres = _joint_centres(standing, markers, frame, sides)
-    segments = ("pelvis", *(f"{s}_{side}" for side in sides for s in LEG))
+    segments = ("pelvis", *(f"{s}_{side}" for side in sides for s in leg))
     hip = np.mean([centres[side]["hip"] for side in sides])
     w, joints = _skeleton(segments, centres, hip, standing.source)
+    for side in sides if ball_m else ():
+        centres[side]["ball"] = centres[side]["ankle"] + complex(*ball_m)
+        lever = joints[side]["ankle"].copy()
+        lever[segments.index(f"foot_{side}")] += complex(*ball_m)
+        joints[side]["ball"] = lever
     names, segment_of, levers = [], [], []
-    for segment, side, name in _attachments(markers, sides):
+    for segment, side, name in _attachments(markers, sides, leg):
         k = segments.index(segment if side is None else f"{segment}_{side}")
         if side is None:
             origin, base = hip, np.zeros(len(segments), complex)
@@ -159,18 +172,18 @@ def build_marker_model(
     return model
 
 
-def _complete_sides(markers: Markers, source: str) -> tuple[str, ...]:
+def _complete_sides(markers: Markers, source: str, leg) -> tuple[str, ...]:
     """Legs with joint centres and markers on every segment."""
     sides = tuple(
         side
         for side in SIDES
         if all(getattr(markers.joint_centres, j).of(side) for j in _JOINTS)
-        and all(getattr(markers.segments, s).of(side) for s in LEG)
+        and all(getattr(markers.segments, s).of(side) for s in leg)
     )
     if not sides:
         raise InputError(
             f"{source}: the study's markers name no leg with ankle, knee and "
-            "hip centres and markers on foot, shank and thigh; complete "
+            f"hip centres and markers on {', '.join(leg)}; complete "
             "markers.joint_centres and markers.segments for one side"
         )
     return sides
@@ -223,13 +236,13 @@ def _skeleton(segments, centres, hip, source):
     return w, joints
 
 
-def _attachments(markers: Markers, sides):
+def _attachments(markers: Markers, sides, leg):
     """Pairs of segment and marker: (segment, side or None, name)."""
     pelvis = markers.segments.pelvis
     for name in (*pelvis.left, *pelvis.right, *pelvis.middle):
         yield "pelvis", None, name
     for side in sides:
-        for segment in LEG:
+        for segment in leg:
             for name in getattr(markers.segments, segment).of(side):
                 yield segment, side, name
 
@@ -391,40 +404,92 @@ def _first_guess(model: MarkerModel, p: np.ndarray) -> np.ndarray:
     return phi
 
 
+def ankle_paths(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
+    """Side -> centre of its ankle (N, 2) [m]."""
+    w = np.exp(1j * poses.angles)
+    ankles = {s: poses.hip + w @ lever for s, lever in model.ankles.items()}
+    return {s: np.column_stack([a.real, a.imag]) for s, a in ankles.items()}
+
+
+def coordinates(model: Model, markers: MarkerModel, poses: Poses) -> np.ndarray:
+    """Coordinates (N, nq) of the subject without a device.
+
+    Args:
+        model: subject, of one leg or two.
+        markers: the marker model.
+        poses: of it.
+    """
+    if model.assembly.human.sides:
+        return _two_legs(model.rigid.tree, markers, poses)
+    return merge_legs(markers, poses)[0]
+
+
 def merge_legs(
     model: MarkerModel, poses: Poses
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Coordinates of the planar model, both legs averaged.
+    """Coordinates of a body of one leg, both averaged.
 
     Returns:
         q (N, 6): foot_x, foot_z (the ankle's centre) [m], foot_pitch, ankle,
-        knee, hip [rad]; and each side's ankle (N, 2) [m].
+        knee, hip [rad], and toes where they are hinged; and each side's ankle
+        (N, 2) [m].
     """
-    w = np.exp(1j * poses.angles)
-    ankles = {
-        side: poses.hip + w @ lever for side, lever in model.ankles.items()
-    }
-    ankle = np.mean(list(ankles.values()), axis=0)
-    foot, shank, thigh = (
-        np.mean(
+    ankles = ankle_paths(model, poses)
+    angles = {
+        s: np.mean(
             [poses.angles[:, model.index(s, side)] for side in model.sides],
             axis=0,
         )
-        for s in ("foot", "shank", "thigh")
-    )
+        for s in LEG
+        if f"{s}_{model.sides[0]}" in model.segments
+    }
     pelvis = poses.angles[:, 0]
-    q = np.column_stack(
+    foot, shank, thigh = (angles[s] for s in ("foot", "shank", "thigh"))
+    ankle = np.mean(list(ankles.values()), axis=0)
+    columns = [foot, foot - shank, thigh - shank, thigh - pelvis]
+    if "toes" in angles:
+        columns.append(angles["toes"] - foot)
+    return np.column_stack([ankle, *columns]), ankles
+
+
+# In space hips lie fore and aft of each other and legs are spread: one planar
+# hip cannot have all segments at their angles and both feet where they are.
+# Feet come first, since forces are measured under them.
+_ANKLE_M, _FOOT_RAD = 0.002, 0.01
+_HIP_M, _LEG_RAD = 0.01, 0.03
+_PASSES = 8
+
+
+def _two_legs(tree: PlanarTree, model: MarkerModel, poses: Poses) -> np.ndarray:
+    """The planar body nearest to hips, segments' angles and ankles."""
+    n, nq = len(poses.hip), tree.num_positions
+    ankles = ankle_paths(model, poses)
+    hip = np.column_stack([poses.hip.real, poses.hip.imag])
+    points = [("pelvis", hip, _HIP_M)]
+    points += [(f"foot_{s}", p, _ANKLE_M) for s, p in ankles.items()]
+    angles = np.array([tree.turning(name) for name in model.segments])
+    sigma = np.array(
         [
-            ankle.real,
-            ankle.imag,
-            foot,
-            foot - shank,
-            thigh - shank,
-            thigh - pelvis,
+            _FOOT_RAD
+            if name.startswith(("foot", "toes", "pelvis"))
+            else _LEG_RAD
+            for name in model.segments
         ]
     )
-    points = {s: np.column_stack([a.real, a.imag]) for s, a in ankles.items()}
-    return q, points
+    # Angles alone determine all but the root's place.
+    q = np.zeros((n, nq))
+    q[:, 2:] = poses.angles @ np.linalg.pinv(angles[:, 2:]).T
+    q[:, :2] = hip
+    for _ in range(_PASSES):
+        J = [np.broadcast_to(angles / sigma[:, None], (n, *angles.shape))]
+        r = [(poses.angles - q @ angles.T) / sigma]
+        for body, p, size in points:
+            J.append(tree.point_jacobian(q, body, (0.0, 0.0)) / size)
+            r.append((p - tree.point_positions(q, body, (0.0, 0.0))) / size)
+        A, b = np.concatenate(J, axis=1), np.concatenate(r, axis=1)
+        At = A.transpose(0, 2, 1)
+        q = q + np.linalg.solve(At @ A, At @ b[..., None])[..., 0]
+    return q
 
 
 def residual_rms(model: MarkerModel, poses: Poses) -> dict[str, float]:

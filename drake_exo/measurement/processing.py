@@ -31,8 +31,9 @@ from drake_exo.measurement.inverse_dynamics import (
     inverse_dynamics,
 )
 from drake_exo.measurement.kinematics import (
+    ankle_paths,
+    coordinates,
     leg_angles,
-    merge_legs,
     residual_rms,
     solve_poses,
 )
@@ -53,6 +54,7 @@ from drake_exo.measurement.settings import (
 )
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import Model
 
 
@@ -301,7 +303,8 @@ def _follow(
     hidden = gaps.hidden(model.names)[inside]
     with Progress(f"inverse kinematics of {name}") as progress:
         poses = solve_poses(model, points, markers.source, progress, hidden)
-    q, ankles = merge_legs(model, poses)
+    ankles = ankle_paths(model, poses)
+    q = coordinates(subject.model, model, poses)
 
     def smooth(values):
         return settings.filter.smooth(values, markers.rate_hz, markers.source)
@@ -485,10 +488,12 @@ def cut(
             f"the recording ({motion.time[0]:g} to {motion.time[-1]:g} s); "
             "correct start_s and end_s"
         )
-    wrench, shifts = merge_plates(
-        {foot: w.cut(inside) for foot, w in recording.feet.items()},
-        {side: p[inside] for side, p in motion.ankles.items()},
-    )
+    feet = {foot: w.cut(inside) for foot, w in recording.feet.items()}
+    if subject.model.assembly.human.sides:
+        wrench, shifts = _both_feet(files, feet), {}
+    else:
+        places = {side: p[inside] for side, p in motion.ankles.items()}
+        (wrench, shifts), feet = merge_plates(feet, places), {}
     check_loaded(
         recording.forces.source,
         wrench,
@@ -507,6 +512,7 @@ def cut(
         v=v,
         a=a,
         ground=wrench,
+        feet=feet,
         cuffs=cuffs,
         chair=None if recording.chair is None else recording.chair.cut(inside),
         chair_on_thighs=settings.laboratory.chair_on_thighs,
@@ -531,6 +537,26 @@ def cut(
     return replace(
         trial, moments=moments, friction=friction, provenance=provenance
     )
+
+
+def _both_feet(files: TrialFiles, feet: dict[str, PlanarWrench]):
+    """Sum of both feet's wrenches.
+
+    Raises:
+        InputError: they were not measured one by one, or one never stood.
+    """
+    for side in SIDES:
+        if side not in feet:
+            raise InputError(
+                f"trial {files.name}: the model has two legs; name the plates "
+                f"of each foot, plates.{side} is missing"
+            )
+        if not feet[side].is_loaded.any():
+            raise InputError(
+                f"trial {files.name}: the {side} foot's plates are never "
+                f"loaded; correct plates.{side}, start_s and end_s"
+            )
+    return feet["left"] + feet["right"]
 
 
 def _provenance(
@@ -625,7 +651,7 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
     """
     names, tree = model.coordinates, model.rigid.tree
     body = [x[:, names.body_columns] for x in (trial.q, trial.v, trial.a)]
-    loads = {tree.root: trial.ground, **trial.chair_loads()}
+    loads = trial.loads(tree.root)
     Q = inverse_dynamics(tree, *body, loads)
     resultant = from_the_ground_up(tree, body[0], Q)
     resultant = resultant[:, tree.coordinates.joint_columns]

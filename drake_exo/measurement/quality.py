@@ -93,8 +93,7 @@ def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
     tree = subject.model.rigid.tree
     columns = trial.coordinates.body_columns
     body = [x[:, columns] for x in (trial.q, trial.v, trial.a)]
-    loads = {tree.root: trial.ground, **trial.chair_loads()}
-    Q = inverse_dynamics(tree, *body, loads)
+    Q = inverse_dynamics(tree, *body, trial.loads(tree.root))
     return Q[:, tree.coordinates.root_columns]
 
 

@@ -287,14 +287,13 @@ def read_foot_forces(
     time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
     frame = laboratory.force_axes.frame
-    numbers = {
-        foot: getattr(plates, foot)
-        for foot in (*SIDES, "both", "chair")
-        if getattr(plates, foot) is not None
-    }
-    used = {foot: _plate(path, recorded, n) for foot, n in numbers.items()}
-    wrenches = {foot: planar_wrench(p, frame) for foot, p in used.items()}
-    plain = {foot: spatial_wrench(p, frame) for foot, p in used.items()}
+    wrenches, plain = {}, {}
+    for foot in (*SIDES, "both", "chair"):
+        used = [_plate(path, recorded, n) for n in plates.of(foot)]
+        if used:
+            planar = [planar_wrench(plate, frame) for plate in used]
+            wrenches[foot] = sum(planar[1:], planar[0])
+            plain[foot] = sum(spatial_wrench(plate, frame) for plate in used)
     if laboratory.forces_act_on == "plate":
         wrenches = {foot: w.reversed() for foot, w in wrenches.items()}
         plain = {foot: -w for foot, w in plain.items()}

@@ -276,12 +276,17 @@ class JointCentres:
 
 @dataclass(frozen=True)
 class SegmentMarkers:
-    """Markers fixed to each segment, which inverse kinematics follows."""
+    """Markers fixed to each segment, which inverse kinematics follows.
+
+    Attributes:
+        toes: needed where the model's toes are hinged; one will do.
+    """
 
     foot: SidedMarkers
     shank: SidedMarkers
     thigh: SidedMarkers
     pelvis: SidedMarkers
+    toes: SidedMarkers = SidedMarkers()
 
 
 @dataclass(frozen=True)
@@ -304,13 +309,18 @@ class Plates:
     """Numbers of the force plates, from 1: under each foot, or under both.
 
     Attributes:
-        left, right: under that foot; one of them alone counts twice.
+        left, right: under that foot, or several that it steps on in turn;
+            one leg's alone count twice.
         both: under both feet.
         chair: under the chair, whose weight is tared.
     """
 
-    left: int | None = field(default=None, metadata={"minimum": 1})
-    right: int | None = field(default=None, metadata={"minimum": 1})
+    left: int | tuple[int, ...] | None = field(
+        default=None, metadata={"minimum": 1}
+    )
+    right: int | tuple[int, ...] | None = field(
+        default=None, metadata={"minimum": 1}
+    )
     both: int | None = field(default=None, metadata={"minimum": 1})
     chair: int | None = field(default=None, metadata={"minimum": 1})
 
@@ -319,16 +329,25 @@ class Plates:
             raise InputError(
                 "name the plates of the feet as left and right, or as both"
             )
-        if self.left is not None and self.left == self.right:
+        twice = set(self.of("left")) & set(self.of("right"))
+        if twice:
+            plate = min(twice)
             raise InputError(
-                f"plate {self.left} cannot be left and right; say "
-                f"'both: {self.left}' if both feet stand on it"
+                f"plate {plate} cannot be left and right; say "
+                f"'both: {plate}' if both feet stand on it"
             )
-        feet = (self.left, self.right, self.both)
+        feet = (*self.of("left"), *self.of("right"), self.both)
         if self.chair is not None and self.chair in feet:
             raise InputError(
                 f"plate {self.chair} cannot be under the chair and a foot"
             )
+
+    def of(self, foot: str) -> tuple[int, ...]:
+        """Numbers of the plates of "left", "right", "both" or "chair"."""
+        number = getattr(self, foot)
+        if number is None:
+            return ()
+        return number if isinstance(number, tuple) else (number,)
 
 
 @dataclass(frozen=True)

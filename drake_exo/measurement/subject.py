@@ -11,8 +11,9 @@ from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.gaps import fill_gaps
 from drake_exo.measurement.kinematics import (
     MarkerModel,
+    ankle_paths,
     build_marker_model,
-    merge_legs,
+    coordinates,
     residual_rms,
     solve_poses,
 )
@@ -27,6 +28,7 @@ from drake_exo.measurement.settings import Markers, RecordingSettings, Standing
 from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.assembly import Assembly
 from drake_exo.model.description import (
+    NOMINAL_MASS_KG,
     fit_exoskeleton,
     nominal_exoskeleton,
     nominal_human,
@@ -39,6 +41,7 @@ from drake_exo.model.segments import (
     SegmentParameters,
     with_overrides,
 )
+from drake_exo.model.skeleton import ball_m
 
 _LEAST_MASS_KG = 20.0  # where none is stated
 
@@ -77,14 +80,14 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         standing, _all_names(settings.markers), settings.laboratory.fill_gaps_s
     )
     gaps.check()
-    markers = build_marker_model(standing, settings.markers, frame)
+    markers = build_marker_model(
+        standing, settings.markers, frame, _ball(settings, standing)
+    )
     points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
     poses = solve_poses(markers, points, standing.source)
-    q, ankles = merge_legs(markers, poses)
-    wrench = _standing_wrench(settings, root, ankles)
+    wrench = _standing_wrench(settings, root, ankle_paths(markers, poses))
     report: dict[str, Any] = {
         "stated_mass_kg": settings.subject.mass_kg,
-        "standing_angles_deg": np.rad2deg(q[0, 2:]),
         "standing_residual_rms_m": residual_rms(markers, poses),
         "standing_gaps_filled": gaps.frames(-np.inf, np.inf),
         "ankle_height_m": markers.ankle_height_m,
@@ -92,6 +95,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     }
     mass = _body_mass(settings, wrench, report)
     model = _with_device(settings, _scaled(settings, mass, markers))
+    q = coordinates(model, markers, poses)
+    report["standing_angles_deg"] = np.rad2deg(q[0, 2:])
     if settings.scaling.trunk_com == "standing":
         human = _over_the_cop(settings, model, q, wrench, report)
         model = _with_device(settings, human)
@@ -100,6 +105,21 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         report["standing_cop_x_m"] = float(wrench.cop_x[0])
         report["standing_com_x_m"] = float(com)
     return SubjectModel(model, markers, mass, report)
+
+
+def _ball(
+    settings: RecordingSettings, standing: MarkerData
+) -> tuple[float, float] | None:
+    """Place (x, z) of the toes' hinge before the ankle, if there is one."""
+    if settings.assembly.human.toes == "rigid":
+        return None
+    subject, frame = settings.subject, settings.laboratory.marker_axes.frame
+    human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
+    human = with_overrides(human, subject.segments, "subject.segments")
+    centres = settings.markers.joint_centres.ankle
+    names = (*centres.left, *centres.right)
+    ankle = frame.points(standing.of(names))[..., 1].mean()
+    return ball_m(human)[0], CONTACT_RADIUS_M - float(ankle)
 
 
 def _all_names(markers: Markers) -> list[str]:

@@ -61,6 +61,7 @@ class Trial:
         times: (n,) increasing, from 0 [s].
         q, v, a: (n, nq) positions [m, rad] and their time derivatives.
         ground: wrench (n,) of the ground on the feet.
+        feet: side -> its part of that; empty where one leg stands for both.
         source: how it came about.
         moments: (n, n_joints) joint moments [N m]; the human's are those of
             the muscles: without the exoskeleton's. None where not known.
@@ -95,6 +96,7 @@ class Trial:
     a: np.ndarray
     ground: PlanarWrench
     source: Source = "measured"
+    feet: dict[str, PlanarWrench] = field(default_factory=dict)
     moments: np.ndarray | None = None
     cuffs: dict[str, CuffForce] = field(default_factory=dict)
     chair: PlanarWrench | None = None
@@ -114,7 +116,8 @@ class Trial:
         }
         for name, array in {"times": self.times, **self._arrays()}.items():
             rows = len(array if name == "jerk" else self.times)
-            wanted = (rows, columns[name]) if name in columns else (rows,)
+            width = 3 if name.startswith("feet.") else columns.get(name)
+            wanted = (rows, width) if width is not None else (rows,)
             if array.shape != wanted:
                 raise ValueError(
                     f"trial {self.name}: {name} has shape "
@@ -194,6 +197,20 @@ class Trial:
             for name, share in self.chair_shares.items()
         }
 
+    def loads(self, root: str) -> dict[str, PlanarWrench]:
+        """What acts on the body, as loads of inverse dynamics.
+
+        Args:
+            root: the model's, which is the foot where one leg stands for both.
+        """
+        ground = {f"foot_{side}": w for side, w in self.feet.items()}
+        return {**(ground or {root: self.ground}), **self.chair_loads()}
+
+    @property
+    def soles(self) -> dict[str, PlanarWrench]:
+        """Wrench by foot: "left" and "right", or "both"."""
+        return self.feet or {"both": self.ground}
+
     def sample(self, times: np.ndarray) -> "Trial":
         """The same movement at other times (m,) [s], by cubic splines."""
         arrays = {
@@ -207,6 +224,8 @@ class Trial:
         """All arrays by name but times."""
         arrays = {"q": self.q, "v": self.v, "a": self.a}
         arrays["ground"] = self.ground.array
+        for side, wrench in self.feet.items():
+            arrays[f"feet.{side}"] = wrench.array
         if self.chair is not None:
             arrays["chair"] = self.chair.array
         arrays |= {"moments": self.moments, "friction": self.friction}
@@ -231,6 +250,7 @@ class Trial:
                 "source": self.source,
                 "coordinates": self.coordinates.names,
                 "device": self.coordinates.device,
+                "coupling": self.coordinates.coupling,
                 "mass_kg": self.mass_kg,
                 "start_s": self.start_s,
                 "chair_on_thighs": self.chair_on_thighs,
@@ -256,7 +276,11 @@ class Trial:
             times, mass = arrays.pop("times"), rest["mass_kg"]
             return Trial(
                 rest["name"],
-                Coordinates(tuple(rest["coordinates"]), tuple(rest["device"])),
+                Coordinates(
+                    tuple(rest["coordinates"]),
+                    tuple(rest["device"]),
+                    tuple(tuple(row) for row in rest.get("coupling", ())),
+                ),
                 times,
                 source=rest["source"],
                 mass_kg=None if mass is None else float(mass),
@@ -283,10 +307,15 @@ def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     for name in ("ground", "chair"):
         if name in fields:
             fields[name] = PlanarWrench.of(fields[name])
+    feet = {
+        name.removeprefix("feet."): PlanarWrench.of(x)
+        for name, x in arrays.items()
+        if name.startswith("feet.")
+    }
     parts: dict[str, dict[str, np.ndarray]] = {}
     for name, x in arrays.items():
-        if "." in name:
+        if name.startswith("cuffs."):
             _, cuff, part = name.split(".")
             parts.setdefault(cuff, {})[part] = x
     cuffs = {cuff: CuffForce(**found) for cuff, found in parts.items()}
-    return {**fields, "cuffs": cuffs}
+    return {**fields, "cuffs": cuffs, "feet": feet}

@@ -125,11 +125,20 @@ def _draw_mark(figure: Figure, mark: str) -> None:
 
 def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Forces and centre of pressure (Fig. 2)."""
-    rows = [
-        ("$F_x$ [N]", lambda t: t.ground.force_x),
-        ("$F_z$ [N]", lambda t: t.ground.force_z),
-        ("CoP $x$ [m]", lambda t: t.ground.cop_x),
-    ]
+    rows = []
+    for side in trials[0].soles:
+        foot = "" if side == "both" else f"{side} "
+        for name, what in (
+            ("$F_x$ [N]", "force_x"),
+            ("$F_z$ [N]", "force_z"),
+            ("CoP $x$ [m]", "cop_x"),
+        ):
+            rows.append(
+                (
+                    foot + name,
+                    lambda t, s=side, w=what: getattr(t.soles[s], w),
+                )
+            )
     return _drawn(runs, trials, rows)
 
 
@@ -348,8 +357,10 @@ def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
 
 
 def _forces(ax, trial: Trial, t) -> None:
-    ax.plot(t, trial.ground.force_x, label="feet F_x")
-    ax.plot(t, trial.ground.force_z, label="feet F_z")
+    for side, wrench in trial.soles.items():
+        foot = "feet" if side == "both" else side
+        ax.plot(t, wrench.force_x, label=f"{foot} F_x")
+        ax.plot(t, wrench.force_z, label=f"{foot} F_z")
     if trial.chair is not None:
         ax.plot(t, trial.chair.force_z, label="chair F_z")
     _finish_axes(ax, "forces on the body", "N")

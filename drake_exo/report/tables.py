@@ -67,7 +67,7 @@ _UNITS = {
     "angles_deg": "angle {} [deg]",
     "velocities_deg_s": "velocity {} [deg/s]",
     "grf_n": "ground reaction {} [N]",
-    "cop_mm": "centre of pressure [mm]",
+    "cop_mm": "centre of pressure {} [mm]",
     "moments_nm": "moment {} [N m]",
     "interaction_n": "normal force {} [N]",
 }
@@ -80,7 +80,7 @@ def rmsd_signals(rmsd: list[dict]):
         for trial in rmsd:
             value = trial.get(key, {})
             if not isinstance(value, dict):
-                yield label, (key,)
+                yield label.replace(" {}", ""), (key,)
                 break
             names |= dict.fromkeys(value)
         for name in sorted(names, key=_place):

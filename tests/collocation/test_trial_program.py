@@ -71,7 +71,7 @@ def standing(human, law, transcription):
         program, "rise1", human.tree, 0.5, 20.0, transcription
     )
     kernel = FootGroundKernel(contact.ground)
-    movement.add_ground_contact(kernel, variables)
+    movement.add_ground_contact("foot", kernel, variables)
     n = len(movement.grid.times)
     still = np.zeros((n, 6))
     posture = np.tile(_STANDING, (n, 1))

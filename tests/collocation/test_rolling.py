@@ -1,0 +1,122 @@
+"""Feet that roll and lift, settled onto their forces before a solve."""
+
+import numpy as np
+import pytest
+from test_kernels import _check, _states
+
+from drake_exo.collocation.kernels import (
+    DynamicsKernel,
+    FootGroundKernel,
+    PoseKernel,
+)
+from drake_exo.collocation.rolling import settle_rolling
+from drake_exo.contact.parameters import ContactSphere, GroundContact
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.description import nominal_human
+from drake_exo.model.plant import Model
+
+BODIES = ("foot_left", "toes_left", "foot_right", "toes_right")
+
+
+@pytest.fixture(scope="module")
+def walker():
+    return Model(Assembly(Person("two", "hinged")), nominal_human())
+
+
+def test_derivatives_of_two_legs_on_the_ground(walker):
+    kernel = DynamicsKernel(walker.tree, BODIES)
+    _check(kernel, _states(4, kernel.sparsity.shape[1]))
+
+
+@pytest.mark.parametrize("body", ["toes_left", "pelvis"])
+def test_derivatives_of_poses(walker, body):
+    kernel = PoseKernel(walker.tree, body)
+    x = _states(4, kernel.sparsity.shape[1])
+    _check(kernel, x)
+    weights = _states(4, 6, seed=1)
+    found, h = kernel.curvature(x, weights, None), 1e-6
+    for k in range(x.shape[1]):
+        step = np.zeros(x.shape[1])
+        step[k] = h
+        J = kernel.jacobian(x + step, None) - kernel.jacobian(x - step, None)
+        expected = np.einsum("nr,nri->ni", weights, J) / (2.0 * h)
+        np.testing.assert_allclose(found[:, k], expected, atol=1e-7)
+
+
+def test_a_wrong_derivative_would_be_seen(walker):
+    class Wrong(PoseKernel):
+        def jacobian(self, x, data):
+            J = super().jacobian(x, data)
+            J[:, 3, 4] *= 1.01
+            return J
+
+    kernel = Wrong(walker.tree, "foot_left")
+    with pytest.raises(AssertionError, match="input 4"):
+        _check(kernel, _states(4, kernel.sparsity.shape[1]))
+
+
+def test_poses_are_those_of_the_plant(walker):
+    plant = walker.plant()
+    context = plant.CreateDefaultContext()
+    q, v = np.random.default_rng(0).normal(size=(2, walker.tree.num_positions))
+    plant.SetPositions(context, q)
+    plant.SetVelocities(context, v)
+    body = plant.GetBodyByName("toes_right")
+    pose = plant.EvalBodyPoseInWorld(context, body)
+    motion = plant.EvalBodySpatialVelocityInWorld(context, body)
+    (found,) = PoseKernel(walker.tree, "toes_right").poses(q[None], v[None])
+    ahead = pose.rotation().matrix()[:, 0]
+    np.testing.assert_allclose(found[:2], pose.translation()[[0, 2]])
+    np.testing.assert_allclose(np.cos(found[2]), ahead[0])
+    np.testing.assert_allclose(np.sin(found[2]), ahead[2])
+    np.testing.assert_allclose(found[3:5], motion.translational()[[0, 2]])
+    np.testing.assert_allclose(found[5], -motion.rotational()[1])
+
+
+SPHERES = {
+    "heel": ContactSphere(2e6, 0.5, -0.05, -0.06, 0.032),
+    "ball": ContactSphere(2e6, 0.5, 0.13, -0.06, 0.032),
+}
+TIMES = np.linspace(0.0, 0.6, 121)
+STANCE = slice(20, 100)
+
+
+def rolling():
+    """A step: down on the heel, over the foot, off the ball, off-centre."""
+    s = np.clip((TIMES - 0.1) / 0.4, 0.0, 1.0)
+    foot = np.zeros((len(TIMES), 3))
+    foot[:, 1] = 0.11
+    foot[:, 2] = 0.25 - 0.7 * s**3
+    load = np.zeros(len(TIMES))
+    load[STANCE] = 700.0 * np.sin(np.pi * s[STANCE]) ** 0.5 + 6.0
+    ahead = -0.045 + 0.17 * s
+    ground = np.column_stack([0.1 * load * (2 * s - 1), load, -ahead * load])
+    return foot, ground
+
+
+def law(kernel, q, v):
+    values = [[*vars(s).values()] for s in SPHERES.values()]
+    rows = np.tile(np.ravel(values), (len(q), 1))
+    x = np.hstack([q, v, 0.0 * q, rows])
+    return kernel.evaluate(x, None) * [100.0, 100.0, 10.0]
+
+
+def test_a_rolling_foot_bears_what_was_measured():
+    kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
+    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
+    foot, ground = rolling()
+    q, v = settle_rolling(kernel, spheres, places, TIMES, foot, ground)
+    still = law(kernel, q, 0.0 * v)
+    # At rest; what sinking dissipates is left to the solver.
+    off = np.abs(still[:, 1] - ground[:, 1])[STANCE]
+    assert off.max() < 1.0
+    # As measured it would hang in the air, or be pressed into the ground.
+    raw = np.abs(law(kernel, foot, 0.0 * v)[:, 1] - ground[:, 1])[STANCE]
+    assert raw.max() > 100.0
+    # In the air it touches nothing, and it stays near where it was seen.
+    in_air = np.r_[0 : STANCE.start, STANCE.stop : len(TIMES)]
+    assert np.abs(law(kernel, q, v)[in_air, 1]).max() < 5.0
+    assert np.abs(q[:, 2] - foot[:, 2]).max() < 0.11
+    # Rolling moves the ankle, which was drawn as standing.
+    assert np.abs(q[:, 0] - foot[:, 0]).max() < 0.06
