@@ -48,7 +48,8 @@ def standing_checks(
             f"standing, subject.mass_kg says {stated:.3g} kg; "
             + (_unit_of(1.0 + off) or "correct the mass or standing.plates"),
         )
-    angles = dict(zip(JOINTS, said["standing_angles_deg"][1:], strict=True))
+    joints = subject.model.coordinates.human
+    angles = dict(zip(joints, said["standing_angles_deg"][1:], strict=True))
     worst = max(angles, key=lambda name: abs(angles[name]))
     yield _of_standing(
         "standing_posture",
@@ -93,9 +94,11 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     yield from _ranges(e)
     yield _markers(e)
     yield from _dynamics(e)
-    yield _end(e)
-    if e.has_both_feet:
-        yield from _legs(e)
+    # A step ends in the middle of a movement, and its legs do not move alike.
+    if not e.subject.model.assembly.human.sides:
+        yield _end(e)
+        if e.has_both_feet:
+            yield from _legs(e)
 
 
 def _ranges(e: Evidence) -> Iterator[Check]:
