@@ -21,7 +21,7 @@ from drake_exo.calibration.own_movement import own_kinematics
 from drake_exo.calibration.problem import (
     PhaseProblem,
     PhaseResult,
-    bound_foot,
+    bound_feet,
     ground_terms,
 )
 from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
@@ -297,7 +297,7 @@ class _Wearing(PhaseProblem):
             ):
                 given = values[i, own]
                 movement.bound(variables[i, own], given, given)
-        bound_foot(movement, at, PredictionEnds())
+        bound_feet(movement, at, PredictionEnds())
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
         """The device's torques are those of today times factors."""
@@ -701,8 +701,11 @@ class DesignProblem:
                 )
             ]
             contact = design.contact(part.wearer.contact)
+            grounds = [
+                x[self.program.indices(m.ground)] for m in part.movements
+            ]
             wearers[part.wearer.name] = PhaseResult(
-                part, solution, [], contact, trials
+                part, solution, [], contact, trials, grounds
             )
         return DesignResult(self, solution, values, wearers)
 

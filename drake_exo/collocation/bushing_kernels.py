@@ -4,6 +4,8 @@ Components are tangential, normal, rotation, as in `contact.bushing`. Forces
 are on the human; the generalized force of a bushing is -(dd/dq)^T F.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
@@ -32,8 +34,13 @@ class CoupledDynamicsKernel:
     N m), then their origins (x, z each). Outputs as DynamicsKernel.
     """
 
-    def __init__(self, tree: PlanarTree, bushings: list[BushingKinematics]):
-        self._dynamics = DynamicsKernel(tree)
+    def __init__(
+        self,
+        tree: PlanarTree,
+        bushings: list[BushingKinematics],
+        bodies: Sequence[str] | None = None,
+    ):
+        self._dynamics = DynamicsKernel(tree, bodies)
         self._bushings = bushings
         nq, nb = tree.num_positions, len(bushings)
         self._first = self._dynamics.sparsity.shape[1]

@@ -109,7 +109,7 @@ class TrialProgram:
         units = np.tile(CUFF_UNITS, len(bushings))
         if bushings:
             kinematics, origins = zip(*bushings.values(), strict=True)
-            kernel = CoupledDynamicsKernel(tree, list(kinematics))
+            kernel = CoupledDynamicsKernel(tree, list(kinematics), bodies)
             forces = self._new("interaction", units)
             inputs += [forces, self._at_nodes(np.concatenate(origins))]
             parts = np.split(forces, len(bushings), axis=1)
