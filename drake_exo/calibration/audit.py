@@ -159,8 +159,7 @@ def _residuals(
         return np.broadcast_to(values, (len(times), len(values)))
 
     cuffs = {c: at(force.components) for c, force in found.cuffs.items()}
-    # Of every segment that touches, also where a foot has several.
-    ground = at(result.grounds[index])
+    ground = at(_by_segment(result, index))
     inputs = [q, v, a, at(found.moments), ground, *cuffs.values()]
     inputs += [repeated(result.contact.bushings[c].origin) for c in cuffs]
     movement = problem.movements[index]
@@ -187,6 +186,20 @@ def _residuals(
         forces.append(r[:, :ROTATION])
         moments.append(r[:, ROTATION:])
     return np.hstack(forces), np.hstack(moments)
+
+
+def _by_segment(result: PhaseResult, index: int) -> np.ndarray:
+    """A trial's ground reaction (n, 3 k) on the k segments that touch.
+
+    What a trial says of a foot counts; segments share it as the solution has.
+    """
+    problem, found = result.problem, result.trials[index]
+    parts = np.split(result.grounds[index], len(problem.soles), axis=1)
+    wrenches = dict(zip(problem.soles, parts, strict=True))
+    for side, bodies in problem.feet.items():
+        others = sum(wrenches[body] for body in bodies[1:])
+        wrenches[bodies[0]] = found.soles[side].array - others
+    return np.hstack(list(wrenches.values()))
 
 
 def simulate(result: PhaseResult, index: int = 0) -> Trial:
