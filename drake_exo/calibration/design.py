@@ -701,11 +701,8 @@ class DesignProblem:
                 )
             ]
             contact = design.contact(part.wearer.contact)
-            grounds = [
-                x[self.program.indices(m.ground)] for m in part.movements
-            ]
             wearers[part.wearer.name] = PhaseResult(
-                part, solution, [], contact, trials, grounds
+                part, solution, [], contact, trials
             )
         return DesignResult(self, solution, values, wearers)
 
