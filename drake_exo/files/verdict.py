@@ -118,7 +118,7 @@ class Verdict:
         }
 
     def text(self, color: bool | None = None) -> str:
-        """One table: a line for each name that holds, one for each failure.
+        """One table: a line for each kind that holds, one for each failure.
 
         Args:
             color: failures in red; by default on a terminal.
@@ -219,16 +219,17 @@ def _amount(value: float | None, unit: str) -> str:
 
 
 def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
-    """A row for each name: the check that came nearest to its limit."""
+    """A row for each kind: the check that came nearest to its limit."""
     groups: dict[str, list[Check]] = {}
     for c in checks:
         if c.holds:
-            groups.setdefault(c.name, []).append(c)
+            groups.setdefault(c.name.partition(".")[0], []).append(c)
     rows = []
     for name, group in groups.items():
         nearest = min(group, key=_room)
         count = f"{len(group)} hold" if len(group) > 1 else "holds"
-        rows.append((name, count, _short(nearest).removeprefix(name).strip()))
+        told = _short(nearest).removeprefix(name).strip()
+        rows.append((name, count, f"nearest {told}" if told else ""))
     return rows
 
 

@@ -60,7 +60,7 @@ def test_of_many_that_hold_the_nearest_to_its_limit_is_told():
         for i, value in enumerate((0.1, 0.9, 0.2))
     ]
     text = Verdict(tuple(checks)).text(color=False)
-    assert "3 hold  (rise1, 0.9 N, limit 1 N)" in text
+    assert "3 hold  nearest (rise1, 0.9 N, limit 1 N)" in text
 
 
 def test_a_summary_comes_back():
