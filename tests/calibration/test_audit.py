@@ -9,6 +9,7 @@ from drake_exo.calibration import audit as module
 from drake_exo.calibration.audit import Audit, audit, between_nodes, simulate
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
+from drake_exo.virtual_laboratory.forces import ground_wrench
 
 
 def saying(result, **found):
@@ -97,6 +98,26 @@ def test_a_law_that_differs_between_nodes_is_missed_there(predicted, base):
     # Damping has a small part in the force.
     assert force == pytest.approx(spring, rel=0.1)
     assert moment == pytest.approx(base[1], abs=1e-6)
+
+
+def test_another_foot_is_missed_between_nodes(predicted, base):
+    """Under the same motion, against the law as the laboratory has it."""
+    (trial,) = predicted.trials
+    values = predicted.contact.values()
+    stiffer = {
+        name: 1.3 * value
+        for name, value in values.items()
+        if name in ("heel.stiffness", "toe.stiffness")
+    }
+    other = predicted.contact.with_values(stiffer)
+    wrench = ground_wrench(
+        predicted.problem.tree, other.ground, trial.q, trial.v
+    )
+    off = np.abs(wrench.array - trial.ground.array).max(axis=0)
+    assert off[1] > 100.0 and off[2] > 5.0
+    force, moment = missing(saying(predicted, contact=other))
+    assert force == pytest.approx(off[:2].max(), rel=0.05)
+    assert moment == pytest.approx(off[2], rel=0.05)
 
 
 def test_residuals_are_looked_for_between_nodes(predicted, base):

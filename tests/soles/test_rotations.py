@@ -1,0 +1,54 @@
+"""Rotations against scipy's, and compiled products against numpy's."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drake_exo.soles import rotations
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [((7, 3), (7, 3)), ((4, 7, 3), (7, 3)), ((4, 1, 3), (1, 7, 3))],
+)
+def test_cross_products_broadcast(a, b):
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=a), rng.normal(size=b)
+    np.testing.assert_allclose(rotations.cross(x, y), np.cross(x, y))
+
+
+def test_products_of_matrices():
+    a, b = np.random.default_rng(1).normal(size=(2, 3, 3))
+    out = np.full((3, 3), 9.0)
+    rotations.multiply(a, b, out)
+    np.testing.assert_allclose(out, a @ b)
+
+
+def test_angles_and_tilt():
+    angles = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, 1.0]])
+    R = Rotation.from_euler("XYZ", angles).as_matrix()
+    np.testing.assert_allclose(rotations.angles_xyz(R), angles)
+    z = Rotation.from_matrix(R).apply([0.0, 0.0, 1.0])
+    expected = np.degrees(np.arccos(z[:, 2]))
+    np.testing.assert_allclose(rotations.tilt_deg(R), expected)
+    turned = rotations.rotation_z(0.7)
+    np.testing.assert_allclose(
+        turned, Rotation.from_euler("z", 0.7).as_matrix(), atol=1e-15
+    )
+    assert rotations.yaw_of(turned) == pytest.approx(0.7)
+
+
+def test_exponentials_and_hats():
+    w = np.array([0.3, -0.5, 0.2])
+    expected = Rotation.from_rotvec(w).as_matrix()
+    np.testing.assert_allclose(rotations.exp_rotation(w), expected)
+    v = np.array([1.0, 2.0, -3.0])
+    np.testing.assert_allclose(rotations.hat(w) @ v, np.cross(w, v))
+
+
+def test_the_least_rotation_between_two_directions():
+    a, b = np.array([1.0, 2.0, 2.0]) / 3.0, np.array([0.0, 0.6, 0.8])
+    R = rotations.rotation_between(a, b)
+    np.testing.assert_allclose(R @ a, b, atol=1e-12)
+    turn = Rotation.from_matrix(R).magnitude()
+    assert turn == pytest.approx(np.arccos(a @ b))
