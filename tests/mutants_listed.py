@@ -16,6 +16,11 @@ TESTS = {
         "tests/calibration/test_bands.py",
     ],
     "drake_exo/calibration/scores.py": ["tests/calibration/test_scores.py"],
+    "drake_exo/calibration/design": ["tests/calibration/test_design.py"],
+    "drake_exo/designing.py": [
+        "tests/test_designing.py",
+        "tests/calibration/test_design.py",
+    ],
     "drake_exo/cli/": ["tests/test_cli.py", "tests/test_view.py"],
     "drake_exo/collocation/": ["tests/collocation", *_CALIBRATION],
     "drake_exo/contact/": ["tests/contact", *_CALIBRATION],
