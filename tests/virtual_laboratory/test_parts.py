@@ -275,3 +275,20 @@ def test_cells_lie_about_the_middle_of_a_face(mat):
     # An ellipse: the normal is its gradient.
     a, b = np.abs(centres[:, :2]).max(axis=0)
     assert a < 0.2 and b < 0.2
+
+
+@pytest.mark.parametrize("segment", ["shank", "thigh", "pelvis"])
+def test_straps_never_pull(segment):
+    """Back less front is the force, their product the tension's square."""
+    tension = {"shank": 40.0, "thigh": 50.0, "pelvis": 50.0}[segment]
+    force = np.array([-300.0, 0.0, 100.0])
+    sides = {}
+    for mat in (m for c in CONFIGURATIONS.values() for m in c):
+        if mat.segment == segment:
+            pressure = cell_pressures(mat, HUMAN, force)
+            assert pressure.min() > 0.0
+            inward = np.abs(cells(mat, HUMAN)[1][:, 0])
+            sides[mat.face] = CELL_AREA_M2 * pressure @ inward
+    np.testing.assert_allclose(sides["back"] - sides["front"], force, atol=1e-9)
+    product = sides["back"] * sides["front"]
+    np.testing.assert_allclose(product, tension**2)
