@@ -88,7 +88,7 @@ def test_files(found, study, tmp_path):
     assert set(summary["peaks_n"]["thigh"]) == set(Peak.__dataclass_fields__)
     assert {"before", "after"} <= set(summary["support"])
     assert read_design(tmp_path) == found.design
-    contact = dx.read_contact(tmp_path)
+    contact = dx.read_contact(tmp_path, accept=["provenance"])
     built = found.design.contact(study[1])
     assert contact.values() == pytest.approx(built.values())
     names = {row["name"] for row in summary["variables"]}

@@ -20,7 +20,6 @@ from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.own_movement import own_kinematics
 from drake_exo.calibration.problem import (
     PhaseProblem,
-    PhaseResult,
     bound_feet,
     ground_terms,
 )
@@ -503,6 +502,23 @@ class _Wearing(PhaseProblem):
 
 
 @dataclass(frozen=True)
+class WearerResult:
+    """What a design makes of one wearer's movements.
+
+    Attributes:
+        problem: the wearer's part of the program.
+        solution: of the whole program.
+        contact: with the design's cuffs.
+        trials: the solution of each movement, named as measured.
+    """
+
+    problem: PhaseProblem
+    solution: Solution
+    contact: ContactModel
+    trials: list[Trial]
+
+
+@dataclass(frozen=True)
 class DesignResult:
     """What a design found.
 
@@ -516,7 +532,7 @@ class DesignResult:
     problem: DesignProblem
     solution: Solution
     values: dict[str, float]
-    wearers: dict[str, PhaseResult]
+    wearers: dict[str, WearerResult]
 
     @property
     def design(self) -> Design:
@@ -701,8 +717,8 @@ class DesignProblem:
                 )
             ]
             contact = design.contact(part.wearer.contact)
-            wearers[part.wearer.name] = PhaseResult(
-                part, solution, [], contact, trials
+            wearers[part.wearer.name] = WearerResult(
+                part, solution, contact, trials
             )
         return DesignResult(self, solution, values, wearers)
 
