@@ -246,7 +246,7 @@ class StoredCalibration:
             subject, model, law: of the study.
             trials: that it is to be used for.
         """
-        made_of, where = self.origin, str(self.folder)
+        made_of, where = self.origin, self.folder.name
 
         def check(name, holds, sentence, level="fail"):
             text = "" if holds else sentence
