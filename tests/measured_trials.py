@@ -13,6 +13,13 @@ CUFFS = ("thigh", "pelvis", "shank")
 JOINTS = ("ankle", "knee", "hip", "exo_ankle", "exo_knee", "exo_hip")
 
 
+def saying(result, **found):
+    """The same result of a phase with other trials or another contact."""
+    other = replace(result)
+    other.__dict__.update(found)
+    return other
+
+
 def seen(name="rise", duration=2.0, cuffs=("thigh",), n=201) -> Trial:
     """A measured rise: curves that a cubic spline passes to 1e-6."""
     t = np.linspace(0.0, duration, n)

@@ -16,7 +16,7 @@ from drake_exo.calibration.audit import (
 from drake_exo.calibration.problem import PhaseProblem, PhaseResult
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress, read_arrays
-from drake_exo.nlp.ipopt import Iterate
+from drake_exo.nlp.ipopt import Iterate, Solution
 
 CHECKPOINT = "checkpoint.npz"
 REFINEMENTS = 2
@@ -100,10 +100,18 @@ def solve(
         )
         if not again.success:
             break  # the coarser solution stands, and its audit says so
+        _add_up(again.solution, result.solution)
         result = again
     if folder is not None and result.success:
         (Path(folder) / CHECKPOINT).unlink(missing_ok=True)
     return result
+
+
+def _add_up(solution: Solution, before: Solution) -> None:
+    """Iterations and seconds of a solve and of the one it started from."""
+    solution.iterations += before.iterations
+    for part, seconds in before.seconds.items():
+        solution.seconds[part] = solution.seconds.get(part, 0.0) + seconds
 
 
 def finer(result: PhaseResult) -> dict[str, int]:

@@ -228,7 +228,9 @@ def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
     for name, group in groups.items():
         nearest = min(group, key=_room)
         count = f"{len(group)} hold" if len(group) > 1 else "holds"
-        told = _short(nearest).removeprefix(name).strip()
+        told = _short(nearest)
+        if nearest.name == name:
+            told = told.removeprefix(name).strip()
         rows.append((name, count, f"nearest {told}" if told else ""))
     return rows
 

@@ -4,19 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measured_trials import saying
 
 from drake_exo.calibration import audit as module
 from drake_exo.calibration.audit import Audit, audit, between_nodes, simulate
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.virtual_laboratory.forces import ground_wrench
-
-
-def saying(result, **found):
-    """The same result with other trials or another contact."""
-    other = replace(result)
-    other.__dict__.update(found)
-    return other
 
 
 def spoiled(result, **fields):

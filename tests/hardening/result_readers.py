@@ -87,6 +87,7 @@ def _summary() -> dict:
     }
     return {
         "phase": "prediction",
+        "success": True,
         "subject": "virtual",
         "scale_interaction": 1.4,
         "objective": "tracking",
