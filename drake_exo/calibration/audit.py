@@ -16,8 +16,7 @@ from drake_exo.calibration.scores import rms
 from drake_exo.collocation.bushing_kernels import UNITS
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
-    GROUND_MOMENT_UNIT,
-    PoseKernel,
+    WRENCH_UNITS,
 )
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.controllers import TrackingController
@@ -171,12 +170,8 @@ def _residuals(
     forces, moments = [dynamics[:, ~is_angle]], [dynamics[:, is_angle]]
     wrenches = np.split(ground, len(problem.soles), axis=1)
     for body, wrench in zip(problem.soles, wrenches, strict=True):
-        spheres = problem.sphere_values(result.contact, body).ravel()
-        pose = PoseKernel(problem.tree, body).poses(q, v)
-        contact = problem.kernels[body].evaluate(
-            np.hstack([pose, wrench, repeated(spheres)]), None
-        )
-        contact = contact * [FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT]
+        x = problem.law_inputs(result.contact, body, q, v, wrench)
+        contact = WRENCH_UNITS * problem.kernels[body].evaluate(x, None)
         forces.append(contact[:, :2])
         moments.append(contact[:, 2:])
     for cuff, force in cuffs.items():

@@ -13,7 +13,11 @@ from drake_exo.calibration.error_model import Effects, ErrorModel
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.calibration.start import settled
 from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
-from drake_exo.collocation.kernels import BodyWrench, FootGroundKernel
+from drake_exo.collocation.kernels import (
+    BodyWrench,
+    FootGroundKernel,
+    PoseKernel,
+)
 from drake_exo.collocation.loads import AppliedWrench
 from drake_exo.collocation.trial_program import (
     Tracking,
@@ -241,6 +245,22 @@ class PhaseProblem(ABC):
                 for sphere in self.soles[body]
             ]
         )
+
+    def law_inputs(
+        self, contact: ContactModel, body: str, q, v, wrench=None
+    ) -> np.ndarray:
+        """Inputs (n, .) of the law under a segment, see `kernels`.
+
+        Args:
+            contact: gives the spheres.
+            body: the segment.
+            q, v: (n, nq).
+            wrench: (n, 3) that is held against the law's; zero by default.
+        """
+        pose = PoseKernel(self.tree, body).poses(q, v)
+        values = self.sphere_values(contact, body).ravel()
+        wrench = 0.0 * pose[:, :3] if wrench is None else wrench
+        return np.hstack([pose, wrench, np.tile(values, (len(pose), 1))])
 
     @abstractmethod
     def _add(self, trial: Trial) -> TrialProgram:
@@ -676,29 +696,22 @@ def ground_terms(
         variables = movement.foot(side)
         loaded = measured.is_loaded
         # Segments of one foot bear its force together.
-        parts = variables.shape[1] // 3
-        force = np.tile(np.eye(2, 3), parts)
-        rows = np.zeros((len(loaded), 1, 3 * parts))
-        rows[:, 0, 1::3] = np.where(loaded, measured.cop_x, 0.0)[:, None]
-        rows[:, 0, 2::3] = 1.0
+        wrenches = variables.reshape(len(variables), -1, 3)
+        forces = wrenches[:, :, :2].reshape(len(variables), -1)
+        loads = wrenches[:, :, 1:].reshape(len(variables), -1)
+        added = np.tile(np.eye(2), wrenches.shape[1])
+        rows = np.ones((len(loaded), 1, loads.shape[1]))
+        rows[:, 0, 0::2] = np.where(loaded, measured.cop_x, 0.0)[:, None]
         reference = measured.force_z[loaded].mean()
         spread = np.where(loaded, noise.cop_m * reference, np.inf)[:, None]
-        used = [0, 1] if parts == 1 else slice(None)
         terms += [
             Tracking(
-                variables[:, used],
+                forces,
                 measured.force,
                 noise.force_n,
-                np.broadcast_to(
-                    force[:, used], (len(loaded), 2, force[:, used].shape[1])
-                ),
+                np.broadcast_to(added, (len(loaded), *added.shape)),
             ),
-            Tracking(
-                variables[:, 1:] if parts == 1 else variables,
-                np.zeros((len(loaded), 1)),
-                spread,
-                rows[:, :, 1:] if parts == 1 else rows,
-            ),
+            Tracking(loads, np.zeros((len(loaded), 1)), spread, rows),
         ]
     return terms
 

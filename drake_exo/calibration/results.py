@@ -114,10 +114,14 @@ class Origin:
         return Origin(
             subject,
             checksum(model),
-            {t.name: checksum([t.times, t.q, t.ground.array]) for t in trials},
+            {t.name: _checksum_of(t) for t in trials},
             verdict.word,
             tuple(dict.fromkeys(c.name for c in verdict.failing)),
         )
+
+
+def _checksum_of(trial: Trial) -> str:
+    return checksum([trial.times, trial.q, trial.ground.array])
 
 
 @dataclass(frozen=True)
@@ -291,9 +295,7 @@ class StoredCalibration:
             check(
                 "unseen",
                 not any(
-                    made_of.data.get(t.name)
-                    == checksum([t.times, t.q, t.ground.array])
-                    for t in trials
+                    made_of.data.get(t.name) == _checksum_of(t) for t in trials
                 ),
                 "it was calibrated on trials that it is to predict",
                 "note",

@@ -7,7 +7,7 @@ import numpy as np
 from drake_exo.collocation.initial_guess import settle_foot
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
-    GROUND_MOMENT_UNIT,
+    WRENCH_UNITS,
     PoseKernel,
 )
 from drake_exo.collocation.rolling import settle_rolling
@@ -18,7 +18,6 @@ _LENGTH_M, _ANGLE_RAD, _FOOT = 0.01, 0.05, 1e-4
 _PASSES = 6
 _RATE_X = 3  # among a law's inputs
 _STEEP, _STEP = 100.0, 0.03  # N s/m, m/s
-_WRENCH = np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])
 
 
 class Start(NamedTuple):
@@ -102,12 +101,10 @@ def _rolling_feet(problem, movement, at, contact) -> Start:
 
 def _law(problem, contact, body, q, v):
     """Wrench (n, 3) that the law gives, and dF_x/dv_x (n,)."""
-    values = problem.sphere_values(contact, body).ravel()
-    pose = PoseKernel(problem.tree, body).poses(q, v)
-    x = np.hstack([pose, 0.0 * pose[:, :3], np.tile(values, (len(q), 1))])
+    x = problem.law_inputs(contact, body, q, v)
     kernel = problem.kernels[body]
     slope = kernel.jacobian(x, None)[:, 0, _RATE_X] * FORCE_UNIT
-    return kernel.evaluate(x, None) * _WRENCH, slope
+    return kernel.evaluate(x, None) * WRENCH_UNITS, slope
 
 
 def _slip(problem, contact, at, q, v) -> np.ndarray:

@@ -22,11 +22,7 @@ import numpy as np
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.problem import PhaseProblem, PhaseResult
 from drake_exo.calibration.scores import rms
-from drake_exo.collocation.kernels import (
-    FORCE_UNIT,
-    GROUND_MOMENT_UNIT,
-    PoseKernel,
-)
+from drake_exo.collocation.kernels import WRENCH_UNITS
 from drake_exo.collocation.trial_program import TrialProgram
 from drake_exo.contact.parameters import ContactParameter, Posterior
 from drake_exo.nlp.sensitivity import Response, response
@@ -311,19 +307,15 @@ class Identifiability:
 def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
     """Wrench (n, 3, parameters) of a segment by all spheres' parameters."""
     problem, names = result.problem, [p.name for p in result.parameters]
-    values = problem.sphere_values(result.contact, body).ravel()
-    pose = PoseKernel(problem.tree, body).poses(trial.q, trial.v)
-    n = len(trial.times)
-    x = np.hstack([pose, 0.0 * pose[:, :3], np.tile(values, (n, 1))])
-    own = problem.kernels[body].jacobian(x, None)[:, :, -len(values) :]
-    own = own * np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])[:, None]
-    J = np.zeros((n, 3, len(names)))
+    x = problem.law_inputs(result.contact, body, trial.q, trial.v)
+    own = WRENCH_UNITS[:, None] * problem.kernels[body].jacobian(x, None)
+    J = np.zeros((len(trial.times), 3, len(names)))
     columns = [
         names.index(p.name)
         for sphere in problem.soles[body]
         for p in result.contact.fixed(sphere)
     ]
-    J[:, :, columns] = own
+    J[:, :, columns] = own[:, :, -len(columns) :]
     return J
 
 

@@ -19,6 +19,7 @@ from drake_exo.model.planar_tree import PlanarTree
 FORCE_UNIT = 100.0  # N
 MOMENT_UNIT = 100.0  # N m
 GROUND_MOMENT_UNIT = 10.0  # N m
+WRENCH_UNITS = np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])
 
 
 class BodyWrench:
@@ -281,7 +282,7 @@ class FootGroundKernel:
         self.curved_inputs = np.ones(n_in, bool)
         self.curved_inputs[6:9] = False
         self.curved_inputs[13 :: len(SPHERE_PARAMETERS)] = False
-        self._units = np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])
+        self._units = WRENCH_UNITS
 
     def evaluate(self, x, data):
         """See Kernel."""

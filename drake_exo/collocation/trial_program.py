@@ -16,9 +16,8 @@ from drake_exo.collocation.bushing_kernels import (
     CoupledDynamicsKernel,
 )
 from drake_exo.collocation.kernels import (
-    FORCE_UNIT,
-    GROUND_MOMENT_UNIT,
     MOMENT_UNIT,
+    WRENCH_UNITS,
     DynamicsKernel,
     FootGroundKernel,
     PoseKernel,
@@ -93,7 +92,7 @@ class TrialProgram:
         moments = np.full(tree.coordinates.num_joints, MOMENT_UNIT)
         self.torque = self._new("torque", moments)
         bodies = (tree.root,) if bodies is None else tuple(bodies)
-        wrench = (FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT)
+        wrench = tuple(WRENCH_UNITS)
         self.ground = self._new("ground", wrench * len(bodies))
         parts = np.split(self.ground, len(bodies), axis=1)
         self.grounds = dict(zip(bodies, parts, strict=True))
