@@ -56,10 +56,8 @@ class FootGroundCalibration(PhaseProblem):
         )
 
     def _add(self, trial: Trial) -> TrialProgram:
-        movement = self._movement(trial)
-        at = trial.sample(movement.grid.times)
+        movement, at, _ = self._begin(trial)
         noise = self.settings.noise
-        self._hold_ends(movement, at)
         movement.add_tracking_cost(
             [
                 *kinematic_terms(movement, at, noise),

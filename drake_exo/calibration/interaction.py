@@ -69,10 +69,8 @@ class InteractionCalibration(PhaseProblem):
         )
 
     def _add(self, trial: Trial) -> TrialProgram:
-        movement = self._movement(trial)
-        at = trial.sample(movement.grid.times)
-        noise, effects = self.settings.noise, self._effects(at)
-        self._hold_ends(movement, at)
+        movement, at, effects = self._begin(trial)
+        noise = self.settings.noise
         movement.add_tracking_cost(
             [
                 *kinematic_terms(movement, at, noise, effects),

@@ -60,10 +60,8 @@ class OwnMovement(PhaseProblem):
         super().__init__(model, trials, contact, [], settings, errors)
 
     def _add(self, trial: Trial) -> TrialProgram:
-        movement = self._movement(trial)
-        at = trial.sample(movement.grid.times)
-        noise, effects = self.settings.noise, self._effects(at)
-        self._hold_ends(movement, at)
+        movement, at, effects = self._begin(trial)
+        noise = self.settings.noise
         movement.add_tracking_cost(
             [
                 *own_kinematics(movement, at, noise, effects),

@@ -88,11 +88,8 @@ class PredictionProblem(PhaseProblem):
         super().__init__(model, trials, contact, [], settings, errors, refined)
 
     def _add(self, trial: Trial) -> TrialProgram:
-        movement = self._movement(trial)
-        at = trial.sample(movement.grid.times)
+        movement, at, effects = self._begin(trial)
         settings, noise = self.settings, self.settings.noise
-        effects = self._effects(at)
-        self._hold_ends(movement, at)
         if effects is not None:
             at_ends = np.zeros(len(at.times))
             at_ends[[0, -1]] = END_WEIGHT_S

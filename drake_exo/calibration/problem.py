@@ -208,6 +208,20 @@ class PhaseProblem(ABC):
         every = np.concatenate(list(self._variables.values()))
         return every[[known.index(name) for name in names]]
 
+    def _begin(
+        self, trial: Trial
+    ) -> tuple[TrialProgram, Trial, Effects | None]:
+        """A trial without its cost, its ends held.
+
+        Returns:
+            The movement; the trial as measured at its nodes; what the unknown
+            errors do to it.
+        """
+        movement = self._movement(trial)
+        at = trial.sample(movement.grid.times)
+        self._hold_ends(movement, at)
+        return movement, at, self._effects(at)
+
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
         """Initial and final states near the measured ones (II-C).
 
