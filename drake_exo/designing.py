@@ -102,6 +102,7 @@ class Designed:
         parts: what was free -> the norm of forces that it reached [N], and
             the same in a forecast.
         measured: wearer -> its trials on the design, once it was built.
+        inputs: checks of the studies and calibrations that it is made of.
     """
 
     settings: DesignSettings
@@ -113,6 +114,7 @@ class Designed:
     measured: dict[str, Sequence[Trial]] = field(
         default_factory=dict, repr=False
     )
+    inputs: tuple[Check, ...] = ()
 
     @property
     def solution(self) -> Solution:
@@ -256,6 +258,7 @@ class Designed:
         """What the design has to hold."""
         solution = self.solution
         found = [
+            *self.inputs,
             Check(SOLVED, solution.success, sentence=_failed(solution)),
         ]
         if not self.success:

@@ -83,6 +83,10 @@ def solve(
             if the solve does not succeed. None keeps nothing.
         resume: start from the checkpoint found there, if there is one.
 
+    Returns:
+        What was found; of a stopped solve, also on a finer grid, what it was
+        stopped at.
+
     Raises:
         InputError: the checkpoint belongs to another problem, or is damaged;
             or from the pre-flight check.
@@ -98,9 +102,11 @@ def solve(
             problem.guess_from(result),
             on_iterate=SolveWatch(f"{title}, finer grid for {names}"),
         )
+        _add_up(again.solution, result.solution)
+        if again.solution.was_stopped:
+            return again
         if not again.success:
             break  # the coarser solution stands, and its audit says so
-        _add_up(again.solution, result.solution)
         result = again
     if folder is not None and result.success:
         (Path(folder) / CHECKPOINT).unlink(missing_ok=True)

@@ -51,15 +51,20 @@ def run(args: argparse.Namespace) -> int:
             f"{args.study}: no trial for calibration has pressure mats to "
             "compare with; give 'pressure' for at least one"
         )
-    study.gate("calibration", args.accept)
+    plausible = study.gate("calibration", args.accept)
     folds: list[dict] = []
     with prepare_output_folder(args.out, args.force) as out:
         for trial in trials:
             folds.append(fold(study, trial.name))
             held = Verdict(
-                tuple(
-                    Check(SOLVED, f["success"], where=f"without {f['trial']}")
-                    for f in folds
+                (
+                    *plausible,
+                    *(
+                        Check(
+                            SOLVED, f["success"], where=f"without {f['trial']}"
+                        )
+                        for f in folds
+                    ),
                 ),
                 tuple(args.accept),
             )

@@ -10,16 +10,22 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from drake_exo.calibration.results import read_contact
-from drake_exo.cli.calibrate import report_failure
+from drake_exo.cli.calibrate import report_failure, usable
 from drake_exo.cli.options import add_accept
+from drake_exo.contact.parameters import ContactModel
 from drake_exo.designing import Designed, design, front
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, write_json
+from drake_exo.files.verdict import Check
 from drake_exo.report.design_figures import front_figure
 from drake_exo.report.figures import save_figure
 from drake_exo.report.tables import format_table
-from drake_exo.study import RecordedStudy, calibrate_interaction, read_study
+from drake_exo.study import (
+    Calibration,
+    RecordedStudy,
+    calibrate_interaction,
+    read_study,
+)
 
 _TRUTH = "truth"
 
@@ -81,12 +87,22 @@ def run(args: argparse.Namespace) -> int:
             "--calibration is missing; give the --out folder of "
             "'drake-exo calibrate'"
         )
-    contacts = [
-        read_contact(folder, args.accept) for folder in args.calibration
-    ]
+    if args.calibration and len(args.calibration) != len(studies):
+        raise InputError(
+            f"{len(args.calibration)} times --calibration for {len(studies)} "
+            "studies; give one for each, in the same order"
+        )
     # Bad input ends before a folder is made.
+    use = "prediction" if args.calibration else None
+    checks: list[Check] = []
+    contacts: list[ContactModel | Calibration] = []
     for study in studies:
-        study.gate("prediction", args.accept)
+        checks += study.gate(use, args.accept)
+    for study, folder in zip(studies, args.calibration, strict=False):
+        contact, made_of = usable(folder, study, args.accept)
+        contacts.append(contact)
+        checks += made_of
+    for study in studies:
         if args.response:
             study.design = replace(study.design, response=args.response)
     laboratory = _laboratory(args.study[0]) if args.verify else None
@@ -95,8 +111,10 @@ def run(args: argparse.Namespace) -> int:
             found = calibrate_interaction(studies[0])
             if not found.success:
                 return report_failure(found.solution)
-            contacts = [found.contact]
+            contacts = [found]
+            checks += found.verdict().checks
         made = design(studies, contacts, parts=args.parts)
+        made = replace(made, inputs=tuple(checks))
         if made.success and laboratory is not None:
             made = _built(made, studies[0], laboratory, out)
         verdict = made.write(out, args.accept)

@@ -14,6 +14,7 @@ from drake_exo.calibration.uncertainty import (
     contact_sensitivity,
     radius_profile,
 )
+from drake_exo.cli.calibrate import report_failure
 from drake_exo.cli.options import add_accept
 from drake_exo.files.output import (
     Progress,
@@ -42,10 +43,16 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Solve, analyse, print and write sensitivity.json."""
     study = read_study(args.study, args.data_root)
-    study.gate("calibration", args.accept)
-    trials = study.trials("calibration")
+    plausible = study.gate("calibration", args.accept)
     with prepare_output_folder(args.out, args.force) as out:
-        result = calibrate_foot_ground(study, trials).result
+        calibrated = calibrate_foot_ground(study)
+        verdict = calibrated.verdict(plausible, args.accept)
+        write_json(
+            out / "summary.json", {"subject": study.name} | verdict.summary()
+        )
+        if not calibrated.success:
+            return report_failure(calibrated.solution)
+        result = calibrated.result
         found = contact_sensitivity(result)
         progress = Progress("sensitivity")
         rows = []
@@ -66,8 +73,9 @@ def run(args: argparse.Namespace) -> int:
                 "radius_profile": rows,
             },
         )
+    print(verdict.text())
     print(f"results in {args.out}")
-    return 0
+    return verdict.exit_code
 
 
 def _print(found, rows) -> None:

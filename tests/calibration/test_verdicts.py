@@ -1,6 +1,7 @@
 """A result that does not hold never passes for one that does."""
 
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -93,10 +94,12 @@ def test_a_calibration_of_another_is_refused(
     stored["origin"] |= {"subject": "another", "model": "0" * 16}
     write_json(other / "parameters.json", stored)
     more = ["--calibration", str(other), "--out", str(tmp_path / "c1")]
-    assert main([*command("predict"), *more]) == 2
-    said = capsys.readouterr().err
-    assert "it is of subject 'another'" in said
-    assert "another model" in said
+    for own in (command("predict"), ["design", *command("predict")[1:]]):
+        assert main([*own, *more]) == 2
+        said = capsys.readouterr().err
+        assert "it is of subject 'another'" in said
+        assert "another model" in said
+        assert not (tmp_path / "c1").exists()
     more += ["--accept", "provenance"]
     with undrawn():
         assert main([*command("predict"), *more]) == 0
@@ -133,3 +136,30 @@ def test_a_grid_that_misses_is_halved():
     ]
     assert off[1] < off[0]
     assert found.problem.refined["rise1"] >= 2
+
+
+@pytest.mark.slow
+def test_stopped_on_a_finer_grid_is_stopped(tmp_path):
+    """What was found before stays to go on from; it is no result."""
+    model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    settings = FootGroundSettings(solver=Solver(12.0))
+
+    def pose(refined):
+        posed = FootGroundCalibration(model, trials, settings, refined=refined)
+        if refined:
+            own = posed.solve
+
+            def stopped(guess, on_iterate):
+                def stop(iterate):
+                    on_iterate(iterate)
+                    signal.raise_signal(signal.SIGINT)
+
+                return own(guess, on_iterate=stop)
+
+            posed.solve = stopped
+        return posed
+
+    found = solve(pose, "calibrate", tmp_path)
+    assert not found.success
+    assert found.solution.was_stopped
+    assert (tmp_path / "checkpoint.npz").is_file()
