@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.bands import bands
 from drake_exo.calibration.error_model import (
@@ -92,6 +93,53 @@ def test_effects_are_what_instruments_do(in_device, errors):
                 np.testing.assert_allclose(
                     found.normal[cuff][:, k], change / 1e-4, atol=1e-6
                 )
+
+
+def test_a_late_clock_shows_what_was_before(in_device, errors):
+    """By shifted splines: what is shown at t was true at t - lag."""
+    lag = 1e-4
+    trial = in_device.trials[0]
+    names, moments = trial.coordinates, trial.moments.copy()
+    exo = names.is_device_joint
+    pulse = np.sin(np.pi * trial.times / trial.duration) ** 2
+    moments[:, exo] = np.outer(pulse, [3.0, -20.0, 12.0])
+    trial = replace(trial, moments=moments)
+    found = errors.effects(trial)
+    inside = slice(2, -2)
+
+    def change(x):
+        late = CubicSpline(trial.times, x)(trial.times - lag)
+        return ((late - x) / lag)[inside]
+
+    def of(what):
+        return errors.names.index(f"{trial.name}.{what}")
+
+    k = of("encoder_clock")
+    device = names.device_columns
+    others = [i for i in range(len(names)) if i not in device]
+    for by, was in ((found.q, trial.q), (found.v, trial.v)):
+        own = by[:, :, k]
+        assert np.abs(own[:, others]).max() == 0.0
+        np.testing.assert_allclose(
+            own[inside, device], change(was[:, device]), atol=0.02, rtol=0.02
+        )
+        assert np.abs(own).max() > 0.1
+    own = found.moments[inside, :, k]
+    shown = change(trial.moments[:, exo])
+    np.testing.assert_allclose(own[:, exo], shown, atol=0.1)
+    # What the device bears more the human bears less, joint by joint.
+    for device, change_nm in zip(names.device, shown.T, strict=True):
+        human = names.joint(names.follows(device))
+        np.testing.assert_allclose(own[:, human], -change_nm, atol=0.1)
+    k = of("mat_clock")
+    for cuff, force in trial.cuffs.items():
+        np.testing.assert_allclose(
+            found.normal[cuff][inside, k],
+            change(force.normal),
+            atol=0.02 * np.ptp(force.normal),
+            rtol=0.05,
+        )
+        assert np.abs(found.normal[cuff][:, k]).max() > 1.0
 
 
 def _direction(made) -> float:
