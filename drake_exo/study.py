@@ -638,7 +638,7 @@ def uncalibrated(
 ) -> ContactModel:
     """The same foot-ground contact with nominal cuffs: what to compare with."""
     nominal = nominal_contact(model).bushings
-    return ContactModel(contact_of(contact).ground, nominal)
+    return replace(contact_of(contact), bushings=nominal, posterior=None)
 
 
 def contact_of(contact: Calibration | ContactModel) -> ContactModel:

@@ -279,7 +279,7 @@ class _Wearing(PhaseProblem):
         else:
             self._hold_person(movement, at)
         movement.add_tracking_cost(terms)
-        movement.add_jerk_cost(noise.jerk)
+        movement.add_jerk_cost(self.jerk)
         self._drive(movement, at)
         self._add_forces(movement)
         self._limit(movement)

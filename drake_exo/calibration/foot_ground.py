@@ -7,11 +7,13 @@ touch.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from drake_exo.calibration.problem import (
     PhaseProblem,
     ground_terms,
     kinematic_terms,
+    typical_jerk,
 )
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.collocation.trial_program import TrialProgram, minimised
@@ -49,7 +51,7 @@ class FootGroundCalibration(PhaseProblem):
         super().__init__(
             model,
             trials,
-            settings.contact(model.spheres),
+            replace(settings.contact(model.spheres), jerk=typical_jerk(trials)),
             parameters or settings.parameters(model.spheres),
             settings,
             refined=refined,
@@ -65,5 +67,5 @@ class FootGroundCalibration(PhaseProblem):
                 minimised(movement.torque, noise.torque_nm),
             ]
         )
-        movement.add_jerk_cost(noise.jerk)
+        movement.add_jerk_cost(self.jerk)
         return movement

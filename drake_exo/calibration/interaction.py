@@ -16,6 +16,7 @@ from drake_exo.calibration.problem import (
     kinematic_terms,
     normal_force_terms,
     torque_terms,
+    typical_jerk,
 )
 from drake_exo.calibration.settings import InteractionSettings
 from drake_exo.collocation.trial_program import TrialProgram
@@ -61,7 +62,11 @@ class InteractionCalibration(PhaseProblem):
         super().__init__(
             model,
             trials,
-            replace(contact, bushings=settings.bushings(model.cuffs)),
+            replace(
+                contact,
+                bushings=settings.bushings(model.cuffs),
+                jerk=typical_jerk(trials),
+            ),
             settings.parameters(model.cuffs),
             settings,
             ErrorModel(model, trials, settings.errors),
@@ -80,7 +85,7 @@ class InteractionCalibration(PhaseProblem):
             ],
             self.error_variables,
         )
-        movement.add_jerk_cost(noise.jerk)
+        movement.add_jerk_cost(self.jerk)
         unmeasured = {
             cuff: [c for c in EVERY if c != NORMAL or cuff not in trial.cuffs]
             for cuff in self.bushings

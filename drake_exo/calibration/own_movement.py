@@ -70,7 +70,7 @@ class OwnMovement(PhaseProblem):
             ],
             self.error_variables,
         )
-        movement.add_jerk_cost(noise.jerk)
+        movement.add_jerk_cost(self.jerk)
         return movement
 
 

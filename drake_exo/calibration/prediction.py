@@ -108,7 +108,7 @@ class PredictionProblem(PhaseProblem):
         else:
             terms = [minimised(movement.torque, noise.torque_nm)]
         movement.add_tracking_cost(terms, self.error_variables)
-        movement.add_jerk_cost(noise.jerk)
+        movement.add_jerk_cost(self.jerk)
         everything = dict.fromkeys(self.bushings, EVERY)
         self.minimise_energy(movement, everything, noise.energy_j)
         if self._controller is not None:

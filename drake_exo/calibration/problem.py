@@ -141,6 +141,7 @@ class PhaseProblem(ABC):
         self.contact = contact = _in_order(contact, model)
         self.parameters = parameters
         self.settings = settings
+        self.jerk = settings.noise.jerk or contact.jerk
         self.refined = refined or {}
         under = contact.ground.under(model)
         self.soles = {body: list(own.spheres) for body, own in under.items()}
@@ -566,6 +567,16 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
                 f"trial {trial.name}: {wrong} holds what is no finite number; "
                 "cut or fill it"
             )
+
+
+def typical_jerk(trials: Sequence[Trial]) -> float:
+    """Root mean square of the human joints' jerk in some trials [rad/s^3]."""
+    rows = []
+    for trial in trials:
+        names = trial.coordinates
+        human = names.joint_columns[~names.is_device_joint]
+        rows.append(np.gradient(trial.a[:, human], trial.times, axis=0))
+    return float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
 
 
 def _in_order(contact: ContactModel, model: Model) -> ContactModel:

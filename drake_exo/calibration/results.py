@@ -20,6 +20,7 @@ from drake_exo.contact.bushing import (
 )
 from drake_exo.contact.parameters import (
     SPHERE_PARAMETERS,
+    TYPICAL_JERK,
     ContactModel,
     ContactSphere,
     GroundContact,
@@ -137,6 +138,7 @@ class _Stored:
             Phase A.
         preload: cuff -> x, z, angle of its preload; of cuffs that have one.
         posterior: how sure a calibration was; None where none was.
+        jerk: typical of what it was calibrated on.
         origin: of the calibration; None where it is not known.
     """
 
@@ -147,6 +149,7 @@ class _Stored:
     damping: dict[str, tuple[float, float, float]]
     preload: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     posterior: _StoredPosterior | None = None
+    jerk: float = field(default=TYPICAL_JERK, metadata={"above": 0.0})
     origin: Origin | None = None
 
     def __post_init__(self):
@@ -178,6 +181,7 @@ class _Stored:
                 contact.checked(),
                 bushings,
                 self.posterior and self.posterior.read(),
+                self.jerk,
             ),
         )
 
@@ -222,6 +226,7 @@ def write_contact(
         stored["preload"] = preload
     if contact.posterior is not None:
         stored["posterior"] = asdict(contact.posterior)
+    stored["jerk"] = contact.jerk
     if origin is not None:
         stored["origin"] = origin
     write_json(folder / PARAMETERS, stored)

@@ -103,7 +103,7 @@ class SphereSettings:
     radius_m: Range = Range(0.032, 0.01, 0.06, free=False)
 
 
-def _sigma(default: float, unit: str):
+def _sigma(default: float | None, unit: str):
     return field(default=default, metadata={"unit": unit, "above": 0.0})
 
 
@@ -122,7 +122,8 @@ class TrackingNoise:
         torque_nm: typical torque; large, so that torques are minimised
             without competing with what was measured.
         jerk: typical jerk [rad/s^3 or m/s^3], likewise; much larger, and
-            the motion wiggles between the nodes.
+            the motion wiggles between the nodes, or a device swings on its
+            cuffs. None: that of the joints in the trials that calibrate.
 
     >>> FootGroundSettings(noise=TrackingNoise(force_n=3.0)).noise.cop_m
     0.001
@@ -141,7 +142,7 @@ class TrackingNoise:
     force_n: float = _sigma(5.0, "N")
     cop_m: float = _sigma(0.001, "m")
     torque_nm: float = _sigma(5000.0, "N m")
-    jerk: float = _sigma(200.0, "rad/s^3")
+    jerk: float | None = _sigma(None, "rad/s^3")
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,7 @@ class ContactParameter:
 
 NOMINAL_MODULUS = 5e6  # N/m², both legs' soles together
 NOMINAL_DISSIPATION = 2.0  # s/m
+TYPICAL_JERK = 200.0  # rad/s³
 STIFFNESS_UNIT = {"paper": "(N/m^2)^(2/3)", "simbody": "N/m^2"}
 
 
@@ -187,6 +188,8 @@ class ContactModel:
         bushings: cuff -> its bushing; empty where human and device do not
             touch, or nothing is known of it.
         posterior: how sure a calibration is of them; None where none was.
+        jerk: typical of the movements that it was calibrated on [rad/s^3]; of
+            a brisk rise without a device where nothing was.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> contact = nominal_contact(nominal_model("coupled"))
@@ -199,6 +202,7 @@ class ContactModel:
     ground: GroundContact
     bushings: dict[str, BushingParameters] = field(default_factory=dict)
     posterior: Posterior | None = None
+    jerk: float = TYPICAL_JERK
 
     def values(self) -> dict[str, float]:
         """Parameters by name: spheres', then bushings' that are calibrated."""

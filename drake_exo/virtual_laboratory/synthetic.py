@@ -368,7 +368,7 @@ class _PassiveDevice(PhaseProblem):
         still = np.zeros(len(names))
         for i in (0, -1):
             movement.bound(grid.v[i], still, still)
-        movement.add_jerk_cost(loose.jerk)
+        movement.add_jerk_cost(self.jerk)
         return movement
 
 

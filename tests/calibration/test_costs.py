@@ -209,6 +209,25 @@ def test_jerk_is_minimised(request, phase):
         assert cost.bend(jerk[:, k], 30.0) == pytest.approx(expected, rel=1e-6)
 
 
+def test_typical_jerk_is_that_of_what_calibrates(in_device, trial):
+    """Of the human's joints; a prediction is told, and never its trial's."""
+    a = np.zeros_like(trial.a)
+    names = trial.coordinates
+    for joint, size in (("knee", 3.0), ("hip", 4.0), ("exo_hip", 100.0)):
+        a[:, names.index(joint)] = size * np.sin(20.0 * trial.times)
+    moved = replace(trial, a=a)
+    expected = 20.0 * np.sqrt((3.0**2 + 4.0**2) / 3.0 / 2.0)
+    model, contact = in_device.model, in_device.contact
+    for posed in (
+        FootGroundCalibration(model, [moved]),
+        InteractionCalibration(model, [moved], contact),
+    ):
+        assert posed.contact.jerk == pytest.approx(expected, rel=0.1)
+        assert posed.jerk == posed.contact.jerk
+    told = replace(contact, jerk=33.0)
+    assert PredictionProblem(model, [moved], told).jerk == 33.0
+
+
 def energies(in_device, cost) -> dict[str, np.ndarray]:
     """Of each cuff's components (n, 3) [J], from simulated cuffs at rest."""
     q = cost.x[cost.place(cost.movement.grid.q)]

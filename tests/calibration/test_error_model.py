@@ -95,6 +95,20 @@ def test_effects_are_what_instruments_do(in_device, errors):
                 )
 
 
+def test_skin_that_bends_goes_with_the_square_of_flexion(in_device, errors):
+    """Angle, and a rate that is its derivative."""
+    trial = in_device.trials[0]
+    found, names = errors.effects(trial), trial.coordinates
+    k = errors.names.index("bend.thigh.knee")
+    hip, knee = names.index("hip"), names.index("knee")
+    square = trial.q[:, knee] ** 2
+    np.testing.assert_allclose(np.abs(found.q[:, hip, k]), square)
+    rate = CubicSpline(trial.times, found.q[:, :, k])(trial.times, 1)
+    np.testing.assert_allclose(
+        found.v[2:-2, :, k], rate[2:-2], atol=0.02 * np.abs(rate).max()
+    )
+
+
 def test_a_late_clock_shows_what_was_before(in_device, errors):
     """By shifted splines: what is shown at t was true at t - lag."""
     lag = 1e-4

@@ -47,7 +47,7 @@ def test_preload_of_a_strap_survives_disk(in_device, tmp_path):
 
 
 def test_ground_contact_alone_survives_disk(in_device, tmp_path):
-    ground = ContactModel(in_device.contact.ground)
+    ground = ContactModel(in_device.contact.ground, jerk=21.0)
     write_contact(tmp_path, ground)
     assert read_calibration(tmp_path).contact == ground
 
