@@ -34,7 +34,12 @@ from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.solving import SolveWatch
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import STRAPS, Design, write_design
+from drake_exo.contact.strap import (
+    STRAPS,
+    Design,
+    device_sdf,
+    write_design,
+)
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress, write_json
 from drake_exo.files.verdict import SOLVED, Check, Verdict
@@ -506,8 +511,8 @@ class Designed:
             if verdict.mark:
                 text = f"{verdict.mark}\n\n{text}"
             (folder / "design.txt").write_text(text + "\n", encoding="utf-8")
-            figure = design_figures.forces_figure(self)
-            save_figure(folder / "forces.png", figure)
+            for name, draw in design_figures.FIGURES.items():
+                save_figure(folder / name, draw(self))
             first = next(iter(self.before))
             moved = self.before[first]
             (wearer,) = (
@@ -515,6 +520,9 @@ class Designed:
             )
             write_inputs(folder, wearer.model, [m.measured for m in moved])
             write_contact(folder, self.design.contact(wearer.contact))
+            text = device_sdf(wearer.model, self.design)
+            if text is not None:
+                (folder / "device.sdf").write_text(text, encoding="utf-8")
             for what in ("before", "after"):
                 for name, movements in getattr(self, what).items():
                     for m in movements:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from drake_exo.contact.strap import read_design
 from drake_exo.designing import Peak, front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.model.plant import nominal_model
 
 SOLVER = Solver(20.0, tolerance=1e-4)
 SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
@@ -95,7 +97,15 @@ def test_files(found, study, tmp_path):
     assert {"thigh.along_m", "exo_knee.factor_at_0_deg"} <= names
     text = (tmp_path / "design.txt").read_text()
     assert "thigh.along_m" in text and "N" in text
-    assert (tmp_path / "forces.png").stat().st_size > 10_000
+    for name in ("forces.png", "device.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+    own = nominal_model("coupled").exoskeleton
+    sdf = ElementTree.parse(tmp_path / "device.sdf")
+    for cuff, moved in found.design.cuffs.items():
+        pose = sdf.find(f".//frame[@name='exo_{cuff}_cuff']/pose").text
+        x, _, z = map(float, pose.split()[:3])
+        place = np.add(own.cuff_m(cuff), (moved.across_m, moved.along_m))
+        assert (x, z) == pytest.approx(tuple(place), abs=1e-6)
     work = summary["support"]["before"]
     own = sum(device_work(m.trial) for ms in found.before.values() for m in ms)
     assert work == pytest.approx(own)

@@ -17,6 +17,8 @@ from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.model.description import body_width, exoskeleton_sdf, hinged
+from drake_exo.model.plant import Model
 
 DESIGN = "design.yaml"
 # What a strap may be at its softest; below, cuffs are no cuffs any more.
@@ -189,6 +191,30 @@ class Design:
             built,
             posterior=replace(known, values=values, covariance=covariance),
         )
+
+
+def device_sdf(model: Model, design: Design) -> str | None:
+    """SDF of the fitted device with its cuffs moved.
+
+    Returns:
+        None of a device from a file of its own, or of none: where its cuffs
+        are, that file says.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> moved = Design({"thigh": CuffDesign(along_m=0.02)})
+    >>> "exo_thigh_cuff" in device_sdf(nominal_model("coupled"), moved)
+    True
+    """
+    device = model.exoskeleton
+    if device is None or not model.assembly.is_fitted:
+        return None
+    moved = {}
+    for name, cuff in design.cuffs.items():
+        segment = model.assembly.cuffs[name].human
+        x, z = device.cuff_m(segment)
+        moved[f"{segment}_cuff_m"] = (x + cuff.across_m, z + cuff.along_m)
+    width = body_width(model.human)
+    return hinged(exoskeleton_sdf(replace(device, **moved), width))
 
 
 def in_series(stiffness: float, strap: float | None) -> float:

@@ -1,19 +1,25 @@
-"""The figure of a design: forces of each cuff before and after."""
+"""Figures of a design: device and forces of each cuff, before and after."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 
 from drake_exo.contact.bushing import NORMAL
+from drake_exo.model.planar_tree import DEVICE
 from drake_exo.report.figures import STYLE
 
 if TYPE_CHECKING:
+    from drake_exo.contact.strap import CuffDesign
     from drake_exo.measurement.trial import Trial
 
 _BEFORE, _AFTER = "#1f6fb4", "#c8102e"
+_PERSON, _DEVICE = "0.82", "0.35"
+# A strap that adds nothing to what tissue gives.
+_STIFF = 1e6
 
 
 def forces_figure(designed) -> Figure:
@@ -52,17 +58,135 @@ def forces_figure(designed) -> Figure:
             axes[0, column].set_title(before.trial.name, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
         axes[0, 0].legend(fontsize=7)
-        marks = designed.verdict().mark
-        extrapolated = designed.softened() or any(
-            row["extrapolated"] for row in designed.variables()
-        )
-        title = (
-            "EXTRAPOLATED beyond what was calibrated" if extrapolated else ""
-        )
-        if marks or title:
-            text = ". ".join(t for t in (marks, title) if t)
-            figure.suptitle(text, color=_AFTER, fontsize=9)
+        _head(figure, designed)
     return figure
+
+
+def device_figure(designed) -> Figure:
+    """Person and device from the side, with cuffs of today and as designed.
+
+    The first wearer at the beginning and at the end of the first trial. A
+    cuff is drawn where it holds the limb.
+
+    Args:
+        designed: a `designing.Designed`.
+    """
+    name, moved = next(iter(designed.before.items()))
+    wearer = next(w for w in designed.found.problem.wearers if w.name == name)
+    trial, tree = moved[0].trial, wearer.model.tree
+    new = designed.design.contact(wearer.contact).bushings
+    told = {c: _told(c, d) for c, d in designed.design.cuffs.items()}
+    with matplotlib.rc_context(STYLE):
+        figure = Figure((7.2, 4.4), layout="constrained")
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, row, title in ((axes[0], 0, "start"), (axes[1], -1, "end")):
+            q = trial.q[[row]]
+            for parent, child in tree.joints.values():
+                _draw_link(axis, wearer.model, q, parent, child)
+            _draw_ends(axis, wearer.model, q)
+            for cuff, (link, _) in tree.cuffs.items():
+                old, at = (
+                    tree.point_positions(q, link, np.array(b.origin))[0]
+                    for b in (wearer.contact.bushings[cuff], new[cuff])
+                )
+                axis.plot(*old, "o", mfc="none", mec=_BEFORE, ms=9)
+                axis.plot(*at, "o", color=_AFTER, ms=6)
+                if row == 0:
+                    continue
+                axis.annotate(
+                    told.get(cuff, f"{cuff}: as today"),
+                    at,
+                    (at[0] + 0.25, at[1]),
+                    fontsize=7,
+                    va="center",
+                    arrowprops={"arrowstyle": "-", "lw": 0.5, "color": "0.5"},
+                )
+            axis.set_aspect("equal")
+            axis.set_title(f"{trial.name}, {title}", fontsize=8)
+            axis.set_xlabel("x [m]")
+        axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.75)
+        axes[0].set_ylabel("z [m]")
+        for marker, face, edge, label in (
+            ("o", "none", _BEFORE, "cuff today"),
+            ("o", _AFTER, _AFTER, "cuff as designed"),
+        ):
+            axes[0].plot(
+                [], [], marker, mfc=face, mec=edge, label=label, ls="none"
+            )
+        axes[0].plot([], [], color=_PERSON, lw=5, label="person")
+        axes[0].plot([], [], color=_DEVICE, lw=1.5, label="device")
+        figure.legend(fontsize=7, loc="outside lower center", ncols=4)
+        _head(figure, designed)
+    return figure
+
+
+def _head(figure: Figure, designed) -> None:
+    """What does not hold, or is an extrapolation, above a figure."""
+    said = [designed.verdict().mark]
+    if designed.softened() or any(
+        row["extrapolated"] for row in designed.variables()
+    ):
+        said.append("EXTRAPOLATED beyond what was calibrated")
+    text = ". ".join(filter(None, said))
+    if text:
+        figure.suptitle(text, color=_AFTER, fontsize=9)
+
+
+def _told(cuff: str, design: CuffDesign) -> str:
+    """What is to be built of a cuff, in a few words."""
+    words = [
+        f"{1e3 * abs(size):.0f} mm {up if size > 0.0 else down}"
+        for size, up, down in (
+            (design.along_m, "up", "down"),
+            (design.across_m, "forwards", "backwards"),
+        )
+        if abs(size) >= 5e-4
+    ]
+    straps = [
+        f"{what} strap {_rounded(value)} {unit}"
+        for what, value, unit in (
+            ("normal", design.strap_normal_n_m, "N/m"),
+            ("tangential", design.strap_tangential_n_m, "N/m"),
+            ("rotational", design.strap_rotational_nm_rad, "N m/rad"),
+        )
+        if value is not None and value < _STIFF
+    ]
+    said = [*words, *straps] or ["as today"]
+    return f"{cuff}: " + "\n    ".join(said)
+
+
+def _rounded(value: float) -> str:
+    """Three digits, without a power of ten."""
+    return f"{float(f'{value:.3g}'):,.10g}".replace(",", " ")
+
+
+def _draw_link(axis, model, q, parent: str, child: str) -> None:
+    """From one joint to the next."""
+    tree = model.tree
+    ends = [tree.point_positions(q, b, np.zeros(2))[0] for b in (parent, child)]
+    device = child.startswith(DEVICE)
+    axis.plot(
+        *np.transpose(ends),
+        color=_DEVICE if device else _PERSON,
+        lw=1.5 if device else 5,
+        marker="o" if device else None,
+        ms=3,
+        solid_capstyle="round",
+        zorder=2 if device else 1,
+    )
+
+
+def _draw_ends(axis, model, q) -> None:
+    """What no joint ends: trunk and head as long as they are, the sole."""
+    tree, human = model.tree, model.human
+    ends = {"pelvis": [(0.0, 0.0), (0.0, human.pelvis.length_m)]}
+    ends["foot"] = [human.heel_m, (0.0, 0.0), human.toe_m]
+    for body, points in ends.items():
+        if body in tree.names:
+            p_W = [tree.point_positions(q, body, p)[0] for p in points]
+            axis.plot(
+                *np.transpose(p_W), color=_PERSON, lw=5, solid_capstyle="round"
+            )
 
 
 def front_figure(rows: list[dict]) -> Figure:
@@ -124,3 +248,6 @@ def _draw(axis, cuff: str, before, after, built) -> None:
             ls="--",
             label="measured as built",
         )
+
+
+FIGURES = {"forces.png": forces_figure, "device.png": device_figure}
