@@ -162,6 +162,35 @@ def _direction(made) -> float:
     return float(np.sign(tree.turning("thigh")[names.index("knee")]))
 
 
+def test_priors_are_sizes_in_si_units(in_device):
+    """Independent of each other, about zero."""
+    sizes = ErrorSizes(
+        skin=0.02,
+        skin_bend=0.03,
+        encoder_offset_deg=180.0,
+        mat_share=0.04,
+        mat_offset_n=5.0,
+        encoder_clock_s=0.06,
+        mat_clock_s=0.07,
+    )
+    model = ErrorModel(in_device.model, in_device.trials, sizes)
+    mean, covariance = model.prior()
+    assert not mean.any()
+    np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)))
+    sd = dict(zip(model.names, np.sqrt(np.diag(covariance)), strict=True))
+    trial = in_device.trials[0].name
+    expected = {
+        "skin.thigh.knee": 0.02,
+        "bend.thigh.knee": 0.03,
+        "encoder.exo_knee": np.pi,
+        "mat.thigh.unseen": 0.04,
+        "mat.thigh.offset": 5.0,
+        f"{trial}.encoder_clock": 0.06,
+        f"{trial}.mat_clock": 0.07,
+    }
+    assert {name: sd[name] for name in expected} == pytest.approx(expected)
+
+
 def test_errors_that_are_none_are_no_unknowns(in_device):
     none = ErrorModel(in_device.model, in_device.trials, NO_ERRORS)
     assert none.unknowns == []
