@@ -89,20 +89,11 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
     """
     drawn = {}
     with matplotlib.rc_context(STYLE):
-        figure = _over_subjects(rows)
-        if figure is not None:
-            save_figure(out / "over_subjects.png", figure)
-            drawn["over_subjects.png"] = (
-                "RMSD of predictions: mean and standard deviation over "
-                "subjects, a point for each"
-            )
-        figure = _bland_altman(rows)
-        if figure is not None:
-            save_figure(out / "bland_altman.png", figure)
-            drawn["bland_altman.png"] = (
-                "Predicted against measured: largest value of each trial; "
-                "bias and limits of agreement (1.96 SD)"
-            )
+        for name, (draw, shows) in _FIGURES.items():
+            figure = draw(rows)
+            if figure is not None:
+                save_figure(out / name, figure)
+                drawn[name] = shows
     return drawn
 
 
@@ -174,3 +165,17 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
         ax.set_ylabel(f"predicted - measured [{unit}]")
     figure.tight_layout()
     return figure
+
+
+_FIGURES = {
+    "over_subjects.png": (
+        _over_subjects,
+        "RMSD of predictions: mean and standard deviation over subjects, a "
+        "point for each",
+    ),
+    "bland_altman.png": (
+        _bland_altman,
+        "Predicted against measured: largest value of each trial; bias and "
+        "limits of agreement (1.96 SD)",
+    ),
+}

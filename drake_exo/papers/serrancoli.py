@@ -5,6 +5,7 @@ bounds as they stand in the text (Results and Discussion), since its tables
 give them by trial of another subject.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 from drake_exo.report import figures
@@ -167,35 +168,25 @@ def _changes(runs: dict[str, Results]) -> list[str]:
 
 def draw_figures(folder: Path, found: list[Results]) -> None:
     """Figures 2 to 7 into a folder, as far as there are results."""
-    drawn = {}
     calibrated = _calibrations(found)
+    shown: list[tuple[int, Callable, dict[str, Results]]] = []
+    for number, phase, draw in (
+        (2, "A", figures.ground_reaction_figure),
+        (3, "A", figures.kinematics_figure),
+        (4, "B", figures.interaction_figure),
+        (5, "B", figures.moments_figure),
+    ):
+        if phase in calibrated:
+            shown.append((number, draw, {"model": calibrated[phase]}))
     predicted = _predictions(found)
-    marks = {
-        label: r.mark for label, r in (calibrated | predicted).items() if r.mark
-    }
-    if "A" in calibrated:
-        runs, trials = _curves({"model": calibrated["A"]})
-        drawn[2] = figures.ground_reaction_figure(runs, trials)
-        drawn[3] = figures.kinematics_figure(runs, trials)
-    if "B" in calibrated:
-        runs, trials = _curves({"model": calibrated["B"]})
-        drawn[4] = figures.interaction_figure(runs, trials)
-        drawn[5] = figures.moments_figure(runs, trials)
     if predicted:
-        runs, trials = _curves(predicted)
-        drawn[6] = figures.kinematics_figure(runs, trials)
-        if any(t.cuffs for t in trials):
-            drawn[7] = figures.interaction_figure(runs, trials)
-    for number, figure in drawn.items():
-        shown = {2: "A", 3: "A", 4: "B", 5: "B"}.get(number)
-        own = [
-            m
-            for k, m in marks.items()
-            if k == shown or (shown is None and k in predicted)
-        ]
-        figures.save_figure(
-            folder / f"figure_{number}.png", figure, "; ".join(own)
-        )
+        shown.append((6, figures.kinematics_figure, predicted))
+        if any(t.cuffs for t in _curves(predicted)[1]):
+            shown.append((7, figures.interaction_figure, predicted))
+    for number, draw, own in shown:
+        marks = "; ".join(r.mark for r in own.values() if r.mark)
+        path = folder / f"figure_{number}.png"
+        figures.save_figure(path, draw(*_curves(own)), marks)
 
 
 def _curves(results: dict[str, Results]):
