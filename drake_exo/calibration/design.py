@@ -33,7 +33,7 @@ from drake_exo.collocation.design_kernels import (
 )
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
-from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.parameters import TYPICAL_JERK, ContactModel
 from drake_exo.contact.strap import (
     STRAPS,
     Assistance,
@@ -279,7 +279,8 @@ class _Wearing(PhaseProblem):
         else:
             self._hold_person(movement, at)
         movement.add_tracking_cost(terms)
-        movement.add_jerk_cost(self.jerk)
+        # Loose, as in the own movement: it is no part of what is minimised.
+        movement.add_jerk_cost(noise.jerk or TYPICAL_JERK)
         self._drive(movement, at)
         self._add_forces(movement)
         self._limit(movement)

@@ -22,7 +22,7 @@ from drake_exo.calibration.problem import (
 )
 from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.collocation.trial_program import TrialProgram
-from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.parameters import TYPICAL_JERK, ContactModel
 from drake_exo.contact.strap import Design
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -70,7 +70,8 @@ class OwnMovement(PhaseProblem):
             ],
             self.error_variables,
         )
-        movement.add_jerk_cost(self.jerk)
+        # Loose: what a device does on its cuffs is what is asked for.
+        movement.add_jerk_cost(noise.jerk or TYPICAL_JERK)
         return movement
 
 
