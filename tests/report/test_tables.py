@@ -220,6 +220,7 @@ def test_changes_by_a_scaled_interaction_are_ratios():
     ]
     made, texts = serrancoli.tables(found)
     assert set(made) == {"table_2", "table_3"}
+    assert made["table_2"][0][1] == "A mean"  # Phase A is of the ground
     assert [t.split(":")[0] for t in texts[:2]] == ["Table II", "Table III"]
     assert "C1: movements start from the data" in texts
     lines = texts[-1].splitlines()
