@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
     MPLCONFIGDIR="$(CURDIR)/$(VENV)/matplotlib"
 
-.PHONY: demo test quick docs coverage mutants lint clean
+.PHONY: opensim demo test quick docs coverage mutants lint clean
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -15,6 +15,11 @@ $(VENV)/installed: pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[test]'
 	$(TEST_ENV) $(BIN)/python -c "import matplotlib.font_manager"
 	touch $@
+
+# OpenSim in an environment of its own, for tests that ask it.
+opensim:
+	$(PYTHON) -m venv .opensim
+	.opensim/bin/python -m pip install --quiet opensim
 
 demo: $(VENV)/installed
 	$(BIN)/drake-exo demo --out demo_results --force

@@ -31,6 +31,7 @@ from drake_exo.measurement.inverse_dynamics import (
     inverse_dynamics,
 )
 from drake_exo.measurement.kinematics import (
+    MarkerModel,
     ankle_paths,
     coordinates,
     leg_angles,
@@ -86,6 +87,7 @@ class Motion:
         legs: side -> (N, 3) ankle, knee, hip of that leg [rad].
         feet: side -> (N, k, 3) markers of the foot: forward, left, up [m].
         without: markers that are hidden for too long, and left out.
+        absent: markers of an OpenSim model that the file does not have.
     """
 
     time: np.ndarray
@@ -100,6 +102,7 @@ class Motion:
     legs: dict[str, np.ndarray]
     feet: dict[str, np.ndarray]
     without: tuple[str, ...] = ()
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -242,18 +245,21 @@ def process(
     Raises:
         InputError: as `load_trials`.
     """
-    subject = replace(subject, markers=subject.markers.without(without))
     laboratory, low_pass_filter = settings.laboratory, settings.filter
+    recorded = read_markers(root / files.markers, low_pass_filter)
+    absent: tuple[str, ...] = ()
+    if settings.markers is None:
+        absent = _absent(subject.markers, recorded)
+    followed = subject.markers.without((*without, *absent))
+    subject = replace(subject, markers=followed)
     model = subject.model
     markers, gaps = fill_gaps(
-        read_markers(root / files.markers, low_pass_filter),
-        subject.markers.names,
-        laboratory.fill_gaps_s,
+        recorded, subject.markers.names, laboratory.fill_gaps_s
     )
     forces = read_feet(files, laboratory, low_pass_filter, root)
     time = common_time(markers, forces, low_pass_filter)
     motion = _follow(files.name, markers, gaps, time, subject, settings)
-    motion = replace(motion, without=without)
+    motion = replace(motion, without=without, absent=absent)
     forces, force_clock = _on_marker_clock(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory
     )
@@ -284,6 +290,23 @@ def process(
         mats,
         clocks,
     )
+
+
+def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
+    """Markers of an OpenSim model that a file does without.
+
+    Raises:
+        InputError: the others do not hold every segment.
+    """
+    absent = tuple(n for n in model.names if n not in recorded.names)
+    loose = model.without(absent).loose()
+    if loose is not None:
+        raise InputError(
+            f"{recorded.source}: lacks {', '.join(absent)} of the model's "
+            f"markers, and too few are left on the {loose.replace('_', ' ')}; "
+            "list markers in the study"
+        )
+    return absent
 
 
 def _follow(
@@ -583,6 +606,7 @@ def _provenance(
         "legs_followed": list(subject.markers.sides),
         "marker_residual_rms_m": recording.motion.residuals_m,
         "markers_left_out": list(recording.motion.without),
+        "markers_absent": list(recording.motion.absent),
     }
 
 

@@ -69,6 +69,7 @@ class Quality:
         stated_mass_kg: by the study, None if it says nothing.
         trials: in the study's order.
         warnings: of the standing trial.
+        notes: what was made of an OpenSim model.
         checks: of plausibility.
     """
 
@@ -76,6 +77,7 @@ class Quality:
     stated_mass_kg: float | None
     trials: tuple[TrialQuality, ...]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
 
     def summary(self) -> dict[str, Any]:
@@ -125,8 +127,30 @@ def assess(
         stated,
         tuple(_of_trial(subject, trial) for trial in trials),
         tuple(warnings),
+        tuple(_model_notes(report)),
         checks,
     )
+
+
+def _model_notes(report: dict[str, Any]):
+    """What became of the subject's OpenSim model, line by line."""
+    said = report.get("osim")
+    if said is None:
+        return
+    yield (
+        f"model: {said['file']}, {said['mass_kg']:.1f} kg"
+        + (
+            f", scaled to {report['stated_mass_kg']:.1f} kg"
+            if report["mass_from"] != "OpenSim model"
+            else ""
+        )
+    )
+    yield from said["notes"]
+    if said["not_seen"]:
+        yield (
+            "markers of the model that standing lacks: "
+            f"{', '.join(said['not_seen'])}"
+        )
 
 
 def _mean_square(rms: dict[str, float]) -> float:
@@ -196,6 +220,9 @@ def _notes(trial: Trial):
         yield f"markers follow the {said['legs_followed'][0]} leg alone"
     if said.get("encoder_legs", "both") != "both":
         yield f"encoders of the {said['encoder_legs']} leg stand for both"
+    if said.get("markers_absent"):
+        names = ", ".join(said["markers_absent"])
+        yield f"markers of the model that the file lacks: {names}"
     moments = ", ".join(f"{k}: {v}" for k, v in said["moments"].items())
     yield f"joint moments: {moments}"
     yield f"chair: {said['chair']}"
@@ -220,6 +247,7 @@ def text_of(quality: Quality) -> str:
             f"  body mass: {quality.standing_mass_kg:.1f} kg by the plates, "
             f"{stated}"
         )
+    lines += [f"  {note}" for note in quality.notes]
     lines += [f"  ! {w}" for w in quality.warnings]
     for t in quality.trials:
         worst = 1e3 * t.marker_rms_m[t.worst_marker]

@@ -191,8 +191,8 @@ class Subject:
     Attributes:
         height_m: stature.
         sex: which of de Leva's tables.
-        mass_kg: body mass without the exoskeleton; left out, it is taken
-            from the forces of quiet standing.
+        mass_kg: body mass without the exoskeleton; left out, it is that of
+            the OpenSim model, or taken from the forces of quiet standing.
         segments: values that replace those scaled from mass and height, as
             sums over both legs.
     """
@@ -406,7 +406,7 @@ class Scaling:
     Attributes:
         lengths: of shank and thigh: "markers" (between joint centres) or
             "table" (from height). Centres of mass and radii of gyration
-            follow in proportion.
+            follow in proportion. An OpenSim model keeps its own.
         trunk_com: fore-aft place of the centre of mass of pelvis, trunk,
             head and arms: "table" (straight above the hip), or "standing"
             (so that the body's centre of mass stands above the centre of
@@ -466,6 +466,8 @@ class RecordingSettings:
     """All of a study but what is made of it.
 
     Attributes:
+        markers: which are on which segment; those of the model's own marker
+            set if left out, where `model.human.osim` is given.
         model: with the shipped exoskeleton, or the human alone; or a
             description of person, device, cuffs and ground.
         gravity_m_s2: acceleration of gravity.
@@ -476,8 +478,8 @@ class RecordingSettings:
 
     subject: Subject
     standing: Standing
-    markers: Markers
     trials: tuple[TrialFiles, ...]
+    markers: Markers | None = None
     model: Literal["coupled", "human"] | Assembly = "coupled"
     exoskeleton: ExoskeletonOverrides = field(
         default_factory=ExoskeletonOverrides
@@ -499,6 +501,10 @@ class RecordingSettings:
                 raise InputError(f"two trials are named {name!r}; rename one")
         if not names:
             raise InputError("trials is empty; list at least one")
+        if self.markers is None and self.assembly.human.osim is None:
+            raise InputError(
+                "markers is missing; list them, or give model.human.osim"
+            )
         for trial in self.trials:
             for name in (m for p in trial.pressure for m in p.mats):
                 if name not in self.mats:

@@ -23,10 +23,17 @@ from drake_exo.measurement.recording import (
     read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.measurement.settings import Markers, RecordingSettings, Standing
+from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.settings import (
+    JointCentres,
+    Markers,
+    RecordingSettings,
+    SegmentMarkers,
+    SidedMarkers,
+    Standing,
+)
 from drake_exo.model.anthropometry import scale_human
-from drake_exo.model.assembly import Assembly
+from drake_exo.model.assembly import SIDES, Assembly, Person
 from drake_exo.model.description import (
     NOMINAL_MASS_KG,
     fit_exoskeleton,
@@ -34,9 +41,11 @@ from drake_exo.model.description import (
     nominal_human,
 )
 from drake_exo.model.device_file import with_text
+from drake_exo.model.osim_person import OsimPerson, read_person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
+    SEGMENTS,
     HumanParameters,
     SegmentParameters,
     with_overrides,
@@ -72,20 +81,36 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
     frame = settings.laboratory.marker_axes.frame
+    person, who = None, settings.assembly.human
+    if who.osim is not None:
+        height, sex = settings.subject.height_m, settings.subject.sex
+        person = read_person(root / who.osim, who, height, sex)
     standing = _quiet_part(
         read_markers(root / settings.standing.markers, settings.filter),
         settings.standing,
     )
+    named, upright = settings.markers, None
+    if named is None:
+        named, upright = model_markers(person, who, standing)
     standing, gaps = fill_gaps(
-        standing, _all_names(settings.markers), settings.laboratory.fill_gaps_s
+        standing,
+        [n for n in _all_names(named) if n in standing.names or not upright],
+        settings.laboratory.fill_gaps_s,
     )
     gaps.check()
-    markers = build_marker_model(
-        standing, settings.markers, frame, _ball(settings, standing)
-    )
+    if upright is None:
+        ball = _ball(settings, named, standing, person)
+        markers = build_marker_model(standing, named, frame, ball)
+    else:
+        ball = person.human.ball_m if who.toes == "hinged" else None
+        markers = build_marker_model(upright, named, SagittalFrame(), ball)
     points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
     poses = solve_poses(markers, points, standing.source)
-    wrench = _standing_wrench(settings, root, ankle_paths(markers, poses))
+    ankles = ankle_paths(markers, poses)
+    if upright is not None:
+        height = float(np.mean([p[:, 1] for p in ankles.values()]))
+        markers = replace(markers, ankle_height_m=height)
+    wrench = _standing_wrench(settings, root, ankles)
     report: dict[str, Any] = {
         "stated_mass_kg": settings.subject.mass_kg,
         "standing_residual_rms_m": residual_rms(markers, poses),
@@ -93,8 +118,23 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),
     }
-    mass = _body_mass(settings, wrench, report)
-    model = _with_device(settings, _scaled(settings, mass, markers))
+    if person is not None:
+        report["osim"] = {
+            "file": who.osim.as_posix(),
+            "mass_kg": person.osim.mass_kg,
+            "notes": person.notes,
+            "not_seen": sorted(set(person.markers) - set(markers.names))
+            if upright
+            else [],
+        }
+    mass = _body_mass(settings, wrench, report, person)
+    human = (
+        _scaled(settings, mass, markers)
+        if person is None
+        else _as_modelled(person.human, mass, markers, poses)
+    )
+    human = with_overrides(human, settings.subject.segments, "subject.segments")
+    model = _with_device(settings, human)
     q = coordinates(model, markers, poses)
     report["standing_angles_deg"] = np.rad2deg(q[0, 2:])
     if settings.scaling.trunk_com == "standing":
@@ -107,16 +147,79 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     return SubjectModel(model, markers, mass, report)
 
 
+def model_markers(
+    person: OsimPerson, who: Person, seen: MarkerData
+) -> tuple[Markers, MarkerData]:
+    """The model's marker set, as a study would list it.
+
+    Args:
+        person: with its markers.
+        who: legs and toes.
+        seen: a recording; markers that it does not have are left out.
+
+    Returns:
+        Names by segment, and where they and the joint centres are in the
+        sagittal plane of the model at its zeros, in OpenSim's axes.
+    """
+    centres = {
+        (joint, side): f"{joint} of {person.osim.source}, {side}"
+        for side, own in person.places.items()
+        for joint in own
+        if joint in ("ankle", "knee", "hip")
+    }
+    places = {
+        name: person.places[side][joint]
+        for (joint, side), name in centres.items()
+    }
+    lists: dict[str, dict[str, list[str]]] = {}
+    for name, (segment, side, place) in person.markers.items():
+        if name not in seen.names:
+            continue
+        if segment == "toes" and who.toes == "rigid":
+            continue  # they bend against the foot
+        places[name] = place
+        lists.setdefault(segment, {}).setdefault(side or "middle", [])
+        lists[segment][side or "middle"].append(name)
+    sided = {
+        segment: SidedMarkers(**{k: tuple(v) for k, v in names.items()})
+        for segment, names in lists.items()
+    }
+    missing = [s for s in ("pelvis", *who.parts) if s not in sided]
+    if missing:
+        raise InputError(
+            f"{seen.source}: has no marker that {person.osim.source} has on "
+            f"the {missing[0]}; list markers in the study"
+        )
+    joints = JointCentres(
+        **{
+            joint: SidedMarkers(
+                **{side: (centres[joint, side],) for side in SIDES}
+            )
+            for joint in ("ankle", "knee", "hip")
+        }
+    )
+    p = np.array([[z.real, z.imag, 0.0] for z in places.values()])
+    upright = MarkerData(
+        np.zeros(1), tuple(places), p[None], 100.0, person.osim.source
+    )
+    return Markers(joints, SegmentMarkers(**sided)), upright
+
+
 def _ball(
-    settings: RecordingSettings, standing: MarkerData
+    settings: RecordingSettings,
+    markers: Markers,
+    standing: MarkerData,
+    person: OsimPerson | None,
 ) -> tuple[float, float] | None:
     """Place (x, z) of the toes' hinge before the ankle, if there is one."""
     if settings.assembly.human.toes == "rigid":
         return None
+    if person is not None:
+        return person.human.ball_m
     subject, frame = settings.subject, settings.laboratory.marker_axes.frame
     human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
     human = with_overrides(human, subject.segments, "subject.segments")
-    centres = settings.markers.joint_centres.ankle
+    centres = markers.joint_centres.ankle
     names = (*centres.left, *centres.right)
     ankle = frame.points(standing.of(names))[..., 1].mean()
     return ball_m(human)[0], CONTACT_RADIUS_M - float(ankle)
@@ -169,7 +272,9 @@ def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
     return merge_plates(means, ankles)[0]
 
 
-def _body_mass(settings: RecordingSettings, wrench, report) -> float:
+def _body_mass(
+    settings: RecordingSettings, wrench, report, person: OsimPerson | None
+) -> float:
     device = 0.0
     if settings.assembly.is_fitted:
         device = with_overrides(
@@ -185,7 +290,10 @@ def _body_mass(settings: RecordingSettings, wrench, report) -> float:
     if wrench is not None:
         measured = float(wrench.force[0, 1]) / settings.gravity_m_s2 - device
         report["standing_mass_kg"] = measured
-    stated = settings.subject.mass_kg
+    stated, source = settings.subject.mass_kg, "study"
+    if stated is None and person is not None:
+        stated, source = person.osim.mass_kg, "OpenSim model"
+        report["stated_mass_kg"] = stated
     if stated is None and measured is None:
         raise InputError(
             "the body mass is unknown: give subject.mass_kg, or "
@@ -196,7 +304,7 @@ def _body_mass(settings: RecordingSettings, wrench, report) -> float:
         check_loaded(
             str(settings.standing.forces), wrench, usual, "in standing"
         )
-    report["mass_from"] = "standing" if stated is None else "study"
+    report["mass_from"] = "standing" if stated is None else source
     mass = measured if stated is None else stated
     if not mass > 0.0:
         raise InputError(
@@ -219,7 +327,44 @@ def _scaled(
             thigh=_stretched(human.thigh, model.lengths_m["thigh"]),
         )
         human = _raised(human, model.ankle_height_m)
-    return with_overrides(human, subject.segments, "subject.segments")
+    return human
+
+
+def _as_modelled(
+    human: HumanParameters, mass: float, model: MarkerModel, poses
+) -> HumanParameters:
+    """An OpenSim model's person of this mass, its soles where it stood.
+
+    A foot that the model holds at an angle in standing has its spheres on the
+    floor there.
+    """
+    ratio = mass / human.mass_kg
+
+    def heavier(segment: SegmentParameters) -> SegmentParameters:
+        return replace(
+            segment,
+            mass_kg=ratio * segment.mass_kg,
+            inertia_kg_m2=ratio * segment.inertia_kg_m2,
+        )
+
+    parts = {name: heavier(getattr(human, name)) for name in SEGMENTS}
+    if human.toes is not None:
+        parts["toes"] = heavier(human.toes)
+    height = _checked_height(model.ankle_height_m)
+    feet = [model.index("foot", side) for side in model.sides]
+    level = np.exp(-1j * poses.angles[:, feet].mean())
+
+    def on_floor(point: tuple[float, float]) -> tuple[float, float]:
+        p = level * complex(point[0], CONTACT_RADIUS_M - height)
+        return float(p.real), float(p.imag)
+
+    return replace(
+        human,
+        ankle_height_m=height,
+        heel_m=on_floor(human.heel_m),
+        toe_m=on_floor(human.toe_m),
+        **parts,
+    )
 
 
 def _stretched(segment: SegmentParameters, length: float):
@@ -235,13 +380,7 @@ def _stretched(segment: SegmentParameters, length: float):
 
 def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
     """The ankle at its measured height; soles and contact stay below it."""
-    if not 0.02 < ankle_height < 0.3:
-        raise InputError(
-            f"the ankles are {ankle_height:.3f} m above the floor in "
-            "standing; check markers.joint_centres.ankle and that the "
-            "laboratory's floor is at zero height"
-        )
-    ratio = ankle_height / human.ankle_height_m
+    ratio = _checked_height(ankle_height) / human.ankle_height_m
     sphere_z = CONTACT_RADIUS_M - ankle_height
     return replace(
         human,
@@ -253,6 +392,16 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
             com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1]),
         ),
     )
+
+
+def _checked_height(ankle_height: float) -> float:
+    if not 0.02 < ankle_height < 0.3:
+        raise InputError(
+            f"the ankles are {ankle_height:.3f} m above the floor in "
+            "standing; check markers.joint_centres.ankle and that the "
+            "laboratory's floor is at zero height"
+        )
+    return ankle_height
 
 
 def _with_device(settings: RecordingSettings, human: HumanParameters) -> Model:

@@ -27,6 +27,8 @@ class Person:
         legs: "one" stands for both, which move alike; "two" move on their
             own.
         toes: "hinged" at the ball of the foot, or "rigid" with it.
+        osim: scaled OpenSim model (.osim, version 4) that masses, lengths
+            and inertias come from; de Leva's tables if left out.
 
     >>> Person("two").segments[:4]
     ('pelvis', 'thigh_left', 'shank_left', 'foot_left')
@@ -34,6 +36,7 @@ class Person:
 
     legs: Legs = "one"
     toes: Toes = "rigid"
+    osim: Path | None = None
 
     @property
     def sides(self) -> tuple[str, ...]:

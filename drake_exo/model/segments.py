@@ -7,6 +7,7 @@ forward and z up along the segment when standing straight. Points are (x, z).
 
 from collections.abc import Mapping
 from dataclasses import (
+    MISSING,
     dataclass,
     field,
     fields,
@@ -70,6 +71,9 @@ class HumanParameters(_Chain):
         heel_m, toe_m: centres of the contact spheres in the foot frame.
         shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: origins (l_x, l_z) of the
             human-exoskeleton bushings in the human segments.
+        toes: of the foot, in a frame at their hinge; by the foot's length if
+            None.
+        ball_m: place of that hinge in the foot; likewise.
     """
 
     foot: SegmentParameters
@@ -82,6 +86,8 @@ class HumanParameters(_Chain):
     shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
     thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
     pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    toes: SegmentParameters | None = None
+    ball_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
 
     @property
     def height_m(self) -> float:
@@ -125,6 +131,7 @@ def _overrides(name: str, of: type, doc: str) -> type:
         if f.type is SegmentParameters
         else (f.name, f.type | None, field(default=None, metadata=f.metadata))
         for f in fields(of)
+        if f.default is MISSING
     ]
     namespace = {"__doc__": doc, "__module__": __name__}
     return make_dataclass(name, known, frozen=True, namespace=namespace)
@@ -163,7 +170,7 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
         InputError: unknown name, value not finite, or not positive where it
             must be.
     """
-    known = {f.name: f for f in fields(parameters)}
+    known = {f.name: f for f in fields(parameters) if f.default is MISSING}
     changes = {}
     for name, value in _items(overrides, where):
         if name not in known:

@@ -72,6 +72,8 @@ def hinges(person: Person) -> list[Hinge]:
 
 def ball_m(human: HumanParameters) -> tuple[float, float]:
     """Place (x, z) of the toes' hinge in the foot [m]."""
+    if human.ball_m is not None:
+        return human.ball_m
     return _BALL_JOINT * human.foot.length_m, human.toe_m[1]
 
 
@@ -85,7 +87,7 @@ def soles(
         x, z = ball_m(human)
         foot = {
             "heel": human.heel_m,
-            "ball": (_BALL_SPHERE * human.foot.length_m, z),
+            "ball": (_BALL_SPHERE * human.foot.length_m, human.toe_m[1]),
         }
         toes = {"toe": (human.toe_m[0] - x, human.toe_m[1] - z)}
     found = {}
@@ -140,11 +142,14 @@ def foot_and_toes(
 ) -> tuple[SegmentParameters, SegmentParameters]:
     """The foot without its toes, and the toes in their own frame."""
     foot, (x, z) = human.foot, ball_m(human)
-    length = _TOE_TIP * foot.length_m - x
-    mass = _TOE_MASS * foot.mass_kg
-    toes = SegmentParameters(
-        mass, (0.5 * length, 0.0), _ROD * mass * length**2, length
-    )
+    toes = human.toes
+    if toes is None:
+        length = _TOE_TIP * foot.length_m - x
+        mass = _TOE_MASS * foot.mass_kg
+        toes = SegmentParameters(
+            mass, (0.5 * length, 0.0), _ROD * mass * length**2, length
+        )
+    mass = toes.mass_kg
     rest = foot.mass_kg - mass
     place = (x + toes.com_m[0], z + toes.com_m[1])
     com = tuple(

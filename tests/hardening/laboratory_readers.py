@@ -4,6 +4,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from small_osim import small_osim
 from sound_files import written
 
 from drake_exo.files.c3d import read_c3d
@@ -21,6 +22,8 @@ from drake_exo.files.tables import MarkerData, PlateRecording, Table
 from drake_exo.measurement import mats as body_surface
 from drake_exo.measurement.exoskeleton import read_angles, read_moments
 from drake_exo.measurement.settings import Filter, Scan
+from drake_exo.model.assembly import Person
+from drake_exo.model.osim_person import read_person
 from drake_exo.soles.mesh import brick
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
@@ -146,6 +149,12 @@ def laboratory() -> dict:
             read_markers_csv,
         ),
         "motive plate": ("a.csv", "text", _motive_plate(), read_plate_csv),
+        "osim": (
+            "a.osim",
+            "text",
+            small_osim("CustomJoint"),
+            lambda p: read_person(p, Person("two", "hinged"), 1.75),
+        ),
     }
 
 

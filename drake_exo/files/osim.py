@@ -1,0 +1,467 @@
+"""Scaled OpenSim models (.osim, version 4): bodies, joints, markers, poses.
+
+Axes are OpenSim's: x forward, y up, z to the right. Every joint is read as up
+to three turns about body-fixed axes and three translations in the parent's
+frame, each a function of the model's coordinates (OpenSim's SpatialTransform);
+pins, welds, sliders and balls are such, too.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PPoly
+
+from drake_exo.errors import InputError
+from drake_exo.files.text import read_text, shown
+
+_X, _Y, _Z = (tuple(row) for row in np.eye(3))
+# Axes of the joints that have no functions of their own: turns, translations.
+_SIMPLE: dict[str, tuple[tuple, tuple]] = {
+    "WeldJoint": ((), ()),
+    "PinJoint": ((_Z,), ()),
+    "SliderJoint": ((), (_X,)),
+    "UniversalJoint": ((_X, _Y), ()),
+    "GimbalJoint": ((_X, _Y, _Z), ()),
+    "BallJoint": ((_X, _Y, _Z), ()),
+    "PlanarJoint": ((_Z,), (_X, _Y)),
+    "FreeJoint": ((_X, _Y, _Z), (_X, _Y, _Z)),
+}
+_LARGEST = 1e6  # of any number, in SI units
+# Derivative (order 0 is the value) at values (N,) of the coordinate.
+Function = Callable[[np.ndarray, int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class OsimBody:
+    """A rigid body.
+
+    Attributes:
+        mass_kg: its mass.
+        com_m: (3,) centre of mass in its frame.
+        inertia_kg_m2: (3, 3) about the centre of mass, in its axes.
+    """
+
+    mass_kg: float
+    com_m: np.ndarray
+    inertia_kg_m2: np.ndarray
+
+
+class Pose(NamedTuple):
+    """Rotation (3, 3) and place (3,) [m] of a frame in another."""
+
+    R: np.ndarray
+    p: np.ndarray
+
+
+@dataclass(frozen=True)
+class OsimAxis:
+    """One turn about, or translation along, an axis of a joint.
+
+    Attributes:
+        direction: (3,) unit vector.
+        coordinate: name of what it is a function of; None for a constant.
+        function: of that coordinate.
+    """
+
+    direction: np.ndarray
+    coordinate: str | None
+    function: Function
+
+
+@dataclass(frozen=True)
+class OsimJoint:
+    """A joint, from its parent's frame F to its child's frame M.
+
+    Attributes:
+        name, kind: of the file, such as "knee_r" and "CustomJoint".
+        parent, child: bodies; "ground" may be a parent.
+        X_PF, X_CM: F seen from the parent, M from the child.
+        turns, translations: of M in F, in this order.
+        coordinates: names, in the order of the file.
+        ranges: (lower, upper) of each.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    X_PF: Pose
+    X_CM: Pose
+    turns: tuple[OsimAxis, ...]
+    translations: tuple[OsimAxis, ...]
+    coordinates: tuple[str, ...]
+    ranges: tuple[tuple[float, float], ...]
+
+    def across(self, q: Mapping[str, np.ndarray], n: int):
+        """Pose of M in F: R (n, 3, 3) and p (n, 3) [m].
+
+        Args:
+            q: coordinate -> values (n,); those left out are zero.
+            n: number of states.
+        """
+        R, p = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        for axis in self.turns:
+            R = R @ _rotation(axis.direction, self._value(axis, q, n))
+        for axis in self.translations:
+            p = p + self._value(axis, q, n)[:, None] * axis.direction
+        return R, p
+
+    @staticmethod
+    def _value(axis: OsimAxis, q, n: int) -> np.ndarray:
+        at = q.get(axis.coordinate) if axis.coordinate else None
+        return axis.function(np.zeros(n) if at is None else at, 0)
+
+
+@dataclass(frozen=True)
+class OsimModel:
+    """What a .osim file holds of a skeleton.
+
+    Attributes:
+        source: the file.
+        gravity_m_s2: magnitude of gravity.
+        bodies: by name.
+        joints: parents before children.
+        markers: name -> (body, (3,) place in its frame [m]).
+    """
+
+    source: str
+    gravity_m_s2: float
+    bodies: dict[str, OsimBody]
+    joints: tuple[OsimJoint, ...]
+    markers: dict[str, tuple[str, np.ndarray]]
+
+    @property
+    def mass_kg(self) -> float:
+        """Of all bodies."""
+        return sum(body.mass_kg for body in self.bodies.values())
+
+    def joint_of(self, child: str) -> OsimJoint:
+        """The joint that a body hangs from.
+
+        Raises:
+            InputError: there is no such body.
+        """
+        for joint in self.joints:
+            if joint.child == child:
+                return joint
+        raise InputError(
+            f"{self.source}: has no body {child!r}; it has "
+            f"{', '.join(self.bodies)}"
+        )
+
+    def poses(self, q: Mapping[str, np.ndarray] | None = None, n: int = 1):
+        """Body -> R (n, 3, 3) and p (n, 3) in the ground [m].
+
+        Args:
+            q: coordinate -> values (n,); zero where left out. Constraints
+                between coordinates (a patella's) are not applied.
+            n: number of states.
+        """
+        q = q or {}
+        found = {"ground": (np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))}
+        for joint in self.joints:
+            R, p = joint.across(q, n)
+            R_GP, p_GP = found[joint.parent]
+            R_GF = R_GP @ joint.X_PF.R
+            p_GF = p_GP + R_GP @ joint.X_PF.p
+            R_GC = R_GF @ R @ joint.X_CM.R.T
+            p_GM = p_GF + np.einsum("nij,nj->ni", R_GF, p)
+            found[joint.child] = (R_GC, p_GM - R_GC @ joint.X_CM.p)
+        return found
+
+
+def read_osim(path: str | Path) -> OsimModel:
+    """Read a model of OpenSim 4.
+
+    Raises:
+        InputError: it is no such file, of an older version, or holds a joint
+            or function that is not known.
+    """
+    try:
+        root = ET.fromstring(read_text(path))
+    except ET.ParseError as error:
+        raise InputError(f"{path}: is no XML ({error})") from error
+    model = root.find("Model")
+    if root.tag != "OpenSimDocument" or model is None:
+        raise InputError(
+            f"{path}: holds no OpenSim model; give a scaled .osim file"
+        )
+    if not (root.get("Version") or "0").isdigit() or (
+        int(root.get("Version") or 0) < 40000
+    ):
+        raise InputError(
+            f"{path}: is of OpenSim {root.get('Version')}; open it in "
+            "OpenSim 4 and save it"
+        )
+    units = (model.findtext("length_units") or "meters").strip()
+    if units != "meters":
+        raise InputError(f"{path}: lengths are in {units}; they must be meters")
+    try:
+        return _model(str(path), model)
+    except (AttributeError, ValueError, TypeError, IndexError) as error:
+        raise InputError(
+            f"{path}: is no complete model ({error}); open it in OpenSim 4 "
+            "and save it"
+        ) from error
+
+
+def _model(path: str, model: ET.Element) -> OsimModel:
+    bodies = {
+        _name(body): _body(path, body)
+        for body in model.iterfind("BodySet/objects/Body")
+    }
+    joints = [
+        _joint(path, joint, bodies)
+        for joint in model.find("JointSet/objects") or ()
+    ]
+    if not bodies or not joints:
+        raise InputError(f"{path}: has no bodies or no joints")
+    markers = {}
+    for marker in model.iterfind("MarkerSet/objects/Marker"):
+        body = _last(marker.findtext("socket_parent_frame"))
+        if body in bodies:
+            place = _vector(marker.findtext("location"))
+            markers[_name(marker)] = (body, place)
+    gravity = _vector(model.findtext("gravity") or "0 -9.80665 0")
+    if gravity[0] or gravity[2]:
+        raise InputError(f"{path}: gravity is not along -y")
+    return OsimModel(
+        path, -float(gravity[1]), bodies, _ordered(path, joints), markers
+    )
+
+
+def _body(path: str, body: ET.Element) -> OsimBody:
+    (mass,) = _vector(body.findtext("mass"), 1)
+    xx, yy, zz, xy, xz, yz = _vector(body.findtext("inertia"), 6)
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not mass >= 0.0:
+        raise InputError(
+            f"{path}: body {body.get('name')!r} has a mass of {mass:g} kg"
+        )
+    return OsimBody(float(mass), _vector(body.findtext("mass_center")), inertia)
+
+
+def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
+    name, kind = _name(joint), joint.tag
+    where = f"{path}: joint {name!r}"
+    if kind != "CustomJoint" and kind not in _SIMPLE:
+        raise InputError(
+            f"{where} is a {kind}, which is not known; replace it by a "
+            "CustomJoint or a PinJoint"
+        )
+    ends = []
+    frames = {
+        _name(frame): frame
+        for frame in joint.iterfind("frames/PhysicalOffsetFrame")
+    }
+    for end in ("parent", "child"):
+        named = _last(joint.findtext(f"socket_{end}_frame"))
+        R, p = np.eye(3), np.zeros(3)
+        if named in frames:
+            frame = frames[named]
+            R = _attitude(_vector(frame.findtext("orientation") or "0 0 0"))
+            p = _vector(frame.findtext("translation") or "0 0 0")
+            named = _last(frame.findtext("socket_parent"))
+        if named not in bodies and not (end == "parent" and named == "ground"):
+            raise InputError(
+                f"{where}: its {end} {named!r} is no body of the model"
+            )
+        ends.append((named, Pose(R, p)))
+    (parent, X_PF), (child, X_CM) = ends
+    found = list(joint.iterfind("coordinates/Coordinate"))
+    names = tuple(_name(c) for c in found)
+    if kind == "CustomJoint":
+        axes = _custom(where, joint.find("SpatialTransform"), names)
+    else:
+        free = iter(names)
+        axes = [
+            tuple(OsimAxis(np.array(a), next(free), _linear(1, 0)) for a in of)
+            for of in _SIMPLE[kind]
+        ]
+    return OsimJoint(
+        name,
+        kind,
+        parent,
+        child,
+        X_PF,
+        X_CM,
+        *axes,
+        names,
+        tuple(_range(c) for c in found),
+    )
+
+
+def _range(coordinate: ET.Element) -> tuple[float, float]:
+    lower, upper = _vector(
+        coordinate.findtext("range") or f"{-radians(180)} {radians(180)}", 2
+    )
+    return float(lower), float(upper)
+
+
+def _custom(where: str, transform: ET.Element, names):
+    """Turns and translations of a SpatialTransform."""
+    turns, translations = [], []
+    for axis in transform.iterfind("TransformAxis"):
+        of = (axis.findtext("coordinates") or "").split()
+        if len(of) > 1 or not set(of) <= set(names):
+            raise InputError(
+                f"{where}: axis {axis.get('name')!r} depends on "
+                f"{' and '.join(of)}; one coordinate of the joint is read"
+            )
+        kinds = [c for c in axis if c.tag not in ("coordinates", "axis")]
+        direction = _vector(axis.findtext("axis"))
+        if not np.linalg.norm(direction) > 1e-6:
+            raise ValueError("an axis has no direction")
+        item = OsimAxis(
+            direction / np.linalg.norm(direction),
+            of[0] if of else None,
+            _function(where, kinds[0]) if kinds else _linear(0.0, 0.0),
+        )
+        turned = (axis.get("name") or "").startswith("rotation")
+        (turns if turned else translations).append(item)
+    return tuple(turns), tuple(translations)
+
+
+def _function(where: str, node: ET.Element) -> Function:
+    if node.tag == "function" and len(node):
+        return _function(where, node[0])
+    if node.tag == "MultiplierFunction":
+        inner = _function(where, node.find("function"))
+        (scale,) = _vector(node.findtext("scale"), 1)
+        return lambda x, order: scale * inner(x, order)
+    if node.tag == "Constant":
+        return _linear(0.0, *_vector(node.findtext("value"), 1))
+    if node.tag == "LinearFunction":
+        return _linear(*_vector(node.findtext("coefficients"), 2))
+    if node.tag == "PolynomialFunction":
+        c = _vector(node.findtext("coefficients"), None)
+        return lambda x, order: np.polyval(np.polyder(c, order), x)
+    if node.tag == "SimmSpline":
+        return _simm_spline(
+            *(_vector(node.findtext(axis), None) for axis in ("x", "y"))
+        )
+    raise InputError(
+        f"{where}: has a {node.tag}, which is not known; known are Constant, "
+        "LinearFunction, PolynomialFunction, SimmSpline and "
+        "MultiplierFunction of them"
+    )
+
+
+def _linear(slope: float, value: float) -> Function:
+    return lambda x, order: np.polyval(np.polyder([slope, value], order), x)
+
+
+def _simm_spline(x: np.ndarray, y: np.ndarray) -> Function:
+    """OpenSim's spline, straight beyond its ends.
+
+    Cubic; third derivatives at its ends are those of the cubics through the
+    four outer points (G. E. Forsythe, M. A. Malcolm, C. B. Moler, Computer
+    Methods for Mathematical Computations, 1977, chapter 4). Two points make a
+    line, three have no such cubic: there the third derivative is zero.
+    """
+    n = len(x)
+    if len(y) != n or n < 2 or (np.diff(x) < 1e-9).any():
+        raise ValueError("a SimmSpline needs as many y as growing x")
+    h = np.diff(x)
+    slope = np.diff(y) / h
+    # Rows for s = y''/6, which is linear between the points.
+    A, b = np.zeros((n, n)), np.zeros(n)
+    for i in range(1, n - 1):
+        A[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
+        b[i] = slope[i] - slope[i - 1]
+    A[0, :2], A[-1, -2:] = (-h[0], h[0]), (h[-1], -h[-1])
+    if n > 3:
+        for row, k, width, sign in ((0, 0, h[0], 1.0), (-1, n - 4, h[-1], -1)):
+            third = _divided(x[k : k + 4], y[k : k + 4])
+            b[row] = sign * width**2 * third
+    s = np.zeros(n) if n == 2 else np.linalg.solve(A, b)
+    first = slope - h * (s[1:] + 2.0 * s[:-1])
+    last = slope[-1] + h[-1] * (2.0 * s[-1] + s[-2])
+    rates = np.append(first, last)
+    inner = CubicHermiteSpline(x, y, rates)
+    # Two straight pieces more.
+    ends = np.array([x[0] - 1e3, x[-1] + 1e3])
+    pieces = np.column_stack(
+        [
+            [0.0, 0.0, rates[0], y[0] + rates[0] * (ends[0] - x[0])],
+            inner.c,
+            [0.0, 0.0, rates[-1], y[-1]],
+        ]
+    )
+    whole = PPoly(pieces, np.r_[ends[0], x, ends[1]])
+    return lambda at, order: whole(at, order)
+
+
+def _divided(x: np.ndarray, y: np.ndarray) -> float:
+    """Third divided difference of four points."""
+    for k in range(1, 4):
+        y = np.diff(y) / (x[k:] - x[:-k])
+    return float(y[0])
+
+
+def _ordered(path: str, joints: list[OsimJoint]) -> tuple[OsimJoint, ...]:
+    """Parents before children.
+
+    Raises:
+        InputError: a body hangs from two joints, or from nothing.
+    """
+    children = [joint.child for joint in joints]
+    for child in children:
+        if children.count(child) > 1:
+            raise InputError(f"{path}: body {child!r} hangs from two joints")
+    known, found, left = {"ground"}, [], list(joints)
+    while left:
+        ready = [joint for joint in left if joint.parent in known]
+        if not ready:
+            raise InputError(
+                f"{path}: joint {left[0].name!r} hangs from nothing; its "
+                f"parent {left[0].parent!r} is not tied to the ground"
+            )
+        found += ready
+        known |= {joint.child for joint in ready}
+        left = [joint for joint in left if joint not in ready]
+    return tuple(found)
+
+
+def _rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rotation matrices (n, 3, 3) about a unit vector by angles (n,)."""
+    x, y, z = axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    s, c = np.sin(angle), np.cos(angle)
+    return np.eye(3) + s[:, None, None] * K + (1 - c)[:, None, None] * (K @ K)
+
+
+def _attitude(angles: np.ndarray) -> np.ndarray:
+    """Rotation matrix of body-fixed x, y, z turns."""
+    R = np.eye(3)
+    for axis, angle in zip(np.eye(3), angles, strict=True):
+        R = R @ _rotation(axis, np.array([angle]))[0]
+    return R
+
+
+def _vector(text: str | None, size: int | None = 3) -> np.ndarray:
+    """Numbers of an element: `size` of them, or any number if None."""
+    values = np.array((text or "").split(), dtype=float)
+    wrong = len(values) != size if size is not None else not len(values)
+    if wrong or not (np.abs(values) < _LARGEST).all():
+        raise ValueError(
+            f"{shown(text or '')!r} is not {size or 'some'} numbers"
+        )
+    return values
+
+
+def _name(element: ET.Element) -> str:
+    name = element.get("name")
+    if not name:
+        raise ValueError(f"a {element.tag} has no name")
+    return name
+
+
+def _last(path: str | None) -> str:
+    """Name that a path such as /bodyset/pelvis ends in."""
+    return (path or "").strip().rsplit("/", 1)[-1]

@@ -1,0 +1,375 @@
+"""The planar person of a scaled OpenSim model.
+
+The model stands with all coordinates at zero and is seen from its right side.
+Thighs, shanks, feet and toes are the bodies that OpenSim's gait models name
+so, with what is fixed to them; everything else (pelvis, torso, head, arms) is
+one trunk. A knee that rolls and slides (a CustomJoint) becomes a pin where it
+is at 0°. Legs that differ are given their mean.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.osim import OsimJoint, OsimModel, read_osim
+from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.assembly import Person
+from drake_exo.model.segments import HumanParameters, SegmentParameters
+
+ENDS = {"left": "_l", "right": "_r"}
+# Body of the file -> segment of the leg; each takes along what hangs on it.
+_BODIES = {
+    "femur": "thigh",
+    "tibia": "shank",
+    "talus": "foot",
+    "calcn": "foot",
+    "toes": "toes",
+}
+_TRUNK = ("pelvis", "torso")  # bodies whose markers follow the trunk
+# Joints by the body below them.
+JOINTS = {"hip": "femur", "knee": "tibia", "ankle": "talus", "toes": "toes"}
+# The metatarsal heads lie at this part of the foot's length from the heel, as
+# in `skeleton`; calcn's origin is the heel's back.
+_BALL = 0.72
+_TOE_TIP = 1.0
+_FLEXED = np.deg2rad(100.0)  # how far a joint is compared with a pin
+_STEP = 1e-6  # rad
+
+
+@dataclass(frozen=True)
+class OsimPerson:
+    """A model, seen in the sagittal plane at its zeros.
+
+    Points are complex, x + i z [m], from the middle of the hips, z up.
+
+    Attributes:
+        osim: the model.
+        human: its planar person, sums over both legs.
+        segments: body -> (segment, side) that it is part of; the trunk's is
+            ("pelvis", None).
+        middle: of the hips, in the pelvis's frame.
+        places: side -> "hip", "knee", "ankle", "heel" and, where there are
+            toes, "toes" (their hinge) -> point.
+        markers: name -> (segment, side, point); of arms none.
+        notes: what was changed on the way, in sentences.
+    """
+
+    osim: OsimModel
+    human: HumanParameters
+    segments: dict[str, tuple[str, str | None]]
+    middle: complex
+    places: dict[str, dict[str, complex]]
+    markers: dict[str, tuple[str, str | None, complex]]
+    notes: tuple[str, ...]
+
+
+def read_person(
+    path: str | Path, person: Person, height_m: float, sex: str = "male"
+) -> OsimPerson:
+    """The planar person of a .osim file.
+
+    Lengths, masses, centres of mass and inertias are the file's. What it does
+    not hold comes from the stature: heights of the vertex and of the ankle,
+    places of contact spheres and of cuffs.
+
+    Args:
+        path: of the file.
+        person: legs and toes.
+        height_m: stature.
+        sex: of the tables.
+
+    Raises:
+        InputError: no such file, or not the bodies of OpenSim's gait models.
+    """
+    osim = read_osim(path)
+    segments = _segments(osim)
+    poses = {name: (R[0], p[0]) for name, (R, p) in osim.poses().items()}
+    R_GP, p_GP = poses["pelvis"]
+
+    def flat(body: str, p_B: np.ndarray) -> complex:
+        R, p = poses[body]
+        x, y, _ = R_GP.T @ (p + R @ p_B - p_GP)
+        return complex(x, y)
+
+    def own(end: str) -> dict[str, complex]:
+        found = {
+            joint: flat(body + end, osim.joint_of(body + end).X_CM.p)
+            for joint, body in JOINTS.items()
+            if body + end in segments
+        }
+        return {**found, "heel": flat(f"calcn{end}", np.zeros(3))}
+
+    places = {side: own(end) for side, end in ENDS.items()}
+    toes = all("toes" in found for found in places.values())
+    if person.toes == "hinged" and not toes:
+        raise InputError(
+            f"{path}: has no bodies toes_r and toes_l; say toes: rigid"
+        )
+    middle = complex(np.mean([found["hip"] for found in places.values()]))
+    places = {
+        side: {name: p - middle for name, p in found.items()}
+        for side, found in places.items()
+    }
+    lumps: dict[tuple[str, str | None], _Lump] = {}
+    for name, body in osim.bodies.items():
+        turned = R_GP.T @ poses[name][0]
+        inertia = turned @ body.inertia_kg_m2 @ turned.T
+        com = flat(name, body.com_m) - middle
+        one = _Lump(body.mass_kg, com, float(inertia[2, 2]))
+        lumps[segments[name]] = lumps.get(segments[name], _Lump()) + one
+    for side, at in places.items():
+        for name, upper, lower in (
+            ("thigh", "hip", "knee"),
+            ("shank", "knee", "ankle"),
+        ):
+            if not 0.05 < abs(at[upper] - at[lower]) < 1.5:
+                raise InputError(
+                    f"{path}: the {side} {name} is "
+                    f"{abs(at[upper] - at[lower]):.3f} m long"
+                )
+    legs = [_leg(lumps, side, at) for side, at in places.items()]
+    markers = {
+        name: (*segments[body], flat(body, p_B) - middle)
+        for name, (body, p_B) in osim.markers.items()
+        if segments[body][0] != "pelvis" or body in _TRUNK
+    }
+    human = _human(osim, lumps["pelvis", None], legs, places, height_m, sex)
+    notes = (*_unlike(legs), *_joint_notes(osim, person, segments))
+    return OsimPerson(osim, human, segments, middle, places, markers, notes)
+
+
+def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
+    """Body -> the segment that it is part of."""
+    known = {"pelvis": ("pelvis", None)}
+    for side, end in ENDS.items():
+        known |= {body + end: (s, side) for body, s in _BODIES.items()}
+    needed = [b for b in known if not b.startswith("toes")]
+    missing = [b for b in needed if b not in osim.bodies]
+    if missing:
+        raise InputError(
+            f"{osim.source}: has no body {missing[0]!r}; a person is read from "
+            "bodies named as in OpenSim's gait models: pelvis, femur_r, "
+            f"tibia_r, talus_r, calcn_r, likewise _l; it has "
+            f"{', '.join(osim.bodies)}"
+        )
+    found: dict[str, tuple[str, str | None]] = {}
+    for joint in osim.joints:  # parents first
+        if joint.parent == "ground" and joint.child != "pelvis":
+            raise InputError(
+                f"{osim.source}: joint {joint.name!r} ties {joint.child!r} to "
+                "the ground; of a person the pelvis is"
+            )
+        above = found.get(joint.parent, ("pelvis", None))
+        found[joint.child] = known.get(joint.child, above)
+    for body in needed[1:]:
+        above = _above(body)
+        if osim.joint_of(body).parent != above:
+            raise InputError(
+                f"{osim.source}: body {body!r} hangs from "
+                f"{osim.joint_of(body).parent!r}, not from {above!r}"
+            )
+    return found
+
+
+def _above(body: str) -> str:
+    """Body of the gait models that another hangs from."""
+    name, _, end = body.rpartition("_")
+    chain = ["pelvis", *_BODIES]
+    above = chain[chain.index(name) - 1]
+    return above if above == "pelvis" else f"{above}_{end}"
+
+
+@dataclass(frozen=True)
+class _Lump:
+    """Bodies taken as one: mass, complex centre, inertia about it."""
+
+    mass: float = 0.0
+    com: complex = 0.0
+    inertia: float = 0.0
+
+    def __add__(self, other: "_Lump") -> "_Lump":
+        mass = self.mass + other.mass
+        if not mass > 0.0:
+            return self
+        com = (self.mass * self.com + other.mass * other.com) / mass
+        inertia = sum(
+            part.inertia + part.mass * abs(part.com - com) ** 2
+            for part in (self, other)
+        )
+        return _Lump(mass, com, inertia)
+
+    def seen(self, origin: complex, along: complex) -> "_Lump":
+        """In a frame with its z along a vector."""
+        return replace(self, com=(self.com - origin) * 1j * abs(along) / along)
+
+
+# Segment -> what it weighs as one, and its length.
+_Leg = dict[str, tuple[_Lump, float]]
+
+
+def _leg(lumps, side: str, at: dict[str, complex]) -> _Leg:
+    """Segments of one leg in frames of their own."""
+    thigh, shank = at["hip"] - at["knee"], at["knee"] - at["ankle"]
+    leg = {
+        "thigh": (lumps["thigh", side].seen(at["knee"], thigh), abs(thigh)),
+        "shank": (lumps["shank", side].seen(at["ankle"], shank), abs(shank)),
+    }
+    foot = lumps["foot", side]
+    length = abs((at["ankle"] - at["heel"]).real)
+    if "toes" in at:
+        toes = lumps["toes", side]
+        foot += toes
+        length = (at["toes"] - at["heel"]).real / _BALL
+        tip = (_TOE_TIP - _BALL) * length
+        leg["toes"] = (toes.seen(at["toes"], 1j), tip)
+    leg["foot"] = (foot.seen(at["ankle"], 1j), length)
+    return leg
+
+
+def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
+    """The planar person; what the model does not hold by the stature."""
+
+    def both(name: str) -> SegmentParameters:
+        pair = [leg[name][0] for leg in legs]
+        if any(not (lump.mass > 0.0 and lump.inertia > 0.0) for lump in pair):
+            raise InputError(
+                f"{osim.source}: the {name} weighs nothing or has no inertia"
+            )
+        com = np.mean([lump.com for lump in pair])
+        return SegmentParameters(
+            sum(lump.mass for lump in pair),
+            (float(com.real), float(com.imag)),
+            float(sum(lump.inertia for lump in pair)),
+            float(np.mean([leg[name][1] for leg in legs])),
+        )
+
+    usual = scale_human(osim.mass_kg, height_m, sex)
+    thigh, shank, foot = both("thigh"), both("shank"), both("foot")
+    toes = ball = None
+    if all("toes" in leg for leg in legs):
+        toes = both("toes")
+        forward = np.mean([p["toes"] - p["ankle"] for p in places.values()])
+        ball = float(forward.real), float(forward.imag)
+    else:  # nothing in the model says how long the foot is
+        foot = replace(foot, length_m=usual.foot.length_m)
+    ratio = foot.length_m / usual.foot.length_m
+    above = height_m - usual.ankle_height_m - shank.length_m - thigh.length_m
+    return replace(
+        usual,
+        foot=foot,
+        shank=shank,
+        thigh=thigh,
+        pelvis=SegmentParameters(
+            trunk.mass,
+            (float(trunk.com.real), float(trunk.com.imag)),
+            float(trunk.inertia),
+            above,
+        ),
+        heel_m=(ratio * usual.heel_m[0], usual.heel_m[1]),
+        toe_m=(ratio * usual.toe_m[0], usual.toe_m[1]),
+        shank_cuff_m=_along(usual.shank_cuff_m, shank, usual.shank),
+        thigh_cuff_m=_along(usual.thigh_cuff_m, thigh, usual.thigh),
+        toes=toes,
+        ball_m=ball,
+    )
+
+
+def _along(cuff_m, segment, usual) -> tuple[float, float]:
+    """Place of a cuff on a segment of another length."""
+    x, z = cuff_m
+    return x, z * segment.length_m / usual.length_m
+
+
+def _unlike(legs: list[_Leg]):
+    """Says what differs between the legs."""
+    left, right = legs
+    for name, (lump, length) in left.items():
+        other, width = right[name]
+        off = max(abs(lump.com - other.com), abs(length - width))
+        heavier = abs(lump.mass - other.mass)
+        if off > 1e-4 or heavier > 1e-3:
+            yield (
+                f"the {name}s differ by {1e3 * off:.1f} mm and "
+                f"{heavier:.3f} kg; their mean is taken"
+            )
+
+
+def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:
+    """Coordinate of a joint that turns its child most in the sagittal plane.
+
+    Returns:
+        Its name, and how far one of it turns the child about the plane's
+        normal, counter-clockwise from the right; None where none does so.
+    """
+    rates = {
+        name: _turned(osim, joint, name, np.array([-_STEP, _STEP]))[0]
+        for name in joint.coordinates
+    }
+    rates = {n: (x[1] - x[0]) / (2.0 * _STEP) for n, x in rates.items()}
+    best = max(rates, key=lambda name: abs(rates[name]), default=None)
+    if best is None or not abs(rates[best]) > 0.5:
+        return None
+    return best, float(rates[best])
+
+
+def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
+    """Turn (n,) of a joint's child in the plane, and how far it leaves it."""
+    poses = osim.poses({coordinate: q}, len(q))
+    R_GP = osim.poses()["pelvis"][0][0]
+    zero = osim.poses()[joint.child][0][0]
+    R = R_GP.T @ poses[joint.child][0] @ zero.T @ R_GP
+    return np.arctan2(R[:, 1, 0], R[:, 0, 0]), np.arccos(
+        np.clip(R[:, 2, 2], -1.0, 1.0)
+    )
+
+
+def _joint_notes(osim: OsimModel, person: Person, segments):
+    """Says what becomes of joints that are no pins about the normal."""
+    kept = {"pelvis_tilt", "pelvis_tx", "pelvis_ty"}
+    for end in ENDS.values():
+        for name, body in JOINTS.items():
+            if body + end not in segments:
+                continue
+            if name == "toes" and person.toes == "rigid":
+                continue
+            joint = osim.joint_of(body + end)
+            found = flexing(osim, joint)
+            if found is None and name != "toes":
+                raise InputError(
+                    f"{osim.source}: joint {joint.name!r} has no coordinate "
+                    "that turns it in the sagittal plane"
+                )
+            if found is None:
+                yield f"joint {joint.name!r} is fixed; here it is a hinge"
+                continue
+            kept.add(found[0])
+            if name != "hip":
+                yield from _strays(osim, joint, found[0])
+    lost = [c for j in osim.joints for c in j.coordinates if c not in kept]
+    if lost:
+        names = ", ".join(lost)
+        yield f"stay at zero, as the planar person lacks them: {names}"
+
+
+def _strays(osim: OsimModel, joint: OsimJoint, coordinate: str):
+    """Says how far a joint is from a pin where it is at 0 degrees."""
+    lower, upper = joint.ranges[joint.coordinates.index(coordinate)]
+    q = np.linspace(max(lower, -_FLEXED), min(upper, _FLEXED), 101)
+    _, p = joint.across({coordinate: q}, len(q))
+    off = np.linalg.norm(p - joint.across({}, 1)[1], axis=1)
+    if off.max() > 1e-5:
+        yield (
+            f"joint {joint.name!r} slides; it becomes a pin where it is at 0 "
+            f"degrees, up to {1e3 * off.max():.1f} mm away (at "
+            f"{np.rad2deg(q[np.argmax(off)]):.0f} degrees), "
+            f"{1e3 * np.sqrt(np.mean(off**2)):.1f} mm RMS"
+        )
+    _, out = _turned(osim, joint, coordinate, q)
+    if out.max() > np.deg2rad(1.0):
+        yield (
+            f"joint {joint.name!r} leaves the sagittal plane by up to "
+            f"{np.rad2deg(out.max()):.0f} degrees (at "
+            f"{np.rad2deg(q[np.argmax(out)]):.0f} degrees); here it does not"
+        )

@@ -1,0 +1,267 @@
+"""A planar person read from an OpenSim model, against OpenSim's own solver."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from opensim_answers import ask
+from osim_kinematics import Osim, joint_function
+from small_osim import small_osim
+
+from drake_exo.errors import InputError
+from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.osim_person import read_person
+from drake_exo.model.plant import Model
+
+
+def pinned(path, folder):
+    """A gait model with pins for its knees, its back and toes fixed.
+
+    Made by another reader than ours.
+    """
+    document = ET.parse(path)
+    model = document.getroot().find("Model")
+    joints = model.find("JointSet/objects")
+    for joint in list(joints):
+        name = joint.get("name")
+        if name.startswith("knee"):
+            joint.tag = "PinJoint"
+            slide = [
+                float(joint_function(Osim(path), name, f"translation{i}")(0.0))
+                for i in (1, 2, 3)
+            ]
+            place = joint.find("frames/PhysicalOffsetFrame/translation")
+            moved = np.array(place.text.split(), float) + slide
+            place.text = " ".join(map(repr, moved.tolist()))
+            joint.remove(joint.find("SpatialTransform"))
+        elif name == "back":
+            joint.tag = "WeldJoint"
+            joint.remove(joint.find("coordinates"))
+    out = folder / "pinned.osim"
+    document.write(out)
+    return out
+
+
+class Pair:
+    """A state of the planar model, and the same of the pins of OpenSim's."""
+
+    def __init__(self, person, who, rng, n=6):
+        self.model = Model(
+            Assembly(who), person.human, gravity_m_s2=person.osim.gravity_m_s2
+        )
+        self.tree = tree = self.model.tree
+        self.motion = rng.uniform(-1.0, 1.0, (3, n, tree.num_positions))
+        tilt = self.motion @ tree.turning("pelvis")
+        turned = {"pelvis_tilt": (tree.turning("pelvis"), 0.0)}
+        for side, at in person.places.items():
+            chain = [("pelvis", 0.0)]
+            for segment, upper, lower in (
+                ("thigh", "hip", "knee"),
+                ("shank", "knee", "ankle"),
+            ):
+                # How the segment leans where OpenSim has its zero.
+                lean = np.angle((at[upper] - at[lower]) / 1j)
+                chain.append((f"{segment}_{side}", lean))
+            chain.append((f"foot_{side}", 0.0))
+            if who.toes == "hinged":
+                chain.append((f"toes_{side}", 0.0))
+            names = ("hip_flexion", "knee_angle", "ankle_angle", "mtp_angle")
+            for name, (above, a), (below, b) in zip(
+                names, chain, chain[1:], strict=False
+            ):
+                row = tree.turning(below) - tree.turning(above)
+                turned[f"{name}_{side[0]}"] = (row, a - b)
+        self.angles = list(turned)
+        self.B = np.array([row for row, _ in turned.values()])
+        lean = np.array([lean for _, lean in turned.values()])
+        osim = self.motion @ self.B.T
+        osim[0] += lean
+        self.arm = person.middle * np.exp(1j * tilt[0])
+        hips = self.motion[..., 0] + 1j * self.motion[..., 1]
+        pelvis = hips - [
+            self.arm,
+            1j * tilt[1] * self.arm,
+            (1j * tilt[2] - tilt[1] ** 2) * self.arm,
+        ]
+        self.osim = [
+            {
+                **dict(zip(self.angles, x.T.tolist(), strict=True)),
+                "pelvis_tx": p.real.tolist(),
+                "pelvis_ty": p.imag.tolist(),
+            }
+            for x, p in zip(osim, pelvis, strict=True)
+        ]
+
+    def forces(self, tau):
+        """Ours, of OpenSim's generalized forces."""
+        F = np.array(tau["pelvis_tx"]) + 1j * np.array(tau["pelvis_ty"])
+        Q = np.column_stack([tau[name] for name in self.angles]) @ self.B
+        Q[:, 0], Q[:, 1] = F.real, F.imag
+        # The pelvis turns about the hips.
+        Q += np.outer(
+            (np.conj(F) * -1j * self.arm).real, self.tree.turning("pelvis")
+        )
+        return Q
+
+
+def largest_error(tmp_path, path, toes):
+    rng = np.random.default_rng(3)
+    who = Person("two", toes)
+    pair = Pair(read_person(path, who, 1.75), who, rng)
+    n = len(pair.motion[0])
+    pushes, loads = {}, {}
+    for side in ("left", "right"):
+        force, point = rng.normal(size=(n, 2)) * 500.0, rng.normal(size=(n, 2))
+        moment = point[:, 1] * force[:, 0] - point[:, 0] * force[:, 1]
+        loads[f"foot_{side}"] = PlanarWrench(force, moment)
+        flat = np.zeros((n, 1))
+        pushes[f"calcn_{side[0]}"] = [
+            np.hstack([x, flat]).tolist() for x in (force, point)
+        ]
+    q, v, a = pair.osim
+    answer = ask(tmp_path, model=str(path), q=q, v=v, a=a, pushes=pushes)
+    expected = pair.forces(answer["tau"])
+    found = inverse_dynamics(pair.tree, *pair.motion, loads)
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("toes", ["rigid", "hinged"])
+def test_inverse_dynamics_of_two_legs_is_opensims(tmp_path, toes):
+    """Toes that are stiff here do not move there."""
+    path = tmp_path / "small.osim"
+    path.write_text(small_osim())
+    assert largest_error(tmp_path, path, toes) < 1e-9
+
+
+@pytest.mark.slow
+def test_inverse_dynamics_of_a_gait_model_with_pins_is_opensims(
+    tmp_path, data_root
+):
+    path = pinned(data_root / "opensim_gait10dof/subject01.osim", tmp_path)
+    assert largest_error(tmp_path, path, "rigid") < 1e-9
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Reads the small model, its text changed."""
+
+    def read(*changes, knee="PinJoint", who=None):
+        text = small_osim(knee)
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "m.osim").write_text(text)
+        return read_person(tmp_path / "m.osim", who or Person(), 1.75)
+
+    return read
+
+
+def test_segments_are_the_bodies_between_joints(small):
+    person = small()
+    human = person.human
+    assert human.mass_kg == pytest.approx(person.osim.mass_kg)
+    assert human.thigh.mass_kg == pytest.approx(2 * 7.6)
+    assert human.foot.mass_kg == pytest.approx(2 * (0.1 + 1.2 + 0.2))
+    assert human.toes.mass_kg == pytest.approx(2 * 0.2)
+    assert human.pelvis.mass_kg == pytest.approx(9.7 + 27.3 + 2 * 1.7)
+    assert human.thigh.length_m == pytest.approx(np.hypot(0.004, 0.40))
+    assert human.shank.length_m == pytest.approx(np.hypot(0.002, 0.42))
+    assert human.ball_m == pytest.approx((-0.05 + 0.18, -0.045 - 0.002))
+    assert human.toes.com_m == pytest.approx((0.035, 0.006))
+    # The thigh leans; its centre of mass is seen along it.
+    lean = np.exp(-1j * np.angle((0.004 + 0.40j) / 1j))
+    com = ((0.005 + 0.004) + 1j * (0.40 - 0.17)) * lean
+    assert complex(*human.thigh.com_m) == pytest.approx(com)
+    # Parallel axes: pelvis, torso and two arms about their common centre.
+    parts = [(9.7, -0.07 + 0.01j, 0.05), (27.3, -0.13 + 0.39j, 1.3)]
+    parts += [(1.7, -0.1 + 0.27j, 0.012)] * 2
+    mass = sum(m for m, _, _ in parts)
+    com = sum(m * p for m, p, _ in parts) / mass
+    inertia = sum(i + m * abs(p - com) ** 2 for m, p, i in parts)
+    hip = -0.06 - 0.07j
+    assert complex(*human.pelvis.com_m) == pytest.approx(com - hip)
+    assert human.pelvis.inertia_kg_m2 == pytest.approx(inertia)
+
+
+def test_markers_follow_their_segments(small):
+    markers = small().markers
+    assert markers["shoulder_r"][:2] == ("pelvis", None)
+    assert markers["heel_l"][:2] == ("foot", "left")
+    assert markers["toe1_r"][:2] == ("toes", "right")
+    assert "elbow_l" not in markers
+    hip = -0.06 - 0.07j
+    assert markers["ASIS_l"][2] == pytest.approx(0.02 + 0.02j - hip)
+    assert markers["knee_r"][2] == pytest.approx(-0.40j)
+
+
+def test_a_sliding_knee_is_a_pin_where_it_is_at_zero(small):
+    pin, slides = small(), small(knee="CustomJoint")
+    slide = complex(-0.001 * 1.1, -0.002)
+    for side in ("left", "right"):
+        moved = slides.places[side]["knee"] - pin.places[side]["knee"]
+        assert moved == pytest.approx(slide)
+    assert not any("slides" in note for note in pin.notes)
+    joint = slides.osim.joint_of("tibia_r")
+    q = np.linspace(-np.deg2rad(100), np.deg2rad(100), 101)
+    off = [
+        axis.function(q, 0) - axis.function(np.zeros(1), 0)
+        for axis in joint.translations[:2]
+    ]
+    far = 1e3 * np.hypot(*off).max()
+    (note,) = (n for n in slides.notes if "'knee_r' slides" in n)
+    assert f"up to {far:.1f} mm away" in note
+
+
+def test_what_is_lost_is_said(small):
+    notes = small(who=Person("two", "rigid")).notes
+    assert any(
+        "stay at zero" in n and "mtp_angle_r, mtp_angle_l" in n for n in notes
+    )
+    assert not any("mtp" in n for n in small(who=Person("two", "hinged")).notes)
+    (note,) = (
+        n
+        for n in small(
+            (
+                '<Body name="femur_r"><mass>7.6<',
+                '<Body name="femur_r"><mass>8.1<',
+            )
+        ).notes
+        if "differ" in n
+    )
+    assert "the thighs differ by 0.0 mm and 0.500 kg" in note
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("femur_r", "thigh_r", "has no body 'femur_r'; a person is read from"),
+        (
+            "<socket_parent_frame>femur_r_offset<",
+            "<socket_parent_frame>/bodyset/pelvis<",
+            "body 'tibia_r' hangs from 'pelvis', not from 'femur_r'",
+        ),
+        ("<mass>7.6<", "<mass>0<", "the thigh weighs nothing"),
+    ],
+)
+def test_models_of_no_person_are_refused(small, old, new, words):
+    with pytest.raises(InputError, match=words):
+        small((old, new))
+
+
+def test_fixed_joints_of_a_leg_are_refused_but_for_toes(small):
+    fixed = (
+        'PinJoint name="ankle_r"',
+        'WeldJoint name="ankle_r"',
+    )
+    text = small_osim()
+    assert fixed[0] in text
+    coordinate = text[text.index('<Coordinate name="ankle_angle_r"') :]
+    coordinate = coordinate[: coordinate.index("</coordinates>")]
+    end = text[text.index(fixed[0]) :]
+    end = end[: end.index("</PinJoint>") + len("</PinJoint>")]
+    weld = end.replace("PinJoint", "WeldJoint").replace(coordinate, "")
+    with pytest.raises(InputError, match=r"'ankle_r' has no coordinate that"):
+        small((end, weld))
