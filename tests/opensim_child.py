@@ -2,10 +2,11 @@
 
     python tests/opensim_child.py REQUEST.json ANSWER.json
 
-The request names a model file, states (coordinate -> values), speeds and
-accelerations likewise, and external forces (body -> force and point in the
-ground). The answer holds generalized forces by coordinate and what each force
-of the model records. Numbers pass as JSON, which keeps all digits of a double.
+The request names a model file, and states: of a table of states, or values by
+coordinate, speeds and accelerations likewise, and external forces (body ->
+force and point in the ground). The answer holds generalized forces by
+coordinate and what each force of the model records. Numbers pass as JSON, which
+keeps all digits of a double.
 """
 
 import json
@@ -60,6 +61,8 @@ def main(request, answer):
     for body, (force, point) in asked.get("pushes", {}).items():
         push(model, body, force, point)
     state = model.initSystem()
+    if "states" in asked:
+        return write(answer, {"records": of_table(model, asked["states"])})
     solver = opensim.InverseDynamicsSolver(model)
     coordinates = model.getCoordinateSet()
     order = in_tree_order(coordinates, state)
@@ -80,15 +83,35 @@ def main(request, answer):
         tau = solver.solve(state, udot)
         for k, name in enumerate(order):
             found["tau"][name].append(tau[k])
-        for j in range(model.getForceSet().getSize()):
-            force = model.getForceSet().get(j)
-            labels, values = (
-                force.getRecordLabels(),
-                force.getRecordValues(state),
-            )
-            record = found["records"].setdefault(force.getName(), {})
-            for k in range(labels.getSize()):
-                record.setdefault(labels.get(k), []).append(values.get(k))
+        record(model, state, found["records"])
+    return write(answer, found)
+
+
+def of_table(model, path):
+    """What forces record at the states of a file."""
+    table = opensim.TimeSeriesTable(path)
+    states = opensim.StatesTrajectory.createFromStatesTable(model, table)
+    found = {}
+    for i in range(states.getSize()):
+        state = states[i]
+        model.realizeDynamics(state)
+        record(model, state, found)
+    return found
+
+
+def record(model, state, found):
+    """Append what each force of the model records."""
+    for j in range(model.getForceSet().getSize()):
+        force = model.getForceSet().get(j)
+        labels = force.getRecordLabels()
+        values = force.getRecordValues(state)
+        own = found.setdefault(force.getName(), {})
+        for k in range(labels.getSize()):
+            own.setdefault(labels.get(k), []).append(values.get(k))
+
+
+def write(answer, found):
+    """Write the answer."""
     with open(answer, "w") as file:
         json.dump(found, file)
 

@@ -27,6 +27,7 @@ _COMMANDS = {
     "sole": "drake_exo.cli.sole",
     "batch": "drake_exo.cli.batch",
     "compare": "drake_exo.cli.compare",
+    "export": "drake_exo.cli.export",
     "view": "drake_exo.cli.view",
 }
 

@@ -181,8 +181,17 @@ def _plate(table, number, label, columns) -> PlateRecording:
     return PlateRecording(number, given["v"], point, given["m"])
 
 
-def write_table(path: str | Path, table: Table, title: str = "") -> None:
-    """Write a .mot or .sto file that OpenSim reads."""
+def write_table(
+    path: str | Path, table: Table, title: str = "", digits: int = 10
+) -> None:
+    """Write a .mot or .sto file that OpenSim reads.
+
+    Args:
+        path: of the file.
+        table: what it holds.
+        title: its first line; the file's name if empty.
+        digits: of each number; 17 are all of it.
+    """
     path = Path(path)
     degrees = "yes" if table.in_degrees else "no"
     head = [
@@ -195,7 +204,7 @@ def write_table(path: str | Path, table: Table, title: str = "") -> None:
         "\t".join(("time", *table.names)),
     ]
     rows = np.column_stack([table.time, table.values])
-    body = ["\t".join(f"{x:.10g}" for x in row) for row in rows]
+    body = ["\t".join(f"{x:.{digits}g}" for x in row) for row in rows]
     path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
 
 

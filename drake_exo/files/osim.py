@@ -84,6 +84,7 @@ class OsimJoint:
         turns, translations: of M in F, in this order.
         coordinates: names, in the order of the file.
         ranges: (lower, upper) of each.
+        locked: whether each is held where it is.
     """
 
     name: str
@@ -96,6 +97,7 @@ class OsimJoint:
     translations: tuple[OsimAxis, ...]
     coordinates: tuple[str, ...]
     ranges: tuple[tuple[float, float], ...]
+    locked: tuple[bool, ...]
 
     def across(self, q: Mapping[str, np.ndarray], n: int):
         """Pose of M in F: R (n, 3, 3) and p (n, 3) [m].
@@ -111,10 +113,44 @@ class OsimJoint:
             p = p + self._value(axis, q, n)[:, None] * axis.direction
         return R, p
 
+    def rates(self, coordinate: str, q: Mapping[str, np.ndarray], n: int):
+        """How M turns and moves in F with one of the joint's coordinates.
+
+        Args:
+            coordinate: its name.
+            q: as for `across`.
+            n: number of states.
+
+        Returns:
+            Turn (n, 3) [rad] and motion (n, 3) [m] for one of the coordinate.
+        """
+        at = q.get(coordinate, np.zeros(n))
+        turn, motion = np.zeros((2, n, 3))
+        R = np.tile(np.eye(3), (n, 1, 1))
+        for axis in self.turns:
+            if axis.coordinate == coordinate:
+                rate = axis.function(at, 1)[:, None]
+                turn = turn + rate * (R @ axis.direction)
+            R = R @ _rotation(axis.direction, self._value(axis, q, n))
+        for axis in self.translations:
+            if axis.coordinate == coordinate:
+                rate = axis.function(at, 1)[:, None]
+                motion = motion + rate * axis.direction
+        return turn, motion
+
     @staticmethod
     def _value(axis: OsimAxis, q, n: int) -> np.ndarray:
         at = q.get(axis.coordinate) if axis.coordinate else None
         return axis.function(np.zeros(n) if at is None else at, 0)
+
+
+@dataclass(frozen=True)
+class OsimCoupler:
+    """A coordinate that a constraint makes a function of another one."""
+
+    dependent: str
+    independent: str
+    function: Function
 
 
 @dataclass(frozen=True)
@@ -127,6 +163,7 @@ class OsimModel:
         bodies: by name.
         joints: parents before children.
         markers: name -> (body, (3,) place in its frame [m]).
+        couplers: constraints between two coordinates.
     """
 
     source: str
@@ -134,6 +171,7 @@ class OsimModel:
     bodies: dict[str, OsimBody]
     joints: tuple[OsimJoint, ...]
     markers: dict[str, tuple[str, np.ndarray]]
+    couplers: tuple[OsimCoupler, ...] = ()
 
     @property
     def mass_kg(self) -> float:
@@ -158,8 +196,8 @@ class OsimModel:
         """Body -> R (n, 3, 3) and p (n, 3) in the ground [m].
 
         Args:
-            q: coordinate -> values (n,); zero where left out. Constraints
-                between coordinates (a patella's) are not applied.
+            q: coordinate -> values (n,); zero where left out. `couplers`
+                are not applied.
             n: number of states.
         """
         q = q or {}
@@ -173,6 +211,42 @@ class OsimModel:
             p_GM = p_GF + np.einsum("nij,nj->ni", R_GF, p)
             found[joint.child] = (R_GC, p_GM - R_GC @ joint.X_CM.p)
         return found
+
+    def below(self, joint: OsimJoint) -> set[str]:
+        """Bodies that a joint carries."""
+        found = {joint.child}
+        for other in self.joints:  # parents first
+            if other.parent in found:
+                found.add(other.child)
+        return found
+
+    def motion(self, coordinate: str, body: str, p_GQ, q, poses):
+        """How a point of a body moves with a coordinate.
+
+        Args:
+            coordinate: its name.
+            body: that the point is fixed to.
+            p_GQ: (n, 3) the point in the ground [m].
+            q: coordinate -> values (n,).
+            poses: what `poses` gives of them.
+
+        Returns:
+            Turn of the body (n, 3) and motion of the point (n, 3), in the
+            ground, for one of the coordinate.
+        """
+        n = len(p_GQ)
+        (joint,) = (j for j in self.joints if coordinate in j.coordinates)
+        if body not in self.below(joint):
+            return np.zeros((2, n, 3))
+        turn, motion = joint.rates(coordinate, q, n)
+        R_GP, p_GP = poses[joint.parent]
+        R_GF = R_GP @ joint.X_PF.R
+        p_FM = joint.across(q, n)[1]
+        p_GM = p_GP + R_GP @ joint.X_PF.p + np.einsum("nij,nj->ni", R_GF, p_FM)
+        turn, motion = (
+            np.einsum("nij,nj->ni", R_GF, x) for x in (turn, motion)
+        )
+        return turn, motion + np.cross(turn, p_GQ - p_GM)
 
 
 def read_osim(path: str | Path) -> OsimModel:
@@ -230,8 +304,36 @@ def _model(path: str, model: ET.Element) -> OsimModel:
     gravity = _vector(model.findtext("gravity") or "0 -9.80665 0")
     if gravity[0] or gravity[2]:
         raise InputError(f"{path}: gravity is not along -y")
+    couplers = tuple(
+        _coupler(path, constraint)
+        for constraint in model.iterfind(
+            "ConstraintSet/objects/CoordinateCouplerConstraint"
+        )
+    )
     return OsimModel(
-        path, -float(gravity[1]), bodies, _ordered(path, joints), markers
+        path,
+        -float(gravity[1]),
+        bodies,
+        _ordered(path, joints),
+        markers,
+        couplers,
+    )
+
+
+def _coupler(path: str, constraint: ET.Element) -> OsimCoupler:
+    where = f"{path}: constraint {_name(constraint)!r}"
+    names = (constraint.findtext("independent_coordinate_names") or "").split()
+    if len(names) != 1:
+        raise InputError(
+            f"{where} depends on {len(names)} coordinates; one is read"
+        )
+    (node,) = constraint.find("coupled_coordinates_function")
+    function = _function(where, node)
+    (scale,) = _vector(constraint.findtext("scale_factor") or "1", 1)
+    return OsimCoupler(
+        _last(constraint.findtext("dependent_coordinate_name")),
+        names[0],
+        lambda x, order: scale * function(x, order),
     )
 
 
@@ -293,6 +395,7 @@ def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
         *axes,
         names,
         tuple(_range(c) for c in found),
+        tuple((c.findtext("locked") or "").strip() == "true" for c in found),
     )
 
 

@@ -210,6 +210,11 @@ class Model:
                     )
         return found
 
+    @cached_property
+    def upright_poses(self) -> dict[str, np.ndarray]:
+        """Body -> x, z [m], angle [rad] while person and device stand."""
+        return _poses(self)
+
     @property
     def cuffs(self) -> dict[str, tuple[float, float]]:
         """Cuff -> nominal place (x, z) in its segment of the human [m]."""

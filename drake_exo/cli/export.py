@@ -1,0 +1,54 @@
+"""`drake-exo export opensim`: calibrated contacts in an OpenSim model.
+
+Adds spheres, cuffs and the device to the scaled model that the study's person
+was read from, and writes states and ground forces of the movements beside it.
+"""
+
+import argparse
+from pathlib import Path
+
+from drake_exo.cli.options import add_accept
+
+
+def add_parser(subparsers) -> None:
+    """Add `export` to the command line."""
+    parser = subparsers.add_parser(
+        "export", help="results for other programs", description=__doc__
+    )
+    kinds = parser.add_subparsers(dest="kind", required=True)
+    opensim = kinds.add_parser(
+        "opensim", help="an OpenSim model with calibrated contacts"
+    )
+    opensim.add_argument(
+        "results", type=Path, metavar="DIR", help="of calibrate or predict"
+    )
+    opensim.add_argument(
+        "--model", type=Path, required=True, help="the scaled .osim file"
+    )
+    opensim.add_argument(
+        "--out", type=Path, required=True, help="the .osim file to write"
+    )
+    opensim.add_argument(
+        "--force", action="store_true", help="replace files that are there"
+    )
+    add_accept(opensim)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the model, and say what became of the calibration in it."""
+    from drake_exo.report.opensim_export import export_opensim
+
+    done = export_opensim(
+        args.results, args.model, args.out, args.force, args.accept
+    )
+    for line in done.lines:
+        print(line)
+    for trial, off in done.difference_n.items():
+        print(
+            f"{trial}: a foot's force by the exported numbers and states is "
+            f"within {off:.2g} N of the calibrated one"
+        )
+    for path in done.files:
+        print(path)
+    return 0

@@ -1,0 +1,379 @@
+"""Contacts, cuffs and device in an OpenSim model, against OpenSim's forces."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from opensim_answers import ask
+from small_osim import small_osim
+
+from drake_exo.calibration.results import write_contact, write_model
+from drake_exo.cli import main
+from drake_exo.contact.bushing import bushing_deflection, bushing_force
+from drake_exo.contact.hunt_crossley import sphere_wrench
+from drake_exo.contact.parameters import nominal_contact
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_table
+from drake_exo.files.osim import read_osim
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import (
+    COUPLED,
+    Assembly,
+    CuffLinks,
+    DeviceFile,
+    Person,
+    Weld,
+)
+from drake_exo.model.description import fit_exoskeleton, models_path
+from drake_exo.model.device_file import with_text
+from drake_exo.model.osim_person import read_person
+from drake_exo.model.plant import Model
+from drake_exo.report.opensim_export import export_opensim
+
+
+def worn(file, weld, cuffs, human):
+    """A person with one of the devices that ship."""
+    device = DeviceFile(weld, Path(file))
+    return with_text(Assembly(human, device, cuffs), models_path())
+
+
+ONE = Person(osim=Path("m.osim"))
+TWO = Person("two", "hinged", Path("m.osim"))
+MODELS = {
+    "alone": Assembly(ONE),
+    "two legs": Assembly(TWO),
+    "coupled": replace(COUPLED, human=ONE),
+    "hip": worn(
+        "hip_only.urdf",
+        {"belt": "pelvis"},
+        {"thigh": CuffLinks("thigh_right", "bar")},
+        TWO,
+    ),
+    "turned ankle": worn(
+        "ankle_only.urdf",
+        {"shoe": Weld("foot", (0.02, -0.01), 12.0)},
+        {"calf": CuffLinks("shank", "calf", (0.01, 0.22))},
+        ONE,
+    ),
+}
+
+
+@dataclass
+class Case:
+    """Results on disk, and what they hold."""
+
+    folder: Path
+    osim: Path
+    model: Model
+    contact: object
+    trial: Trial
+
+    def export(self, name="out.osim", **options):
+        out = self.folder.parent / name
+        return export_opensim(
+            self.folder, self.osim, out, accept=["provenance"], **options
+        )
+
+
+@pytest.fixture
+def case(tmp_path):
+    """Makes results whose movement is any, with feet near the ground."""
+
+    def made(kind, knee="CustomJoint", law="simbody", scale=1.1, shift=0.012):
+        osim = tmp_path / "m.osim"
+        osim.write_text(small_osim(knee))
+        assembly = MODELS[kind]
+        human = read_person(osim, assembly.human, 1.75).human
+        parts = {
+            name: replace(
+                part,
+                mass_kg=scale * part.mass_kg,
+                inertia_kg_m2=scale * part.inertia_kg_m2,
+            )
+            for name, part in vars(human).items()
+            if name in ("foot", "shank", "thigh", "pelvis", "toes")
+        }
+        x, z = human.pelvis.com_m
+        parts["pelvis"] = replace(parts["pelvis"], com_m=(x + shift, z))
+        human = replace(human, **parts)
+        device = fit_exoskeleton(human) if assembly.is_fitted else None
+        model = Model(assembly, human, device)
+        contact = nominal_contact(model, law)
+        values = {
+            name: value * (1.0 + 0.05 * i)
+            for i, (name, value) in enumerate(contact.values().items())
+            if not name.endswith("radius")
+        }
+        contact = contact.with_values(values)
+        for name, bushing in contact.bushings.items():
+            contact.bushings[name] = replace(
+                bushing, preload_x=0.004, preload_z=-0.003, preload_angle=0.05
+            )
+        trial = moved(model)
+        folder = tmp_path / "results"
+        folder.mkdir(exist_ok=True)
+        write_model(folder, model)
+        write_contact(folder, contact)
+        trial.save(folder / "solution_a")
+        return Case(folder, osim, model, contact, trial)
+
+    return made
+
+
+def moved(model, n=9):
+    """Joints bent, a foot's lowest sphere 4 mm in the ground."""
+    rng = np.random.default_rng(8)
+    tree, names = model.tree, model.coordinates
+    q = rng.uniform(-0.25, 0.25, (n, len(names)))
+    v = rng.uniform(-1.0, 1.0, (n, len(names)))
+    for i, name in enumerate(names.names):
+        if "knee" in name:
+            q[:, i] += 0.8
+    q[:, :2] = 0.0
+    lowest = [
+        tree.point_positions(q, body, place)[:, 1]
+        for body, spheres in model.soles.items()
+        for place in spheres.values()
+    ]
+    q[:, 1] = 0.028 - np.min(lowest, axis=0)
+    zero = PlanarWrench(np.ones((n, 2)) * [20.0, 700.0], np.full(n, -70.0))
+    sides = ("left", "right") if model.assembly.human.sides else ()
+    return Trial(
+        "a",
+        names,
+        np.arange(n) / 100.0,
+        q=q,
+        v=v,
+        a=0.0 * q,
+        ground=zero + zero if sides else zero,
+        feet=dict.fromkeys(sides, zero),
+        moments=np.zeros((n, names.num_joints)),
+        source="solved",
+    )
+
+
+def pose_and_motion(case, body):
+    """x, z, angle of a body's frame and their rates, (3, n) each."""
+    tree, q, v = case.model.tree, case.trial.q, case.trial.v
+    J = tree.point_jacobian(q, body, (0.0, 0.0))
+    motion = np.einsum("nij,nj->ni", J, v)
+    p = tree.point_positions(q, body, (0.0, 0.0))
+    angle = tree.body_angles(q, body)
+    return (*p.T, angle), (*motion.T, v @ tree.turning(body))
+
+
+def sphere_forces(case):
+    """Force (n, 2) of each exported sphere by our law."""
+    found = {}
+    sides = bool(case.model.assembly.human.sides)
+    for body, ground in case.contact.ground.under(case.model).items():
+        for name, s in ground.spheres.items():
+            tree, trial = case.model.tree, case.trial
+            J = tree.point_jacobian(trial.q, body, (s.x, s.z))
+            wrench = sphere_wrench(
+                "simbody",
+                *tree.point_positions(trial.q, body, (s.x, s.z)).T,
+                *np.einsum("nij,nj->in", J, trial.v),
+                trial.v @ tree.turning(body),
+                s.stiffness,
+                s.dissipation,
+                s.radius,
+                ground.constants,
+            )
+            force = np.column_stack([wrench.force_x, wrench.force_z])
+            for end in "lr":
+                if not sides:
+                    found[f"contact_{name}_{end}"] = 0.5 * force
+                elif body.split("_")[1][0] == end:
+                    found[f"contact_{name}_{end}"] = force
+    return found
+
+
+def cuff_forces(case):
+    """Force (n, 2) on the human and moment about the cuff's frame there."""
+    found = {}
+    for name, b in case.contact.bushings.items():
+        human, device = case.model.tree.cuffs[name]
+        h, h_motion = pose_and_motion(case, human)
+        e, e_motion = pose_and_motion(case, device)
+        d, rate = bushing_deflection(
+            h, h_motion, e, e_motion, b.origin, b.preload
+        )
+        force = bushing_force(d, rate, b.stiffness, b.damping)
+        c, s = np.cos(h[2]), np.sin(h[2])
+        F = np.column_stack(
+            [
+                c * force.normal - s * force.tangential,
+                s * force.normal + c * force.tangential,
+            ]
+        )
+        found[name] = F, force.rotation
+    return found
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_exported_numbers_give_the_calibrated_forces(case, kind):
+    """Sliding knees and all, by the exported file and states alone."""
+    one = case(kind)
+    done = one.export()
+    assert max(np.abs(f).max() for f in sphere_forces(one).values()) > 50.0
+    assert done.difference_n["a"] < 1e-8
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_bodies_move_as_the_planar_ones(case, kind):
+    one = case(kind)
+    out, states, _ = one.export().files
+    model, table = read_osim(out), read_table(states)
+    q = {
+        name.split("/")[3]: table.column(name)
+        for name in table.names
+        if name.endswith("value")
+    }
+    poses = model.poses(q, len(table.time))
+    people = set(one.model.assembly.human.segments)
+    links = [
+        name
+        for name in one.model.tree.names
+        if name not in people and not name.endswith("_shell")
+    ]
+    sides = bool(one.model.assembly.human.sides)
+    for link in links:
+        for end in ("",) if sides else ("_l", "_r"):
+            R, p = poses[link + end]
+            (x, z, angle), _ = pose_and_motion(one, link)
+            # A knee that slides takes the thigh along, and its pins with it.
+            stiff = link.startswith(("exo_foot", "shoe", "belt"))
+            if stiff:
+                np.testing.assert_allclose(p[:, 0], x, atol=1e-9)
+                np.testing.assert_allclose(p[:, 1], z, atol=1e-9)
+                turned = np.exp(1j * angle)
+                np.testing.assert_allclose(
+                    R[:, 0, 0] + 1j * R[:, 1, 0], turned, atol=1e-9
+                )
+    # Nothing is lost or doubled.
+    assert model.mass_kg == pytest.approx(one.model.tree.mass)
+    if not links:
+        com = sum(
+            body.mass_kg * (p + R @ body.com_m)
+            for name, body in model.bodies.items()
+            for R, p in [poses[name]]
+        )
+        own = one.model.tree.center_of_mass(one.trial.q)
+        # As far as the knees slide.
+        found = com[:, :2] / model.mass_kg
+        np.testing.assert_allclose(found, own, atol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("knee", ["PinJoint", "CustomJoint"])
+@pytest.mark.parametrize("kind", MODELS)
+def test_opensims_forces_are_ours(case, kind, knee, tmp_path):
+    one = case(kind, knee)
+    out, states, _ = one.export().files
+    records = ask(tmp_path, model=str(out), states=str(states))["records"]
+    spheres = sphere_forces(one)
+    scale = max(np.abs(force).max() for force in spheres.values())
+    assert scale > 50.0
+    for name, force in spheres.items():
+        found = [records[name][f"{name}.Sphere.force.{x}"] for x in "XY"]
+        assert np.abs(np.transpose(found) - force).max() < 1e-9 * scale
+    if knee == "CustomJoint":
+        return  # there a cuff moves with the segment that slides
+    for cuff, (force, _) in cuff_forces(one).items():
+        scale = np.abs(force).max()
+        assert scale > 5.0
+        own = {n: r for n, r in records.items() if n.startswith(f"cuff_{cuff}")}
+        share = 1.0 / len(own)
+        for record in own.values():
+            # The first frame is the human's.
+            first = list(record.values())
+            found = np.transpose(first[:2])
+            assert np.abs(found - share * force).max() < 1e-9 * scale
+
+
+def test_the_device_hangs_on_both_legs(case):
+    one = case("coupled")
+    model = read_osim(one.export().files[0])
+    for end in ("_l", "_r"):
+        assert model.joint_of(f"exo_foot{end}").kind == "WeldJoint"
+        assert model.joint_of(f"exo_foot{end}").parent == f"calcn{end}"
+        assert model.joint_of(f"exo_thigh{end}").parent == f"exo_shank{end}"
+        assert model.bodies[f"exo_thigh{end}"].mass_kg == pytest.approx(
+            0.5 * one.model.exoskeleton.thigh.mass_kg
+        )
+
+
+def test_ground_forces_are_each_foots(case):
+    for kind, share in (("alone", 0.5), ("two legs", 1.0)):
+        _, _, forces = case(kind).export(f"{share}.osim").files
+        table = read_table(forces)
+        for end in "lr":
+            assert table.column(f"ground_force_{end}_vy") == pytest.approx(
+                share * 700.0
+            )
+            assert table.column(f"ground_force_{end}_px") == pytest.approx(0.1)
+            assert table.column(f"ground_torque_{end}_z") == pytest.approx(0.0)
+
+
+def test_what_was_done_is_said(case):
+    said = " ".join(case("coupled").export().lines)
+    assert "one leg stands for both" in said
+    assert "times 1.1000, as stated" in said
+    assert "moved by +12.0 mm forward" in said
+    assert "coordinate 'knee_angle_r' differs from the pin's angle" in said
+
+
+def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
+    one = case("alone", law="paper")
+    with pytest.raises(InputError, match=r"law is 'paper', which OpenSim does"):
+        one.export()
+    one = case("alone")
+    with pytest.raises(InputError, match=r"not to be used"):
+        export_opensim(one.folder, one.osim, tmp_path / "o.osim")
+    one.export()
+    with pytest.raises(InputError, match=r"out.osim: exists already; say"):
+        one.export()
+    one.export(force=True)
+    with pytest.raises(InputError, match=r"must end in .osim"):
+        one.export("out.xml")
+    again = replace(one, osim=tmp_path / "out.osim")
+    with pytest.raises(InputError, match=r"has a 'contact_ground' already"):
+        again.export("again.osim")
+    longer = small_osim("CustomJoint").replace("0.002 -0.42 0", "0.002 -0.44 0")
+    (tmp_path / "m.osim").write_text(longer)
+    with pytest.raises(InputError, match=r"its shank is not that of"):
+        one.export("b.osim")
+    plain = replace(one.model, kind=Assembly())
+    write_model(one.folder, plain)
+    with pytest.raises(InputError, match=r"was not read from an OpenSim model"):
+        one.export("b.osim")
+
+
+def test_toes_that_the_model_holds_are_refused(case):
+    one = case("two legs")
+    text = one.osim.read_text()
+    start = text.index('<PinJoint name="mtp_r"')
+    end = text.index("</PinJoint>", start) + len("</PinJoint>")
+    joint = text[start:end]
+    coordinate = joint[joint.index("<coordinates>") : joint.index("<frames>")]
+    fixed = joint.replace("PinJoint", "WeldJoint").replace(coordinate, "")
+    one.osim.write_text(text.replace(joint, fixed))
+    with pytest.raises(InputError, match=r"joint 'mtp_r' is fixed, but the"):
+        one.export()
+
+
+def test_the_command(case, capsys):
+    one = case("alone")
+    out = one.folder.parent / "c.osim"
+    words = ["export", "opensim", str(one.folder), "--model", str(one.osim)]
+    words += ["--out", str(out)]
+    assert main(words) == 2
+    assert "not to be used" in capsys.readouterr().err
+    assert main([*words, "--accept", "provenance"]) == 0
+    said = capsys.readouterr().out
+    assert "a: a foot's force by the exported numbers and states" in said
+    assert str(out) in said
+    assert out.with_name("c_a_states.sto").is_file()
