@@ -16,10 +16,10 @@ $(VENV)/installed: pyproject.toml
 	$(TEST_ENV) $(BIN)/python -c "import matplotlib.font_manager"
 	touch $@
 
-# OpenSim in an environment of its own, for tests that ask it.
+# OpenSim and xacro in an environment of their own, for tests that ask them.
 opensim:
 	$(PYTHON) -m venv .opensim
-	.opensim/bin/python -m pip install --quiet opensim
+	.opensim/bin/python -m pip install --quiet opensim xacro
 
 demo: $(VENV)/installed
 	$(BIN)/drake-exo demo --out demo_results --force

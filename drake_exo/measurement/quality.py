@@ -134,6 +134,7 @@ def assess(
 
 def _model_notes(report: dict[str, Any]):
     """What became of the subject's OpenSim model, line by line."""
+    yield from report.get("device_notes", ())
     said = report.get("osim")
     if said is None:
         return

@@ -118,6 +118,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),
     }
+    if settings.assembly.device is not None:
+        report["device_notes"] = settings.assembly.device.notes
     if person is not None:
         report["osim"] = {
             "file": who.osim.as_posix(),

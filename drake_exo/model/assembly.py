@@ -111,12 +111,19 @@ class DeviceFile:
             it. Joints between two welded links are left out.
         file: SDF or URDF (what xacro expands to), joints included; left out,
             the shipped exoskeleton, fitted to the person.
-        text: what the file says; filled in when a study is read.
+        forward: which way the file's x axes point, forward or ("-x") backward.
+        fixed: joints that are held at zero, such as a hip's abduction.
+        text: what the file says, with the last two applied; filled in when a
+            study is read.
+        notes: what else was changed in it, in sentences; likewise.
     """
 
     weld: dict[str, str | Weld]
     file: Path | None = None
+    forward: Literal["x", "-x"] = "x"
+    fixed: tuple[str, ...] = ()
     text: str | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         if not self.weld:

@@ -1,4 +1,9 @@
-"""A device of the user's own: its file, and whether it fits into the plane."""
+"""A device of the user's own: its file, and whether it fits into the plane.
+
+What the file says is brought into the person's frames once, when a study is
+read: x forward, joints that are to be held made fixed, and links that are
+named as segments of the person renamed.
+"""
 
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -46,14 +51,166 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
         raise InputError(
             f"{path}: cannot be read ({reason(error)}); check model.device.file"
         ) from error
-    return replace(assembly, device=replace(device, text=text))
+    return brought_in(assembly, text)
 
 
-def without_stiff_joints(device: DeviceFile, text: str) -> str:
-    """The file without joints between welded links, and without meshes.
+# Whether an element's numbers are xyz and rpy of a frame, turned by half a
+# circle about z with all the others.
+_TURNED = np.array([-1.0, -1.0, 1.0])
+_OWN = "device_"  # before the name of a link that the person has, too
 
-    Meshes of the user's are left out: they lie elsewhere, and results must be
-    readable on any machine.
+
+def brought_in(assembly: Assembly, text: str) -> Assembly:
+    """The assembly with its device's text in the person's frames.
+
+    Raises:
+        InputError: it is no XML, a joint to fix is missing, or an inertia is
+            that of no body.
+    """
+    device = assembly.device
+    root, owner = _owner(device, text)
+    for element in list(owner):
+        if element.tag in ("transmission", "gazebo"):
+            owner.remove(element)
+        for limits in element.findall("safety_controller"):
+            element.remove(limits)
+    notes = [
+        note
+        for link in owner.findall("link")
+        for note in _possible_inertia(device, link)
+    ]
+    joints = {joint.get("name"): joint for joint in owner.findall("joint")}
+    for name in device.fixed:
+        if name not in joints:
+            raise InputError(
+                f"{device.name}: has no joint {name!r} to fix; it has "
+                f"{', '.join(str(n) for n in joints) or 'none'}"
+            )
+        joints[name].set("type", "fixed")
+        for tag in ("axis", "limit", "dynamics", "mimic"):
+            for element in joints[name].findall(tag):
+                joints[name].remove(element)
+    if device.forward == "-x":
+        _turn(device, root)
+    links = {link.get("name") for link in owner.findall("link")}
+    twice = links & set(assembly.human.segments)
+    for name in twice:
+        _rename(root, name, _OWN + name)
+
+    def own(name: str) -> str:
+        return _OWN + name if name in twice else name
+
+    return replace(
+        assembly,
+        device=replace(
+            device,
+            weld={own(link): to for link, to in device.weld.items()},
+            forward="x",
+            fixed=(),
+            notes=tuple(notes),
+            text=ET.tostring(root, encoding="unicode"),
+        ),
+        cuffs={
+            name: replace(cuff, device=own(cuff.device))
+            for name, cuff in assembly.cuffs.items()
+        },
+    )
+
+
+_MOMENTS, _PRODUCTS = ("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz")
+
+
+def _possible_inertia(device: DeviceFile, link: ET.Element):
+    """Take products that no body has out of a link's inertia, and say so.
+
+    In the plane the moment about y alone counts.
+
+    Raises:
+        InputError: its moments alone are those of no body.
+    """
+    inertia = link.find("inertial/inertia")
+    if inertia is None:
+        return
+    where = f"{device.name}: link {link.get('name')!r}"
+
+    def value(key: str) -> float:
+        text = inertia.get(key) or inertia.findtext(key) or "0"
+        try:
+            return float(text)
+        except ValueError as error:
+            raise InputError(f"{where}: {key} is {text!r}") from error
+
+    a, b, c = moments = [value(key) for key in _MOMENTS]
+    xy, xz, yz = (value(key) for key in _PRODUCTS)
+
+    def is_bodys(x, y, z) -> bool:
+        slack = 1e-9 * max(x, y, z)
+        return min(x, y, z, x + y - z, x + z - y, y + z - x) >= -slack
+
+    if is_bodys(*np.linalg.eigvalsh([[a, xy, xz], [xy, b, yz], [xz, yz, c]])):
+        return
+    if not is_bodys(*moments):
+        raise InputError(
+            f"{where}: no body has moments of inertia of "
+            f"{', '.join(f'{x:g}' for x in moments)} kg m^2; correct them"
+        )
+    for key in _PRODUCTS:
+        inertia.attrib.pop(key, None)
+        for child in inertia.findall(key):
+            inertia.remove(child)
+        if inertia.get("ixx") is not None:
+            inertia.set(key, "0")
+    yield (
+        f"{where}: no body has such products of inertia; they are left out, "
+        f"its {b:g} kg m^2 about y stay"
+    )
+
+
+def _turn(device: DeviceFile, root: ET.Element) -> None:
+    """Turn every frame by half a circle about its z axis, in place."""
+
+    def turned(text: str) -> str:
+        try:
+            values = np.array(text.split(), dtype=float).reshape(-1, 3)
+        except ValueError as error:
+            raise InputError(
+                f"{device.name}: {text!r} is not a place or an attitude"
+            ) from error
+        return " ".join(repr(x) for x in (values * _TURNED).ravel().tolist())
+
+    for element in root.iter():
+        if element.tag in ("origin", "axis"):
+            for key in {"xyz", "rpy"} & set(element.keys()):
+                element.set(key, turned(element.get(key)))
+        if element.tag in ("pose", "xyz") and (element.text or "").strip():
+            element.text = turned(element.text)
+        if element.tag == "inertia":
+            for key in ("ixz", "iyz"):
+                if element.get(key) is not None:
+                    element.set(key, _negated(element.get(key)))
+                for child in element.findall(key):
+                    child.text = _negated(child.text)
+
+
+def _negated(number: str) -> str:
+    number = number.strip()
+    return number[1:] if number.startswith("-") else f"-{number}"
+
+
+def _rename(root: ET.Element, old: str, new: str) -> None:
+    """Another name for a link, wherever the file speaks of it."""
+    for element in root.iter():
+        if element.tag == "link" and element.get("name") == old:
+            element.set("name", new)
+        for key in ("link", "attached_to", "relative_to"):
+            if element.get(key) == old:
+                element.set(key, new)
+        if element.tag in ("parent", "child") and element.text == old:
+            element.text = new
+
+
+def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
+    """The document, and its element that holds links and joints.
 
     Raises:
         InputError: it is no XML, or holds not exactly one model.
@@ -68,6 +225,19 @@ def without_stiff_joints(device: DeviceFile, text: str) -> str:
             f"{device.name}: holds no <robot> and no <model>; give the URDF or "
             "SDF of one device"
         )
+    return root, owner
+
+
+def without_stiff_joints(device: DeviceFile, text: str) -> str:
+    """The file without joints between welded links, and without meshes.
+
+    Meshes of the user's are left out: they lie elsewhere, and results must be
+    readable on any machine.
+
+    Raises:
+        InputError: it is no XML, or holds not exactly one model.
+    """
+    root, owner = _owner(device, text)
     for joint in owner.findall("joint"):
         ends = [joint.find(end) for end in ("parent", "child")]
         names = {

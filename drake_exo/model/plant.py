@@ -451,11 +451,14 @@ def _riding(model: Model) -> dict[str, str]:
     for cuff in assembly.cuffs.values():
         rides.setdefault(cuff.device, cuff.human)
     joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
+    # What is fixed to a link goes with it before what hinges on it does.
+    joints.sort(key=lambda j: j.num_positions())
     ends = [(j.parent_body().name(), j.child_body().name()) for j in joints]
+    stiff = ends[: sum(not j.num_positions() for j in joints)]
     segments = assembly.human.segments
     # Outwards from what is held; each pass reaches one joint further.
-    for _ in ends:
-        for a, b in [*ends, *((b, a) for a, b in ends)]:
+    for edges in [stiff] * len(stiff) + [ends] * len(ends):
+        for a, b in [*edges, *((b, a) for a, b in edges)]:
             if a in rides and b not in (*rides, *segments):
                 rides[b] = rides[a]
     shells = [f"{name}_shell" for name in assembly.cuffs]

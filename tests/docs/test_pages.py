@@ -156,7 +156,7 @@ def test_the_device_in_the_page_is_worn():
     from drake_exo.model.plant import Model
 
     page = (ROOT / "docs" / "your_exoskeleton.md").read_text("utf-8")
-    (block,) = [b for k, b in _FENCE.findall(page) if "file:" in b]
+    (block,) = [b for k, b in _FENCE.findall(page) if "ankle_only" in b]
     text = "\n".join(line[2:] for line in block.splitlines()[1:])
     assembly = schema.load_text(text, Assembly)
     model = Model(with_text(assembly, models_path()), nominal_human())

@@ -1,10 +1,12 @@
 """Models put together from descriptions, and what is refused."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from opensim_answers import expanded
 from scipy.interpolate import make_interp_spline
 
 from drake_exo.errors import InputError
@@ -18,7 +20,7 @@ from drake_exo.model.assembly import (
     Weld,
 )
 from drake_exo.model.description import models_path, nominal_human
-from drake_exo.model.device_file import with_text
+from drake_exo.model.device_file import brought_in, with_text
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.skeleton import foot_and_toes
 
@@ -38,14 +40,11 @@ def built(assembly):
 
 def edited(assembly, *changes):
     """The model with its device's file changed."""
-    whole = with_text(assembly, models_path())
-    text = whole.device.text
+    text = (models_path() / assembly.device.file).read_text()
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    return Model(
-        replace(whole, device=replace(whole.device, text=text)), nominal_human()
-    )
+    return Model(brought_in(assembly, text), nominal_human())
 
 
 @pytest.mark.parametrize(
@@ -104,6 +103,133 @@ def test_cuffs_are_slack_while_both_stand_upright():
         strict=True,
     ):
         np.testing.assert_allclose(own, other, atol=1e-9)
+
+
+def test_a_device_that_looks_backward_is_turned():
+    """Turned in the file, and turned back, it is the same."""
+    text = (models_path() / "ankle_only.urdf").read_text()
+
+    def turned(match):
+        x, y, z = (float(part) for part in match[2].split())
+        return f'{match[1]}="{-x} {-y} {z}"'
+
+    backward = re.sub(r'(xyz)="([^"]*)"', turned, text)
+    assert backward != text
+    products = (('ixz="0"', 'ixz="0.001"'), ('ixz="0"', 'ixz="-0.001"'))
+    own = brought_in(ANKLE, text.replace(*products[0]))
+    device = replace(ANKLE.device, forward="-x")
+    other = brought_in(
+        replace(ANKLE, device=device), backward.replace(*products[1])
+    )
+    assert other.device.forward == "x"
+    one, two = (Model(a, nominal_human()) for a in (own, other))
+    motion = np.random.default_rng(4).normal(size=(3, 3, 7))
+    np.testing.assert_allclose(
+        one.tree.inverse_dynamics(*motion),
+        two.tree.inverse_dynamics(*motion),
+        atol=1e-10,
+    )
+    assert one.coordinates == two.coordinates
+
+
+SIDEWAYS = """<link name="side"><inertial><mass value="1"/><inertia
+  ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="abduction" type="revolute"><parent link="shoe"/>
+  <child link="side"/><axis xyz="1 0 0"/><dynamics damping="0.1"/>
+  <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_joints_out_of_the_plane_can_be_held():
+    change = ("</robot>", SIDEWAYS)
+    with pytest.raises(InputError, match=r"'abduction' turns about \(1, 0, 0"):
+        edited(ANKLE, change).tree  # noqa: B018
+    held = replace(ANKLE.device, fixed=("abduction",))
+    model = edited(replace(ANKLE, device=held), change)
+    assert model.coordinates.device == ("motor",)
+    assert model.tree.mass == pytest.approx(70.0 + 3.6 + 1.0)
+    wrong = replace(ANKLE.device, fixed=("adduction",))
+    with pytest.raises(
+        InputError, match=r"no joint 'adduction' to fix; it has"
+    ):
+        edited(replace(ANKLE, device=wrong), change)
+
+
+def test_links_may_be_named_as_segments():
+    names = {"calf": "shank", "shoe": "foot"}
+    changes = [(f'"{a}"', f'"{b}"') for a, b in names.items()]
+    weld = {"foot": "foot"}
+    cuffs = {"calf": CuffLinks("shank", "shank")}
+    same = replace(ANKLE, device=replace(ANKLE.device, weld=weld), cuffs=cuffs)
+    model, plain = edited(same, *changes), built(ANKLE)
+    assert model.tree.cuffs == {"calf": ("shank", "calf_shell")}
+    motion = np.random.default_rng(4).normal(size=(3, 3, 7))
+    np.testing.assert_allclose(
+        model.tree.inverse_dynamics(*motion),
+        plain.tree.inverse_dynamics(*motion),
+        atol=1e-10,
+    )
+    q = motion[0]
+    p = model.tree.point_positions(q, "shank", (0.0, 0.1))
+    expected = plain.tree.point_positions(q, "shank", (0.0, 0.1))
+    np.testing.assert_allclose(p, expected, atol=1e-12)
+
+
+def test_what_is_fixed_to_a_strapped_link_moves_with_it():
+    """A hinge above it turns with the joint of the person beside it."""
+    plate = """<link name="plate"><inertial><mass value="0.5"/><inertia
+      ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+      </link><joint name="glue" type="fixed"><parent link="calf"/>
+      <child link="plate"/></joint></robot>"""
+    cuffs = {"calf": CuffLinks("shank", "plate")}
+    model = edited(replace(ANKLE, cuffs=cuffs), ("</robot>", plate))
+    assert model.coordinates.turned_by.tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_products_of_inertia_that_no_body_has_are_left_out():
+    old = 'ixx="0.02" iyy="0.02" izz="0.006" ixy="0" ixz="0"'
+    new = old.replace('ixz="0"', 'ixz="0.05"')
+    model, plain = edited(ANKLE, (old, new)), built(ANKLE)
+    (note,) = model.assembly.device.notes
+    assert "link 'calf': no body has such products of inertia" in note
+    motion = np.random.default_rng(4).normal(size=(3, 3, 7))
+    np.testing.assert_allclose(
+        model.tree.inverse_dynamics(*motion),
+        plain.tree.inverse_dynamics(*motion),
+        atol=1e-10,
+    )
+    assert plain.assembly.device.notes == ()
+    with pytest.raises(InputError, match=r"'calf': no body has moments of in"):
+        edited(ANKLE, (old, old.replace('iyy="0.02"', 'iyy="0.2"')))
+
+
+@pytest.mark.slow
+def test_a_real_exoskeleton(tmp_path, data_root):
+    """Project March's fourth: seven links a side, its own frames and names."""
+    source = data_root / "exo_models/march4.xacro"
+    (tmp_path / "march4.urdf").write_text(expanded(source, tmp_path))
+    page = Path(__file__).parents[2] / "docs/your_exoskeleton.md"
+    (block,) = re.findall(
+        r"```yaml\n(model:[^`]*march4[^`]*)```", page.read_text()
+    )
+    lines = (line[2:] for line in block.splitlines()[1:])
+    assembly = schema.load_text("\n".join(lines), Assembly)
+    model = Model(with_text(assembly, tmp_path), nominal_human())
+    # 8.7 kg at the hips, 14.3 kg a leg.
+    device = 8.686 + 2.0 * (2.982 + 4.995 + 4.458 + 1.821)
+    assert model.tree.mass == pytest.approx(70.0 + device)
+    names = model.coordinates
+    assert len(names.device) == 6
+    for name in names.device:
+        side, what = name.split("_")[:2]
+        assert names.follows(name) == f"{what}_{side}"
+        assert names.turned_by[names.device.index(name)].sum() == 1.0
+    for side in ("left", "right"):
+        # Upper and lower leg are 0.385 m, the hips 0.1395 m before the base.
+        x, z, _ = model.upright_poses[f"ankle_plate_{side}"]
+        assert (x, z) == pytest.approx((0.0, -0.77), abs=1e-3)
+    assert len(assembly.device.notes) == 0
+    notes = model.assembly.device.notes
+    assert [n.split("'")[1] for n in notes] == ["foot_left", "foot_right"]
 
 
 def test_the_shipped_three_are_descriptions():
