@@ -31,7 +31,7 @@ from drake_exo.batch.file import (
 LAB = "lab"
 _LIBRARIES = (
     *("drake", "numpy", "scipy", "ipyopt", "matplotlib"),
-    *("cholespy", "numba", "mmgpy", "meshio", "ezc3d"),
+    *("numba", "mmgpy", "meshio", "ezc3d"),
 )
 _CODE = (".py", ".sdf", ".xml", ".obj", ".js", ".css")
 

@@ -36,7 +36,7 @@ class TetMesh:
     >>> import drake_exo as dx
     >>> mesh = dx.soles.Case.from_text(dx.soles.EXAMPLE).mesh
     >>> mesh.tets.shape, mesh.contact.shape, mesh.contact_areas.shape
-    ((144, 4), (34,), (34,))
+    ((144, 4), (20,), (20,))
     >>> print(f"{1e6 * mesh.volume:.0f} cm³")
     897 cm³
 
@@ -53,7 +53,8 @@ class TetMesh:
     def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
         """The same connectivity at other node positions."""
         out = TetMesh(np.asarray(nodes, float), self.tets, self.fixed)
-        # The boundary does not depend on positions: hand it on.
+        # The boundary does not depend on positions, and the nodes that may
+        # touch stay the same ones.
         for name in ("boundary_faces", "contact"):
             out.__dict__[name] = getattr(self, name)
         return out
@@ -71,10 +72,27 @@ class TetMesh:
         return faces[np.sort(index[count == 1])]
 
     @cached_property
+    def bare(self) -> np.ndarray:
+        """Sorted nodes of the surface that are not fixed."""
+        return np.setdiff1d(np.unique(self.boundary_faces), self.fixed)
+
+    @cached_property
     def contact(self) -> np.ndarray:
-        """Sorted nodes that may touch: those of the surface not fixed."""
-        surface = np.unique(self.boundary_faces)
-        return np.setdiff1d(surface, self.fixed)
+        """Sorted nodes that may touch: of bare faces that look downwards.
+
+        Others get to the ground only where a sole rolls far or bulges; see
+        `touching_everywhere`.
+        """
+        x = self.nodes[self.contact_faces]
+        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        down = area[:, 2] < -_UPWARDS * np.linalg.norm(area, axis=1)
+        return np.setdiff1d(self.contact_faces[down], self.fixed)
+
+    def touching_everywhere(self) -> "TetMesh":
+        """The same mesh, all of whose bare nodes may touch."""
+        out = self.with_nodes(self.nodes)
+        out.__dict__["contact"] = self.bare
+        return out
 
     @cached_property
     def contact_faces(self) -> np.ndarray:

@@ -15,6 +15,7 @@ from drake_exo.soles.elasticity.linear import (
     displacement_gradient,
     edge_average,
     node_average,
+    node_dofs,
     stiffness_matrix,
 )
 from drake_exo.soles.mesh import brick
@@ -100,7 +101,9 @@ def test_condensation_agrees_with_a_direct_solve():
     load = np.zeros_like(sole.mesh.nodes)
     load[sole.mesh.contact] = f
     dofs = (3 * sole.free[:, None] + np.arange(3)).ravel()
-    K = sole.stiffness[dofs][:, dofs].toarray()
+    K = stiffness_matrix(sole.mesh, sole.material, sole.element)[dofs][
+        :, dofs
+    ].toarray()
     expected = np.linalg.solve(K, load.ravel()[dofs])
     np.testing.assert_allclose(
         u[sole.free].ravel(), expected, atol=1e-10 * np.abs(expected).max()
@@ -217,3 +220,29 @@ def test_averages_keep_constants_and_volume():
 def test_impossible_poissons_ratio_is_refused(nu):
     with pytest.raises(InputError, match="poissons_ratio"):
         Material("m", 1e6, nu, 1000.0)
+
+
+@pytest.mark.parametrize("element", ["linear", "smoothed"])
+def test_fronts_solve_what_dense_algebra_does(element):
+    """Sparse factorisation against numpy's, on a mesh of several fronts."""
+    sole = Sole(brick((0.2, 0.1, 0.03), (9, 5, 3)), RUBBER, element)
+    dofs = node_dofs(sole.free)
+    K = stiffness_matrix(sole.mesh, RUBBER, element)[dofs][:, dofs].toarray()
+    inverse = np.linalg.inv(K)
+    b = np.random.default_rng(0).standard_normal((len(K), 3))
+    scale = np.abs(inverse).max()
+    np.testing.assert_allclose(
+        sole.solve(b), inverse @ b, atol=1e-11 * np.abs(inverse @ b).max()
+    )
+    rows = sole.contact_rows
+    np.testing.assert_allclose(
+        sole.compliance, inverse[np.ix_(rows, rows)], atol=1e-11 * scale
+    )
+
+
+def test_a_matrix_that_is_not_definite_is_refused():
+    mesh = brick((0.2, 0.1, 0.03), (6, 4, 3))
+    nodes = mesh.nodes.copy()
+    nodes[mesh.tets[0, 0]] += [0.2, 0.0, 0.0]  # elements turn over
+    with pytest.raises(np.linalg.LinAlgError):
+        _ = Sole(mesh.with_nodes(nodes), RUBBER).compliance

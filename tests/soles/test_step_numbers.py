@@ -37,10 +37,10 @@ def test_forces_and_zmp_are_the_nodes_sums(step):
 def test_pressure_is_force_over_a_nodes_area(step):
     mesh = step.sole.mesh
     area = mesh.contact_areas
-    # The bottom, and of the sides what nodes below the top stand for: three
-    # quarters of two layers.
+    # The bottom, and of the sides what its edge stands for: a quarter of two
+    # layers.
     sides = 2.0 * (0.23 + 0.13) * 0.03
-    assert area.sum() == pytest.approx(0.23 * 0.13 + 0.75 * sides)
+    assert area.sum() == pytest.approx(0.23 * 0.13 + 0.25 * sides)
     for q in (0, 5):
         expected = step.node_forces[q, :, 2] / area
         np.testing.assert_allclose(step.pressure[q], expected)

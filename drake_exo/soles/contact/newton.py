@@ -6,7 +6,6 @@ moment about the desired ZMP. What depends on every contact node is compiled.
 Symbols as in docs/soles.md.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -177,8 +176,6 @@ class ContactSolver:
         law: The contact law.
         tolerance: On the scaled residual's largest entry.
         max_iterations: Newton steps before giving up.
-        need: Called with nodes before their rows of C are used; None where
-            all are there.
     """
 
     def __init__(
@@ -188,23 +185,18 @@ class ContactSolver:
         law: ContactLaw,
         tolerance: float = 1e-11,
         max_iterations: int = 20,
-        need: Callable[[np.ndarray], None] | None = None,
     ):
         self.C, self.lP, self.law = C, lP, law
         self.tolerance, self.max_iterations = tolerance, max_iterations
-        self.need = need or (lambda nodes: None)
         self.active = ActiveSet(C)
 
     @classmethod
     def of(cls, sole: Sole, law: ContactLaw, **options) -> "ContactSolver":
-        """Of a sole whose compliance is computed where it is touched."""
-        return cls(
-            sole.flexibility, sole.positions, law, need=sole.need, **options
-        )
+        """Of a sole."""
+        return cls(sole.compliance, sole.positions, law, **options)
 
     def deformed(self, F: np.ndarray, R: np.ndarray) -> np.ndarray:
         """Y = R (lP + C Rᵀ F): places relative to O, world, (m, 3)."""
-        self.need(np.flatnonzero(F.any(axis=1)))
         return deformed(self.C, self.lP, R, F)
 
     def solve(
@@ -277,9 +269,7 @@ class ContactSolver:
     def _linearisation(self, point, target) -> Linearisation:
         if not point.active.any():
             raise np.linalg.LinAlgError("no node in contact")
-        touching = np.flatnonzero(point.active)
-        self.need(touching)
-        self.active.update(touching)
+        self.active.update(np.flatnonzero(point.active))
         nodes = self.active.nodes
         return Linearisation(
             self.active,

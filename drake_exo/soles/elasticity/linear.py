@@ -17,18 +17,16 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from cholespy import CholeskySolverD, MatrixType
 from scipy.sparse import bmat, csr_matrix, diags
 
 from drake_exo.errors import InputError
+from drake_exo.soles.elasticity.cholesky import SparseCholesky
 from drake_exo.soles.mesh import TetMesh
 
 Element = Literal["linear", "smoothed"]
-_BATCH = 42  # contact nodes whose compliance is computed at a time
 # Places of xx, yy, zz, yz, xz, xy, and how often each is there.
 _PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 _TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
-_SAMPLE = 64  # contact nodes whose compliance gives the law's scale
 
 
 def node_dofs(nodes: np.ndarray) -> np.ndarray:
@@ -191,11 +189,6 @@ class Sole:
         return np.setdiff1d(np.arange(len(self.mesh.nodes)),
                             self.mesh.fixed)  # fmt: skip
 
-    @cached_property
-    def stiffness(self) -> csr_matrix:
-        """Stiffness matrix of all nodes."""
-        return stiffness_matrix(self.mesh, self.material, self.element)
-
     @property
     def positions(self) -> np.ndarray:
         """Rest positions of the contact nodes in the sole frame, (m, 3)."""
@@ -206,9 +199,15 @@ class Sole:
         return self._factor.solve(forces)
 
     @cached_property
-    def _factor(self) -> "_Factor":
+    def _factor(self) -> SparseCholesky:
         dofs = node_dofs(self.free)
-        return _Factor(self.stiffness[dofs][:, dofs])
+        return SparseCholesky(
+            stiffness_matrix(self.mesh, self.material, self.element)[dofs][
+                :, dofs
+            ],
+            self.mesh.nodes[self.free],
+            np.searchsorted(self.free, self.mesh.contact),
+        )
 
     def carry(self, forces: np.ndarray) -> np.ndarray:
         """Free displacements under contact forces: N f = K_ff⁻¹ E f.
@@ -221,69 +220,22 @@ class Sole:
         """
         out = np.zeros((3 * len(self.free), forces.shape[1]))
         out[self.contact_rows] = forces
-        return self._factor.solve(out, overwrite=True)
-
-    def need(self, nodes: np.ndarray) -> None:
-        """See to it that `flexibility` has the rows of these contact nodes."""
-        new = nodes[~self._known[nodes]]
-        if not len(new):
-            return
-        new = np.unique(new)
-        if len(new) < _BATCH:
-            new = self._with_neighbours(new)
-        for part in np.array_split(new, -(-len(new) // _BATCH)):
-            self.flexibility[node_dofs(part)] = self._rows(node_dofs(part))
-        self._known[new] = True
-
-    def _rows(self, dofs: np.ndarray) -> np.ndarray:
-        """Rows of C, (k, 3m)."""
-        unit = np.zeros((3 * len(self.mesh.contact), len(dofs)))
-        unit[dofs, np.arange(len(dofs))] = 1.0
-        return self.carry(unit)[self.contact_rows].T
-
-    def _with_neighbours(self, new: np.ndarray) -> np.ndarray:
-        """A whole batch: it costs little more, and they touch next."""
-        x = self.positions
-        away = np.linalg.norm(x - x[new].mean(axis=0), axis=1)
-        away[self._known] = np.inf
-        away[new] = 0.0
-        near = np.argsort(away, kind="stable")[:_BATCH]
-        return np.sort(near[np.isfinite(away[near])])
-
-    @cached_property
-    def _known(self) -> np.ndarray:
-        return np.zeros(len(self.mesh.contact), dtype=bool)
-
-    @cached_property
-    def flexibility(self) -> np.ndarray:
-        """C with the rows that were needed so far, zero elsewhere.
-
-        Only some of the nodes that may touch ever do.
-        """
-        return np.zeros((3 * len(self.mesh.contact),) * 2)
+        return self._factor.solve(out)
 
     @cached_property
     def contact_rows(self) -> np.ndarray:
         """Rows of the contact dofs among the free dofs, (3m,)."""
         return node_dofs(np.searchsorted(self.free, self.mesh.contact))
 
-    @cached_property
+    @property
     def compliance(self) -> np.ndarray:
         """C = Eᵀ N in the sole frame [m/N], (3m, 3m), symmetric."""
-        self.need(np.arange(len(self.mesh.contact)))
-        return 0.5 * (self.flexibility + self.flexibility.T)
+        return self._factor.last_inverse
 
-    @cached_property
+    @property
     def penalty(self) -> float:
-        """Scale r = 1 / median(C_nn) [N/m] of the contact law.
-
-        The median of some nodes spread over all: it is but a scale.
-        """
-        m = len(self.mesh.contact)
-        some = np.unique(np.linspace(0, m - 1, _SAMPLE).round().astype(int))
-        normal = 3 * some + 2
-        rows = self._rows(normal)
-        return float(1.0 / np.median(rows[np.arange(len(some)), normal]))
+        """Scale r = 1 / median(C_nn) [N/m] of the contact law."""
+        return float(1.0 / np.median(np.diag(self.compliance)[2::3]))
 
     def displacement(self, f_L: np.ndarray) -> np.ndarray:
         """Displacement of every node under contact forces (sole frame).
@@ -365,28 +317,3 @@ class Sole:
 def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:
     """H_ij = ∂u_i/∂X_j in every element, (..., e, 3, 3)."""
     return np.einsum("...eai,eaj->...eij", u[..., mesh.tets, :], mesh.gradients)
-
-
-class _Factor:
-    """Sparse Cholesky with many right-hand sides."""
-
-    def __init__(self, K: csr_matrix):
-        K = K.tocsc()
-        K.sort_indices()
-        try:
-            self._cholesky = CholeskySolverD(
-                K.shape[0], K.indptr, K.indices, K.data, MatrixType.CSC
-            )
-        except ValueError as error:
-            raise np.linalg.LinAlgError(str(error)) from None
-
-    def solve(self, b: np.ndarray, overwrite: bool = False) -> np.ndarray:
-        flat = np.ascontiguousarray(b.reshape(b.shape[0], -1))
-        x = flat if overwrite else np.empty_like(flat)
-        # cholespy takes at most 128 right-hand sides at a time.
-        for start in range(0, flat.shape[1], 128):
-            rhs = np.ascontiguousarray(flat[:, start : start + 128])
-            out = np.zeros_like(rhs)
-            self._cholesky.solve(rhs, out)
-            x[:, start : start + 128] = out
-        return x.reshape(b.shape)

@@ -27,7 +27,11 @@ from drake_exo.soles.optimize.limits import (
 )
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step import stiffness
-from drake_exo.soles.step.simulation import StepHistory, simulate
+from drake_exo.soles.step.simulation import (
+    StepHistory,
+    simulate,
+    touches_elsewhere,
+)
 
 _ELEMENT_SHARPNESS = 200.0
 _LEAST_VOLUME = 0.06  # of an element's own volume at rest
@@ -139,9 +143,6 @@ class ShapeProblem:
         if self.stretch(p).min() <= 0 or mesh.volumes.min() <= 0:
             return None
         sole = Sole(mesh, self.material, self.element)
-        if self.branch is not None:
-            touched = self.branch.F.any(axis=(0, 2))
-            sole.need(np.flatnonzero(touched))
         solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
         force, zmp = self.load.force[self.picked], self.load.zmp[self.picked]
         history = simulate(
@@ -154,6 +155,10 @@ class ShapeProblem:
         )
         if history.failed_steps:
             return None
+        if touches_elsewhere(sole, self.law, history):
+            # From here on all bare nodes may touch, in every design.
+            self.mesh, self.branch = self.mesh.touching_everywhere(), None
+            return self._simulate(p)
         return Evaluation(
             p,
             sole,

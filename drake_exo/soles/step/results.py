@@ -3,7 +3,7 @@
 import csv
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from drake_exo.soles.step.simulation import (
     HISTORY,
     StepHistory,
     simulate,
+    touches_elsewhere,
     write_history,
 )
 
@@ -67,24 +68,35 @@ class Step:
         sole = setup.sole()
         law = setup.law(sole)
         ready = time.perf_counter()
-        kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
-        solver = kinds[setup.settings.contact.method].of(sole, law)
-        load = setup.load
-        history = simulate(
-            solver, load.force, load.zmp, setup.start, progress=progress
-        )
-        seconds = {
+        step = cls._simulated(setup, sole, law, progress)
+        step.seconds = {
             "condensation_seconds": round(ready - began, 4),
             "simulation_seconds": round(time.perf_counter() - ready, 4),
         }
-        return cls(setup, sole, law, history, seconds)
+        return step
 
     @classmethod
     def by_exact_law(cls, setup: Setup, sole: Sole, r: float) -> "Step":
         """Simulate a sole by the exact law, with the law's scale r [N/m]."""
         law = ContactLaw(setup.settings.contact.friction, r)
-        solver, load = ContactSolver.of(sole, law), setup.load
-        history = simulate(solver, load.force, load.zmp, setup.start)
+        return cls._simulated(setup, sole, law)
+
+    @classmethod
+    def _simulated(cls, setup, sole, law, progress=None) -> "Step":
+        """By the case's method; again where further nodes get to the ground."""
+        kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
+        kind, load = kinds[setup.settings.contact.method], setup.load
+
+        def simulated(sole):
+            return simulate(
+                kind.of(sole, law), load.force, load.zmp, setup.start,
+                progress=progress,
+            )  # fmt: skip
+
+        history = simulated(sole)
+        if touches_elsewhere(sole, law, history):
+            sole = replace(sole, mesh=sole.mesh.touching_everywhere())
+            history = simulated(sole)
         return cls(setup, sole, law, history)
 
     @property

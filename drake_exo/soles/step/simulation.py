@@ -21,6 +21,8 @@ from drake_exo.soles.contact.newton import (
     State,
     Target,
 )
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.rotations import rotation_between, rotation_z, yaw_of
 from drake_exo.soles.step import stiffness
@@ -32,6 +34,7 @@ _MAX_SUBSTEPS = 60
 _LEAP = 0.1  # rad between designs
 _SAME = 1e-6  # rad; solutions are far closer than branches
 _LEAST_PART = 1 / 64  # of the time between samples
+_TOGETHER = 64  # samples whose displacements are computed at a time
 _PATIENCE = 3  # times the Newton steps of a neighbouring design
 # Files of a simulation, and of that of the initial shape beside it.
 HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"
@@ -43,7 +46,9 @@ def candidate_poses(lP: np.ndarray, zmp, start: Start) -> list[State]:
     Facets whose support holds the ZMP come first, by tilt; then the others,
     by the distance of the ZMP from the support.
     """
-    hull = ConvexHull(lP)
+    # With the foot above: a flat surface alone has no hull.
+    points = np.vstack([lP, np.zeros(3)])
+    hull = ConvexHull(points)
     normals, which = np.unique(
         np.round(hull.equations[:, :3], 6), axis=0, return_inverse=True
     )
@@ -57,8 +62,9 @@ def candidate_poses(lP: np.ndarray, zmp, start: Start) -> list[State]:
         R = R @ rotation_z(start.yaw - yaw_of(R))
         corners = np.unique(hull.simplices[which.ravel() == index])
         O = start.point_W - R @ start.point_L  # noqa: E741
-        O[2] = -(lP[corners] @ R.T)[:, 2].mean()
-        outside = _distance((lP[corners] @ R.T + O)[:, :2], np.asarray(zmp))
+        placed = points[corners] @ R.T + O
+        O[2] -= placed[:, 2].mean()
+        outside = _distance(placed[:, :2], np.asarray(zmp))
         state = State(np.zeros_like(lP), O, R)
         ranked.append((outside > 0, outside if outside > 0 else tilt, state))
     ranked.sort(key=lambda item: item[:2])
@@ -340,6 +346,23 @@ class StepHistory:
     def costs(self, weight: float = 1.0, fraction: float = 0.1):
         """c_tr, c_rot and c over the samples (NaN where one failed)."""
         return stiffness.costs(self.K_c, weight, fraction)
+
+
+def touches_elsewhere(
+    sole: Sole, law: ContactLaw, history: StepHistory
+) -> bool:
+    """Whether a bare node that was not to touch gets to the ground."""
+    others = np.setdiff1d(sole.mesh.bare, sole.mesh.contact)
+    good = np.flatnonzero(history.converged)
+    for first in range(0, len(good), _TOGETHER):
+        q = good[first : first + _TOGETHER]
+        u = sole.displacement(history.F[q] @ history.R[q])
+        up = history.R[q, 2, :, None]
+        height = (sole.mesh.nodes[others] + u[:, others]) @ up
+        height += history.O[q, 2, None, None]
+        if height.min(initial=np.inf) < law.layer:
+            return True
+    return False
 
 
 def write_history(path: Path, mesh: TetMesh, times, history) -> None:

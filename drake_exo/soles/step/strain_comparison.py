@@ -203,7 +203,8 @@ def compare_strains(
         both at the first, middle and last sample (1, 11 and 21 of the
         paper's 21), NaN where there is no equilibrium.
     """
-    sole = Sole(setup.mesh, setup.settings.material.material(), "linear")
+    mesh = setup.mesh.touching_everywhere()
+    sole = Sole(mesh, setup.settings.material.material(), "linear")
     load, start = setup.load, setup.start
     cost = setup.settings.cost
     count = stiffness.heel_strike_count(
