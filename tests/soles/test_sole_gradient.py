@@ -220,7 +220,7 @@ def test_optimiser_lowers_the_cost_within_the_limits(problem):
     from drake_exo.soles.optimize.optimizer import minimise
 
     p0 = np.full(problem.spline.count, 0.96)
-    best = minimise(problem, p0, (0.5, 1.25), iterations=8)
+    best = minimise(problem, p0, (0.5, 1.25), iterations=13)
     assert best.violation < 1e-4
     assert best.cost < 0.8 * problem.cost(p0)
     # What was found is found again from a cold start.

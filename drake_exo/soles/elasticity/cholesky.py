@@ -11,7 +11,7 @@ the work is in LAPACK and BLAS.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dgemm, dsyrk, dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import csc_matrix, csr_matrix
 
@@ -55,6 +55,7 @@ class SparseCholesky:
     """
 
     def __init__(self, K: csr_matrix, places: np.ndarray, last: np.ndarray):
+        self._count = K.shape[0]
         self._fronts = _fronts(K, places, np.asarray(last))
         self._eliminate(K.tocsc())
         *self._fronts, self._root = self._fronts
@@ -105,6 +106,16 @@ class SparseCholesky:
             x[front.own] = y
             x[front.border] -= front.below @ y
         x[self._root.own] = self.last_inverse @ x[self._root.own]
+        return self._substituted(x)
+
+    def carry(self, b: np.ndarray) -> np.ndarray:
+        """K⁻¹ of what is b at the last dofs, (3m, c), and zero elsewhere."""
+        x = np.zeros((self._count, b.shape[1]))
+        x[self._root.own] = self.last_inverse @ b
+        return self._substituted(x)
+
+    def _substituted(self, x: np.ndarray) -> np.ndarray:
+        """Backwards from the last dofs, in place."""
         for front in reversed(self._fronts):
             y = x[front.own] - front.below.T @ x[front.border]
             x[front.own] = dtrsm(1.0, front.factor, y, lower=1, trans_a=1)

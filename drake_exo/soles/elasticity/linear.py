@@ -24,9 +24,6 @@ from drake_exo.soles.elasticity.cholesky import SparseCholesky
 from drake_exo.soles.mesh import TetMesh
 
 Element = Literal["linear", "smoothed"]
-# Places of xx, yy, zz, yz, xz, xy, and how often each is there.
-_PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-_TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 
 
 def node_dofs(nodes: np.ndarray) -> np.ndarray:
@@ -34,14 +31,19 @@ def node_dofs(nodes: np.ndarray) -> np.ndarray:
     return (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
 
 
-def edge_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
-    """Averages around edges: matrix (k, e), volumes of edges [m³], (k,)."""
+def edges_of(mesh: TetMesh) -> np.ndarray:
+    """Numbers of the edges of every element, (e, 6)."""
     i, j = np.triu_indices(4, 1)
     pairs = np.stack([mesh.tets[:, i], mesh.tets[:, j]], axis=-1)
     pairs = np.sort(pairs, axis=-1).reshape(-1, 2)
     code = pairs[:, 0] * len(mesh.nodes) + pairs[:, 1]
     _, owner = np.unique(code, return_inverse=True)
-    return _average(owner.ravel(), mesh.volumes, 6)
+    return owner.reshape(-1, 6)
+
+
+def edge_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
+    """Averages around edges: matrix (k, e), volumes of edges [m³], (k,)."""
+    return _average(edges_of(mesh).ravel(), mesh.volumes, 6)
 
 
 def node_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
@@ -218,9 +220,7 @@ class Sole:
         Returns:
             (3 n_f, k).
         """
-        out = np.zeros((3 * len(self.free), forces.shape[1]))
-        out[self.contact_rows] = forces
-        return self._factor.solve(out)
+        return self._factor.carry(forces)
 
     @cached_property
     def contact_rows(self) -> np.ndarray:
@@ -264,54 +264,13 @@ class Sole:
         if self.element == "linear":
             return eps
         flat = np.moveaxis(eps, -3, 0)
-        (edge, _), _ = self._averages
-        mean = edge @ flat.reshape(len(flat), -1)
+        mean = self.edge_average @ flat.reshape(len(flat), -1)
         return np.moveaxis(mean.reshape(-1, *flat.shape[1:]), 0, -3)
 
-    def stress_and_energy(self, H: np.ndarray, factors: np.ndarray):
-        """Stresses of many fields, and the sum of their energies.
-
-        With "smoothed", the mean of the stresses of an element's edges
-        (deviator) and nodes (pressure).
-
-        Args:
-            H: Displacement gradients ∂u_i/∂X_j, (3 (j), e, 3 (i), k).
-            factors: Of the fields in the sum, (k,).
-
-        Returns:
-            Cauchy stresses xx, yy, zz, yz, xz, xy [Pa], (e, 6, k); sum of
-            the energy densities [J/m³], (e,).
-        """
-        e, k = H.shape[1], len(factors)
-        eps = np.empty((e, 6, k))
-        for row, (i, j) in enumerate(_PLACES):
-            eps[:, row] = 0.5 * (H[j, :, i] + H[i, :, j])
-        trace = eps[:, :3].sum(axis=1)
-        shear = self.material.shear_modulus
-        if self.element == "linear":
-            sigma = 2 * shear * eps
-            sigma[:, :3] += self.material.lame_lambda * trace[:, None]
-            return sigma, 0.5 * ((sigma * eps) @ factors) @ _TWICE
-        (edge, to_edge), (node, to_node) = self._averages
-        around = (edge @ eps.reshape(e, -1)).reshape(-1, 6, k)
-        around[:, :3] -= around[:, :3].mean(axis=1, keepdims=True)
-        dilatation = node @ trace
-        bulk = self.material.bulk_modulus
-        sigma = to_edge @ (2 * shear * around.reshape(-1, 6 * k))
-        sigma = sigma.reshape(e, 6, k)
-        sigma[:, :3] += (to_node @ (bulk * dilatation))[:, None]
-        energy = to_edge @ (shear * ((around**2) @ factors) @ _TWICE)
-        energy += to_node @ (0.5 * bulk * dilatation**2 @ factors)
-        return sigma, energy
-
     @cached_property
-    def _averages(self):
-        """Element -> edges and back as a mean over its own; nodes likewise."""
-        out = []
-        for average, shares in ((edge_average, 6), (node_average, 4)):
-            A, _ = average(self.mesh)
-            out.append((A, (A.T > 0).astype(float).tocsr() / shares))
-        return out
+    def edge_average(self) -> csr_matrix:
+        """Averages around edges, see `edge_average`."""
+        return edge_average(self.mesh)[0]
 
 
 def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:

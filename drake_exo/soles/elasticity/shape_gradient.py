@@ -9,10 +9,10 @@ stress and energy are means over its own averages.
 import numpy as np
 
 from drake_exo.soles.compiled import njit
-from drake_exo.soles.elasticity.linear import Sole, gradient_operators
+from drake_exo.soles.elasticity.linear import Sole, edges_of
 from drake_exo.soles.mesh import scatter
 
-_NUMBERS = 2e6  # in one displacement gradient of the fields taken at a time
+_TOGETHER = 16  # fields taken at a time
 # Of the largest eigenvalue: what is left out changes a gradient by some 1e-7
 # of its largest entry, and is half of the fields.
 _NEGLIGIBLE = 1e-7
@@ -72,48 +72,149 @@ def energy_gradient(
         w: Free displacements, (3 n_f, k).
         factors: λ, (k,).
     """
-    mesh = sole.mesh
-    operators = gradient_operators(mesh)
-    turned = np.zeros((len(mesh.tets), 3, 3))
-    energy = np.zeros(len(mesh.tets))
-    together = max(4, int(_NUMBERS / (3 * len(mesh.tets))))
-    for first in range(0, len(factors), together):
-        part = slice(first, first + together)
-        k = len(factors[part])
-        field = np.zeros((len(mesh.nodes), 3 * k))
-        field[sole.free] = w[:, part].reshape(-1, 3 * k)
-        # H_ij of all fields: rows are elements, j the first index.
-        H = np.stack([D @ field for D in operators])
-        H = H.reshape(3, len(mesh.tets), 3, k)
-        stress = sole.stress_and_energy(H, factors[part])
-        energy += stress[1]
-        _turn(H, stress[0], factors[part], turned)
+    mesh, material = sole.mesh, sole.material
+    e, g = len(mesh.tets), mesh.gradients
+    turned, energy = np.zeros((e, 3, 3)), np.zeros(e)
+    owner = edges_of(mesh)
+    if sole.element == "smoothed":
+        volumes = [
+            np.bincount(who.ravel(), np.repeat(mesh.volumes / n, n))
+            for who, n in ((owner, 6), (mesh.tets, 4))
+        ]
+        of_edges, of_nodes = (np.zeros(len(v)) for v in volumes)
+    for first in range(0, len(factors), _TOGETHER):
+        part = slice(first, first + _TOGETHER)
+        field = np.zeros((len(mesh.nodes), 3, len(factors[part])))
+        field[sole.free] = w[:, part].reshape(len(sole.free), 3, -1)
+        if sole.element == "smoothed":
+            _averaged(
+                mesh.tets, owner, g, mesh.volumes, *volumes,
+                material.shear_modulus, material.bulk_modulus,
+                field, factors[part], turned, of_edges, of_nodes,
+            )  # fmt: skip
+        else:
+            _by_element(
+                mesh.tets, g, material.shear_modulus, material.lame_lambda,
+                field, factors[part], turned, energy,
+            )  # fmt: skip
+    if sole.element == "smoothed":
+        energy = of_edges[owner].mean(axis=1) + of_nodes[mesh.tets].mean(axis=1)
     work = np.trace(turned, axis1=1, axis2=2)
     S = -(2 * work - 2 * energy)[:, None, None] * np.eye(3) + 2 * turned
-    local = mesh.gradients @ S.swapaxes(1, 2)
+    local = g @ S.swapaxes(1, 2)
     local *= mesh.volumes[:, None, None]
     out = np.zeros_like(mesh.nodes)
     scatter(out, mesh.tets, local)
     return out
 
 
+# Fields w are (n, 3, k) in what follows, strains and stresses (6, k): xx, yy,
+# zz, yz, xz, xy.
+
+
+@njit(fastmath=True)
+def _gradient(tet, g, w, H):
+    """H_ij = ∂w_i/∂X_j of an element, into (3, 3, k)."""
+    H[:] = 0.0
+    for a in range(4):
+        for i in range(3):
+            value = w[tet[a], i]
+            for j in range(3):
+                for k in range(len(value)):
+                    H[i, j, k] += g[a, j] * value[k]
+
+
+@njit(fastmath=True)
+def _symmetric(H, eps):
+    """Strains of displacement gradients."""
+    for k in range(H.shape[2]):
+        for i in range(3):
+            eps[i, k] = H[i, i, k]
+        eps[3, k] = 0.5 * (H[1, 2, k] + H[2, 1, k])
+        eps[4, k] = 0.5 * (H[0, 2, k] + H[2, 0, k])
+        eps[5, k] = 0.5 * (H[0, 1, k] + H[1, 0, k])
+
+
 @njit(fastmath=True)
 def _turn(H, sigma, factors, out):
-    """Add Σ_k λ_k Hᵀ σ in every element to out.
+    """Add Σ_k λ_k Hᵀ σ to out (3, 3)."""
+    which = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
+    for a in range(3):
+        for b in range(3):
+            total = 0.0
+            for i in range(3):
+                h, s = H[i, a], sigma[which[i][b]]
+                for k in range(len(factors)):
+                    total += factors[k] * h[k] * s[k]
+            out[a, b] += total
 
-    Args:
-        H: Displacement gradients, (3 (j), e, 3 (i), k).
-        sigma: Stresses xx, yy, zz, yz, xz, xy, (e, 6, k).
-        factors: λ, (k,).
-        out: (e, 3, 3).
+
+@njit(fastmath=True)
+def _by_element(tets, g, shear, lam, w, factors, turned, energy):
+    """Add Σ λ Hᵀ σ and the sum of energy densities, linear elements."""
+    H, s = np.empty((3, 3, len(factors))), np.empty((6, len(factors)))
+    for e in range(len(tets)):
+        _gradient(tets[e], g[e], w, H)
+        _symmetric(H, s)
+        for k in range(len(factors)):
+            trace, density = s[0, k] + s[1, k] + s[2, k], 0.0
+            for m in range(6):
+                density += shear * s[m, k] ** 2 * (1.0 if m < 3 else 2.0)
+                s[m, k] = 2 * shear * s[m, k] + (lam * trace if m < 3 else 0.0)
+            energy[e] += factors[k] * (density + 0.5 * lam * trace**2)
+        _turn(H, s, factors, turned[e])
+
+
+@njit(fastmath=True)
+def _averaged(
+    tets, owner, g, volumes, V_edge, V_node, shear, bulk,
+    w, factors, turned, of_edges, of_nodes,
+):  # fmt: skip
+    """Add Σ λ Hᵀ σ of elements and the energy densities of edges and nodes.
+
+    σ is the mean of an element's edges (deviator) and nodes (pressure).
     """
-    which = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-    for e in range(H.shape[1]):
-        for a in range(3):
-            for b in range(3):
-                total = 0.0
-                for i in range(3):
-                    h, s = H[a, e, i], sigma[e, which[i, b]]
-                    for k in range(len(factors)):
-                        total += factors[k] * h[k] * s[k]
-                out[e, a, b] += total
+    c = len(factors)
+    around = np.zeros((len(V_edge), 6, c))
+    within = np.zeros((len(V_node), c))
+    H, s = np.empty((3, 3, c)), np.empty((6, c))
+    for e in range(len(tets)):
+        _gradient(tets[e], g[e], w, H)
+        _symmetric(H, s)
+        for b in range(6):
+            a = owner[e, b]
+            share = volumes[e] / (6 * V_edge[a])
+            for m in range(6):
+                for k in range(c):
+                    around[a, m, k] += share * s[m, k]
+        for b in range(4):
+            a = tets[e, b]
+            share = volumes[e] / (4 * V_node[a])
+            for k in range(c):
+                within[a, k] += share * (s[0, k] + s[1, k] + s[2, k])
+    for a in range(len(V_edge)):
+        x = around[a]
+        for k in range(c):
+            mean, density = (x[0, k] + x[1, k] + x[2, k]) / 3, 0.0
+            for m in range(6):
+                if m < 3:
+                    x[m, k] -= mean
+                density += x[m, k] ** 2 * (1.0 if m < 3 else 2.0)
+                x[m, k] *= 2 * shear
+            of_edges[a] += factors[k] * shear * density
+    for a in range(len(V_node)):
+        for k in range(c):
+            of_nodes[a] += 0.5 * bulk * factors[k] * within[a, k] ** 2
+            within[a, k] *= bulk
+    for e in range(len(tets)):
+        _gradient(tets[e], g[e], w, H)
+        s[:] = 0.0
+        for b in range(6):
+            for m in range(6):
+                for k in range(c):
+                    s[m, k] += around[owner[e, b], m, k] / 6
+        for b in range(4):
+            for m in range(3):
+                for k in range(c):
+                    s[m, k] += within[tets[e, b], k] / 4
+        _turn(H, s, factors, turned[e])

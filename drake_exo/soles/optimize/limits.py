@@ -18,11 +18,7 @@ import numpy as np
 
 from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
-from drake_exo.soles.elasticity.linear import (
-    Sole,
-    edge_average,
-    gradient_operators,
-)
+from drake_exo.soles.elasticity.linear import Sole, gradient_operators
 from drake_exo.soles.elasticity.shape_gradient import energy_gradient, pairs
 from drake_exo.soles.mesh import scatter
 from drake_exo.soles.optimize.adjoint import (
@@ -71,7 +67,7 @@ class StrainNorm:
         mesh = self.sole.mesh
         operators = gradient_operators(mesh)
         if self.sole.element == "smoothed":
-            self._edges, _ = edge_average(mesh)
+            self._edges = self.sole.edge_average
             operators = [self._edges @ D for D in operators]
         found, largest = [], 0.0
         for first in range(0, len(self._u), _BATCH):
