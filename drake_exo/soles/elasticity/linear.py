@@ -256,21 +256,21 @@ class Sole:
     def strain(self, u: np.ndarray) -> np.ndarray:
         """Small strain of every element, (..., e, 3, 3).
 
-        With "smoothed", around every edge: that of a single element has no
-        energy of its own, and scatters.
+        With "smoothed", around every node, (..., n, 3, 3): that of a single
+        element has no energy of its own, and scatters.
         """
         H = displacement_gradient(self.mesh, u)
         eps = 0.5 * (H + np.swapaxes(H, -1, -2))
         if self.element == "linear":
             return eps
         flat = np.moveaxis(eps, -3, 0)
-        mean = self.edge_average @ flat.reshape(len(flat), -1)
+        mean = self.node_average @ flat.reshape(len(flat), -1)
         return np.moveaxis(mean.reshape(-1, *flat.shape[1:]), 0, -3)
 
     @cached_property
-    def edge_average(self) -> csr_matrix:
-        """Averages around edges, see `edge_average`."""
-        return edge_average(self.mesh)[0]
+    def node_average(self) -> csr_matrix:
+        """Averages around nodes, see `node_average`."""
+        return node_average(self.mesh)[0]
 
 
 def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:

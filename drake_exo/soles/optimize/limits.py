@@ -63,12 +63,12 @@ class StrainNorm:
         self.value = float(unit * total ** (1 / ORDER))
 
     def _collect(self) -> None:
-        """Sample, element or edge, and gradient H of strains that count."""
+        """Sample, element or node, and gradient H of strains that count."""
         mesh = self.sole.mesh
         operators = gradient_operators(mesh)
         if self.sole.element == "smoothed":
-            self._edges = self.sole.edge_average
-            operators = [self._edges @ D for D in operators]
+            self._nodes = self.sole.node_average
+            operators = [self._nodes @ D for D in operators]
         found, largest = [], 0.0
         for first in range(0, len(self._u), _BATCH):
             u = self._u[first : first + _BATCH]
@@ -121,12 +121,12 @@ class StrainNorm:
         return terms, by_nodes
 
     def _elements_around(self, by_nodes: np.ndarray):
-        """Samples, elements, their H and ∂Φ/∂ε, of the edges that count.
+        """Samples, elements, their H and ∂Φ/∂ε, of the nodes that count.
 
         Args:
             by_nodes: Gets the part of the averages' own shares, (n, 3).
         """
-        mesh, A = self.sole.mesh, self._edges
+        mesh, A = self.sole.mesh, self._nodes
         counts = np.diff(A.indptr)[self._e]
         owner = np.repeat(np.arange(len(counts)), counts)
         first = np.repeat(
@@ -137,7 +137,7 @@ class StrainNorm:
         g = mesh.gradients[e]
         H = np.swapaxes(self._u[q[:, None], mesh.tets[e]], 1, 2) @ g
         G = share[:, None, None] * self._by_strain()[owner]
-        # A share is the element's volume over that of all around the edge.
+        # A share is the element's volume over that of all around the node.
         gain = (G * (H - self._H[owner])).sum(axis=(1, 2))
         scatter(by_nodes, mesh.tets[e], gain[:, None, None] * g)
         return q, e, H, G
