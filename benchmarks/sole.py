@@ -21,9 +21,9 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.optimize.design import first_design, stage_problem
 from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.optimizer import minimise
+from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import LoadBlock, Pattern, Setup, Stage
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import simulate

@@ -20,8 +20,8 @@ import numpy as np
 
 from drake_exo.batch.calls import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
-from drake_exo.soles.optimize.design import first_design, stage_problem
 from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
+from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Setup, Stage
 
 STAGES = (

@@ -41,7 +41,7 @@ def write_case(
         },
         "material": {"name": "neoprene"},
         "load": {"csv": {"file": "load.csv"}},
-        "optimize": optimize,
+        "optimize": {"starts": 1} | optimize,
     }
     path.write_text(yaml.safe_dump(case, sort_keys=False))
 

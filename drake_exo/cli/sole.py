@@ -56,6 +56,7 @@ def add_parser(subparsers) -> None:
     _add_limits(parser, ("all", "none"))
     _add_iterations(parser)
     add_accept(parser)
+    _add_jobs(parser, "starts searched at a time")
     parser = job("study", _study, "the paper's five cases (Table 2)")
     parser.add_argument(
         "--coarse", action="store_true", help="two coarse stages, two minutes"
@@ -68,9 +69,7 @@ def add_parser(subparsers) -> None:
         action="store_true",
         help="also the front of c_tr against c_rot, coarse",
     )
-    parser.add_argument(
-        "--jobs", type=int, default=2, help="processes at a time (default: 2)"
-    )
+    _add_jobs(parser, "cases at a time")
     _add_files(parser)
     _add_out(parser, required=True, help="folder for the results")
     parser = job("front", _front, "front of c_tr against c_rot")
@@ -132,6 +131,12 @@ def _add_limits(parser, choices) -> None:
         default="all",
         help="limits on stability, tilt and strain: the case's, or none as "
         "in the paper (default: all)",
+    )
+
+
+def _add_jobs(parser, what: str) -> None:
+    parser.add_argument(
+        "--jobs", type=int, default=2, help=f"{what} (default: 2)"
     )
 
 
@@ -210,7 +215,8 @@ def _optimize(args) -> int:
     # Refused before there is a folder.
     resume = read_checkpoint(args.resume) if args.resume else None
     with prepare_output_folder(args.out, args.force) as out:
-        row = case.optimize(out, say, resume).write(out, say, args.accept)
+        design = case.optimize(out, say, resume, args.jobs)
+        row = design.write(out, say, args.accept)
     verdict = stored(row)
     print(paper.line(row))
     print(verdict.text())

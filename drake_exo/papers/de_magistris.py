@@ -370,11 +370,13 @@ def certainty_table(rows: list[dict]) -> str:
 
     Columns: c and the paper's rescaled; IPOPT's error and largest
     complementarity; change of c by the exact law from a cold start; change
-    of c on a finer mesh and the brick's own; largest strain, tilt, stability.
+    of c on a finer mesh and the brick's own; spread of the optima of several
+    starts; largest strain, tilt, stability.
     """
     head = (
         f"{'case':11s} {'c':>10s} {'paper':>10s} {'error':>8s} {'compl.':>8s} "
-        f"{'exact law':>9s} {'finer':>7s} {'brick':>7s} {'strain':>6s} "
+        f"{'exact law':>9s} {'finer':>7s} {'brick':>7s} {'spread':>7s} "
+        f"{'strain':>6s} "
         f"{'tilt':>5s} {'stable':>6s} {'s':>6s}"
     )
     lines = [head, "-" * len(head)]
@@ -387,6 +389,7 @@ def certainty_table(rows: list[dict]) -> str:
             f"{_percent(row.get('exact_change'), 9)} "
             f"{_percent(finer.get('change'), 7)} "
             f"{_percent(finer.get('brick_change'), 7)} "
+            f"{_percent(row.get('spread'), 7)} "
             f"{row['max_strain']:6.2f} {row['tilt_max_deg']:5.1f} "
             f"{'yes' if row['stable'] else 'no':>6s} {row['seconds']:6.0f}"
         )

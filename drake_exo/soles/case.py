@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drake_exo.files import schema
-from drake_exo.soles.optimize.design import Design, optimise
+from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
+from drake_exo.soles.optimize.search import optimise
 from drake_exo.soles.settings import Settings, Setup
 from drake_exo.soles.step.results import Step
 
@@ -20,6 +21,7 @@ load:
   constant: {force_n: [10, 0, 400], zmp_m: [0.02, 0.01], samples: 5}
 optimize:
   intervals: [3, 3]
+  starts: 1
   stages: [{layer_m: 1.0e-4, kappa: 0.2, iterations: 5}]
 """
 
@@ -86,14 +88,17 @@ class Case(Setup):
         folder: Path | str | None = None,
         say: Callable[[str], object] | None = None,
         resume: Checkpoint | Path | str | None = None,
+        at_once: int = 1,
     ) -> Design:
-        """The best shape for the step, stage by stage.
+        """The best shape for the step, from several starts, stage by stage.
 
         Args:
             folder: For checkpoint.json, replaced now and then; it is there
                 already.
             say: Called with one line of progress now and then.
             resume: Earlier checkpoint to go on from, or the folder it is in.
+            at_once: Processes for the starts; above 1 a script needs
+                `if __name__ == "__main__":`.
 
         Raises:
             InputError: The checkpoint is damaged or of another case.
@@ -101,4 +106,5 @@ class Case(Setup):
         if isinstance(resume, Path | str):
             resume = read_checkpoint(Path(resume))
         folder = None if folder is None else Path(folder)
-        return optimise(self, folder, say or (lambda text: None), resume)
+        say = say or (lambda text: None)
+        return optimise(self, folder, say, resume, at_once)

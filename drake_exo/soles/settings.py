@@ -306,6 +306,7 @@ class OptimizeBlock:
     roughness: float = not_negative("", 5.0)
     tolerance: float = positive("", 1e-4)
     remeshes: int = field(default=3, metadata={"minimum": 0})
+    starts: int = field(default=3, metadata={"minimum": 1})
     stages: tuple[Stage, ...] = STAGES
 
     def __post_init__(self):

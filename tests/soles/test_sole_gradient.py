@@ -9,7 +9,6 @@ from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
-from drake_exo.soles.optimize.design import settle
 from drake_exo.soles.optimize.limits import Limits, StrainNorm, soft_minimum
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
 from drake_exo.soles.optimize.problem import (
@@ -17,6 +16,7 @@ from drake_exo.soles.optimize.problem import (
     sample_weights,
     second_differences,
 )
+from drake_exo.soles.optimize.search import settle
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import largest_strain
 from drake_exo.soles.step.simulation import simulate

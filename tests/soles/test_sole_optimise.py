@@ -12,14 +12,11 @@ from small_step import optimize, stage, write_case, write_step
 from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimize.design import (
-    first_design,
-    stage_problem,
-    verified,
-)
+from drake_exo.soles.optimize.design import verified
 from drake_exo.soles.optimize.files import read_checkpoint
 from drake_exo.soles.optimize.optimizer import Optimum, minimise
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import LoadBlock, Pattern, Settings
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import Step
@@ -36,7 +33,7 @@ def _write_case(path, intervals=5, layer_m=5e-5, iterations=3, **optimize):
 
 def _smooth_case(folder, place):
     """A case whose optimum is reached."""
-    _write_case(place / "case.yaml", 3, 1e-3, 200, roughness=10.0)
+    _write_case(place / "case.yaml", 3, 1e-3, 200, roughness=30.0)
     return Case.read(place / "case.yaml", folder)
 
 
@@ -111,7 +108,7 @@ def test_interrupted_three_times_the_optimum_is_the_same(
 
     monkeypatch.setattr(ShapeProblem, "_simulate", impatient)
     whole = run(None, -1)
-    third = whole.problem.evaluations // 3
+    third = whole.optima[-1].simulations // 3
     resume = None
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
@@ -124,6 +121,46 @@ def test_interrupted_three_times_the_optimum_is_the_same(
     assert after.optima[-1].cost == pytest.approx(
         whole.optima[-1].cost, rel=5e-3
     )
+
+
+def test_of_several_starts_the_best_goes_on(folder, tmp_path, monkeypatch):
+    _write_case(tmp_path / "case.yaml", 3, 1e-3, 4, roughness=10.0, starts=3)
+    case = Case.read(tmp_path / "case.yaml", folder)
+    lines = []
+    found = case.optimize(tmp_path, lines.append, at_once=2)
+    assert {line[:9] for line in lines} == {f"start {k}/3" for k in (1, 2, 3)}
+    costs = [row["cost"] for row in found.starts]
+    assert len(set(costs)) == 3
+    assert found.optima[0].cost == min(costs)
+    row = found.summary()
+    assert row["starts"] == found.starts
+    wanted = (max(costs) - min(costs)) / abs(min(costs))
+    assert row["spread"] == pytest.approx(wanted)
+    assert not list(tmp_path.glob("start_*"))
+    assert read_checkpoint(tmp_path).starts == found.starts
+    # One after the other, interrupted in the second: the same.
+    simulate = ShapeProblem._simulate
+    once = tmp_path / "once"
+    once.mkdir()
+
+    def impatient(problem, p):
+        second = once / "start_1" / "checkpoint.json"
+        if second.exists():
+            raise KeyboardInterrupt
+        return simulate(problem, p)
+
+    monkeypatch.setattr(ShapeProblem, "_simulate", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        case.optimize(once)
+    monkeypatch.undo()
+    at = read_checkpoint(once)
+    assert [x is not None for x in at.begun] == [True, True]
+    assert at.begun[1].iteration > 0
+    again = case.optimize(once, resume=once)
+    assert again.starts[0] == found.starts[0]
+    assert again.starts[2] == found.starts[2]
+    best = again.optima[0].cost
+    assert best == pytest.approx(found.optima[0].cost, rel=0.05)
 
 
 def test_multipliers_and_complementarity_are_those_of_an_optimum(
@@ -162,7 +199,7 @@ def test_a_design_the_exact_law_cannot_carry_gives_way(
     last = Optimum(
         designs[0], status="optimal", optimal=True, former=designs[:0:-1]
     )
-    at = SimpleNamespace(p=designs[0], remeshed=())
+    at = SimpleNamespace(p=designs[0], remeshed=(), starts=())
     found = verified(case, problem, at, [last], [])
     np.testing.assert_array_equal(found.coefficients, designs[which])
     assert ("earlier" in last.status) == (which > 0)

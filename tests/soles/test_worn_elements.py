@@ -10,8 +10,8 @@ from small_step import optimize, stage, write_case, write_step
 from drake_exo import cli
 from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import read_mesh
-from drake_exo.soles.optimize import design as designs
 from drake_exo.soles.optimize import remeshing
+from drake_exo.soles.optimize import search as designs
 from drake_exo.soles.optimize.files import (
     Checkpoint,
     find_designs,

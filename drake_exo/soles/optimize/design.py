@@ -1,10 +1,6 @@
-"""An optimisation in stages, and the design that comes out, verified.
+"""The design that an optimisation ends with, verified.
 
-Stages go from coarse to fine and from few to all samples, and the smoothing
-layer comes down; each starts from the best design of the one before. A stage
-whose elements are worn out goes on with new ones. Ctrl-C leaves the best so
-far on disk. The design is verified by the exact law from a cold start with all
-samples, and on a finer mesh.
+By the exact law from a cold start with all samples, and on a finer mesh.
 """
 
 import time
@@ -14,14 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 from drake_exo.files.verdict import Check, Verdict
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.mesh import (
     TetMesh,
     brick,
-    maximum_volume,
     write_mould,
     write_stl,
     write_vtk,
@@ -34,22 +27,13 @@ from drake_exo.soles.optimize.files import (
     Checkpoint,
     write_case,
 )
-from drake_exo.soles.optimize.limits import Limits
 from drake_exo.soles.optimize.optimizer import (
+    FEASIBLE,
     Optimum,
-    QuasiNewton,
-    WarmStart,
     cost_and_violation,
-    minimise,
 )
 from drake_exo.soles.optimize.problem import ShapeProblem
-from drake_exo.soles.optimize.remeshing import (
-    RemeshError,
-    is_worn,
-    record,
-    with_new_elements,
-)
-from drake_exo.soles.settings import Settings, Setup, Stage
+from drake_exo.soles.settings import Setup
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import Step, write_csv
 from drake_exo.soles.step.simulation import (
@@ -62,10 +46,6 @@ from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 _FORMER = 5  # earlier designs to fall back on
 _FINER = 0.03  # of c, on twice the elements
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
-_CHECKPOINT_EVERY = 3  # iterations
-_LEAST_ROUND = 5  # iterations before elements are made anew
-_WORN_OUT = "elements worn out"
-_BARRIER = 1e-4  # IPOPT's μ on new elements
 _TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
 
 
@@ -92,6 +72,8 @@ class Design:
         optima: Outcome of every stage.
         stages_seconds: What each took.
         remeshed: When elements were made anew, see `remeshing.record`.
+        starts: Cost and violation that every start of the first stage has
+            led to.
         seconds: What all of it took.
     """
 
@@ -103,6 +85,7 @@ class Design:
     optima: list[Optimum]
     stages_seconds: list[float]
     remeshed: tuple[dict, ...] = ()
+    starts: tuple[dict, ...] = ()
     seconds: float = 0.0
 
     @property
@@ -162,6 +145,8 @@ class Design:
             "ratio_rot": now["c_rot"] / first.c_rot,
             "optimal": bool(last and last.optimal),
             "remeshed": self.remeshed,
+            "starts": self.starts,
+            "spread": self.spread,
         }
         if last is not None:
             row |= {
@@ -176,13 +161,23 @@ class Design:
                     int(o.trace[-1][0] - o.trace[0][0]) if o.trace else 0
                     for o in self.optima
                 ],
-                "simulations": self.problem.evaluations,
+                "simulations": sum(o.simulations for o in self.optima),
             }
         if self.smoothed is not None:
             c_tr, c_rot = self.smoothed
             c = c_tr - w * c_rot
             row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
         return row
+
+    @property
+    def spread(self) -> float | None:
+        """Of the starts' feasible optima, over the best; None for but one."""
+        costs = [
+            row["cost"] for row in self.starts if row["violation"] <= FEASIBLE
+        ]
+        if len(costs) < 2:
+            return None
+        return (max(costs) - min(costs)) / abs(min(costs))
 
     def check_finer(self) -> dict | None:
         """The design on a brick of at least twice the tets, beside the brick.
@@ -390,7 +385,9 @@ def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
         optima[-1].optimal = False
         optima[-1].cost, optima[-1].violation = cost_and_violation(problem, p)
     first = Step.by_exact_law(setup, problem.first.sole, problem.law.penalty)
-    return Design(setup, problem, p, step, first, optima, seconds, at.remeshed)
+    return Design(
+        setup, problem, p, step, first, optima, seconds, at.remeshed, at.starts
+    )
 
 
 def _at_least_twice(divisions) -> tuple[int, int, int]:
@@ -402,243 +399,3 @@ def _at_least_twice(divisions) -> tuple[int, int, int]:
         if np.prod(fewer) >= wanted:
             finer = fewer
     return tuple(finer)
-
-
-def limits_of(settings: Settings) -> Limits:
-    """The case's constraints."""
-    block = settings.optimize
-    density = settings.material.material().density_kg_per_m3
-    return Limits(
-        maximum_volume(settings.cost.mass_limit_kg, density),
-        block.stability_n_per_m,
-        block.tilt_deg,
-        block.strain,
-        block.c_rot_nm_per_rad,
-    )
-
-
-def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
-    """The stage's brick in the own mesh's bounding box, or the own mesh."""
-    if stage.divisions is None:
-        return own
-    size = tuple(np.ptp(own.nodes, axis=0))
-    filled = own.volume / np.prod(size)
-    if abs(filled - 1) > 1e-6:
-        raise InputError(
-            "optimize.stages: divisions need a brick as the initial shape, "
-            "and this mesh is none; leave them out"
-        )
-    return brick(size, stage.divisions)
-
-
-def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
-    """The shape problem of one stage."""
-    settings, mesh = setup.settings, stage_mesh(setup.mesh, stage)
-    block, sole = settings.optimize, setup.sole(mesh)
-    return ShapeProblem(
-        mesh,
-        SphericalSpline(tuple(block.intervals), block.fixed_top),
-        sole.material,
-        ContactLaw(
-            settings.contact.friction, sole.penalty, stage.layer_m, stage.kappa
-        ),
-        setup.load,
-        setup.start,
-        settings.cost.weight,
-        limits_of(settings),
-        settings.mesh.element,
-        block.roughness if stage.roughness is None else stage.roughness,
-        settings.cost.heel_strike_fraction,
-        stage.samples,
-        use_tr=block.use_tr,
-    )
-
-
-def optimise(
-    setup: Setup,
-    out: Path | None,
-    say: Callable[[str], object],
-    resume: Checkpoint | None = None,
-) -> Design:
-    """Run the case's stages.
-
-    Args:
-        setup: The initial shape and its step; settings with the stages.
-        out: Folder for checkpoint.json; None for none.
-        say: Called with one line of progress now and then.
-        resume: An earlier checkpoint to go on from.
-    """
-    whole, block = time.perf_counter(), setup.settings.optimize
-    stages = block.stages
-    optima, seconds = [], []
-    at = resume or Checkpoint()
-    for number in range(at.stage, len(stages)):
-        began = time.perf_counter()
-        problem = stage_problem(setup, stages[number])
-        if at.p is None:
-            first = first_design(problem, tuple(block.bounds))
-            at = Checkpoint(p=first, latest=first)
-        at.check_fits(problem)
-        problem, at = _on_mesh(problem, setup, number, at)
-        best, approximation, problem, at = _run_rounds(
-            problem, block, number, at, out, say
-        )
-        optima.append(best)
-        seconds.append(time.perf_counter() - began)
-        best.latest = (best.p, best.multipliers, WarmStart.barrier)
-        following = min(number + 1, len(stages) - 1)
-        at = Checkpoint.of(
-            following, 0, best, approximation, problem, at.remeshed
-        )
-        _keep(at, out)
-    design = verified(setup, problem, at, optima, seconds)
-    design.seconds = time.perf_counter() - whole
-    return design
-
-
-def _keep(at: Checkpoint, out: Path | None) -> None:
-    if out is not None:
-        at.write(out)
-
-
-def _on_mesh(problem, setup: Setup, number, at: Checkpoint):
-    """The stage's problem on the elements it goes on with: its own brick's.
-
-    Those that were made anew stay until a stage has another brick.
-    """
-    stages = setup.settings.optimize.stages
-    same = stages[number].divisions == stages[max(number - 1, 0)].divisions
-    if at.iteration > 0 or same:
-        return at.on_its_mesh(problem), at
-    return problem, replace(at, mesh=None, meshed_at=None)
-
-
-def _run_rounds(problem, block, number, at: Checkpoint, out, say):
-    """One stage, on new elements whenever a design has worn them out.
-
-    Returns:
-        Its optimum, the approximated Hessian, the last problem and where it
-        stands.
-    """
-    trace = []
-    rounds = block.remeshes - sum(
-        row["stage"] == number + 1 and row["iteration"] > 0
-        for row in at.remeshed
-    )
-    while True:
-        best, approximation = _run_stage(
-            problem, block, number, at, out, say, rounds > 0
-        )
-        done = at.iteration + (best.trace[-1][0] if best.trace else 0)
-        trace += [(at.iteration + row[0], *row[1:]) for row in best.trace]
-        worn = rounds > 0 and is_worn(problem, best.p)
-        if not worn or done >= block.stages[number].iterations:
-            best.trace = trace
-            return best, approximation, problem, at
-        try:
-            new = with_new_elements(problem, best.p)
-        except RemeshError as error:
-            say(f"stage {number + 1}: no new elements: {error}")
-            best.status = f"{_WORN_OUT}; {error}"
-            best.trace = trace
-            return best, approximation, problem, at
-        row = record(number + 1, done, problem, new, best.p)
-        say(_remeshed_line(row))
-        rounds, rows = rounds - 1, (*at.remeshed, row)
-        best.latest = (best.p, _without_floor(best.multipliers), _BARRIER)
-        at = Checkpoint.of(number, done, best, approximation, new, rows)
-        _keep(at, out)
-        # As after an interruption: a resumed run goes the same way.
-        problem = at.on_its_mesh(new)
-
-
-def _without_floor(multipliers: np.ndarray) -> np.ndarray:
-    """That of the element floor (after the volume's) is none on new ones."""
-    out = multipliers.copy()
-    out[1] = 0.0
-    return out
-
-
-def _remeshed_line(row: dict) -> str:
-    before, after = row["before"], row["after"]
-    tr = [x["c_tr"] or np.nan for x in (before, after)]
-    return (
-        f"stage {row['stage']}, iteration {row['iteration']}: elements made "
-        f"anew, {row['tets']} tets, least quality "
-        f"{before['least_quality']:.2f} -> {after['least_quality']:.2f}, "
-        f"c_tr {tr[0]:.3g} -> {tr[1]:.3g}"
-    )
-
-
-def _run_stage(
-    problem, block, number, at: Checkpoint, out: Path, say, remeshable
-):
-    """One stage from where it stands; its optimum and Hessian.
-
-    Where elements can be made anew it ends once they are worn out.
-    """
-    stage, bounds = block.stages[number], tuple(block.bounds)
-    approximation = QuasiNewton(problem.spline.count, at.curvature)
-    begin = settle(problem, at.latest)
-
-    def note(iteration, best):
-        cost, violation, error = best.trace[-1][1:]
-        say(
-            f"stage {number + 1}/{len(block.stages)}, iteration "
-            f"{at.iteration + iteration}: c/|c0| {cost:+.4f}, violation "
-            f"{violation:.1e}, error {error:.1e}, "
-            f"{problem.evaluations} simulations"
-        )
-        if iteration and iteration % _CHECKPOINT_EVERY == 0:
-            done = at.iteration + iteration
-            _keep(
-                Checkpoint.of(
-                    number, done, best, approximation, problem, at.remeshed
-                ),
-                out,
-            )
-        if (
-            remeshable
-            and iteration >= _LEAST_ROUND
-            and is_worn(problem, best.p)
-        ):
-            return _WORN_OUT
-        return None
-
-    left = max(stage.iterations - at.iteration, 0)
-    best = minimise(
-        problem, begin, bounds, left, block.tolerance, note,
-        refining=number > 0, hessian_approximation=approximation,
-        warm=at.warm_start(bounds),
-    )  # fmt: skip
-    return best, approximation
-
-
-def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
-    """The design, smoothed until this mesh can carry it.
-
-    Elements that another mesh resolved may be inverted in this one; the
-    least smoothing that leaves them room and lets the step be simulated is
-    taken (a heat equation on the coefficients).
-    """
-    H = problem.regularization(p)[2]
-    eye = np.eye(len(p)) * np.abs(H).max()
-    if not H.any():
-        return p
-    for amount in (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0):
-        # Curvature about the undeformed shape, all ones.
-        trial = 1.0 + np.linalg.solve(eye + amount * H, eye @ (p - 1.0))
-        values = problem.constraints(trial)
-        if np.isfinite(values).all() and values[1] >= 0:
-            return trial
-    return p
-
-
-def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
-    """All coefficients one, or p, shrunk until the volume limit is met."""
-    p = np.ones(problem.spline.count) if p is None else p
-    for _ in range(60):
-        if problem.deformed(p).volume <= 0.99 * problem.limits.volume:
-            break
-        p = 0.99 * p
-    return np.clip(p, *bounds)

@@ -35,6 +35,9 @@ class Checkpoint:
             sole and the design at which; else None. At the beginning of a
             stage they are of the stage before.
         remeshed: What summary.json says of it, one after the other.
+        starts: Cost and violation that the first stage's starts have led to.
+        begun: Checkpoints of starts that were interrupted, None for those
+            that had none; then there is no p yet.
     """
 
     stage: int = 0
@@ -47,6 +50,8 @@ class Checkpoint:
     mesh: TetMesh | None = None
     meshed_at: np.ndarray | None = None
     remeshed: tuple[dict, ...] = ()
+    starts: tuple[dict, ...] = ()
+    begun: tuple["Checkpoint | None", ...] = ()
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
@@ -74,15 +79,15 @@ class Checkpoint:
 
     @classmethod
     def of(
-        cls, stage, iteration, best, hessian_approximation, problem, remeshed=()
+        cls, stage, iteration, best, hessian_approximation, problem, before
     ) -> "Checkpoint":
-        """Of a running stage."""
+        """Of a running stage; `before` is where it stood earlier."""
         mesh = None if problem.meshed_at is None else problem.mesh
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
             hessian_approximation.matrix, mesh, problem.meshed_at,
-            tuple(remeshed),
+            before.remeshed, before.starts,
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -140,8 +145,14 @@ class Checkpoint:
                     "coefficients": self.meshed_at,
                 },
                 "remeshed": self.remeshed,
+                "starts": self.starts,
             },
         )
+
+
+def start_folder(out: Path | None, start: int) -> Path | None:
+    """Where a start keeps its checkpoint while the first stage runs."""
+    return None if out is None else out / f"start_{start}"
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -151,6 +162,16 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InputError: Missing or not a checkpoint.
     """
     file = path / _FILE if path.is_dir() else path
+    starts = sorted(path.glob("start_*")) if path.is_dir() else []
+    if starts and not file.exists():
+        begun = {
+            int(start.name.partition("_")[2]): read_checkpoint(start)
+            for start in starts
+            if (start / _FILE).exists()
+        }
+        return Checkpoint(
+            begun=tuple(begun.get(k) for k in range(max(begun, default=-1) + 1))
+        )
     remedy = "give the folder of an interrupted run"
     data = read_json(file, remedy)
     try:
@@ -167,6 +188,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             B + np.tril(B, -1).T,
             *_mesh(data.get("mesh")),
             tuple(data.get("remeshed") or ()),
+            tuple(data.get("starts") or ()),
         )
         found.check()
     except (ValueError, KeyError, TypeError, OverflowError):

@@ -60,7 +60,7 @@ class QuasiNewton:
         self.matrix += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / sBs
 
 
-_FEASIBLE = 1e-4
+FEASIBLE = 1e-4
 # A stage ends after so many iterations, or rejected simulations, that changed
 # cost and violation by less and did not bring the optimality error, once below
 # 1, down by a factor.
@@ -147,6 +147,7 @@ class Optimum:
         at_bounds: Multipliers of lower and upper bounds, (P,) each.
         violation: Largest constraint violation at p.
         latest: IPOPT's latest point, multipliers and barrier.
+        simulations: How many it took.
         trace: Rows (iteration, cost, violation, dual infeasibility).
         former: Those that were the best before.
     """
@@ -161,18 +162,25 @@ class Optimum:
     at_bounds: tuple = ()
     latest: tuple = ()
     violation: float = np.inf
+    simulations: int = 0
     trace: list = field(default_factory=list)
     former: list = field(default_factory=list)
 
     def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
         """Keep the better of this design and the best so far."""
-        feasible = violation <= _FEASIBLE
-        better = cost < self.cost or self.violation > _FEASIBLE
+        feasible = violation <= FEASIBLE
+        better = cost < self.cost or self.violation > FEASIBLE
         if (feasible and better) or (
             not feasible and violation < self.violation
         ):
             self.former.append(self.p)
             self.p, self.cost, self.violation = p.copy(), cost, violation
+
+    @property
+    def rank(self) -> tuple:
+        """For comparisons: feasible ones first, then by cost."""
+        outside = self.violation > FEASIBLE
+        return outside, self.violation if outside else self.cost
 
     def fall_back(self, problem: ShapeProblem) -> None:
         """To the last best that can be simulated without a neighbour."""
@@ -342,7 +350,7 @@ def minimise(
             an interruption.
     """
     n, m = problem.spline.count, len(problem.names())
-    p0 = np.clip(p0, *bounds)
+    p0, before = np.clip(p0, *bounds), problem.evaluations
     best = Optimum(p0.copy())
     curvature = hessian_approximation or QuasiNewton(n)
     curvature.forget_point()
@@ -377,6 +385,7 @@ def minimise(
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
     conclude(problem, best, p, bounds, calls.at)
+    best.simulations = problem.evaluations - before
     return best
 
 

@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.soles.optimize.design import (
-    by_exact_law,
-    first_design,
-    stage_mesh,
-    stage_problem,
-)
+from drake_exo.soles.optimize.design import by_exact_law
 from drake_exo.soles.optimize.optimizer import (
     Optimum,
     QuasiNewton,
     WarmStart,
     cost_and_violation,
     minimise,
+)
+from drake_exo.soles.optimize.search import (
+    first_design,
+    stage_mesh,
+    stage_problem,
 )
 from drake_exo.soles.settings import Setup, Stage
 from drake_exo.soles.step.results import Step

@@ -1,0 +1,381 @@
+"""The search for a shape: several starts, then stage by stage.
+
+The first stage is searched from several starts, the brick and smooth bends of
+it, and the best goes on. Stages go from few to all samples, and the smoothing
+layer comes down; each starts from the best design of the one before. A stage
+whose elements are worn out goes on with new ones. Ctrl-C leaves the best so
+far on disk.
+"""
+
+import shutil
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from queue import Empty
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
+from drake_exo.soles.optimize.design import Design, verified
+from drake_exo.soles.optimize.files import Checkpoint, start_folder
+from drake_exo.soles.optimize.limits import Limits
+from drake_exo.soles.optimize.optimizer import (
+    Optimum,
+    QuasiNewton,
+    WarmStart,
+    minimise,
+)
+from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.optimize.remeshing import (
+    RemeshError,
+    is_worn,
+    record,
+    with_new_elements,
+)
+from drake_exo.soles.settings import Settings, Setup, Stage
+from drake_exo.soles.shape import SphericalSpline
+
+_CHECKPOINT_EVERY = 3  # iterations
+_LEAST_ROUND = 5  # iterations before elements are made anew
+_WORN_OUT = "elements worn out"
+_BARRIER = 1e-4  # IPOPT's μ on new elements
+_BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
+_TRIES = 20  # bends that are drawn until one can be simulated
+
+
+def limits_of(settings: Settings) -> Limits:
+    """The case's constraints."""
+    block = settings.optimize
+    density = settings.material.material().density_kg_per_m3
+    return Limits(
+        maximum_volume(settings.cost.mass_limit_kg, density),
+        block.stability_n_per_m,
+        block.tilt_deg,
+        block.strain,
+        block.c_rot_nm_per_rad,
+    )
+
+
+def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
+    """The stage's brick in the own mesh's bounding box, or the own mesh."""
+    if stage.divisions is None:
+        return own
+    size = tuple(np.ptp(own.nodes, axis=0))
+    filled = own.volume / np.prod(size)
+    if abs(filled - 1) > 1e-6:
+        raise InputError(
+            "optimize.stages: divisions need a brick as the initial shape, "
+            "and this mesh is none; leave them out"
+        )
+    return brick(size, stage.divisions)
+
+
+def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
+    """The shape problem of one stage."""
+    settings, mesh = setup.settings, stage_mesh(setup.mesh, stage)
+    block, sole = settings.optimize, setup.sole(mesh)
+    return ShapeProblem(
+        mesh,
+        SphericalSpline(tuple(block.intervals), block.fixed_top),
+        sole.material,
+        ContactLaw(
+            settings.contact.friction, sole.penalty, stage.layer_m, stage.kappa
+        ),
+        setup.load,
+        setup.start,
+        settings.cost.weight,
+        limits_of(settings),
+        settings.mesh.element,
+        block.roughness if stage.roughness is None else stage.roughness,
+        settings.cost.heel_strike_fraction,
+        stage.samples,
+        use_tr=block.use_tr,
+    )
+
+
+@dataclass
+class _Run:
+    """A first stage from one start: outcome, seconds, where to go on."""
+
+    optimum: Optimum
+    seconds: float
+    at: Checkpoint
+
+
+def optimise(
+    setup: Setup,
+    out: Path | None,
+    say: Callable[[str], object],
+    resume: Checkpoint | None = None,
+    at_once: int = 1,
+) -> Design:
+    """Run the case's stages.
+
+    Args:
+        setup: The initial shape and its step; settings with the stages.
+        out: Folder for checkpoint.json, one below it for each start while
+            they are searched; None for none.
+        say: Called with one line of progress now and then.
+        resume: An earlier checkpoint to go on from.
+        at_once: Processes for the starts.
+    """
+    whole, block = time.perf_counter(), setup.settings.optimize
+    stages = block.stages
+    at = resume or Checkpoint()
+    optima, seconds, problem = [], [], None
+    first = at.stage
+    if at.p is None:
+        runs = _from_starts(setup, out, say, at.begun, at_once)
+        best = min(runs, key=lambda run: run.optimum.rank)
+        rows = [{"cost": r.optimum.cost, "violation": r.optimum.violation}
+                for r in runs]  # fmt: skip
+        at = replace(best.at, starts=tuple(rows))
+        _keep(at, out)
+        optima, seconds, first = [best.optimum], [best.seconds], 1
+    for number in range(first, len(stages)):
+        run, problem = _run_stage(setup, number, at, out, say)
+        optima.append(run.optimum)
+        seconds.append(run.seconds)
+        at = run.at
+        _keep(at, out)
+    if problem is None:
+        problem = at.on_its_mesh(stage_problem(setup, stages[-1]))
+    design = verified(setup, problem, at, optima, seconds)
+    design.seconds = time.perf_counter() - whole
+    return design
+
+
+def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
+    """The first stage from every start, several at a time."""
+    count = setup.settings.optimize.starts
+    begun = [*begun, *[None] * count][:count]
+    calls = [
+        (setup, k, at, start_folder(out, k) if count > 1 else out)
+        for k, at in enumerate(begun)
+    ]
+    if min(at_once, count) == 1:
+        runs = [_from_start(*call, say) for call in calls]
+    else:
+        context = get_context("spawn")
+        with (
+            context.Manager() as manager,
+            context.Pool(min(at_once, count), _leave_interrupts) as pool,
+        ):
+            lines = manager.Queue()
+            waiting = [
+                pool.apply_async(_from_start, (*call, lines.put))
+                for call in calls
+            ]
+            while not all(run.ready() for run in waiting):
+                try:
+                    say(lines.get(timeout=0.2))
+                except Empty:
+                    continue
+            runs = [run.get() for run in waiting]
+    if out is not None and count > 1:
+        for k in range(count):
+            shutil.rmtree(start_folder(out, k), ignore_errors=True)
+    return runs
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C ends the parent, and that the pool."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _from_start(setup: Setup, start: int, at, out, say) -> _Run:
+    """The first stage from one start, or from where it was interrupted."""
+    block = setup.settings.optimize
+    if out is not None:
+        out.mkdir(exist_ok=True)
+    if at is None:
+        problem = stage_problem(setup, block.stages[0])
+        p = _start_design(problem, tuple(block.bounds), start)
+        at = Checkpoint(p=p, latest=p)
+    prefix = f"start {start + 1}/{block.starts}, " if block.starts > 1 else ""
+    return _run_stage(setup, 0, at, out, lambda line: say(prefix + line))[0]
+
+
+def _start_design(problem: ShapeProblem, bounds, start: int) -> np.ndarray:
+    """The brick (start 0) or a smooth random bend of it, within the volume."""
+    if start == 0:
+        return first_design(problem, bounds)
+    rng = np.random.default_rng(start)
+    T, p0 = problem.spline.free_map()
+    grids = [np.linspace(0, np.pi, n + 2) for n in problem.spline.intervals]
+    waves = [np.cos(np.outer(grid, np.arange(_WAVES))) for grid in grids]
+    for _ in range(_TRIES):
+        bend = waves[0] @ rng.standard_normal((_WAVES, _WAVES)) @ waves[1].T
+        full = 1.0 + _BEND * bend.ravel()
+        p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
+        p = first_design(problem, bounds, np.clip(p, *bounds))
+        values = problem.constraints(p)
+        if np.isfinite(values).all() and values[:2].min() >= 0:
+            return p
+    return first_design(problem, bounds)
+
+
+def _keep(at: Checkpoint, out: Path | None) -> None:
+    if out is not None:
+        at.write(out)
+
+
+def _run_stage(setup: Setup, number, at: Checkpoint, out, say):
+    """One stage from where it stands; its run and its last problem."""
+    began, block = time.perf_counter(), setup.settings.optimize
+    problem = stage_problem(setup, block.stages[number])
+    at.check_fits(problem)
+    problem, at = _on_mesh(problem, setup, number, at)
+    best, approximation, problem, at = _run_rounds(
+        problem, block, number, at, out, say
+    )
+    best.latest = (best.p, best.multipliers, WarmStart.barrier)
+    following = min(number + 1, len(block.stages) - 1)
+    at = Checkpoint.of(following, 0, best, approximation, problem, at)
+    return _Run(best, time.perf_counter() - began, at), problem
+
+
+def _on_mesh(problem, setup: Setup, number, at: Checkpoint):
+    """The stage's problem on the elements it goes on with: its own brick's.
+
+    Those that were made anew stay until a stage has another brick.
+    """
+    stages = setup.settings.optimize.stages
+    same = stages[number].divisions == stages[max(number - 1, 0)].divisions
+    if at.iteration > 0 or same:
+        return at.on_its_mesh(problem), at
+    return problem, replace(at, mesh=None, meshed_at=None)
+
+
+def _run_rounds(problem, block, number, at: Checkpoint, out, say):
+    """One stage, on new elements whenever a design has worn them out.
+
+    Returns:
+        Its optimum, the approximated Hessian, the last problem and where it
+        stands.
+    """
+    trace, simulations = [], 0
+    rounds = block.remeshes - sum(
+        row["stage"] == number + 1 and row["iteration"] > 0
+        for row in at.remeshed
+    )
+    while True:
+        best, approximation = _search(
+            problem, block, number, at, out, say, rounds > 0
+        )
+        done = at.iteration + (best.trace[-1][0] if best.trace else 0)
+        trace += [(at.iteration + row[0], *row[1:]) for row in best.trace]
+        simulations += best.simulations
+        worn = rounds > 0 and is_worn(problem, best.p)
+        if not worn or done >= block.stages[number].iterations:
+            best.trace, best.simulations = trace, simulations
+            return best, approximation, problem, at
+        try:
+            new = with_new_elements(problem, best.p)
+        except RemeshError as error:
+            say(f"stage {number + 1}: no new elements: {error}")
+            best.status = f"{_WORN_OUT}; {error}"
+            best.trace, best.simulations = trace, simulations
+            return best, approximation, problem, at
+        row = record(number + 1, done, problem, new, best.p)
+        say(_remeshed_line(row))
+        rounds, rows = rounds - 1, (*at.remeshed, row)
+        best.latest = (best.p, _without_floor(best.multipliers), _BARRIER)
+        at = replace(at, remeshed=rows)
+        at = Checkpoint.of(number, done, best, approximation, new, at)
+        _keep(at, out)
+        # As after an interruption: a resumed run goes the same way.
+        problem = at.on_its_mesh(new)
+
+
+def _without_floor(multipliers: np.ndarray) -> np.ndarray:
+    """That of the element floor (after the volume's) is none on new ones."""
+    out = multipliers.copy()
+    out[1] = 0.0
+    return out
+
+
+def _remeshed_line(row: dict) -> str:
+    before, after = row["before"], row["after"]
+    tr = [x["c_tr"] or np.nan for x in (before, after)]
+    return (
+        f"stage {row['stage']}, iteration {row['iteration']}: elements made "
+        f"anew, {row['tets']} tets, least quality "
+        f"{before['least_quality']:.2f} -> {after['least_quality']:.2f}, "
+        f"c_tr {tr[0]:.3g} -> {tr[1]:.3g}"
+    )
+
+
+def _search(problem, block, number, at: Checkpoint, out: Path, say, remeshable):
+    """One stage from where it stands; its optimum and Hessian.
+
+    Where elements can be made anew it ends once they are worn out.
+    """
+    stage, bounds = block.stages[number], tuple(block.bounds)
+    approximation = QuasiNewton(problem.spline.count, at.curvature)
+    begin = settle(problem, at.latest)
+
+    def note(iteration, best):
+        cost, violation, error = best.trace[-1][1:]
+        say(
+            f"stage {number + 1}/{len(block.stages)}, iteration "
+            f"{at.iteration + iteration}: c/|c0| {cost:+.4f}, violation "
+            f"{violation:.1e}, error {error:.1e}, "
+            f"{problem.evaluations} simulations"
+        )
+        if iteration and iteration % _CHECKPOINT_EVERY == 0:
+            done = at.iteration + iteration
+            _keep(
+                Checkpoint.of(number, done, best, approximation, problem, at),
+                out,
+            )
+        if (
+            remeshable
+            and iteration >= _LEAST_ROUND
+            and is_worn(problem, best.p)
+        ):
+            return _WORN_OUT
+        return None
+
+    left = max(stage.iterations - at.iteration, 0)
+    best = minimise(
+        problem, begin, bounds, left, block.tolerance, note,
+        refining=number > 0, hessian_approximation=approximation,
+        warm=at.warm_start(bounds),
+    )  # fmt: skip
+    return best, approximation
+
+
+def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
+    """The design, smoothed until this mesh can carry it.
+
+    Elements that another mesh resolved may be inverted in this one; the
+    least smoothing that leaves them room and lets the step be simulated is
+    taken (a heat equation on the coefficients).
+    """
+    H = problem.regularization(p)[2]
+    eye = np.eye(len(p)) * np.abs(H).max()
+    if not H.any():
+        return p
+    for amount in (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0):
+        # Curvature about the undeformed shape, all ones.
+        trial = 1.0 + np.linalg.solve(eye + amount * H, eye @ (p - 1.0))
+        values = problem.constraints(trial)
+        if np.isfinite(values).all() and values[1] >= 0:
+            return trial
+    return p
+
+
+def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
+    """All coefficients one, or p, shrunk until the volume limit is met."""
+    p = np.ones(problem.spline.count) if p is None else p
+    for _ in range(60):
+        if problem.deformed(p).volume <= 0.99 * problem.limits.volume:
+            break
+        p = 0.99 * p
+    return np.clip(p, *bounds)
