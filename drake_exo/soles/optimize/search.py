@@ -132,8 +132,7 @@ def optimise(
     if at.p is None:
         runs = _from_starts(setup, out, say, at.begun, at_once)
         best = min(runs, key=lambda run: run.optimum.rank)
-        rows = [{"cost": r.optimum.cost, "violation": r.optimum.violation}
-                for r in runs]  # fmt: skip
+        rows = [row for run in runs for row in run.at.starts]
         at = replace(best.at, starts=tuple(rows))
         _keep(at, out)
         optima, seconds, first = [best.optimum], [best.seconds], 1
@@ -197,8 +196,16 @@ def _from_start(setup: Setup, start: int, at, out, say) -> _Run:
         problem = stage_problem(setup, block.stages[0])
         p = _start_design(problem, tuple(block.bounds), start)
         at = Checkpoint(p=p, latest=p)
+    elif at.starts:  # finished before an interruption
+        (row,) = at.starts
+        done = Optimum(at.p, **row, multipliers=at.multipliers)
+        return _Run(done, 0.0, at)
     prefix = f"start {start + 1}/{block.starts}, " if block.starts > 1 else ""
-    return _run_stage(setup, 0, at, out, lambda line: say(prefix + line))[0]
+    run, _ = _run_stage(setup, 0, at, out, lambda line: say(prefix + line))
+    row = {"cost": run.optimum.cost, "violation": run.optimum.violation}
+    run.at = replace(run.at, starts=(row,))
+    _keep(run.at, out)
+    return run
 
 
 def _start_design(problem: ShapeProblem, bounds, start: int) -> np.ndarray:
