@@ -239,14 +239,22 @@ class ContactSolver:
         message = message or f"no convergence in {steps} Newton steps"
         return state, Convergence(False, steps, history[-1], message, history)
 
-    def linearise(self, state: State, target: Target) -> Linearisation:
-        """Derivatives at a state; references count as frozen."""
-        point = self._evaluate(state, target, False, 1.0)
+    def linearise(
+        self, state: State, target: Target, P: np.ndarray
+    ) -> Linearisation:
+        """Derivatives at a state; references count as frozen.
+
+        Args:
+            state, target: A solution.
+            P: World places of the contact nodes there [m], (m, 3).
+        """
+        point = self._evaluate(state, target, False, 1.0, P)
         return self._linearisation(point, target)
 
-    def _evaluate(self, state, target, fixed_pose, scale) -> "_Point":
+    def _evaluate(self, state, target, fixed_pose, scale, P=None) -> "_Point":
         F, law = state.F, self.law
-        P = self.deformed(F, state.R) + state.O
+        if P is None:
+            P = self.deformed(F, state.R) + state.O
         if isinstance(target.reference, Start):
             Q_t = target.reference.reference(state.R, self.lP)
         else:

@@ -181,7 +181,7 @@ class _Step:
     def __init__(self, solver, history: StepHistory, q: int, target: Target):
         self.solver, self.target = solver, target
         self.state = state = history.state(q)
-        self.lin = solver.linearise(state, target)
+        self.lin = solver.linearise(state, target, history.P[q])
         self.nodes = self.lin.nodes
         self.dF, self.dP = self.lin.pose_response()
         self.first = isinstance(target.reference, Start)

@@ -453,8 +453,8 @@ def simulate(
             report.message = "takes far longer than a neighbouring design"
         history.reports.append(report)
         if report.converged:
-            K = solver.linearise(state, target).cartesian_stiffness()
-            history.K_c[q] = K
+            lin = solver.linearise(state, target, history.P[q])
+            history.K_c[q] = lin.cartesian_stiffness()
             good = (q, state, history.P[q])
         elif stop_at_failure:
             rest = Convergence(False, 0, np.inf, "left out after a failure")
