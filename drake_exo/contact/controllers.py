@@ -37,24 +37,21 @@ class TrackingController(LeafSystem):
     def __init__(self, times, q, v, torque, stiffness=500.0, damping=30.0):
         super().__init__()
         self.set_name("tracking_controller")
-        self._q = CubicSpline(times, q)
-        self._v = CubicSpline(times, v)
-        self._torque = CubicSpline(times, torque)
-        self._gains = stiffness, damping
-        self._num_positions = nq = q.shape[1]
+        nq, n_joints = q.shape[1], torque.shape[1]
+        hinges = slice(nq - n_joints, nq)
+        # The torque at rest in the origin; what feedback takes off it.
+        at_zero = torque + stiffness * q[:, hinges] + damping * v[:, hinges]
+        self._at_zero = CubicSpline(times, at_zero)
+        self._feedback = np.zeros((n_joints, 2 * nq))
+        self._feedback[:, hinges] = stiffness * np.eye(n_joints)
+        rates = slice(2 * nq - n_joints, 2 * nq)
+        self._feedback[:, rates] = damping * np.eye(n_joints)
         self.DeclareVectorInputPort("state", 2 * nq)
-        n_joints = torque.shape[1]
-        self._hinges = slice(nq - n_joints, nq)
         self.DeclareVectorOutputPort("joint_torques", n_joints, self._calc)
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
-        q, v = np.split(state, [self._num_positions])
-        t = context.get_time()
-        stiffness, damping = self._gains
-        torque = self._torque(t)
-        torque = torque + stiffness * (self._q(t) - q)[self._hinges]
-        torque = torque + damping * (self._v(t) - v)[self._hinges]
+        torque = self._at_zero(context.get_time()) - self._feedback @ state
         output.SetFromVector(torque)
 
 

@@ -129,6 +129,8 @@ class Design:
             joints: (m,) names.
             angles: (..., m) of them [rad].
         """
+        if not self.assistance:
+            return np.ones_like(angles)
         none = Assistance()
         columns = [
             self.assistance.get(joint, none).factors(angles[..., i])

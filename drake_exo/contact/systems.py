@@ -6,8 +6,9 @@ angle toes-up positive (counter-clockwise seen from the right, about world −y)
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
@@ -38,7 +39,7 @@ from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
 )
-from drake_exo.contact.scalars import any_scalar, arctan2
+from drake_exo.contact.scalars import arctan2
 from drake_exo.errors import InputError, check_fields
 
 
@@ -60,32 +61,34 @@ def declare_force_output(system: LeafSystem, T, calc) -> None:
     )
 
 
-def read_bodies(system: LeafSystem, context, bodies) -> tuple:
-    """Positions, (cos, sin) and motions of bodies, from the ports above.
+class BodyState(NamedTuple):
+    """Pose and motion of a body in the plane, scalars."""
+
+    position: tuple  # x, z [m]
+    direction: tuple  # cosine and sine of the angle
+    motion: tuple  # v_x, v_z [m/s], rate [rad/s]
+
+
+def read_bodies(system: LeafSystem, context, bodies) -> list[BodyState]:
+    """States of bodies, from the ports above.
 
     Args:
         system: that declared the ports.
         context: of it.
-        bodies: n body indices.
-
-    Returns:
-        Arrays (2, n) of x, z [m]; (2, n) of cosine and sine of the angle;
-        (3, n) of v_x, v_z [m/s] and rate [rad/s].
+        bodies: body indices.
     """
     poses = system.GetInputPort("body_poses").Eval(context)
     velocities = system.GetInputPort("body_spatial_velocities").Eval(context)
-    positions, directions, motions = [], [], []
+    found = []
     for body in bodies:
-        X_WB, V_WB = poses[int(body)], velocities[int(body)]
-        p_WB, R_WB = X_WB.translation(), X_WB.rotation().matrix()
-        v_WB, w_WB = V_WB.translational(), V_WB.rotational()
-        positions.append((p_WB[0], p_WB[2]))
-        directions.append((R_WB[0, 0], R_WB[2, 0]))
-        motions.append((v_WB[0], v_WB[2], -w_WB[1]))
-    return tuple(np.array(rows).T for rows in (positions, directions, motions))
+        X_WB = poses[int(body)].GetAsMatrix34().tolist()
+        (c, _, _, x), _, (s, _, _, z) = X_WB
+        V_WB = velocities[int(body)].get_coeffs().tolist()
+        _, w_y, _, v_x, _, v_z = V_WB
+        found.append(BodyState((x, z), (c, s), (v_x, v_z, -w_y)))
+    return found
 
 
-@any_scalar
 def to_world(position, direction, x, z):
     """World (x, z) of a point given in a body's axes.
 
@@ -97,7 +100,6 @@ def to_world(position, direction, x, z):
     return position[0] + c * x - s * z, position[1] + s * x + c * z
 
 
-@any_scalar
 def to_body(position, direction, x, z):
     """Inverse of `to_world`."""
     c, s = direction
@@ -105,7 +107,6 @@ def to_body(position, direction, x, z):
     return c * dx + s * dz, c * dz - s * dx
 
 
-@any_scalar
 def relative_angles(first, second):
     """Angles of two bodies that never jump against each other.
 
@@ -122,6 +123,12 @@ def relative_angles(first, second):
         second[0] * first[0] + second[1] * first[1],
     )
     return angle, angle + turn
+
+
+def planar_poses(first: BodyState, second: BodyState) -> tuple:
+    """(x, z, angle) of two bodies; their angles never jump apart."""
+    angles = relative_angles(first.direction, second.direction)
+    return (*first.position, angles[0]), (*second.position, angles[1])
 
 
 @functools.cache
@@ -144,51 +151,46 @@ def applied_force(T, body, point, force, moment=0.0):
     entry = Entry()
     entry.body_index = body
     entry.p_BoBq_B = np.array([point[0], 0.0, point[1]])
-    entry.F_Bq_W = Force(
-        tau=np.array([0.0, -moment, 0.0]),
-        f=np.array([force[0], 0.0, force[1]]),
-    )
+    F_Bq_W = [0.0, -moment, 0.0, force[0], 0.0, force[1]]
+    entry.F_Bq_W = Force(F=np.array(F_Bq_W))
     return entry
 
 
-def opposite_forces(T, pairs, links, wrench) -> list:
-    """Entries of bushings' forces: on the human, and opposite on the device.
+def opposite_forces(T, pair, links, wrench) -> list:
+    """Entries of a bushing's force: on the human, and opposite on the device.
 
     Args:
         T: scalar type.
-        pairs: body indices (human, device) of each bushing.
-        links: (position, direction) of the human links, and of the device's.
-        wrench: `BushingWrench` on the human, entries (number of bushings,).
+        pair: body indices (human, device).
+        links: `BodyState` of each.
+        wrench: `BushingWrench` on the human.
     """
-    points = [to_body(*link, wrench.point_x, wrench.point_z) for link in links]
-    return [
-        applied_force(
-            T,
-            body,
-            (x[i], z[i]),
-            (sign * wrench.force_x[i], sign * wrench.force_z[i]),
-            sign * wrench.moment[i],
+    entries = []
+    for body, link, sign in zip(pair, links, (1, -1), strict=True):
+        point = to_body(
+            link.position, link.direction, wrench.point_x, wrench.point_z
         )
-        for i, pair in enumerate(pairs)
-        for body, (x, z), sign in zip(pair, points, (1, -1), strict=True)
-    ]
+        force = (sign * wrench.force_x, sign * wrench.force_z)
+        entries.append(
+            applied_force(T, body, point, force, sign * wrench.moment)
+        )
+    return entries
 
 
-@any_scalar
 def foot_contact(
     law: Law, position, direction, motion, spheres, constants: Constants
 ) -> SphereWrench:
-    """Contact wrenches of spheres on one planar body.
+    """Contact wrench of a sphere on a planar body, or of many.
 
     Args:
         law: "paper" or "simbody".
         position, direction, motion: of the body, (x, z), (cosine, sine) and
-            (v_x, v_z, rate), scalars.
-        spheres: (number of parameters, n) in the order of SPHERE_PARAMETERS.
+            (v_x, v_z, rate), entries of any common shape (...).
+        spheres: values of SPHERE_PARAMETERS, of shapes that broadcast.
         constants: of the law.
 
     Returns:
-        Wrenches with entries of shape (n,).
+        Entries of shape (...).
     """
     stiffness, dissipation, x, z, radius = spheres
     center_x, center_z = to_world(position, direction, x, z)
@@ -207,23 +209,25 @@ def foot_contact(
     )
 
 
-@any_scalar
-def ground_reaction(wrenches: SphereWrench) -> np.ndarray:
-    """F_x, F_z [N] and M_y about the world's origin [N·m] of all spheres.
+def ground_reaction(wrenches: Sequence[SphereWrench]) -> list:
+    """F_x, F_z [N] and M_y about the world's origin [N·m], sums of spheres'.
 
-    Sums over the first axis of the entries; M_y = z F_x − x F_z, so the
-    centre of pressure on z = 0 is −M_y/F_z.
+    M_y = z F_x − x F_z, so the centre of pressure on z = 0 is −M_y/F_z.
     """
-    moment = (
-        wrenches.point_z * wrenches.force_x
-        - wrenches.point_x * wrenches.force_z
-    )
-    return np.array(
-        [
-            np.sum(values, axis=0)
-            for values in (wrenches.force_x, wrenches.force_z, moment)
-        ]
-    )
+    return [
+        sum(values[1:], values[0])
+        for values in zip(
+            *(
+                (
+                    w.force_x,
+                    w.force_z,
+                    w.point_z * w.force_x - w.point_x * w.force_z,
+                )
+                for w in wrenches
+            ),
+            strict=True,
+        )
+    ]
 
 
 class _FootGroundContact:
@@ -280,49 +284,46 @@ class _FootGroundContact:
                 np.array(astuple(values))
             )
 
-    def _vectors(self, context) -> list[np.ndarray]:
+    def _vectors(self, context) -> list[list]:
         return [
-            context.get_numeric_parameter(i).CopyToVector()
+            context.get_numeric_parameter(i).CopyToVector().tolist()
             for i in range(len(self._parameters.spheres) + 1)
         ]
 
     def _constants(self, vector) -> Constants:
         return type(self._parameters.constants)(*vector)
 
-    def _wrenches(self, context):
-        bodies = read_bodies(self, context, [self._body])
-        position, direction, motion = (array[:, 0] for array in bodies)
+    def _wrenches(self, context) -> tuple[BodyState, list[SphereWrench]]:
+        (foot,) = read_bodies(self, context, [self._body])
         *spheres, constants = self._vectors(context)
-        wrenches = foot_contact(
-            self._parameters.law,
-            position,
-            direction,
-            motion,
-            np.array(spheres).T,
-            self._constants(constants),
-        )
-        return position, direction, wrenches
+        constants = self._constants(constants)
+        return foot, [
+            foot_contact(self._parameters.law, *foot, sphere, constants)
+            for sphere in spheres
+        ]
 
     def _calc_spatial_forces(self, context, output):
-        position, direction, wrenches = self._wrenches(context)
-        points = to_body(
-            position, direction, wrenches.point_x, wrenches.point_z
-        )
-        forces = (wrenches.force_x, wrenches.force_z)
+        foot, wrenches = self._wrenches(context)
         output.set_value(
             [
-                applied_force(self._T, self._body, point, force)
-                for point, force in zip(
-                    np.transpose(points), np.transpose(forces), strict=True
+                applied_force(
+                    self._T,
+                    self._body,
+                    to_body(
+                        foot.position, foot.direction, w.point_x, w.point_z
+                    ),
+                    (w.force_x, w.force_z),
                 )
+                for w in wrenches
             ]
         )
 
     def _calc_ground_reaction(self, context, output):
-        output.SetFromVector(ground_reaction(self._wrenches(context)[2]))
+        output.SetFromVector(ground_reaction(self._wrenches(context)[1]))
 
     def _calc_sphere_wrenches(self, context, output):
-        output.SetFromVector(np.transpose(self._wrenches(context)[2]).ravel())
+        wrenches = self._wrenches(context)[1]
+        output.SetFromVector([x for wrench in wrenches for x in wrench])
 
 
 @TemplateSystem.define("FootGroundContact_")
@@ -404,10 +405,10 @@ class _Bushings:
         if context is None:
             return dict(self._parameters)
         return {
-            name: BushingParameters(*column)
-            for name, column in zip(
-                self._parameters, self._matrix(context).T, strict=True
+            name: BushingParameters(
+                *context.get_numeric_parameter(i).CopyToVector().tolist()
             )
+            for i, name in enumerate(self._parameters)
         }
 
     def set_parameters(
@@ -428,59 +429,54 @@ class _Bushings:
                 np.array(astuple(parameters[name]))
             )
 
-    def _matrix(self, context) -> np.ndarray:
-        """Parameters (number of parameters, number of bushings)."""
-        return np.transpose(
-            [
-                context.get_numeric_parameter(i).CopyToVector()
-                for i in range(len(self._parameters))
-            ]
-        )
-
-    def _evaluate(self, context):
-        """All bushings at once: entries of shape (number of bushings,)."""
-        humans, devices = zip(*self._pairs.values(), strict=True)
-        p_h, direction_h, motion_h = read_bodies(self, context, humans)
-        p_e, direction_e, motion_e = read_bodies(self, context, devices)
-        angle_h, angle_e = relative_angles(direction_h, direction_e)
-        links = (
-            (p_h, direction_h, (*p_h, angle_h)),
-            (p_e, direction_e, (*p_e, angle_e)),
-        )
-        parameters = BushingParameters(*self._matrix(context))
-        deflection, rate = bushing_deflection(
-            links[0][2],
-            motion_h,
-            links[1][2],
-            motion_e,
-            parameters.origin,
-            parameters.preload,
-        )
-        force = bushing_force(
-            deflection, rate, parameters.stiffness, parameters.damping
-        )
-        return links, parameters, deflection, force
+    def _evaluate(self, context) -> Iterator[tuple]:
+        """Of each bushing links, their planar poses, parameters, d and F."""
+        bodies = [body for pair in self._pairs.values() for body in pair]
+        states = iter(read_bodies(self, context, bodies))
+        known = self.parameters(context).values()
+        for links, own in zip(
+            zip(states, states, strict=True), known, strict=True
+        ):
+            human, device = links
+            poses = planar_poses(human, device)
+            deflection, rate = bushing_deflection(
+                poses[0],
+                human.motion,
+                poses[1],
+                device.motion,
+                own.origin,
+                own.preload,
+            )
+            force = bushing_force(deflection, rate, own.stiffness, own.damping)
+            yield links, poses, own, deflection, force
 
     def _calc_spatial_forces(self, context, output):
-        links, parameters, _, force = self._evaluate(context)
-        (p_h, direction_h, pose_h), (p_e, direction_e, pose_e) = links
-        wrench = bushing_wrench(
-            force, pose_h, pose_e, parameters.origin, parameters.preload
-        )
-        links = ((p_h, direction_h), (p_e, direction_e))
-        pairs = self._pairs.values()
-        output.set_value(opposite_forces(self._T, pairs, links, wrench))
+        entries = []
+        for pair, (links, poses, own, _, force) in zip(
+            self._pairs.values(), self._evaluate(context), strict=True
+        ):
+            wrench = bushing_wrench(force, *poses, own.origin, own.preload)
+            entries += opposite_forces(self._T, pair, links, wrench)
+        output.set_value(entries)
 
     def _calc_forces(self, context, output):
-        output.SetFromVector(np.transpose(self._evaluate(context)[3]).ravel())
+        output.SetFromVector(
+            [x for *_, force in self._evaluate(context) for x in force]
+        )
 
     def _calc_deflections(self, context, output):
-        output.SetFromVector(np.transpose(self._evaluate(context)[2]).ravel())
+        output.SetFromVector(
+            [x for *_, d, _ in self._evaluate(context) for x in d]
+        )
 
     def _calc_energies(self, context, output):
-        _, parameters, deflection, _ = self._evaluate(context)
-        energies = bushing_energy(deflection, parameters.stiffness)
-        output.SetFromVector(np.transpose(energies).ravel())
+        output.SetFromVector(
+            [
+                x
+                for *_, own, d, _ in self._evaluate(context)
+                for x in bushing_energy(d, own.stiffness)
+            ]
+        )
 
 
 @TemplateSystem.define("HumanExoskeletonBushings_")
@@ -597,11 +593,13 @@ def Chair_(T):
 
         def _calc_spatial_forces(self, context, output):
             F_x, F_z, M_y = self._wrench(context)
-            positions, directions, _ = read_bodies(self, context, self._bodies)
+            states = read_bodies(self, context, self._bodies)
             entries = []
-            for i, (body, share) in enumerate(self._bodies.items()):
-                c, s = directions[:, i]
-                x, z = positions[:, i]
+            for (body, share), state in zip(
+                self._bodies.items(), states, strict=True
+            ):
+                c, s = state.direction
+                x, z = state.position
                 moment = M_y - (z * F_x - x * F_z)
                 entry = applied_force(
                     T,

@@ -25,14 +25,15 @@ from drake_exo.contact.hunt_crossley import (
     hertz_factor,
 )
 from drake_exo.contact.parameters import GroundContact
+from drake_exo.contact.scalars import sqrt
 from drake_exo.contact.systems import (
     applied_force,
     declare_body_inputs,
     declare_force_output,
     foot_contact,
     opposite_forces,
+    planar_poses,
     read_bodies,
-    relative_angles,
     to_body,
 )
 from drake_exo.measurement.inverse_dynamics import wrench_on_body
@@ -74,19 +75,9 @@ def cuff_force(cuff: Cuff, deflection, rate) -> Components:
     ]
     along = linear.tangential + more[0]
     return Components(
-        along / np.sqrt(1.0 + (cuff.slip * along) ** 2),
+        along / sqrt(1.0 + (cuff.slip * along) ** 2),
         linear.normal + more[1],
         linear.rotation,
-    )
-
-
-def stacked(cuffs: Mapping[str, Cuff]) -> Cuff:
-    """All cuffs as one, its values arrays (number of cuffs,)."""
-    values = zip(*(astuple(c.bushing) for c in cuffs.values()), strict=True)
-    return Cuff(
-        BushingParameters(*(np.array(v) for v in values)),
-        np.array([c.progression for c in cuffs.values()]),
-        np.array([c.slip for c in cuffs.values()]),
     )
 
 
@@ -109,28 +100,28 @@ class Cuffs(LeafSystem):
         self.set_name("cuffs")
         self._pairs = [pairs[name] for name in cuffs]
         self._bodies = [body for pair in self._pairs for body in pair]
-        self._cuffs = stacked(cuffs)
+        self._cuffs = list(cuffs.values())
         declare_body_inputs(self, float)
         declare_force_output(self, float, self._calc_spatial_forces)
 
     def _calc_spatial_forces(self, context, output):
-        cuffs, law = self._cuffs, self._cuffs.bushing
-        p, direction, motion = read_bodies(self, context, self._bodies)
-        angles = relative_angles(direction[:, ::2], direction[:, 1::2])
-        human = (*p[:, ::2], angles[0])
-        device = (*p[:, 1::2], angles[1])
-        deflection, rate = bushing_deflection(
-            human,
-            motion[:, ::2],
-            device,
-            motion[:, 1::2],
-            law.origin,
-            law.preload,
-        )
-        force = cuff_force(cuffs, deflection, rate)
-        w = bushing_wrench(force, human, device, law.origin, law.preload)
-        links = [(p[:, k::2], direction[:, k::2]) for k in (0, 1)]
-        output.set_value(opposite_forces(float, self._pairs, links, w))
+        states = iter(read_bodies(self, context, self._bodies))
+        entries = []
+        for pair, cuff in zip(self._pairs, self._cuffs, strict=True):
+            links = human, device = next(states), next(states)
+            poses, law = planar_poses(human, device), cuff.bushing
+            deflection, rate = bushing_deflection(
+                poses[0],
+                human.motion,
+                poses[1],
+                device.motion,
+                law.origin,
+                law.preload,
+            )
+            force = cuff_force(cuff, deflection, rate)
+            wrench = bushing_wrench(force, *poses, law.origin, law.preload)
+            entries += opposite_forces(float, pair, links, wrench)
+        output.set_value(entries)
 
 
 _LAW = "simbody"
@@ -220,10 +211,11 @@ class Seat(LeafSystem):
         if pose.translation()[2] > self._clear_z:
             output.set_value([])
             return
-        bodies = read_bodies(self, context, [self._pelvis])
-        position, direction, motion = (array[:, 0] for array in bodies)
-        wrench = seat_wrench(self._seat, position, direction, motion)
-        point = to_body(position, direction, wrench.point_x, wrench.point_z)
+        (pelvis,) = read_bodies(self, context, [self._pelvis])
+        wrench = seat_wrench(self._seat, *pelvis)
+        point = to_body(
+            pelvis.position, pelvis.direction, wrench.point_x, wrench.point_z
+        )
         force = (wrench.force_x, wrench.force_z)
         output.set_value([applied_force(float, self._pelvis, point, force)])
 

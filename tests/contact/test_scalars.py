@@ -47,6 +47,23 @@ def test_expression_selects_when_it_is_evaluated():
 
 
 @pytest.mark.parametrize("name", ["tanh", "sqrt", "exp", "cos", "sin"])
+@pytest.mark.parametrize("value", [0.0, -0.3, 1.7, 800.0, np.inf, np.nan])
+def test_a_float_by_itself_is_as_in_an_array(name, value):
+    # Far off, an integrator's trial step must not raise.
+    with np.errstate(all="ignore"):
+        found = getattr(scalars, name)(float(value))
+        expected = getattr(np, name)(value)
+    assert type(found) is float
+    np.testing.assert_allclose(found, expected, rtol=1e-15)
+
+
+def test_floats_by_themselves_are_selected_as_in_arrays():
+    assert scalars.select_less(1.0, 2.0, 3.0, 4.0) == 3.0
+    assert scalars.select_less(2.0, 2.0, 3.0, 4.0) == 4.0
+    assert scalars.arctan2(1.0, -2.0) == np.arctan2(1.0, -2.0)
+
+
+@pytest.mark.parametrize("name", ["tanh", "sqrt", "exp", "cos", "sin"])
 def test_functions_agree_for_every_scalar_type(name):
     function, reference = getattr(scalars, name), getattr(np, name)
     values = np.array([0.2, 1.7])
