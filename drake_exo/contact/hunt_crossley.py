@@ -231,6 +231,10 @@ def friction_coefficient(law: Law, speed, constants: Constants):
     three pieces (equation 7) as one expression. simbody:
     min(v/v_t, 1) (u_d + 2 (u_s − u_d)/(1 + (v/v_t)²)) + u_v v.
     """
+    return _coefficient(law, speed, constants)
+
+
+def _coefficient(law: Law, speed, constants: Constants):
     u_s, u_d = constants.static_friction, constants.dynamic_friction
     ratio = speed / constants.transition_velocity
     viscous = constants.viscous_friction * speed
@@ -276,13 +280,23 @@ def sphere_force(
     >>> round(float(normal)), round(float(friction))
     (183, -155)
     """
-    constants = checked_constants(law, constants)
-    normal_force = _paper_normal if law == "paper" else _simbody_normal
-    normal = normal_force(
-        indentation, rate, stiffness, dissipation, radius, constants
+    return _force(
+        law,
+        indentation,
+        rate,
+        slip_velocity,
+        stiffness,
+        dissipation,
+        radius,
+        checked_constants(law, constants),
     )
+
+
+def _force(law, x, x_dot, slip_velocity, k, c, r, constants: Constants):
+    normal_force = _paper_normal if law == "paper" else _simbody_normal
+    normal = normal_force(x, x_dot, k, c, r, constants)
     speed = slip_speed(law, slip_velocity, constants)
-    mu = friction_coefficient(law, speed, constants)
+    mu = _coefficient(law, speed, constants)
     return normal, -normal * mu * (slip_velocity / speed)
 
 
@@ -335,7 +349,7 @@ def sphere_wrench(
     """
     indentation = radius - center_z
     arm = contact_arm(law, indentation, radius)
-    normal, friction = sphere_force(
+    normal, friction = _force(
         law,
         indentation,
         -velocity_z,
@@ -343,7 +357,7 @@ def sphere_wrench(
         stiffness,
         dissipation,
         radius,
-        constants,
+        checked_constants(law, constants),
     )
     return SphereWrench(friction, normal, center_x, center_z - arm)
 

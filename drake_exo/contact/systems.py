@@ -17,7 +17,12 @@ from pydrake.math import RigidTransform_
 from pydrake.multibody.math import SpatialForce_, SpatialVelocity_
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
+from pydrake.systems.framework import (
+    BasicVector_,
+    LeafSystem,
+    LeafSystem_,
+    ValueProducer,
+)
 from pydrake.systems.scalar_conversion import TemplateSystem
 from scipy.interpolate import CubicSpline
 
@@ -241,6 +246,14 @@ class _FootGroundContact:
         declare_body_inputs(self, T)
         for values in (*parameters.spheres.values(), parameters.constants):
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+        # Forces and what a controller sees of them are evaluated once.
+        self._wrenches = self.DeclareCacheEntry(
+            "wrenches",
+            ValueProducer(
+                allocate=lambda: AbstractValue.Make(object()),
+                calc=self._calc_wrenches,
+            ),
+        )
         declare_force_output(self, T, self._calc_spatial_forces)
         self.DeclareVectorOutputPort(
             "ground_reaction", 3, self._calc_ground_reaction
@@ -293,17 +306,18 @@ class _FootGroundContact:
     def _constants(self, vector) -> Constants:
         return type(self._parameters.constants)(*vector)
 
-    def _wrenches(self, context) -> tuple[BodyState, list[SphereWrench]]:
+    def _calc_wrenches(self, context, output):
         (foot,) = read_bodies(self, context, [self._body])
         *spheres, constants = self._vectors(context)
         constants = self._constants(constants)
-        return foot, [
+        wrenches = [
             foot_contact(self._parameters.law, *foot, sphere, constants)
             for sphere in spheres
         ]
+        output.set_value((foot, wrenches))
 
     def _calc_spatial_forces(self, context, output):
-        foot, wrenches = self._wrenches(context)
+        foot, wrenches = self._wrenches.Eval(context)
         output.set_value(
             [
                 applied_force(
@@ -319,10 +333,10 @@ class _FootGroundContact:
         )
 
     def _calc_ground_reaction(self, context, output):
-        output.SetFromVector(ground_reaction(self._wrenches(context)[1]))
+        output.SetFromVector(ground_reaction(self._wrenches.Eval(context)[1]))
 
     def _calc_sphere_wrenches(self, context, output):
-        wrenches = self._wrenches(context)[1]
+        wrenches = self._wrenches.Eval(context)[1]
         output.SetFromVector([x for wrench in wrenches for x in wrench])
 
 
