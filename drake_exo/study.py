@@ -139,6 +139,25 @@ class Study:
         """
         return self._trials
 
+    def alone(self, trials: Sequence[Trial]) -> Study:
+        """The same with other trials, which come of no recordings.
+
+        >>> from drake_exo.virtual_laboratory import synthetic
+        >>> made = Study(*synthetic.rises_on_spheres(2, nodes_per_second=40))
+        >>> len(made.alone(made.trials()[:1]).trials())
+        1
+        """
+        return Study(
+            self.model,
+            trials,
+            name=self.name,
+            foot_ground=self.foot_ground,
+            interaction=self.interaction,
+            prediction=self.prediction,
+            design=self.design,
+            filter=self.filter,
+        )
+
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
         """Whether recordings can be what the study takes them for.
 

@@ -1,14 +1,23 @@
-"""One function called many times, on several processes: for scripts."""
+"""One function called many times, on several processes, or once beside."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
+from drake_exo.batch.jobs import (
+    POLL_SECONDS,
+    BatchProgress,
+    Ended,
+    Job,
+    run_jobs,
+)
 from drake_exo.batch.processes import Processes
+from drake_exo.errors import InputError
+from drake_exo.files.output import Progress
 
 
 def run_calls(
@@ -34,7 +43,7 @@ def run_calls(
     Raises:
         RuntimeError: a call failed; those that wait are not made.
     """
-    name = f"{_module(function)}:{function.__name__}"
+    name = _name(function)
     jobs = [Job(f"{k}/{title}", name, call) for k, call in enumerate(calls)]
 
     def end(row: Ended) -> None:
@@ -48,6 +57,41 @@ def run_calls(
     with Processes(workers) as pool:
         ended = run_jobs(jobs, pool, end, progress)
     return [row.value for row in ended.values()]
+
+
+@contextmanager
+def beside(function: Callable, **arguments) -> Iterator[Callable[[], Any]]:
+    """A call that another process makes meanwhile; left, it is ended.
+
+    Args:
+        function: of a module; what it prints is lost.
+        arguments: of the call; they are pickled.
+
+    Yields:
+        What waits for the value and returns it. It raises InputError as the
+        call does, RuntimeError for whatever else ends it.
+    """
+    job = Job(function.__name__, _name(function), arguments)
+
+    def value() -> Any:
+        progress, ended = Progress(f"wait for {job.name}"), []
+        while not ended:
+            ended = pool.wait(POLL_SECONDS)
+            progress.update()
+        (row,) = ended
+        if row.state != "done":
+            if row.state == "failed" and not row.trace:
+                raise InputError(row.error)
+            raise RuntimeError(f"{job.name}: {row.error}\n{row.trace}")
+        return row.value
+
+    with Processes(1) as pool:
+        pool.start(job)
+        yield value
+
+
+def _name(function: Callable) -> str:
+    return f"{_module(function)}:{function.__name__}"
 
 
 def _module(function: Callable) -> str:

@@ -142,14 +142,7 @@ def on_design(
     model = study.model
     design.check(model.cuffs, model.coordinates.device)
     trials = [assisted(trial, design) for trial in study.trials("prediction")]
-    own = Study(
-        model,
-        trials,
-        name=study.name,
-        prediction=study.prediction,
-        filter=study.filter,
-    )
-    return own, design.contact(contact)
+    return study.alone(trials), design.contact(contact)
 
 
 def write_predictions(

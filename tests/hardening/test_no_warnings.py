@@ -1,6 +1,7 @@
 """Normal use prints no warning, and names the folders that will be there."""
 
 import argparse
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,15 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
         def gate(self, use):
             return ()
 
+        def trials(self, use):
+            return ()
+
+        alone = trials
+
+    @contextlib.contextmanager
+    def beside(function, **arguments):
+        yield lambda: function(**arguments)
+
     for name in (
         *("write_campaign", "write_interaction"),
         *("write_predictions", "write_report", "gather", "write_view"),
@@ -67,9 +77,11 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
         monkeypatch.setattr(demo, name, step)
     monkeypatch.setattr(demo, "read_study", lambda *_: Passed())
     monkeypatch.setattr(demo, "usable", lambda *_: (None, []))
+    monkeypatch.setattr(demo, "beside", beside)
     assert demo.run(argparse.Namespace(out=out, force=True)) == 0
     growing = Path(f"{out}.partial")
-    for name in ("laboratory", "calibration", "prediction", "report"):
+    written = ("laboratory", "calibration", "prediction", "prediction_stiff")
+    for name in (*written, "report"):
         assert growing / name in places
     text = capsys.readouterr().out
     assert ".partial" not in text
