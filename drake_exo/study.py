@@ -608,6 +608,7 @@ def predict(
     controller: System | None = None,
     folder: Path | None = None,
     resume: bool = False,
+    near: Prediction | None = None,
 ) -> Prediction:
     """Phase C: a movement and its interaction forces from its end states.
 
@@ -621,6 +622,8 @@ def predict(
         controller: a stateless LeafSystem that gives the exoskeleton's
             torques; without it they are as measured.
         folder, resume: as `calibrate_foot_ground`.
+        near: of the same trial with another contact, to start from; by default
+            the start is that of the settings.
 
     Raises:
         InputError: the contact knows nothing of the model's cuffs; or
@@ -646,7 +649,8 @@ def predict(
             refined=refined,
         )
 
-    result = solve(pose, f"predict {trial.name}", folder, resume)
+    start = None if near is None else near.result
+    result = solve(pose, f"predict {trial.name}", folder, resume, start)
     (found,) = result.unsealed().trials
     own = {f.name: getattr(found, f.name) for f in fields(found)}
     return Prediction(**own, result=result)

@@ -363,7 +363,7 @@ class PhaseProblem(ABC):
         return x
 
     def guess_from(self, found: PhaseResult) -> np.ndarray:
-        """Program variables near a solution on another grid."""
+        """Program variables near a solution on another grid, or like it."""
         x = np.zeros(self.program.prog.num_vars())
         # Parameters and errors come before all movements, in both programs.
         shared = [*self._variables.values()]
@@ -448,14 +448,23 @@ class PhaseProblem(ABC):
         self,
         guess: np.ndarray | None = None,
         on_iterate: Callable[[Iterate], None] | None = None,
+        near: PhaseResult | None = None,
     ) -> PhaseResult:
         """Check, solve and collect.
+
+        Args:
+            guess: program variables to start from; `guess()` by default.
+            on_iterate: called once for each iteration.
+            near: a solution on another grid, or of another contact, to start
+                from instead.
 
         Raises:
             InputError: from the pre-flight check.
         """
         problem, solver = self.compiled, self.settings.solver
-        start = time.perf_counter()
+        start, options = time.perf_counter(), solver.options()
+        if near is not None:
+            guess, options = self.guess_from(near), options.near_solution()
         guess = self.guess() if guess is None else guess
         index = self.program.indices(self.parameter_variables)
         free = {
@@ -469,10 +478,10 @@ class PhaseProblem(ABC):
             solution = drake_ipopt.solve(
                 self.program,
                 problem.expand(problem.restrict(guess)),
-                solver.options(),
+                options,
             )
         else:
-            solution = ipopt.solve(problem, guess, solver.options(), on_iterate)
+            solution = ipopt.solve(problem, guess, options, on_iterate)
         solution.seconds["build"] = self.build_seconds + prepared
         return self.result(solution)
 

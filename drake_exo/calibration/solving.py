@@ -66,6 +66,7 @@ def solve(
     title: str,
     folder: str | Path | None = None,
     resume: bool = False,
+    near: PhaseResult | None = None,
 ) -> PhaseResult:
     """Solve with progress, on a grid on which the audit holds.
 
@@ -82,6 +83,8 @@ def solve(
         folder: where checkpoint.npz is written while solving; it stays there
             if the solve does not succeed. None keeps nothing.
         resume: start from the checkpoint found there, if there is one.
+        near: start from this solution of a problem like it instead, on its
+            grid.
 
     Returns:
         What was found; of a stopped solve, also on a finer grid, what it was
@@ -91,16 +94,16 @@ def solve(
         InputError: the checkpoint belongs to another problem, or is damaged;
             or from the pre-flight check.
     """
-    result = _solve_first(pose({}), title, folder, resume)
+    problem = pose(near.problem.refined if near else {})
+    result = _solve_first(problem, title, folder, resume, near)
     for _ in range(REFINEMENTS):
         refined = finer(result) if result.success else None
         if not refined:
             break
         names = ", ".join(refined)
-        problem = pose(refined)
-        again = problem.solve(
-            problem.guess_from(result),
+        again = pose(refined).solve(
             on_iterate=SolveWatch(f"{title}, finer grid for {names}"),
+            near=result,
         )
         _add_up(again.solution, result.solution)
         if again.solution.was_stopped:
@@ -136,10 +139,11 @@ def _solve_first(
     title: str,
     folder: str | Path | None,
     resume: bool,
+    near: PhaseResult | None,
 ) -> PhaseResult:
     """On the grid of the settings; the newest iterate is kept in `folder`."""
     if folder is None:
-        return problem.solve(on_iterate=SolveWatch(title))
+        return problem.solve(on_iterate=SolveWatch(title), near=near)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT
@@ -149,9 +153,9 @@ def _solve_first(
         size = problem.program.prog.num_vars()
         guess = read_checkpoint(checkpoint, fingerprint, size)
         print(f"{title}: resumed from {CHECKPOINT}")
-    return problem.solve(
-        guess, on_iterate=SolveWatch(title, checkpoint, fingerprint)
-    )
+        near = None
+    watch = SolveWatch(title, checkpoint, fingerprint)
+    return problem.solve(guess, watch, near)
 
 
 def read_checkpoint(path: Path, fingerprint: str, size: int) -> np.ndarray:

@@ -178,7 +178,7 @@ def write_predictions(
             folder.rmdir()
             audited = [prediction.audit()]
             if study.model.cuffs:
-                beside = predict(study, trial, usual, **how)
+                beside = predict(study, trial, usual, near=prediction, **how)
                 stopped = beside.solution.was_stopped
         else:
             print(trial.name, end=": ")

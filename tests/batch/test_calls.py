@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+import time
 
 import example_jobs
 import pytest
 
-from drake_exo.batch.calls import run_calls
+from drake_exo.batch.calls import beside, run_calls
+from drake_exo.errors import InputError
 
 pytestmark = pytest.mark.slow
 
@@ -48,3 +50,31 @@ def test_from_a_script(tmp_path, how):
         text=True,
     )
     assert done.stdout.strip() == "[0, 1, 4, 9, 16]", done.stderr
+
+
+def test_a_call_beside_is_waited_for():
+    with beside(example_jobs.sleep, seconds=0.2) as waited:
+        assert waited() == 0.2
+
+
+def test_a_call_beside_fails_as_it_would_here():
+    with (
+        beside(example_jobs.refuse) as waited,
+        pytest.raises(InputError, match=r"a\.yaml: wrong"),
+    ):
+        waited()
+    with (
+        beside(example_jobs.add, a=1, b="x") as waited,
+        pytest.raises(RuntimeError, match="TypeError"),
+    ):
+        waited()
+
+
+def test_a_call_beside_ends_with_its_context():
+    start = time.monotonic()
+    with (
+        pytest.raises(KeyboardInterrupt),
+        beside(example_jobs.sleep, seconds=60),
+    ):
+        raise KeyboardInterrupt
+    assert time.monotonic() - start < 30.0

@@ -138,3 +138,19 @@ def test_a_limit_that_can_be_kept_is_kept(in_device):
 def test_a_wrong_controller_is_one_sentence(name):
     with pytest.raises(InputError, match="--controller"):
         load_controller(name)
+
+
+def test_a_start_from_another_contact_ends_at_the_same_optimum(
+    predicted, in_device
+):
+    stiffer = in_device.contact.scaled(1.4)
+    problem = in_device.prediction(settings(), in_device.trials[0], stiffer)
+    cold, near = (
+        problem.solve().solution,
+        problem.solve(near=predicted).solution,
+    )
+    assert near.strategy == "near"
+    assert near.objective == pytest.approx(cold.objective, rel=1e-6)
+    assert predicted.solution.objective != pytest.approx(
+        cold.objective, rel=1e-3
+    )

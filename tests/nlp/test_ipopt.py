@@ -102,3 +102,25 @@ def test_a_second_interruption_is_not_withheld():
         assert stop.is_set()
         os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_start_near_a_solution_stays_near():
+    program, _ = valleys(radius=1.2)
+    options = SolverOptions(tolerance=1e-9)
+    first = ipopt.solve(SparseProgram(program), np.zeros(6), options)
+    start = first.raw_values() + 1e-4
+
+    def detour(own):
+        """How far the objective goes off on the way."""
+        seen = []
+        solution = ipopt.solve(
+            SparseProgram(program),
+            start,
+            own,
+            lambda i: seen.append(i.objective),
+        )
+        assert solution.success
+        assert solution.objective == pytest.approx(first.objective, rel=1e-7)
+        return np.abs(np.array(seen) - first.objective).max()
+
+    assert detour(options.near_solution()) < 0.1 * detour(options)
