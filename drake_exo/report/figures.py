@@ -299,6 +299,7 @@ def _finish(figure: Figure, axes) -> None:
     legend = 0.1 + 0.22 * -(-len(entries) // columns)  # inches
     top = 1.0 - legend / figure.get_size_inches()[1]
     figure.tight_layout(rect=(0, 0, 1, top))
+    figure.set_layout_engine(None)  # saving would lay it out once more
     figure.legend(
         entries.values(),
         entries.keys(),
