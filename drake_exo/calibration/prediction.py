@@ -25,7 +25,11 @@ from drake_exo.calibration.problem import (
 from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.collocation.initial_guess import straight_line
 from drake_exo.collocation.loads import ControllerKernel
-from drake_exo.collocation.trial_program import TrialProgram, minimised
+from drake_exo.collocation.trial_program import (
+    Tracking,
+    TrialProgram,
+    minimised,
+)
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
@@ -34,6 +38,7 @@ from drake_exo.model.plant import Model
 # An end counts as a second of tracking does: noise of a signal is one size
 # for about that long.
 END_WEIGHT_S = 1.0
+_TOES_RAD = np.deg2rad(3.0)
 
 
 class PredictionProblem(PhaseProblem):
@@ -90,7 +95,7 @@ class PredictionProblem(PhaseProblem):
     def _add(self, trial: Trial) -> TrialProgram:
         movement, at, effects = self._begin(trial)
         settings, noise = self.settings, self.settings.noise
-        if effects is not None:
+        if effects is not None or len(self.feet) > 1:
             at_ends = np.zeros(len(at.times))
             at_ends[[0, -1]] = END_WEIGHT_S
             movement.add_tracking_cost(
@@ -104,9 +109,13 @@ class PredictionProblem(PhaseProblem):
             terms = [
                 *ground_terms(movement, at, noise),
                 *torque_terms(movement, at, noise, effects),
+                *_held_toes(movement, at),
             ]
         else:
-            terms = [minimised(movement.torque, noise.torque_nm)]
+            terms = [
+                minimised(movement.torque, noise.torque_nm),
+                *_held_toes(movement, at),
+            ]
         movement.add_tracking_cost(terms, self.error_variables)
         movement.add_jerk_cost(self.jerk)
         everything = dict.fromkeys(self.bushings, EVERY)
@@ -131,3 +140,18 @@ class PredictionProblem(PhaseProblem):
         if self.settings.guess == "data":
             return super()._start(movement, trial)
         return straight_line(trial, movement.grid.times)
+
+
+def _held_toes(movement: TrialProgram, at: Trial) -> list[Tracking]:
+    """Hinged toes near the line between their ends.
+
+    They weigh next to nothing and how a plate's force is shared with them is
+    not known: without this they would flutter.
+    """
+    toes = [n for n in at.coordinates.joints if n.startswith("toes")]
+    if not toes:
+        return []
+    columns = at.coordinates.columns(toes)
+    share = (at.times / at.times[-1])[:, None]
+    line = (1.0 - share) * at.q[0, columns] + share * at.q[-1, columns]
+    return [Tracking(movement.grid.q[:, columns], line, _TOES_RAD)]

@@ -39,6 +39,9 @@ from drake_exo.nlp.sparse import SparseProgram
 # Bounds that no sound end state reaches: rates within what that is a second
 # [rad, rad/s].
 _END_REACH = 0.3
+# Noise of a swinging leg's moments, of what it is while the foot bears the
+# body; and how long before and after swing it is not yet so small.
+_IN_SWING, _SMEARED_S = 0.03, 0.1
 
 
 @dataclass(frozen=True)
@@ -756,11 +759,27 @@ def torque_terms(
     noise,
     effects: Effects | None = None,
 ) -> list[Tracking]:
-    """Joint moments tracked where known, minimised otherwise."""
+    """Joint moments tracked where known, minimised otherwise.
+
+    Of two legs, moments of one are known the better the less its foot bears:
+    where the ground's force acts is what they are mostly wrong by. How foot
+    and toes share a plate's force is not known: toes are not tracked.
+    """
     if at.moments is None:
         return [minimised(movement.torque, noise.torque_nm)]
-    device = movement.coordinates.is_device_joint
-    sigma = np.where(device, noise.exo_moment_nm, noise.moment_nm)
+    names = movement.coordinates
+    sigma = np.where(
+        names.is_device_joint, noise.exo_moment_nm, noise.moment_nm
+    )
+    sigma = np.tile(sigma, (len(at.times), 1))
+    for side, wrench in at.feet.items():
+        share = np.clip(wrench.force_z / at.ground.force_z.mean(), 0.0, 1.0)
+        # Filters smear touch-down and lift-off.
+        near = np.abs(at.times[:, None] - at.times) < _SMEARED_S
+        share = np.where(near, share, 0.0).max(axis=1)
+        own = [name.endswith(f"_{side}") for name in names.joints]
+        sigma[:, own] *= np.maximum(share, _IN_SWING)[:, None]
+    sigma[:, [name.startswith("toes") for name in names.joints]] = np.inf
     effects = effects and effects.moments
     return [Tracking(movement.torque, at.moments, sigma, effects=effects)]
 

@@ -81,15 +81,14 @@ def soles(
     human: HumanParameters, person: Person
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """Segment -> its spheres' usual centres (x, z) in it [m]."""
-    foot = {"heel": human.heel_m, "toe": human.toe_m}
+    ball = (_BALL_SPHERE * human.foot.length_m, human.toe_m[1])
+    foot = {"heel": human.heel_m, "ball": ball}
     toes: dict[str, tuple[float, float]] = {}
     if person.toes == "hinged":
         x, z = ball_m(human)
-        foot = {
-            "heel": human.heel_m,
-            "ball": (_BALL_SPHERE * human.foot.length_m, human.toe_m[1]),
-        }
         toes = {"toe": (human.toe_m[0] - x, human.toe_m[1] - z)}
+    else:
+        foot["toe"] = human.toe_m
     found = {}
     for end in person.suffixes:
         found[f"foot{end}"] = foot
