@@ -96,6 +96,7 @@ class PredictionProblem(PhaseProblem):
         movement, at, effects = self._begin(trial)
         settings, noise = self.settings, self.settings.noise
         if effects is not None or len(self.feet) > 1:
+            # Where feet and joints are free, so are the ends between them.
             at_ends = np.zeros(len(at.times))
             at_ends[[0, -1]] = END_WEIGHT_S
             movement.add_tracking_cost(
@@ -137,7 +138,13 @@ class PredictionProblem(PhaseProblem):
         )
 
     def _start(self, movement: TrialProgram, trial: Trial) -> Trial:
-        if self.settings.guess == "data":
+        steps = len(self.feet) > 1
+        if self.settings.guess == "line" and steps:
+            raise InputError(
+                "prediction.guess: a line between the ends is no start for "
+                "legs that step; say data, or leave it out"
+            )
+        if steps or self.settings.guess == "data":
             return super()._start(movement, trial)
         return straight_line(trial, movement.grid.times)
 

@@ -493,7 +493,9 @@ class PredictionSettings:
             paper) or "comfort" (interaction forces minimised, ground
             reaction free, effort bounded).
         torque_limit_nm: bound on every joint torque, both legs together.
-        guess: "data" or "line" (a minimum-jerk line between the end states).
+        guess: where the search starts: "data", or "line" (a minimum-jerk line
+            between the end states, no start for legs that step). By default
+            the line for one leg, data for two.
         errors: priors of what goes wrong in measurement; of what trials
             share, a calibration knows more.
 
@@ -507,6 +509,6 @@ class PredictionSettings:
     torque_limit_nm: float = field(
         default=1000.0, metadata={"unit": "N m", "above": 0.0}
     )
-    guess: Literal["data", "line"] = "line"
+    guess: Literal["data", "line"] | None = None
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()

@@ -295,7 +295,9 @@ def _summary(study: Study, found: list[Prediction], trials) -> dict:
         ],
         "measured_sd": spread(trials),
         "starts_from": (
-            "the measured chair force"
+            "their first measured state"
+            if study.model.assembly.human.sides
+            else "the measured chair force"
             if any(t.chair is not None for t in trials)
             else "seat-off or later, without a chair"
         ),

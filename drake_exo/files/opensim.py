@@ -91,9 +91,9 @@ def read_trc(path: str | Path) -> MarkerData:
         if lines[i].strip():
             rows.append((i + 1, _fields(lines[i], width)))
     values = number_rows(path, rows, width)
-    _check_count(
-        path, header.get("numframes"), len(rows), "NumFrames", "frames"
-    )
+    announced = header.get("numframes")
+    if not _is_cut_out(announced, values[:, 0]):
+        _check_count(path, announced, len(rows), "NumFrames", "frames")
     check_increasing(str(path), values[:, 1])
     return MarkerData(
         time=values[:, 1],
@@ -269,6 +269,13 @@ def _check_count(path, text: str | None, count: int, key, what) -> None:
             f"{path}: the header says {key}={text}, but there are {count} "
             f"{what}; the file is truncated or its header wrong"
         )
+
+
+def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
+    """Whether these are later frames (n,) of a recording announced whole."""
+    if announced is None or not announced.isdigit():
+        return False
+    return len(frames) > 0 and frames[0] > 1 and frames[-1] < int(announced)
 
 
 def _fields(line: str, width: int) -> list[str]:

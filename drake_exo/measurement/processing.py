@@ -120,6 +120,7 @@ class Recording:
         moments: recorded exoskeleton moments, None for none.
         mats: force of each mat.
         clocks: "forces", "encoders", "pressure", as far as there are such.
+        belt_speed_m_s: of the treadmill that the study says it was made on.
     """
 
     motion: Motion
@@ -131,6 +132,7 @@ class Recording:
     moments: Signal | None
     mats: tuple[MatForce, ...]
     clocks: dict[str, Clock]
+    belt_speed_m_s: float = 0.0
 
 
 class Recordings:
@@ -254,15 +256,21 @@ def process(
     subject = replace(subject, markers=followed)
     model = subject.model
     markers, gaps = fill_gaps(
-        recorded, subject.markers.names, laboratory.fill_gaps_s
+        _on_belt(recorded, settings),
+        subject.markers.names,
+        laboratory.fill_gaps_s,
     )
     forces = read_feet(files, laboratory, low_pass_filter, root)
     time = common_time(markers, forces, low_pass_filter)
     motion = _follow(files.name, markers, gaps, time, subject, settings)
     motion = replace(motion, without=without, absent=absent)
-    forces, force_clock = _on_marker_clock(
+    force_clock = _force_clock(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory
     )
+    forces = forces.delayed(force_clock.lag_s)
+    # Before the filter: a foot that stands has a steady centre of pressure.
+    forces = forces.on_belt(settings.ground.belt_speed_m_s)
+    forces = forces.held(laboratory.hold_cop_below_n).filtered(low_pass_filter)
     feet, chair = forces.at(time), forces.chair_at(time)
     if chair is not None:
         chair = until_seat_off(time, chair, model.tree.weight)
@@ -289,6 +297,7 @@ def process(
         moments,
         mats,
         clocks,
+        settings.ground.belt_speed_m_s,
     )
 
 
@@ -307,6 +316,14 @@ def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
             "list markers in the study"
         )
     return absent
+
+
+def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
+    """Markers in axes that move with a treadmill's belt."""
+    ahead = settings.ground.belt_speed_m_s * markers.time
+    forward = settings.laboratory.marker_axes.frame.R_PL[0]
+    moved = markers.positions + ahead[:, None, None] * forward
+    return replace(markers, positions=moved)
 
 
 def _follow(
@@ -366,15 +383,13 @@ def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
 
 
-def _on_marker_clock(
-    motion, forces: FootForces, rigid: Model, laboratory
-) -> tuple[FootForces, Clock]:
-    """The forces without the lag of their clock, and that clock."""
+def _force_clock(motion, forces: FootForces, rigid: Model, laboratory) -> Clock:
+    """Clock of the plates."""
     lag, said = laboratory.force_delay_s, None
     if laboratory.estimate_force_delay:
         late = _force_delay(motion, forces.delayed(lag), rigid, laboratory)
         lag, said = lag + late, _said(late, laboratory, None)
-    return forces.delayed(lag), Clock(lag, said)
+    return Clock(lag, said)
 
 
 def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:

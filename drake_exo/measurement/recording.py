@@ -144,6 +144,27 @@ class FootForces:
         """The same forces with a lag of their clock taken out."""
         return replace(self, time=self.time - delay_s)
 
+    def on_belt(self, speed_m_s: float) -> "FootForces":
+        """The same forces in axes that move with a treadmill's belt."""
+        ahead = speed_m_s * self.time
+
+        def moved(w):
+            force, moment = w[:, :3], w[:, 3:].copy()
+            moment[:, 1] -= ahead * force[:, 2]
+            moment[:, 2] += ahead * force[:, 1]
+            return np.hstack([force, moment])
+
+        return replace(
+            self._by_plate(lambda _, w: w.shifted(ahead)),
+            recorded={name: moved(w) for name, w in self.recorded.items()},
+        )
+
+    def held(self, below_n: float) -> "FootForces":
+        """Centres of pressure held at small forces, see `PlanarWrench.held`."""
+        return self._by_plate(
+            lambda name, w: w if name == "chair" else w.held(below_n)
+        )
+
     def without(self, empty: "FootForces") -> "FootForces":
         """The same forces less the mean of a recording of empty plates."""
         levels = {}

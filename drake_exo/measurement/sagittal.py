@@ -108,6 +108,27 @@ class PlanarWrench:
         """The same wrench acting `dx` further forward [m]."""
         return PlanarWrench(self.force, self.moment - dx * self.force_z)
 
+    def held(self, below_n: float) -> "PlanarWrench":
+        """The same with the centre of pressure held at small forces.
+
+        Args:
+            below_n: vertical force at which it is that of the nearest sample
+                with a larger one [N]; 0 for nowhere.
+        """
+        known = np.flatnonzero(self.force_z >= below_n)
+        if below_n == 0.0 or not len(known):
+            return self
+        index = np.arange(len(self.moment))
+        after = np.searchsorted(known, index).clip(0, len(known) - 1)
+        before = (after - 1).clip(0)
+        sooner = index - known[before] < known[after] - index
+        nearest = known[np.where(sooner, before, after)]
+        at = -self.moment[nearest] / self.force_z[nearest]
+        held = np.where(
+            self.force_z >= below_n, self.moment, -at * self.force_z
+        )
+        return PlanarWrench(self.force, held)
+
     def reversed(self) -> "PlanarWrench":
         """Equal and opposite: on the plate instead of on the body."""
         return PlanarWrench(-self.force, -self.moment)

@@ -227,6 +227,9 @@ class Laboratory:
             encoders.
         largest_delay_s: how far estimates look to either side.
         remove_plate_drift: level the plates where nothing stands on them.
+        hold_cop_below_n: at smaller vertical forces of a foot its centre of
+            pressure stays where it was, or will be, at larger ones; for files
+            whose points were filtered, which reach for the origin there.
         chair_on_thighs: share of the chair's wrench on the thighs, the rest
             acts on the pelvis.
     """
@@ -247,9 +250,28 @@ class Laboratory:
         default=0.05, metadata={"unit": "s", "above": 0.0, "maximum": 1.0}
     )
     remove_plate_drift: bool = False
+    hold_cop_below_n: float = field(
+        default=0.0, metadata={"unit": "N", "minimum": 0.0}
+    )
     chair_on_thighs: float = field(
         default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
     )
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is walked on.
+
+    Attributes:
+        belt_speed_m_s: of a treadmill, at which standing feet are carried
+            backwards in all trials; markers and forces are told as over
+            ground that rests. In the standing trial it rests.
+
+    >>> Ground(1.24).belt_speed_m_s
+    1.24
+    """
+
+    belt_speed_m_s: float = field(default=0.0, metadata={"unit": "m/s"})
 
 
 @dataclass(frozen=True)
@@ -359,6 +381,8 @@ class Standing:
         forces: force file of the same trial, if plates were recorded.
         empty_plates: the same plates with nothing on them.
         start_s, end_s: quiet part; the whole file by default.
+        marker_axes: of its markers, if the subject faced another way than
+            in the trials.
     """
 
     markers: Path
@@ -367,6 +391,7 @@ class Standing:
     empty_plates: Path | None = None
     start_s: float | None = field(default=None, metadata=_SECONDS)
     end_s: float | None = field(default=None, metadata=_SECONDS)
+    marker_axes: Axes | None = None
 
     def __post_init__(self):
         _check_window(self.start_s, self.end_s)
@@ -489,6 +514,7 @@ class RecordingSettings:
     gravity_m_s2: float = field(
         default=9.81, metadata={"unit": "m/s^2", "above": 0.0}
     )
+    ground: Ground = Ground()
     laboratory: Laboratory = Laboratory()
     filter: Filter = Filter()
     scaling: Scaling = Scaling()

@@ -80,7 +80,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
-    frame = settings.laboratory.marker_axes.frame
+    frame = _standing_frame(settings)
     person, who = None, settings.assembly.human
     if who.osim is not None:
         height, sex = settings.subject.height_m, settings.subject.sex
@@ -207,6 +207,12 @@ def model_markers(
     return Markers(joints, SegmentMarkers(**sided)), upright
 
 
+def _standing_frame(settings: RecordingSettings) -> SagittalFrame:
+    """Directions of the planar frame in the axes of the standing markers."""
+    usual = settings.laboratory.marker_axes
+    return (settings.standing.marker_axes or usual).frame
+
+
 def _ball(
     settings: RecordingSettings,
     markers: Markers,
@@ -218,7 +224,7 @@ def _ball(
         return None
     if person is not None:
         return person.human.ball_m
-    subject, frame = settings.subject, settings.laboratory.marker_axes.frame
+    subject, frame = settings.subject, _standing_frame(settings)
     human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
     human = with_overrides(human, subject.segments, "subject.segments")
     centres = markers.joint_centres.ankle

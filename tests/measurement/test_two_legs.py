@@ -16,6 +16,7 @@ from drake_exo.measurement.kinematics import (
 )
 from drake_exo.measurement.settings import Plates
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
 from drake_exo.study import RecordedStudy, read_study
 
@@ -173,6 +174,8 @@ def test_toes_need_a_marker(walk):
         toes=type(walk.file.markers.segments.toes)(),
     )
     markers = replace(walk.file.markers, segments=segments)
-    study = RecordedStudy(replace(walk.file, markers=markers), walk.root)
+    hinged = Assembly(Person("two", "hinged"))
+    file = replace(walk.file, markers=markers, model=hinged)
+    study = RecordedStudy(file, walk.root)
     with pytest.raises(InputError, match="markers on thigh, shank, foot, toes"):
         study.subject  # noqa: B018

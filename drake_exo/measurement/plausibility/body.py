@@ -28,6 +28,8 @@ LARGEST_LEG_DIFFERENCE_DEG = 15.0
 LARGEST_LIFTED_SHARE = 0.05
 _LIFTED, _STANDS = 0.05, 0.3  # of body weight, on one foot and the other
 LARGEST_END_SPEED_M_S = 0.15
+# Of feet that bear half the body; 0.02 over ground, slow belts start at 0.5.
+LARGEST_STANDING_M_S = 0.3
 _UNITS = {"kN": 1e-3, "lbf": 1.0 / 4.448, "kgf": 1.0 / 9.81, "daN": 0.1}
 
 
@@ -94,11 +96,34 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     yield from _ranges(e)
     yield _markers(e)
     yield from _dynamics(e)
+    if e.subject.model.assembly.human.sides:
+        yield _belt(e)
     # A step ends in the middle of a movement, and its legs do not move alike.
     if not e.subject.model.assembly.human.sides:
         yield _end(e)
         if e.has_both_feet:
             yield from _legs(e)
+
+
+def _belt(e: Evidence) -> Check:
+    """Whether feet that bear the body stand."""
+    motion, speeds = e.recording.motion, [np.zeros(0)]
+    for side, markers in motion.feet.items():
+        forward = np.gradient(markers[..., 0].mean(axis=1), motion.time)
+        bears = e.trial.feet[side].force_z > 0.5 * e.weight
+        speeds.append(forward[e.inside][bears])
+    speeds = np.concatenate(speeds)
+    speed = float(np.median(speeds)) if len(speeds) else 0.0
+    belt = e.recording.belt_speed_m_s - speed
+    return e.check(
+        "belt",
+        abs(speed),
+        LARGEST_STANDING_M_S,
+        "m/s",
+        e.files.markers,
+        f"feet that bear the body move at {speed:+.2f} m/s, as on a "
+        f"treadmill; say 'ground: {{belt_speed_m_s: {belt:.2f}}}'",
+    )
 
 
 def _ranges(e: Evidence) -> Iterator[Check]:

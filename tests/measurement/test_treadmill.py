@@ -1,0 +1,105 @@
+"""Walking on a belt, told as over ground that rests."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_trc
+from drake_exo.measurement.recording import FootForces
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.settings import Ground
+from drake_exo.study import RecordedStudy, read_study
+
+
+@pytest.fixture(scope="module")
+def walk(data_root):
+    path = Path(__file__).parents[1] / "studies" / "treadmill_walk.yaml"
+    return read_study(path, data_root)
+
+
+def stance(trial, side):
+    """Frames in which a foot bears the body, flat."""
+    return trial.feet[side].force_z > 500.0
+
+
+def test_a_foot_that_bears_the_body_rests(walk):
+    (trial,), tree = walk.trials(), walk.model.tree
+    ahead = trial.coordinate("pelvis_x")
+    speed = (ahead[-1] - ahead[0]) / trial.duration
+    assert speed == pytest.approx(1.24, abs=0.05)
+    for side in ("left", "right"):
+        place = tree.point_positions(trial.q, f"foot_{side}", (0.0, 0.0))
+        bears = stance(trial, side)
+        moved = np.gradient(place[:, 0], trial.times)[bears]
+        assert abs(np.median(moved)) < 0.03
+        # The centre of pressure is under it, however far it has come.
+        ahead = (trial.feet[side].cop_x - place[:, 0])[bears]
+        assert -0.08 < ahead.min() < ahead.max() < 0.2
+        # Four contacts each.
+        starts = np.diff(bears.astype(int)) == 1
+        assert starts.sum() + bears[0] >= 4
+
+
+def test_a_belt_that_is_not_declared_is_named(walk):
+    still = RecordedStudy(replace(walk.file, ground=Ground()), walk.root)
+    (found,) = (c for c in still.plausibility() if c.name.endswith("belt"))
+    assert not found.holds
+    assert "treadmill; say 'ground: {belt_speed_m_s: 1.23}'" in found.sentence
+    with pytest.raises(InputError, match="as on a treadmill"):
+        still.gate()
+    (found,) = (c for c in walk.plausibility() if c.name.endswith("belt"))
+    assert found.holds
+
+
+def test_forces_are_carried_with_the_belt():
+    time = np.array([0.0, 1.0, 2.0])
+    plate = np.array([[5.0, 7.0, 100.0, 1.0, -30.0, 2.0]] * 3)
+    wrench = PlanarWrench(plate[:, [0, 2]], plate[:, 4])
+    forces = FootForces(time, {"left": wrench}, "", recorded={"left": plate})
+    moved = forces.on_belt(1.5)
+    np.testing.assert_allclose(moved.wrenches["left"].cop_x, 0.3 + 1.5 * time)
+    r = np.column_stack([1.5 * time, 0.0 * time, 0.0 * time])
+    np.testing.assert_allclose(
+        moved.recorded["left"][:, 3:],
+        plate[:, 3:] + np.cross(r, plate[:, :3]),
+    )
+    np.testing.assert_array_equal(moved.recorded["left"][:, :3], plate[:, :3])
+
+
+def test_centres_of_pressure_are_held_at_small_forces():
+    F_z = np.array([5.0, 50.0, 200.0, 300.0, 60.0, 5.0, 30.0, 400.0])
+    x = np.array([0.0, 0.4, 1.0, 1.1, 0.7, 0.0, 0.5, 2.0])
+    wrench = PlanarWrench(np.column_stack([0.0 * F_z, F_z]), -x * F_z)
+    held = wrench.held(100.0)
+    found = -held.moment / F_z
+    np.testing.assert_allclose(found, [1.0, 1.0, 1.0, 1.1, 1.1, 2.0, 2.0, 2.0])
+    np.testing.assert_array_equal(held.force, wrench.force)
+    np.testing.assert_array_equal(wrench.held(0.0).moment, wrench.moment)
+    np.testing.assert_array_equal(wrench.held(1e3).moment, wrench.moment)
+
+
+def test_a_part_of_a_recording_counts_its_own_frames(tmp_path, data_root):
+    """Its header tells the frames of the whole, its rows begin later."""
+    whole = data_root / "treadmill_walk" / "walk2.trc"
+    assert len(read_trc(whole).time) == 536
+    lines = whole.read_text("utf-8").splitlines(keepends=True)
+    path = tmp_path / "part.trc"
+    # One frame more than the header has room for.
+    path.write_text("".join(lines).replace("\t579\t", "\t557\t"), "utf-8")
+    with pytest.raises(InputError, match="NumFrames=557"):
+        read_trc(path)
+
+
+def test_standing_may_face_another_way(walk):
+    standing = replace(walk.file.standing, marker_axes=None)
+    study = RecordedStudy(replace(walk.file, standing=standing), walk.root)
+    lengths = walk.subject.markers.lengths_m
+    assert lengths["thigh"] == pytest.approx(0.44, abs=0.03)
+    toe = walk.subject.markers.names.index("RTOE")
+    ahead = walk.subject.markers.levers[toe].sum().real
+    assert ahead > 0.1
+    turned = study.subject.markers.levers[toe].sum().real
+    assert abs(turned) < 0.1
