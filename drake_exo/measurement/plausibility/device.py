@@ -17,7 +17,7 @@ from drake_exo.measurement.plausibility.evidence import Evidence
 LEAST_CORRELATION = 0.5
 GAINS = (0.4, 2.5)
 LARGEST_OFFSET_DEG = 9.0
-LARGEST_MISMATCH = 0.28  # of the joints' speed, at the best lag of clocks
+LARGEST_MISMATCH = 0.35  # of the joints' speed, at the best lag of clocks
 LARGEST_EXCHANGED = 1.1
 # So much better may encoders fit the movement of another trial.
 LARGEST_RATIO = 1.5
