@@ -230,7 +230,7 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
         controller=TrackingController(
             found.times, found.q, found.v, found.moments
         ),
-        forces=_chair(model, result.problem.trials[index]),
+        forces=_borne(model, result.problem.trials[index]),
     )
     simulator = build_simulator(built)
     context = simulator.get_mutable_context()
@@ -284,13 +284,15 @@ def _ground_ports(built) -> dict[str, str]:
     return {body: f"ground_reaction_{body}" for body in built.contacts}
 
 
-def _chair(model, trial: Trial) -> list:
-    """The chair that a trial starts on, if it does."""
-    if not trial.chair_shares:
-        return []
-    plant = model.plant()
-    bodies = {
-        plant.GetBodyByName(name).index(): share
-        for name, share in trial.chair_shares.items()
-    }
-    return [Chair(bodies, trial.times, trial.chair.array)]
+def _borne(model, trial: Trial) -> list:
+    """The chair that a trial starts on, if it does, and what is carried."""
+    plant, systems = model.plant(), []
+    for shares, wrench in trial.borne():
+        bodies = {
+            plant.GetBodyByName(name).index(): share
+            for name, share in shares.items()
+        }
+        system = Chair(bodies, trial.times, wrench.array)
+        system.set_name(f"borne_{len(systems)}")
+        systems.append(system)
+    return systems

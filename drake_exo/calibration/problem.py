@@ -299,7 +299,7 @@ class PhaseProblem(ABC):
                 cuff: (bushing, self._variables[cuff][:n_origin])
                 for cuff, bushing in self.bushings.items()
             },
-            _chair(self.tree, trial),
+            _borne(self.tree, trial),
             self.soles,
         )
         for body, spheres in self.soles.items():
@@ -526,7 +526,8 @@ class PhaseProblem(ABC):
             )
             for side, bodies in self.feet.items()
         }
-        chair = trial.sample(grid.times).chair if trial.chair_shares else None
+        given = trial.sample(grid.times) if trial.borne() else trial
+        chair = given.chair if trial.chair_shares else None
         return Trial(
             trial.name,
             self.tree.coordinates,
@@ -544,6 +545,7 @@ class PhaseProblem(ABC):
             },
             chair=chair,
             chair_on_thighs=trial.chair_on_thighs,
+            applied=given.applied,
             jerk=read(grid.jerk),
             mass_kg=trial.mass_kg,
             start_s=trial.start_s,
@@ -611,12 +613,10 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
     return replace(contact, bushings={c: contact.bushings[c] for c in cuffs})
 
 
-def _chair(tree, trial: Trial) -> AppliedWrench | None:
-    """The measured wrench of a chair in a trial that starts seated."""
-    shares = trial.chair_shares
-    if not shares:
-        return None
-    return AppliedWrench(tree, shares, trial.times, trial.chair.array)
+def _borne(tree, trial: Trial) -> AppliedWrench | None:
+    """The chair of a trial that starts seated, and what is carried."""
+    parts = [(shares, wrench.array) for shares, wrench in trial.borne()]
+    return AppliedWrench(tree, trial.times, parts) if parts else None
 
 
 def bound_feet(

@@ -8,7 +8,7 @@ evaluated along the measured motion. A controller is a LeafSystem that gives
 the device's torques.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
@@ -25,46 +25,51 @@ from drake_exo.model.planar_tree import PlanarTree
 
 
 class AppliedWrench:
-    """A wrench over time, on bodies of a model by share.
+    """Wrenches over time, each on bodies of a model by share.
 
     Args:
         tree: the model.
-        shares: body name -> share of the wrench.
         times: (n,) increasing [s].
-        wrench: (n, 3) F_x, F_z [N] and M_y = z F_x - x F_z about the
+        parts: m pairs: body name -> share of the wrench, and the wrench
+            (n, 3): F_x, F_z [N] and M_y = z F_x - x F_z about the
             laboratory's origin [N m].
     """
 
     def __init__(
         self,
         tree: PlanarTree,
-        shares: Mapping[str, float],
         times: np.ndarray,
-        wrench: np.ndarray,
+        parts: Sequence[tuple[Mapping[str, float], np.ndarray]],
     ):
-        self._spline = CubicSpline(times, wrench)
+        self._spline = CubicSpline(times, np.hstack([w for _, w in parts]))
         self._bodies = [
-            (share, BodyWrench(tree, name)) for name, share in shares.items()
+            (slice(3 * i, 3 * i + 3), share, BodyWrench(tree, name))
+            for i, (shares, _) in enumerate(parts)
+            for name, share in shares.items()
         ]
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """The wrench (n, 3) at times [s]."""
+        """The wrenches (n, 3 m) at times [s]."""
         return self._spline(times)
 
     def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-        """Generalized forces (n, nq) of wrenches (n, 3) at positions q."""
-        return sum(k * b.generalized(q, wrench) for k, b in self._bodies)
+        """Generalized forces (n, nq) of wrenches (n, 3 m) at positions q."""
+        return sum(
+            k * b.generalized(q, wrench[:, own]) for own, k, b in self._bodies
+        )
 
     def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Derivatives (n, nq, nq) of `generalized` by q."""
-        return sum(k * b.by_positions(q, wrench) for k, b in self._bodies)
+        return sum(
+            k * b.by_positions(q, wrench[:, own]) for own, k, b in self._bodies
+        )
 
 
 class LoadedDynamicsKernel:
     """A kernel of equations of motion, with an applied wrench.
 
     Inputs and outputs as those of the inner kernel, whose inputs start with
-    q. Data: (n, 3) wrenches, as `AppliedWrench.at`; None for no load.
+    q. Data: (n, 3 m) wrenches, as `AppliedWrench.at`; None for no load.
 
     Args:
         inner: such as DynamicsKernel; gets no data itself.

@@ -66,7 +66,8 @@ class TrialProgram:
         transcription: name in TRANSCRIPTIONS.
         bushings: cuff -> what couples human and device there, and its origin
             (2,) as decision variables.
-        chair: wrench of the chair, if the movement starts seated.
+        chair: wrenches of the chair, if the movement starts seated, and of
+            what is carried.
         bodies: that touch the ground; the root by default.
     """
 
@@ -160,11 +161,11 @@ class TrialProgram:
         )
 
     def loads(self, times: np.ndarray) -> np.ndarray | None:
-        """Data of the dynamics kernel: the chair's wrench (n, 3), if any."""
+        """Data of the dynamics kernel: wrenches (n, 3 m), if any."""
         return None if self._chair is None else self._chair.at(times)
 
     def applied(self, q: np.ndarray) -> np.ndarray | float:
-        """Generalized forces (n, nq) of the chair at the nodes."""
+        """Generalized forces (n, nq) of chair and loads at the nodes."""
         if self._chair is None:
             return 0.0
         return self._chair.generalized(q, self._chair.at(self.grid.times))

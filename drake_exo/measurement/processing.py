@@ -1,6 +1,6 @@
 """From a study's files to its trials."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from drake_exo.measurement.kinematics import (
     residual_rms,
     solve_poses,
 )
+from drake_exo.measurement.loads import wrenches
 from drake_exo.measurement.mats import MatForce, read_mat_forces
 from drake_exo.measurement.recording import (
     FootForces,
@@ -50,6 +51,7 @@ from drake_exo.measurement.recording import (
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import (
     Device,
+    Load,
     RecordingSettings,
     TrialFiles,
 )
@@ -88,6 +90,7 @@ class Motion:
         feet: side -> (N, k, 3) markers of the foot: forward, left, up [m].
         without: markers that are hidden for too long, and left out.
         absent: markers of an OpenSim model that the file does not have.
+        applied: segment -> wrench (N,) of what it carries.
     """
 
     time: np.ndarray
@@ -103,6 +106,7 @@ class Motion:
     feet: dict[str, np.ndarray]
     without: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
+    applied: dict[str, PlanarWrench] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -248,7 +252,9 @@ def process(
         InputError: as `load_trials`.
     """
     laboratory, low_pass_filter = settings.laboratory, settings.filter
-    recorded = read_markers(root / files.markers, low_pass_filter)
+    recorded = _on_belt(
+        read_markers(root / files.markers, low_pass_filter), settings
+    )
     absent: tuple[str, ...] = ()
     if settings.markers is None:
         absent = _absent(subject.markers, recorded)
@@ -256,14 +262,15 @@ def process(
     subject = replace(subject, markers=followed)
     model = subject.model
     markers, gaps = fill_gaps(
-        _on_belt(recorded, settings),
-        subject.markers.names,
-        laboratory.fill_gaps_s,
+        recorded, subject.markers.names, laboratory.fill_gaps_s
     )
     forces = read_feet(files, laboratory, low_pass_filter, root)
     time = common_time(markers, forces, low_pass_filter)
     motion = _follow(files.name, markers, gaps, time, subject, settings)
-    motion = replace(motion, without=without, absent=absent)
+    applied = wrenches(
+        files, settings, root, model.rigid.tree, time, motion.q, recorded
+    )
+    motion = replace(motion, without=without, absent=absent, applied=applied)
     force_clock = _force_clock(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory
     )
@@ -371,7 +378,9 @@ def _follow(
 
 def _needed(rigid: Model, motion: Motion) -> np.ndarray:
     """Vertical force (N,) that somebody must bear by Newton's law [N]."""
-    Q = inverse_dynamics(rigid.tree, motion.q, motion.v, motion.a, {})
+    Q = inverse_dynamics(
+        rigid.tree, motion.q, motion.v, motion.a, motion.applied
+    )
     return rigid.tree.ground_reaction(motion.q, Q)[:, 1]
 
 
@@ -554,6 +563,7 @@ def cut(
         cuffs=cuffs,
         chair=None if recording.chair is None else recording.chair.cut(inside),
         chair_on_thighs=settings.laboratory.chair_on_thighs,
+        applied={b: w.cut(inside) for b, w in motion.applied.items()},
         mass_kg=subject.mass_kg,
     )
     moments, friction, source = _moments(
@@ -568,6 +578,7 @@ def cut(
         },
         "plate_shift_m": shifts,
         "moments": source,
+        "loads": [_said_of(load) for load in files.loads],
         "chair": "plate" if recording.chair is not None else "not measured",
         "mats": mats,
         **exo,
@@ -575,6 +586,15 @@ def cut(
     return replace(
         trial, moments=moments, friction=friction, provenance=provenance
     )
+
+
+def _said_of(load: Load) -> str:
+    """A load in words."""
+    if load.forces is not None:
+        return f"force of {load.forces.as_posix()} on the {load.body}"
+    since = "" if load.from_s is None else f" from {load.from_s:g} s"
+    until = "" if load.to_s is None else f" to {load.to_s:g} s"
+    return f"{load.mass_kg:g} kg on the {load.body}{since}{until}"
 
 
 def _both_feet(files: TrialFiles, feet: dict[str, PlanarWrench]):

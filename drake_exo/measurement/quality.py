@@ -227,6 +227,8 @@ def _notes(trial: Trial):
     moments = ", ".join(f"{k}: {v}" for k, v in said["moments"].items())
     yield f"joint moments: {moments}"
     yield f"chair: {said['chair']}"
+    for load in said.get("loads", ()):
+        yield f"load: {load}"
     for mat, found in said["mats"].items():
         parts = [
             f"{k} {v:.3g}" if isinstance(v, float) else str(v)

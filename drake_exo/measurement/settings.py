@@ -443,6 +443,58 @@ class Scaling:
 
 
 @dataclass(frozen=True)
+class Load:
+    """What the person carries, or what pulls and pushes.
+
+    A mass that is carried, where markers on it (or a place on the segment)
+    have it; or the force that a file holds.
+
+    Attributes:
+        body: segment that bears it; a box in the hands is borne by `pelvis`,
+            which has trunk and arms.
+        mass_kg: of what is carried.
+        markers: whose mean is its centre.
+        at_m: place (x, z) in the segment instead of markers.
+        from_s, to_s: while it is carried; all the time if left out.
+        over_s: how long it takes to lift it off and to put it down.
+        forces: file with the force on the body, instead of a mass.
+        plate: number of that force in the file.
+    """
+
+    body: str
+    mass_kg: float | None = field(
+        default=None, metadata={"unit": "kg", "above": 0.0, "maximum": 500.0}
+    )
+    markers: tuple[str, ...] = ()
+    at_m: tuple[float, float] | None = field(
+        default=None, metadata={"unit": "m"}
+    )
+    from_s: float | None = field(default=None, metadata=_SECONDS)
+    to_s: float | None = field(default=None, metadata=_SECONDS)
+    over_s: float = field(
+        default=0.2, metadata={"unit": "s", "above": 0.0, "maximum": 10.0}
+    )
+    forces: Path | None = None
+    plate: int = field(default=1, metadata={"minimum": 1})
+
+    def __post_init__(self):
+        if (self.mass_kg is None) == (self.forces is None):
+            raise InputError("a load is either a mass_kg or a file of forces")
+        if self.mass_kg is not None and bool(self.markers) == (
+            self.at_m is not None
+        ):
+            raise InputError(
+                "where a mass is say either markers on it or at_m in the "
+                "segment"
+            )
+        start = -np.inf if self.from_s is None else self.from_s
+        if self.to_s is not None and self.to_s <= start:
+            raise InputError(
+                f"to_s ({self.to_s:g}) must be after from_s ({start:g})"
+            )
+
+
+@dataclass(frozen=True)
 class TrialFiles:
     """One movement: its files, and the part of them that is used.
 
@@ -460,6 +512,7 @@ class TrialFiles:
         seated_s: how long before seat-off the used part starts; needs the
             chair's plate.
         start_s, end_s: used part, instead of (or bounding) a rise found.
+        loads: what is carried, or pulls and pushes.
     """
 
     name: str
@@ -475,6 +528,7 @@ class TrialFiles:
     seated_s: float = field(default=0.0, metadata={"unit": "s", "minimum": 0.0})
     start_s: float | None = field(default=None, metadata=_SECONDS)
     end_s: float | None = field(default=None, metadata=_SECONDS)
+    loads: tuple[Load, ...] = ()
 
     def __post_init__(self):
         _check_window(self.start_s, self.end_s)
@@ -537,6 +591,14 @@ class RecordingSettings:
                     raise InputError(
                         f"trial {trial.name}: {name!r} is none of the mats "
                         f"({', '.join(self.mats) or 'there are none'})"
+                    )
+        segments = self.assembly.human.segments
+        for trial in self.trials:
+            for load in trial.loads:
+                if load.body not in segments:
+                    raise InputError(
+                        f"trial {trial.name}: loads: the person has no segment "
+                        f"{load.body!r}; it has {', '.join(segments)}"
                     )
         cuffs = self.assembly.cuffs
         for name, mat in self.mats.items():

@@ -70,6 +70,8 @@ class Trial:
             under it.
         chair_on_thighs: share of it that acts on the thighs, the rest acts
             on the pelvis.
+        applied: segment -> wrench (n,) of what it carries, or what pulls and
+            pushes it.
         friction: (n, device's joints) part of `moments` that is friction as a
             bench identified it [N m]; None where moments were measured.
         jerk: (n_controls, nq) of a solution; None otherwise.
@@ -101,6 +103,7 @@ class Trial:
     cuffs: dict[str, CuffForce] = field(default_factory=dict)
     chair: PlanarWrench | None = None
     chair_on_thighs: float = 0.0
+    applied: dict[str, PlanarWrench] = field(default_factory=dict)
     friction: np.ndarray | None = None
     jerk: np.ndarray | None = None
     mass_kg: float | None = None
@@ -116,7 +119,8 @@ class Trial:
         }
         for name, array in {"times": self.times, **self._arrays()}.items():
             rows = len(array if name == "jerk" else self.times)
-            width = 3 if name.startswith("feet.") else columns.get(name)
+            is_wrench = name.startswith(("feet.", "applied."))
+            width = 3 if is_wrench else columns.get(name)
             wanted = (rows, width) if width is not None else (rows,)
             if array.shape != wanted:
                 raise ValueError(
@@ -204,7 +208,16 @@ class Trial:
             root: the model's, which is the foot where one leg stands for both.
         """
         ground = {f"foot_{side}": w for side, w in self.feet.items()}
-        return {**(ground or {root: self.ground}), **self.chair_loads()}
+        found = ground or {root: self.ground}
+        for more in (self.chair_loads(), self.applied):
+            for body, wrench in more.items():
+                found[body] = found[body] + wrench if body in found else wrench
+        return found
+
+    def borne(self) -> list[tuple[dict[str, float], PlanarWrench]]:
+        """Chair and what is carried: segment -> share, of which wrench."""
+        found = [(self.chair_shares, self.chair)] if self.chair_shares else []
+        return [*found, *(({b: 1.0}, w) for b, w in self.applied.items())]
 
     @property
     def soles(self) -> dict[str, PlanarWrench]:
@@ -226,6 +239,8 @@ class Trial:
         arrays["ground"] = self.ground.array
         for side, wrench in self.feet.items():
             arrays[f"feet.{side}"] = wrench.array
+        for body, wrench in self.applied.items():
+            arrays[f"applied.{body}"] = wrench.array
         if self.chair is not None:
             arrays["chair"] = self.chair.array
         arrays |= {"moments": self.moments, "friction": self.friction}
@@ -307,15 +322,18 @@ def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     for name in ("ground", "chair"):
         if name in fields:
             fields[name] = PlanarWrench.of(fields[name])
-    feet = {
-        name.removeprefix("feet."): PlanarWrench.of(x)
-        for name, x in arrays.items()
-        if name.startswith("feet.")
-    }
+    feet, applied = (
+        {
+            name.removeprefix(kind): PlanarWrench.of(x)
+            for name, x in arrays.items()
+            if name.startswith(kind)
+        }
+        for kind in ("feet.", "applied.")
+    )
     parts: dict[str, dict[str, np.ndarray]] = {}
     for name, x in arrays.items():
         if name.startswith("cuffs."):
             _, cuff, part = name.split(".")
             parts.setdefault(cuff, {})[part] = x
     cuffs = {cuff: CuffForce(**found) for cuff, found in parts.items()}
-    return {**fields, "cuffs": cuffs, "feet": feet}
+    return {**fields, "cuffs": cuffs, "feet": feet, "applied": applied}

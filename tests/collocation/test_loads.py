@@ -18,8 +18,10 @@ def tree(request, nominal):
 def load(tree):
     rng = np.random.default_rng(3)
     wrench = rng.normal(size=(len(TIMES), 3)) * [50.0, 400.0, 150.0]
+    carried = rng.normal(size=(len(TIMES), 3)) * [20.0, 100.0, 40.0]
     shares = {"pelvis": 0.7, "thigh": 0.3}
-    return AppliedWrench(tree, shares, TIMES, wrench)
+    parts = [(shares, wrench), ({"shank": 1.0}, carried)]
+    return AppliedWrench(tree, TIMES, parts)
 
 
 def positions(tree, seed=0):
@@ -33,6 +35,8 @@ def test_is_what_inverse_dynamics_takes_a_wrench_for(tree, load):
     for body, share in (("pelvis", 0.7), ("thigh", 0.3)):
         part = PlanarWrench(share * w[:, :2], share * w[:, 2])
         expected = expected + wrench_on_body(tree, q, body, part)
+    carried = PlanarWrench(w[:, 3:5], w[:, 5])
+    expected = expected + wrench_on_body(tree, q, "shank", carried)
     np.testing.assert_allclose(load.generalized(q, w), expected, atol=1e-9)
 
 

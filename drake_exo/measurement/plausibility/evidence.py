@@ -113,13 +113,18 @@ class Evidence:
     def needed_z(self) -> np.ndarray:
         """Vertical force (N,) that the whole recording's motion asks for."""
         motion, tree = self.recording.motion, self.subject.model.rigid.tree
-        Q = tree.inverse_dynamics(motion.q, motion.v, motion.a)
+        Q = inverse_dynamics(tree, motion.q, motion.v, motion.a, motion.applied)
         return tree.ground_reaction(motion.q, Q)[:, 1]
 
     @cached_property
     def measured(self) -> np.ndarray:
         """The same as the plates have it (n, 3)."""
-        loads = (self.trial.ground, *self.trial.chair_loads().values())
+        trial = self.trial
+        loads = (
+            trial.ground,
+            *trial.chair_loads().values(),
+            *trial.applied.values(),
+        )
         return sum(w.array for w in loads)
 
     def pitch_error(self, turned: bool = False) -> float:
