@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.optimize import pareto
 from drake_exo.soles.optimize.files import read_summary
-from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.settings import LoadBlock, Pattern, Stage
 
 
@@ -90,7 +88,7 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path):
     # Far above its own optimum so few elements make the search erratic.
     (point,) = pareto.pareto_front(case, (0.4,), stages=tiny)
     assert point["violation"] < 1e-3
-    assert point["ratio_rot"] > 0.39
+    assert point["ratio_rot"] > 0.4
     assert point["ratio_tr"] < 0.6
     assert point["failed_steps"] == 0
     assert "0.400" in paper.front_table([point])
@@ -121,67 +119,3 @@ def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     assert other["roughness"] == 3.0
     assert other["paper_ratio_tr"] == tr / tr0
     assert "paper_ratio_tr" not in found["points"][1]
-
-
-def test_no_long_leaps_between_floors():
-    steps = pareto._steps(0.4, 1.0)
-    assert steps[-1] == pytest.approx(1.0)
-    assert np.diff([0.4, *steps]).max() <= 0.25
-    np.testing.assert_allclose(pareto._steps(1.2, 1.0), [1.0])
-
-
-@pytest.mark.parametrize(
-    ("verified", "floors", "kept"),
-    [
-        ([0.98, 1.001], [1.002, 1.002**2 / 0.98], 1.001),  # missed
-        ([1.05, 0.99, 1.001], [1.002, 1.002**2 / 1.05,
-                               1.002**3 / 1.05 / 0.99], 1.001),
-        ([1.05, 0.99, 0.98], None, 1.05),  # the only one above
-        ([np.nan], [1.002], np.nan),
-    ],
-)  # fmt: skip
-def test_floors_are_corrected_by_the_exact_law(
-    monkeypatch, verified, floors, kept
-):
-    asked, left = [], list(verified)
-
-    def problem(case, stage, floor):
-        asked.append(floor)
-        return floor
-
-    def verify(case, problem, best, floor, *_):
-        ratio = left.pop(0)
-        return {
-            "ratio_rot": ratio, "floor": floor, "ratio_tr": ratio,
-            "violation": 0.0,
-        }  # fmt: skip
-
-    for name, stub in (
-        ("_initial", lambda *_: None),
-        ("_without_floor", lambda case: case),
-        ("_problem", problem),
-        ("_verify", verify),
-        ("_solve", lambda p, at, *_: pareto._At(None, None, p or 1.0)),
-        ("stage_problem", lambda *_: None),
-    ):
-        monkeypatch.setattr(pareto, name, stub)
-    case = SimpleNamespace(settings=SimpleNamespace(optimize=None))
-    (point,) = pareto.pareto_front(case, (1.0,))
-    assert point["ratio_rot"] == pytest.approx(kept, nan_ok=True)
-    assert not left
-    if floors is not None:
-        np.testing.assert_allclose(asked, floors)
-
-
-def test_a_front_goes_on_from_what_stands(monkeypatch):
-    """Where a step's best design cannot be simulated again."""
-
-    class Problem:
-        evaluate = staticmethod(lambda p: None)
-        names = staticmethod(lambda: ["volume"])
-
-    block = SimpleNamespace(bounds=(0.5, 1.2), tolerance=1e-4)
-    best = Optimum(np.ones(3), multipliers=np.zeros(2))
-    at = pareto._At(best, None, 1.0)
-    monkeypatch.setattr(pareto, "minimise", lambda *_, **__: best)
-    assert pareto._solve(Problem(), at, block, 1, None) is at
