@@ -10,8 +10,7 @@ node) instead of being factorised anew.
 """
 
 import numpy as np
-from scipy.linalg import get_lapack_funcs
-from scipy.linalg.lapack import dgetrf, dgetrs
+from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf, dpotri
 
 from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.node_law import (
@@ -20,6 +19,7 @@ from drake_exo.soles.contact.node_law import (
     project_node,
     project_with_derivative,
 )
+from drake_exo.soles.elasticity.cholesky import mirrored
 from drake_exo.soles.elasticity.linear import node_dofs
 from drake_exo.soles.rotations import multiply
 
@@ -57,14 +57,12 @@ class ActiveSet:
         self._updates = 0
         if n == 0:
             return
-        A = blocks(self._C, self.nodes, self.nodes)
-        potrf, potri = get_lapack_funcs(("potrf", "potri"), (A,))
-        factor, info = potrf(A, lower=True, clean=False)
-        inverse, info2 = potri(factor, lower=True)
+        A = blocks(self._C, self.nodes, self.nodes).T
+        factor, info = dpotrf(A, lower=1, clean=0, overwrite_a=1)
+        inverse, info2 = dpotri(factor, lower=1, overwrite_c=1)
         if info or info2:
             raise np.linalg.LinAlgError("compliance is not positive definite")
-        lower = np.tril(inverse)
-        self._S[:n, :n] = lower + np.tril(inverse, -1).T
+        self._S[:n, :n] = mirrored(inverse)
 
     def update(self, wanted: np.ndarray) -> None:
         """Make `wanted` (contact nodes, any order) the active set."""

@@ -15,6 +15,8 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import csc_matrix, csr_matrix
 
+from drake_exo.soles.compiled import njit
+
 _FEW = 48  # nodes of a leaf
 _BLOCK = 512  # rows that are mirrored at a time
 
@@ -57,10 +59,10 @@ class SparseCholesky:
     def __init__(self, K: csr_matrix, places: np.ndarray, last: np.ndarray):
         self._count = K.shape[0]
         self._fronts = _fronts(K, places, np.asarray(last))
-        self._eliminate(K.tocsc())
+        self._eliminate(K.T)  # columns that lie together; K is symmetric
         *self._fronts, self._root = self._fronts
         inverse, _ = dpotri(self._root.factor, lower=1, overwrite_c=1)
-        self.last_inverse = _mirrored(inverse)
+        self.last_inverse = mirrored(inverse)
 
     def _eliminate(self, K: csc_matrix) -> None:
         place = np.zeros(K.shape[0], dtype=np.int64)
@@ -82,12 +84,8 @@ class SparseCholesky:
             update = np.zeros((b, b), order="F")
             for child in front.children:
                 where = place[self._fronts[child].border]
-                inner = np.searchsorted(where, k)
-                own, rest = where[:inner], where[inner:] - k
-                new = updates.pop(child)
-                A[np.ix_(where, own)] += new[:, :inner]
-                update[np.ix_(rest, rest)] += new[inner:, inner:]
-            front.factor, info = dpotrf(A[:k], lower=1)
+                _extend(A, update, updates.pop(child), where)
+            front.factor, info = dpotrf(A[:k], lower=1, overwrite_a=b == 0)
             if info:
                 raise np.linalg.LinAlgError("matrix is not positive definite")
             if b:
@@ -122,7 +120,19 @@ class SparseCholesky:
         return x
 
 
-def _mirrored(lower: np.ndarray) -> np.ndarray:
+@njit()
+def _extend(A, update, new, where):
+    """Add a child's update to its place in both parts of a front."""
+    k = A.shape[1]
+    for j in range(len(where)):
+        for i in range(j, len(where)):
+            if where[j] < k:
+                A[where[i], where[j]] += new[i, j]
+            else:
+                update[where[i] - k, where[j] - k] += new[i, j]
+
+
+def mirrored(lower: np.ndarray) -> np.ndarray:
     """A symmetric matrix from its lower triangle, in place."""
     n = len(lower)
     for i in range(0, n, _BLOCK):

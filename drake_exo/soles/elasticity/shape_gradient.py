@@ -115,13 +115,12 @@ def energy_gradient(
 @njit(fastmath=True)
 def _gradient(tet, g, w, H):
     """H_ij = ∂w_i/∂X_j of an element, into (3, 3, k)."""
-    H[:] = 0.0
-    for a in range(4):
-        for i in range(3):
-            value = w[tet[a], i]
-            for j in range(3):
-                for k in range(len(value)):
-                    H[i, j, k] += g[a, j] * value[k]
+    for i in range(3):
+        p, q, r, s = w[tet[0], i], w[tet[1], i], w[tet[2], i], w[tet[3], i]
+        for j in range(3):
+            a, b, c, d = g[0, j], g[1, j], g[2, j], g[3, j]
+            for k in range(len(p)):
+                H[i, j, k] = a * p[k] + b * q[k] + c * r[k] + d * s[k]
 
 
 @njit(fastmath=True)
@@ -208,13 +207,16 @@ def _averaged(
             within[a, k] *= bulk
     for e in range(len(tets)):
         _gradient(tets[e], g[e], w, H)
-        s[:] = 0.0
-        for b in range(6):
-            for m in range(6):
-                for k in range(c):
-                    s[m, k] += around[owner[e, b], m, k] / 6
-        for b in range(4):
-            for m in range(3):
-                for k in range(c):
-                    s[m, k] += within[tets[e, b], k] / 4
+        i, j, h, m, n, o = owner[e]
+        for a in range(6):
+            for k in range(c):
+                s[a, k] = (
+                    around[i, a, k] + around[j, a, k] + around[h, a, k]
+                    + around[m, a, k] + around[n, a, k] + around[o, a, k]
+                ) / 6  # fmt: skip
+        i, j, h, m = tets[e]
+        for k in range(c):
+            p = within[i, k] + within[j, k] + within[h, k] + within[m, k]
+            for a in range(3):
+                s[a, k] += p / 4
         _turn(H, s, factors, turned[e])

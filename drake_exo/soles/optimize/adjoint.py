@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_exo.soles.contact.linearisation import blocks
+from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.shape_gradient import compliance_gradient
@@ -222,9 +222,7 @@ class _Step:
         b_O = bP_all.sum(axis=1)
         b_w += cross(self.Y, bP_all).sum(axis=1)
         by = bP_all @ R
-        asked = np.flatnonzero(by.any(axis=(0, 2)))
-        C = blocks(self.solver.C, asked, self.nodes)
-        lift = (by[:, asked].reshape(c, -1) @ C).reshape(c, k, 3) @ R.T
+        lift = _times_compliance(self.solver.C, by, self.nodes) @ R.T
         bF += lift
         b_w -= cross(F, lift).sum(axis=1)
         y, l_m = self._adjoint(bF, b_O, b_w)
@@ -302,6 +300,21 @@ class _Step:
         plain = l_f - cross(arm, l_m)
         Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
         return lin.solve_transposed(Sb)[1], l_w[:, 3:]
+
+
+@njit(fastmath=True)
+def _times_compliance(C, fields, nodes):
+    """C times fields (c, m, 3), mostly zero, at some nodes: (c, k, 3)."""
+    out = np.zeros((len(fields), len(nodes), 3))
+    for c in range(len(fields)):
+        for a in range(fields.shape[1]):
+            for i in range(3):
+                x, row = fields[c, a, i], C[3 * a + i]
+                if x != 0.0:
+                    for b in range(len(nodes)):
+                        for j in range(3):
+                            out[c, b, j] += x * row[3 * nodes[b] + j]
+    return out
 
 
 def _reference_by_position(start: Start, R) -> np.ndarray:
