@@ -21,28 +21,13 @@ import numpy as np
 from drake_exo.batch.calls import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
 from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
-from drake_exo.soles.optimize.search import first_design, stage_problem
+from drake_exo.soles.optimize.search import stage_problem, start_design
 from drake_exo.soles.settings import Setup, Stage
 
 STAGES = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
     Stage((10, 6, 3), 24, 1e-4, 0.2, 30),
 )
-
-
-def random_shape(problem, bounds, rng):
-    """A smooth random shape that is feasible and can be simulated."""
-    while True:
-        low = rng.standard_normal((4, 4))
-        grid = np.linspace(0, np.pi, 12)
-        waves = np.cos(np.outer(np.arange(4), grid))
-        T, p0 = problem.spline.free_map()
-        full = 1 + 0.03 * (waves.T @ low @ waves).ravel()
-        p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
-        p = first_design(problem, bounds, np.clip(p, *bounds))
-        values = problem.constraints(p)
-        if np.isfinite(values).all() and values.min() >= 0:
-            return p
 
 
 @cache
@@ -91,12 +76,11 @@ def main():
     root = args.data_root or Path(".")
     setup = setup_of(root)
     bounds = tuple(setup.settings.optimize.bounds)
-    rng = np.random.default_rng(0)
-    calls = []
-    for _ in range(args.starts):
-        problem = stage_problem(setup, STAGES[0])
-        shape = random_shape(problem, bounds, rng)
-        calls.append({"root": root, "start": shape.tolist()})
+    problem = stage_problem(setup, STAGES[0])
+    calls = [
+        {"root": root, "start": start_design(problem, bounds, k).tolist()}
+        for k in range(1, args.starts + 1)
+    ]
 
     def tell(row):
         text = ", ".join(

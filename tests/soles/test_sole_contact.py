@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sole_at_pose import contact_at_pose
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact import newton as contact
-from drake_exo.soles.contact.gauss_seidel import (
-    GaussSeidelSolver,
-    contact_at_pose,
-)
+from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole

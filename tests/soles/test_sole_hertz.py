@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
+from sole_at_pose import contact_at_pose
 
-from drake_exo.soles.contact.gauss_seidel import (
-    GaussSeidelSolver,
-    contact_at_pose,
-)
+from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Material, Sole
 from drake_exo.soles.mesh import checked_mesh, grid_mesh

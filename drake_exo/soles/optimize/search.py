@@ -194,7 +194,7 @@ def _from_start(setup: Setup, start: int, at, out, say) -> _Run:
         out.mkdir(exist_ok=True)
     if at is None:
         problem = stage_problem(setup, block.stages[0])
-        p = _start_design(problem, tuple(block.bounds), start)
+        p = start_design(problem, tuple(block.bounds), start)
         at = Checkpoint(p=p, latest=p)
     elif at.starts:  # finished before an interruption
         (row,) = at.starts
@@ -208,7 +208,7 @@ def _from_start(setup: Setup, start: int, at, out, say) -> _Run:
     return run
 
 
-def _start_design(problem: ShapeProblem, bounds, start: int) -> np.ndarray:
+def start_design(problem: ShapeProblem, bounds, start: int) -> np.ndarray:
     """The brick (start 0) or a smooth random bend of it, within the volume."""
     if start == 0:
         return first_design(problem, bounds)
