@@ -6,7 +6,7 @@ measured; forces of ground, chair and cuffs are arrows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,6 +46,7 @@ class DrawnModel:
 
     def __init__(self, model: Model, contact: ContactModel | None = None):
         self.tree = model.tree
+        self.soles = model.soles
         self._paths = _paths(model)
         self._hip = ("pelvis", 0.0)
         if model.tree.root != "pelvis":
@@ -199,9 +200,9 @@ def replay_results(
 
 def _title(found: Sequence[Results]) -> str:
     names = {r.summary.get("subject", "") for r in found} - {""}
-    return f"Rise of {', '.join(sorted(names)) or 'a subject'}".replace(
-        "_", " "
-    )
+    steps = any(len(m.soles) > 1 for r in found for _, m in r.pairs())
+    who = ", ".join(sorted(names)) or "a subject"
+    return f"{'Steps' if steps else 'Rise'} of {who}".replace("_", " ")
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,7 @@ class Replayed:
         drawn: its model, with cuffs where it has any.
         simulated: as computed.
         measured: as measured; None if there is nothing to compare with.
-        spheres: name -> contact sphere in the foot.
+        spheres: name -> contact sphere in its segment.
         on_chair: whether to draw a stool.
         mark: of a result that does not hold.
     """
@@ -304,7 +305,7 @@ def _stage(model, trials, centre: float, view: View, compared: bool) -> str:
     meshcat = Meshcat()
     set_stage(meshcat, view)
     _draw_figures(meshcat, model, compared)
-    _draw_markers(meshcat, trials[0].spheres, compared)
+    _draw_markers(meshcat, trials[0], compared)
     add_floor(meshcat, centre)
     seats = [t.drawn.seat_height(t.simulated) for t in trials if t.on_chair]
     if seats:
@@ -325,16 +326,30 @@ def _draw_figures(meshcat, model: Model, compared: bool) -> None:
         meshcat.Delete(f"{root}/ground")
 
 
-def _draw_markers(meshcat, spheres, compared: bool) -> None:
+def _draw_markers(meshcat, trial: Replayed, compared: bool) -> None:
     """Centres of pressure and contact spheres, seen through the feet."""
     for root, opacity in (("", 1.0), (MEASURED, 0.45))[: 1 + compared]:
         disc = Cylinder(0.022, 0.006)
         _overlay(meshcat, f"{root}/cop/disc", disc, "c8102e", opacity)
-    for name, sphere in spheres.items():
-        for side, y in enumerate(_FEET_Y_M):
-            path = f"{_SPHERES}/{name}/{side}"
-            _overlay(meshcat, path, Sphere(sphere.radius), "f08a1c", 0.45)
-            meshcat.SetTransform(path, RigidTransform([0.0, y, 0.0]))
+    for path, _, sphere, places in _spheres(trial):
+        for side, y in enumerate(places):
+            own = f"{path}/{side}"
+            _overlay(meshcat, own, Sphere(sphere.radius), "f08a1c", 0.45)
+            meshcat.SetTransform(own, RigidTransform([0.0, y, 0.0]))
+
+
+def _spheres(trial: Replayed) -> Iterator[tuple]:
+    """Path, segment, sphere and places across [m] of each contact sphere."""
+    soles = trial.drawn.soles
+    for body, names in soles.items():
+        left, right = body.endswith("_left"), body.endswith("_right")
+        places = [
+            y for y in _FEET_Y_M if not (left or right) or (y > 0.0) == left
+        ]
+        for name in names if len(soles) > 1 else trial.spheres:
+            path = f"{_SPHERES}/{name}"
+            path += f"_{body}" if len(soles) > 1 else ""
+            yield path, body, trial.spheres[name], places
 
 
 def _overlay(meshcat, path, shape, colour: str, opacity: float) -> None:
@@ -399,11 +414,11 @@ def _surroundings(trial: Replayed, motion: Trial) -> dict[str, np.ndarray]:
     """Contact spheres in the foot, and the stool."""
     found = {}
     tree = trial.drawn.tree
-    for name, sphere in trial.spheres.items():
+    for path, body, sphere, _ in _spheres(trial):
         place = (sphere.x, sphere.z)
-        p_x, p_z = tree.point_positions(motion.q, tree.root, place).T
+        p_x, p_z = tree.point_positions(motion.q, body, place).T
         place = np.column_stack([p_x, 0.0 * p_x, p_z])
-        found[f"{_SPHERES}/{name}"] = _still(place)
+        found[path] = _still(place)
     if trial.on_chair:
         place = np.zeros((len(motion.q), 3))
         place[:, 0] = trial.drawn.hip(motion.q[:1])[0, 0]

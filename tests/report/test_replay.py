@@ -6,12 +6,21 @@ from replayed_results import MODEL as COUPLED
 
 from drake_exo.calibration.results import MODEL
 from drake_exo.contact.diagram import build_diagram
+from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json, write_json
 from drake_exo.files.verdict import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
-from drake_exo.report.replay import DrawnModel, replay_results
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.description import nominal_human
+from drake_exo.model.plant import Model
+from drake_exo.report.replay import (
+    DrawnModel,
+    Replayed,
+    _surroundings,
+    replay_results,
+)
 from drake_exo.report.scene import Scene
 
 
@@ -184,3 +193,25 @@ def test_what_does_not_hold_is_marked_on_the_page(tmp_path):
 def test_motion_is_sampled_between_nodes():
     half = solution().sample(np.array([0.005]))
     np.testing.assert_allclose(half.ground.array[0], [0.25, 4.0, -1.4])
+
+
+def test_spheres_are_under_the_segments_that_touch():
+    model = Model(Assembly(Person("two", "hinged")), nominal_human())
+    names, times = model.coordinates, np.linspace(0.0, 1.0, 3)
+    q = np.zeros((3, len(names)))
+    q[:, names.index("knee_left")] = 0.8
+    none = PlanarWrench.of(np.zeros((3, 3)))
+    trial = Trial("step", names, times, q, 0 * q, 0 * q, none)
+    spheres = nominal_contact(model).ground.spheres
+    shown = Replayed("", "", DrawnModel(model), trial, None, spheres)
+    found = _surroundings(shown, trial)
+    assert sorted(found) == [
+        f"/spheres/{sphere}_{body}_{side}"
+        for sphere, body in (("ball", "foot"), ("heel", "foot"))
+        for side in ("left", "right")
+    ] + ["/spheres/toe_toes_left", "/spheres/toe_toes_right"]
+    for path, poses in found.items():
+        sphere, _, body = path.removeprefix("/spheres/").partition("_")
+        p = spheres[sphere]
+        expected = model.tree.point_positions(q, body, (p.x, p.z))
+        np.testing.assert_allclose(poses[:, [0, 2]], expected)
