@@ -4,7 +4,8 @@
 
 With --quick each in a small size, to see that they run, and roughly how fast.
 Prints what each took; with --json also what it says. scale.py is left out
-where dask.distributed is not installed.
+where dask.distributed is not installed, design.py always: it needs a study with
+its calibration.
 """
 
 import argparse
@@ -24,12 +25,17 @@ QUICK = {
     "interval_coverage.py": ("--seeds", "4", "--nodes-per-second", "25"),
     "seeds.py": ("--seeds", "1,2"),
     "weights.py": ("--factors", "4"),
+    "plausibility.py": ("--seeds", "1", "--truth", "near", "--mistakes"),
     "scale.py": ("--tasks", "5", "--workers", "1", "16"),
     "sole.py": (),
     "sole_starts.py": ("--starts", "2"),
+    "sole_memory.py": ("--most", "6000"),
     "sole_interruptions.py": ("--divisions", *"642", "--samples", "8"),
 }
-WITH_DATA = ("sole.py", "sole_starts.py", "sole_interruptions.py")
+WITH_DATA = (
+    *("sole.py", "sole_starts.py", "sole_interruptions.py"),
+    "sole_memory.py",
+)
 
 
 def run(script: str, quick: bool, data_root: Path) -> dict:

@@ -1,6 +1,6 @@
 """Phase D: time by number of movements, and random starts.
 
-    python benchmarks/design.py STUDY.yaml CALIBRATION [--starts N]
+    python benchmarks/design.py STUDY.yaml CALIBRATION [--starts N] [--json]
 
 Prints a table of programs of 3, 6 and 12 movements (one to three wearers, the
 second and third drawn from the calibration's posterior), and what N random
@@ -8,6 +8,7 @@ starts within the bounds lead to. Times are of a quiet machine only if it is.
 """
 
 import argparse
+import json
 import resource
 import time
 from dataclasses import replace
@@ -32,11 +33,12 @@ def wearers_of(wearer: Wearer, trials: int, count: int) -> list[Wearer]:
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print table and starts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("study")
     parser.add_argument("calibration")
     parser.add_argument("--starts", type=int, default=0)
+    parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     study, contact = (
         dx.read_study(args.study),
@@ -57,27 +59,36 @@ def main() -> None:
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         solution = found.solution
         rows.append(
-            [
-                str(size),
-                str(count),
-                solution.iterations,
-                elapsed,
-                memory,
-                today.norm_n,
-                found.norm_n,
-                solution.status,
-            ]
+            {
+                "movements": size,
+                "wearers": count,
+                "iterations": solution.iterations,
+                "seconds": elapsed,
+                "gb_so_far": memory,
+                "norm_n": today.norm_n,
+                "designed_norm_n": found.norm_n,
+                "status": solution.status,
+            }
         )
         if size == min(SIZES):
             first = people, today, found
-    header = ["movements", "wearers", "iterations", "s", "GB so far"]
-    header += ["norm N", "designed N", ""]
-    print(format_table(header, rows, 1))
+    starts = None
     if args.starts:
-        _starts(*first, settings, args.starts)
+        starts = random_starts(*first, settings, args.starts)
+    if args.json:
+        print(json.dumps({"sizes": rows, "starts": starts}, indent=2))
+        return
+    cells = [[str(m), str(w), *rest] for m, w, *rest in map(dict.values, rows)]
+    print(format_table([k.replace("_", " ") for k in rows[0]], cells, 1))
+    if starts:
+        print(
+            "{at_best} of {starts} random starts at one optimum (cost "
+            "{best:.4g}), {solved} solved; others at {others}".format(**starts)
+        )
 
 
-def _starts(people, today, found, settings, count: int) -> None:
+def random_starts(people, today, found, settings, count: int) -> dict:
+    """Where the optimiser ends from values drawn within the bounds."""
     problem = DesignProblem(people, settings, today=today)
     rng = np.random.default_rng(0)
     costs = []
@@ -91,10 +102,13 @@ def _starts(people, today, found, settings, count: int) -> None:
     rest = sorted(
         c for c in costs if np.isfinite(c) and c > (1.0 + _ONE) * best
     )
-    print(
-        f"{at} of {count} random starts at one optimum (cost {best:.4g}), "
-        f"{solved} solved; others at {[round(c, 4) for c in rest]}"
-    )
+    return {
+        "starts": count,
+        "solved": int(solved),
+        "at_best": int(at),
+        "best": float(best),
+        "others": [round(float(c), 4) for c in rest],
+    }
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """Memory and processor time of a simulated step over the number of elements.
 
-python benchmarks/sole_memory.py [--data-root DIR] [--most TETS]
+python benchmarks/sole_memory.py [--data-root DIR] [--most TETS] [--json]
 
 Each mesh in a process of its own; the step is that of `drake-exo sole study`,
 41 samples of it, the exact law, smoothed elements.
 """
 
 import argparse
+import json
 import multiprocessing
 import os
 import resource
@@ -19,6 +20,10 @@ import numpy as np
 
 MESHES = ((18, 12, 4), (26, 18, 5), (36, 25, 8), (50, 34, 10))
 SAMPLES = 41
+KEYS = (
+    *("tets", "c_tr", "c_rot", "strain", "failed_steps"),
+    *("cpu_seconds", "peak_memory_gb"),
+)
 
 
 def simulate(divisions, root, results) -> None:
@@ -52,10 +57,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data-root", type=Path)
     parser.add_argument("--most", type=int, default=200_000)
+    parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     context = multiprocessing.get_context("spawn")
-    before = None
-    print("   tets      c_tr     c_rot strain failed  CPU s  GB  growth")
+    before, rows = None, []
+    if not args.json:
+        print("   tets      c_tr     c_rot strain failed  CPU s  GB  growth")
     for divisions in MESHES:
         if 6 * np.prod(divisions) > args.most:
             break
@@ -71,12 +78,16 @@ def main():
             pair = [np.log(a[k] / b[k]) for a, b, k in
                     ((row, before, 5), (row, before, 0))]  # fmt: skip
             growth = f"N^{pair[0] / pair[1]:.2f}"
-        print(
-            f"{row[0]:7d} {row[1]:9.4g} {row[2]:9.4g} {row[3]:6.3f} "
-            f"{row[4]:6d} {row[5]:6.1f} {row[6]:4.1f} {growth}",
-            flush=True,
-        )
+        rows.append(dict(zip(KEYS, row, strict=True)))
+        if not args.json:
+            print(
+                f"{row[0]:7d} {row[1]:9.4g} {row[2]:9.4g} {row[3]:6.3f} "
+                f"{row[4]:6d} {row[5]:6.1f} {row[6]:4.1f} {growth}",
+                flush=True,
+            )
         before = row
+    if args.json:
+        print(json.dumps(rows, indent=2))
 
 
 if __name__ == "__main__":
