@@ -126,7 +126,7 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
     In the plane the moment about y alone counts.
 
     Raises:
-        InputError: its moments alone are those of no body.
+        InputError: its moments alone are those of no body, or it has no mass.
     """
     inertia = link.find("inertial/inertia")
     if inertia is None:
@@ -141,6 +141,18 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             raise InputError(f"{where}: {key} is {text!r}") from error
 
     a, b, c = moments = [value(key) for key in _MOMENTS]
+    mass = link.find("inertial/mass")
+    if mass is not None and any(moments):
+        text = mass.get("value") or mass.text or ""
+        try:
+            heavy = float(text) > 0.0
+        except ValueError:
+            heavy = False
+        if not heavy:  # Drake would take another one
+            raise InputError(
+                f"{where}: has moments of inertia but a mass of "
+                f"{text.strip() or 'nothing'}; give one above zero"
+            )
     xy, xz, yz = (value(key) for key in _PRODUCTS)
 
     def is_bodys(x, y, z) -> bool:

@@ -117,3 +117,55 @@ def test_a_mat_lies_on_a_cuff(folder):
     }
     with pytest.raises(InputError, match=r"'thigh' has no cuff"):
         write_recording(folder, nominal_human(), model=MODEL, mats={"m": mat})
+
+
+LOOSE = """<link name="loose"><inertial><mass value="1"/><inertia ixx="1"
+  iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+WELD = {"weld": {"shoe": "foot"}}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "device", "words"),
+    [
+        ('xyz="0 1 0"', 'xyz="1 0 0"', WELD, "turns about (1, 0, 0)"),
+        ("</robot>", LOOSE, WELD, "'loose' is attached to nothing"),
+        ('value="2.4"', 'value="0"', WELD, "'calf': has moments of in"),
+        ("", "", {"weld": {"boot": "foot"}}, "has no link 'boot'"),
+        ("", "", {"weld": {"shoe": "sole"}}, "no segment 'sole'"),
+        ("", "", {"weld": {}}, "attached to nothing"),
+        (
+            "",
+            "",
+            {**WELD, "fixed": ["knee"]},
+            "has no joint 'knee' to fix; it has motor",
+        ),
+        ('link="calf"', 'link="clf"', WELD, "ankle_only.urdf: "),
+        (
+            '<joint name="motor" type="revolute">',
+            '<joint name="m2" type="fixed"><parent link="calf"/>'
+            '<child link="shoe"/></joint>'
+            '<joint name="motor" type="revolute">',
+            WELD,
+            "ankle_only.urdf: ",
+        ),
+    ],
+)
+def test_devices_that_cannot_be_end_a_command(
+    folder, capfd, old, new, device, words
+):
+    """One sentence, exit code 2, nothing computed."""
+    write_recording(folder, nominal_human())
+    file = folder / "ankle_only.urdf"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new) if old else text)
+    path = folder / "study.yaml"
+    study = schema.yaml.safe_load(path.read_text())
+    model = {**MODEL, "device": {"file": "ankle_only.urdf", **device}}
+    path.write_text(schema.yaml.safe_dump({**study, "model": model}))
+    assert main(["check", str(path), "--out", str(folder / "out")]) == 2
+    said = capfd.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+    (sentence,) = (s for s in said.splitlines() if "drake-exo: error" in s)
+    assert sentence == said.splitlines()[-1]
