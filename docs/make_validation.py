@@ -22,7 +22,7 @@ from drake_exo.calibration.scores import spread
 _ROOT = Path(__file__).resolve().parents[1]
 _PAGE = _ROOT / "docs" / "validation.md"
 _SEEDS = (1,)  # of the demo
-_HELD = "101:108"
+_HELD = "101,201,202,203,204,205,206,207,208"
 # Rows of the tables: what `rmsd` calls them, and what a page does.
 _SIGNALS = {
     "angles_deg": "angles °",
@@ -89,13 +89,15 @@ def seeds() -> list[str]:
     found = _benchmark("seeds.py", "--seeds", _HELD, "--floor")
     lines = _header(
         "seed", "calibrated N", "nominal cuffs N", "true cuffs N",
-        "angles °", "velocities °/s",
+        "angles °", "velocities °/s", "bands hold %",
     )  # fmt: skip
     for r in found["rows"]:
         own = r["calibrated"]
         forces = (r[k] for k in ("calibrated", "uncalibrated", "floor"))
         cells = [f"{f['interaction_n']:.1f}" for f in forces]
         cells += [f"{own['angle_deg']:.1f}", f"{own['velocity_deg_s']:.1f}"]
+        held = [c for f in r["coverage"] for c in f["interaction_n"].values()]
+        cells.append(f"{100 * np.mean(held):.0f}")
         lines.append(_row(str(r["seed"]), *cells))
     return lines
 
