@@ -74,10 +74,10 @@ def beside(function: Callable, **arguments) -> Iterator[Callable[[], Any]]:
     job = Job(function.__name__, _name(function), arguments)
 
     def value() -> Any:
-        progress, ended = Progress(f"wait for {job.name}"), []
+        progress, ended = Progress(job.name, interval_seconds=5.0), []
         while not ended:
             ended = pool.wait(POLL_SECONDS)
-            progress.update()
+            progress.update("at work in another process")
         (row,) = ended
         if row.state != "done":
             if row.state == "failed" and not row.trace:
