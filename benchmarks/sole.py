@@ -43,7 +43,7 @@ def timed(function):
 
 def run(sole, law, load, rows, solver=None, **more):
     solver = solver or ContactSolver(sole.compliance, sole.positions, law)
-    return simulate(solver, load.force[rows], load.zmp[rows], START, **more)
+    return simulate(solver, load.at(rows), START, **more)
 
 
 def simulation(load):
@@ -108,7 +108,7 @@ def gradient(load):
         other = singular_terms(history.K_c, np.zeros(n), np.ones(n))
 
         def back(f, s=sole, v=solver, h=history):
-            return shape_gradients(s, v, load.force, load.zmp, START, h, f)
+            return shape_gradients(s, v, load, START, h, f)
 
         def strain(s=sole, h=history):
             return StrainNorm(s, h, np.ones(len(h.K_c))).derivatives()[0]

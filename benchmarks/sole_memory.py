@@ -42,7 +42,7 @@ def simulate(divisions, root, results) -> None:
     sole = Sole(brick(SIZE, divisions), MATERIALS["neoprene"], "smoothed")
     law = ContactLaw(0.8, sole.penalty)
     solver = ContactSolver.of(sole, law)
-    history = simulate(solver, load.force, load.zmp, start)
+    history = simulate(solver, load, start)
     strain = largest_strain(sole, history)
     seconds = time.process_time() - began
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

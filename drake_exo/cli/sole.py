@@ -157,9 +157,21 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _read_case(args, path: Path) -> soles.Case:
+    """A case file; a study of recordings is looked for beside it."""
+
+    def read_step(study: str, *which):
+        # The laboratory's half is loaded where a case asks for it alone.
+        from drake_exo.study import read_study
+
+        return read_study(path.parent / study, args.data_root).step(*which)
+
+    return soles.Case.read(path, args.data_root, args.mesh, read_step)
+
+
 def _case(args) -> soles.Case:
     """The case file with the command's options."""
-    case = soles.Case.read(args.case, args.data_root, args.mesh)
+    case = _read_case(args, args.case)
     if getattr(args, "limits", "all") == "none":
         case = case.without_limits()
     return case.with_iterations(getattr(args, "iterations", None))
@@ -257,7 +269,7 @@ def _strain(args) -> int:
     if args.source.is_dir():
         setups = [design.setup for design in soles.find_designs(args.source)]
     else:
-        setups = [soles.Case.read(args.source, args.data_root, args.mesh)]
+        setups = [_read_case(args, args.source)]
         if args.out is None:
             raise InputError("sole strain: give --out with a case file")
     with _out_or_source(args, strains.TABLE) as out:

@@ -9,6 +9,8 @@ the value itself or, in a list, tuple or dict, for each element:
 
     mass_kg: float = field(metadata={"unit": "kg", "above": 0.0})
 
+where "key" is the name in the file, if it is another one than the field's.
+
 A dataclass may check several fields together by raising `InputError` or
 `ValueError` in `__post_init__`.
 """
@@ -88,7 +90,7 @@ def _plain(value: Any) -> Any:
     """Dataclasses, tuples and paths as what YAML has of its own."""
     if dataclasses.is_dataclass(value):
         return {
-            f.name: _plain(getattr(value, f.name))
+            _key(f): _plain(getattr(value, f.name))
             for f in dataclasses.fields(value)
             if f.init
         }
@@ -150,16 +152,16 @@ class _Reader:
     def _dataclass(self, node: yaml.Node, cls: type, where: str) -> Any:
         items = self._mapping(node, where)
         hints = typing.get_type_hints(cls)
-        fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+        fields = {_key(f): f for f in dataclasses.fields(cls) if f.init}
         for text, (key, _) in items.items():
             if text not in fields:
                 raise self.error(key, _unknown(text, list(fields), where))
         values = {}
         for name, field in fields.items():
             if name in items:
-                values[name] = self.read(
+                values[field.name] = self.read(
                     items[name][1],
-                    hints[name],
+                    hints[field.name],
                     f"{where}.{name}" if where else name,
                     field.metadata,
                 )
@@ -305,6 +307,11 @@ class _Reader:
             node,
             f"{where} must be {words[hint]}{unit}, but is {_describe(node)}",
         )
+
+
+def _key(field: dataclasses.Field) -> str:
+    """Its name in the file; Python's reserved words are not for fields."""
+    return field.metadata.get("key", field.name)
 
 
 def _has_default(field: dataclasses.Field) -> bool:

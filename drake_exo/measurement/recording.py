@@ -328,6 +328,19 @@ def read_foot_forces(
     return forces
 
 
+def plates_under(
+    path: Path, numbers: tuple[int, ...]
+) -> tuple[np.ndarray, list[PlateRecording]]:
+    """Even times (N,) [s] of a force file, and some of its plates.
+
+    Raises:
+        InputError: unreadable, of another kind, uneven in time, no such plate.
+    """
+    time, recorded = _reader(path, _FORCE_READERS, "force")(path)
+    time = uniform_time(str(path), time)
+    return time, [_plate(path, recorded, n) for n in numbers]
+
+
 def _plate(path, recorded: list[PlateRecording], number: int):
     for plate in recorded:
         if plate.number == number:

@@ -155,7 +155,7 @@ class Study:
         for settings in five_cases(load, coarse):
             case = Case.open(settings, data_root or ".", mesh_file)
             if mesh_file is not None:
-                case = case.finishing_on_own_mesh()
+                case = case.on_own_mesh()
             cases.append(case.with_iterations(iterations))
         variants = {"cases": cases}
         if limits != "all":

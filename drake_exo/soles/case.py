@@ -8,7 +8,7 @@ from drake_exo.files import schema
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.search import optimise
-from drake_exo.soles.settings import Settings, Setup
+from drake_exo.soles.settings import Settings, Setup, StepReader
 from drake_exo.soles.step.results import Step
 
 # A whole case file, small enough for an example.
@@ -50,6 +50,7 @@ class Case(Setup):
         path: Path | str,
         data_root: Path | str | None = None,
         mesh_file: Path | None = None,
+        read_step: StepReader | None = None,
     ) -> "Case":
         """Read a case file and what it names.
 
@@ -59,19 +60,28 @@ class Case(Setup):
                 file's own.
             mesh_file: Used instead of the case's mesh, also in the last stage
                 of an optimisation.
+            read_step: Reads a step of a recording: called with the study's
+                path as the case gives it, trial, foot, start, end, number,
+                least force [N].
 
         Raises:
             InputError: With file, line, key and remedy; or the ZMP leaves
                 the sole.
         """
         root = data_root or Path(path).parent
-        case = cls.open(Settings.read(path), root, mesh_file)
-        return case if mesh_file is None else case.finishing_on_own_mesh()
+        case = cls.open(Settings.read(path), root, mesh_file, read_step)
+        return case if mesh_file is None else case.on_own_mesh()
 
     @classmethod
-    def from_text(cls, text: str, data_root: Path | str = ".") -> "Case":
+    def from_text(
+        cls,
+        text: str,
+        data_root: Path | str = ".",
+        read_step: StepReader | None = None,
+    ) -> "Case":
         """As `read`, of a case file's text."""
-        return cls.open(schema.load_text(text, Settings, "case"), data_root)
+        settings = schema.load_text(text, Settings, "case")
+        return cls.open(settings, data_root, read_step=read_step)
 
     def simulate(
         self, progress: Callable[[int, int], None] | None = None

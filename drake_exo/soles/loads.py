@@ -14,7 +14,10 @@ from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.tables import missing_column
 from drake_exo.files.text import number_rows, read_text
+from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.rotations import rotation_z
+
+_PAUSE_S = 0.2  # between loads that follow one another
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,14 @@ class Load:
         force: Force of the ground on the sole, world [N], (N, 3).
         zmp: ZMP on the ground, world [m], (N, 2).
         name: Where it came from, for messages.
-        free_moment: Measured moment about the vertical through the ZMP
-            [N·m], (N,); reported only: the simulation asks for none.
+        free_moment: Moment about the vertical through the ZMP [N·m], (N,);
+            None: zero.
+        rotation: Orientation of the sole, (N, 3, 3), where that is measured
+            and the force alone is asked for; None: it follows from the ZMP.
+        moments_cut: Samples whose free moment friction would not bear, see
+            `bearable`.
+        begins: Samples at which the foot is set down anew, the first is 0.
+        weights: Of the contact phases that begin there.
     """
 
     times: np.ndarray
@@ -47,6 +56,10 @@ class Load:
     zmp: np.ndarray
     name: str = "load"
     free_moment: np.ndarray | None = None
+    rotation: np.ndarray | None = None
+    moments_cut: int = 0
+    begins: tuple[int, ...] = (0,)
+    weights: tuple[float, ...] = (1.0,)
 
     def __post_init__(self):
         for label in ("times", "force", "zmp"):
@@ -81,9 +94,11 @@ class Load:
 
     def straight(self) -> "Load":
         """The heel-to-toe case: no sideways ZMP nor force."""
-        along = np.array([1.0, 0.0])
         return replace(
-            self, force=self.force * [1.0, 0.0, 1.0], zmp=self.zmp * along
+            self,
+            force=self.force * [1.0, 0.0, 1.0],
+            zmp=self.zmp * [1.0, 0.0],
+            free_moment=None,
         )
 
     def placed(self, origin, yaw: float) -> "Load":
@@ -93,6 +108,7 @@ class Load:
             self,
             force=self.force @ turn.T,
             zmp=(self.zmp - np.asarray(origin)) @ turn[:2, :2].T,
+            rotation=None if self.rotation is None else turn @ self.rotation,
         )
 
     def every(self, count: int) -> "Load":
@@ -100,15 +116,103 @@ class Load:
         index = np.unique(
             np.round(np.linspace(0, len(self.times) - 1, count)).astype(int)
         )
+        return self.at(index)
+
+    def at(self, index: np.ndarray) -> "Load":
+        """Some samples, by their increasing numbers."""
+
+        def picked(values):
+            return None if values is None else values[index]
+
+        phase = self.phase[index]
+        left, begins = np.unique(phase, return_index=True)
         return replace(
             self,
             times=self.times[index],
             force=self.force[index],
             zmp=self.zmp[index],
-            free_moment=None
-            if self.free_moment is None
-            else self.free_moment[index],
+            free_moment=picked(self.free_moment),
+            rotation=picked(self.rotation),
+            begins=tuple(map(int, begins)),
+            weights=tuple(self.weights[k] for k in left),
         )
+
+    @property
+    def phase(self) -> np.ndarray:
+        """Number of the contact phase that a sample belongs to, (N,)."""
+        numbers = np.zeros(len(self.times), dtype=int)
+        numbers[list(self.begins[1:])] = 1
+        return np.cumsum(numbers)
+
+    @property
+    def phases(self) -> list[slice]:
+        """Samples of every contact phase."""
+        ends = (*self.begins[1:], len(self.times))
+        return [slice(a, b) for a, b in zip(self.begins, ends, strict=True)]
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Weights of the phases over their sum, (K,)."""
+        return np.array(self.weights) / np.sum(self.weights)
+
+    @classmethod
+    def one_after_another(cls, loads, weights) -> "Load":
+        """Several loads of one foot, its clock going on 0.2 s after each.
+
+        >>> import drake_exo as dx
+        >>> force, zmp = [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2
+        >>> step = dx.soles.Load([0.0, 0.1], force, zmp)
+        >>> both = dx.soles.Load.one_after_another([step, step], [1, 2])
+        >>> both.times, both.begins, both.shares
+        (array([0. , 0.1, 0.3, 0.4]), (0, 2), array([0.33333333, 0.66666667]))
+
+        Args:
+            loads: What is asked for in each.
+            weights: Of each in the cost.
+        """
+        loads, times, end = list(loads), [], None
+        for load in loads:
+            shift = 0.0 if end is None else end + _PAUSE_S - load.times[0]
+            times.append(load.times + shift)
+            end = times[-1][-1]
+        counts = [len(load.times) for load in loads]
+        fills = {"free_moment": 0.0, "rotation": np.full((3, 3), np.nan)}
+        joined = {
+            name: _joined([getattr(load, name) for load in loads], counts, fill)
+            for name, fill in fills.items()
+        }
+        return cls(
+            np.concatenate(times),
+            np.concatenate([load.force for load in loads]),
+            np.concatenate([load.zmp for load in loads]),
+            "; ".join(load.name for load in loads),
+            moments_cut=sum(load.moments_cut for load in loads),
+            begins=tuple(int(n) for n in np.cumsum([0, *counts[:-1]])),
+            weights=tuple(map(float, weights)),
+            **joined,
+        )
+
+    def target(self, q: int, reference) -> Target:
+        """What a simulation must reach at sample q.
+
+        Args:
+            q: Counted from 0.
+            reference: Tangential references (m, 2), or a `Start`.
+        """
+        return Target(
+            self.force[q],
+            self.zmp[q],
+            reference,
+            0.0 if self.free_moment is None else float(self.free_moment[q]),
+            self.rotation[q] if self.is_measured[q] else None,
+        )
+
+    @property
+    def is_measured(self) -> np.ndarray:
+        """Samples whose pose is prescribed, (N,)."""
+        if self.rotation is None:
+            return np.zeros(len(self.times), dtype=bool)
+        return np.isfinite(self.rotation).all(axis=(1, 2))
 
     def check_friction(self, friction: float) -> None:
         """Refuse a force that no sole can carry without slipping away.
@@ -128,9 +232,33 @@ class Load:
                 f"friction of {asked[q]:.3f} (horizontal over vertical; "
                 f"{beyond.sum()} of {len(beyond)} samples), and "
                 f"contact.friction is {friction:g}: the sole slips away; "
-                "leave these samples out (least_force_n, start_s, end_s), or "
+                "leave these samples out (least_force_n, start_s, end_s, from, "
+                "to), or "
                 "give a larger contact.friction"
             )
+
+    def bearable(self, friction: float, width: float) -> "Load":
+        """Free moments cut to what a line of contact across the sole bears.
+
+        A line of length w under an even load turns at μ F_z w / 4. Plates
+        and their filters tell moments at small loads that no ground bears.
+
+        Args:
+            friction: Coulomb's coefficient μ.
+            width: Of the sole [m].
+        """
+        if self.free_moment is None:
+            return self
+        spare = friction * self.force[:, 2] - np.hypot(*self.force.T[:2])
+        most = np.maximum(spare, 0.0) * width / 4
+        cut = int((np.abs(self.free_moment) > most).sum())
+        moment = np.clip(self.free_moment, -most, most)
+        return replace(self, free_moment=moment, moments_cut=cut)
+
+    @property
+    def largest_force(self) -> float:
+        """Largest |F| [N]."""
+        return float(np.linalg.norm(self.force, axis=1).max())
 
     @property
     def friction_used(self) -> np.ndarray:
@@ -155,14 +283,30 @@ class Load:
         if outside.any():
             q = int(np.argmax(outside))
             x, y = self.zmp[q]
+            spans = (self.zmp, places)
+            off = np.subtract(*(s.min(axis=0) + s.max(axis=0) for s in spans))
             raise InputError(
                 f"{self.name}: the ZMP is outside the sole by "
                 f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s "
                 f"(x {x:.4f} m, y {y:.4f} m in the load's frame, "
-                f"{outside.sum()} of {len(outside)} samples); check the "
-                "load's origin_m and yaw_rad and the block start, or take a "
-                "larger sole"
+                f"{outside.sum()} of {len(outside)} samples); the middle of "
+                f"its path lies {500 * off[0]:.0f} mm before and "
+                f"{500 * off[1]:.0f} mm left of the sole's: move the load "
+                "(origin_m and yaw_rad, shift_m of a recording) or the block "
+                "start, or take a larger sole"
             )
+
+
+def _joined(parts, counts, fill) -> np.ndarray | None:
+    """Arrays one after the other; None where none is given."""
+    if all(part is None for part in parts):
+        return None
+    return np.concatenate(
+        [
+            np.broadcast_to(fill, (n, *np.shape(fill))) if p is None else p
+            for p, n in zip(parts, counts, strict=True)
+        ]
+    )
 
 
 def constant(force, zmp, samples: int = 1, period: float = 0.005) -> Load:
@@ -187,10 +331,28 @@ CSV_COLUMNS = ("time_s", "force_x_n", "force_y_n", "force_z_n",
 
 
 def read_csv(path) -> Load:
-    """A CSV file with a header line naming `CSV_COLUMNS` in any order."""
+    """A CSV file with a header line naming `CSV_COLUMNS` in any order.
+
+    A column free_moment_nm may be among the others; load (0, 1, ...) and
+    weight tell several contact phases apart.
+    """
     table = read_columns(path, CSV_COLUMNS)
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
-    return Load(t, np.stack([fx, fy, fz], 1), np.stack([zx, zy], 1), str(path))
+    load = Load(
+        t,
+        np.stack([fx, fy, fz], 1),
+        np.stack([zx, zy], 1),
+        str(path),
+        table.get("free_moment_nm"),
+    )
+    if "load" not in table:
+        return load
+    _, begins = np.unique(table["load"], return_index=True)
+    return replace(
+        load,
+        begins=tuple(map(int, begins)),
+        weights=tuple(map(float, table["weight"][begins])),
+    )
 
 
 def read_force_plate(

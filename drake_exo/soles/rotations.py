@@ -1,6 +1,7 @@
 """Rotation helpers: hat operator, exponential map, Rx·Ry·Rz angles."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drake_exo.soles.compiled import njit
 
@@ -73,6 +74,11 @@ def exp_rotation(w: np.ndarray) -> np.ndarray:
     )
 
 
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """Rotation vector w [rad] with exp(hat(w)) = R, below half a turn."""
+    return Rotation.from_matrix(R).as_rotvec()
+
+
 def angles_xyz(R: np.ndarray) -> np.ndarray:
     """Angles [rad] (..., 3) with R = Rx·Ry·Rz, pitch in [-π/2, π/2]."""
     return np.stack(
@@ -85,6 +91,11 @@ def angles_xyz(R: np.ndarray) -> np.ndarray:
     )
 
 
+def rotations_xyz(angles: np.ndarray) -> np.ndarray:
+    """R = Rx·Ry·Rz of angles [rad] (..., 3)."""
+    return Rotation.from_euler("XYZ", angles).as_matrix()
+
+
 def rotation_z(yaw: float) -> np.ndarray:
     """Rotation by `yaw` [rad] about z."""
     c, s = np.cos(yaw), np.sin(yaw)
@@ -94,6 +105,15 @@ def rotation_z(yaw: float) -> np.ndarray:
 def yaw_of(R: np.ndarray) -> float:
     """Yaw ψ [rad] of R = Rx·Ry·Rz(ψ)."""
     return float(np.arctan2(-R[0, 1], R[0, 0]))
+
+
+def without_yaw(R: np.ndarray) -> np.ndarray:
+    """Rx·Ry of rotations Rx·Ry·Rz, (..., 3, 3)."""
+    c, s = R[..., 0, 0], -R[..., 0, 1]
+    size = np.hypot(c, s)
+    c, s, zero, one = c / size, s / size, np.zeros_like(c), np.ones_like(c)
+    back = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+    return R @ np.moveaxis(back, (0, 1), (-2, -1))
 
 
 def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -4,9 +4,10 @@ A dataclass for each block of keys; docs/soles.md explains them all. Paths are
 relative to --data-root where given, else to the case file's folder.
 """
 
-from dataclasses import astuple, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -18,6 +19,13 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, read_mesh
+from drake_exo.soles.rotations import rotation_z, without_yaw
+from drake_exo.soles.surface import (
+    SUFFIXES,
+    Unit,
+    read_surface,
+    sole_from_surface,
+)
 from drake_exo.soles.walking_pattern import Robot, plan
 
 Vector3 = tuple[float, float, float]
@@ -143,15 +151,34 @@ class Pattern:
         return plan(Robot(*numbers)).foot_load(period, least)
 
 
+class Recorded(Protocol):
+    """A step of a recording, seen from the foot; see `measurement.steps`."""
+
+    name: str
+    times: np.ndarray
+    force: np.ndarray
+    cop: np.ndarray
+    free_moment: np.ndarray
+    rotation: np.ndarray
+
+
+# Reads a step: the study's path, trial, foot, start, end, number, force [N].
+StepReader = Callable[..., Recorded]
 _KINDS = (
     "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
-    "constant",
+    "constant", "recording",
+)  # fmt: skip
+_OF_RECORDING = (
+    "trial", "foot", "begin", "end", "step", "least_force_n", "shift_m",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LoadBlock:
-    """Where force and ZMP come from: exactly one kind."""
+    """Where force and ZMP come from: exactly one kind.
+
+    `recording` is a study file; the keys behind it say which of its steps.
+    """
 
     pattern: Pattern | None = None
     one_foot: OneFoot | None = None
@@ -160,17 +187,72 @@ class LoadBlock:
     playback: Playback | None = None
     prediction: Prediction | None = None
     constant: Constant | None = None
+    recording: str | None = None
+    trial: str | None = None
+    foot: Literal["left", "right"] | None = None
+    begin: float | Literal["heel_strike"] = field(
+        default="heel_strike", metadata={"key": "from", "unit": "s"}
+    )
+    end: float | Literal["toe_off"] = field(
+        default="toe_off", metadata={"key": "to", "unit": "s"}
+    )
+    step: int = field(default=0, metadata={"minimum": 0})
+    least_force_n: float = positive("N", 20.0)
+    shift_m: Vector2 = (0.0, 0.0)
+    pose: Literal["free", "measured"] = "free"
     straight: bool = False
+    weight: float = positive("", 1.0)
 
     def __post_init__(self):
         exactly_one(self, _KINDS)
+        if self.recording is None:
+            given = [
+                f.metadata.get("key", f.name)
+                for f in fields(self)
+                if f.name in (*_OF_RECORDING, "pose")
+                and getattr(self, f.name) != f.default
+            ]
+            if given:
+                raise InputError(f"{given[0]} belongs to a recording")
+        elif self.trial is None or self.foot is None:
+            raise InputError("a recording takes trial and foot; give both")
+        elif self.straight and self.pose == "measured":
+            raise InputError("straight and pose: measured exclude each other")
 
-    def load(self, root: Path) -> Load:
-        """Read the load; files are relative to `root`."""
-        load = self._read(root)
+    def load(self, root: Path, read_step: StepReader | None = None) -> Load:
+        """Read the load; files are relative to `root`.
+
+        Args:
+            root: The folder.
+            read_step: For a recording.
+        """
+        load = self._read(root, read_step)
         return load.straight() if self.straight else load
 
-    def _read(self, root: Path) -> Load:
+    def _recorded(self, read_step: StepReader | None) -> Load:
+        if read_step is None:
+            raise InputError(
+                f"{self.recording}: a recording is read with the laboratory's "
+                "readers; give read_step (the command drake-exo sole does)"
+            )
+        step = read_step(
+            self.recording, self.trial, self.foot, self.begin, self.end,
+            self.step, self.least_force_n,
+        )  # fmt: skip
+        rotation = None
+        if self.pose == "measured":
+            # Yaw is left as the foot was set down: a sole that sticks would
+            # answer the markers' noise by moments that no ground bears.
+            rotation = without_yaw(step.rotation)
+        load = Load(
+            step.times, step.force, step.cop, step.name, step.free_moment,
+            rotation,
+        )  # fmt: skip
+        return load.placed(self.shift_m, 0.0)
+
+    def _read(self, root: Path, read_step: StepReader | None) -> Load:
+        if self.recording is not None:
+            return self._recorded(read_step)
         if self.pattern is not None:
             return self.pattern.load()
         if (c := self.one_foot) is not None:
@@ -204,11 +286,18 @@ class Brick:
 
 @dataclass(frozen=True)
 class MeshBlock:
-    """Where the mesh comes from: a file or a brick."""
+    """Where the mesh comes from: a file or a brick.
+
+    A file is one of tetrahedra, or a closed surface (.stl, .obj), to which
+    `unit`, `tets` and `top_m` belong.
+    """
 
     file: str | None = None
     brick: Brick | None = None
     origin_m: Vector3 | None = None
+    unit: Unit | None = None
+    tets: int = field(default=5000, metadata={"minimum": 500})
+    top_m: float | None = field(default=None, metadata={"unit": "m"})
     element: Literal["linear", "smoothed"] = "smoothed"
 
     def __post_init__(self):
@@ -269,6 +358,7 @@ class CostBlock:
         default=0.1, metadata={"above": 0.0, "maximum": 1.0}
     )
     mass_limit_kg: float = positive("kg", 1.0)
+    of: Literal["mean", "worst"] = "mean"
 
 
 @dataclass(frozen=True)
@@ -289,6 +379,8 @@ STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 50),
     Stage(_FINE, None, 5e-6, 0.2, 45),
 )
+# Of a mesh that is no brick.
+OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 
 
 @dataclass(frozen=True)
@@ -307,7 +399,7 @@ class OptimizeBlock:
     tolerance: float = positive("", 1e-4)
     remeshes: int = field(default=3, metadata={"minimum": 0})
     starts: int = field(default=3, metadata={"minimum": 1})
-    stages: tuple[Stage, ...] = STAGES
+    stages: tuple[Stage, ...] | None = None
 
     def __post_init__(self):
         if not 0 < self.bounds[0] < 1 < self.bounds[1]:
@@ -315,7 +407,7 @@ class OptimizeBlock:
                 f"bounds {list(self.bounds)} must lie around 1, the initial "
                 "shape, and above 0"
             )
-        if not self.stages:
+        if self.stages is not None and not self.stages:
             raise InputError("stages: give at least one")
 
 
@@ -332,19 +424,31 @@ class Settings:
     name: str
     mesh: MeshBlock
     material: MaterialBlock
-    load: LoadBlock
+    load: LoadBlock | None = None
     contact: ContactBlock = ContactBlock()
     start: StartBlock = StartBlock()
     cost: CostBlock = CostBlock()
     optimize: OptimizeBlock = OptimizeBlock()
+    loads: tuple[LoadBlock, ...] = ()
 
     def __post_init__(self):
+        if (self.load is None) == (not self.loads):
+            raise InputError("give either load, or loads as a list of such")
         self.material.material()
+        if self.optimize.stages is None:
+            stages = STAGES if self.mesh.brick else OWN_STAGES
+            block = replace(self.optimize, stages=stages)
+            object.__setattr__(self, "optimize", block)
         if self.contact.friction == 0:
             raise InputError(
                 "contact.friction is 0: without friction nothing holds a "
                 "foot whose pose is free; give a value above 0"
             )
+
+    @property
+    def all_loads(self) -> tuple[LoadBlock, ...]:
+        """One or more."""
+        return self.loads or (self.load,)
 
     @classmethod
     def read(cls, path: Path | str) -> "Settings":
@@ -357,14 +461,20 @@ class Settings:
 
     def read_mesh(self, root: Path, replacement: Path | None = None) -> TetMesh:
         """The case's mesh, or that of a file given instead."""
+        block = self.mesh
         if replacement is not None:
-            guess = None
-            if self.mesh.file is not None:
-                guess = self.mesh.origin_m
-            return read_mesh(replacement, guess)
-        if self.mesh.brick is not None:
-            return brick(self.mesh.brick.size_m, self.mesh.brick.divisions)
-        return read_mesh(root / self.mesh.file, self.mesh.origin_m)
+            origin = None if block.file is None else block.origin_m
+            return self._from_file(replacement, origin)
+        if block.brick is not None:
+            return brick(block.brick.size_m, block.brick.divisions)
+        return self._from_file(root / block.file, block.origin_m)
+
+    def _from_file(self, path: Path, origin) -> TetMesh:
+        if path.suffix.lower() not in SUFFIXES:
+            return read_mesh(path, origin)
+        block = self.mesh
+        surface = read_surface(path, block.unit)
+        return sole_from_surface(surface, block.tets, block.top_m, origin)
 
     def start_pose(self, mesh: TetMesh) -> Start:
         """How the sole is held; by default at its lowest back edge.
@@ -405,6 +515,7 @@ class Setup:
         settings: Settings,
         data_root: Path | str = ".",
         mesh_file: Path | None = None,
+        read_step: StepReader | None = None,
     ) -> "Setup":
         """What settings name, read.
 
@@ -412,18 +523,30 @@ class Setup:
             settings: Of the case.
             data_root: Folder that their paths are relative to.
             mesh_file: Used instead of the case's mesh.
+            read_step: Reads a step of a recording.
 
         Raises:
             InputError: A file cannot be read, the ZMP leaves the sole, or
                 the force the friction cone.
         """
         root = Path(data_root)
-        load = settings.load.load(root)
         mesh = settings.read_mesh(root, mesh_file)
         start = settings.start_pose(mesh)
         level = start.reference(np.eye(3), mesh.nodes[mesh.contact])
-        load.check_inside(level)
-        load.check_friction(settings.contact.friction)
+        width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
+        friction, found = settings.contact.friction, []
+        for block in settings.all_loads:
+            load = block.load(root, read_step)
+            if load.rotation is not None:
+                turned = load.rotation @ rotation_z(start.yaw)
+                load = replace(load, rotation=turned)
+            load.check_inside(level)
+            load.check_friction(friction)
+            found.append(load.bearable(friction, width))
+        weights = [block.weight for block in settings.all_loads]
+        load = Load.one_after_another(found, weights)
+        if not settings.loads:
+            (load,) = found
         return cls(settings, load, mesh, start)
 
     @property
@@ -470,9 +593,15 @@ class Setup:
             return self
         return self._with_last_stage(iterations=iterations)
 
-    def finishing_on_own_mesh(self) -> "Setup":
-        """The last stage on the mesh at hand, not on a brick."""
-        return self._with_last_stage(divisions=None)
+    def on_own_mesh(self) -> "Setup":
+        """The last stage on the mesh at hand; all, where it is no brick."""
+        stages = self.settings.optimize.stages
+        block = np.prod(np.ptp(self.mesh.nodes, axis=0))
+        if abs(self.mesh.volume / block - 1) < 1e-6:
+            return self._with_last_stage(divisions=None)
+        return self.optimizing(
+            stages=tuple(replace(s, divisions=None) for s in stages)
+        )
 
     def _with_last_stage(self, **changes) -> "Setup":
         *stages, last = self.settings.optimize.stages

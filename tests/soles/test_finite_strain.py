@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from as_load import as_load
 from scipy.spatial.transform import Rotation
 
 from drake_exo.soles.contact.finite_strain import FiniteStrainSolver
@@ -47,7 +48,7 @@ def law(sole):
 
 @pytest.fixture(scope="module")
 def history(sole, law):
-    return follow(sole, law, *_load(), START)
+    return follow(sole, law, as_load(*_load()), START)
 
 
 def test_every_sample_is_in_equilibrium(sole, history):
@@ -93,8 +94,9 @@ def test_tends_to_small_strain_as_the_load_does(sole, law):
     force, zmp = _load(3)
     differences = []
     for scale in (0.1, 0.01, 0.001):
-        small = simulate(ContactSolver.of(sole, law), scale * force, zmp, START)
-        large = follow(sole, law, scale * force, zmp, START)
+        load = as_load(scale * force, zmp)
+        small = simulate(ContactSolver.of(sole, law), load, START)
+        large = follow(sole, law, load, START)
         assert large.converged.all()
         K0 = small.K_c[-1]
         differences.append(np.abs(large.K_c[-1] - K0).max() / np.abs(K0).max())
@@ -202,7 +204,7 @@ def test_samples_after_a_collapse_are_left_out(sole, law):
     """A force outside friction's cone has no equilibrium."""
     force, zmp = _load()
     force[2] = [400.0, 0.0, 100.0]
-    history = follow(sole, law, force, zmp, START)
+    history = follow(sole, law, as_load(force, zmp), START)
     assert history.converged.tolist() == [True, True, False, False, False]
     assert len(history.states) == len(history.reached) == 5
     assert 0 < history.reached[2] < 1

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sole_at_pose import contact_at_pose
+from as_load import as_load
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact import newton as contact
@@ -46,7 +47,7 @@ def sole():
 @pytest.fixture(scope="module")
 def history(sole):
     law = ContactLaw(0.8, sole.penalty)
-    return simulate(ContactSolver.of(sole, law), *_load(), START)
+    return simulate(ContactSolver.of(sole, law), as_load(*_load()), START)
 
 
 def test_force_and_zmp_are_reached(history):
@@ -74,11 +75,58 @@ def test_complementarity_is_met_in_exact_mode(sole, history):
 def test_gauss_seidel_and_newton_agree(sole, history):
     law = ContactLaw(0.8, sole.penalty)
     solver = GaussSeidelSolver(sole.compliance, sole.positions, law)
-    other = simulate(solver, *_load(), START)
+    other = simulate(solver, as_load(*_load()), START)
     assert other.failed_steps == 0
     assert np.abs(other.O - history.O).max() < 1e-8
     assert np.abs(other.R - history.R).max() < 1e-8
     assert np.abs(other.P - history.P).max() < 1e-8
+
+
+def _moment_about(history, zmp):
+    arm = history.P - np.c_[zmp, np.zeros(len(zmp))][:, None]
+    return np.cross(arm, history.F).sum(axis=1)
+
+
+@pytest.mark.parametrize("kind", [ContactSolver, GaussSeidelSolver])
+def test_a_free_moment_is_reached(sole, kind):
+    force, zmp = _load(6)
+    wanted = np.linspace(-2.0, 3.0, 6)
+    load = as_load(force, zmp, free_moment=wanted)
+    history = simulate(
+        kind.of(sole, ContactLaw(0.8, sole.penalty)), load, START
+    )
+    assert history.failed_steps == 0
+    moment = _moment_about(history, zmp)
+    np.testing.assert_allclose(moment[:, 2], wanted, atol=1e-6)
+    np.testing.assert_allclose(moment[:, :2], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [ContactSolver, GaussSeidelSolver])
+def test_a_measured_pose_is_kept_and_its_force_reached(sole, history, kind):
+    """The free step's orientations, prescribed, give its ZMP again."""
+    force, zmp = _load()
+    load = as_load(force, zmp, rotation=history.R)
+    again = simulate(kind.of(sole, ContactLaw(0.8, sole.penalty)), load, START)
+    assert again.failed_steps == 0
+    np.testing.assert_allclose(again.R, history.R, atol=1e-14)
+    np.testing.assert_allclose(again.F.sum(axis=1), force, atol=1e-6)
+    moment = _moment_about(again, zmp)
+    assert np.abs(moment).max() < 1e-4 * np.abs(force).max()
+    assert np.abs(again.O - history.O).max() < 1e-8
+    # A tilt of a milliradian more moves it by some millimetres.
+    leaning = history.R @ exp_rotation(np.array([0.0, 1e-3, 0.0]))
+    load = as_load(force, zmp, rotation=leaning)
+    other = simulate(kind.of(sole, ContactLaw(0.8, sole.penalty)), load, START)
+    assert np.abs(_moment_about(other, zmp)[5:15, 1]).min() > 0.1
+
+
+def test_moments_that_no_ground_bears_are_cut():
+    force = np.array([[0.0, 0, 100], [60, 0, 100], [90, 0, 100]])
+    load = as_load(force, np.zeros((3, 2)), free_moment=[9.0, -1.0, -1.0])
+    cut = load.bearable(0.8, 0.12)
+    np.testing.assert_allclose(cut.free_moment, [2.4, -0.6, 0.0])
+    assert cut.moments_cut == 3
+    assert as_load(force, np.zeros((3, 2))).bearable(0.8, 0.1).moments_cut == 0
 
 
 def test_first_jacobian_includes_the_moving_reference(sole):
@@ -86,7 +134,7 @@ def test_first_jacobian_includes_the_moving_reference(sole):
     law = ContactLaw(0.8, sole.penalty)
     force, zmp = _load()
     solver = ContactSolver(sole.compliance, sole.positions, law)
-    history = simulate(solver, force[:1], zmp[:1], START)
+    history = simulate(solver, as_load(force[:1], zmp[:1]), START)
     target = Target(force[0] * 1.0001, zmp[0], START)
     _, report = solver.solve(history.state(0), target)
     assert report.converged
@@ -263,8 +311,7 @@ def test_authors_outputs_are_reproduced(data_root, name, weight):
     point = np.array([-0.115, 0.0, -0.021])
     history = simulate(
         ContactSolver.of(sole, ContactLaw(0.65, sole.penalty)),
-        force,
-        zmp,
+        as_load(force, zmp),
         Start(point, np.array([-0.115, 0.0, 0.0])),
     )
     assert history.failed_steps == 0
@@ -286,7 +333,7 @@ def test_an_impossible_load_says_why(sole):
     law = ContactLaw(0.3, sole.penalty)
     force = np.array([[0.0, 0, 300], [60.0, 0, 300], [150.0, 0, 300]])
     zmp = np.zeros((3, 2))
-    history = simulate(ContactSolver.of(sole, law), force, zmp, START)
+    history = simulate(ContactSolver.of(sole, law), as_load(force, zmp), START)
     assert list(history.converged) == [True, True, False]
     assert "continuation in the load stopped at" in history.reports[2].message
     assert np.isnan(history.K_c[2]).all()

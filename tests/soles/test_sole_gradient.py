@@ -1,5 +1,7 @@
 """Gradients of the simulation by shape against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,8 +17,10 @@ from drake_exo.soles.optimize.problem import (
     ShapeProblem,
     sample_weights,
     second_differences,
+    thinned,
 )
 from drake_exo.soles.optimize.search import settle
+from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import largest_strain
 from drake_exo.soles.step.simulation import simulate
@@ -37,6 +41,15 @@ def _load(count):
     return Load(0.05 * np.arange(count), force, zmp)
 
 
+def _rolling(load, pose):
+    """The load with a free moment, or with a measured pose."""
+    s = np.linspace(0, 1, len(load.times))
+    if pose == "moment":
+        return replace(load, free_moment=1.5 * np.sin(2 * np.pi * s))
+    angles = np.stack([0.02 * np.cos(s), -0.03 + 0.08 * s, 0 * s], axis=1)
+    return replace(load, rotation=rotations_xyz(angles))
+
+
 class Setting:
     def __init__(self, divisions, count, element="linear", layer=5e-5):
         self.mesh = brick(SIZE, divisions)
@@ -52,14 +65,14 @@ class Setting:
         mesh = self.mesh.with_nodes(self.spline.deform(self.mesh.nodes, p))
         sole = Sole(mesh, self.material, self.element)
         solver = ContactSolver.of(sole, self.law, tolerance=1e-13)
-        history = simulate(solver, self.load.force, self.load.zmp, START)
+        history = simulate(solver, self.load, START)
         assert history.failed_steps == 0
         return sole, solver, history
 
     def gradient(self, p, by_tr, by_rot):
         sole, solver, history = self.forward(p)
         X = shape_gradients(
-            sole, solver, self.load.force, self.load.zmp, START, history,
+            sole, solver, self.load, START, history,
             [singular_terms(history.K_c, by_tr, by_rot)],
         )[0]  # fmt: skip
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
@@ -96,6 +109,82 @@ def test_gradient_matches_central_differences(divisions, count, element):
     assert min(errors) < 1e-5
     # A planted error of a tenth of a per mille must not go unnoticed.
     assert abs((plus - minus) / (2 * h) / (1.0001 * slope) - 1) > 1e-5
+
+
+@pytest.mark.parametrize("pose", ["moment", "measured"])
+def test_gradient_with_a_free_moment_or_a_measured_pose(pose):
+    setting = Setting((6, 4, 3), 4, "smoothed")
+    setting.load = _rolling(setting.load, pose)
+    rng = np.random.default_rng(0)
+    p = 1 + 0.05 * rng.standard_normal(setting.spline.count)
+    by_tr, by_rot = np.array([1.0, 1.0, 0.0, 0.0]), -3.0 * np.ones(4)
+    direction, h = rng.standard_normal(len(p)), 1e-6
+    slope = setting.gradient(p, by_tr, by_rot) @ direction
+    plus, minus = (
+        _measure(setting.forward(p + s * h * direction)[2], by_tr, by_rot)
+        for s in (1, -1)
+    )
+    assert (plus - minus) / (2 * h) == pytest.approx(slope, rel=1e-5)
+    # The load as it was before has another gradient.
+    setting.load = replace(setting.load, free_moment=None, rotation=None)
+    other = setting.gradient(p, by_tr, by_rot) @ direction
+    assert other != pytest.approx(slope, rel=1e-3)
+
+
+def _two_loads(of):
+    """A problem of two loads, the second a faster, harder step."""
+    setting = Setting((6, 4, 3), 6, "smoothed")
+    hard = replace(setting.load, force=1.3 * setting.load.force).every(5)
+    both = Load.one_after_another([setting.load, hard], [1.0, 3.0])
+    return ShapeProblem(
+        setting.mesh, setting.spline, setting.material, setting.law, both,
+        START, 1.0, Limits(813e-6, tilt_deg=20.0), "smoothed",
+        regularization_weight=1e-2, samples=4, fraction=0.4, of=of,
+    )  # fmt: skip
+
+
+def test_samples_of_several_loads_are_thinned_each():
+    load = Load.one_after_another([_load(50), _load(20)], [1.0, 1.0])
+    picked, by_tr, by_rot = sample_weights(load, 10, 0.1)
+    first = picked < 50
+    for mine, total, strike in ((first, 50, 5), (~first, 20, 2)):
+        assert by_rot[mine].sum() == pytest.approx(total)
+        assert by_tr[mine].sum() == pytest.approx(strike)
+    assert load.at(picked).begins == (0, int(first.sum()))
+
+
+@pytest.mark.parametrize("of", ["mean", "worst"])
+def test_gradient_for_several_loads(of):
+    problem = _two_loads(of)
+    rng = np.random.default_rng(3)
+    p = 1 + 0.04 * rng.standard_normal(problem.spline.count)
+    direction, h = rng.standard_normal(len(p)), 1e-6
+    gradient, jacobian = problem.derivatives(p)
+    slope = gradient @ direction + problem.regularization(p)[1] @ direction
+    plus, minus = (problem.cost(p + s * h * direction) for s in (1, -1))
+    assert (plus - minus) / (2 * h) == pytest.approx(slope, rel=1e-5)
+    over, under = (problem.constraints(p + s * h * direction) for s in (1, -1))
+    np.testing.assert_allclose(
+        jacobian @ direction, (over - under) / (2 * h), rtol=1e-4, atol=1e-6
+    )
+
+
+def test_several_loads_are_as_each_alone():
+    problem = _two_loads("mean")
+    p = 1 + 0.03 * np.random.default_rng(4).standard_normal(
+        problem.spline.count
+    )
+    ratios = []
+    for phase, loads in zip(problem.load.phases, (1.0, 3.0), strict=True):
+        load = problem.load.at(np.arange(len(problem.load.times))[phase])
+        alone = replace(problem, load=load, branch=None, first=None, _cache={})
+        assert alone.load.weights == (loads,)
+        free = alone.cost(p) - alone.regularization(p)[0]
+        ratios.append(free)
+    mean = problem.cost(p) - problem.regularization(p)[0]
+    assert mean == pytest.approx(0.25 * ratios[0] + 0.75 * ratios[1], rel=1e-9)
+    worst = _two_loads("worst").cost(p) - problem.regularization(p)[0]
+    assert max(ratios) <= worst <= max(ratios) + np.log(2) / 40
 
 
 def _problem(element):
@@ -324,7 +413,7 @@ def test_a_design_that_inverts_elements_is_smoothed(problem):
 
 def test_sample_weights_stand_for_all_samples():
     for samples in (None, 20, 44):
-        picked, by_tr, by_rot = sample_weights(219, samples, 0.1)
+        picked, by_tr, by_rot = thinned(219, samples, 0.1)
         assert by_tr.sum() == pytest.approx(21)
         assert by_rot.sum() == pytest.approx(219)
         assert picked[0] == 0

@@ -35,7 +35,7 @@ def step():
         np.array([-0.115, 0.0, -0.03]), np.array([-0.115, 0.0, 0.0]), 0.0
     )
     law = ContactLaw(0.8, sole.penalty)
-    history = simulate(ContactSolver.of(sole, law), force, zmp, start)
+    history = simulate(ContactSolver.of(sole, law), load, start)
     assert history.failed_steps == 0
     return mesh, load, history
 

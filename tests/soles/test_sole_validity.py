@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from as_load import as_load
 
 from drake_exo import cli
 from drake_exo.errors import InputError
@@ -33,7 +34,7 @@ def test_a_foot_is_set_down_under_any_load(force):
     )
     history = simulate(
         ContactSolver.of(sole := case.sole(), ContactLaw(0.8, sole.penalty)),
-        case.load.force[:1], case.load.zmp[:1], case.start,
+        case.load.at(np.arange(1)), case.start,
     )  # fmt: skip
     assert history.statuses() == ["followed"]
     np.testing.assert_allclose(
@@ -66,7 +67,7 @@ def _follow(seed, pieces=1, **more):
         for values in (FORCE, ZMP)
     )
     solver = ContactSolver.of(sole, law)
-    return simulate(solver, force, zmp, START, **more), sole, law
+    return simulate(solver, as_load(force, zmp), START, **more), sole, law
 
 
 @pytest.mark.slow

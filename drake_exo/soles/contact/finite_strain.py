@@ -14,7 +14,7 @@ increment adds Rᵀ(−dzO + hat(P − Z) dω) to du. Eliminating all but the po
 from the Newton matrix of a converged state gives K_c.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import bsr_matrix
@@ -88,6 +88,8 @@ class FiniteStrainSolver:
         self, state: FiniteState, target: Target
     ) -> tuple[FiniteState, Convergence]:
         """Newton from `state`; the last state and its report."""
+        state = replace(state)
+        state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         Q = self._reference(target, state.R)
         tau = state.F - self.law.penalty * (self.places(state) - Q)
@@ -106,7 +108,7 @@ class FiniteStrainSolver:
             if iteration == self.max_iterations:
                 break
             try:
-                step = self._linearise(point, target).newton_step()
+                step = self._linearise(point, target).newton_step(target.asked)
             except (np.linalg.LinAlgError, RuntimeError):
                 message = "singular Newton matrix"
                 break
@@ -144,9 +146,8 @@ class FiniteStrainSolver:
         balance[self._blocks] -= F @ R
         arm = P.copy()
         arm[:, :2] -= target.zmp
-        wrench = np.concatenate(
-            [F.sum(axis=0) - target.force, np.cross(arm, F).sum(axis=0)]
-        )
+        wrench = np.concatenate([F.sum(axis=0), np.cross(arm, F).sum(axis=0)])
+        wrench = target.missed(wrench)
         merit = np.inf
         if np.isfinite(balance).all():
             merit = max(
@@ -257,13 +258,17 @@ class _Linearisation:
         """[dF; dΓ_Z] for unit pose increments (dzO, dω), (6, 6)."""
         return self._wrench_change(self._pose, True)
 
-    def newton_step(self):
-        """Interior du (n_f, 3), ζ (m, 3), pose increment (6,)."""
+    def newton_step(self, asked):
+        """Interior du (n_f, 3), ζ (m, 3), pose increment (6,).
+
+        Args:
+            asked: Components of wrench and pose that are solved for.
+        """
         x = self._lu.solve(-self.point.balance.reshape(-1, 1))
         carried = self._wrench_change(x, False)[:, 0]
-        dp = np.linalg.solve(
-            self.wrench_response(), -(self.point.wrench + carried)
-        )
+        dp, G = np.zeros(6), self.wrench_response()[np.ix_(asked, asked)]
+        lacking = self.point.wrench + carried
+        dp[asked] = np.linalg.solve(G, -lacking[asked])
         if not np.isfinite(dp).all():
             raise np.linalg.LinAlgError
         x = x[:, 0] + self._pose @ dp

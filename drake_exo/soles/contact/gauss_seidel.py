@@ -64,6 +64,8 @@ class GaussSeidelSolver(ContactSolver):
     ) -> tuple[State, Convergence]:
         """Pose Newton around sweeps; see `ContactSolver.solve`."""
         state = state.copy()
+        if not fixed_pose:
+            state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         self.sweeps, history = 0, []
         need = np.inf if not fixed_pose else 0.0
@@ -134,7 +136,8 @@ class GaussSeidelSolver(ContactSolver):
             d_place = d_place.copy()
             d_place[:, :, 3:] += dQ
         J = lin.wrench_change(dF, d_place)
-        dp = np.linalg.solve(J, -point.wrench)
+        dp, at = np.zeros(6), target.asked
+        dp[at] = np.linalg.solve(J[np.ix_(at, at)], -point.wrench[at])
         step = min(
             1.0,
             0.15 / max(np.linalg.norm(dp[3:]), 1e-300),

@@ -242,8 +242,13 @@ class Linearisation:
         dF, dP = dF.reshape(-1, dF.shape[2]), dP.reshape(-1, dP.shape[2])
         return _wrench_change(np.eye(3), self.arm, self.F, dF, dP)
 
-    def solve(self, phi, wrench, dQ=None):
+    def solve(self, phi, wrench, asked, dQ=None):
         """Newton step for law residual phi (k, 3) and wrench residual (6,).
+
+        Args:
+            phi, wrench: The residuals.
+            asked: Components of wrench and pose that are solved for.
+            dQ: Derivative of the references by the turn, if they have one.
 
         Returns:
             dF (k, 3) world, dp = (dzO, dω) (6,).
@@ -258,7 +263,8 @@ class Linearisation:
         if dQ is not None:
             dP[:, 4:] += self._to_sole(dQ)
         G = _wrench_change(self.R, self.arm, self.F, dF, dP)
-        dp = np.linalg.solve(G[:, 1:], -(wrench + G[:, 0]))
+        dp, at = np.zeros(6), np.ix_(asked, asked)
+        dp[asked] = np.linalg.solve(G[:, 1:][at], -(wrench + G[:, 0])[asked])
         step = dF[:, 0] + dF[:, 1:] @ dp
         return step.reshape(-1, 3) @ self.R.T, dp
 

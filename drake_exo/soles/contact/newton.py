@@ -14,7 +14,13 @@ from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation
 from drake_exo.soles.contact.node_law import ContactLaw, project_node
 from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.rotations import exp_rotation, hat, rotation_z, yaw_of
+from drake_exo.soles.rotations import (
+    exp_rotation,
+    hat,
+    rotation_vector,
+    rotation_z,
+    yaw_of,
+)
 
 
 @njit()
@@ -87,6 +93,9 @@ def residual(P, F, Q_t, zmp, r, mu, epsilon, kappa):
     return tau, phi, arm, wrench, largest
 
 
+# Increments (dzO, dω) of a free pose, and of one whose orientation is given;
+# the same components of the wrench are asked for.
+_WHOLE, _SHIFT = np.arange(6), np.arange(3)
 MOMENT_SCALE = 0.05  # metres; moments are divided by it in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
 _HALVINGS = 6
@@ -137,22 +146,55 @@ class State:
 
 @dataclass
 class Target:
-    """What one step must reach: force [N], ZMP on the ground [m], reference.
+    """What one step must reach.
 
-    `reference` is Q_t (m, 2), or a Start for the first step.
+    Attributes:
+        force: [N], (3,).
+        zmp: On the ground [m], (2,).
+        reference: Q_t (m, 2), or a Start for the first step.
+        moment: About the vertical through the ZMP [N·m].
+        rotation: Orientation (3, 3); where it is given, the force alone is
+            reached.
     """
 
     force: np.ndarray
     zmp: np.ndarray
     reference: "np.ndarray | Start"
+    moment: float = 0.0
+    rotation: np.ndarray | None = None
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Components of the wrench that are asked for, and of the pose."""
+        return _WHOLE if self.rotation is None else _SHIFT
 
     def partway(self, before: "Target", part: float) -> "Target":
         """A part of the way from `before` to here, at this reference."""
+        rotation = self.rotation
+        if rotation is not None and before.rotation is not None:
+            turn = rotation_vector(rotation @ before.rotation.T)
+            rotation = exp_rotation(part * turn) @ before.rotation
         return Target(
             before.force + part * (self.force - before.force),
             before.zmp + part * (self.zmp - before.zmp),
             self.reference,
+            before.moment + part * (self.moment - before.moment),
+            rotation,
         )
+
+    def missed(self, wrench: np.ndarray) -> np.ndarray:
+        """What a wrench (6,) about the ZMP lacks where it is asked for."""
+        out = np.zeros(6)
+        aim = np.array([*self.force, 0.0, 0.0, self.moment])
+        out[self.asked] = (wrench - aim)[self.asked]
+        return out
+
+    def turned(self, O, R) -> tuple[np.ndarray, np.ndarray]:  # noqa: E741
+        """Place and orientation turned about the ZMP as is asked for."""
+        if self.rotation is None:
+            return O, R
+        Z = np.array([*self.zmp, 0.0])
+        return Z + self.rotation @ R.T @ (O - Z), self.rotation
 
 
 @dataclass
@@ -211,6 +253,8 @@ class ContactSolver:
                 paper's Algorithm 3); target.force only scales the residual.
         """
         state = state.copy()
+        if not fixed_pose:
+            state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         history, message = [], ""
         point = self._evaluate(state, target, fixed_pose, scale)
@@ -267,7 +311,7 @@ class ContactSolver:
         if fixed_pose:
             wrench = np.zeros(6)
         else:
-            wrench[:3] -= target.force
+            wrench = target.missed(wrench)
             off = np.abs(wrench)
             off[3:] /= MOMENT_SCALE
             merit = float(np.maximum(merit, off.max() / scale))  # NaN stays
@@ -311,7 +355,7 @@ class ContactSolver:
         if fixed_pose:
             dF[lin.nodes] = lin.solve_forces(phi)
             return dF, np.zeros(6)
-        dF[lin.nodes], dp = lin.solve(phi, point.wrench, dQ)
+        dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, dQ)
         if not np.isfinite(dp).all():
             raise np.linalg.LinAlgError
         return dF, dp

@@ -12,6 +12,7 @@ from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.shape_gradient import compliance_gradient
+from drake_exo.soles.loads import Load
 from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.step.simulation import StepHistory
 
@@ -138,8 +139,7 @@ def _padded(alpha, u, v, part) -> Term:
 def shape_gradients(
     sole: Sole,
     solver: ContactSolver,
-    force: np.ndarray,
-    zmp: np.ndarray,
+    load: Load,
     start: Start,
     history: StepHistory,
     functionals: list[list[list[Term]]],
@@ -149,12 +149,12 @@ def shape_gradients(
     Args:
         sole: The condensed sole.
         solver: The solver of the forward simulation (its law counts).
-        force, zmp, start: Its load and start.
+        load, start: What it was asked for, and how it was held.
         history: Its result, all samples converged.
         functionals: For each functional and sample a list of terms.
     """
     sums = [Sensitivity.zero(len(sole.positions)) for _ in functionals]
-    for q in reversed(range(len(force))):
+    for q in reversed(range(len(load.times))):
         live = [
             (total, functional[q])
             for total, functional in zip(sums, functionals, strict=True)
@@ -162,8 +162,9 @@ def shape_gradients(
         ]
         if not live:
             continue
-        reference = start if q == 0 else history.P[q - 1][:, :2]
-        target = Target(force[q], zmp[q], reference)
+        held = q in load.begins
+        reference = start if held else history.P[q - 1][:, :2]
+        target = load.target(q, reference)
         step = _Step(solver, history, q, target)
         step.reverse(*zip(*live, strict=True))
     out = np.zeros((len(sums), *sole.mesh.nodes.shape))
@@ -295,7 +296,9 @@ class _Step:
         J_pT = np.concatenate([y0.sum(axis=1), turned.sum(axis=1)], axis=1)
         if self.dQ is not None:
             J_pT[:, 3:] -= np.einsum("kij,cki->cj", self.dQ, y0)
-        l_w = np.linalg.solve(self.G.T, -(b_p + J_pT).T).T
+        asked, l_w = self.target.asked, np.zeros((len(b_p), 6))
+        G = self.G[np.ix_(asked, asked)]
+        l_w[:, asked] = np.linalg.solve(G.T, -(b_p + J_pT)[:, asked].T).T
         l_f, l_m = l_w[:, None, :3], l_w[:, None, 3:]
         plain = l_f - cross(arm, l_m)
         Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)

@@ -137,6 +137,10 @@ class Design:
                 "c_rot_mean_nm_per_rad",
             )
         }  # fmt: skip
+        row["loads"] = [
+            mine | {"c_initial": its["c"], "ratio": mine["c"] / its["c"]}
+            for mine, its in zip(now["loads"], first.loads(), strict=True)
+        ]
         row |= {
             "c_tr_initial": first.c_tr,
             "c_rot_initial": first.c_rot,

@@ -9,10 +9,11 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import read_json, write_json
 from drake_exo.soles.contact.newton import Start
-from drake_exo.soles.loads import read_csv
+from drake_exo.soles.loads import read_columns, read_csv
 from drake_exo.soles.mesh import TetMesh, read_mesh
 from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.shape import SphericalSpline
 
@@ -338,6 +339,13 @@ def read_design(folder: Path) -> StoredDesign:
     settings = Settings.read(folder / CASE)
     mesh = read_mesh(folder / MESH, (0.0, 0.0, 0.0))
     load, start = read_csv(folder / STEPS), settings.start_pose(mesh)
+    held = [block.pose == "measured" for block in settings.all_loads]
+    if any(held):
+        table = read_columns(folder / STEPS)
+        angles = [table[f"{name}_deg"] for name in ("roll", "pitch", "yaw")]
+        R = rotations_xyz(np.deg2rad(angles).T)
+        R[~np.array(held)[load.phase]] = np.nan
+        load = replace(load, rotation=R)
     return StoredDesign(folder, Setup(settings, load, mesh, start))
 
 

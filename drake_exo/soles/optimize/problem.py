@@ -9,6 +9,7 @@ would leap.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from drake_exo.soles.step.simulation import (
 )
 
 _ELEMENT_SHARPNESS = 200.0
+_WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
 _LEAST_VOLUME = 0.06  # of an element's own volume at rest
 
 
@@ -56,6 +58,8 @@ class ShapeProblem:
         fraction: Heel strike's part of the samples.
         samples: How many samples to simulate.
         use_tr: Factor of c_tr in the cost.
+        of: Of several loads the mean of c over the initial shape's, or the
+            worst.
         branch: History of the last accepted design.
         meshed_at: Design (P,) whose deformed mesh was made anew; None for a
             mesh of the undeformed sole. The element floor is relative to it.
@@ -76,6 +80,7 @@ class ShapeProblem:
     fraction: float = 0.1
     samples: int | None = None
     use_tr: float = 1.0
+    of: Literal["mean", "worst"] = "mean"
     branch: StepHistory | None = None
     meshed_at: np.ndarray | None = None
     first: Evaluation | None = None
@@ -85,9 +90,13 @@ class ShapeProblem:
 
     def __post_init__(self):
         self.M, self.s0 = self.spline.basis(self.mesh.nodes)
-        self.picked, self.by_tr, self.by_rot = sample_weights(
-            len(self.load.times), self.samples, self.fraction
+        self.picked, by_tr, by_rot = sample_weights(
+            self.load, self.samples, self.fraction
         )
+        self.thinned = self.load.at(self.picked)
+        self.counts = by_rot
+        share = self.load.shares[self.thinned.phase]
+        self.by_tr, self.by_rot = share * by_tr, share * by_rot
         self._bends = second_differences(self.spline)
         self._rest = self.mesh.volumes
         if self.meshed_at is not None:
@@ -96,8 +105,7 @@ class ShapeProblem:
             self.first = self.evaluate(np.ones(self.spline.count))
         if self.first is None:
             raise RuntimeError("the initial shape cannot be simulated")
-        c_tr, c_rot = self.first.c_tr, self.first.c_rot
-        self.scale = abs(self.use_tr * c_tr - self.weight * c_rot)
+        self.scales = np.abs(self._costs(self.first))
         self.limited = active_limits(self.limits, self.first, self.by_rot)
 
     def with_mesh(self, mesh: TetMesh, p: np.ndarray) -> "ShapeProblem":
@@ -144,11 +152,9 @@ class ShapeProblem:
             return None
         sole = Sole(mesh, self.material, self.element)
         solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
-        force, zmp = self.load.force[self.picked], self.load.zmp[self.picked]
         history = simulate(
             solver,
-            force,
-            zmp,
+            self.thinned,
             self.start,
             stop_at_failure=True,
             near=self.branch,
@@ -166,16 +172,33 @@ class ShapeProblem:
             history,
             float(self.by_tr @ stiffness.sigma_max_translation(history.K_c)),
             float(self.by_rot @ stiffness.sigma_min_rotation(history.K_c)),
-            self.by_rot,
+            self.counts,
         )
+
+    def _costs(self, e: Evaluation) -> np.ndarray:
+        """C of every contact phase, times its share, (K,)."""
+        K = e.history.K_c
+        c = self.use_tr * self.by_tr * stiffness.sigma_max_translation(K)
+        c = c - self.weight * self.by_rot * stiffness.sigma_min_rotation(K)
+        return np.add.reduceat(c, self.thinned.begins)
+
+    def _combined(self, e: Evaluation) -> tuple[float, np.ndarray]:
+        """Scaled cost of all phases, and its derivatives by their c (K,).
+
+        The mean of c / |c̄|, or about the worst of them.
+        """
+        ratios, shares = self._costs(e) / self.scales, self.load.shares
+        if self.of == "mean":
+            return float(shares @ ratios), shares / self.scales
+        value, share = soft_minimum(-ratios, _WORST_SHARPNESS)
+        return -value, share / self.scales
 
     def cost(self, p: np.ndarray) -> float:
         """Scaled c plus the regularization; NaN where the simulation fails."""
         e = self.evaluate(p)
         if e is None:
             return np.nan
-        c = self.use_tr * e.c_tr - self.weight * e.c_rot
-        return c / self.scale + self.regularization(p)[0]
+        return self._combined(e)[0] + self.regularization(p)[0]
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
@@ -212,17 +235,17 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
+        by_c = self._combined(e)[1][self.thinned.phase]
         cost = singular_terms(
             e.history.K_c,
-            self.use_tr * self.by_tr / self.scale,
-            -self.weight * self.by_rot / self.scale,
+            self.use_tr * self.by_tr * by_c,
+            -self.weight * self.by_rot * by_c,
         )
         parts = [(cost, 0.0), *(limit.derivative(e) for limit in self.limited)]
         X = shape_gradients(
             e.sole,
             e.solver,
-            self.load.force[self.picked],
-            self.load.zmp[self.picked],
+            self.thinned,
             self.start,
             e.history,
             [terms for terms, _ in parts],
@@ -267,7 +290,19 @@ class ShapeProblem:
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
 
 
-def sample_weights(total: int, samples: int | None, fraction: float):
+def sample_weights(load: Load, samples: int | None, fraction: float):
+    """Which samples of every phase to simulate; their factors in the sums.
+
+    See `thinned`.
+    """
+    parts = []
+    for phase in load.phases:
+        picked, *factors = thinned(phase.stop - phase.start, samples, fraction)
+        parts.append((picked + phase.start, *factors))
+    return tuple(map(np.concatenate, zip(*parts, strict=True)))
+
+
+def thinned(total: int, samples: int | None, fraction: float):
     """Which samples to simulate and what each counts in the sums.
 
     Heel strike and the rest are thinned alike, at least four samples of

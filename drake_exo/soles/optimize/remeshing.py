@@ -8,21 +8,15 @@ on the direction alone, so that the new mesh is pulled back, X = X'/s, and the
 search goes on with the same coefficients. Where that fails it stops.
 """
 
-import io
-import subprocess
-import sys
-from pathlib import Path
-from zipfile import BadZipFile
-
 import numpy as np
 from scipy.spatial import cKDTree
 
-from drake_exo.errors import InputError, first_line
+from drake_exo.errors import InputError
 from drake_exo.soles.mesh import TetMesh, checked_mesh
+from drake_exo.soles.mmg import MmgError, run_mmg
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.shape import SphericalSpline, pull_back
 
-_CHILD = Path(__file__).with_name("mmg_child.py")
 _MOST_SECONDS = 20  # of processor time; five thousand tets take one
 _WORN = 0.02  # least volume ratio above the element floor
 
@@ -67,7 +61,15 @@ def remesh(mesh: TetMesh, spline: SphericalSpline, p: np.ndarray) -> TetMesh:
     before = float(deformed.quality().min())
     if before <= 0:
         raise RemeshError("the sole's elements are inverted already")
-    nodes, tets = _mmg(deformed)
+    body = {
+        "nodes": deformed.nodes,
+        "tets": deformed.tets,
+        "triangles": deformed.boundary_faces,
+    }
+    try:
+        nodes, tets = run_mmg(body, _MOST_SECONDS)
+    except MmgError as error:
+        raise RemeshError(str(error)) from None
     X = pull_back(nodes, spline, p)
     old = np.unique(mesh.boundary_faces)
     new = np.unique(TetMesh(nodes, tets, old).boundary_faces)
@@ -81,31 +83,6 @@ def remesh(mesh: TetMesh, spline: SphericalSpline, p: np.ndarray) -> TetMesh:
     if shaped.quality().min() <= before:
         raise RemeshError("no element is better for it")
     return TetMesh(X, tets, fixed)
-
-
-def _mmg(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and elements that mmg_child.py makes of a deformed mesh."""
-    whole = io.BytesIO()
-    np.savez(
-        whole, nodes=mesh.nodes, tets=mesh.tets, triangles=mesh.boundary_faces
-    )
-    run = subprocess.run(
-        [sys.executable, str(_CHILD), str(_MOST_SECONDS)],
-        input=whole.getvalue(),
-        capture_output=True,
-        check=False,
-    )
-    if run.returncode != 0:
-        said = first_line(run.stderr.decode(errors="replace"))
-        raise RemeshError(
-            said if run.returncode == 1 and said
-            else f"Mmg ended with code {run.returncode}"
-        )  # fmt: skip
-    try:
-        with np.load(io.BytesIO(run.stdout)) as got:
-            return got["nodes"], got["tets"]
-    except (BadZipFile, ValueError, OSError, EOFError):
-        raise RemeshError("Mmg gave no mesh") from None
 
 
 def record(stage: int, iteration: int, before, after, p) -> dict:

@@ -52,10 +52,12 @@ def limits_of(settings: Settings) -> Limits:
     """The case's constraints."""
     block = settings.optimize
     density = settings.material.material().density_kg_per_m3
+    # A pose that is prescribed does not tip, and no shape changes it.
+    held = any(block.pose == "measured" for block in settings.all_loads)
     return Limits(
         maximum_volume(settings.cost.mass_limit_kg, density),
-        block.stability_n_per_m,
-        block.tilt_deg,
+        None if held else block.stability_n_per_m,
+        None if held else block.tilt_deg,
         block.strain,
         block.c_rot_nm_per_rad,
     )
@@ -95,6 +97,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
         settings.cost.heel_strike_fraction,
         stage.samples,
         use_tr=block.use_tr,
+        of=settings.cost.of,
     )
 
 

@@ -8,6 +8,7 @@ from drake_exo.files.verdict import SOLVED, Check
 # inside out from the second on.
 SMALL_STRAIN, _INSIDE_OUT = 0.3, 1.0
 _TILT_DEG = 20.0  # beyond, a small-strain pose is not that of a real foot
+_ZMP_ERROR = 0.02  # metres
 _NEAR_SLIP = 0.95  # part of μ
 _UNDERCUT = 0.01  # part of the bare surface
 _COMPLEMENTARITY = 1e-6
@@ -39,22 +40,11 @@ def step_checks(step) -> tuple[Check, ...]:
             "fail" if beyond_reason else "note",
         )
     )  # fmt: skip
-    tilt = float(step.tilt_deg[step.converged].max())
-    checks.append(
-        _note(
-            "plausibility.tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°", name,
-            "the foot leans far over: a small push may tip it",
-        )
-    )  # fmt: skip
-    margin = float(np.nanmin(step.stability))
-    loose = int(np.sum(step.stability <= 0))
-    checks.append(
-        _note(
-            "plausibility.stability", margin > 0, margin, 0.0, "N/m", name,
-            f"{loose} samples are not shown to be stable: under a force that "
-            "stays as it is the foot may tip there",
-        )
-    )  # fmt: skip
+    measured = step.setup.load.is_measured
+    if measured.any():
+        checks.append(_zmp_check(step, name))
+    if not measured.all():
+        checks += _pose_checks(step, name, step.converged & ~measured)
     used = float(step.setup.load.friction_used.max())
     limit = _NEAR_SLIP * step.law.friction
     checks.append(
@@ -83,6 +73,37 @@ def step_checks(step) -> tuple[Check, ...]:
             )
         )  # fmt: skip
     return tuple(checks)
+
+
+def _pose_checks(step, name, free) -> list[Check]:
+    """Of samples (N,) whose pose follows from the load."""
+    if not free.any():
+        return []
+    tilt = float(step.tilt_deg[free].max())
+    margin = float(np.nanmin(step.stability[free]))
+    loose = int(np.sum(step.stability[free] <= 0))
+    return [
+        _note(
+            "plausibility.tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°", name,
+            "the foot leans far over: a small push may tip it",
+        ),
+        _note(
+            "plausibility.stability", margin > 0, margin, 0.0, "N/m", name,
+            f"{loose} samples are not shown to be stable: under a force that "
+            "stays as it is the foot may tip there",
+        ),
+    ]  # fmt: skip
+
+
+def _zmp_check(step, name) -> Check:
+    """Of a prescribed pose: whether the load's ZMP comes out."""
+    return _note(
+        "plausibility.zmp", step.zmp_error <= _ZMP_ERROR, step.zmp_error,
+        _ZMP_ERROR, "m", name,
+        "the pose that markers tell leads to another centre of pressure: a "
+        "tenth of a degree matters on a flat sole; take pose: free for its "
+        "stiffness there",
+    )  # fmt: skip
 
 
 def _note(name, holds, value, limit, unit, where, sentence) -> Check:

@@ -85,11 +85,11 @@ class Step:
     def _simulated(cls, setup, sole, law, progress=None) -> "Step":
         """By the case's method; again where further nodes get to the ground."""
         kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
-        kind, load = kinds[setup.settings.contact.method], setup.load
+        kind = kinds[setup.settings.contact.method]
 
         def simulated(sole):
             return simulate(
-                kind.of(sole, law), load.force, load.zmp, setup.start,
+                kind.of(sole, law), setup.load, setup.start,
                 progress=progress,
             )  # fmt: skip
 
@@ -119,6 +119,15 @@ class Step:
         with np.errstate(invalid="ignore"):
             share = up / up.sum(axis=1, keepdims=True)
         return np.einsum("qm,qmi->qi", share, self.history.P[:, :, :2])
+
+    @property
+    def zmp_error(self) -> float:
+        """Distance of the ZMP from the load's, RMS of what converged [m].
+
+        Zero but where the pose is prescribed.
+        """
+        off = (self.zmp - self.setup.load.zmp)[self.converged]
+        return float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
 
     @property
     def origin(self) -> np.ndarray:
@@ -195,24 +204,62 @@ class Step:
 
     @property
     def heel_strike(self) -> int:
-        """Number of samples of heel strike, the first of the step."""
+        """Number of samples of heel strike, the first of the (first) load."""
         fraction = self.setup.settings.cost.heel_strike_fraction
-        return stiffness.heel_strike_count(len(self.times), fraction)
+        first = self.setup.load.phases[0]
+        return stiffness.heel_strike_count(first.stop, fraction)
 
     @cached_property
     def costs(self) -> tuple[float, float, float]:
         """c_tr [N/m], c_rot [N·m/rad] and c = c_tr − w c_rot."""
-        cost = self.setup.settings.cost
-        return self.history.costs(cost.weight, cost.heel_strike_fraction)
+        c_tr, c_rot = self._sums(np.ones(len(self.times), dtype=bool))
+        return c_tr, c_rot, c_tr - self.setup.settings.cost.weight * c_rot
+
+    def _sums(self, rows) -> tuple[float, float]:
+        fraction = self.setup.settings.cost.heel_strike_fraction
+        by_tr, by_rot = stiffness.sample_weights(self.setup.load, fraction)
+        early = rows & (by_tr > 0)
+        return (
+            float(by_tr[early] @ self.sigma_max_translation[early]),
+            float(by_rot[rows] @ self.sigma_min_rotation[rows]),
+        )
+
+    def loads(self) -> list[dict]:
+        """Figures of every contact phase, as they are in summary.json."""
+        load, w = self.setup.load, self.setup.settings.cost.weight
+        fraction = self.setup.settings.cost.heel_strike_fraction
+        out = []
+        for k, share in enumerate(load.shares):
+            rows = load.phase == k
+            c_tr, c_rot = (x / share for x in self._sums(rows))
+            count = int(rows.sum())
+            strike = stiffness.heel_strike_count(count, fraction)
+            out.append(
+                {
+                    "begins_s": float(self.times[rows][0]),
+                    "weight": load.weights[k],
+                    "steps": count,
+                    "failed_steps": int((~self.converged[rows]).sum()),
+                    "c_tr": c_tr,
+                    "c_rot": c_rot,
+                    "c": c_tr - w * c_rot,
+                    "c_tr_mean_n_per_m": c_tr / strike,
+                    "c_rot_mean_nm_per_rad": c_rot / count,
+                }
+            )
+        return out
 
     @property
     def c_tr(self) -> float:
-        """Sum of `sigma_max_translation` over heel strike [N/m]."""
+        """Sum of `sigma_max_translation` over heel strike [N/m].
+
+        Of several loads it and c_rot are weighted means of their sums.
+        """
         return self.costs[0]
 
     @property
     def c_rot(self) -> float:
-        """Sum of `sigma_min_rotation` over all samples [N·m/rad]."""
+        """Sum of `sigma_min_rotation` over a load's samples [N·m/rad]."""
         return self.costs[1]
 
     @property
@@ -227,8 +274,13 @@ class Step:
 
     def complementarity(self) -> float:
         """How well the contact laws hold, see `complementarity`."""
-        lP = self.sole.positions
-        return complementarity(self.history, self.law, self.setup.start, lP)
+        return complementarity(
+            self.history,
+            self.law,
+            self.setup.start,
+            self.sole.positions,
+            self.setup.load.begins,
+        )
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
         """What the step has to hold, and whether it does.
@@ -246,6 +298,11 @@ class Step:
         for k, axis in enumerate("xyz"):
             columns[f"force_{axis}_n"] = load.force[:, k]
         columns["zmp_x_m"], columns["zmp_y_m"] = load.zmp.T
+        if len(load.begins) > 1:
+            columns["load"] = load.phase
+            columns["weight"] = np.array(load.weights)[load.phase]
+        if load.free_moment is not None:
+            columns["free_moment_nm"] = load.free_moment
         for k, axis in enumerate("xyz"):
             columns[f"origin_{axis}_m"] = self.origin[:, k]
         for k, name in enumerate(("roll", "pitch", "yaw")):
@@ -265,6 +322,16 @@ class Step:
         """What summary.json says of the simulation (no seconds)."""
         margin, mesh = self.stability, self.sole.mesh
         density = self.sole.material.density_kg_per_m3
+        loads = self.loads()
+        mean = {
+            key: sum(
+                share * row[key]
+                for share, row in zip(
+                    self.setup.load.shares, loads, strict=True
+                )
+            )
+            for key in ("c_tr_mean_n_per_m", "c_rot_mean_nm_per_rad")
+        }
         reports = self.history.reports
         failures = [
             {"step": q, "time_s": float(self.times[q]), "message": status}
@@ -278,8 +345,8 @@ class Step:
             "c_rot": self.c_rot,
             "c": self.c,
             "weight": self.setup.settings.cost.weight,
-            "c_tr_mean_n_per_m": self.c_tr / self.heel_strike,
-            "c_rot_mean_nm_per_rad": self.c_rot / len(reports),
+            **mean,
+            "loads": loads,
             "steps": len(reports),
             "failed_steps": self.failed_steps,
             "failures": failures[:20],
@@ -297,6 +364,7 @@ class Step:
             "stability_min_n_per_m": float(np.min(margin)),
             "tilt_max_deg": float(self.tilt_deg.max()),
             "max_strain": self.largest_strain,
+            "zmp_error_rms_m": self.zmp_error,
             "friction_used": float(self.setup.load.friction_used.max()),
             "newton_iterations_mean": float(np.mean(iterations)),
             "newton_iterations_max": int(np.max(iterations)),
@@ -378,10 +446,10 @@ class Step:
         numbers["complementarity"] = self.complementarity()
         moment = self.setup.load.free_moment
         if moment is not None:
-            numbers["measured_free_moment_nm"] = {
+            numbers["free_moment_nm"] = {
                 "mean": float(moment.mean()),
                 "largest": float(np.abs(moment).max()),
-                "simulated": 0.0,
+                "cut_samples": self.setup.load.moments_cut,
             }
         write_csv(folder / "steps.csv", self.table())
         write_history(
@@ -429,7 +497,11 @@ def largest_strain(sole: Sole, history: StepHistory) -> float:
 
 
 def complementarity(
-    history: StepHistory, law: ContactLaw, start: Start, lP: np.ndarray
+    history: StepHistory,
+    law: ContactLaw,
+    start: Start,
+    lP: np.ndarray,
+    begins: Sequence[int] = (0,),
 ) -> float:
     """Largest violation of Signorini's and Coulomb's laws, normalised.
 
@@ -440,6 +512,8 @@ def complementarity(
     worst = 0.0
     before = None
     for q in np.flatnonzero(history.converged):
+        if q in begins:
+            before = None
         F, P, R = history.F[q], history.P[q], history.R[q]
         scale = np.linalg.norm(F.sum(axis=0))
         Q = start.reference(R, lP) if before is None else before[:, :2]

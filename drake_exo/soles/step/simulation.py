@@ -23,6 +23,7 @@ from drake_exo.soles.contact.newton import (
 )
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.rotations import rotation_between, rotation_z, yaw_of
 from drake_exo.soles.step import stiffness
@@ -40,12 +41,19 @@ _PATIENCE = 3  # times the Newton steps of a neighbouring design
 HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"
 
 
-def candidate_poses(lP: np.ndarray, zmp, start: Start) -> list[State]:
+def candidate_poses(
+    lP: np.ndarray, zmp, start: Start, rotation: np.ndarray | None = None
+) -> list[State]:
     """Poses that lay the rest shape flat on a hull facet, best first.
 
-    Facets whose support holds the ZMP come first, by tilt; then the others,
-    by the distance of the ZMP from the support.
+    Where an orientation is asked for, that alone. Facets whose support holds
+    the ZMP come first, by tilt; then the others, by the distance of the ZMP
+    from the support.
     """
+    if rotation is not None:
+        O = start.point_W - rotation @ start.point_L  # noqa: E741
+        O[2] = -(lP @ rotation.T)[:, 2].min()
+        return [State(np.zeros_like(lP), O, rotation)]
     # With the foot above: a flat surface alone has no hull.
     points = np.vstack([lP, np.zeros(3)])
     hull = ConvexHull(points)
@@ -128,7 +136,9 @@ def _follow_design(solver, target, near, press):
 
 def _cold_start(solver, target, press, patience):
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
-    candidates = candidate_poses(solver.lP, target.zmp, target.reference)
+    candidates = candidate_poses(
+        solver.lP, target.zmp, target.reference, target.rotation
+    )
     total, smoother = 0, _smoother(solver.law)
     # Where the law itself is as smooth, they would fail alike.
     ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
@@ -201,7 +211,10 @@ def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
     resultant = state.F.sum(axis=0)
     P = solver.deformed(state.F, state.R) + state.O
     zmp = (P[:, :2] * state.F[:, 2:]).sum(axis=0) / max(resultant[2], 1e-9)
-    return state, replace(target, force=resultant, zmp=zmp), total
+    x, y = (P[:, :2] - zmp).T
+    moment = float(x @ state.F[:, 1] - y @ state.F[:, 0])
+    carried = replace(target, force=resultant, zmp=zmp, moment=moment)
+    return state, carried, total
 
 
 def follow_load(
@@ -383,8 +396,7 @@ def write_history(path: Path, mesh: TetMesh, times, history) -> None:
 
 def simulate(
     solver: ContactSolver,
-    force: np.ndarray,
-    zmp: np.ndarray,
+    load: Load,
     start: Start,
     *,
     stop_at_failure: bool = False,
@@ -396,8 +408,7 @@ def simulate(
 
     Args:
         solver: Of the sole and its contact law.
-        force: Desired force of the ground, world [N], (N, 3).
-        zmp: Desired ZMP on the ground, world [m], (N, 2).
+        load: What is asked for at N samples.
         start: How the sole is held just before contact.
         stop_at_failure: Leave the remaining samples out after a failure.
             Otherwise a sample that cannot be reached from the one before is
@@ -410,7 +421,7 @@ def simulate(
             contact is found; of the samples given where None.
         progress: Called with samples done and samples in all.
     """
-    steps, m = len(force), len(solver.lP)
+    steps, m = len(load.times), len(solver.lP)
     history = StepHistory(
         np.zeros((steps, m, 3)),
         np.zeros((steps, 3)),
@@ -418,19 +429,23 @@ def simulate(
         np.zeros((steps, m, 3)),
         np.full((steps, 6, 6), np.nan),
     )
-    largest = largest_force or float(np.linalg.norm(force, axis=1).max())
     good = None  # (sample, state, places) of the last success
     left = 0 if near else np.inf  # Newton steps that may still be taken
     for q in range(steps):
+        if q in load.begins:
+            good = None
         reference = start if good is None else good[2][:, :2]
-        target = Target(force[q], zmp[q], reference)
+        target = load.target(q, reference)
         if near is not None:
             left += _PATIENCE * (10 + near.reports[q].iterations)
         if good is None:
-            first = near.state(0) if near else None
-            state, report = first_step(solver, target, largest, first, left)
+            first = near.state(q) if near else None
+            part = load.at(np.flatnonzero(load.phase == load.phase[q]))
+            state, report = first_step(
+                solver, target, largest_force or part.largest_force, first, left
+            )
         else:
-            before = Target(force[good[0]], zmp[good[0]], reference)
+            before = load.target(good[0], reference)
             guess = _alike(near, good[0], q, good[1]) if near else None
             state, report = follow_load(solver, good[1], before, target, guess)
             if not (report.converged or stop_at_failure):

@@ -45,6 +45,26 @@ def heel_strike_count(samples: int, fraction: float = 0.1) -> int:
     return max(1, int(np.floor(fraction * samples)))
 
 
+def sample_weights(
+    load, fraction: float = 0.1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of the samples in c_tr and c_rot, (N,) each.
+
+    Of one contact phase both are plain sums, over heel strike and over all;
+    of several the weighted means of their sums.
+
+    Args:
+        load: The `Load`.
+        fraction: Part of a phase's samples that is heel strike.
+    """
+    by_tr, by_rot = np.zeros((2, len(load.times)))
+    for phase, share in zip(load.phases, load.shares, strict=True):
+        count = heel_strike_count(phase.stop - phase.start, fraction)
+        by_tr[phase.start : phase.start + count] = share
+        by_rot[phase] = share
+    return by_tr, by_rot
+
+
 def costs(K_c: np.ndarray, weight: float = 1.0, fraction: float = 0.1):
     """c_tr, c_rot and c = c_tr − w c_rot: plain sums over samples.
 

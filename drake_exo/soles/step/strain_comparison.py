@@ -21,6 +21,7 @@ from drake_exo.soles.contact.newton import (
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
+from drake_exo.soles.loads import Load
 from drake_exo.soles.rotations import tilt_deg
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.step import stiffness
@@ -58,8 +59,7 @@ class FiniteHistory:
 def follow(
     sole: Sole,
     law: ContactLaw,
-    force: np.ndarray,
-    zmp: np.ndarray,
+    load: Load,
     start: Start,
     entry: State | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -74,35 +74,36 @@ def follow(
     Args:
         sole: Mesh and material.
         law: Contact law, as in small strain.
-        force: Desired force of the ground, world [N], (N, 3).
-        zmp: Desired ZMP on the ground, world [m], (N, 2).
+        load: What is asked for at N samples.
         start: How the sole is held just before contact.
         entry: Small-strain solution of the first sample, if known.
         progress: Called with samples done and samples in all.
     """
     solver = FiniteStrainSolver(NeoHookeanBody(sole.mesh, sole.material), law)
-    history = FiniteHistory(K_c=np.full((len(force), 6, 6), np.nan))
-    for q in range(len(force)):
-        if q == 0:
-            target = Target(force[q], zmp[q], start)
-            largest = float(np.linalg.norm(force, axis=1).max())
+    count = len(load.times)
+    history = FiniteHistory(K_c=np.full((count, 6, 6), np.nan))
+    for q in range(count):
+        if q in load.begins:
+            target, largest = load.target(q, start), load.largest_force
+            if q:
+                entry = None
             state, report, reached = _enter(
                 sole, solver, target, largest, entry
             )
         else:
             reference = solver.places(state)[:, :2]
-            target = Target(force[q], zmp[q], reference)
-            before = Target(force[q - 1], zmp[q - 1], reference)
+            target = load.target(q, reference)
+            before = load.target(q - 1, reference)
             state, report, reached = lead(solver, state, before, target)
         history.states.append(state)
         history.reports.append(report)
         history.reached.append(reached)
         if not report.converged:
-            _leave_out(history, len(force) - q - 1)
+            _leave_out(history, count - q - 1)
             break
         history.K_c[q] = solver.cartesian_stiffness(state, target)
         if progress is not None:
-            progress(q + 1, len(force))
+            progress(q + 1, count)
     return history
 
 
@@ -142,7 +143,9 @@ def _enter(sole, solver, target: Target, largest: float, known: State | None):
     small = ContactSolver.of(sole, solver.law)
     best = None
     for part in _ENTRIES:
-        aim = replace(target, force=part * target.force)
+        aim = replace(
+            target, force=part * target.force, moment=part * target.moment
+        )
         guess = known if part == 1.0 else None
         if guess is None:
             guess, report = first_step(small, aim, part * largest)
@@ -207,17 +210,15 @@ def compare_strains(
     sole = Sole(mesh, setup.settings.material.material(), "linear")
     load, start = setup.load, setup.start
     cost = setup.settings.cost
-    count = stiffness.heel_strike_count(
-        len(load.times), cost.heel_strike_fraction
-    )
-    force, zmp = load.force[:count], load.zmp[:count]
+    by_tr, _ = stiffness.sample_weights(load, cost.heel_strike_fraction)
+    strike = load.at(np.flatnonzero(by_tr))
+    count = len(strike.times)
     law = ContactLaw(setup.settings.contact.friction, sole.penalty)
     small = simulate(
         ContactSolver.of(sole, law),
-        force,
-        zmp,
+        strike,
         start,
-        largest_force=float(np.linalg.norm(load.force, axis=1).max()),
+        largest_force=load.largest_force,
     )
     entry = small.state(0) if small.reports[0].converged else None
 
@@ -225,7 +226,7 @@ def compare_strains(
         if say is not None:
             say(f"finite strain, {done} of {count} samples")
 
-    finite = follow(sole, law, force, zmp, start, entry, progress)
+    finite = follow(sole, law, strike, start, entry, progress)
     return {
         "heel_strike_samples": count,
         "converged_samples": int(finite.converged.sum()),

@@ -1,0 +1,351 @@
+"""A foot's step out of a recording: force, CoP, free moment, place and pose.
+
+The foot's own frame lies on the ground: x from heel to toe while the foot is
+flat, y left, z up, its origin under the middle between the rearmost and the
+foremost marker of the foot. Where a belt moves under the foot the frame moves
+along. Forces are not filtered, but averaged over a frame of the markers: a low
+pass that is meant for dynamics would smear the heel strike.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.tables import MarkerData, PlateRecording, runs
+from drake_exo.measurement.gaps import fill_gaps
+from drake_exo.measurement.recording import (
+    plates_under,
+    read_markers,
+)
+from drake_exo.measurement.sagittal import (
+    COP_THRESHOLD_N,
+    SagittalFrame,
+    spatial_wrench,
+)
+from drake_exo.measurement.settings import (
+    Laboratory,
+    RecordingSettings,
+    Side,
+    TrialFiles,
+)
+
+_SHORTEST_S = 0.1  # contacts below are noise
+_CLEAR_S = 0.02  # a whole contact leaves so much at either end of the file
+_FLAT_SHARE = 0.2  # of a contact: frames in which the foot turns least
+_BELT_M_S = 0.2  # a flat foot that moves faster stands on a belt
+_SHORTEST_FOOT_M = 0.1  # between rearmost and foremost marker
+
+Begin = Literal["heel_strike"] | float
+End = Literal["toe_off"] | float
+
+
+@dataclass(frozen=True)
+class RecordedStep:
+    """One contact of a foot, seen from where the foot stood, N samples.
+
+    Attributes:
+        name: file, foot and part, for messages.
+        times: of the markers' clock [s], (N,).
+        force: of the ground on the foot: forward, left, up [N], (N, 3).
+        cop: centre of pressure on the plate's surface [m], (N, 2).
+        free_moment: about the vertical through it [N m], (N,).
+        rotation: from the flat foot to the foot, of the rigid body nearest
+            to its markers, (N, 3, 3).
+        place: of the frame's origin in the laboratory, forward and left [m],
+            (2,), at the middle of the flat part.
+        yaw: of its x-axis there [rad].
+        belt: velocity of the ground, forward and left [m/s], (2,).
+    """
+
+    name: str
+    times: np.ndarray
+    force: np.ndarray
+    cop: np.ndarray
+    free_moment: np.ndarray
+    rotation: np.ndarray
+    place: np.ndarray
+    yaw: float
+    belt: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """Times between which a plate is loaded, and what of it was recorded."""
+
+    start_s: float
+    end_s: float
+    begins: bool
+    ends: bool
+
+    def __str__(self) -> str:
+        cut = []
+        if not self.begins:
+            cut.append("the recording begins within it")
+        if not self.ends:
+            cut.append("the recording ends within it")
+        said = f" ({', '.join(cut)})" if cut else ""
+        return f"{self.start_s:.2f} to {self.end_s:.2f} s{said}"
+
+
+def recorded_step(
+    settings: RecordingSettings,
+    root: Path,
+    trial: str,
+    foot: Side,
+    start: Begin = "heel_strike",
+    end: End = "toe_off",
+    number: int = 0,
+    least_force_n: float = COP_THRESHOLD_N,
+) -> RecordedStep:
+    """Cut one step out of a trial of a study.
+
+    Heel strike and toe-off are where the foot's own plate passes a force,
+    20 N unless another is given.
+
+    Args:
+        settings: of the study.
+        root: folder that its paths start from.
+        trial: its name.
+        foot: whose step.
+        start, end: events, or times [s] on the markers' clock.
+        number: which of the contacts that have both, from 0.
+        least_force_n: of a contact [N].
+
+    Raises:
+        InputError: no such trial or contact, a contact on two plates, files
+            that cannot be read, markers that are hidden.
+    """
+    files = _trial(settings, trial)
+    lab = settings.laboratory
+    time, plates = plates_under(root / files.forces, files.plates.of(foot))
+    where = f"{files.forces}, trial {trial}, {foot} foot"
+    if not plates:
+        raise InputError(
+            f"trial {trial}: no plate is the {foot} foot's alone; name it in "
+            f"plates.{foot}"
+        )
+    frame, sign = lab.force_axes.frame, _sign(lab)
+    each = [sign * spatial_wrench(plate, frame) for plate in plates]
+    time = time - lab.force_delay_s
+    contacts = _contacts(time, sum(each)[:, 2], least_force_n)
+    contact = _chosen(contacts, start, end, number, where)
+    first = contact.start_s if isinstance(start, str) else start
+    last = contact.end_s if isinstance(end, str) else end
+    _check_one_plate(time, each, (first, last), files.plates.of(foot), where)
+    used = int(np.argmax([w[:, 2].max() for w in each]))
+    height = _surface(plates[used], each[used], frame)
+    markers = _foot_markers(settings, root, files, foot, contact)
+    inside = (markers.time >= first - 1e-9) & (markers.time <= last + 1e-9)
+    wrench = _at_frames(time, sum(each), markers)
+    inside &= wrench[:, 2] >= least_force_n
+    if inside.sum() < 2:
+        raise InputError(
+            f"{where}: {first:g} to {last:g} s holds {inside.sum()} frames "
+            f"with {least_force_n:g} N; give a longer part"
+        )
+    return _step(
+        f"{where}, {first:.2f} to {last:.2f} s",
+        markers,
+        contact,
+        inside,
+        wrench,
+        height,
+    )
+
+
+def _trial(settings: RecordingSettings, name: str) -> TrialFiles:
+    names = [files.name for files in settings.trials]
+    if name not in names:
+        raise InputError(
+            f"trial {name!r} is none of the study's ({', '.join(names)})"
+        )
+    return settings.trials[names.index(name)]
+
+
+def _sign(laboratory: Laboratory) -> float:
+    return -1.0 if laboratory.forces_act_on == "plate" else 1.0
+
+
+def _contacts(time, up: np.ndarray, least: float) -> list[_Contact]:
+    """Where a foot's plates bear a force `least` [N] or more."""
+    out = []
+    for a, b in runs(up >= least):
+        if time[b - 1] - time[a] >= _SHORTEST_S:
+            whole = time[a] - time[0], time[-1] - time[b - 1]
+            whole = (margin >= _CLEAR_S for margin in whole)
+            out.append(_Contact(float(time[a]), float(time[b - 1]), *whole))
+    return out
+
+
+def _chosen(contacts, start, end, number, where) -> _Contact:
+    fitting = [
+        c
+        for c in contacts
+        if (c.begins if isinstance(start, str) else start < c.end_s)
+        and (c.ends if isinstance(end, str) else end > c.start_s)
+    ]
+    if number < len(fitting):
+        return fitting[number]
+    found = "; ".join(map(str, contacts)) or "none"
+    raise InputError(
+        f"{where}: there is no step {number} (counted from 0) from {start} to "
+        f"{end}; contacts found: {found}; name another trial or foot, or give "
+        "from and to as times [s]"
+    )
+
+
+def _check_one_plate(time, each, part, numbers, where) -> None:
+    """Refuse a step in which a second plate of the foot is loaded."""
+    inside = (time >= part[0] - 1e-9) & (time <= part[1] + 1e-9)
+    loaded = [inside & (w[:, 2] >= COP_THRESHOLD_N) for w in each]
+    used = [i for i, here in enumerate(loaded) if here.any()]
+    if len(used) > 1:
+        a, b = used[:2]
+        when = float(max(time[loaded[a]][0], time[loaded[b]][0]))
+        raise InputError(
+            f"{where}: the step lies on plates {numbers[a]} and {numbers[b]} "
+            f"(from {when:.2f} s on); where it is one of them cannot be told "
+            "apart from the other foot: take another step"
+        )
+
+
+def _surface(plate: PlateRecording, wrench, frame: SagittalFrame) -> float:
+    """Height of the plate's surface, where its forces act [m]."""
+    loaded = wrench[:, 2] >= COP_THRESHOLD_N
+    return float(np.median(frame.space(plate.point)[loaded, 2]))
+
+
+def _foot_markers(
+    settings: RecordingSettings,
+    root: Path,
+    files: TrialFiles,
+    foot: Side,
+    contact: _Contact,
+) -> MarkerData:
+    """Smoothed markers of foot and toes: forward, left, up (N, k, 3) [m]."""
+    names = _names(settings, foot)
+    lab = settings.laboratory
+    data, gaps = fill_gaps(
+        read_markers(root / files.markers, settings.filter),
+        names,
+        lab.fill_gaps_s,
+    )
+    gaps.check(contact.start_s, contact.end_s)
+    points = lab.marker_axes.frame.space(data.of(names))
+    smooth = settings.filter.smooth(points, data.rate_hz, data.source)
+    return MarkerData(data.time, names, smooth, data.rate_hz, data.source)
+
+
+def _names(settings: RecordingSettings, foot: Side) -> tuple[str, ...]:
+    segments = settings.markers.segments
+    names = (*segments.foot.of(foot), *segments.toes.of(foot))
+    if len(dict.fromkeys(names)) < 3:
+        raise InputError(
+            f"markers.segments.foot.{foot}: the foot's pose takes three "
+            "markers on foot and toes; name them"
+        )
+    return tuple(dict.fromkeys(names))
+
+
+def _ends(points: np.ndarray, names: tuple[str, ...]) -> tuple[int, int]:
+    """Rearmost and foremost marker of a flat foot: the pair farthest apart.
+
+    Args:
+        points: (k, 3) forward, left, up [m].
+        names: of the markers.
+    """
+    flat = points[:, :2]
+    apart = np.linalg.norm(flat[:, None] - flat[None], axis=2)
+    a, b = np.unravel_index(np.argmax(apart), apart.shape)
+    if apart[a, b] < _SHORTEST_FOOT_M:
+        raise InputError(
+            f"the foot's markers ({', '.join(names)}) lie within "
+            f"{1e3 * apart[a, b]:.0f} mm, so that its direction cannot be "
+            "told; name one at the heel and one at the toes in "
+            "markers.segments"
+        )
+    heel, toe = (a, b) if flat[a, 0] < flat[b, 0] else (b, a)
+    return int(heel), int(toe)
+
+
+def _at_frames(time, wrench: np.ndarray, markers: MarkerData) -> np.ndarray:
+    """Wrench (N, 6) at the markers' frames, averaged over one frame each."""
+    each = max(round((1 / markers.rate_hz) / (time[1] - time[0])), 1)
+    if each > 1:
+        ones = np.ones(each) / each
+        wrench = np.stack(
+            [np.convolve(x, ones, mode="same") for x in wrench.T], axis=1
+        )
+    columns = [
+        np.interp(markers.time, time, x, left=0.0, right=0.0) for x in wrench.T
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _step(name, markers, contact, inside, wrench, height) -> RecordedStep:
+    """The step in the foot's own frame."""
+    points, time = markers.positions, markers.time
+    stands = (time >= contact.start_s) & (time <= contact.end_s)
+    flat = _flat(points, time, stands)
+    heel, toe = _ends(points[flat].mean(axis=0), markers.names)
+    middle = 0.5 * (points[:, heel] + points[:, toe])[:, :2]
+    belt = np.gradient(middle, time, axis=0)[flat].mean(axis=0)
+    belt = belt if np.hypot(*belt) > _BELT_M_S else np.zeros(2)
+    when = float(time[flat].mean())
+    points = points.copy()
+    moved = (time - when)[:, None] * belt
+    points[:, :, :2] -= moved[:, None]
+    shape = points[flat].mean(axis=0)
+    along = shape[toe] - shape[heel]
+    yaw = float(np.arctan2(along[1], along[0]))
+    place = 0.5 * (shape[heel] + shape[toe])[:2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    cop, moment = _cop(wrench[inside], height)
+    return RecordedStep(
+        name,
+        time[inside],
+        wrench[inside, :3] @ turn.T,
+        (cop - moved[inside] - place) @ turn[:2, :2].T,
+        moment,
+        nearest_rotations(shape @ turn.T, points[inside] @ turn.T),
+        place,
+        yaw,
+        belt,
+    )
+
+
+def _flat(points: np.ndarray, time, stands) -> np.ndarray:
+    """Frames of a contact in which the foot turns least."""
+    own = points - points.mean(axis=1, keepdims=True)
+    rate = np.linalg.norm(np.gradient(own, time, axis=0), axis=2).max(axis=1)
+    frames = np.flatnonzero(stands)
+    count = max(round(_FLAT_SHARE * len(frames)), 1)
+    return frames[np.argsort(rate[frames], kind="stable")[:count]]
+
+
+def _cop(wrench: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Point (N, 2) at a height where the moment is vertical, and it (N,).
+
+    From M = r × F + T e_z about the laboratory's origin.
+    """
+    F, M = wrench[:, :3], wrench[:, 3:]
+    x = (height * F[:, 0] - M[:, 1]) / F[:, 2]
+    y = (height * F[:, 1] + M[:, 0]) / F[:, 2]
+    return np.stack([x, y], 1), M[:, 2] - (x * F[:, 1] - y * F[:, 0])
+
+
+def nearest_rotations(shape: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Rotations (N, 3, 3) of a shape (k, 3) nearest to moved points (N, k, 3).
+
+    Least squares over rigid motions (Kabsch, Acta Cryst. A 32, 1976).
+    """
+    a = shape - shape.mean(axis=0)
+    b = points - points.mean(axis=1, keepdims=True)
+    U, _, Vt = np.linalg.svd(np.einsum("nki,kj->nij", b, a))
+    flip = np.ones((len(points), 3))
+    flip[:, 2] = np.linalg.det(U @ Vt)
+    return (U * flip[:, None]) @ Vt

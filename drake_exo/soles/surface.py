@@ -1,0 +1,463 @@
+"""From a closed surface (STL, OBJ) to the tetrahedra of a sole.
+
+The surface becomes the zero level of a signed distance on a grid, which Mmg
+cuts (Dapogny, Dobrzynski, Frey, J. Comput. Phys. 262, 2014); the cells inside
+are meshed anew, their size in proportion to the local thickness, and their
+surface nodes are moved onto the surface. A flat top is a face of the grid, so
+that it stays flat and its rim sharp.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drake_exo.errors import InputError
+from drake_exo.files.mesh import read_cells
+from drake_exo.soles.mesh import TetMesh, checked_mesh, grid_mesh
+from drake_exo.soles.mmg import MmgError, run_mmg
+
+Unit = Literal["m", "cm", "mm", "inch"]
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+SUFFIXES = (".stl", ".obj")
+_FOOT = (0.1, 0.45)  # longest side of a foot's sole [m]
+_FLAT = 2e-3  # of the longest side: faces of one flat top
+_LEAST_TOP = 0.3  # of the area seen from above that is a flat top
+_GRID = 0.5  # of an element's size: cells that are cut
+_SECONDS = 120  # of processor time for Mmg
+_GRADATION = 1.3
+_FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A closed surface of outward triangles.
+
+    Attributes:
+        corners: (t, 3, 3) [m].
+        name: Of the file.
+    """
+
+    corners: np.ndarray
+    name: str
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Outward, as long as twice the area [m²], (t, 3)."""
+        a, b, c = np.swapaxes(self.corners, 0, 1)
+        return np.cross(b - a, c - a)
+
+    @property
+    def volume(self) -> float:
+        """Signed [m³]."""
+        return float(np.linalg.det(self.corners).sum() / 6)
+
+    @property
+    def extent(self) -> np.ndarray:
+        """Of its bounding box [m], (3,)."""
+        return np.ptp(self.corners.reshape(-1, 3), axis=0)
+
+
+def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
+    """Read a closed surface and turn its triangles outwards.
+
+    Args:
+        path: STL or OBJ file; neither knows units.
+        unit: Of its lengths; left out where the size tells it.
+
+    Raises:
+        InputError: Unreadable, not closed, or of a size that says nothing of
+            the unit.
+    """
+    path = Path(path)
+    nodes, faces = read_cells(path, "triangle", "give an STL or OBJ file")
+    if len(faces) == 0:
+        raise InputError(f"{path}: holds no triangles; export a triangle mesh")
+    longest = float(np.ptp(nodes[faces.ravel()], axis=0).max())
+    nodes, faces = _merged(nodes * _scale(path, longest, unit), faces)
+    _check_closed(path, nodes, faces)
+    surface = Surface(nodes[faces], str(path))
+    if surface.volume < 0:
+        surface = Surface(nodes[faces[:, ::-1]], str(path))
+    return surface
+
+
+def _scale(path, longest: float, unit: Unit | None) -> float:
+    if unit is not None:
+        return UNITS[unit]
+    # Of centimetres and inches a shoe's numbers are too much alike.
+    fits = [
+        name
+        for name in ("m", "mm")
+        if _FOOT[0] < longest * UNITS[name] < _FOOT[1]
+    ]
+    if not fits:
+        raise InputError(
+            f"{path}: its longest side is {longest:g}, a foot's in neither "
+            "metres nor millimetres; give mesh.unit (m, cm, mm or inch)"
+        )
+    return UNITS[fits[0]]
+
+
+def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
+    """Coincident corners made one; triangles without area left out."""
+    step = 1e-6 * np.ptp(nodes, axis=0).max()
+    _, first, which = np.unique(
+        np.round(nodes / step), axis=0, return_index=True, return_inverse=True
+    )
+    faces = which.ravel()[faces]
+    a, b, c = faces.T
+    return nodes[first], faces[(a != b) & (b != c) & (c != a)]
+
+
+def _check_closed(path, nodes, faces) -> None:
+    """Refuse holes, and edges that more than two triangles share."""
+    edges = np.concatenate(
+        [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
+    )
+    key, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    bad = np.flatnonzero(count != 2)
+    if len(bad):
+        x, y, z = nodes[key[bad[0]]].mean(axis=0)
+        what = "open" if count[bad[0]] == 1 else "shared by several triangles"
+        raise InputError(
+            f"{path}: the surface is not closed: {len(bad)} edges are {what} "
+            f"or worse, the first near ({x:.4f}, {y:.4f}, {z:.4f}) m; repair "
+            "it (a mesh repair of any CAD or slicer)"
+        )
+    turned = len(np.unique(edges, axis=0)) < len(edges)
+    if turned:
+        raise InputError(
+            f"{path}: neighbouring triangles are turned against each other; "
+            "make their normals consistent"
+        )
+
+
+def sole_from_surface(
+    surface: Surface,
+    tets: int = 5000,
+    top_m: float | None = None,
+    origin: tuple[float, float, float] | None = None,
+) -> TetMesh:
+    """Tetrahedra of a sole inside a closed surface.
+
+    Args:
+        surface: z up; its flat top is fixed to the foot.
+        tets: About how many.
+        top_m: Height in the file's frame [m] above which faces that look
+            upwards are fixed to the foot, for a top that is not flat.
+        origin: Sole frame's origin in the file's frame [m], by default below
+            the middle of the top.
+
+    Raises:
+        InputError: No flat top is found, or it cannot be meshed.
+    """
+    top = _top_faces(surface, top_m)
+    place = surface.corners[top].reshape(-1, 3)
+    low, high = place.min(axis=0), place.max(axis=0)
+    if origin is None:
+        origin = (*(0.5 * (low + high))[:2], high[2])
+    corners = surface.corners - np.asarray(origin)
+    try:
+        nodes, cells = _meshed(corners, top, top_m is None, tets)
+    except MmgError as error:
+        raise InputError(
+            f"{surface.name}: cannot be meshed ({error}); give another number "
+            "of mesh.tets, or smooth the surface"
+        ) from None
+    fixed = _fixed_nodes(nodes, cells, corners, top, top_m is None)
+    return checked_mesh(nodes, cells, fixed, surface.name)
+
+
+def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
+    """Triangles that are fixed to the foot, (t,) bool."""
+    area, z = surface.normals, surface.corners[:, :, 2]
+    up = area[:, 2] > 0.3 * np.linalg.norm(area, axis=1)
+    if top_m is not None:
+        top = up & (z.min(axis=1) >= top_m)
+        if not top.any():
+            raise InputError(
+                f"{surface.name}: no face above {top_m:g} m looks upwards; "
+                "correct mesh.top_m"
+            )
+        return top
+    flat = z.min(axis=1) > z.max() - _FLAT * surface.extent.max()
+    seen = area[:, 2][area[:, 2] > 0].sum()
+    if area[up & flat, 2].sum() < _LEAST_TOP * seen:
+        raise InputError(
+            f"{surface.name}: its highest plane is no flat top "
+            f"({area[up & flat, 2].sum() / seen:.0%} of what is seen from "
+            "above); turn the sole so that the surface glued to the foot is "
+            "on top, or give mesh.top_m, the height above which faces that "
+            "look upwards are fixed to the foot"
+        )
+    return up & flat
+
+
+def _meshed(corners, top, flat: bool, tets: int):
+    """Nodes (n, 3) [m] and cells (e, 4) inside, about so many."""
+    low = corners.reshape(-1, 3).min(axis=0)
+    high = corners.reshape(-1, 3).max(axis=0)
+    thickness = _Thickness(corners)
+    share = _share(corners, thickness, tets)
+    h = _GRID * share * thickness.usual
+    axes = []
+    for axis in range(3):
+        # Beyond the surface but for a flat top, which is the grid's own.
+        above = 0.0 if flat and axis == 2 else 1.5 * h
+        a, b = low[axis] - 1.5 * h, high[axis] + above
+        axes.append(np.linspace(a, b, int(np.ceil((b - a) / h)) + 1))
+    grid = grid_mesh(*axes)
+    away = _distance(corners[~top] if flat else corners, grid.nodes, h)
+    inside = thickness.inside(grid.nodes, flat * 0.01 * h)
+    level = np.where(inside, -away, away)
+    cut = run_mmg(
+        {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h},
+        _SECONDS,
+    )
+    nodes, cells = _used(*cut)
+    size = share * thickness.at(nodes)
+    return _onto(
+        *run_mmg(
+            {
+                "nodes": nodes,
+                "tets": cells,
+                "size": np.maximum(size, 0.3 * np.median(size)),
+                "gradation": _GRADATION,
+            },
+            _SECONDS,
+        ),
+        corners,
+        top,
+        flat,
+    )
+
+
+def _share(corners, thickness: "_Thickness", tets: int) -> float:
+    """Elements' size over thickness for about so many.
+
+    A tetrahedron of edge h fills h³ / 8.5; Mmg makes them about half as large,
+    since the surface wants some finer.
+    """
+    t = thickness.positive
+    cell = thickness.cell
+    return float((_FILL * (cell * t / t**3).sum() / tets) ** (1 / 3))
+
+
+class _Thickness:
+    """Crossings of vertical lines with a surface, on a plane grid."""
+
+    def __init__(self, corners: np.ndarray, count: int = 120):
+        flat = corners[:, :, :2].reshape(-1, 2)
+        low, size = flat.min(axis=0), np.ptp(flat, axis=0)
+        self.step = float(size.max() / count)
+        # Away from round numbers, on which edges of drawn shapes lie.
+        self.low = low - 0.3183 * self.step
+        self.shape = np.ceil(size / self.step).astype(int) + 2
+        self.corners, self.cell = corners, self.step**2
+        self.values = self._inside_length()
+
+    def _inside_length(self) -> np.ndarray:
+        i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
+        places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
+        total = np.zeros(len(places))
+        for rows, z in _crossings(self.corners, places):
+            z = np.sort(z, axis=1)
+            pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
+            total[rows] = pairs.sum(axis=1)
+        return total.reshape(self.shape)
+
+    @property
+    def positive(self) -> np.ndarray:
+        """Where there is some, not below a fifth of the usual [m]."""
+        t = self.values[self.values > 0]
+        return np.maximum(t, 0.2 * np.median(t))
+
+    @property
+    def usual(self) -> float:
+        """Median [m]."""
+        return float(np.median(self.positive))
+
+    def at(self, nodes: np.ndarray) -> np.ndarray:
+        """Below and above points (n, 3), from where there is some [m]."""
+        at = np.argwhere(self.values > 0)
+        tree = cKDTree(at * self.step + self.low)
+        _, near = tree.query(nodes[:, :2], k=4)
+        t = self.values[tuple(at[near].transpose(2, 0, 1))].mean(axis=1)
+        return np.maximum(t, 0.2 * self.usual)
+
+    def inside(self, nodes: np.ndarray, lower: float) -> np.ndarray:
+        """Whether points of a grid are inside, (n,).
+
+        Args:
+            nodes: (n, 3) [m].
+            lower: By which they are taken lower [m].
+        """
+        places, which = np.unique(nodes[:, :2], axis=0, return_inverse=True)
+        which, z = which.ravel(), nodes[:, 2] - lower
+        out = np.zeros(len(nodes), dtype=bool)
+        order = np.argsort(which, kind="stable")
+        ends = np.searchsorted(which[order], np.arange(len(places) + 1))
+        nudge = 1e-7 * np.array([np.pi, np.e])
+        for rows, heights in _crossings(self.corners, places + nudge):
+            for row, own in zip(rows, heights, strict=True):
+                here = order[ends[row] : ends[row + 1]]
+                below = (own[None] > z[here, None]).sum(axis=1)
+                out[here] = below % 2 == 1
+        return out
+
+
+def _crossings(corners: np.ndarray, places: np.ndarray):
+    """Heights at which vertical lines at places (n, 2) meet triangles.
+
+    Yields:
+        Rows of places with a like number of crossings, heights (rows, k).
+    """
+    a, b, c = np.swapaxes(corners, 0, 1)
+    e, f = (b - a)[:, :2], (c - a)[:, :2]
+    det = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
+    steep = np.abs(det) < 1e-16
+    det = np.where(steep, 1.0, det)
+    found = []
+    for first in range(0, len(places), 256):
+        d = places[first : first + 256, None] - a[None, :, :2]
+        u = (d[..., 0] * f[:, 1] - d[..., 1] * f[:, 0]) / det
+        v = (e[:, 0] * d[..., 1] - e[:, 1] * d[..., 0]) / det
+        hit = (u >= 0) & (v >= 0) & (u + v < 1) & ~steep
+        row, t = np.nonzero(hit)
+        z = a[t, 2] + u[hit] * (b - a)[t, 2] + v[hit] * (c - a)[t, 2]
+        found.append((row + first, z))
+    row, z = (np.concatenate(x) for x in zip(*found, strict=True))
+    counts = np.bincount(row, minlength=len(places))
+    starts = np.cumsum(counts) - counts
+    for k in np.unique(counts[counts > 0]):
+        rows = np.flatnonzero(counts == k)
+        yield rows, z[starts[rows, None] + np.arange(k)]
+
+
+def _nearest(corners, points, step: float) -> np.ndarray:
+    """Nearest points on triangles (t, 3, 3) to points (n, 3), (n, 3)."""
+    samples, owner = _sampled(corners, step)
+    _, near = cKDTree(samples).query(points, k=min(6, len(samples)))
+    best, least = points.copy(), np.full(len(points), np.inf)
+    for column in near.reshape(len(points), -1).T:
+        p = _on_triangles(corners[owner[column]], points)
+        away = np.linalg.norm(p - points, axis=1)
+        better = away < least
+        best[better], least[better] = p[better], away[better]
+    return best
+
+
+def _distance(corners, points, step: float) -> np.ndarray:
+    near = _nearest(corners, points, 0.5 * step)
+    return np.linalg.norm(near - points, axis=1)
+
+
+def _sampled(corners, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points on triangles about `step` apart, and the triangles they are on."""
+    a, b, c = np.swapaxes(corners, 0, 1)
+    longest = np.linalg.norm(np.stack([b - a, c - b, a - c]), axis=2).max(
+        axis=0
+    )
+    places, owners = [], []
+    for n in np.unique(
+        count := np.ceil(longest / step).astype(int).clip(1, 200)
+    ):
+        own = np.flatnonzero(count == n)
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+        u, v = (x[i + j <= n] / n for x in (i, j))
+        p = (
+            a[own, None]
+            + u[:, None] * (b - a)[own, None]
+            + v[:, None] * (c - a)[own, None]
+        )
+        places.append(p.reshape(-1, 3))
+        owners.append(np.repeat(own, len(u)))
+    return np.concatenate(places), np.concatenate(owners)
+
+
+def _on_triangles(corners, points) -> np.ndarray:
+    """Nearest point of a triangle (n, 3, 3) to each point (n, 3)."""
+    a, b, c = np.swapaxes(corners, 0, 1)
+    e, f, d = b - a, c - a, points - a
+    ee, ef, ff = (e * e).sum(1), (e * f).sum(1), (f * f).sum(1)
+    de, df = (d * e).sum(1), (d * f).sum(1)
+    det = np.maximum(ee * ff - ef**2, 1e-300)
+    u, v = (ff * de - ef * df) / det, (ee * df - ef * de) / det
+    inside = (u >= 0) & (v >= 0) & (u + v <= 1)
+    out = a + u[:, None] * e + v[:, None] * f
+    least = np.where(inside, -1.0, np.inf)
+    for p, q in ((a, b), (b, c), (c, a)):
+        along = q - p
+        t = ((points - p) * along).sum(1) / np.maximum(
+            (along**2).sum(1), 1e-300
+        )
+        x = p + np.clip(t, 0, 1)[:, None] * along
+        away = np.linalg.norm(x - points, axis=1)
+        better = away < least
+        out[better], least[better] = x[better], away[better]
+    return out
+
+
+def _used(nodes, tets) -> tuple[np.ndarray, np.ndarray]:
+    """Without nodes that no cell has."""
+    used, cells = np.unique(tets, return_inverse=True)
+    return nodes[used], cells.reshape(-1, 4)
+
+
+def _onto(nodes, cells, corners, top, flat):
+    """The nodes of its surface moved onto the triangles where cells allow."""
+    mesh = TetMesh(nodes, cells, np.zeros(0, int))
+    skin = np.unique(mesh.boundary_faces)
+    aim = nodes.copy()
+    size = np.cbrt(np.median(mesh.volumes))
+    aim[skin] = _nearest(corners, nodes[skin], size)
+    if flat:
+        height = corners[top][:, :, 2].max()
+        up = skin[np.abs(nodes[skin, 2] - height) < 1e-6]
+        rim = np.setdiff1d(up, _wholly(mesh, up))
+        aim[up] = nodes[up]
+        # A rim moves within the top, onto the sides' upper edge.
+        sides = corners[~top]
+        moved = _nearest(sides, nodes[rim], size)
+        aim[rim, :2] = moved[:, :2]
+        aim[up, 2] = height
+    floor = 0.1 * mesh.volumes
+    for part in (1.0, 0.5, 0.25, 0.0):
+        # Each node goes as far as the elements around it allow.
+        new = nodes + part * (aim - nodes)
+        worn = TetMesh(new, cells, mesh.fixed).volumes < floor
+        if not worn.any():
+            return new, cells
+        stay = np.unique(cells[worn])
+        aim[stay] = nodes[stay]
+    return nodes, cells
+
+
+def _wholly(mesh: TetMesh, up: np.ndarray) -> np.ndarray:
+    """Nodes of the top all of whose faces of the surface lie in it."""
+    faces = mesh.boundary_faces
+    beside = np.unique(faces[~np.isin(faces, up).all(axis=1)])
+    return np.setdiff1d(up, beside)
+
+
+def _fixed_nodes(nodes, cells, corners, top, flat) -> np.ndarray:
+    """Nodes of the surface that lie on the top."""
+    mesh = TetMesh(nodes, cells, np.zeros(0, int))
+    skin = np.unique(mesh.boundary_faces)
+    if flat:
+        height = corners[top][:, :, 2].max()
+        return skin[np.abs(nodes[skin, 2] - height) < 1e-9]
+    size = np.cbrt(np.median(mesh.volumes))
+    away = _distance(corners[top], nodes[skin], size)
+    return skin[away < 0.1 * size]
+
+
+def deviation(mesh: TetMesh, surface: Surface, origin) -> float:
+    """Largest distance of the surface's corners from the mesh's skin [m]."""
+    skin = mesh.nodes[mesh.boundary_faces]
+    points = surface.corners.reshape(-1, 3) - np.asarray(origin)
+    size = np.cbrt(np.median(mesh.volumes))
+    return float(_distance(skin, np.unique(points, axis=0), size).max())

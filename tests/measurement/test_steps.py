@@ -1,0 +1,233 @@
+"""One step out of a recording: known ones come back, bad ones are named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.files.opensim import read_plates, write_trc
+from drake_exo.files.tables import MarkerData
+from drake_exo.measurement.filters import minimum_jerk
+from drake_exo.measurement.steps import nearest_rotations, recorded_step
+from drake_exo.soles.rotations import rotation_z, rotations_xyz
+from drake_exo.study import StudyFile, read_study
+
+STUDY = """
+subject: {name: somebody, height_m: 1.7, mass_kg: 60.0}
+model: {human: {legs: two, toes: hinged}}
+standing: {markers: standing.trc}
+laboratory: {force_delay_s: 0.02}
+filter: {cutoff_hz: 20.0}
+markers:
+  joint_centres:
+    ankle: {left: [LA], right: [LA]}
+    knee: {left: [LA], right: [LA]}
+    hip: {left: [LA], right: [LA]}
+  segments:
+    foot: {left: [heel, side, LA], right: [heel, side, LA]}
+    toes: {left: [toe], right: [toe]}
+    shank: {left: [LA], right: [LA]}
+    thigh: {left: [LA], right: [LA]}
+    pelvis: {left: [LA], right: [LA]}
+trials:
+  - {name: walk, markers: walk.trc, forces: walk.mot, plates: {left: [1, 2], right: 3}}
+"""  # noqa: E501
+NAMES = ("heel", "side", "LA", "toe")
+# In the foot's frame, as it stands: forward, left, up [m].
+FOOT = np.array(
+    [[-0.11, 0.0, 0.05], [0.06, 0.05, 0.04], [-0.05, 0.04, 0.1],
+     [0.11, 0.0, 0.05]]
+)  # fmt: skip
+PLACE, YAW, SURFACE = np.array([1.3, 0.2]), 0.15, 0.006
+TIME = np.arange(0.0, 1.2, 0.01)
+ON, OFF = 0.3, 0.9
+
+
+def _pose(t):
+    """Roll, pitch and yaw: heel first, flat for long, then over the toes."""
+    early = -0.3 * (1 - minimum_jerk((t - 0.2) / 0.25)[0])
+    late = 0.6 * minimum_jerk((t - 0.75) / 0.3)[0]
+    return np.stack([0 * t, early + late, 0 * t], axis=1)
+
+
+def _opensim(points):
+    """Forward, left, up -> x, y up, z right."""
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def _write(folder, belt=0.0, second=None, start=ON, end=OFF):
+    """A study of one step; the second plate takes over from a time on."""
+    turn = rotation_z(YAW) @ rotations_xyz(_pose(TIME))
+    path = np.r_[PLACE, 0.0] + np.outer(TIME - 0.6, [belt, 0.0, 0.0])
+    feet = np.einsum("nij,kj->nki", turn, FOOT) + path[:, None]
+    write_trc(
+        folder / "walk.trc",
+        MarkerData(TIME, NAMES, _opensim(feet), 100.0),
+    )
+    still = np.repeat(_opensim(FOOT)[None], 60, axis=0)
+    write_trc(
+        folder / "standing.trc",
+        MarkerData(0.01 * np.arange(60), NAMES, still, 100.0),
+    )
+    t = np.arange(0.0, 1.2, 0.001)
+    moment, x, y = _truth(t)
+    loaded = (t >= start) & (t <= end)
+    rows = np.zeros((3, len(t), 9))
+    force = rotation_z(YAW) @ np.stack([0 * t + 30.0, 0 * t, 0 * t + 500.0])
+    cop = rotation_z(YAW)[:2, :2] @ np.stack([x, y])
+    place = np.stack([*(cop + PLACE[:, None]), 0 * t + SURFACE])
+    place[0] += belt * (t - 0.6)
+    which = np.zeros(len(t), int) if second is None else (t >= second) * 1
+    for plate in range(2):
+        here = loaded & (which == plate)
+        for part, values in ((0, force), (3, place)):
+            values = _opensim(values.T) * here[:, None]
+            rows[plate, :, part : part + 3] = values
+        rows[plate, :, 7] = moment * here
+    columns = ["time"] + [
+        f"ground_force_{p}_{k}{a}" for p in (1, 2, 3) for k in "vpm"
+        for a in "xyz"
+    ]  # fmt: skip
+    lag = 0.02
+    body = np.column_stack([t + lag, *rows.transpose(0, 2, 1).reshape(27, -1)])
+    text = "\n".join("\t".join(f"{v:.9g}" for v in row) for row in body)
+    (folder / "walk.mot").write_text(
+        f"walk\nnRows={len(t)}\nnColumns=28\nendheader\n"
+        + "\t".join(columns) + f"\n{text}\n"
+    )  # fmt: skip
+    (folder / "study.yaml").write_text(STUDY)
+    return schema.load(folder / "study.yaml", StudyFile)
+
+
+def _truth(t):
+    """Free moment and centre of pressure in the foot's frame."""
+    s = np.clip((t - ON) / (OFF - ON), 0, 1)
+    return 2.0 * np.sin(np.pi * s), -0.1 + 0.2 * s, 0.01 * np.sin(np.pi * s)
+
+
+@pytest.mark.parametrize("belt", [0.0, -1.2])
+def test_a_known_step_comes_back(tmp_path, belt):
+    study = _write(tmp_path, belt)
+    step = recorded_step(study, tmp_path, "walk", "left")
+    inside = (step.times > ON + 0.006) & (step.times < OFF - 0.006)
+    assert step.times[0] == pytest.approx(ON, abs=0.011)
+    assert step.times[-1] == pytest.approx(OFF, abs=0.011)
+    assert step.yaw == pytest.approx(YAW, abs=1e-4)
+    np.testing.assert_allclose(step.belt, [belt, 0.0], atol=1e-2)
+    moment, x, y = _truth(step.times)
+    np.testing.assert_allclose(
+        step.force[inside], [[30.0, 0.0, 500.0]] * inside.sum(), atol=1e-3
+    )
+    np.testing.assert_allclose(step.cop[inside, 0], x[inside], atol=1e-3)
+    np.testing.assert_allclose(step.cop[inside, 1], y[inside], atol=1e-3)
+    np.testing.assert_allclose(
+        step.free_moment[inside], moment[inside], atol=0.02
+    )
+    wanted = rotations_xyz(_pose(step.times))
+    np.testing.assert_allclose(step.rotation, wanted, atol=5e-3)
+    if not belt:
+        np.testing.assert_allclose(step.place, PLACE, atol=1e-4)
+
+
+def test_part_of_a_step_by_its_times(tmp_path):
+    study = _write(tmp_path)
+    step = recorded_step(study, tmp_path, "walk", "left", 0.5, 0.7)
+    assert step.times[[0, -1]] == pytest.approx([0.5, 0.7])
+    again = read_study(tmp_path / "study.yaml").step("walk", "left", 0.5, 0.7)
+    np.testing.assert_array_equal(again.cop, step.cop)
+
+
+BAD = {
+    "no second step": (
+        {}, ("walk", "left", "heel_strike", "toe_off", 1),
+        "no step 1 .* 0.30 to 0.90 s",
+    ),
+    "cut at the start": (
+        {"start": -1.0}, ("walk", "left"), "recording begins within it",
+    ),
+    "faded out at the end": (
+        {"end": 1.19}, ("walk", "left"), "recording ends within it",
+    ),
+    "cut at the end": (
+        {"end": 9.0}, ("walk", "left"), "recording ends within it",
+    ),
+    "on two plates": (
+        {"second": 0.5}, ("walk", "left"), "plates 1 and 2 .from 0.50 s on",
+    ),
+    "no such trial": ({}, ("run", "left"), "none of the study's .walk."),
+    "never loaded": ({}, ("walk", "right"), "contacts found: none"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_step_that_cannot_be_used_is_named(tmp_path, name):
+    kinds, which, sentence = BAD[name]
+    study = _write(tmp_path, **kinds)
+    with pytest.raises(InputError, match=sentence):
+        recorded_step(study, tmp_path, *which)
+
+
+def test_a_treadmill_s_steps_go_along_with_its_belt(data_root, tmp_path):
+    """Four whole steps, much alike; the fifth is cut off."""
+    folder = tmp_path / "treadmill_walk"
+    folder.mkdir()
+    for name in ("walk2.trc", "walk2_grf.mot", "static.trc"):
+        text = (data_root / "treadmill_walk" / name).read_text()
+        # The header announces more frames than there are.
+        text = text.replace("100\t100\t579\t", "100\t100\t536\t")
+        (folder / name).write_text(text)
+    file = Path(__file__).parents[1] / "studies" / "treadmill_walking.yaml"
+    study = read_study(file, tmp_path)
+    steps = [
+        study.step("walk2", "left", number=n, least_force_n=150.0)
+        for n in range(4)
+    ]
+    for step in steps:
+        # 1.24 m/s by the description of the data.
+        np.testing.assert_allclose(step.belt, [-1.24, 0.0], atol=0.02)
+        assert 0.6 < step.times[-1] - step.times[0] < 0.7
+        assert -0.13 < step.cop[0, 0] < -0.05 < 0.15 < step.cop[-1, 0] < 0.2
+        assert np.abs(step.cop[:, 1]).max() < 0.045
+    with pytest.raises(InputError, match="ends within it"):
+        study.step("walk2", "left", number=4, least_force_n=150.0)
+
+
+def test_nearest_rotations_are_those_of_a_rigid_motion():
+    rng = np.random.default_rng(0)
+    R = rotations_xyz(rng.uniform(-1, 1, (5, 3)))
+    moved = FOOT @ np.swapaxes(R, 1, 2) + rng.standard_normal((5, 1, 3))
+    np.testing.assert_allclose(nearest_rotations(FOOT, moved), R, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("trial", "start", "end"),
+    [("walking1", 0.53, 1.19), ("walking4", 0.57, 1.25)],
+)
+def test_steps_of_a_recorded_walk(data_root, trial, start, end):
+    """Against the plate's own columns, and how people walk."""
+    file = Path(__file__).parents[1] / "studies" / "opencap_walking.yaml"
+    step = read_study(file, data_root).step(trial, "left")
+    assert step.times[[0, -1]] == pytest.approx([start, end])
+    path = data_root / "opencap_subject4" / "ID" / f"{trial}_grf.mot"
+    time, plates = read_plates(path)
+    plate = plates[1]
+    lag = 0.01  # of the plates
+    rows = np.searchsorted(time, step.times + lag - 1e-6)
+    np.testing.assert_allclose(step.force[:, 2], plate.force[rows, 1])
+    np.testing.assert_allclose(
+        step.free_moment, plate.torque[rows, 1], atol=1e-5
+    )
+    turn = rotation_z(step.yaw)[:2, :2]
+    cop = step.cop @ turn.T + step.place
+    # The first sample of walking4 acts below the others.
+    point = plate.point[rows]
+    np.testing.assert_allclose(cop[:, 0], point[:, 0], atol=6e-4)
+    np.testing.assert_allclose(cop[1:, 0], point[1:, 0], atol=1e-5)
+    np.testing.assert_allclose(cop[1:, 1], -point[1:, 2], atol=1e-5)
+    # From heel to toe, toes up at first and down at last.
+    assert step.cop[0, 0] < -0.1 and step.cop[-1, 0] > 0.13
+    pitch = np.arcsin(step.rotation[:, 0, 2])
+    assert pitch[0] < -0.2 and pitch[-1] > 0.7
+    assert np.abs(pitch[15:35]).max() < 0.03

@@ -1,0 +1,171 @@
+"""From a closed surface to a sole: closed forms, units, faults by name."""
+
+import meshio
+import numpy as np
+import pytest
+from shoe import shoe_surface
+
+from drake_exo import cli
+from drake_exo.errors import InputError
+from drake_exo.soles.case import EXAMPLE
+from drake_exo.soles.mesh import brick, write_stl, write_triangles
+from drake_exo.soles.surface import (
+    Surface,
+    _nearest,
+    _Thickness,
+    read_surface,
+    sole_from_surface,
+)
+
+SIZE = (0.2, 0.08, 0.03)
+
+
+def _obj(path, corners, scale=1.0):
+    points = corners.reshape(-1, 3) * scale
+    faces = np.arange(len(points)).reshape(-1, 3)
+    meshio.Mesh(points, [("triangle", faces)]).write(path)
+
+
+def _brick_surface():
+    mesh = brick(SIZE, (4, 3, 2))
+    return mesh.nodes[mesh.boundary_faces]
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit"), [(1000.0, None), (1.0, None), (100.0, "cm")]
+)
+def test_lengths_are_metres_whatever_the_file_s_unit(tmp_path, scale, unit):
+    path = tmp_path / "sole.obj"
+    _obj(path, _brick_surface(), scale)
+    surface = read_surface(path, unit)
+    np.testing.assert_allclose(surface.extent, SIZE, rtol=1e-6)
+    assert surface.volume == pytest.approx(np.prod(SIZE), rel=1e-5)
+
+
+def test_triangles_that_look_inwards_are_turned(tmp_path):
+    path = tmp_path / "sole.obj"
+    _obj(path, _brick_surface()[:, ::-1])
+    assert read_surface(path).volume == pytest.approx(np.prod(SIZE), rel=1e-5)
+
+
+def _without_one(corners):
+    return corners[1:]
+
+
+def _one_turned(corners):
+    return np.concatenate([corners[:1, ::-1], corners[1:]])
+
+
+def _in_centimetres(corners):
+    return 100 * corners
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (_without_one, "not closed: 3 edges are open"),
+        (_one_turned, "turned against each other"),
+        (_in_centimetres, "give mesh.unit"),
+    ],
+)
+def test_a_surface_that_is_none_is_named(tmp_path, fault, sentence):
+    path = tmp_path / "sole.obj"
+    _obj(path, fault(_brick_surface()))
+    with pytest.raises(InputError, match=sentence):
+        read_surface(path)
+
+
+def test_nearest_points_of_a_sphere():
+    """Against the radius: the sphere's triangles are close to it."""
+    u, v = np.meshgrid(np.linspace(0, np.pi, 60), np.linspace(0, 2 * np.pi, 90))
+    at = np.stack(
+        [np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], axis=-1
+    )
+    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+    corners = np.concatenate(
+        [np.stack([a, b, c], 2).reshape(-1, 3, 3),
+         np.stack([a, c, d], 2).reshape(-1, 3, 3)]
+    )  # fmt: skip
+    points = np.random.default_rng(0).standard_normal((200, 3))
+    points *= np.random.default_rng(1).uniform(0.5, 2, (200, 1))
+    near = _nearest(corners, points, 0.05)
+    aim = points / np.linalg.norm(points, axis=1, keepdims=True)
+    assert np.abs(near - aim).max() < 0.08
+    away = np.linalg.norm(near - points, axis=1)
+    exact = np.abs(np.linalg.norm(points, axis=1) - 1)
+    np.testing.assert_allclose(away, exact, atol=2e-3)
+
+
+def test_thickness_of_a_shoe():
+    thickness = _Thickness(shoe_surface())
+    places = np.array([[-0.095, 0.0, -0.01], [0.12, 0.0, -0.01]])
+    np.testing.assert_allclose(thickness.at(places), [0.03, 0.0154], rtol=0.06)
+    inside = thickness.inside(
+        np.array([[-0.1, 0, -0.02], [-0.1, 0, -0.04], [0, 0.2, -0.01]]), 0.0
+    )
+    assert inside.tolist() == [True, False, False]
+
+
+@pytest.fixture(scope="module")
+def shoe():
+    surface = Surface(shoe_surface(), "shoe")
+    return surface, sole_from_surface(surface, 3000)
+
+
+@pytest.mark.slow
+def test_a_shoe_is_meshed(shoe):
+    surface, mesh = shoe
+    assert 1800 < len(mesh.tets) < 4500
+    assert mesh.volume == pytest.approx(surface.volume, rel=0.03)
+    assert np.percentile(mesh.quality(), 1) > 0.2
+    top = mesh.nodes[mesh.fixed]
+    assert np.ptp(top[:, 2]) < 1e-12 and top[0, 2] == pytest.approx(0.0)
+    faces = mesh.boundary_faces[np.isin(mesh.boundary_faces, mesh.fixed).all(1)]
+    a, b, c = np.swapaxes(mesh.nodes[faces], 0, 1)
+    area = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
+    flat = surface.corners[(np.abs(surface.corners[:, :, 2]) < 1e-12).all(1)]
+    a, b, c = np.swapaxes(flat, 0, 1)
+    wanted = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
+    assert area == pytest.approx(wanted, rel=0.02)
+    # Thick parts have larger elements.
+    middle = mesh.nodes[mesh.tets].mean(axis=1)
+    heel = mesh.volumes[middle[:, 0] < -0.06].mean()
+    ball = mesh.volumes[(middle[:, 0] > 0.03) & (middle[:, 0] < 0.09)].mean()
+    assert heel > ball
+
+
+@pytest.mark.slow
+def test_a_top_that_is_not_flat_is_asked_for_and_taken():
+    corners = shoe_surface(60, 10)
+    corners[..., 2] += 4 * corners[..., 1] ** 2  # a cup for the foot
+    surface = Surface(corners, "cup")
+    with pytest.raises(InputError, match="top_m"):
+        sole_from_surface(surface)
+    mesh = sole_from_surface(surface, 3000, top_m=-0.004)
+    assert mesh.volume == pytest.approx(surface.volume, rel=0.05)
+    x, y, z = mesh.nodes[mesh.fixed].T
+    height = 4 * y**2 - 4 * 0.045**2
+    assert np.abs(z - height + (height - z).mean()).max() < 2.5e-3
+    assert np.ptp(x) > 0.25
+
+
+@pytest.mark.slow
+def test_an_stl_is_simulated_by_one_command(tmp_path):
+    case = EXAMPLE[: EXAMPLE.index("optimize")]
+    (tmp_path / "case.yaml").write_text(case)
+    path = tmp_path / "shoe.stl"
+    write_triangles(path, shoe_surface(), "shoe")
+    out = tmp_path / "out"
+    code = cli.main(
+        ["sole", "simulate", str(tmp_path / "case.yaml"), "--mesh", str(path),
+         "--out", str(out)]
+    )  # fmt: skip
+    assert code == 0
+    assert (out / "summary.json").is_file()
+
+
+def test_a_sole_s_own_stl_is_closed(tmp_path):
+    path = tmp_path / "sole.stl"
+    mesh = brick(SIZE, (4, 3, 2))
+    write_stl(path, mesh)
+    assert read_surface(path).volume == pytest.approx(mesh.volume, rel=1e-5)
