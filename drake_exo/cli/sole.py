@@ -12,6 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from drake_exo import soles
 from drake_exo.cli.options import add_accept
 from drake_exo.errors import InputError
+from drake_exo.files import schema
 from drake_exo.files.output import (
     OutputFolder,
     Progress,
@@ -26,6 +27,7 @@ from drake_exo.soles.optimize.files import (
     read_summary,
 )
 from drake_exo.soles.step import strain_comparison as strains
+from drake_exo.soles.step.results import sole_samples, write_csv
 
 
 def add_parser(subparsers) -> None:
@@ -88,6 +90,22 @@ def add_parser(subparsers) -> None:
         "report", _report, "draw the pictures of a study or a design again"
     )
     _add_source(parser, "folder of 'sole optimize' or 'sole study'")
+    parser = job(
+        "reduce", _reduce, "spheres of a smooth law that are nearest to a sole"
+    )
+    parser.add_argument(
+        "source",
+        type=Path,
+        metavar="DIR",
+        help="folder of 'sole simulate' or 'sole optimize'",
+    )
+    parser.add_argument(
+        "--spheres", type=_count, default=4, help="how many (default: 4)"
+    )
+    parser.add_argument(
+        "--planar", action="store_true", help="pitch and forward alone"
+    )
+    _add_out(parser, required=True, help="law.yaml to write")
 
 
 def _add_case(parser) -> None:
@@ -283,6 +301,30 @@ def _strain(args) -> int:
         _note(out, found)
     print(f"results in {args.out or args.source}")
     return 1 if any(sole["failures"] for sole in found.values()) else 0
+
+
+def _reduce(args) -> int:
+    """Fit, print and write; 1 where the goals for the fit are missed."""
+    # SciPy's optimiser takes a moment to load.
+    from drake_exo.contact import reduction
+
+    if args.out.exists() and not args.force:
+        raise InputError(f"{args.out}: is there already; give --force")
+    samples = reduction.Samples(*sole_samples(args.source))
+    found = reduction.reduce_sole(samples, args.spheres, args.planar)
+    law = found.law()
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.write_text(schema.dump_text(law), encoding="utf-8")
+    rows = args.out.with_suffix(".csv")
+    write_csv(rows, found.table())
+    where = "the plane" if args.planar else "space"
+    print(
+        f"{args.spheres} spheres in {where}: force "
+        f"{100 * found.force_error:.1f} % of the largest, centre of "
+        f"pressure {1e3 * found.cop_error:.1f} mm where loaded (RMS); "
+        f"{args.out}, every sample in {rows}"
+    )
+    return 0 if found.is_near else 1
 
 
 def _note(out: Path, found: dict[str, dict]) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.files.output import write_json
+from drake_exo.errors import InputError
+from drake_exo.files.output import read_arrays, write_json
 from drake_exo.files.verdict import Verdict
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.newton import ContactSolver, Start
@@ -539,6 +540,36 @@ def complementarity(
         )
         before = P
     return float(worst)
+
+
+def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
+    """What history.npz of a folder says of the sole as a whole.
+
+    Returns:
+        Place of the sole frame (N, 3) [m], its orientation (N, 3, 3), upward
+        force (N,) [N], centre of pressure (N, 2) [m], and the sole's length,
+        width and depth below the frame (3,) [m]; of samples that converged.
+
+    Raises:
+        InputError: There is no such file, or it is damaged.
+    """
+    remedy = "simulate the sole again"
+    data = read_arrays(folder / HISTORY, remedy)
+    try:
+        good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
+        up, P = data["force_W"][good, :, 2], data["place_W"][good]
+        nodes = data["nodes_L"]
+        O, R = data["origin_W"][good], data["rotation_WL"][good]  # noqa: E741
+    except (KeyError, IndexError):
+        raise InputError(
+            f"{folder / HISTORY}: holds no simulation; {remedy}"
+        ) from None
+    if not len(up):
+        raise InputError(f"{folder / HISTORY}: no sample converged; {remedy}")
+    force = up.sum(axis=1)
+    cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
+    size = np.array([*np.ptp(nodes[:, :2], axis=0), -nodes[:, 2].min()])
+    return O, R, force, cop, size
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:

@@ -1,0 +1,306 @@
+"""Spheres whose normal forces are nearest to those of a compliant sole.
+
+A sole, simulated through a step, tells force and centre of pressure at many
+poses. The spheres' law at the same poses, at rest, is fitted by least squares
+to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
+sole that sticks remembers where it stood, which a law of the velocity does not.
+"""
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_force
+from drake_exo.contact.parameters import NOMINAL_DISSIPATION
+from drake_exo.errors import InputError
+
+_RADIUS_M = 0.032
+_USUAL_DEPTH_M = 0.01  # for which the law's smoothing constants are
+_LOADED = 0.1  # of the largest force: where a centre of pressure counts
+_FORCE, _COP_M = 0.03, 0.002  # errors of weight one: of F_max, and [m]
+_STARTS = 6
+_LOWER_N_M2, _UPPER_N_M2 = 1e4, 1e10
+_SD = 1.96  # of an interval of 95 %
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Poses of a sole and what the ground did, N samples.
+
+    Attributes:
+        origin: of the sole frame [m], (N, 3).
+        rotation: (N, 3, 3).
+        force: of the ground, upwards [N], (N,).
+        cop: centre of pressure, forward and left [m], (N, 2).
+        size: of the sole (x, y, z) [m], (3,): it lies at z <= 0 about its
+            origin.
+    """
+
+    origin: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    cop: np.ndarray
+    size: np.ndarray
+
+    @property
+    def loaded(self) -> np.ndarray:
+        """Where the centre of pressure counts, (N,)."""
+        return self.force > _LOADED * self.force.max()
+
+    @property
+    def depth(self) -> float:
+        """How far the undeformed sole's corners get into the ground [m]."""
+        x, y, z = self.size
+        corners = np.array(
+            [[i * x / 2, j * y / 2, -z] for i in (-1, 1) for j in (-1, 1)]
+        )
+        lowest = self.origin[:, 2, None] + (corners @ self.rotation[:, 2].T).T
+        return float(max(-lowest.min(), 1e-6))
+
+
+def softened(share: float) -> SimbodyConstants:
+    """The law's constants for a contact that gives a share of the usual depth.
+
+    The defaults are for a heel pad that gives a centimetre: smoothing is in
+    proportion.
+    """
+    usual = SimbodyConstants()
+    return replace(
+        usual,
+        constant_contact_force=share**2 * usual.constant_contact_force,
+        hertz_smoothing=usual.hertz_smoothing / share,
+    )
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Fitted spheres and how near they are.
+
+    Attributes:
+        samples: that they were fitted to.
+        planar: whether y and roll were left out.
+        stiffness: plane-strain modulus of each [N/m²], (S,).
+        place: of each centre in the sole frame [m], (S, 3).
+        radius: of all [m].
+        constants: of the law.
+        interval: half-widths of 95 % of log stiffness and place, (S, 4).
+        force: of the spheres, upwards [N], (N,).
+        cop: of the spheres [m], (N, 2).
+    """
+
+    samples: Samples
+    planar: bool
+    stiffness: np.ndarray
+    place: np.ndarray
+    radius: float
+    constants: SimbodyConstants
+    interval: np.ndarray
+    force: np.ndarray
+    cop: np.ndarray
+
+    @property
+    def force_error(self) -> float:
+        """RMS of the force over its largest."""
+        off = self.force - self.samples.force
+        return float(np.sqrt(np.mean(off**2)) / self.samples.force.max())
+
+    @property
+    def cop_error(self) -> float:
+        """RMS of the centre of pressure where loaded [m]."""
+        off = (self.cop - self.samples.cop)[self.samples.loaded]
+        off = off[:, :1] if self.planar else off
+        return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+    @property
+    def is_near(self) -> bool:
+        """Whether force and centre of pressure are within 3 % and 2 mm."""
+        return self.force_error <= _FORCE and self.cop_error <= _COP_M
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns over the samples, the sole's beside the spheres'."""
+        mine = self.samples
+        columns = {
+            "force_n": mine.force,
+            "force_spheres_n": self.force,
+            "cop_x_m": mine.cop[:, 0],
+            "cop_x_spheres_m": self.cop[:, 0],
+        }
+        if not self.planar:
+            columns["cop_y_m"] = mine.cop[:, 1]
+            columns["cop_y_spheres_m"] = self.cop[:, 1]
+        return columns | {"loaded": mine.loaded.astype(int)}
+
+    def law(self) -> dict:
+        """What law.yaml says: spheres in the sole's frame."""
+        names = ("x_m", "y_m", "z_m")
+        spheres = {}
+        for k, (E, place, half) in enumerate(
+            zip(self.stiffness, self.place, self.interval, strict=True)
+        ):
+            sphere = {
+                "modulus_n_m2": float(E),
+                "modulus_factor_95": float(np.exp(half[0])),
+                "dissipation_s_m": NOMINAL_DISSIPATION,
+                "radius_m": float(self.radius),
+            }
+            for name, value, width in zip(names, place, half[1:], strict=True):
+                if not (self.planar and name == "y_m"):
+                    sphere[name] = float(value)
+                    sphere[f"{name}_95"] = float(width)
+            spheres[f"sphere{k + 1}"] = sphere
+        return {
+            "law": "simbody",
+            "frame": "sole",
+            "planar": self.planar,
+            "constants": {
+                name: float(value)
+                for name, value in asdict(self.constants).items()
+            },
+            "spheres": spheres,
+            "force_error_rms": self.force_error,
+            "cop_error_rms_m": self.cop_error,
+        }
+
+
+def forces(samples: Samples, stiffness, place, radius, constants):
+    """Upward force of every sphere at every pose at rest, and its place.
+
+    Args:
+        samples: the poses.
+        stiffness, place, radius, constants: as in `Reduction`.
+
+    Returns:
+        Forces [N] (N, S), centres in the world [m] (N, S, 3).
+    """
+    centre = samples.origin[:, None] + place @ np.swapaxes(
+        samples.rotation, 1, 2
+    )
+    zero = np.zeros(centre.shape[:2])
+    normal, _ = sphere_force(
+        "simbody",
+        radius - centre[..., 2],
+        zero,
+        zero,
+        stiffness,
+        0.0,
+        radius,
+        constants,
+    )
+    return normal, centre
+
+
+def _combined(normal, centre) -> tuple[np.ndarray, np.ndarray]:
+    """Force (N,) and centre of pressure (N, 2) of all spheres."""
+    total = normal.sum(axis=1)
+    cop = np.einsum("ns,nsi->ni", normal, centre[..., :2])
+    return total, cop / np.maximum(total, 1e-9)[:, None]
+
+
+def reduce_sole(
+    samples: Samples, spheres: int = 3, planar: bool = False
+) -> Reduction:
+    """Fit spheres to a sole's samples.
+
+    Args:
+        samples: poses, forces and centres of pressure.
+        spheres: how many.
+        planar: pitch and forward alone, as an exoskeleton's foot knows them.
+
+    Raises:
+        InputError: fewer samples than unknowns.
+    """
+    columns = [0, 1, 3] if planar else [0, 1, 2, 3]
+    unknowns = spheres * len(columns) + 2
+    if (2 if planar else 3) * len(samples.force) < unknowns:
+        raise InputError(
+            f"{len(samples.force)} samples do not tell {unknowns} unknowns of "
+            f"{spheres} spheres; take fewer spheres or a longer step"
+        )
+    if planar:
+        samples = _in_plane(samples)
+    largest, loaded = samples.force.max(), samples.loaded
+    scale = np.array([1.0, *(0.1 * samples.size[:2]), 1e-3])
+
+    def unpacked(u):
+        radius, share = np.exp(u[:2])
+        full = np.zeros((spheres, 4))
+        full[:, columns] = u[2:].reshape(spheres, -1)
+        full = full * scale
+        place = full[:, 1:] + [0, 0, radius - samples.size[2]]
+        return np.exp(full[:, 0]), place, radius, softened(share)
+
+    def residuals(u):
+        total, cop = _combined(*forces(samples, *unpacked(u)))
+        off = (cop - samples.cop)[loaded]
+        off = off[:, :1] if planar else off
+        return np.concatenate(
+            [(total - samples.force) / (_FORCE * largest), off.ravel() / _COP_M]
+        )
+
+    low = np.tile([np.log(_LOWER_N_M2), -6.0, -6.0, -20.0], (spheres, 1))
+    high = np.tile([np.log(_UPPER_N_M2), 6.0, 6.0, 20.0], (spheres, 1))
+    low = np.r_[np.log([0.005, 0.003]), low[:, columns].ravel()]
+    high = np.r_[np.log([2.0, 1.0]), high[:, columns].ravel()]
+    best = None
+    for guess in _guesses(spheres, columns, samples.depth):
+        found = least_squares(
+            residuals,
+            np.clip(guess, low + 1e-6, high - 1e-6),
+            bounds=(low, high),
+            x_scale="jac",
+            max_nfev=300,
+        )
+        if best is None or found.cost < best.cost:
+            best = found
+    return _reduction(samples, planar, best, unpacked(best.x), columns, scale)
+
+
+def _in_plane(samples: Samples) -> Samples:
+    """Without roll, yaw and what lies sideways."""
+    pitch = np.arcsin(np.clip(samples.rotation[:, 0, 2], -1, 1))
+    c, s, R = np.cos(pitch), np.sin(pitch), np.zeros_like(samples.rotation)
+    R[:, 0, 0], R[:, 0, 2], R[:, 1, 1] = c, s, 1.0
+    R[:, 2, 0], R[:, 2, 2] = -s, c
+    forward = np.array([1.0, 0.0, 1.0])
+    return Samples(
+        samples.origin * forward,
+        R,
+        samples.force,
+        samples.cop * forward[:2],
+        samples.size,
+    )
+
+
+def _guesses(spheres: int, columns, depth: float):
+    """Spheres along the sole and to its sides, soft and stiff."""
+    rng = np.random.default_rng(0)
+    x = np.linspace(-4.0, 4.0, spheres)
+    y = np.where(np.arange(spheres) % 2, -3.0, 3.0)
+    for k in range(_STARTS):
+        log_E = np.log([1e6, 1e7, 1e8][k % 3]) * np.ones(spheres)
+        full = np.stack([log_E, x, y, np.zeros(spheres)], axis=1)
+        full[:, 1:3] += 0.7 * rng.standard_normal((spheres, 2))
+        shared = np.log([_RADIUS_M, min(depth / _USUAL_DEPTH_M, 0.9)])
+        yield np.r_[shared, full[:, columns].ravel()]
+
+
+def _reduction(samples, planar, best, found, columns, scale) -> Reduction:
+    stiffness, place, radius, constants = found
+    spare = max(len(best.fun) - len(best.x), 1)
+    # Gauss–Newton's covariance, the residuals' own scatter as the noise.
+    information = best.jac.T @ best.jac
+    covariance = np.linalg.pinv(information) * 2 * best.cost / spare
+    half = np.zeros((len(stiffness), 4))
+    sd = np.sqrt(np.diag(covariance))[2:]
+    half[:, columns] = sd.reshape(len(stiffness), -1)
+    return Reduction(
+        samples,
+        planar,
+        stiffness,
+        place,
+        float(radius),
+        constants,
+        _SD * half * scale,
+        *_combined(*forces(samples, *found)),
+    )
