@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sole_at_pose import contact_at_pose
 from as_load import as_load
+from sole_at_pose import contact_at_pose
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact import newton as contact
