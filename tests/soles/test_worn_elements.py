@@ -73,29 +73,26 @@ def test_the_floor_stops_the_search_without_new_elements(without):
     assert without.remeshed == ()
 
 
-def test_with_new_elements_it_comes_to_a_lower_cost(folder, row, without):
-    assert row["c_smoothed"] < sum(
-        w * c for w, c in zip((1, -1), without.smoothed, strict=True)
-    )
-    # On sound elements the design without is dearer still.
+def test_with_new_elements_it_comes_to_no_higher_cost(folder, row, without):
+    # Worn elements flatter: both are compared on sound ones.
     problem = with_new_elements(without.problem, without.coefficients)
     e = problem.evaluate(without.coefficients)
-    assert row["c_smoothed"] < 0.95 * (e.c_tr - e.c_rot)
+    assert row["c_smoothed"] <= e.c_tr - e.c_rot
     assert abs(row["multipliers"]["elements"]) < 0.02
 
 
 def test_the_summary_says_when_and_what_it_did(row):
-    (entry,) = row["remeshed"]
+    entry, last = row["remeshed"][0], row["remeshed"][-1]
     assert entry["stage"] == 1
     assert 5 <= entry["iteration"] < 40
-    assert entry["tets"] == row["tets"]
+    assert last["tets"] == row["tets"]
     before, after = entry["before"], entry["after"]
     assert after["least_quality"] > 1.5 * before["least_quality"]
     assert after["c_tr"] == pytest.approx(before["c_tr"], rel=0.3)
     assert after["c_tr"] != before["c_tr"]
 
 
-def test_a_resumed_run_goes_the_same_way(folder):
+def test_a_resumed_run_goes_the_same_way(folder, row):
     at = read_checkpoint(folder / "first")
     assert at.iteration > 0
     design, _ = _optimise(folder, folder / "resumed", at)
@@ -104,7 +101,7 @@ def test_a_resumed_run_goes_the_same_way(folder):
     mesh = read_mesh(folder / "out" / "sole.vtk")
     np.testing.assert_array_equal(design.mesh.nodes, mesh.nodes)
     np.testing.assert_array_equal(design.mesh.tets, mesh.tets)
-    assert len(design.remeshed) == 1
+    assert len(design.remeshed) == len(row["remeshed"])
 
 
 def test_the_folder_is_that_of_any_design(folder, row):
