@@ -584,13 +584,17 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
 
 
 def typical_jerk(trials: Sequence[Trial]) -> float:
-    """Root mean square of the human joints' jerk in some trials [rad/s^3]."""
+    """Three times the RMS of the human joints' jerk in some trials [rad/s^3].
+
+    So large that what is measured at all is hardly pulled, and small enough
+    that a device does not swing on its cuffs.
+    """
     rows = []
     for trial in trials:
         names = trial.coordinates
         human = names.joint_columns[~names.is_device_joint]
         rows.append(np.gradient(trial.a[:, human], trial.times, axis=0))
-    return float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+    return 3.0 * float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
 
 
 def _in_order(contact: ContactModel, model: Model) -> ContactModel:

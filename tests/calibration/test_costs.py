@@ -216,7 +216,7 @@ def test_typical_jerk_is_that_of_what_calibrates(in_device, trial):
     for joint, size in (("knee", 3.0), ("hip", 4.0), ("exo_hip", 100.0)):
         a[:, names.index(joint)] = size * np.sin(20.0 * trial.times)
     moved = replace(trial, a=a)
-    expected = 20.0 * np.sqrt((3.0**2 + 4.0**2) / 3.0 / 2.0)
+    expected = 3.0 * 20.0 * np.sqrt((3.0**2 + 4.0**2) / 3.0 / 2.0)
     model, contact = in_device.model, in_device.contact
     for posed in (
         FootGroundCalibration(model, [moved]),
