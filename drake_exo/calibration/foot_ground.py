@@ -7,13 +7,11 @@ touch.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from drake_exo.calibration.problem import (
     PhaseProblem,
     ground_terms,
     kinematic_terms,
-    typical_jerk,
 )
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.collocation.trial_program import TrialProgram, minimised
@@ -51,7 +49,7 @@ class FootGroundCalibration(PhaseProblem):
         super().__init__(
             model,
             trials,
-            replace(settings.contact(model.spheres), jerk=typical_jerk(trials)),
+            settings.contact(model.spheres),
             parameters or settings.parameters(model.spheres),
             settings,
             refined=refined,

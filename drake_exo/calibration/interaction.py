@@ -16,7 +16,6 @@ from drake_exo.calibration.problem import (
     kinematic_terms,
     normal_force_terms,
     torque_terms,
-    typical_jerk,
 )
 from drake_exo.calibration.settings import InteractionSettings
 from drake_exo.collocation.trial_program import TrialProgram
@@ -62,11 +61,7 @@ class InteractionCalibration(PhaseProblem):
         super().__init__(
             model,
             trials,
-            replace(
-                contact,
-                bushings=settings.bushings(model.cuffs),
-                jerk=typical_jerk(trials),
-            ),
+            replace(contact, bushings=settings.bushings(model.cuffs)),
             settings.parameters(model.cuffs),
             settings,
             ErrorModel(model, trials, settings.errors),

@@ -141,6 +141,8 @@ class PhaseProblem(ABC):
         self.tree = model.tree
         self.trials = list(trials)
         _check_trials(self.trials, model)
+        if parameters:  # calibrated on these
+            contact = replace(contact, jerk=typical_jerk(self.trials))
         self.contact = contact = _in_order(contact, model)
         self.parameters = parameters
         self.settings = settings

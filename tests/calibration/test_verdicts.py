@@ -149,12 +149,12 @@ def test_stopped_on_a_finer_grid_is_stopped(tmp_path):
         if refined:
             own = posed.solve
 
-            def stopped(guess, on_iterate):
+            def stopped(on_iterate, near):
                 def stop(iterate):
                     on_iterate(iterate)
                     signal.raise_signal(signal.SIGINT)
 
-                return own(guess, on_iterate=stop)
+                return own(on_iterate=stop, near=near)
 
             posed.solve = stopped
         return posed

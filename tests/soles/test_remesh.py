@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from drake_exo.soles import mmg
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize import remeshing
 from drake_exo.soles.optimize.remeshing import RemeshError, remesh
@@ -95,12 +96,12 @@ def test_elements_that_are_no_better_are_none(design, monkeypatch):
     mesh, spline, p = design
     deformed = _at(mesh, spline, p)
     same = deformed.nodes, deformed.tets
-    monkeypatch.setattr(remeshing, "_mmg", lambda _: same)
+    monkeypatch.setattr(remeshing, "run_mmg", lambda *_: same)
     with pytest.raises(RemeshError, match="no element is better"):
         remesh(mesh, spline, p)
     moved = deformed.nodes.copy()
     moved[mesh.contact[0]] += 1e-6
-    monkeypatch.setattr(remeshing, "_mmg", lambda _: (moved, deformed.tets))
+    monkeypatch.setattr(remeshing, "run_mmg", lambda *_: (moved, deformed.tets))
     with pytest.raises(RemeshError, match="moved nodes of the surface"):
         remesh(mesh, spline, p)
 
@@ -123,6 +124,6 @@ def test_a_remesher_that_fails_says_so(
 ):
     child = tmp_path / "child.py"
     child.write_text(script)
-    monkeypatch.setattr(remeshing, "_CHILD", child)
+    monkeypatch.setattr(mmg, "_CHILD", child)
     with pytest.raises(RemeshError, match=said):
         remesh(*design)
