@@ -376,7 +376,7 @@ class Stage:
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start.
 STAGES = (
-    Stage(_FINE, 24, 3e-4, 0.2, 80),
+    Stage(_FINE, 24, 3e-4, 0.2, 50),
     Stage(_FINE, None, 5e-6, 0.2, 45),
 )
 # Of a mesh that is no brick.
