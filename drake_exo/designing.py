@@ -35,6 +35,7 @@ from drake_exo.calibration.solving import SolveWatch
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
+    PLACES,
     STRAPS,
     Design,
     device_sdf,
@@ -228,9 +229,11 @@ class Designed:
         """What every cuff does to the person, before and after."""
         rows = []
         for cuff in self.peaks:
-            area = self.settings.freedom(cuff).area_m2
             row: dict = {"cuff": cuff}
             for what, moved in (("before", self.before), ("after", self.after)):
+                area = self.settings.freedom(cuff).area_m2
+                if what == "after":
+                    area *= self.design.cuffs[cuff].area
                 trials = [m.trial for ms in moved.values() for m in ms]
                 force = [t.cuffs[cuff].components for t in trials]
                 stiffness = self._stiffness(cuff, what)
@@ -400,7 +403,9 @@ class Designed:
         """
         forecast = [m.trial for ms in self.after.values() for m in ms]
         own = [t for n in self.after for t in self.found.wearers[n].trials]
-        ratio = norm_of(forecast, self.settings) / norm_of(own, self.settings)
+        ratio = np.divide(
+            *(norm_of(t, self.settings, self.design) for t in (forecast, own))
+        )
         return ratio * self.found.norm_n
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
@@ -663,8 +668,9 @@ def movements(
     return found
 
 
+# What is designed -> what its variables' names begin with.
 _KINDS = {
-    "places": ("across_m", "along_m"),
+    "places": tuple(PLACES.values()),
     "straps": tuple(STRAPS.values()),
     "assistance": ("factor",),
 }

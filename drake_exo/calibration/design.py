@@ -24,17 +24,20 @@ from drake_exo.calibration.problem import (
     ground_terms,
 )
 from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
+from drake_exo.collocation.bushing_kernels import CurvedDynamicsKernel
 from drake_exo.collocation.design_kernels import (
     AssistanceKernel,
     CuffKernel,
     ForceNormKernel,
     MigrationKernel,
+    PressureKernel,
     WorkKernel,
 )
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
 from drake_exo.contact.parameters import TYPICAL_JERK, ContactModel
 from drake_exo.contact.strap import (
+    BY_AREA,
     STRAPS,
     Assistance,
     CuffDesign,
@@ -54,6 +57,8 @@ from drake_exo.nlp.sparse import SparseProgram
 _FROM_JOINT_M = 0.05
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
+# Where the device's half of a cuff goes alone: forwards, up.
+_PRELOADS = {"preload_across_m": 1.0, "preload_along_m": 1j}
 # What the name of a factor on a joint's torque begins with.
 _FACTOR = "factor_at_"
 
@@ -113,7 +118,7 @@ class Variable:
 def design_variables(
     wearers: Sequence[Wearer], settings: DesignSettings
 ) -> list[Variable]:
-    """All of them: five for each cuff, one for each joint of the device.
+    """All of them, those of each cuff, then factors on the device's torques.
 
     Straps are varied as compliance [m/N]: 0 for one that adds nothing.
     """
@@ -126,6 +131,11 @@ def design_variables(
             Variable(f"{cuff}.across_m", "m", *freedom.across_m, 0.0, 0.01),
             Variable(f"{cuff}.along_m", "m", lower, upper, 0.0, 0.01),
         ]
+        found += [
+            Variable(f"{cuff}.{w}", "m", *getattr(freedom, w), 0.0, 0.005)
+            for w in _PRELOADS
+        ]
+        found.append(Variable(f"{cuff}.area", "1", *freedom.area, 1.0, 0.1))
         for strap in STRAPS.values():
             rotates = strap.endswith("rad")
             softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m
@@ -222,6 +232,7 @@ class _Wearing(PhaseProblem):
         phase = PredictionSettings(solver=settings.solver, guess="data")
         self._work: list = []
         self._slid: dict[tuple[str, str], np.ndarray] = {}
+        self._pressed: dict[tuple[str, str], np.ndarray] = {}
         super().__init__(
             wearer.model,
             [replace(t, name=f"{wearer.name} {t.name}") for t in wearer.trials],
@@ -231,6 +242,23 @@ class _Wearing(PhaseProblem):
             program=program,
         )
         self._limit_support()
+
+    coupled = CurvedDynamicsKernel
+
+    def moving(self, cuff: str):
+        """See PhaseProblem: a cuff's preload is part of the design."""
+        _, device = self.tree.cuffs[cuff]
+        segment = self.tree.segment_of[self.tree.body_index(device)]
+        return [(segment, way) for way in _PRELOADS.values()]
+
+    def places(self, cuff: str) -> np.ndarray:
+        """See PhaseProblem."""
+        preload = self._of_cuff(cuff, _PRELOADS)
+        return np.concatenate([super().places(cuff), preload])
+
+    def _of_cuff(self, cuff: str, names) -> np.ndarray:
+        """Design variables of a cuff by name."""
+        return np.array([self._posed.variables[f"{cuff}.{n}"] for n in names])
 
     def _add_group(self, group, parameters):
         if group not in self.contact.bushings:
@@ -248,13 +276,12 @@ class _Wearing(PhaseProblem):
         )
         for variable, p in zip(variables, parameters, strict=True):
             prog.SetVariableScaling(variable, max(abs(p.nominal), 0.01))
-        design = [
-            self._posed.variables[f"{group}.{what}"]
-            for what in ("across_m", "along_m", *STRAPS.values())
-        ]
+        design = self._of_cuff(
+            group, ("across_m", "along_m", *STRAPS.values(), "area")
+        )
         self.program.add_constraints(
             f"{self.wearer.name} {group} as designed",
-            CuffKernel(),
+            CuffKernel(BY_AREA),
             np.concatenate([variables, design])[None],
             data=own[None],
         )
@@ -333,10 +360,14 @@ class _Wearing(PhaseProblem):
         share = movement.grid.quadrature / posed.weights_s
         used = share > 0.0
         for cuff, force in movement.cuffs.items():
+            felt = force[used][:, [TANGENTIAL, NORMAL]]
+            area = np.broadcast_to(
+                self._of_cuff(cuff, ["area"]), (len(felt), 1)
+            )
             self.program.add_residuals(
                 f"{movement.name} {cuff} force",
                 kernel,
-                force[used][:, [TANGENTIAL, NORMAL]],
+                np.hstack([felt, area]),
                 np.sqrt(settings.weight * share[used])[:, None],
             )
 
@@ -349,12 +380,8 @@ class _Wearing(PhaseProblem):
         times = [f"at {t:.3g} s" for t in movement.grid.times]
         n = len(times)
         for cuff, force in movement.cuffs.items():
-            area = settings.freedom(cuff).area_m2
             most = np.full(3, np.inf)
-            most[NORMAL] = min(
-                limits.normal_n or np.inf,
-                (limits.pressure_kpa or np.inf) * 1e3 * area,
-            )
+            most[NORMAL] = limits.normal_n or np.inf
             most[TANGENTIAL] = limits.shear_n or np.inf
             most[ROTATION] = limits.moment_nm or np.inf
             today = self._posed.today[self.wearer.name][cuff]
@@ -383,6 +410,8 @@ class _Wearing(PhaseProblem):
                 movement.bound(force[:, bounded].ravel(), -edge, edge)
             if limits.migration_mm is not None:
                 self._limit_migration(movement, cuff, times)
+            if limits.pressure_kpa is not None:
+                self._limit_pressure(movement, cuff, times)
         if limits.effort_factor is not None:
             own = movement.torque[:, ~movement.coordinates.is_device_joint]
             most = limits.effort_factor * self._posed.moments[self.wearer.name]
@@ -412,11 +441,33 @@ class _Wearing(PhaseProblem):
         wanted = 1e-3 * self._posed.settings.limits.migration_mm
         most = np.full(n, max(wanted, today))
         movement.bound(slid.ravel(), -most, most)
-        origin = self._variables[cuff][:2]
+        places = self.places(cuff)
         self.program.add_constraints(
             f"{movement.name} {cuff} migration",
             MigrationKernel(self.bushings[cuff]),
-            np.hstack([grid.q, np.broadcast_to(origin, (n, 2)), slid]),
+            np.hstack(
+                [grid.q, np.broadcast_to(places, (n, len(places))), slid]
+            ),
+        )
+
+    def _limit_pressure(self, movement, cuff: str, times) -> None:
+        prog, n = self.program.prog, len(times)
+        name = f"{movement.name} {cuff} pressure"
+        pressed = prog.NewContinuousVariables(n, name).reshape(n, 1)
+        self.program.label("limit", pressed, [name], times, [("kPa", 1.0)])
+        self._pressed[cuff, movement.name] = pressed
+        settings = self._posed.settings
+        most = np.full(n, settings.limits.pressure_kpa)
+        area_m2 = settings.freedom(cuff).area_m2
+        if self.wearer.is_drawn:
+            today = self._posed.today[self.wearer.name][cuff][NORMAL]
+            most = np.maximum(most, 1e-3 * today / area_m2)
+        movement.bound(pressed.ravel(), -most, most)
+        area = np.broadcast_to(self._of_cuff(cuff, ["area"]), (n, 1))
+        self.program.add_constraints(
+            name,
+            PressureKernel(area_m2),
+            np.hstack([movement.cuffs[cuff][:, [NORMAL]], area, pressed]),
         )
 
     def _add_work(self, movement: TrialProgram) -> None:
@@ -468,14 +519,16 @@ class _Wearing(PhaseProblem):
             ]
         works = []
         for movement, trial in zip(self.movements, trials, strict=True):
-            self._fill_trial(x, movement, trial, contact)
+            self._fill_trial(x, movement, trial, contact, design)
             works.append(device_work(trial))
         if self._work:
             index = self.program.indices(np.array([*self._work, self._total]))
             x[index] = [*works, sum(works)]
 
-    def _fill_trial(self, x, movement, trial: Trial, contact) -> None:
-        grid = movement.grid
+    def _fill_trial(
+        self, x, movement, trial: Trial, contact, design: Design
+    ) -> None:
+        grid, settings = movement.grid, self._posed.settings
         at = trial.sample(grid.times)
         jerk = np.gradient(at.a, grid.times, axis=0)[: len(grid.jerk)]
         if trial.jerk is not None and trial.jerk.shape == jerk.shape:
@@ -490,14 +543,23 @@ class _Wearing(PhaseProblem):
         ]
         for cuff, kinematics in self.bushings.items():
             bushing = contact.bushings[cuff]
-            origin = np.broadcast_to(bushing.origin, (len(at.q), 2))
-            terms = kinematics.terms(at.q, origin)
+            own = self.contact.bushings[cuff].preload
+            places = np.r_[
+                bushing.origin, np.subtract(bushing.preload, own)[:2]
+            ]
+            places = np.broadcast_to(places, (len(at.q), len(places)))
+            terms = kinematics.terms(at.q, places)
             deflection = kinematics.deflection(at.q, terms)
             force = bushing.stiffness * deflection
             filled.append((movement.cuffs[cuff], force))
             slid = self._slid.get((cuff, movement.name))
             if slid is not None:
                 filled.append((slid, deflection[:, [TANGENTIAL]]))
+            pressed = self._pressed.get((cuff, movement.name))
+            if pressed is not None:
+                share = design.cuffs.get(cuff, CuffDesign()).area
+                area = 1e3 * share * settings.freedom(cuff).area_m2
+                filled.append((pressed, force[:, [NORMAL]] / area))
         for variables, numbers in filled:
             x[self.program.indices(variables)] = numbers
 
@@ -549,7 +611,7 @@ class DesignResult:
     def norm_n(self) -> float:
         """The norm of all cuffs' forces that was minimised [N]."""
         trials = [t for found in self.wearers.values() for t in found.trials]
-        return norm_of(trials, self.problem.settings)
+        return norm_of(trials, self.problem.settings, design_of(self.values))
 
     def slopes(self) -> dict[str, float]:
         """Derivative of the optimum by each design variable that is held.
@@ -756,13 +818,22 @@ def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
     return v
 
 
-def norm_of(trials: Sequence[Trial], settings: DesignSettings) -> float:
-    """The norm that is minimised, of all cuffs' forces in some trials [N]."""
+def norm_of(
+    trials: Sequence[Trial],
+    settings: DesignSettings,
+    design: Design | None = None,
+) -> float:
+    """The norm that is minimised, of all cuffs' forces in some trials [N].
+
+    Each over the cuff's area against today's, if a design changes it.
+    """
+    cuffs = {} if design is None else design.cuffs
     total, duration = 0.0, 0.0
     for trial in trials:
-        for force in trial.cuffs.values():
+        for cuff, force in trial.cuffs.items():
             square = force.normal**2
             square = square + settings.shear_weight * force.tangential**2
+            square = square / cuffs.get(cuff, CuffDesign()).area ** 2
             total += np.trapezoid(
                 square ** (settings.exponent / 2), trial.times
             )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drake_exo.calibration.settings import Solver
-from drake_exo.contact.strap import SOFTEST_N_M, SOFTEST_NM_RAD
+from drake_exo.contact.strap import PLACES, SOFTEST_N_M, SOFTEST_NM_RAD
 from drake_exo.errors import InputError
 
 
@@ -19,9 +19,14 @@ class CuffFreedom:
     Attributes:
         along_m: how far it may move down (negative) and up its limb.
         across_m: likewise backwards and forwards; [0, 0] to keep it.
+        preload_across_m: how far the device's half alone may be shifted
+            across the limb: the cuff then presses where both are aligned.
+        preload_along_m: likewise along it.
         strap_n_m: softest strap along and across the limb; null to add none.
         strap_nm_rad: softest strap in rotation; null to add none.
-        area_m2: of skin that bears its force.
+        area_m2: of skin that bears its force today.
+        area: least and most of it, as a share of that; tissue under a larger
+            cuff is stiffer in proportion.
 
     >>> CuffFreedom(along_m=(-0.02, 0.05)).across_m
     (0.0, 0.0)
@@ -33,6 +38,12 @@ class CuffFreedom:
     across_m: tuple[float, float] = field(
         default=(0.0, 0.0), metadata={"unit": "m"}
     )
+    preload_across_m: tuple[float, float] = field(
+        default=(0.0, 0.0), metadata={"unit": "m"}
+    )
+    preload_along_m: tuple[float, float] = field(
+        default=(0.0, 0.0), metadata={"unit": "m"}
+    )
     strap_n_m: float | None = field(
         default=SOFTEST_N_M, metadata={"unit": "N/m", "minimum": SOFTEST_N_M}
     )
@@ -41,14 +52,18 @@ class CuffFreedom:
         metadata={"unit": "N m/rad", "minimum": SOFTEST_NM_RAD},
     )
     area_m2: float = _positive(0.01, "m^2")
+    area: tuple[float, float] = field(
+        default=(1.0, 1.0), metadata={"unit": "1", "above": 0.0}
+    )
 
     def __post_init__(self):
-        for what in ("along_m", "across_m"):
+        for what in (*PLACES.values(), "area"):
             lower, upper = getattr(self, what)
-            if not lower <= 0.0 <= upper:
+            today = 1.0 if what == "area" else 0.0
+            if not lower <= today <= upper:
                 raise InputError(
-                    f"{what} is {lower:g} to {upper:g}; the place of today, "
-                    "0, must be within"
+                    f"{what} is {lower:g} to {upper:g}; what it is today, "
+                    f"{today:g}, must be within"
                 )
 
 

@@ -12,7 +12,11 @@ from scipy.interpolate import CubicSpline
 from drake_exo.calibration.error_model import Effects, ErrorModel
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.calibration.start import settled
-from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
+from drake_exo.collocation.bushing_kernels import (
+    BushingKernel,
+    CoupledDynamicsKernel,
+    EnergyKernel,
+)
 from drake_exo.collocation.kernels import (
     BodyWrench,
     FootGroundKernel,
@@ -36,6 +40,7 @@ from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
 
+_NUM_ORIGIN = sum(name.startswith("origin") for name in CALIBRATED)
 # Bounds that no sound end state reaches: rates within what that is a second
 # [rad, rad/s].
 _END_REACH = 0.3
@@ -154,7 +159,9 @@ class PhaseProblem(ABC):
             body: FootGroundKernel(own) for body, own in under.items()
         }
         self.bushings = {
-            cuff: BushingKinematics(self.tree, cuff, bushing.preload)
+            cuff: BushingKinematics(
+                self.tree, cuff, bushing.preload, self.moving(cuff)
+            )
             for cuff, bushing in contact.bushings.items()
         }
         self.laws = {
@@ -286,10 +293,20 @@ class PhaseProblem(ABC):
     def _add(self, trial: Trial) -> TrialProgram:
         """Add a trial: dynamics, contact, ends, cost."""
 
+    # Kernel of the equations of motion with cuffs.
+    coupled = CoupledDynamicsKernel
+
+    def moving(self, cuff: str) -> Sequence[tuple[int, complex]]:
+        """What moves the device's frame, see BushingKinematics."""
+        return ()
+
+    def places(self, cuff: str) -> np.ndarray:
+        """Decision variables of where a cuff is, see BushingKinematics."""
+        return self._variables[cuff][:_NUM_ORIGIN]
+
     def _movement(self, trial: Trial) -> TrialProgram:
         """Variables, dynamics and contact of a trial, without its cost."""
         solver = self.settings.solver
-        n_origin = sum(name.startswith("origin") for name in CALIBRATED)
         movement = TrialProgram(
             self.program,
             trial.name,
@@ -298,11 +315,12 @@ class PhaseProblem(ABC):
             self.refined.get(trial.name, 1) * solver.nodes_per_second,
             solver.transcription,
             {
-                cuff: (bushing, self._variables[cuff][:n_origin])
+                cuff: (bushing, self.places(cuff))
                 for cuff, bushing in self.bushings.items()
             },
             _borne(self.tree, trial),
             self.soles,
+            self.coupled,
         )
         for body, spheres in self.soles.items():
             variables = [self._variables[name] for name in spheres]
@@ -310,7 +328,10 @@ class PhaseProblem(ABC):
                 body, self.kernels[body], np.concatenate(variables)
             )
         for cuff, law in self.laws.items():
-            movement.add_bushing(cuff, law, self._variables[cuff])
+            stiffness = self._variables[cuff][_NUM_ORIGIN:]
+            movement.add_bushing(
+                cuff, law, np.concatenate([self.places(cuff), stiffness])
+            )
         return movement
 
     def minimise_energy(

@@ -5,11 +5,13 @@ are on the human; the generalized force of a bushing is -(dd/dq)^T F.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
 from drake_exo.contact.bushing import (
+    ROTATION,
     BushingKinematics,
     bushing_energy,
     bushing_force,
@@ -31,7 +33,8 @@ class CoupledDynamicsKernel:
     """DynamicsKernel with bushing forces.
 
     Inputs: those of DynamicsKernel, then the bushings' forces (3 each: N, N,
-    N m), then their origins (x, z each). Outputs as DynamicsKernel.
+    N m), then their places (see BushingKinematics). Outputs as
+    DynamicsKernel.
     """
 
     def __init__(
@@ -44,61 +47,101 @@ class CoupledDynamicsKernel:
         self._bushings = bushings
         nq, nb = tree.num_positions, len(bushings)
         self._first = self._dynamics.sparsity.shape[1]
-        pattern = np.zeros((nq, self._first + 5 * nb), bool)
+        ends = np.cumsum([0, *(b.num_places for b in bushings)])
+        ends += self._first + 3 * nb
+        self._places = [slice(*pair) for pair in pairwise(ends)]
+        pattern = np.zeros((nq, ends[-1]), bool)
         pattern[:, : self._first] = self._dynamics.sparsity
         for b, bushing in enumerate(bushings):
             angles = bushing.moved_by
             force = slice(self._first + 3 * b, self._first + 3 * b + 3)
             pattern[angles, force] = True
-            first = self._first + 3 * nb + 2 * b
-            pattern[angles, first : first + 2] = True
+            pattern[angles, self._places[b]] = True
         self.sparsity = pattern
 
     def _parts(self, x, b):
-        nb = len(self._bushings)
-        force = x[:, self._first + 3 * b : self._first + 3 * b + 3]
-        first = self._first + 3 * nb + 2 * b
-        return force, x[:, first : first + 2]
+        first = self._first + 3 * b
+        return x[:, first : first + 3], x[:, self._places[b]]
 
     def evaluate(self, x, data):
         """See Kernel."""
         nq = self._dynamics.num_positions
         r = self._dynamics.evaluate(x[:, : self._first], data)
         for b, bushing in enumerate(self._bushings):
-            force, origin = self._parts(x, b)
-            J = bushing.deflection_jacobian(bushing.terms(x[:, :nq], origin))
+            force, places = self._parts(x, b)
+            J = bushing.deflection_jacobian(bushing.terms(x[:, :nq], places))
             r += np.einsum("nc,ncq->nq", force, J) / FORCE_UNIT
         return r
 
     def jacobian(self, x, data):
         """See Kernel."""
-        nq, nb = self._dynamics.num_positions, len(self._bushings)
+        nq = self._dynamics.num_positions
         J = np.zeros((len(x), *self.sparsity.shape))
         J[:, :, : self._first] = self._dynamics.jacobian(
             x[:, : self._first], data
         )
         for b, bushing in enumerate(self._bushings):
-            force, origin = self._parts(x, b)
+            force, places = self._parts(x, b)
             q = x[:, :nq]
-            terms = bushing.terms(q, origin)
+            terms = bushing.terms(q, places)
             J[:, 2:, :nq] += bushing.curvature(terms, force)[:, 2:] / FORCE_UNIT
             first = self._first + 3 * b
             J[:, :, first : first + 3] = (
                 bushing.deflection_jacobian(terms).transpose(0, 2, 1)
                 / FORCE_UNIT
             )
-            first = self._first + 3 * nb + 2 * b
-            J[:, :, first : first + 2] = (
-                bushing.gradient_by_origin(bushing.turn(q), force) / FORCE_UNIT
+            J[:, :, self._places[b]] = (
+                bushing.gradient_by_places(bushing.turns(q), force) / FORCE_UNIT
             )
         return J
+
+
+class CurvedDynamicsKernel(CoupledDynamicsKernel):
+    """The same with the curvature of the bushings' part.
+
+    Where cuffs move, their forces and moment arms change together: without
+    this a design creeps for hundreds of iterations.
+    """
+
+    def __init__(self, tree, bushings, bodies=None):
+        super().__init__(tree, bushings, bodies)
+        nq = self._dynamics.num_positions
+        self.curved_inputs = np.zeros(self.sparsity.shape[1], bool)
+        self.curved_inputs[2:nq] = True
+        self.curved_inputs[self._first :] = True
+
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, of the bushings' forces alone."""
+        nq = self._dynamics.num_positions
+        q, w = x[:, :nq], weights / FORCE_UNIT
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        for b, bushing in enumerate(self._bushings):
+            force, places = self._parts(x, b)
+            f = slice(self._first + 3 * b, self._first + 3 * b + 3)
+            p = self._places[b]
+            terms = bushing.led(bushing.terms(q, places), w)
+            turns = bushing.led(bushing.turns(q), w)
+            H[:, :nq, :nq] += bushing.curvature(terms, force)
+            by_fq = bushing.deflection_jacobian(terms)
+            by_fq[:, ROTATION] = 0.0
+            by_fp = np.zeros((len(x), 3, bushing.num_places))
+            by_fp[:, :ROTATION] = bushing.by_places(turns)
+            by_pq = bushing.gradient_by_places(turns, force).transpose(0, 2, 1)
+            for rows, columns, part in (
+                (f, slice(nq), by_fq),
+                (f, p, by_fp),
+                (p, slice(nq), by_pq),
+            ):
+                H[:, rows, columns] += part
+                H[:, columns, rows] += part.transpose(0, 2, 1)
+        return H
 
 
 class BushingKernel:
     """Force that a bushing's law gives, minus the control.
 
-    Inputs: q, v, force (3), then CALIBRATED. Outputs: differences in
-    units of 10 N, 10 N, 1 N m.
+    Inputs: q, v, force (3), places, stiffness (3): of the origin alone, the
+    last two are CALIBRATED. Outputs: differences in units of 10 N, 10 N, 1 N m.
 
     Args:
         bushing: the geometry.
@@ -109,13 +152,14 @@ class BushingKernel:
         self._bushing = bushing
         self._damping = np.asarray(damping, float)
         nq = self.nq = bushing.nq
-        pattern = np.zeros((3, 2 * nq + 8), bool)
+        self._k = k = 2 * nq + 3 + bushing.num_places
+        pattern = np.zeros((3, k + 3), bool)
         angles = bushing.moved_by
         pattern[:2, :nq] = pattern[:2, nq : 2 * nq] = angles
         pattern[2, :nq] = pattern[2, nq : 2 * nq] = bushing.rotation != 0.0
         pattern[:, 2 * nq : 2 * nq + 3] = np.eye(3, dtype=bool)
-        pattern[:2, 2 * nq + 3 : 2 * nq + 5] = True
-        pattern[:, 2 * nq + 5 :] = np.eye(3, dtype=bool)
+        pattern[:2, 2 * nq + 3 : k] = True
+        pattern[:, k:] = np.eye(3, dtype=bool)
         self.sparsity = pattern
         # See `curvature`.
         self.curved_inputs = pattern.any(axis=0)
@@ -123,15 +167,12 @@ class BushingKernel:
 
     def _split(self, x):
         nq = self.nq
-        q, v, force, origin, stiffness = np.split(
-            x, [nq, 2 * nq, 2 * nq + 3, 2 * nq + 5], axis=1
-        )
-        return q, v, force, origin, stiffness
+        return np.split(x, [nq, 2 * nq, 2 * nq + 3, self._k], axis=1)
 
     def evaluate(self, x, data):
         """See Kernel."""
-        q, v, force, origin, stiffness = self._split(x)
-        terms = self._bushing.terms(q, origin)
+        q, v, force, places, stiffness = self._split(x)
+        terms = self._bushing.terms(q, places)
         d = self._bushing.deflection(q, terms)
         J = self._bushing.deflection_jacobian(terms)
         rate = np.einsum("ncq,nq->nc", J, v)
@@ -140,9 +181,9 @@ class BushingKernel:
 
     def jacobian(self, x, data):
         """See Kernel."""
-        q, v, _, origin, stiffness = self._split(x)
+        q, v, _, places, stiffness = self._split(x)
         b, nq = self._bushing, self.nq
-        terms = b.terms(q, origin)
+        terms = b.terms(q, places)
         D = b.deflection_jacobian(terms)
         J = np.zeros((len(x), *self.sparsity.shape))
         damping = self._damping[:, None]
@@ -150,13 +191,11 @@ class BushingKernel:
         J[:, :, :nq] += damping * b.rate_jacobian(terms, v)
         J[:, :, nq : 2 * nq] = damping * D
         J[:, np.arange(3), 2 * nq + np.arange(3)] = -1.0
-        turn = b.turn(q)
-        by_origin = stiffness[:, :2, None] * b.by_origin(turn)
-        spin = (1j * turn) * b.spin(v)
-        rate_by_origin = b.by_origin(spin + 1.0)
-        by_origin += damping[:2] * rate_by_origin
-        J[:, :2, 2 * nq + 3 : 2 * nq + 5] = by_origin
-        J[:, np.arange(3), 2 * nq + 5 + np.arange(3)] = b.deflection(q, terms)
+        turns = b.turns(q)
+        by_places = stiffness[:, :2, None] * b.by_places(turns)
+        by_places += damping[:2] * b.by_places(b.led(turns, v))
+        J[:, :2, 2 * nq + 3 : self._k] = by_places
+        J[:, np.arange(3), self._k + np.arange(3)] = b.deflection(q, terms)
         return J / UNITS[:, None]
 
     def curvature(self, x, weights, data):
@@ -165,19 +204,19 @@ class BushingKernel:
         Stiffness times deflection: without this a solver that does not know
         the stiffness creeps. What damping adds is left out.
         """
-        q, _, _, origin, stiffness = self._split(x)
+        q, _, _, places, stiffness = self._split(x)
         b, nq = self._bushing, self.nq
         w = weights / UNITS
-        terms, turn = b.terms(q, origin), b.turn(q)
+        terms, turns = b.terms(q, places), b.turns(q)
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
         H[:, :nq, :nq] = b.curvature(terms, w * stiffness)
-        o, k = slice(2 * nq + 3, 2 * nq + 5), slice(2 * nq + 5, None)
-        by_qo = b.gradient_by_origin(turn, w * stiffness)
+        o, k = slice(2 * nq + 3, self._k), slice(self._k, None)
+        by_qo = b.gradient_by_places(turns, w * stiffness)
         by_qk = (w[:, :, None] * b.deflection_jacobian(terms)).transpose(
             0, 2, 1
         )
-        by_ok = np.zeros((len(x), 2, 3))
-        by_ok[:, :, :2] = (w[:, :2, None] * b.by_origin(turn)).transpose(
+        by_ok = np.zeros((len(x), b.num_places, 3))
+        by_ok[:, :, :2] = (w[:, :2, None] * b.by_places(turns)).transpose(
             0, 2, 1
         )
         for rows, columns, part in (
@@ -234,7 +273,7 @@ class EnergyKernel:
         J = np.zeros((len(x), 3, nq + 5))
         force = (k * d)[:, :, None]
         J[:, :, :nq] = force * b.deflection_jacobian(terms)
-        J[:, :2, nq : nq + 2] = force[:, :2] * b.by_origin(b.turn(q))
+        J[:, :2, nq : nq + 2] = force[:, :2] * b.by_places(b.turns(q))
         index = np.arange(3)
         J[:, index, nq + 2 + index] = 0.5 * d * d
         return J[:, self._components] / self._sigma

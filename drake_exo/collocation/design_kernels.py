@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from drake_exo.collocation.bushing_kernels import INTERACTION_FORCE_UNIT
 from drake_exo.collocation.kernels import MOMENT_UNIT
 from drake_exo.contact.bushing import TANGENTIAL, BushingKinematics
 
@@ -15,42 +16,60 @@ class CuffKernel:
     """Ties a wearer's cuff to a design, 0 where it is as designed.
 
     Inputs: origin (2) and stiffness (3) of the cuff, then place x, z of the
-    design [m] and compliance of its straps (3) [m/N, m/N, rad/(N m)].
-    Outputs: origin - own origin - place, stiffness (own compliance + that of
-    the strap) - 1. Data: (1, 5) own origin and own compliance.
+    design [m], compliance of its straps (3) [m/N, m/N, rad/(N m)] and its
+    area against today's. Outputs: origin - own origin - place, stiffness
+    (own compliance/area^n + that of the strap) - 1. Data: (1, 5) own origin
+    and own compliance.
+
+    Args:
+        powers: (3,) n of each stiffness.
     """
 
-    def __init__(self):
-        pattern = np.zeros((5, 10), bool)
+    def __init__(self, powers):
+        self._powers = np.array(powers, float)
+        pattern = np.zeros((5, 11), bool)
         pattern[np.arange(5), np.arange(5)] = True
         pattern[np.arange(5), 5 + np.arange(5)] = True
+        pattern[2:, -1] = True
         self.sparsity = pattern
+
+    def _split(self, x):
+        return np.split(x, [2, 5, 7, 10], axis=1)
 
     def evaluate(self, x, data):
         """See Kernel."""
-        origin, stiffness, place, strap = np.split(x, [2, 5, 7], axis=1)
+        origin, stiffness, place, strap, area = self._split(x)
+        tissue = data[:, 2:] * area**-self._powers
         return np.hstack(
             [
                 (origin - data[:, :2] - place) / PLACE_UNIT,
-                stiffness * (data[:, 2:] + strap) - 1.0,
+                stiffness * (tissue + strap) - 1.0,
             ]
         )
 
     def jacobian(self, x, data):
         """See Kernel."""
-        J = np.zeros((len(x), 5, 10))
+        J = np.zeros((len(x), 5, 11))
         i, k = np.arange(2), np.arange(2, 5)
+        _, stiffness, _, strap, area = self._split(x)
+        tissue = data[:, 2:] * area**-self._powers
         J[:, i, i] = 1.0 / PLACE_UNIT
         J[:, i, 5 + i] = -1.0 / PLACE_UNIT
-        J[:, k, k] = data[:, 2:] + x[:, 7:]
-        J[:, k, 5 + k] = x[:, 2:5]
+        J[:, k, k] = tissue + strap
+        J[:, k, 5 + k] = stiffness
+        J[:, k, -1] = -stiffness * self._powers * tissue / area
         return J
 
     def curvature(self, x, weights, data):
         """See Kernel."""
-        H = np.zeros((len(x), 10, 10))
-        k = np.arange(2, 5)
+        H = np.zeros((len(x), 11, 11))
+        k, n = np.arange(2, 5), self._powers
+        _, stiffness, _, _, area = self._split(x)
+        tissue = data[:, 2:] * area**-n
         H[:, k, 5 + k] = H[:, 5 + k, k] = weights[:, k]
+        H[:, k, -1] = H[:, -1, k] = -weights[:, k] * n * tissue / area
+        bend = weights[:, k] * stiffness * n * (n + 1.0) * tissue / area**2
+        H[:, -1, -1] = bend.sum(axis=1)
         return H
 
 
@@ -88,10 +107,11 @@ class AssistanceKernel:
 
 
 class ForceNormKernel:
-    """A cuff's force to a power: half its square sums to a norm.
+    """A cuff's force on its skin to a power: half its square sums to a norm.
 
-    Inputs: force along and across the limb [N]. Output: the weight in `data`
-    (n, 1) times u^(order/4), u = (across^2 + shear along^2)/scale^2.
+    Inputs: force along and across the limb [N], area against today's. Output:
+    the weight in `data` (n, 1) times u^(order/4), u = (across^2 + shear
+    along^2)/(scale area)^2.
 
     Args:
         order: of the norm, from 2 on.
@@ -99,14 +119,20 @@ class ForceNormKernel:
         shear: weight of the square of the force along the limb.
     """
 
-    sparsity = np.ones((1, 2), bool)
+    sparsity = np.ones((1, 3), bool)
 
     def __init__(self, order: float, scale: float, shear: float):
         self._power = order / 4.0
         self._weights = np.array([shear, 1.0]) / scale**2
 
     def _square(self, x):
-        return x**2 @ self._weights + _SMALL
+        return x[:, :2] ** 2 @ self._weights / x[:, 2] ** 2 + _SMALL
+
+    def _slopes(self, x):
+        """Of the square."""
+        along = 2.0 * x[:, :2] * self._weights / x[:, [2]] ** 2
+        by_area = -2.0 * (self._square(x) - _SMALL) / x[:, 2]
+        return np.column_stack([along, by_area])
 
     def evaluate(self, x, data):
         """See Kernel."""
@@ -115,46 +141,103 @@ class ForceNormKernel:
     def jacobian(self, x, data):
         """See Kernel."""
         slope = self._power * self._square(x) ** (self._power - 1.0)
-        return (data * slope[:, None] * 2.0 * x * self._weights)[:, None, :]
+        return (data * slope[:, None] * self._slopes(x))[:, None, :]
 
     def curvature(self, x, weights, data):
         """See Kernel; without it a norm of high order is found slowly."""
-        u, a, n = self._square(x), self._power, 2.0 * x * self._weights
+        u, a, n = self._square(x), self._power, self._slopes(x)
         bend = a * (a - 1.0) * u ** (a - 2.0)
         H = bend[:, None, None] * n[:, :, None] * n[:, None, :]
         slope = a * u ** (a - 1.0)
-        H += slope[:, None, None] * 2.0 * np.diag(self._weights)
+        own = np.zeros_like(H)
+        i, area = np.arange(2), x[:, [2]]
+        own[:, i, i] = 2.0 * self._weights / area**2
+        own[:, i, 2] = own[:, 2, i] = -2.0 * n[:, :2] / area
+        own[:, 2, 2] = -3.0 * n[:, 2] / x[:, 2]
+        H += slope[:, None, None] * own
         return (weights * data)[:, :, None] * H
 
 
 class MigrationKernel:
     """Deflection along the limb minus a variable, both [m].
 
-    Inputs: q, origin (2), the variable. Output in units of 1 cm.
+    Inputs: q, places of the cuff, the variable. Output in units of 1 cm.
     """
 
     def __init__(self, bushing: BushingKinematics):
         self._bushing = bushing
         nq = self._nq = bushing.nq
-        self.sparsity = np.ones((1, nq + 3), bool)
+        self.sparsity = np.ones((1, nq + bushing.num_places + 1), bool)
         self.sparsity[:, :nq] = bushing.moved_by
 
     def evaluate(self, x, data):
         """See Kernel."""
-        q, origin = x[:, : self._nq], x[:, self._nq : -1]
-        d = self._bushing.deflection(q, self._bushing.terms(q, origin))
+        q, places = x[:, : self._nq], x[:, self._nq : -1]
+        d = self._bushing.deflection(q, self._bushing.terms(q, places))
         return (d[:, [TANGENTIAL]] - x[:, [-1]]) / PLACE_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
-        q, origin = x[:, : self._nq], x[:, self._nq : -1]
+        q, places = x[:, : self._nq], x[:, self._nq : -1]
         b, nq = self._bushing, self._nq
-        J = np.zeros((len(x), 1, nq + 3))
-        terms = b.terms(q, origin)
+        J = np.zeros((len(x), *self.sparsity.shape))
+        terms = b.terms(q, places)
         J[:, 0, :nq] = b.deflection_jacobian(terms)[:, TANGENTIAL]
-        J[:, 0, nq:-1] = b.by_origin(b.turn(q))[:, TANGENTIAL]
+        J[:, 0, nq:-1] = b.by_places(b.turns(q))[:, TANGENTIAL]
         J[:, 0, -1] = -1.0
         return J / PLACE_UNIT
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        q, places = x[:, : self._nq], x[:, self._nq : -1]
+        b, nq = self._bushing, self._nq
+        along = np.zeros((len(x), 3))
+        along[:, TANGENTIAL] = weights[:, 0] / PLACE_UNIT
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        H[:, :nq, :nq] = b.curvature(b.terms(q, places), along)
+        part = b.gradient_by_places(b.turns(q), along)
+        H[:, :nq, nq:-1] = part
+        H[:, nq:-1, :nq] = part.transpose(0, 2, 1)
+        return H
+
+
+class PressureKernel:
+    """Normal force minus pressure times area, 0 where they belong together.
+
+    Inputs: normal force [N], area against today's, pressure [kPa]. Output in
+    units of 10 N.
+
+    Args:
+        area_m2: of today.
+    """
+
+    sparsity = np.ones((1, 3), bool)
+
+    def __init__(self, area_m2: float):
+        self._n_kpa = 1e3 * area_m2
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        force, area, pressure = x.T
+        excess = force - self._n_kpa * area * pressure
+        return excess[:, None] / INTERACTION_FORCE_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        _, area, pressure = x.T
+        one = np.ones_like(area)
+        J = np.stack(
+            [one, -self._n_kpa * pressure, -self._n_kpa * area], axis=1
+        )
+        return J[:, None] / INTERACTION_FORCE_UNIT
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        H = np.zeros((len(x), 3, 3))
+        H[:, 1, 2] = H[:, 2, 1] = (
+            -weights[:, 0] * self._n_kpa / INTERACTION_FORCE_UNIT
+        )
+        return H
 
 
 class WorkKernel:

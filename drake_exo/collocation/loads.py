@@ -82,6 +82,9 @@ class LoadedDynamicsKernel:
         nq = self._num_positions = inner.sparsity.shape[0]
         self.sparsity = inner.sparsity.copy()
         self.sparsity[2:, :nq] = True
+        if hasattr(inner, "curvature"):  # the load's own is small
+            self.curved_inputs = inner.curved_inputs
+            self.curvature = inner.curvature
 
     def evaluate(self, x, data):
         """See Kernel."""

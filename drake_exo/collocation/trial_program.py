@@ -64,11 +64,12 @@ class TrialProgram:
         nodes_per_second: mesh intervals per second; a short movement has
             `FEWEST` of them.
         transcription: name in TRANSCRIPTIONS.
-        bushings: cuff -> what couples human and device there, and its origin
-            (2,) as decision variables.
+        bushings: cuff -> what couples human and device there, and its
+            places as decision variables.
         chair: wrenches of the chair, if the movement starts seated, and of
             what is carried.
         bodies: that touch the ground; the root by default.
+        coupled: kernel of the equations of motion with bushings.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class TrialProgram:
         bushings: dict[str, tuple[BushingKinematics, np.ndarray]] | None = None,
         chair: AppliedWrench | None = None,
         bodies: Sequence[str] | None = None,
+        coupled: type[CoupledDynamicsKernel] = CoupledDynamicsKernel,
     ):
         self.name = name
         self.program = program
@@ -108,10 +110,10 @@ class TrialProgram:
         bushings = bushings or {}
         units = np.tile(CUFF_UNITS, len(bushings))
         if bushings:
-            kinematics, origins = zip(*bushings.values(), strict=True)
-            kernel = CoupledDynamicsKernel(tree, list(kinematics), bodies)
+            kinematics, places = zip(*bushings.values(), strict=True)
+            kernel = coupled(tree, list(kinematics), bodies)
             forces = self._new("interaction", units)
-            inputs += [forces, self._at_nodes(np.concatenate(origins))]
+            inputs += [forces, self._at_nodes(np.concatenate(places))]
             parts = np.split(forces, len(bushings), axis=1)
             self.cuffs = dict(zip(bushings, parts, strict=True))
         else:
@@ -213,7 +215,7 @@ class TrialProgram:
         Args:
             cuff: its name.
             kernel: the law.
-            parameters: its decision variables, as `bushing.CALIBRATED`.
+            parameters: its decision variables, places and stiffness.
         """
         grid = self.grid
         variables = [grid.q, grid.v, self.cuffs[cuff]]

@@ -21,6 +21,7 @@ Expression. Poses are (x, z, angle) and motions (v_x, v_z, rate) of the link
 frames in the world, angle counter-clockwise seen from the right side.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -244,14 +245,26 @@ class BushingKinematics:
     as `bushing_deflection` has it; all derivatives follow term by term. The
     generalized force of a bushing is -(dd/dq)^T F.
 
+    Where a cuff sits is a vector of places: the origin (x, z) of both frames,
+    and whatever else moves the device's frame.
+
     Args:
         tree: the coupled model.
         cuff: a name in `tree.cuffs`.
         preload: (x, z, angle) of the device's frame beyond the human's
             when both chains are aligned [m, m, rad].
+        moving: (segment, direction) of each further place: a metre of it
+            moves the device's frame by the complex number x + i z, turned
+            with that segment of the tree.
     """
 
-    def __init__(self, tree: PlanarTree, cuff: str, preload=(0, 0, 0)):
+    def __init__(
+        self,
+        tree: PlanarTree,
+        cuff: str,
+        preload=(0, 0, 0),
+        moving: Sequence[tuple[int, complex]] = (),
+    ):
         human, device = map(tree.body_index, tree.cuffs[cuff])
         self.nq = tree.num_positions
         self._h = tree.segment_of[human]
@@ -263,23 +276,25 @@ class BushingKinematics:
         psi = tree.angles_by_q - tree.angles_by_q[self._h]
         self.relative = psi  # (ns, nq): psi = relative @ q
         self.rotation = psi[self._e]
+        self.num_places = 2 + len(moving)
+        # D by the places, (ns, num_places).
+        self._by = np.zeros((len(psi), self.num_places), complex)
+        self._by[self._e, :2] += (1.0, 1j)
+        self._by[self._h, :2] -= (1.0, 1j)
+        for k, (segment, direction) in enumerate(moving, 2):
+            self._by[segment, k] += direction
 
-    def terms(self, q, origin):
-        """D_k exp(i psi_k), (n, ns), at q (n, nq), origin (n, 2)."""
-        w = np.exp(1j * (q @ self.relative.T))
-        o = origin[:, 0] + 1j * origin[:, 1]
-        terms = self._D0 * w
-        terms[:, self._e] += o * w[:, self._e]
-        terms[:, self._h] -= o
-        return terms
+    def turns(self, q):
+        """exp(i psi_k), (n, ns), at q (n, nq)."""
+        return np.exp(1j * (q @ self.relative.T))
 
-    def turn(self, q):
-        """exp(i psi) of the device's segment, (n,)."""
-        return np.exp(1j * (q @ self.relative[self._e]))
+    def terms(self, q, places):
+        """D_k exp(i psi_k), (n, ns), at q (n, nq), places (n, num_places)."""
+        return (self._D0 + places @ self._by.T) * self.turns(q)
 
-    def spin(self, v):
-        """Rate of that psi, (n,) [rad/s]."""
-        return v @ self.relative[self._e]
+    def led(self, terms, direction):
+        """Of terms or turns, the derivative along a direction (n, nq)."""
+        return 1j * (direction @ self.relative.T) * terms
 
     @property
     def moved_by(self) -> np.ndarray:
@@ -300,20 +315,13 @@ class BushingKinematics:
 
     def rate_jacobian(self, terms, v):
         """Of the deflection's rate by q, (n, 3, nq)."""
-        speed = v @ self.relative.T
-        d = (-terms * speed) @ self.relative
+        d = (1j * self.led(terms, v)) @ self.relative
         return np.stack([d.imag, d.real, np.zeros(d.shape)], axis=1)
 
-    def by_origin(self, turn):
-        """Of tangential and normal deflection by origin x, z: (n, 2, 2)."""
-        g = turn - 1.0
-        return np.stack(
-            [
-                np.stack([g.imag, g.real], axis=1),
-                np.stack([g.real, -g.imag], axis=1),
-            ],
-            axis=1,
-        )
+    def by_places(self, turns):
+        """Of tangential and normal deflection, (n, 2, num_places)."""
+        g = turns @ self._by
+        return np.stack([g.imag, g.real], axis=1)
 
     def curvature(self, terms, force):
         """Hessian by q of F . d, (n, nq, nq)."""
@@ -323,8 +331,10 @@ class BushingKinematics:
             "nk,ki,kj->nij", c, self.relative, self.relative, optimize=True
         )
 
-    def gradient_by_origin(self, turn, force):
-        """d2(F . d)/(dq d origin), (n, nq, 2): how the moment arm moves."""
+    def gradient_by_places(self, turns, force):
+        """d2(F . d)/(dq d places), (n, nq, num_places): moving moment arms."""
         f = force[:, 1] + 1j * force[:, 0]
-        g = (np.conj(f) * 1j * turn)[:, None] * self.relative[self._e]
-        return np.stack([g.real, (1j * g).real], axis=2)
+        g = np.conj(f)[:, None] * 1j * turns
+        return np.einsum(
+            "nk,ki,kj->nij", g, self.relative, self._by, optimize=True
+        ).real

@@ -31,8 +31,21 @@ STRAPS = {
     "normal_stiffness": "strap_normal_n_m",
     "rotational_stiffness": "strap_rotational_nm_rad",
 }
-# Where a cuff's origin goes -> by how much.
-PLACES = {"origin_x": "across_m", "origin_z": "along_m"}
+# Stiffness of springs side by side grows with their area, in rotation with
+# its square: the lever grows, too.
+_BY_AREA = {
+    "tangential_stiffness": 1,
+    "normal_stiffness": 1,
+    "rotational_stiffness": 2,
+}
+BY_AREA = tuple(_BY_AREA.values())
+# What is moved -> by how much.
+PLACES = {
+    "origin_x": "across_m",
+    "origin_z": "along_m",
+    "preload_x": "preload_across_m",
+    "preload_z": "preload_along_m",
+}
 
 
 @dataclass(frozen=True)
@@ -41,6 +54,9 @@ class CuffDesign:
 
     Attributes:
         along_m, across_m: how far it moves up the limb, and forwards.
+        preload_along_m, preload_across_m: how far the device's half alone is
+            shifted, so that the cuff presses where both were aligned.
+        area: of skin against today's; tissue under it is springs side by side.
         strap_tangential_n_m, strap_normal_n_m, strap_rotational_nm_rad:
             strap put in series; null for one that adds nothing.
 
@@ -52,6 +68,9 @@ class CuffDesign:
 
     along_m: float = field(default=0.0, metadata={"unit": "m"})
     across_m: float = field(default=0.0, metadata={"unit": "m"})
+    preload_along_m: float = field(default=0.0, metadata={"unit": "m"})
+    preload_across_m: float = field(default=0.0, metadata={"unit": "m"})
+    area: float = field(default=1.0, metadata={"unit": "1", "above": 0.0})
     strap_tangential_n_m: float | None = field(default=None, metadata=_STRAP)
     strap_normal_n_m: float | None = field(default=None, metadata=_STRAP)
     strap_rotational_nm_rad: float | None = field(
@@ -62,7 +81,10 @@ class CuffDesign:
         """The cuff with this strap, at this place."""
         moved = {k: getattr(cuff, k) + getattr(self, PLACES[k]) for k in PLACES}
         stiffness = {
-            k: in_series(getattr(cuff, k), getattr(self, strap))
+            k: in_series(
+                self.area ** _BY_AREA[k] * getattr(cuff, k),
+                getattr(self, strap),
+            )
             for k, strap in STRAPS.items()
         }
         return replace(cuff, **moved, **stiffness)
@@ -172,8 +194,8 @@ class Design:
         """The contact with these cuffs, as sure as it was before.
 
         What is not known of the tissue is known no better where a cuff
-        moves: a stiffness k in series with a strap has the derivative
-        (k_built/k)^2 by k.
+        moves: a stiffness a k in series with a strap has the derivative
+        (k_built/k)^2/a by k.
         """
         built = replace(contact, bushings=self.bushings(contact.bushings))
         known = contact.posterior
@@ -185,8 +207,10 @@ class Design:
         for i, name in enumerate(known.names):
             if name not in new:
                 continue
-            if name.endswith("_stiffness"):
-                slope[i] = (new[name] / old[name]) ** 2
+            cuff, _, what = name.partition(".")
+            if what in _BY_AREA:
+                area = self.cuffs.get(cuff, CuffDesign()).area
+                slope[i] = (new[name] / old[name]) ** 2 / area ** _BY_AREA[what]
             values[i] += new[name] - old[name]
         covariance = np.outer(slope, slope) * known.covariance
         return replace(

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from drake_exo.collocation.bushing_kernels import (
+    BushingKernel,
     CoupledDynamicsKernel,
+    CurvedDynamicsKernel,
     EnergyKernel,
 )
 from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
@@ -146,3 +148,62 @@ def test_unfit_controllers_are_refused():
     )
     with pytest.raises(InputError, match="exoskeleton_state"):
         ControllerKernel(stateful, 3)
+
+
+def moving(tree, cuff):
+    """The device's frame moved in its own axes, and with a knee's place."""
+    own, below = (
+        tree.segment_of[tree.body_index(b)]
+        for b in (tree.cuffs[cuff][1], "exo_shank")
+    )
+    return [(own, 1.0), (own, 1j), (below, 1j)]
+
+
+def test_a_moved_frame_is_a_preload(tree, rng):
+    """Places beyond the origin against the preload that they stand for."""
+    q, v = motion(rng)
+    origin = origins(rng)[0]
+    free = BushingKinematics(tree, "thigh", moving=moving(tree, "thigh"))
+    places = np.broadcast_to(np.r_[origin, PRELOAD[:2], 0.0], (N, 5))
+    d = free.deflection(q, free.terms(q, places))
+    (expected, *_) = law(
+        tree, "thigh", q, v, np.tile(origin, (N, 1)), (*PRELOAD[:2], 0.0)
+    )
+    np.testing.assert_allclose(d.T, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["law", "dynamics"])
+def test_derivatives_by_places(tree, rng, kind):
+    b = BushingKinematics(tree, "thigh", PRELOAD, moving(tree, "thigh"))
+    if kind == "law":
+        kernel = BushingKernel(b, np.zeros(3))  # curvature is of springs
+    else:
+        kernel = CurvedDynamicsKernel(tree, [b])
+    x = rng.uniform(-0.5, 0.5, (N, kernel.sparsity.shape[1]))
+    weights = rng.uniform(-1.0, 1.0, (N, len(kernel.sparsity)))
+    H = kernel.curvature(x, weights, None)
+    J = kernel.jacobian(x, None)
+    rigid = DynamicsKernel(tree)
+    own = rigid.sparsity.shape[1]
+
+    def bent(x):
+        """Of the cuffs alone, which `curvature` is of."""
+        J = kernel.jacobian(x, None).copy()
+        if kind == "dynamics":
+            J[:, :, :own] -= rigid.jacobian(x[:, :own], None)
+        return np.einsum("no,noi->ni", weights, J)
+
+    curved = kernel.curved_inputs
+    for k in range(x.shape[1]):
+        h = np.zeros_like(x)
+        h[:, k] = 1e-6
+        change = kernel.evaluate(x + h, None) - kernel.evaluate(x - h, None)
+        np.testing.assert_allclose(
+            J[:, :, k], change / 2e-6, rtol=1e-6, atol=1e-7
+        )
+        assert not J[:, ~kernel.sparsity[:, k], k].any()
+        if not curved[k]:
+            assert not H[:, k].any()
+            continue
+        expected = (bent(x + h) - bent(x - h))[:, curved] / 2e-6
+        np.testing.assert_allclose(H[:, k][:, curved], expected, atol=1e-6)

@@ -8,6 +8,7 @@ from drake_exo.collocation.design_kernels import (
     CuffKernel,
     ForceNormKernel,
     MigrationKernel,
+    PressureKernel,
     WorkKernel,
 )
 from drake_exo.contact.bushing import BushingKinematics
@@ -20,15 +21,24 @@ def rng():
     return np.random.default_rng(5)
 
 
+def _felt(rng, n):
+    """Two forces and an area."""
+    return np.c_[rng.uniform(-40.0, 40.0, (n, 2)), rng.uniform(0.7, 1.5, n)]
+
+
 def cases(rng, tree):
     """Name -> kernel, inputs and data."""
-    bushing = BushingKinematics(tree, "thigh")
+    bushing = BushingKinematics(tree, "thigh", moving=[(1, 0.6 - 0.8j)])
     cuff = np.array([0.02, 0.25, 3000.0, 5000.0, 60.0])
     own = np.array([0.0, 0.24, 1 / 4e3, 1 / 6e3, 1 / 70.0])
-    strap = np.array([0.02, 0.01, 8e-5, 3e-5, 2e-3])
-    share = rng.uniform(0.9, 1.1, (N, 10))
+    strap = np.array([0.02, 0.01, 8e-5, 3e-5, 2e-3, 1.2])
+    share = rng.uniform(0.9, 1.1, (N, 11))
     return {
-        "cuff": (CuffKernel(), share * np.r_[cuff, strap], share[:, :5] * own),
+        "cuff": (
+            CuffKernel((1, 1, 2)),
+            share * np.r_[cuff, strap],
+            share[:, :5] * own,
+        ),
         "assistance": (
             AssistanceKernel(2, 3),
             rng.uniform(-30.0, 30.0, (N, 8)),
@@ -36,19 +46,20 @@ def cases(rng, tree):
         ),
         "peak": (
             ForceNormKernel(8.0, 25.0, 0.25),
-            rng.uniform(-40.0, 40.0, (N, 2)),
+            _felt(rng, N),
             rng.uniform(0.1, 1.0, (N, 1)),
         ),
         "mean": (
             ForceNormKernel(2.0, 25.0, 0.25),
-            rng.uniform(-40.0, 40.0, (N, 2)),
+            _felt(rng, N),
             rng.uniform(0.1, 1.0, (N, 1)),
         ),
         "migration": (
             MigrationKernel(bushing),
-            rng.uniform(-0.5, 0.5, (N, bushing.nq + 3)),
+            rng.uniform(-0.5, 0.5, (N, bushing.nq + 4)),
             None,
         ),
+        "pressure": (PressureKernel(0.02), _felt(rng, N), None),
         "work": (
             WorkKernel(4, 2),
             rng.uniform(-3.0, 3.0, (N, 17)),
@@ -57,7 +68,7 @@ def cases(rng, tree):
     }
 
 
-NAMES = ["cuff", "assistance", "peak", "mean", "migration", "work"]
+NAMES = ["cuff", "assistance", "peak", "mean", "migration", "pressure", "work"]
 
 
 def by_complex_step(kernel, x, data):
@@ -114,14 +125,16 @@ def test_a_wrong_derivative_is_caught(name, rng, nominal, monkeypatch):
         check(kernel, x, data, name)
 
 
-@pytest.mark.parametrize("name", ["cuff", "peak", "mean"])
+@pytest.mark.parametrize(
+    "name", ["cuff", "peak", "mean", "migration", "pressure"]
+)
 def test_curvature(name, rng, nominal):
     kernel, x, data = cases(rng, nominal("coupled").tree)[name]
     weights = rng.uniform(-1.0, 1.0, (N, len(kernel.sparsity)))
     H = kernel.curvature(x, weights, data)
     for k in range(x.shape[1]):
         h = np.zeros_like(x)
-        h[:, k] = 1e-4 * np.abs(x[:, k])
+        h[:, k] = 1e-5 * np.maximum(np.abs(x[:, k]), 1e-3)
         change = kernel.jacobian(x + h, data) - kernel.jacobian(x - h, data)
         expected = np.einsum("no,noi->ni", weights, change)
         expected /= 2.0 * h[:, [k]]
@@ -130,10 +143,12 @@ def test_curvature(name, rng, nominal):
 
 def test_a_cuff_in_series_satisfies_its_kernel():
     own, strap = np.array([4000.0, 6000.0, 70.0]), np.array([2e3, 9e3, 30.0])
-    together = 1.0 / (1.0 / own + 1.0 / strap)
-    x = np.r_[0.03, 0.29, together, 0.03, 0.04, 1.0 / strap][None]
+    tissue = own * [1.5, 1.5, 1.5**2]
+    together = 1.0 / (1.0 / tissue + 1.0 / strap)
+    x = np.r_[0.03, 0.29, together, 0.03, 0.04, 1.0 / strap, 1.5][None]
     data = np.r_[0.0, 0.25, 1.0 / own][None]
-    np.testing.assert_allclose(CuffKernel().evaluate(x, data), 0.0, atol=1e-12)
+    excess = CuffKernel((1, 1, 2)).evaluate(x, data)
+    np.testing.assert_allclose(excess, 0.0, atol=1e-12)
 
 
 def test_squares_sum_to_the_norm(rng):
@@ -143,7 +158,9 @@ def test_squares_sum_to_the_norm(rng):
     weights = rng.uniform(0.1, 1.0, 40)
     weights /= weights.sum()
     kernel = ForceNormKernel(order, scale, shear)
-    r = kernel.evaluate(force, np.sqrt(weights)[:, None])
+    area = 1.3
+    felt = np.c_[area * force, np.full(40, area)]
+    r = kernel.evaluate(felt, np.sqrt(weights)[:, None])
     size = np.hypot(force[:, 1], np.sqrt(shear) * force[:, 0])
     norm = (weights @ size**order) ** (1.0 / order)
     assert np.sum(r * r) == pytest.approx((norm / scale) ** order, rel=1e-4)
@@ -156,3 +173,9 @@ def test_work_is_that_of_the_power(rng):
     found = WorkKernel(5, 3).evaluate(x, weights[None])
     expected = np.sum(weights[:, None] * torque * rate)
     assert found[0, 0] == pytest.approx(expected / 10.0)
+
+
+def test_pressure_is_force_over_area():
+    """30 N on 1.5 times 200 cm^2."""
+    x = np.array([[30.0, 1.5, 1.0]])
+    assert PressureKernel(0.02).evaluate(x, None) == pytest.approx(0.0)
