@@ -639,7 +639,7 @@ def movements(
     """
     check_has_cuffs(study.model)
     design = design or Design()
-    design.check(study.model.cuffs, study.model.coordinates.device)
+    design.check(study.model)
     trials = study.trials("prediction")
     built = design.contact(contact)
     # Its noise and errors, on the grid of the design.
@@ -653,7 +653,7 @@ def movements(
                 "give exo_moments or device in the study"
             )
         result = OwnMovement(
-            study.model, [assisted(trial, design)], built, phase
+            design.model(study.model), [assisted(trial, design)], built, phase
         ).solve()
         if result.solution.was_stopped:
             raise KeyboardInterrupt
@@ -670,7 +670,7 @@ def movements(
 
 # What is designed -> what its variables' names begin with.
 _KINDS = {
-    "places": tuple(PLACES.values()),
+    "places": (*PLACES.values(), "area"),
     "straps": tuple(STRAPS.values()),
     "assistance": ("factor",),
 }

@@ -16,7 +16,10 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_exo.calibration.design_settings import DesignSettings
+from drake_exo.calibration.design_settings import (
+    DesignSettings,
+    JointFreedom,
+)
 from drake_exo.calibration.own_movement import own_kinematics
 from drake_exo.calibration.problem import (
     PhaseProblem,
@@ -24,12 +27,13 @@ from drake_exo.calibration.problem import (
     ground_terms,
 )
 from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
-from drake_exo.collocation.bushing_kernels import CurvedDynamicsKernel
 from drake_exo.collocation.design_kernels import (
     AssistanceKernel,
     CuffKernel,
+    DesignDynamicsKernel,
     ForceNormKernel,
     MigrationKernel,
+    MovedWeight,
     PressureKernel,
     WorkKernel,
 )
@@ -42,10 +46,13 @@ from drake_exo.contact.strap import (
     Assistance,
     CuffDesign,
     Design,
+    JointDesign,
     hats,
+    movable,
 )
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import Iterate, Solution
@@ -58,7 +65,9 @@ _FROM_JOINT_M = 0.05
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
 # Where the device's half of a cuff goes alone: forwards, up.
-_PRELOADS = {"preload_across_m": 1.0, "preload_along_m": 1j}
+_PRELOADS = ("preload_across_m", "preload_along_m")
+_OFFSETS = ("across_m", "along_m")
+_NUM_PLACES = 2 + len(_PRELOADS)
 # What the name of a factor on a joint's torque begins with.
 _FACTOR = "factor_at_"
 
@@ -145,6 +154,12 @@ def design_variables(
             found.append(
                 Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size)
             )
+    for joint in movable(model):
+        free = settings.joints.get(joint, JointFreedom())
+        found += [
+            Variable(f"{joint}.{w}", "m", *getattr(free, w), 0.0, 0.005)
+            for w in _OFFSETS
+        ]
     for joint in model.coordinates.device:
         for angle in _angles(joint, wearers, settings.points):
             name = f"{joint}.{_FACTOR}{angle:g}_deg"
@@ -175,9 +190,35 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
     return lower, upper
 
 
+def joints_below(model: Model, cuff: str) -> list[str]:
+    """Joints that move a cuff's link if they are moved themselves."""
+    _, link = model.tree.cuffs[cuff]
+    return [j for j in movable(model) if link in links_above(model, j)]
+
+
+def links_above(model: Model, joint: str) -> list[str]:
+    """Links of the device beyond one of its joints."""
+    found = [model.tree.joints[joint][1]]
+    for parent, child in model.tree.joints.values():
+        if parent in found:
+            found.append(child)
+    return found
+
+
+def weight_above(model: Model, joint: str) -> float:
+    """Of those links [N]."""
+    device = model.exoskeleton
+    masses = [
+        getattr(device, link.removeprefix(DEVICE)).mass_kg
+        for link in links_above(model, joint)
+    ]
+    return model.gravity_m_s2 * sum(masses)
+
+
 def design_of(values: Mapping[str, float]) -> Design:
     """The design that values of all variables make."""
     cuffs: dict[str, dict] = {}
+    joints: dict[str, dict] = {}
     factors: dict[str, dict[float, float]] = {}
     for name, value in values.items():
         group, _, what = name.partition(".")
@@ -185,6 +226,8 @@ def design_of(values: Mapping[str, float]) -> Design:
         if what.startswith(_FACTOR):
             angle = float(what.removeprefix(_FACTOR).removesuffix("_deg"))
             factors.setdefault(group, {})[angle] = value
+        elif group.startswith(DEVICE):
+            joints.setdefault(group, {})[what] = value
         elif what.startswith("strap"):
             strap = 1.0 / value if value > 0.0 else None
             cuffs.setdefault(group, {})[what] = strap
@@ -196,6 +239,7 @@ def design_of(values: Mapping[str, float]) -> Design:
             joint: Assistance(tuple(v), tuple(v.values()))
             for joint, v in factors.items()
         },
+        {joint: JointDesign(**v) for joint, v in joints.items()},
     )
 
 
@@ -243,18 +287,42 @@ class _Wearing(PhaseProblem):
         )
         self._limit_support()
 
-    coupled = CurvedDynamicsKernel
-
     def moving(self, cuff: str):
-        """See PhaseProblem: a cuff's preload is part of the design."""
-        _, device = self.tree.cuffs[cuff]
-        segment = self.tree.segment_of[self.tree.body_index(device)]
-        return [(segment, way) for way in _PRELOADS.values()]
+        """See PhaseProblem: preload, and joints that the device moves at."""
+        joints = joints_below(self.model, cuff)
+        links = [self.tree.cuffs[cuff][1]]
+        links += [self.tree.joints[joint][0] for joint in joints]
+        return [
+            (self._segment(link), way) for link in links for way in (1.0, 1j)
+        ]
 
     def places(self, cuff: str) -> np.ndarray:
         """See PhaseProblem."""
-        preload = self._of_cuff(cuff, _PRELOADS)
-        return np.concatenate([super().places(cuff), preload])
+        names = [f"{cuff}.{w}" for w in _PRELOADS]
+        for joint in joints_below(self.model, cuff):
+            names += [f"{joint}.{w}" for w in _OFFSETS]
+        moved = [self._posed.variables[n] for n in names]
+        return np.concatenate([super().places(cuff), moved])
+
+    def coupled(self, tree, bushings, bodies):
+        """See PhaseProblem: with the weight of links whose joints move."""
+        moved, known = [], set()
+        for b, cuff in enumerate(self.bushings):
+            for k, joint in enumerate(joints_below(self.model, cuff)):
+                if joint in known:
+                    continue
+                known.add(joint)
+                weight = weight_above(self.model, joint)
+                segment = self._segment(tree.joints[joint][0])
+                first = _NUM_PLACES + 2 * k
+                moved += [
+                    MovedWeight(b, first, segment, weight),
+                    MovedWeight(b, first + 1, segment, 1j * weight),
+                ]
+        return DesignDynamicsKernel(tree, bushings, bodies, moved)
+
+    def _segment(self, link: str) -> int:
+        return int(self.tree.segment_of[self.tree.body_index(link)])
 
     def _of_cuff(self, cuff: str, names) -> np.ndarray:
         """Design variables of a cuff by name."""
@@ -332,7 +400,8 @@ class _Wearing(PhaseProblem):
         device = names.is_device_joint
         torque, today = movement.torque[:, device], at.moments[:, device]
         for i, joint in enumerate(names.device):
-            own = [n for n in posed.variables if n.startswith(f"{joint}.")]
+            first = f"{joint}.{_FACTOR}"
+            own = [n for n in posed.variables if n.startswith(first)]
             points = [
                 float(n.partition(_FACTOR)[2].removesuffix("_deg")) for n in own
             ]
@@ -547,6 +616,9 @@ class _Wearing(PhaseProblem):
             places = np.r_[
                 bushing.origin, np.subtract(bushing.preload, own)[:2]
             ]
+            for joint in joints_below(self.model, cuff):
+                moved = design.joints.get(joint, JointDesign())
+                places = np.r_[places, moved.across_m, moved.along_m]
             places = np.broadcast_to(places, (len(at.q), len(places)))
             terms = kinematics.terms(at.q, places)
             deflection = kinematics.deflection(at.q, terms)

@@ -57,14 +57,39 @@ class CuffFreedom:
     )
 
     def __post_init__(self):
-        for what in (*PLACES.values(), "area"):
-            lower, upper = getattr(self, what)
-            today = 1.0 if what == "area" else 0.0
-            if not lower <= today <= upper:
-                raise InputError(
-                    f"{what} is {lower:g} to {upper:g}; what it is today, "
-                    f"{today:g}, must be within"
-                )
+        _check_today(self, (*PLACES.values(), "area"))
+
+
+@dataclass(frozen=True)
+class JointFreedom:
+    """How far a joint of the device may be off the wearer's.
+
+    Attributes:
+        along_m: along the link below it.
+        across_m: across that link.
+    """
+
+    along_m: tuple[float, float] = field(
+        default=(0.0, 0.0), metadata={"unit": "m"}
+    )
+    across_m: tuple[float, float] = field(
+        default=(0.0, 0.0), metadata={"unit": "m"}
+    )
+
+    def __post_init__(self):
+        _check_today(self, ("along_m", "across_m"))
+
+
+def _check_today(freedom, names) -> None:
+    """Refuse bounds that leave out what is today."""
+    for what in names:
+        lower, upper = getattr(freedom, what)
+        today = 1.0 if what == "area" else 0.0
+        if not lower <= today <= upper:
+            raise InputError(
+                f"{what} is {lower:g} to {upper:g}; what it is today, "
+                f"{today:g}, must be within"
+            )
 
 
 @dataclass(frozen=True)
@@ -115,6 +140,8 @@ class DesignSettings:
         seed: of those draws.
         cuffs: what may change of each, by name; defaults where none is
             named.
+        joints: how far those of the shipped device may move, exo_knee and
+            exo_hip, by name; where they are if none is named.
         assistance: lowest and highest factor on the device's torques.
         points: angles of each of its joints at which there is a factor; 1
             for one throughout.
@@ -136,6 +163,7 @@ class DesignSettings:
     draws: int = field(default=0, metadata={"minimum": 0})
     seed: int = field(default=0, metadata={"minimum": 0})
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
+    joints: dict[str, JointFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = field(
         default=(0.7, 1.3), metadata={"above": 0.0}
     )

@@ -140,9 +140,11 @@ def on_design(
         InputError: the design is of another device.
     """
     model = study.model
-    design.check(model.cuffs, model.coordinates.device)
+    design.check(model)
     trials = [assisted(trial, design) for trial in study.trials("prediction")]
-    return study.alone(trials), design.contact(contact)
+    built = study.alone(trials)
+    built.model = design.model(model)
+    return built, design.contact(contact)
 
 
 def write_predictions(

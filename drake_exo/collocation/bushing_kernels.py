@@ -11,7 +11,6 @@ import numpy as np
 
 from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
 from drake_exo.contact.bushing import (
-    ROTATION,
     BushingKinematics,
     bushing_energy,
     bushing_force,
@@ -94,47 +93,6 @@ class CoupledDynamicsKernel:
                 bushing.gradient_by_places(bushing.turns(q), force) / FORCE_UNIT
             )
         return J
-
-
-class CurvedDynamicsKernel(CoupledDynamicsKernel):
-    """The same with the curvature of the bushings' part.
-
-    Where cuffs move, their forces and moment arms change together: without
-    this a design creeps for hundreds of iterations.
-    """
-
-    def __init__(self, tree, bushings, bodies=None):
-        super().__init__(tree, bushings, bodies)
-        nq = self._dynamics.num_positions
-        self.curved_inputs = np.zeros(self.sparsity.shape[1], bool)
-        self.curved_inputs[2:nq] = True
-        self.curved_inputs[self._first :] = True
-
-    def curvature(self, x, weights, data):
-        """sum_i weights_i d2 f_i/dx2, of the bushings' forces alone."""
-        nq = self._dynamics.num_positions
-        q, w = x[:, :nq], weights / FORCE_UNIT
-        H = np.zeros((len(x), x.shape[1], x.shape[1]))
-        for b, bushing in enumerate(self._bushings):
-            force, places = self._parts(x, b)
-            f = slice(self._first + 3 * b, self._first + 3 * b + 3)
-            p = self._places[b]
-            terms = bushing.led(bushing.terms(q, places), w)
-            turns = bushing.led(bushing.turns(q), w)
-            H[:, :nq, :nq] += bushing.curvature(terms, force)
-            by_fq = bushing.deflection_jacobian(terms)
-            by_fq[:, ROTATION] = 0.0
-            by_fp = np.zeros((len(x), 3, bushing.num_places))
-            by_fp[:, :ROTATION] = bushing.by_places(turns)
-            by_pq = bushing.gradient_by_places(turns, force).transpose(0, 2, 1)
-            for rows, columns, part in (
-                (f, slice(nq), by_fq),
-                (f, p, by_fp),
-                (p, slice(nq), by_pq),
-            ):
-                H[:, rows, columns] += part
-                H[:, columns, rows] += part.transpose(0, 2, 1)
-        return H
 
 
 class BushingKernel:

@@ -1,15 +1,118 @@
 """What a design adds to trials: cuffs that change, forces felt, work done."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from drake_exo.collocation.bushing_kernels import INTERACTION_FORCE_UNIT
-from drake_exo.collocation.kernels import MOMENT_UNIT
-from drake_exo.contact.bushing import TANGENTIAL, BushingKinematics
+from drake_exo.collocation.bushing_kernels import (
+    INTERACTION_FORCE_UNIT,
+    CoupledDynamicsKernel,
+)
+from drake_exo.collocation.kernels import FORCE_UNIT, MOMENT_UNIT
+from drake_exo.contact.bushing import ROTATION, TANGENTIAL, BushingKinematics
 
 PLACE_UNIT = 0.01  # m
 WORK_UNIT = 10.0  # J
 # Keeps the norm of a force smooth at zero, in parts of its scale, squared.
 _SMALL = 1e-6
+
+
+@dataclass(frozen=True)
+class MovedWeight:
+    """What hangs on a place of a cuff, see DesignDynamicsKernel.
+
+    Attributes:
+        bushing, place: number of the bushing, and of its place.
+        segment: of the tree, with which the place turns.
+        weight: force of gravity on what moves along [N], times the complex
+            direction x + i z of the place in the segment.
+    """
+
+    bushing: int
+    place: int
+    segment: int
+    weight: complex
+
+
+class DesignDynamicsKernel(CoupledDynamicsKernel):
+    """CoupledDynamicsKernel with what a design needs besides.
+
+    The curvature of the cuffs' part: where they move, forces and moment arms
+    change together, and without it a design creeps for hundreds of
+    iterations. And the weight of links whose joints move; that their inertia
+    moves, too, is left out.
+    """
+
+    def __init__(
+        self, tree, bushings, bodies=None, moved: Sequence[MovedWeight] = ()
+    ):
+        super().__init__(tree, bushings, bodies)
+        nq = self._dynamics.num_positions
+        self._moved = [
+            (
+                self._places[m.bushing].start + m.place,
+                tree.angles_by_q[m.segment],
+                m.weight,
+            )
+            for m in moved
+        ]
+        for place, by_q, _ in self._moved:
+            self.sparsity[by_q != 0.0, place] = True
+        self.curved_inputs = np.zeros(self.sparsity.shape[1], bool)
+        self.curved_inputs[2:nq] = True
+        self.curved_inputs[self._first :] = True
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        r = super().evaluate(x, data)
+        nq = self._dynamics.num_positions
+        for place, by_q, weight in self._moved:
+            turned = weight * np.exp(1j * (x[:, :nq] @ by_q))
+            r += (turned.real * x[:, place] / FORCE_UNIT)[:, None] * by_q
+        return r
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = super().jacobian(x, data)
+        nq = self._dynamics.num_positions
+        for place, by_q, weight in self._moved:
+            turned = weight * np.exp(1j * (x[:, :nq] @ by_q)) / FORCE_UNIT
+            J[:, :, place] += turned.real[:, None] * by_q
+            lever = -turned.imag * x[:, place]
+            J[:, :, :nq] += lever[:, None, None] * np.outer(by_q, by_q)
+        return J
+
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, but for the bodies' own dynamics."""
+        nq = self._dynamics.num_positions
+        q, w = x[:, :nq], weights / FORCE_UNIT
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+
+        def add(rows, columns, part):
+            H[:, rows, columns] += part
+            H[:, columns, rows] += np.swapaxes(part, 1, 2)
+
+        for b, bushing in enumerate(self._bushings):
+            force, places = self._parts(x, b)
+            f = slice(self._first + 3 * b, self._first + 3 * b + 3)
+            p = self._places[b]
+            terms = bushing.led(bushing.terms(q, places), w)
+            turns = bushing.led(bushing.turns(q), w)
+            H[:, :nq, :nq] += bushing.curvature(terms, force)
+            by_q = bushing.deflection_jacobian(terms)[:, :ROTATION]
+            across = slice(f.start, f.start + ROTATION)
+            add(across, slice(nq), by_q)
+            add(across, p, bushing.by_places(turns))
+            add(slice(nq), p, bushing.gradient_by_places(turns, force))
+        for place, by_q, weight in self._moved:
+            turned = weight * np.exp(1j * (q @ by_q)) * (w @ by_q)
+            own = np.outer(by_q, by_q)
+            bend = -turned.real * x[:, place]
+            H[:, :nq, :nq] += bend[:, None, None] * own
+            lever = -turned.imag[:, None, None] * by_q[:, None]
+            add(slice(nq), slice(place, place + 1), lever)
+        return H
 
 
 class CuffKernel:

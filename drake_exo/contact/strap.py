@@ -91,6 +91,19 @@ class CuffDesign:
 
 
 @dataclass(frozen=True)
+class JointDesign:
+    """Where a joint of the device is, against the wearer's.
+
+    Attributes:
+        along_m, across_m: in the link below it, up and forwards; what is
+            above moves along.
+    """
+
+    along_m: float = field(default=0.0, metadata={"unit": "m"})
+    across_m: float = field(default=0.0, metadata={"unit": "m"})
+
+
+@dataclass(frozen=True)
 class Assistance:
     """Factor on the torque of one joint of the device, by its own angle.
 
@@ -136,6 +149,7 @@ class Design:
     Attributes:
         cuffs: those that change, by name.
         assistance: joint of the device -> factor on its torque.
+        joints: of the shipped device that are moved: exo_knee, exo_hip.
 
     >>> Design().cuffs
     {}
@@ -143,6 +157,7 @@ class Design:
 
     cuffs: dict[str, CuffDesign] = field(default_factory=dict)
     assistance: dict[str, Assistance] = field(default_factory=dict)
+    joints: dict[str, JointDesign] = field(default_factory=dict)
 
     def factors(self, joints, angles: np.ndarray) -> np.ndarray:
         """Factors on the torques of joints of the device.
@@ -160,19 +175,16 @@ class Design:
         ]
         return np.stack(columns, axis=-1)
 
-    def check(self, cuffs, joints) -> None:
+    def check(self, model: Model) -> None:
         """Refuse a design of another device.
 
-        Args:
-            cuffs: of the model.
-            joints: of the device.
-
         Raises:
-            InputError: it names a cuff or joint that there is not.
+            InputError: it names a cuff or joint that the model has not.
         """
         for what, own, known in (
-            ("cuffs", self.cuffs, cuffs),
-            ("assistance", self.assistance, joints),
+            ("cuffs", self.cuffs, model.cuffs),
+            ("joints", self.joints, movable(model)),
+            ("assistance", self.assistance, model.coordinates.device),
         ):
             for name in own:
                 if name not in known:
@@ -180,6 +192,28 @@ class Design:
                         f"{DESIGN}: {what}.{name}: the model has none; it has "
                         f"{', '.join(known) or 'none'}"
                     )
+
+    def model(self, model: Model) -> Model:
+        """The model with the device's cuffs and joints where they are built.
+
+        A device from a file of its own stays as that file says.
+        """
+        device = model.exoskeleton
+        if device is None or not model.assembly.is_fitted:
+            return model
+        moved = {}
+        for name, cuff in self.cuffs.items():
+            segment = model.assembly.cuffs[name].human
+            x, z = device.cuff_m(segment)
+            moved[f"{segment}_cuff_m"] = (
+                x + cuff.across_m + cuff.preload_across_m,
+                z + cuff.along_m + cuff.preload_along_m,
+            )
+        for name, joint in self.joints.items():
+            key = _OFF[name]
+            x, z = getattr(device, key)
+            moved[key] = x + joint.across_m, z + joint.along_m
+        return replace(model, exoskeleton=replace(device, **moved))
 
     def bushings(
         self, cuffs: Mapping[str, BushingParameters]
@@ -219,8 +253,19 @@ class Design:
         )
 
 
+# Joint that may be moved -> key of where it is.
+_OFF = {"exo_knee": "knee_off_m", "exo_hip": "hip_off_m"}
+
+
+def movable(model: Model) -> tuple[str, ...]:
+    """Joints of the device that a design may move."""
+    if model.exoskeleton is None or not model.assembly.is_fitted:
+        return ()
+    return tuple(j for j in _OFF if j in model.coordinates.device)
+
+
 def device_sdf(model: Model, design: Design) -> str | None:
-    """SDF of the fitted device with its cuffs moved.
+    """SDF of the fitted device with its cuffs and joints moved.
 
     Returns:
         None of a device from a file of its own, or of none: where its cuffs
@@ -231,16 +276,10 @@ def device_sdf(model: Model, design: Design) -> str | None:
     >>> "exo_thigh_cuff" in device_sdf(nominal_model("coupled"), moved)
     True
     """
-    device = model.exoskeleton
-    if device is None or not model.assembly.is_fitted:
+    if model.exoskeleton is None or not model.assembly.is_fitted:
         return None
-    moved = {}
-    for name, cuff in design.cuffs.items():
-        segment = model.assembly.cuffs[name].human
-        x, z = device.cuff_m(segment)
-        moved[f"{segment}_cuff_m"] = (x + cuff.across_m, z + cuff.along_m)
-    width = body_width(model.human)
-    return hinged(exoskeleton_sdf(replace(device, **moved), width))
+    device = design.model(model).exoskeleton
+    return hinged(exoskeleton_sdf(device, body_width(model.human)))
 
 
 def in_series(stiffness: float, strap: float | None) -> float:

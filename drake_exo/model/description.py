@@ -173,8 +173,10 @@ def exoskeleton_sdf(
             segment,
             _Stretch((x, width, z), (x, width, z)),
         )
-    _set_frame(model, "exo_knee_centre", (0.0, exoskeleton.shank.length_m))
-    _set_frame(model, "exo_hip_centre", (0.0, exoskeleton.thigh.length_m))
+    for joint, below in (("knee", "shank"), ("hip", "thigh")):
+        x, z = getattr(exoskeleton, f"{joint}_off_m")
+        z += getattr(exoskeleton, below).length_m
+        _set_frame(model, f"exo_{joint}_centre", (x, z))
     for name in ("heel", "toe", "shank_cuff", "thigh_cuff", "pelvis_cuff"):
         _set_frame(model, f"exo_{name}", getattr(exoskeleton, f"{name}_m"))
     return _text(model)

@@ -111,6 +111,8 @@ class ExoskeletonParameters(_Chain):
         shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: bushing origins in the
             exoskeleton's segments; they coincide with the human's when both
             chains are aligned.
+        knee_off_m, hip_off_m: how far (x, z) these joints are from the end of
+            the segment below, where the wearer's are.
     """
 
     foot: SegmentParameters
@@ -122,6 +124,8 @@ class ExoskeletonParameters(_Chain):
     shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
     thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
     pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    knee_off_m: tuple[float, float] = field(default=(0.0, 0.0), metadata=_POINT)
+    hip_off_m: tuple[float, float] = field(default=(0.0, 0.0), metadata=_POINT)
 
 
 def _overrides(name: str, of: type, doc: str) -> type:

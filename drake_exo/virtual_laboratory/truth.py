@@ -205,14 +205,14 @@ def wearing(truth: Truth, design: Design) -> Truth:
     Raises:
         InputError: the design is of another device.
     """
-    names = truth.model.coordinates
-    design.check(truth.cuffs, names.device)
+    design.check(truth.model)
     built = design.bushings({n: c.bushing for n, c in truth.cuffs.items()})
     cuffs = {
         name: replace(cuff, bushing=built[name])
         for name, cuff in truth.cuffs.items()
     }
-    return replace(truth, cuffs=cuffs, design=design)
+    model = design.model(truth.model)
+    return replace(truth, model=model, cuffs=cuffs, design=design)
 
 
 def _two_spheres(usual: GroundContact, rng) -> GroundContact:

@@ -21,18 +21,35 @@ from drake_exo.calibration.design_settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    JointFreedom,
 )
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.own_movement import OwnMovement, assisted
 from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
-from drake_exo.contact.strap import Assistance, Design
+from drake_exo.contact.strap import Assistance, Design, JointDesign
 from drake_exo.errors import InputError
 
 pytestmark = pytest.mark.slow
 
 SOLVER = Solver(20.0, tolerance=1e-6)
 SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
+_CM = (-0.01, 0.01)
+# Whatever may change.
+EVERYTHING = replace(
+    SETTINGS,
+    cuffs=dict.fromkeys(
+        ("shank", "thigh", "pelvis"),
+        CuffFreedom(
+            across_m=_CM,
+            preload_across_m=_CM,
+            preload_along_m=_CM,
+            area=(0.8, 1.2),
+        ),
+    ),
+    joints=dict.fromkeys(("exo_knee", "exo_hip"), JointFreedom(_CM, _CM)),
+)
 _DRIVE_NM = {"exo_knee": -20.0, "exo_hip": -12.0}
 
 
@@ -103,7 +120,10 @@ def test_today_is_the_own_movement(today, wearer):
 
 
 def test_derivatives_of_the_program(wearer, today):
-    problem = DesignProblem([wearer], SETTINGS, today=today)
+    limits = replace(SETTINGS.limits, pressure_kpa=3.0)
+    problem = DesignProblem(
+        [wearer], replace(EVERYTHING, limits=limits), today=today
+    )
     compiled = problem.compiled
     y = compiled.restrict(problem.guess())
     rng = np.random.default_rng(1)
@@ -142,6 +162,11 @@ def test_the_forecast_is_what_the_design_promised(found, in_device, driven):
         ("thigh.along_m", 0.02, 2e-3),
         ("shank.strap_normal_n_m", 1e-4, 1e-5),
         ("exo_knee.factor_at_0_deg", 1.05, 5e-3),
+        ("thigh.preload_across_m", 2e-3, 2e-4),
+        ("shank.preload_along_m", -2e-3, 2e-4),
+        ("pelvis.area", 1.1, 1e-2),
+        ("exo_knee.across_m", 2e-3, 2e-4),
+        ("exo_hip.along_m", -2e-3, 2e-4),
     ],
 )
 def test_slope_is_that_of_problems_solved_again(
@@ -168,6 +193,68 @@ def test_slope_is_that_of_problems_solved_again(
     up, down = (solved(value + s * step) for s in (1.0, -1.0))
     expected = up.solution.objective - down.solution.objective
     assert slope == pytest.approx(expected / (2.0 * step), rel=0.01)
+
+
+def test_moved_joints_are_those_of_the_model_that_is_built(wearer):
+    """Statics of the kernel against a device with its joints moved."""
+    design = Design(
+        joints={
+            "exo_knee": JointDesign(0.012, -0.008),
+            "exo_hip": JointDesign(-0.015, 0.02),
+        }
+    )
+    built = design.model(wearer.model).tree
+    (part,) = DesignProblem([wearer], EVERYTHING, held=True).parts
+    (movement,) = part.movements
+    places = [0.0, 0.25, 0.0, 0.0, -0.008, 0.012, 0.02, -0.015]
+    shank, thigh = places[:4], places[:6]
+    rng = np.random.default_rng(2)
+    q = rng.uniform(-0.6, 0.6, (5, 9))
+    rest = np.zeros((5, 18 + 6 + 3))
+    force = np.zeros((5, 9))
+    where = np.tile([*shank, *thigh, *places], (5, 1))
+    x = np.hstack([q, rest, force, where])
+    found = movement.dynamics.evaluate(x, None)
+    expected = built.inverse_dynamics(q, 0.0 * q, 0.0 * q)
+    np.testing.assert_allclose(100.0 * found, expected, atol=1e-9)
+    bushing = part.bushings["pelvis"]
+    own = BushingKinematics(built, "pelvis")
+    at = np.tile(places, (5, 1))
+    np.testing.assert_allclose(
+        bushing.deflection(q, bushing.terms(q, at)),
+        own.deflection(q, own.terms(q, at[:, :2])),
+        atol=1e-12,
+    )
+
+
+def test_all_that_may_change_is_forecast(wearer, today, in_device, driven):
+    """The built model, moved joints and all, does what was promised."""
+    result = DesignProblem([wearer], EVERYTHING, today=today).solve()
+    assert result.solution.success
+    design = result.design
+    assert result.norm_n < 0.8 * today.norm_n
+    again = OwnMovement(
+        design.model(in_device.model),
+        [assisted(driven, design)],
+        design.contact(in_device.contact),
+        phase(),
+    ).solve()
+    assert again.success
+    norm = norm_of(again.trials, EVERYTHING, design)
+    assert norm == pytest.approx(result.norm_n, rel=0.1)
+
+
+def test_pressure_keeps_its_limit(wearer, today):
+    """Less than today's, by a larger cuff or a smaller force."""
+    peak = {c: f[1] for c, f in largest_forces(today)["somebody"].items()}
+    most = 0.7 * max(peak.values()) / 10.0  # kPa on 100 cm^2
+    limits = replace(SETTINGS.limits, pressure_kpa=most)
+    settings = replace(EVERYTHING, limits=limits)
+    result = DesignProblem([wearer], settings, today=today).solve()
+    assert result.solution.success
+    after = largest_forces(result)["somebody"]
+    pressures = [0.1 * after[c][1] / result.design.cuffs[c].area for c in after]
+    assert max(pressures) <= most * 1.001
 
 
 def test_more_freedom_is_never_worse(wearer, today, found):
@@ -282,7 +369,7 @@ def test_one_design_for_two_wearers(wearer, in_device, driven):
         assert after.wearers[own.name].contact.values() == built.values()
         posed = after.wearers[own.name].problem
         at = built.bushings["thigh"]
-        kinematics = posed.bushings["thigh"]
+        kinematics = BushingKinematics(posed.tree, "thigh", at.preload)
         origin = np.broadcast_to(at.origin, (len(trial.q), 2))
         terms = kinematics.terms(trial.q, origin)
         d = kinematics.deflection(trial.q, terms)[:, 1]

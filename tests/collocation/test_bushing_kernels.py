@@ -9,8 +9,11 @@ import pytest
 from drake_exo.collocation.bushing_kernels import (
     BushingKernel,
     CoupledDynamicsKernel,
-    CurvedDynamicsKernel,
     EnergyKernel,
+)
+from drake_exo.collocation.design_kernels import (
+    DesignDynamicsKernel,
+    MovedWeight,
 )
 from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
 from drake_exo.collocation.loads import ControllerKernel
@@ -178,7 +181,10 @@ def test_derivatives_by_places(tree, rng, kind):
     if kind == "law":
         kernel = BushingKernel(b, np.zeros(3))  # curvature is of springs
     else:
-        kernel = CurvedDynamicsKernel(tree, [b])
+        shank = tree.segment_of[tree.body_index("exo_shank")]
+        kernel = DesignDynamicsKernel(
+            tree, [b], moved=[MovedWeight(0, 4, shank, 70.0j)]
+        )
     x = rng.uniform(-0.5, 0.5, (N, kernel.sparsity.shape[1]))
     weights = rng.uniform(-1.0, 1.0, (N, len(kernel.sparsity)))
     H = kernel.curvature(x, weights, None)

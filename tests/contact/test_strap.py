@@ -12,6 +12,7 @@ from drake_exo.contact.strap import (
     Assistance,
     CuffDesign,
     Design,
+    JointDesign,
     in_series,
     read_design,
     write_design,
@@ -120,11 +121,60 @@ def test_a_missing_file_is_one_sentence(tmp_path):
         read_design(tmp_path)
 
 
-def test_a_design_of_another_device_is_refused():
+def test_a_design_of_another_device_is_refused(nominal):
+    MOVED.check(nominal("coupled"))
     with pytest.raises(InputError, match=r"cuffs\.thigh"):
-        MOVED.check(["shank"], ["exo_knee"])
-    with pytest.raises(InputError, match=r"assistance\.exo_knee"):
-        MOVED.check(["thigh"], ["exo_hip"])
+        MOVED.check(nominal("human"))
+    for what, design in (
+        ("assistance", Design(assistance={"exo_toe": Assistance()})),
+        ("joints", Design(joints={"exo_toe": JointDesign()})),
+    ):
+        with pytest.raises(InputError, match=rf"{what}\.exo_toe"):
+            design.check(nominal("coupled"))
+
+
+def test_area_makes_tissue_stiffer_and_known_likewise(contact):
+    """Springs side by side; in rotation the lever grows, too."""
+    values = contact.values()
+    names = ("thigh.normal_stiffness", "thigh.rotational_stiffness")
+    middle = np.array([values[n] for n in names])
+    known = Posterior(names, middle, np.diag((0.1 * middle) ** 2))
+    sure = replace(contact, posterior=known)
+    wide = Design({"thigh": CuffDesign(area=1.5, strap_normal_n_m=9000.0)})
+    built = wide.contact(sure)
+    thigh, own = built.bushings["thigh"], contact.bushings["thigh"]
+    assert thigh.rotational_stiffness == 1.5**2 * own.rotational_stiffness
+    expected = in_series(1.5 * own.normal_stiffness, 9000.0)
+    assert thigh.normal_stiffness == pytest.approx(expected)
+    h = 1.0
+    more = wide.contact(contact.with_values({names[0]: middle[0] + h}))
+    slope = (more.values()[names[0]] - expected) / h
+    sd = np.sqrt(np.diag(built.posterior.covariance))
+    assert sd[0] == pytest.approx(slope * 0.1 * middle[0], rel=1e-3)
+    assert sd[1] == pytest.approx(1.5**2 * 0.1 * middle[1])
+
+
+def test_joints_and_cuffs_move_in_the_file_that_is_built(nominal):
+    model = nominal("coupled")
+    design = Design(
+        {"shank": CuffDesign(along_m=0.03, preload_across_m=-0.004)},
+        joints={"exo_hip": JointDesign(0.01, -0.02)},
+    )
+    plant = design.model(model).plant()
+    for frame, link, moved in (
+        ("exo_shank_cuff", "exo_shank", (-0.004, 0.03)),
+        ("exo_hip_centre", "exo_thigh", (-0.02, 0.01)),
+        ("exo_knee_centre", "exo_shank", (0.0, 0.0)),
+    ):
+        now, before = (
+            p.GetFrameByName(frame)
+            .CalcPose(p.CreateDefaultContext(), p.GetFrameByName(link))
+            .translation()
+            for p in (plant, model.plant())
+        )
+        np.testing.assert_allclose((now - before)[[0, 2]], moved, atol=1e-12)
+    alone = nominal("human")
+    assert Design().model(alone) is alone
 
 
 def test_factors_are_linear_between_angles_and_constant_beyond():
