@@ -32,7 +32,12 @@ from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.own_movement import OwnMovement, assisted
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.solving import SolveWatch
-from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
+from drake_exo.contact.bushing import (
+    NORMAL,
+    ROTATION,
+    TANGENTIAL,
+    BushingKinematics,
+)
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     PLACES,
@@ -236,7 +241,7 @@ class Designed:
                     area *= self.design.cuffs[cuff].area
                 trials = [m.trial for ms in moved.values() for m in ms]
                 force = [t.cuffs[cuff].components for t in trials]
-                stiffness = self._stiffness(cuff, what)
+                deflection = self._deflection(cuff, what, moved)
                 peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
                 mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])
                 row[what] = {
@@ -245,22 +250,25 @@ class Designed:
                     "shear_n": float(peak[TANGENTIAL]),
                     "moment_nm": float(peak[ROTATION]),
                     "pressure_kpa": float(1e-3 * peak[NORMAL] / area),
-                    "migration_mm": float(1e3 * peak[TANGENTIAL] / stiffness),
-                    "deflection_mm": float(
-                        1e3 * peak[NORMAL] / self._stiffness(cuff, what, NORMAL)
-                    ),
+                    "migration_mm": float(1e3 * deflection[TANGENTIAL]),
+                    "deflection_mm": float(1e3 * deflection[NORMAL]),
                 }
             rows.append(row)
         return rows
 
-    def _stiffness(self, cuff: str, what: str, component=TANGENTIAL) -> float:
-        """The softest of all wearers'."""
+    def _deflection(self, cuff: str, what: str, moved) -> np.ndarray:
+        """The largest (3,) of all wearers' [m, m, rad]."""
         design = Design() if what == "before" else self.design
-        return min(
-            design.contact(w.contact).bushings[cuff].stiffness[component]
-            for w in self.found.problem.wearers
-            if w.name in self.before
-        )
+        found = []
+        for w in self.found.problem.wearers:
+            if w.name in moved:
+                own = design.contact(w.contact).bushings[cuff]
+                cuffs = BushingKinematics(
+                    design.model(w.model).tree, cuff, own.preload
+                )
+                trials = [m.trial for m in moved[w.name]]
+                found.append(cuffs.largest(trials, own.origin))
+        return np.max(found, axis=0)
 
     def checks(self) -> tuple[Check, ...]:
         """What the design has to hold."""

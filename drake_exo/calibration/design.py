@@ -254,6 +254,7 @@ class _Posed:
         weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
         today: wearer -> cuff -> largest force (3,) of today; None while that
             is not known: then there are no limits.
+        deflected: wearer -> cuff -> largest deflection (3,); likewise.
         work_j: wearer -> work that the device is to do; likewise.
         moments: wearer -> largest moment of each of the person's joints.
     """
@@ -263,6 +264,7 @@ class _Posed:
     scale: float
     weights_s: float
     today: Mapping[str, Mapping[str, np.ndarray]] | None
+    deflected: Mapping[str, Mapping[str, np.ndarray]] | None
     work_j: Mapping[str, float] | None
     moments: Mapping[str, np.ndarray] | None
 
@@ -334,6 +336,7 @@ class _Wearing(PhaseProblem):
         bushing = self.contact.bushings[group]
         prog = self.program.prog
         own = np.array([*bushing.origin, *(1.0 / np.array(bushing.stiffness))])
+        known = parameters[len(own) :]
         variables = np.array(
             [
                 prog.NewContinuousVariables(1, f"{self.wearer.name} {p.name}")[
@@ -350,9 +353,11 @@ class _Wearing(PhaseProblem):
         self.program.add_constraints(
             f"{self.wearer.name} {group} as designed",
             CuffKernel(BY_AREA),
-            np.concatenate([variables, design])[None],
+            np.concatenate([variables[: len(own)], design])[None],
             data=own[None],
         )
+        values = [p.nominal for p in known]
+        prog.AddBoundingBoxConstraint(values, values, variables[len(own) :])
         return variables
 
     def _add(self, trial: Trial) -> TrialProgram:
@@ -505,8 +510,7 @@ class _Wearing(PhaseProblem):
             [("mm", 1e3)],
         )
         self._slid[cuff, movement.name] = slid
-        today = self._posed.today[self.wearer.name][cuff][TANGENTIAL]
-        today /= self.contact.bushings[cuff].tangential_stiffness
+        today = self._posed.deflected[self.wearer.name][cuff][TANGENTIAL]
         wanted = 1e-3 * self._posed.settings.limits.migration_mm
         most = np.full(n, max(wanted, today))
         movement.bound(slid.ravel(), -most, most)
@@ -622,7 +626,7 @@ class _Wearing(PhaseProblem):
             places = np.broadcast_to(places, (len(at.q), len(places)))
             terms = kinematics.terms(at.q, places)
             deflection = kinematics.deflection(at.q, terms)
-            force = bushing.stiffness * deflection
+            force = kinematics.force(deflection, bushing)
             filled.append((movement.cuffs[cuff], force))
             slid = self._slid.get((cuff, movement.name))
             if slid is not None:
@@ -756,6 +760,7 @@ class DesignProblem:
             max(norm_of(own, settings), _LEAST_SCALE_N),
             cuffs * sum(t.duration for t in own),
             None if today is None else largest_forces(today),
+            None if today is None else largest_deflections(today),
             None
             if today is None
             else {name: support * j for name, j in works(today).items()},
@@ -923,6 +928,21 @@ def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
+def largest_deflections(
+    result: DesignResult,
+) -> dict[str, dict[str, np.ndarray]]:
+    """Wearer -> cuff -> largest deflection (3,) [m, m, rad]."""
+    return {
+        name: {
+            cuff: kinematics.largest(
+                found.trials, found.contact.bushings[cuff].origin
+            )
+            for cuff, kinematics in found.problem.bushings.items()
+        }
+        for name, found in result.wearers.items()
+    }
+
+
 def peaks(trials: Sequence[Trial], cuff: str) -> np.ndarray:
     """Largest tangential, normal force and moment (3,) over trials."""
     return np.max(
@@ -982,7 +1002,7 @@ def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
         if n in values and n.partition(".")[0] in wearer.contact.bushings
     ]
     middle, covariance = known.of(names)
-    log = np.array([n.endswith("_stiffness") for n in names])
+    log = np.array([n.endswith(("_stiffness", "slip")) for n in names])
     unit = np.where(log, middle, 1.0)
     root = np.linalg.cholesky(
         covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(names))

@@ -445,7 +445,7 @@ class PhaseProblem(ABC):
             bushing = contact.bushings[cuff]
             origin = np.broadcast_to(bushing.origin, (len(q), 2))
             terms = kinematics.terms(q, origin)
-            force = bushing.stiffness * kinematics.deflection(q, terms)
+            force = kinematics.force(kinematics.deflection(q, terms), bushing)
             filled.append((movement.cuffs[cuff], force))
             forces += np.einsum(
                 "nc,ncq->nq", force, kinematics.deflection_jacobian(terms)

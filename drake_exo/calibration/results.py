@@ -167,7 +167,8 @@ class _Stored:
         none = (0.0, 0.0, 0.0)
         bushings = {
             c: BushingParameters(
-                **self._values(c, CALIBRATED),
+                **self._values(c, CALIBRATED[:-1]),
+                slip=self.parameters.get(f"{c}.slip", 0.0),
                 **dict(zip(_DAMPING, self.damping[c], strict=True)),
                 **dict(zip(_PRELOAD, self.preload.get(c, none), strict=True)),
             )

@@ -343,6 +343,8 @@ class BushingSettings:
     Attributes:
         origin_x_m, origin_z_m: about the model's cuff, in the human segment.
         tangential_n_m, normal_n_m, rotational_nm_rad: stiffness.
+        slip_n: force along the limb at which the cuff slips; null for a
+            strap that never does, as in the paper.
         tangential_damping, normal_damping, rotational_damping: constant
             (paper, II-C).
 
@@ -355,9 +357,17 @@ class BushingSettings:
     tangential_n_m: Range = Range(2000.0, 100.0, 20000.0)
     normal_n_m: Range = Range(5000.0, 100.0, 50000.0)
     rotational_nm_rad: Range = Range(50.0, 1.0, 500.0)
+    slip_n: Range | None = Range(30.0, 5.0, 300.0)
     tangential_damping: float = _damping(10.0, "N s/m")
     normal_damping: float = _damping(10.0, "N s/m")
     rotational_damping: float = _damping(0.1, "N m s/rad")
+
+    def __post_init__(self):
+        if self.slip_n is not None and self.slip_n.lower <= 0.0:
+            raise InputError(
+                f"slip_n: lower bound {self.slip_n.lower:g} is no force; give "
+                "one above 0, or null for a cuff that never slips"
+            )
 
     @property
     def damping(self) -> dict[str, float]:
@@ -400,8 +410,9 @@ class InteractionSettings:
     Attributes:
         cuffs: of those that the model's `cuffs` names otherwise.
         stiffness_factor: one standard deviation of the prior of every
-            stiffness, which is log-normal: within this factor of its nominal
-            value are two of three.
+            stiffness and of the force at which a cuff slips, which is
+            log-normal: within this factor of its nominal value are two of
+            three.
         origin_sd_m: that of the prior of every origin.
         prior_weight: of these priors; 0 for none.
         errors: priors of what goes wrong in measurement.
@@ -432,7 +443,7 @@ class InteractionSettings:
     def parameters(
         self, places: dict[str, tuple[float, float]]
     ) -> list[ContactParameter]:
-        """Parameters of the bushings, five each, in kernel order.
+        """Parameters of the bushings, six each, in kernel order.
 
         Args:
             places: cuff -> the model's place (x, z) in the human segment [m].
@@ -449,17 +460,26 @@ class InteractionSettings:
         factor = width and width * log(self.stiffness_factor)
         origin = width and width * self.origin_sd_m
 
-        def stiffness(what, unit, r):
+        def positive(what, unit, middle, lower, upper, free):
             return ContactParameter(
-                f"{name}.{what}_stiffness",
+                f"{name}.{what}",
                 unit,
-                r.nominal,
-                r.lower,
-                r.upper,
-                r.free,
+                middle,
+                lower,
+                upper,
+                free,
                 factor,
                 log_prior=True,
             )
+
+        def stiffness(what, unit, r):
+            bounds = (r.nominal, r.lower, r.upper, r.free)
+            return positive(f"{what}_stiffness", unit, *bounds)
+
+        slip = ContactParameter.fixed(f"{name}.slip", "1/N", 0.0)
+        if (r := settings.slip_n) is not None:
+            bounds = (1.0 / f for f in (r.nominal, r.upper, r.lower))
+            slip = positive("slip", "1/N", *bounds, r.free)
 
         x, z = settings.origin_x_m, settings.origin_z_m
         return [
@@ -468,6 +488,7 @@ class InteractionSettings:
             stiffness("tangential", "N/m", settings.tangential_n_m),
             stiffness("normal", "N/m", settings.normal_n_m),
             stiffness("rotational", "N m/rad", settings.rotational_nm_rad),
+            slip,
         ]
 
     def bushings(

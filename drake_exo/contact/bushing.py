@@ -3,8 +3,9 @@
 Defined as in OpenSim. Frame F1 sits on the human link at `origin`, parallel
 to it; F2 sits on the exoskeleton link. Deflection is the pose of F2 seen from
 F1, in F1's axes, and its rate is the time derivative seen from F1. The force
-is linear in both; it acts at F2's origin on both links, equal and opposite,
-so that the pair leaves no moment behind.
+is linear in both, but for straps that slip: the spring along the limb gives
+k d/(1 + (s k d)^4)^(1/4), never more than 1/s. It acts at F2's origin on both
+links, equal and opposite, so that the pair leaves no moment behind.
 
 Components, in this order everywhere:
 
@@ -27,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_exo.contact.scalars import any_scalar, cos, sin
+from drake_exo.contact.scalars import any_scalar, cos, sin, sqrt
 from drake_exo.model.planar_tree import PlanarTree
 
 COMPONENTS = ("tangential", "normal", "rotation")
@@ -39,6 +40,7 @@ CALIBRATED = (
     "tangential_stiffness",
     "normal_stiffness",
     "rotational_stiffness",
+    "slip",
 )
 
 
@@ -53,7 +55,8 @@ class BushingParameters:
     `origin` places F1 in the human link frame and F2 at the same place of the
     exoskeleton link, so that they coincide while both chains are aligned.
     `preload` moves F2 from there in the axes of the exoskeleton link (strap
-    preload), zero by default.
+    preload), zero by default. `slip` is one over the force along the limb at
+    which the cuff slips; zero, as in the paper, for one that never does.
 
     >>> BushingParameters(origin_z=0.25).scaled(1.4).normal_stiffness
     7000.0
@@ -70,6 +73,7 @@ class BushingParameters:
     preload_x: float = _parameter(0.0, "m")
     preload_z: float = _parameter(0.0, "m")
     preload_angle: float = _parameter(0.0, "rad")
+    slip: float = _parameter(0.0, "1/N", minimum=0.0)
 
     @property
     def stiffness(self) -> tuple:
@@ -100,7 +104,7 @@ class BushingParameters:
         return self.preload_x, self.preload_z, self.preload_angle
 
     def scaled(self, factor: float) -> "BushingParameters":
-        """Stiffness and damping times `factor`; origins stay (Phase C2)."""
+        """Stiffness and damping times `factor`; all else stays (Phase C2)."""
         values = {
             name: factor * value
             for name, value in vars(self).items()
@@ -179,33 +183,45 @@ def bushing_deflection(
 
 
 @any_scalar
-def bushing_force(deflection, rate, stiffness, damping) -> Components:
+def bushing_force(deflection, rate, stiffness, damping, slip=0.0) -> Components:
     """Force on the human in F1: K d + B ḋ, component by component.
 
     Args:
         deflection, rate: As from `bushing_deflection`.
         stiffness, damping: Three values in the order of COMPONENTS.
+        slip: As that of `BushingParameters`; of the spring along the limb.
 
     >>> still = (0.0, 0.0, 0.0)
     >>> bushing_force((0, 0.005, 0), still, (1, 4000.0, 1), still).normal
     20.0
     """
+    held = (_held(stiffness[0] * deflection[0], slip), 1.0, 1.0)
     return Components(
         *(
-            k * d + b * d_dot
-            for k, d, b, d_dot in zip(
-                stiffness, deflection, damping, rate, strict=True
+            k * d * share + b * d_dot
+            for k, d, share, b, d_dot in zip(
+                stiffness, deflection, held, damping, rate, strict=True
             )
         )
     )
 
 
 @any_scalar
-def bushing_energy(deflection, stiffness) -> Components:
-    """Energy ½ k d² [J] stored in each component."""
+def bushing_energy(deflection, stiffness, slip=0.0) -> Components:
+    """Energy ½ k d² [J] stored in each component; what slips stores none."""
+    held = (_held(stiffness[0] * deflection[0], slip), 1.0, 1.0)
     return Components(
-        *(0.5 * k * d * d for k, d in zip(stiffness, deflection, strict=True))
+        *(
+            0.5 * k * (share * d) ** 2
+            for k, d, share in zip(stiffness, deflection, held, strict=True)
+        )
     )
+
+
+def _held(force, slip):
+    """Share of a spring's force along the limb that does not slip."""
+    square = (slip * force) ** 2
+    return 1.0 / sqrt(sqrt(1.0 + square * square))
 
 
 @any_scalar
@@ -306,6 +322,26 @@ class BushingKinematics:
         delta = terms.sum(axis=1)
         angle = q @ self.rotation + self._angle
         return np.stack([delta.imag, delta.real, angle], axis=1)
+
+    def largest(self, trials, origin) -> np.ndarray:
+        """Largest deflection (3,) over trials [m, m, rad].
+
+        Args:
+            trials: have coordinates q (n, nq).
+            origin: (2,), with nothing else moved.
+        """
+        places = np.zeros((1, self.num_places))
+        places[:, :2] = origin
+        found = [self.deflection(t.q, self.terms(t.q, places)) for t in trials]
+        return np.abs(np.concatenate(found)).max(axis=0)
+
+    def force(self, deflection, bushing: BushingParameters):
+        """Of springs (n, 3) that are deflected so (n, 3), without damping."""
+        none = (0.0, 0.0, 0.0)
+        springs = bushing_force(
+            deflection.T, none, bushing.stiffness, none, bushing.slip
+        )
+        return np.stack(springs, axis=1)
 
     def deflection_jacobian(self, terms):
         """By q: (n, 3, nq)."""

@@ -461,7 +461,9 @@ class _Bushings:
                 own.origin,
                 own.preload,
             )
-            force = bushing_force(deflection, rate, own.stiffness, own.damping)
+            force = bushing_force(
+                deflection, rate, own.stiffness, own.damping, own.slip
+            )
             yield links, poses, own, deflection, force
 
     def _calc_spatial_forces(self, context, output):
@@ -488,7 +490,7 @@ class _Bushings:
             [
                 x
                 for *_, own, d, _ in self._evaluate(context)
-                for x in bushing_energy(d, own.stiffness)
+                for x in bushing_energy(d, own.stiffness, own.slip)
             ]
         )
 
@@ -505,7 +507,7 @@ def HumanExoskeletonBushings_(T):
         Outputs, three values (tangential, normal, rotation) for each bushing:
             interaction_forces: on the human [N, N, N·m].
             deflections: [m, m, rad].
-            energies: ½ k d² [J].
+            energies: ½ k d² [J] of what does not slip.
         and spatial_forces, for a plant's applied_spatial_force port.
         Numeric parameters:
             a vector for each bushing (fields of `BushingParameters`).

@@ -66,8 +66,9 @@ def cuff_force(cuff: Cuff, deflection, rate) -> Components:
         cuff: values of any common shape (...).
         deflection, rate: as from `bushing_deflection`, of shape (...).
     """
+    law = cuff.bushing
     linear = bushing_force(
-        deflection, rate, cuff.bushing.stiffness, cuff.bushing.damping
+        deflection, rate, law.stiffness, law.damping, law.slip
     )
     more = [
         k * d * (cuff.progression * d) ** 2

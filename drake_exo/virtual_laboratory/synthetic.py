@@ -63,9 +63,9 @@ _DRAWN = TrackingNoise(
 )
 # Offset of the cuff's origin [m], then stiffnesses [N/m, N/m, N m/rad].
 TRUE_CUFFS = {
-    "shank": (0.01, 0.03, 1500.0, 4000.0, 30.0),
-    "thigh": (-0.01, -0.02, 2500.0, 7000.0, 60.0),
-    "pelvis": (0.02, 0.03, 3000.0, 6000.0, 80.0),
+    "shank": (0.01, 0.03, 1500.0, 4000.0, 30.0, 0.03),
+    "thigh": (-0.01, -0.02, 2500.0, 7000.0, 60.0, 0.04),
+    "pelvis": (0.02, 0.03, 3000.0, 6000.0, 80.0, 0.03),
 }
 # Mats of each trial in turn: the paper's two configurations.
 MATS = (("pelvis",), ("pelvis",), ("shank", "thigh"))
@@ -404,9 +404,9 @@ def rises_in_device(
     foot = FootGroundSettings(heel=_SPHERE, toe=_SPHERE)
     truth = {}
     for cuff, (x, z) in model.cuffs.items():
-        dx, dz, *stiffness = TRUE_CUFFS.get(cuff, TRUE_CUFFS["thigh"])
+        dx, dz, *values = TRUE_CUFFS.get(cuff, TRUE_CUFFS["thigh"])
         names = settings.parameters({cuff: (x, z)})
-        values = (x + dx, z + dz, *stiffness)
+        values = (x + dx, z + dz, *values)
         truth |= {p.name: v for p, v in zip(names, values, strict=True)}
     contact = replace(
         foot.contact(model.spheres), bushings=settings.bushings(model.cuffs)

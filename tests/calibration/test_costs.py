@@ -348,7 +348,7 @@ def test_the_law_of_a_prediction_has_the_scaled_damping(in_device, factor):
     )
     for cuff, law in problem.laws.items():
         bushing = contact.bushings[cuff]
-        values = np.r_[bushing.origin, bushing.stiffness]
+        values = np.r_[bushing.origin, bushing.stiffness, bushing.slip]
         x = np.r_[q, v, np.zeros(3), values][None]
         rest = np.r_[q, 0.0 * v, np.zeros(3), values][None]
         units = np.array([10.0, 10.0, 1.0])

@@ -29,6 +29,7 @@ from drake_exo.errors import InputError
 N = 7
 CUFFS = ("shank", "thigh", "pelvis")
 STIFFNESS = np.array([1800.0, 5200.0, 55.0])
+SLIP = 0.01
 PRELOAD = (0.01, -0.02, 0.05)
 
 
@@ -76,10 +77,10 @@ def test_energy_is_the_laws(tree, rng, segment):
     origin = origins(rng)
     bushing = BushingKinematics(tree, segment, PRELOAD)
     kernel = EnergyKernel(bushing, [0, 1, 2], 2.0)
-    stiffness = np.tile(STIFFNESS, (N, 1))
+    stiffness = np.tile([*STIFFNESS, SLIP], (N, 1))
     found = kernel.evaluate(np.hstack([q, origin, stiffness]), None)
     deflection, *_ = law(tree, segment, q, v, origin)
-    expected = bushing_energy(deflection, STIFFNESS)
+    expected = bushing_energy(deflection, STIFFNESS, SLIP)
     np.testing.assert_allclose(
         2.0 * found, np.column_stack(expected), rtol=1e-9
     )

@@ -193,11 +193,13 @@ def test_coupled_dynamics_derivatives(tree):
 @pytest.mark.parametrize("segment", CUFFS)
 def test_bushing_and_energy_derivatives(tree, segment):
     bushing = BushingKinematics(tree, segment, (0.01, -0.02, 0.03))
-    x = 0.5 * _states(20, 26)
+    x = 0.5 * _states(20, 27)
     x[:, 18:21] *= 100.0
-    x[:, 23:] = [2000.0, 5000.0, 50.0]
+    # Held in the first half, slipping in the second.
+    x[:, 23:] = [2000.0, 5000.0, 50.0, 0.0]
+    x[10:, -1] = 0.002
     _check(BushingKernel(bushing, (10.0, 10.0, 0.1)), x)
-    columns = [*range(9), *range(21, 26)]
+    columns = [*range(9), *range(21, 27)]
     _check(EnergyKernel(bushing, [0, 2], 1.0), x[:, columns])
 
 
@@ -206,10 +208,11 @@ def test_bushing_kernel_equals_the_law(plant, tree, segment):
     """Through the plant's own kinematics and forces.bushing."""
     preload, origin = (0.01, -0.02, 0.03), np.array([0.02, 0.2])
     stiffness, damping = (1500.0, 4000.0, 30.0), (10.0, 12.0, 0.2)
+    slip = 0.005
     kernel = BushingKernel(BushingKinematics(tree, segment, preload), damping)
-    x = np.zeros((6, 26))
+    x = np.zeros((6, 27))
     x[:, :18] = 0.6 * _states(6, 18, seed=4)
-    x[:, 21:23], x[:, 23:] = origin, stiffness
+    x[:, 21:23], x[:, 23:] = origin, (*stiffness, slip)
     found = kernel.evaluate(x, None) * [10.0, 10.0, 1.0]
     context = plant.CreateDefaultContext()
     for row, force in zip(x, found, strict=True):
@@ -225,5 +228,5 @@ def test_bushing_kernel_equals_the_law(plant, tree, segment):
             states.append((p[0], p[2], np.arctan2(axis[2], axis[0])))
             states.append((v[0], v[2], -V_WB.rotational()[1]))
         d, rate = bushing_deflection(*states, origin, preload)
-        expected = bushing_force(d, rate, stiffness, damping)
+        expected = bushing_force(d, rate, stiffness, damping, slip)
         np.testing.assert_allclose(force, np.array(expected), atol=1e-8)
