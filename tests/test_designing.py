@@ -166,7 +166,7 @@ def test_studies_and_calibrations_must_match(study):
     ("text", "said"),
     [
         ("order: 2", "order"),
-        ("cuffs: {thigh: {along_m: [0.1, 0.2]}}", "place of today"),
+        ("cuffs: {thigh: {along_m: [0.1, 0.2]}}", "what it is today"),
         ("assistance: [1.1, 1.2]", "factor of today"),
         ("limits: {support: -1}", "support"),
     ],
