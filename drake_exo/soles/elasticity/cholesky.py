@@ -62,7 +62,8 @@ class SparseCholesky:
         self._eliminate(K.T)  # columns that lie together; K is symmetric
         *self._fronts, self._root = self._fronts
         inverse, _ = dpotri(self._root.factor, lower=1, overwrite_c=1)
-        self.last_inverse = mirrored(inverse)
+        # Symmetric: turned so that its rows lie together in memory.
+        self.last_inverse = mirrored(inverse).T
 
     def _eliminate(self, K: csc_matrix) -> None:
         place = np.zeros(K.shape[0], dtype=np.int64)
