@@ -8,13 +8,14 @@ import skfem
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from drake_exo.errors import InputError
+from drake_exo.soles.elasticity.cholesky import node_dofs
 from drake_exo.soles.elasticity.linear import (
     MATERIALS,
     Material,
     Sole,
-    edge_average,
+    displacement_gradient,
+    edges_of,
     node_average,
-    node_dofs,
     stiffness_matrix,
 )
 from drake_exo.soles.elasticity.shape_gradient import energy_gradient
@@ -218,10 +219,29 @@ def test_smoothed_element_does_not_lock():
 
 def test_averages_keep_constants_and_volume():
     mesh = _distorted()
-    for average in (edge_average, node_average):
-        A, volume = average(mesh)
-        np.testing.assert_allclose(A @ np.ones(len(mesh.tets)), 1.0)
-        assert volume.sum() == pytest.approx(mesh.volume)
+    A, volume = node_average(mesh)
+    np.testing.assert_allclose(A @ np.ones(len(mesh.tets)), 1.0)
+    assert volume.sum() == pytest.approx(mesh.volume)
+
+
+def test_smoothed_energy_is_that_of_averaged_strains():
+    mesh, energy = _distorted(), 0.0
+    u = np.random.default_rng(0).standard_normal(mesh.nodes.shape)
+    H = displacement_gradient(mesh, u)
+    eps = 0.5 * (H + H.swapaxes(1, 2))
+    for groups, shear, bulk in (
+        (edges_of(mesh), RUBBER.shear_modulus, 0.0),
+        (mesh.tets, 0.0, RUBBER.bulk_modulus),
+    ):
+        for group in range(groups.max() + 1):
+            e = np.flatnonzero((groups == group).any(axis=1))
+            share = mesh.volumes[e] / groups.shape[1]
+            mean = np.tensordot(share / share.sum(), eps[e], 1)
+            dev = mean - np.trace(mean) / 3 * np.eye(3)
+            density = shear * (dev**2).sum() + 0.5 * bulk * np.trace(mean) ** 2
+            energy += share.sum() * density
+    K = stiffness_matrix(mesh, RUBBER, "smoothed")
+    assert 0.5 * u.ravel() @ K @ u.ravel() == pytest.approx(energy, rel=1e-11)
 
 
 @pytest.mark.parametrize("nu", [0.5, 0.6, -1.0])

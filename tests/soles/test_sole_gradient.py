@@ -416,6 +416,12 @@ def test_sample_weights_stand_for_all_samples():
         picked, by_tr, by_rot = thinned(219, samples, 0.1)
         assert by_tr.sum() == pytest.approx(21)
         assert by_rot.sum() == pytest.approx(219)
+        # What changes linearly is summed exactly.
+        assert by_tr @ picked == pytest.approx(np.arange(21).sum())
+        late = picked >= 21
+        assert (by_rot * picked)[late].sum() == pytest.approx(
+            np.arange(21, 219).sum()
+        )
         assert picked[0] == 0
         assert picked[-1] == 218
 

@@ -19,8 +19,7 @@ from drake_exo.soles.contact.node_law import (
     project_node,
     project_with_derivative,
 )
-from drake_exo.soles.elasticity.cholesky import mirrored
-from drake_exo.soles.elasticity.linear import node_dofs
+from drake_exo.soles.elasticity.cholesky import mirrored, node_dofs
 from drake_exo.soles.rotations import multiply
 
 # Borderings accumulate rounding: start afresh after so many.

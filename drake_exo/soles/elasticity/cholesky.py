@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
-from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from drake_exo.soles.compiled import njit
 
@@ -21,33 +21,28 @@ _FEW = 48  # nodes of a leaf
 _BLOCK = 512  # rows that are mirrored at a time
 
 
-@dataclass
-class _Front:
+@dataclass(frozen=True)
+class Front:
     """Nodes eliminated together and those of later fronts beside them.
 
     Attributes:
-        own: Dofs as in the matrix, (k,).
-        border: Dofs of later fronts that own ones or their descendants'
+        own: Nodes, (k,).
+        border: Nodes of later fronts that own ones or their descendants
             touch, (b,), in the order of elimination.
         children: Numbers of the fronts whose borders end here.
-        factor: Lower triangle L with L Lᵀ the front's own part, (k, k).
-        below: Rows of the border, (b, k).
     """
 
     own: np.ndarray
     border: np.ndarray
     children: list[int]
-    factor: np.ndarray | None = None
-    below: np.ndarray | None = None
 
 
 class SparseCholesky:
     """K = L Lᵀ of a symmetric positive definite matrix.
 
     Args:
-        K: The matrix of all dofs, three a node, (3n, 3n).
-        places: Of the nodes, (n, 3).
-        last: Nodes that are eliminated last, together, (m,), m > 0.
+        K: The matrix of all dofs, blocks of three, (3n, 3n).
+        fronts: What `fronts_of` makes of its pattern.
 
     Attributes:
         last_inverse: The block of K⁻¹ of the last nodes' dofs, (3m, 3m).
@@ -56,81 +51,96 @@ class SparseCholesky:
         LinAlgError: K is not positive definite.
     """
 
-    def __init__(self, K: csr_matrix, places: np.ndarray, last: np.ndarray):
+    def __init__(self, K: bsr_matrix, fronts: list[Front]):
         self._count = K.shape[0]
-        self._fronts = _fronts(K, places, np.asarray(last))
-        self._eliminate(K.T)  # columns that lie together; K is symmetric
-        *self._fronts, self._root = self._fronts
-        inverse, _ = dpotri(self._root.factor, lower=1, overwrite_c=1)
+        self._parts = []  # own dofs, border's dofs, factor, rows below
+        factor = self._eliminate(K, fronts)
+        self._root = node_dofs(fronts[-1].own)
+        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
         # Symmetric: turned so that its rows lie together in memory.
         self.last_inverse = mirrored(inverse).T
 
-    def _eliminate(self, K: csc_matrix) -> None:
-        place = np.zeros(K.shape[0], dtype=np.int64)
-        rank = np.empty_like(place)
-        order = np.concatenate([front.own for front in self._fronts])
-        rank[order] = np.arange(len(order))
+    def _eliminate(self, K: bsr_matrix, fronts: list[Front]) -> np.ndarray:
+        """All fronts; the last one's lower triangle."""
+        place = np.full(self._count // 3, -1)
         updates = {}
-        for number, front in enumerate(self._fronts):
-            k, b = len(front.own), len(front.border)
-            place[front.own] = np.arange(k)
-            place[front.border] = np.arange(k, k + b)
+        for number, front in enumerate(fronts):
+            both = np.concatenate([front.own, front.border])
+            place[both] = np.arange(len(both))
+            k, b = 3 * len(front.own), 3 * len(front.border)
             A = np.zeros((k + b, k), order="F")
-            columns = K[:, front.own].tocoo()
-            later = rank[columns.row] >= rank[front.own[0]]
-            A[place[columns.row[later]], columns.col[later]] = columns.data[
-                later
-            ]
+            _collect(A, K.indptr, K.indices, K.data, front.own, place)
             # Lower triangles are enough: borders lie in order.
             update = np.zeros((b, b), order="F")
             for child in front.children:
-                where = place[self._fronts[child].border]
+                where = place[fronts[child].border]
                 _extend(A, update, updates.pop(child), where)
-            front.factor, info = dpotrf(A[:k], lower=1, overwrite_a=b == 0)
+            place[both] = -1
+            factor, info = dpotrf(A[:k], lower=1, overwrite_a=b == 0)
             if info:
                 raise np.linalg.LinAlgError("matrix is not positive definite")
             if b:
-                front.below = dtrsm(
-                    1.0, front.factor, A[k:], side=1, lower=1, trans_a=1
-                )
+                below = dtrsm(1.0, factor, A[k:], side=1, lower=1, trans_a=1)
                 updates[number] = dsyrk(
-                    -1.0, front.below, 1.0, update, lower=1, overwrite_c=1
+                    -1.0, below, 1.0, update, lower=1, overwrite_c=1
                 )
+                own, border = node_dofs(front.own), node_dofs(front.border)
+                self._parts.append((own, border, factor, below))
+        return factor
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """K⁻¹ b, (3n, c)."""
         x = np.array(b, dtype=float)
-        for front in self._fronts:
-            y = dtrsm(1.0, front.factor, x[front.own], lower=1)
-            x[front.own] = y
-            x[front.border] -= front.below @ y
-        x[self._root.own] = self.last_inverse @ x[self._root.own]
+        for own, border, factor, below in self._parts:
+            y = dtrsm(1.0, factor, x[own], lower=1)
+            x[own] = y
+            x[border] -= below @ y
+        x[self._root] = self.last_inverse @ x[self._root]
         return self._substituted(x)
 
     def carry(self, b: np.ndarray) -> np.ndarray:
         """K⁻¹ of what is b at the last dofs, (3m, c), and zero elsewhere."""
         x = np.zeros((self._count, b.shape[1]))
-        x[self._root.own] = self.last_inverse @ b
+        x[self._root] = self.last_inverse @ b
         return self._substituted(x)
 
     def _substituted(self, x: np.ndarray) -> np.ndarray:
         """Backwards from the last dofs, in place."""
-        for front in reversed(self._fronts):
-            y = x[front.own] - front.below.T @ x[front.border]
-            x[front.own] = dtrsm(1.0, front.factor, y, lower=1, trans_a=1)
+        for own, border, factor, below in reversed(self._parts):
+            y = x[own] - below.T @ x[border]
+            x[own] = dtrsm(1.0, factor, y, lower=1, trans_a=1)
         return x
+
+
+def node_dofs(nodes: np.ndarray) -> np.ndarray:
+    """Dofs 3i, 3i+1, 3i+2 of nodes, (3k,)."""
+    return (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
+
+
+@njit()
+def _collect(A, indptr, indices, data, own, place):
+    """The matrix's columns of a front's own nodes: those rows it has."""
+    for j in range(len(own)):
+        for entry in range(indptr[own[j]], indptr[own[j] + 1]):
+            i = place[indices[entry]]
+            if i >= 0:
+                for a in range(3):
+                    for b in range(3):  # the matrix is symmetric
+                        A[3 * i + a, 3 * j + b] = data[entry, b, a]
 
 
 @njit()
 def _extend(A, update, new, where):
     """Add a child's update to its place in both parts of a front."""
     k = A.shape[1]
-    for j in range(len(where)):
-        for i in range(j, len(where)):
-            if where[j] < k:
-                A[where[i], where[j]] += new[i, j]
+    for j in range(new.shape[1]):
+        column = 3 * where[j // 3] + j % 3
+        for i in range(j, len(new)):
+            row = 3 * where[i // 3] + i % 3
+            if column < k:
+                A[row, column] += new[i, j]
             else:
-                update[where[i] - k, where[j] - k] += new[i, j]
+                update[row - k, column - k] += new[i, j]
 
 
 def mirrored(lower: np.ndarray) -> np.ndarray:
@@ -144,9 +154,16 @@ def mirrored(lower: np.ndarray) -> np.ndarray:
     return lower
 
 
-def _fronts(K: csr_matrix, places: np.ndarray, last: np.ndarray):
-    """Fronts in the order of elimination, without numbers yet."""
-    graph = _graph(K)
+def fronts_of(
+    graph: csr_matrix, places: np.ndarray, last: np.ndarray
+) -> list[Front]:
+    """Fronts in the order of elimination.
+
+    Args:
+        graph: Which nodes touch, (n, n).
+        places: Of the nodes, (n, 3).
+        last: Nodes that are eliminated last, together, (m,), m > 0.
+    """
     others = np.setdiff1d(np.arange(len(places)), last)
     parts: list[tuple[np.ndarray, list[int]]] = []
     top = _dissect(graph, places, others, parts)
@@ -154,26 +171,14 @@ def _fronts(K: csr_matrix, places: np.ndarray, last: np.ndarray):
     rank = np.empty(len(places), dtype=np.int64)
     order = np.concatenate([own for own, _ in parts])
     rank[order] = np.arange(len(order))
-    fronts, borders = [], []
+    fronts = []
     for own, children in parts:
-        near = [graph[own].indices, *(borders[c] for c in children)]
+        near = [graph[own].indices, *(fronts[c].border for c in children)]
         near = np.unique(np.concatenate(near))
         near = near[rank[near] > rank[own].max()]
-        borders.append(near[np.argsort(rank[near])])
-        fronts.append(_Front(_dofs(own), _dofs(borders[-1]), children))
+        border = near[np.argsort(rank[near])]
+        fronts.append(Front(own, border, children))
     return fronts
-
-
-def _dofs(nodes: np.ndarray) -> np.ndarray:
-    return (3 * nodes[:, None] + np.arange(3)).ravel()
-
-
-def _graph(K: csr_matrix) -> csr_matrix:
-    """Which nodes touch."""
-    K = K.tocoo()
-    n = K.shape[0] // 3
-    ones = np.ones(len(K.row), dtype=np.int32)
-    return csr_matrix((ones, (K.row // 3, K.col // 3)), shape=(n, n))
 
 
 def _dissect(graph, places, nodes, parts) -> list[int]:

@@ -12,23 +12,24 @@ Numer. Meth. Engng 14, 1998). The unknowns stay those of linear tetrahedra,
 and so do the contact nodes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import bmat, csr_matrix, diags
+from scipy.sparse import bsr_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
-from drake_exo.soles.elasticity.cholesky import SparseCholesky
+from drake_exo.soles.compiled import njit
+from drake_exo.soles.elasticity.cholesky import (
+    Front,
+    SparseCholesky,
+    fronts_of,
+    node_dofs,
+)
 from drake_exo.soles.mesh import TetMesh
 
 Element = Literal["linear", "smoothed"]
-
-
-def node_dofs(nodes: np.ndarray) -> np.ndarray:
-    """Dofs 3i, 3i+1, 3i+2 of nodes, (3k,)."""
-    return (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
 
 
 def edges_of(mesh: TetMesh) -> np.ndarray:
@@ -41,23 +42,16 @@ def edges_of(mesh: TetMesh) -> np.ndarray:
     return owner.reshape(-1, 6)
 
 
-def edge_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
-    """Averages around edges: matrix (k, e), volumes of edges [m³], (k,)."""
-    return _average(edges_of(mesh).ravel(), mesh.volumes, 6)
-
-
 def node_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
-    """Averages around nodes: matrix (n, e), volumes of nodes [m³], (n,)."""
-    return _average(mesh.tets.ravel(), mesh.volumes, 4)
+    """Averages around nodes: matrix (n, e), volumes of nodes [m³], (n,).
 
-
-def _average(owner, volumes, shares: int):
-    """Each element gives an equal part of its volume to its owners."""
-    part = np.repeat(volumes / shares, shares)
-    total = np.bincount(owner, part)
-    element = np.repeat(np.arange(len(volumes)), shares)
+    Each element gives an equal part of its volume to its nodes.
+    """
+    part = np.repeat(mesh.volumes / 4, 4)
+    total = np.bincount(mesh.tets.ravel(), part)
+    element = np.repeat(np.arange(len(mesh.tets)), 4)
     share = csr_matrix(
-        (part, (owner, element)), shape=(len(total), len(volumes))
+        (part, (mesh.tets.ravel(), element)), (len(total), len(mesh.tets))
     )
     return (diags(1 / total) @ share).tocsr(), total
 
@@ -124,6 +118,50 @@ MATERIALS = {
 }
 
 
+@dataclass(frozen=True)
+class Pattern:
+    """Which blocks of a stiffness matrix there are, wherever the nodes are.
+
+    Attributes:
+        nodes: Rows of the matrix, (k,).
+        around: Elements around every edge and around every node, pairs
+            (indptr, elements); empty for linear elements.
+        graph: Which of its rows touch, (k, k).
+        fronts: In which its nodes are eliminated, contact nodes last.
+    """
+
+    nodes: np.ndarray
+    around: tuple
+    graph: csr_matrix
+    fronts: list[Front]
+
+    @classmethod
+    def of(cls, mesh: TetMesh, nodes: np.ndarray, element: Element):
+        """Of some nodes, the others fixed; contact nodes are among them."""
+        tets, around = mesh.tets, []
+        corners = _incidence(tets, len(mesh.nodes))
+        graph = corners.T @ corners
+        if element == "smoothed":
+            for owner in (edges_of(mesh), tets):
+                shares = _incidence(owner).T.tocsr()
+                around.append((shares.indptr, shares.indices))
+                near = shares @ corners
+                graph = graph + near.T @ near
+        graph = graph.tocsr()[nodes][:, nodes]
+        graph.sort_indices()
+        last = np.searchsorted(nodes, mesh.contact)
+        fronts = fronts_of(graph, mesh.nodes[nodes], last)
+        return cls(nodes, tuple(around), graph, fronts)
+
+
+def _incidence(owner: np.ndarray, count: int | None = None) -> csr_matrix:
+    """Elements (rows) and what they have."""
+    rows = np.repeat(np.arange(len(owner)), owner.shape[1])
+    ones = np.ones(owner.size, dtype=np.int32)
+    count = owner.max() + 1 if count is None else count
+    return csr_matrix((ones, (rows, owner.ravel())), (len(owner), count))
+
+
 def stiffness_matrix(
     mesh: TetMesh, material: Material, element: Element = "linear"
 ) -> csr_matrix:
@@ -132,43 +170,100 @@ def stiffness_matrix(
     K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for "linear"; for
     "smoothed" see the top of this file.
     """
-    if element == "smoothed":
-        return _smoothed_stiffness(mesh, material)
-    g, V = mesh.gradients, mesh.volumes
-    shear, lam = material.shear_modulus, material.lame_lambda
-    gg = np.einsum("eai,ebi->eab", g, g)
-    outer = np.einsum("eai,ebj->eaibj", g, g)
-    Ke = lam * outer + shear * outer.transpose(0, 1, 4, 3, 2)
-    for i in range(3):
-        Ke[:, :, i, :, i] += shear * gg
-    Ke *= V[:, None, None, None, None]
-    dofs = (3 * mesh.tets[:, :, None] + np.arange(3)).reshape(-1, 12)
-    size = 3 * len(mesh.nodes)
-    rows, cols = np.repeat(dofs, 12, axis=1), np.tile(dofs, (1, 12))
-    return csr_matrix(
-        (Ke.reshape(-1), (rows.ravel(), cols.ravel())), shape=(size, size)
-    )
+    pattern = Pattern.of(mesh, np.arange(len(mesh.nodes)), element)
+    return _assembled(mesh, material, pattern).tocsr()
 
 
-def _smoothed_stiffness(mesh: TetMesh, material: Material) -> csr_matrix:
-    """Deviator averaged around edges, dilatation around nodes."""
-    gradient = gradient_operators(mesh)
-    edge, V_edge = edge_average(mesh)
-    node, V_node = node_average(mesh)
-    G = [edge @ g for g in gradient]
-    D = [node @ g for g in gradient]
-    shear = material.shear_modulus
-    W, bulk = diags(shear * V_edge), diags(material.bulk_modulus * V_node)
-    laplacian = sum(g.T @ W @ g for g in G)
-    blocks = [[None] * 3 for _ in range(3)]
-    for i in range(3):
-        for j in range(3):
-            K = G[j].T @ W @ G[i] - 2 / 3 * (G[i].T @ W @ G[j])
-            K = K + D[i].T @ bulk @ D[j]
-            blocks[i][j] = K + laplacian if i == j else K
-    n = len(mesh.nodes)
-    order = (np.arange(3) * n + np.arange(n)[:, None]).ravel()
-    return bmat(blocks, format="csr")[order][:, order]
+def _assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
+    """The stiffness of a pattern's nodes, the others fixed."""
+    graph = pattern.graph
+    data = np.zeros((graph.nnz, 3, 3))
+    for groups in groups_of(mesh, material, pattern):
+        _assemble(*groups, graph.indptr, graph.indices, data)
+    return bsr_matrix((data, graph.indices, graph.indptr))
+
+
+def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
+    """Groups of elements over which strains are averaged, for compiled code.
+
+    Returns:
+        A tuple for each part of the energy: where each group begins among
+        the elements that follow, (k + 1,); tets; gradients of their shape
+        functions; what an element gives to each of its groups [m³], (e,);
+        μ and λ [Pa]; rows of the nodes in the matrix, -1 where fixed.
+    """
+    shear, bulk = material.shear_modulus, material.bulk_modulus
+    elements = np.arange(len(mesh.tets) + 1, dtype=np.int32)
+    parts = [((elements, elements[:-1]), shear, bulk, 1)]
+    if pattern.around:
+        of_edges, of_nodes = pattern.around
+        parts = [(of_edges, shear, 0.0, 6), (of_nodes, 0.0, bulk, 4)]
+    number = np.full(len(mesh.nodes), -1)
+    number[pattern.nodes] = np.arange(len(pattern.nodes))
+    return [
+        (*around, mesh.tets, mesh.gradients, mesh.volumes / shares,
+         mu, kappa - 2 / 3 * mu, number)
+        for around, mu, kappa, shares in parts
+    ]  # fmt: skip
+
+
+@njit()
+def average_gradients(elements, tets, g, volumes, number, slot, nodes, G):
+    """Σ v g of a group's shape functions [m²], into G by row of nodes.
+
+    Args:
+        elements: Of the group.
+        tets, g, volumes, number: See `groups_of`.
+        slot: -1 everywhere; gets each node's row, to be reset by the caller.
+        nodes, G: Get the nodes' numbers in the matrix, and the gradients.
+
+    Returns:
+        How many rows, the volume Σ v.
+    """
+    count, V = 0, 0.0
+    for e in elements:
+        V += volumes[e]
+        for a in range(4):
+            node = number[tets[e, a]]
+            if node < 0:
+                continue
+            if slot[node] < 0:
+                slot[node] = count
+                nodes[count] = node
+                G[count] = 0.0
+                count += 1
+            for i in range(3):
+                G[slot[node], i] += volumes[e] * g[e, a, i]
+    return count, V
+
+
+@njit()
+def _assemble(
+    start, around, tets, g, volumes, shear, lam, number, indptr, indices, data
+):
+    """Add the groups' energies to a matrix, see `groups_of`."""
+    slot = np.full(len(number), -1)
+    nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
+    for group in range(len(start) - 1):
+        elements = around[start[group] : start[group + 1]]
+        count, V = average_gradients(
+            elements, tets, g, volumes, number, slot, nodes, G
+        )
+        for a in range(count):
+            slot[nodes[a]] = -1
+            low, high = indptr[nodes[a]], indptr[nodes[a] + 1]
+            row = indices[low:high]
+            for b in range(count):
+                entry = low + np.searchsorted(row, nodes[b])
+                dot = 0.0
+                for i in range(3):
+                    dot += G[a, i] * G[b, i]
+                for i in range(3):
+                    data[entry, i, i] += shear * dot / V
+                    for j in range(3):
+                        data[entry, i, j] += (
+                            shear * G[b, i] * G[a, j] + lam * G[a, i] * G[b, j]
+                        ) / V
 
 
 @dataclass(eq=False)
@@ -185,11 +280,22 @@ class Sole:
     material: Material
     element: Element = "linear"
 
-    @cached_property
+    def with_nodes(self, nodes: np.ndarray) -> "Sole":
+        """The same elements at other places; what these do not change stays."""
+        out = replace(self, mesh=self.mesh.with_nodes(nodes))
+        out.__dict__["pattern"] = self.pattern
+        return out
+
+    @property
     def free(self) -> np.ndarray:
         """Nodes that are not fixed to the foot."""
-        return np.setdiff1d(np.arange(len(self.mesh.nodes)),
-                            self.mesh.fixed)  # fmt: skip
+        return self.pattern.nodes
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """Of its stiffness matrix."""
+        free = np.setdiff1d(np.arange(len(self.mesh.nodes)), self.mesh.fixed)
+        return Pattern.of(self.mesh, free, self.element)
 
     @property
     def positions(self) -> np.ndarray:
@@ -202,14 +308,8 @@ class Sole:
 
     @cached_property
     def _factor(self) -> SparseCholesky:
-        dofs = node_dofs(self.free)
-        return SparseCholesky(
-            stiffness_matrix(self.mesh, self.material, self.element)[dofs][
-                :, dofs
-            ],
-            self.mesh.nodes[self.free],
-            np.searchsorted(self.free, self.mesh.contact),
-        )
+        K = _assembled(self.mesh, self.material, self.pattern)
+        return SparseCholesky(K, self.pattern.fronts)
 
     def carry(self, forces: np.ndarray) -> np.ndarray:
         """Free displacements under contact forces: N f = K_ff⁻¹ E f.

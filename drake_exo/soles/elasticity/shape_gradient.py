@@ -1,18 +1,19 @@
 """Derivatives of elastic energies and of the compliance by the node positions.
 
 dC = −Nᵀ dK N, so that all that is needed are derivatives of wᵀ K w for fields
-w held at the nodes; an element's share follows from Eshelby's tensor. With
-energies of fields averaged around edges and nodes ("smoothed") the element's
-stress and energy are means over its own averages.
+w held at the nodes: all fields together are one matrix Σ λ w wᵀ, of which the
+stiffness matrix's own blocks count.
 """
 
 import numpy as np
 
 from drake_exo.soles.compiled import njit
-from drake_exo.soles.elasticity.linear import Sole, edges_of
-from drake_exo.soles.mesh import scatter
+from drake_exo.soles.elasticity.linear import (
+    Sole,
+    average_gradients,
+    groups_of,
+)
 
-_TOGETHER = 16  # fields taken at a time
 # Of the largest eigenvalue: what is left out changes a gradient by some 1e-7
 # of its largest entry, and is half of the fields.
 _NEGLIGIBLE = 1e-7
@@ -72,151 +73,94 @@ def energy_gradient(
         w: Free displacements, (3 n_f, k).
         factors: λ, (k,).
     """
-    mesh, material = sole.mesh, sole.material
-    e, g = len(mesh.tets), mesh.gradients
-    turned, energy = np.zeros((e, 3, 3)), np.zeros(e)
-    owner = edges_of(mesh)
-    if sole.element == "smoothed":
-        volumes = [
-            np.bincount(who.ravel(), np.repeat(mesh.volumes / n, n))
-            for who, n in ((owner, 6), (mesh.tets, 4))
-        ]
-        of_edges, of_nodes = (np.zeros(len(v)) for v in volumes)
-    for first in range(0, len(factors), _TOGETHER):
-        part = slice(first, first + _TOGETHER)
-        field = np.zeros((len(mesh.nodes), 3, len(factors[part])))
-        field[sole.free] = w[:, part].reshape(len(sole.free), 3, -1)
-        if sole.element == "smoothed":
-            _averaged(
-                mesh.tets, owner, g, mesh.volumes, *volumes,
-                material.shear_modulus, material.bulk_modulus,
-                field, factors[part], turned, of_edges, of_nodes,
-            )  # fmt: skip
-        else:
-            _by_element(
-                mesh.tets, g, material.shear_modulus, material.lame_lambda,
-                field, factors[part], turned, energy,
-            )  # fmt: skip
-    if sole.element == "smoothed":
-        energy = of_edges[owner].mean(axis=1) + of_nodes[mesh.tets].mean(axis=1)
-    work = np.trace(turned, axis1=1, axis2=2)
-    S = -(2 * work - 2 * energy)[:, None, None] * np.eye(3) + 2 * turned
-    local = g @ S.swapaxes(1, 2)
-    local *= mesh.volumes[:, None, None]
-    out = np.zeros_like(mesh.nodes)
-    scatter(out, mesh.tets, local)
+    pattern, out = sole.pattern, np.zeros_like(sole.mesh.nodes)
+    indptr, indices = pattern.graph.indptr, pattern.graph.indices
+    fields = np.ascontiguousarray(w).reshape(len(sole.free), 3, -1)
+    W = _products(indptr, indices, fields, factors)
+    for groups in groups_of(sole.mesh, sole.material, pattern):
+        _add_gradient(*groups, indptr, indices, W, out)
     return out
 
 
-# Fields w are (n, 3, k) in what follows, strains and stresses (6, k): xx, yy,
-# zz, yz, xz, xy.
-
-
 @njit(fastmath=True)
-def _gradient(tet, g, w, H):
-    """H_ij = ∂w_i/∂X_j of an element, into (3, 3, k)."""
-    for i in range(3):
-        p, q, r, s = w[tet[0], i], w[tet[1], i], w[tet[2], i], w[tet[3], i]
-        for j in range(3):
-            a, b, c, d = g[0, j], g[1, j], g[2, j], g[3, j]
-            for k in range(len(p)):
-                H[i, j, k] = a * p[k] + b * q[k] + c * r[k] + d * s[k]
+def _products(indptr, indices, w, factors):
+    """Σ λ w_a w_bᵀ of the matrix's blocks with a <= b, (nnz, 3, 3)."""
+    out = np.empty((len(indices), 3, 3))
+    for a in range(len(indptr) - 1):
+        x, y, z = factors * w[a, 0], factors * w[a, 1], factors * w[a, 2]
+        for entry in range(indptr[a], indptr[a + 1]):
+            if indices[entry] < a:
+                continue
+            for j in range(3):
+                v = w[indices[entry], j]
+                p = q = r = 0.0
+                for k in range(len(v)):
+                    p += x[k] * v[k]
+                    q += y[k] * v[k]
+                    r += z[k] * v[k]
+                out[entry, 0, j], out[entry, 1, j], out[entry, 2, j] = p, q, r
+    return out
 
 
-@njit(fastmath=True)
-def _symmetric(H, eps):
-    """Strains of displacement gradients."""
-    for k in range(H.shape[2]):
-        for i in range(3):
-            eps[i, k] = H[i, i, k]
-        eps[3, k] = 0.5 * (H[1, 2, k] + H[2, 1, k])
-        eps[4, k] = 0.5 * (H[0, 2, k] + H[2, 0, k])
-        eps[5, k] = 0.5 * (H[0, 1, k] + H[1, 0, k])
+@njit()
+def _add_gradient(
+    start, around, tets, g, volumes, shear, lam, number, indptr, indices, W, out
+):
+    """Add −∂(W : K)/∂X of the groups' energies, see `groups_of`.
 
-
-@njit(fastmath=True)
-def _turn(H, sigma, factors, out):
-    """Add Σ_k λ_k Hᵀ σ to out (3, 3)."""
-    which = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
-    for a in range(3):
-        for b in range(3):
-            total = 0.0
-            for i in range(3):
-                h, s = H[i, a], sigma[which[i][b]]
-                for k in range(len(factors)):
-                    total += factors[k] * h[k] * s[k]
-            out[a, b] += total
-
-
-@njit(fastmath=True)
-def _by_element(tets, g, shear, lam, w, factors, turned, energy):
-    """Add Σ λ Hᵀ σ and the sum of energy densities, linear elements."""
-    H, s = np.empty((3, 3, len(factors))), np.empty((6, len(factors)))
-    for e in range(len(tets)):
-        _gradient(tets[e], g[e], w, H)
-        _symmetric(H, s)
-        for k in range(len(factors)):
-            trace, density = s[0, k] + s[1, k] + s[2, k], 0.0
-            for m in range(6):
-                density += shear * s[m, k] ** 2 * (1.0 if m < 3 else 2.0)
-                s[m, k] = 2 * shear * s[m, k] + (lam * trace if m < 3 else 0.0)
-            energy[e] += factors[k] * (density + 0.5 * lam * trace**2)
-        _turn(H, s, factors, turned[e])
-
-
-@njit(fastmath=True)
-def _averaged(
-    tets, owner, g, volumes, V_edge, V_node, shear, bulk,
-    w, factors, turned, of_edges, of_nodes,
-):  # fmt: skip
-    """Add Σ λ Hᵀ σ of elements and the energy densities of edges and nodes.
-
-    σ is the mean of an element's edges (deviator) and nodes (pressure).
+    That of a group is Σ G_aᵀ M_ab G_b / V with G = Σ v g, V = Σ v and
+    M = μ (tr W I + Wᵀ) + λ W.
     """
-    c = len(factors)
-    around = np.zeros((len(V_edge), 6, c))
-    within = np.zeros((len(V_node), c))
-    H, s = np.empty((3, 3, c)), np.empty((6, c))
-    for e in range(len(tets)):
-        _gradient(tets[e], g[e], w, H)
-        _symmetric(H, s)
-        for b in range(6):
-            a = owner[e, b]
-            share = volumes[e] / (6 * V_edge[a])
-            for m in range(6):
-                for k in range(c):
-                    around[a, m, k] += share * s[m, k]
-        for b in range(4):
-            a = tets[e, b]
-            share = volumes[e] / (4 * V_node[a])
-            for k in range(c):
-                within[a, k] += share * (s[0, k] + s[1, k] + s[2, k])
-    for a in range(len(V_edge)):
-        x = around[a]
-        for k in range(c):
-            mean, density = (x[0, k] + x[1, k] + x[2, k]) / 3, 0.0
-            for m in range(6):
-                if m < 3:
-                    x[m, k] -= mean
-                density += x[m, k] ** 2 * (1.0 if m < 3 else 2.0)
-                x[m, k] *= 2 * shear
-            of_edges[a] += factors[k] * shear * density
-    for a in range(len(V_node)):
-        for k in range(c):
-            of_nodes[a] += 0.5 * bulk * factors[k] * within[a, k] ** 2
-            within[a, k] *= bulk
-    for e in range(len(tets)):
-        _gradient(tets[e], g[e], w, H)
-        i, j, h, m, n, o = owner[e]
-        for a in range(6):
-            for k in range(c):
-                s[a, k] = (
-                    around[i, a, k] + around[j, a, k] + around[h, a, k]
-                    + around[m, a, k] + around[n, a, k] + around[o, a, k]
-                ) / 6  # fmt: skip
-        i, j, h, m = tets[e]
-        for k in range(c):
-            p = within[i, k] + within[j, k] + within[h, k] + within[m, k]
-            for a in range(3):
-                s[a, k] += p / 4
-        _turn(H, s, factors, turned[e])
+    slot = np.full(len(number), -1)
+    nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
+    by_G = np.empty((len(number), 3))
+    for group in range(len(start) - 1):
+        elements = around[start[group] : start[group + 1]]
+        count, V = average_gradients(
+            elements, tets, g, volumes, number, slot, nodes, G
+        )
+        by_G[:count] = 0.0
+        for a in range(count):
+            low, high = indptr[nodes[a]], indptr[nodes[a] + 1]
+            row = indices[low:high]
+            for b in range(count):
+                if nodes[b] < nodes[a]:
+                    continue
+                w = W[low + np.searchsorted(row, nodes[b])]
+                trace = w[0, 0] + w[1, 1] + w[2, 2]
+                for i in range(3):
+                    for j in range(3):
+                        M = shear * w[j, i] + lam * w[i, j]
+                        if i == j:
+                            M += shear * trace
+                        by_G[a, i] += M * G[b, j]
+                        if a != b:
+                            by_G[b, j] += M * G[a, i]
+        energy = 0.0
+        for a in range(count):
+            for i in range(3):
+                energy += by_G[a, i] * G[a, i] / V
+                by_G[a, i] *= 2 / V
+        for e in elements:
+            by_volume = -energy / V
+            for a in range(4):
+                node = number[tets[e, a]]
+                if node >= 0:
+                    for i in range(3):
+                        by_volume += by_G[slot[node], i] * g[e, a, i]
+            # ∂v = v g_c·dX_c and ∂g_a = −g_c (g_a·dX_c).
+            for c in range(4):
+                for i in range(3):
+                    out[tets[e, c], i] -= volumes[e] * by_volume * g[e, c, i]
+                for a in range(4):
+                    node = number[tets[e, a]]
+                    if node >= 0:
+                        along = 0.0
+                        for i in range(3):
+                            along += by_G[slot[node], i] * g[e, c, i]
+                        for i in range(3):
+                            out[tets[e, c], i] += (
+                                volumes[e] * along * g[e, a, i]
+                            )
+        for a in range(count):
+            slot[nodes[a]] = -1

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.shape_gradient import compliance_gradient
@@ -113,10 +112,10 @@ def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
 
 def tilt_terms(R: np.ndarray, factors: np.ndarray):
     """Terms of Σ factor · R_zz (the cosine of the tilt)."""
-    up = np.array([0.0, 0.0, 1.0])
     terms = [[] for _ in R]
     for q in heavy(factors):
-        terms[q].append(TurnTerm(factors[q] * np.cross(R[q, :, 2], up)))
+        x, y, _ = factors[q] * R[q, :, 2]
+        terms[q].append(TurnTerm(np.array([y, -x, 0.0])))
     return terms
 
 
@@ -223,7 +222,9 @@ class _Step:
         b_O = bP_all.sum(axis=1)
         b_w += cross(self.Y, bP_all).sum(axis=1)
         by = bP_all @ R
-        lift = _times_compliance(self.solver.C, by, self.nodes) @ R.T
+        # The product with all of C is faster than the gathering of a part.
+        lift = (by.reshape(c, -1) @ self.solver.C).reshape(by.shape)
+        lift = lift[:, self.nodes] @ R.T
         bF += lift
         b_w -= cross(F, lift).sum(axis=1)
         y, l_m = self._adjoint(bF, b_O, b_w)
@@ -287,7 +288,7 @@ class _Step:
         """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
         Z = np.array([*self.target.zmp, 0.0])
-        shifted = np.cross(self.state.O - Z, b_O)
+        shifted = cross((self.state.O - Z)[None], b_O)
         b_p = np.concatenate([b_O, b_w + shifted], axis=1)
         Sb0 = -lin.times_S(bF)
         _, y0, e0 = lin.solve_transposed(Sb0)
@@ -303,21 +304,6 @@ class _Step:
         plain = l_f - cross(arm, l_m)
         Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
         return lin.solve_transposed(Sb)[1], l_w[:, 3:]
-
-
-@njit(fastmath=True)
-def _times_compliance(C, fields, nodes):
-    """C times fields (c, m, 3), mostly zero, at some nodes: (c, k, 3)."""
-    out = np.zeros((len(fields), len(nodes), 3))
-    for c in range(len(fields)):
-        for a in range(fields.shape[1]):
-            for i in range(3):
-                x, row = fields[c, a, i], C[3 * a + i]
-                if x != 0.0:
-                    for b in range(len(nodes)):
-                        for j in range(3):
-                            out[c, b, j] += x * row[3 * nodes[b] + j]
-    return out
 
 
 def _reference_by_position(start: Start, R) -> np.ndarray:

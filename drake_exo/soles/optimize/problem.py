@@ -90,6 +90,7 @@ class ShapeProblem:
 
     def __post_init__(self):
         self.M, self.s0 = self.spline.basis(self.mesh.nodes)
+        self._sole = Sole(self.mesh, self.material, self.element)
         self.picked, by_tr, by_rot = sample_weights(
             self.load, self.samples, self.fraction
         )
@@ -150,7 +151,7 @@ class ShapeProblem:
         mesh = self.deformed(p)
         if self.stretch(p).min() <= 0 or mesh.volumes.min() <= 0:
             return None
-        sole = Sole(mesh, self.material, self.element)
+        sole = self._sole.with_nodes(mesh.nodes)
         solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
         history = simulate(
             solver,
@@ -164,6 +165,7 @@ class ShapeProblem:
         if touches_elsewhere(sole, self.law, history):
             # From here on all bare nodes may touch, in every design.
             self.mesh, self.branch = self.mesh.touching_everywhere(), None
+            self._sole = replace(self._sole, mesh=self.mesh)
             return self._simulate(p)
         return Evaluation(
             p,
@@ -305,29 +307,32 @@ def sample_weights(load: Load, samples: int | None, fraction: float):
 def thinned(total: int, samples: int | None, fraction: float):
     """Which samples to simulate and what each counts in the sums.
 
-    Heel strike and the rest are thinned alike, at least four samples of
-    heel strike stay; weights make the sums those of all samples.
+    A third of them in heel strike, whose stiffness changes most from sample to
+    sample; what lies between two counts as linear in time.
 
     Returns:
         picked (k,), weights in c_tr (k,), weights in c_rot (k,).
     """
     strike = stiffness.heel_strike_count(total, fraction)
-    if samples is None or samples >= total:
-        picked = np.arange(total)
-    else:
-        first = min(strike, max(4, round(samples * fraction)))
-        rest = max(2, samples - first)
-        picked = np.concatenate(
-            [
-                np.linspace(0, strike - 1, first).round().astype(int),
-                np.linspace(strike, total - 1, rest).round().astype(int),
-            ]
-        )
-        picked = np.unique(picked)
-    early = picked < strike
-    by_tr = np.where(early, strike / max(early.sum(), 1), 0.0)
-    late = (total - strike) / max((~early).sum(), 1)
-    return picked, by_tr, np.where(early, by_tr, late)
+    count = min(samples or total, total)
+    early = min(strike, max(4, round(count / 3)))
+    late = min(total - strike, max(2, count - early))
+    parts = [
+        _evenly(first, last, number)
+        for first, last, number in ((0, strike, early), (strike, total, late))
+    ]
+    picked, by_rot = map(np.concatenate, zip(*parts, strict=True))
+    return picked, np.where(picked < strike, by_rot, 0.0), by_rot
+
+
+def _evenly(first: int, last: int, number: int):
+    """So many of the samples of a range; what each counts for."""
+    picked = np.linspace(first, last - 1, number).round().astype(int)
+    hats = np.eye(number)
+    every = np.arange(first, last)
+    return picked, np.array(
+        [np.interp(every, picked, hat).sum() for hat in hats]
+    )
 
 
 def second_differences(spline: SphericalSpline):
