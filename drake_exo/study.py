@@ -49,6 +49,7 @@ from drake_exo.calibration.uncertainty import (
 from drake_exo.contact.parameters import (
     ContactModel,
     ContactParameter,
+    GroundContact,
     Posterior,
     nominal_contact,
 )
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from drake_exo.calibration.audit import Audit
+    from drake_exo.contact.reduction import SoleLaw
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,8 @@ class Study:
         foot_ground, interaction, prediction, design: settings of Phases A
             to D.
         filter: that the trials' signals went through.
+        sole: law of what the feet wear; without it, their contact is
+            calibrated.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(2, nodes_per_second=40)
@@ -122,8 +126,10 @@ class Study:
         prediction: PredictionSettings | None = None,
         design: DesignSettings | None = None,
         filter: Filter | None = None,
+        sole: SoleLaw | None = None,
     ):
         self.model = model
+        self.sole = sole
         self.name = name
         self.foot_ground = foot_ground or FootGroundSettings()
         self.interaction = interaction or InteractionSettings()
@@ -158,7 +164,15 @@ class Study:
             prediction=self.prediction,
             design=self.design,
             filter=self.filter,
+            sole=self.sole,
         )
+
+    @property
+    def ground(self) -> GroundContact | None:
+        """Contact of the feet, where a sole's law says it."""
+        if self.sole is None:
+            return None
+        return self.sole.ground(self.model, self.foot_ground.sole_at_m)
 
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
         """Whether recordings can be what the study takes them for.
@@ -208,6 +222,13 @@ class RecordedStudy(Study):
         self.prediction = file.prediction
         self.design = file.design
         self.filter = file.filter
+        self.sole = None
+        if self.foot_ground.of_sole:
+            # SciPy's optimiser takes a moment to load.
+            from drake_exo.contact.reduction import SoleLaw
+
+            self.sole = SoleLaw.read(root / self.foot_ground.law)
+            self.sole.check_worn(file.assembly.human)
         self._loaded: dict[str, Trial] = {}
 
     @cached_property
@@ -553,6 +574,9 @@ def calibrate_foot_ground(
 ) -> Calibration:
     """Phase A: the contact of foot and ground, from several trials at once.
 
+    Of a study whose feet wear a sole it is known: movement and forces that
+    agree with it are found, no parameter.
+
     Args:
         study: says the settings.
         trials: to calibrate with; those for calibration by default.
@@ -572,7 +596,11 @@ def calibrate_foot_ground(
 
     def pose(refined):
         return FootGroundCalibration(
-            study.model, trials, study.foot_ground, refined=refined
+            study.model,
+            trials,
+            study.foot_ground,
+            ground=study.ground,
+            refined=refined,
         )
 
     result = solve(pose, "calibrate foot-ground", folder, resume)
@@ -638,7 +666,8 @@ def predict(
     Args:
         study: says the settings.
         trial: whose ends are given; it is compared with, not tracked.
-        contact: calibrated, of foot and ground and of the cuffs.
+        contact: calibrated, of foot and ground and of the cuffs; of the cuffs
+            alone where the study's feet wear a sole.
         settings: instead of the study's.
         scale_interaction: of the cuffs' stiffness and damping; 1.4 is Phase
             C2.
@@ -661,6 +690,8 @@ def predict(
     """
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
     scaled = contact_of(contact).scaled(scale_interaction)
+    if study.sole is not None:
+        scaled = replace(scaled, ground=study.ground)
 
     def pose(refined):
         return PredictionProblem(

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.study import StudyFile, read_study
@@ -62,3 +63,32 @@ def test_data_root_must_be_a_folder(tmp_path):
 )
 def test_refuses(old, new, words, tmp_path):
     assert words in refusal(old, new, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("section", "law", "words"),
+    [
+        ("{law: nowhere.yaml}", None, "nowhere.yaml: cannot be read"),
+        ("{law: simbdy}", None, "simbody, paper or a .yaml"),
+        ("{law: law.yaml, prior_weight: -1}", None, "prior_weight"),
+        ("{law: law.yaml, constants: {static_friction: 1}}", None, "constants"),
+        ("{sole_at_m: [0, 0]}", None, "sole_at_m"),
+        ("{law: law.yaml}", "size_m: [0.3, 0.1, 0.0]", "above 0"),
+        ("{law: law.yaml}", "size_m: [0.3, 0.1, 0.03]", "'spheres'"),
+        (
+            "{law: law.yaml}",
+            "size_m: [0.3, 0.1, 0.03]\nspheres: {a: {modulus_n_m2: 1e7}}",
+            "--spheres 2",
+        ),
+        ("{law: law.yaml}", "spheres: [", "not valid YAML"),
+    ],
+)
+def test_a_law_that_is_none_is_refused(section, law, words, tmp_path, capsys):
+    path = tmp_path / "study.yaml"
+    head, _, _ = STUDY.read_text("utf-8").partition("\nfoot_ground:")
+    path.write_text(head + f"\nfoot_ground: {section}\n", encoding="utf-8")
+    if law is not None:
+        (tmp_path / "law.yaml").write_text(law, encoding="utf-8")
+    assert main(["check", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1

@@ -12,10 +12,15 @@ from drake_exo.calibration.problem import (
     PhaseProblem,
     ground_terms,
     kinematic_terms,
+    typical_jerk,
 )
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.collocation.trial_program import TrialProgram, minimised
-from drake_exo.contact.parameters import ContactParameter
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactParameter,
+    GroundContact,
+)
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 
@@ -28,6 +33,7 @@ class FootGroundCalibration(PhaseProblem):
         trials: measured.
         settings: noise, bounds, grid.
         parameters: to calibrate; those of the settings by default.
+        ground: contact that is known, of a sole; then there are none.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
@@ -43,16 +49,18 @@ class FootGroundCalibration(PhaseProblem):
         settings: FootGroundSettings | None = None,
         parameters: list[ContactParameter] | None = None,
         *,
+        ground: GroundContact | None = None,
         refined: Mapping[str, int] | None = None,
     ):
         settings = settings or FootGroundSettings()
+        if ground is None:
+            contact = settings.contact(model.spheres)
+            parameters = parameters or settings.parameters(model.spheres)
+        else:
+            contact = ContactModel(ground, jerk=typical_jerk(trials))
+            parameters = []
         super().__init__(
-            model,
-            trials,
-            settings.contact(model.spheres),
-            parameters or settings.parameters(model.spheres),
-            settings,
-            refined=refined,
+            model, trials, contact, parameters, settings, refined=refined
         )
 
     def _add(self, trial: Trial) -> TrialProgram:

@@ -630,6 +630,8 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
         ("spheres", contact.ground.spheres, model.spheres),
         ("cuffs", contact.bushings, model.tree.cuffs),
     ):
+        if what == "spheres" and contact.ground.of_sole:
+            continue
         if not set(own) <= set(known) or (what == "spheres" and len(own) < 2):
             raise InputError(
                 f"the contact has the {what} {', '.join(own) or 'none'}, the "

@@ -140,6 +140,7 @@ class _Stored:
         posterior: how sure a calibration was; None where none was.
         jerk: typical of what it was calibrated on.
         origin: of the calibration; None where it is not known.
+        of_sole: whether the spheres stand for a sole.
     """
 
     law: Literal["simbody", "paper"]
@@ -151,6 +152,7 @@ class _Stored:
     posterior: _StoredPosterior | None = None
     jerk: float = field(default=TYPICAL_JERK, metadata={"above": 0.0})
     origin: Origin | None = None
+    of_sole: bool = False
 
     def __post_init__(self):
         settings = FootGroundSettings(self.law, self.constants)
@@ -174,7 +176,9 @@ class _Stored:
             )
             for c in cuffs
         }
-        contact = GroundContact(self.law, ground, settings.law_constants())
+        contact = GroundContact(
+            self.law, ground, settings.law_constants(), self.of_sole
+        )
         object.__setattr__(
             self,
             "contact",
@@ -228,6 +232,8 @@ def write_contact(
     if contact.posterior is not None:
         stored["posterior"] = asdict(contact.posterior)
     stored["jerk"] = contact.jerk
+    if contact.ground.of_sole:
+        stored["of_sole"] = True
     if origin is not None:
         stored["origin"] = origin
     write_json(folder / PARAMETERS, stored)
@@ -248,12 +254,17 @@ class StoredCalibration:
     origin: Origin | None
 
     def checks(
-        self, subject: str, model: Model, law: str, trials: Sequence[Trial] = ()
+        self,
+        subject: str,
+        model: Model,
+        law: str | None,
+        trials: Sequence[Trial] = (),
     ) -> list[Check]:
         """Whether it holds, and belongs to a study: "provenance".
 
         Args:
-            subject, model, law: of the study.
+            subject, model, law: of the study; no law where a sole's replaces
+                what was calibrated.
             trials: that it is to be used for.
         """
         made_of, where = self.origin, self.folder.name
@@ -294,7 +305,7 @@ class StoredCalibration:
             ),
             check(
                 "law",
-                self.contact.ground.law == law,
+                law is None or self.contact.ground.law == law,
                 f"its foot-ground law is {self.contact.ground.law!r}, the "
                 f"study's {law!r}",
             ),

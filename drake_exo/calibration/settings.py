@@ -1,7 +1,8 @@
 """Settings of the calibration phases, as they stand in a study file."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from math import log
+from pathlib import Path
 from typing import Literal
 
 from drake_exo.calibration.error_model import ErrorSizes
@@ -221,19 +222,24 @@ class FootGroundSettings:
     """Phase A.
 
     Attributes:
-        law: "simbody" or "paper". The paper's friction has zero slope at
-            zero slip, which slows an optimiser down.
+        law: "simbody" or "paper" (whose friction has zero slope at zero
+            slip, which slows an optimiser down); or a file of
+            `drake-exo sole reduce`: the feet then wear that sole, and nothing
+            of it is calibrated.
         constants: friction and smoothing constants of the law by name.
         spheres: of those that the model's `ground` names otherwise.
         prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
         front: factors on the noise of forces and centre of pressure, for
             the Pareto front of kinematics against forces.
+        sole_at_m: with a sole's law, place (x, z) of the sole's frame in the
+            foot's; left out, the sole lies in the middle of the foot's own
+            spheres, its bottom on the floor of the standing trial.
 
     >>> FootGroundSettings(law="paper").law_constants().static_friction
     0.8
     """
 
-    law: Literal["simbody", "paper"] = "simbody"
+    law: Literal["simbody", "paper"] | Path = "simbody"
     constants: dict[str, float] = field(default_factory=dict)
     heel: SphereSettings = SphereSettings()
     toe: SphereSettings = SphereSettings()
@@ -243,6 +249,32 @@ class FootGroundSettings:
     prior_weight: float = field(default=0.01, metadata={"minimum": 0.0})
     front: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
     solver: Solver = Solver()
+    sole_at_m: tuple[float, float] | None = field(
+        default=None, metadata={"unit": "m"}
+    )
+
+    def __post_init__(self):
+        if self.of_sole:
+            if self.law.suffix not in (".yaml", ".yml"):
+                raise InputError(
+                    f"law is {str(self.law)!r}; give simbody, paper or a .yaml "
+                    "file of 'drake-exo sole reduce'"
+                )
+            usual = {f.name: f for f in fields(self)}
+            own = ("constants", "heel", "toe", "spheres")
+            given = [k for k in own if getattr(self, k) != _default(usual[k])]
+            if given:
+                raise InputError(
+                    f"{given[0]} belongs to calibrated spheres, and {self.law} "
+                    "has its own; leave one of them out"
+                )
+        elif self.sole_at_m is not None:
+            raise InputError("sole_at_m belongs to a law of a sole; give law")
+
+    @property
+    def of_sole(self) -> bool:
+        """Whether the law is a sole's, from a file."""
+        return isinstance(self.law, Path)
 
     def law_constants(self) -> Constants:
         """Constants of the law.
@@ -251,7 +283,7 @@ class FootGroundSettings:
             InputError: a name that the law does not have, or a value out of
                 its bounds.
         """
-        law = LAWS[self.law]
+        law = LAWS["simbody" if self.of_sole else self.law]
         known = {f.name: f.metadata for f in fields(law)}
         for name, value in self.constants.items():
             if name not in known:
@@ -298,6 +330,10 @@ class FootGroundSettings:
                 self.law_constants(),
             )
         )
+
+
+def _default(f: Field):
+    return f.default if f.default is not MISSING else f.default_factory()
 
 
 def _placed(name, spread, model, prior_sd=None):

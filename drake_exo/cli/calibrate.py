@@ -7,6 +7,7 @@ foot_ground) and then the interaction of human and exoskeleton (Phase B).
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from drake_exo.calibration.interaction import (
@@ -132,7 +133,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"{args.out} is complete; nothing to resume")
             return done.exit_code
         if only_foot:
-            front = not args.no_front and bool(study.foot_ground.front)
+            front = not (args.no_front or study.sole)
+            front = front and bool(study.foot_ground.front)
             code = write_foot_ground(
                 study, out, args.resume, front, checks, args.accept
             )
@@ -160,7 +162,10 @@ def usable(
     """
     found = read_calibration(folder)
     checks = found.checks(
-        study.name, study.model, study.foot_ground.law, trials
+        study.name,
+        study.model,
+        None if study.sole else study.foot_ground.law,
+        trials,
     )
     refused = Verdict(tuple(checks), tuple(accepted)).refused
     if refused:
@@ -170,7 +175,9 @@ def usable(
             f"{folder}: is refused: {why}. Give a calibration of this study "
             f"that holds, or {options}"
         )
-    return found.contact, checks
+    if study.sole is None:
+        return found.contact, checks
+    return replace(found.contact, ground=study.ground), checks
 
 
 def write_foot_ground(

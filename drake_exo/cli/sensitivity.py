@@ -16,6 +16,7 @@ from drake_exo.calibration.uncertainty import (
 )
 from drake_exo.cli.calibrate import report_failure
 from drake_exo.cli.options import add_accept
+from drake_exo.errors import InputError
 from drake_exo.files.output import (
     Progress,
     prepare_output_folder,
@@ -43,6 +44,11 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Solve, analyse, print and write sensitivity.json."""
     study = read_study(args.study, args.data_root)
+    if study.sole is not None:
+        raise InputError(
+            f"{args.study}: the law of a sole has no parameters to look at; "
+            "give foot_ground.law: simbody"
+        )
     plausible = study.gate("calibration", args.accept)
     with prepare_output_folder(args.out, args.force) as out:
         calibrated = calibrate_foot_ground(study)

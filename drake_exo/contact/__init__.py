@@ -12,6 +12,7 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
         "controllers": ["AssistController", "TrackingController"],
         "hunt_crossley": ["paper_stiffness", "sphere_force"],
         "parameters": ["ContactSphere", "GroundContact"],
+        "reduction": ["SoleLaw"],
         "systems": ["FootGroundContact", "HumanExoskeletonBushings"],
     },
 )

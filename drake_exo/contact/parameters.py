@@ -120,6 +120,9 @@ SPHERE_PARAMETERS = tuple(f.name for f in fields(ContactSphere))
 class GroundContact:
     """Law, constants (the law's defaults if None) and spheres by name.
 
+    Those `of_sole` stand for a sole, which lies under every foot of a model
+    whatever spheres that names.
+
     >>> heel = ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032)
     >>> GroundContact("simbody", {"heel": heel}).checked().constants
     ... # doctest: +ELLIPSIS
@@ -129,6 +132,7 @@ class GroundContact:
     law: Law
     spheres: dict[str, ContactSphere]
     constants: Constants | None = None
+    of_sole: bool = False
 
     def checked(self) -> "GroundContact":
         """The same with constants filled in.
@@ -143,7 +147,7 @@ class GroundContact:
         for name, sphere in self.spheres.items():
             check_fields(sphere, f"contact sphere '{name}'")
         check_fields(constants, f"constants of contact law '{self.law}'")
-        return GroundContact(self.law, dict(self.spheres), constants)
+        return replace(self, spheres=dict(self.spheres), constants=constants)
 
     def under(self, model: Model) -> "dict[str, GroundContact]":
         """Segment that touches the ground -> the contact of its spheres.
@@ -151,6 +155,9 @@ class GroundContact:
         Segments may have spheres of one name, which share their parameters;
         where one segment touches, all spheres are its own.
         """
+        if self.of_sole:
+            person = model.assembly.human
+            return {f"foot{end}": self for end in person.suffixes}
         if len(model.soles) == 1:
             return dict.fromkeys(model.soles, self)
         return {

@@ -6,16 +6,24 @@ to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
 sole that sticks remembers where it stood, which a law of the velocity does not.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import MISSING, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_force
-from drake_exo.contact.parameters import NOMINAL_DISSIPATION
+from drake_exo.contact.parameters import (
+    NOMINAL_DISSIPATION,
+    ContactSphere,
+    GroundContact,
+)
 from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.model.assembly import Person
+from drake_exo.model.plant import Model
+from drake_exo.model.segments import CONTACT_RADIUS_M
 
-_RADIUS_M = 0.032
 _USUAL_DEPTH_M = 0.01  # for which the law's smoothing constants are
 _LOADED = 0.1  # of the largest force: where a centre of pressure counts
 _FORCE, _COP_M = 0.03, 0.002  # errors of weight one: of F_max, and [m]
@@ -73,6 +81,126 @@ def softened(share: float) -> SimbodyConstants:
     )
 
 
+def _metres(default=MISSING, **bounds):
+    return field(default=default, metadata={"unit": "m", **bounds})
+
+
+@dataclass(frozen=True)
+class SoleSphere:
+    """One sphere of a sole's law.
+
+    Attributes:
+        modulus_n_m2: plane-strain modulus, of one sole [N/m²].
+        modulus_factor_95: its 95 % interval reaches so many times up and down.
+        dissipation_s_m: not fitted.
+        radius_m: of the sphere.
+        x_m, y_m, z_m: centre in the sole's frame.
+        x_m_95, y_m_95, z_m_95: half-widths of 95 %.
+    """
+
+    modulus_n_m2: float = field(metadata={"unit": "N/m^2", "above": 0.0})
+    modulus_factor_95: float = field(default=1.0, metadata={"minimum": 1.0})
+    dissipation_s_m: float = field(
+        default=NOMINAL_DISSIPATION, metadata={"unit": "s/m", "minimum": 0.0}
+    )
+    radius_m: float = _metres(CONTACT_RADIUS_M, above=0.0)
+    x_m: float = _metres(0.0)
+    x_m_95: float = _metres(0.0, minimum=0.0)
+    y_m: float = _metres(0.0)
+    y_m_95: float = _metres(0.0, minimum=0.0)
+    z_m: float = _metres(0.0)
+    z_m_95: float = _metres(0.0, minimum=0.0)
+
+
+@dataclass(frozen=True)
+class SoleLaw:
+    """A sole as spheres of the law "simbody": what law.yaml holds.
+
+    Attributes:
+        size_m: length, width and depth of the sole below its frame [m].
+        spheres: by name, of one sole, in its frame.
+        constants: of the law.
+        planar: whether fitted in the plane alone.
+        force_error_rms: over the largest force.
+        cop_error_rms_m: of the centre of pressure where loaded.
+
+    >>> from drake_exo.model.plant import nominal_model
+    >>> two = {"heel": SoleSphere(2e7, x_m=-0.1, z_m=0.01),
+    ...        "ball": SoleSphere(3e7, x_m=0.1, z_m=0.01)}
+    >>> law = SoleLaw((0.26, 0.1, 0.022), two)
+    >>> ground = law.ground(nominal_model("human"))
+    >>> round(ground.spheres["ball"].x - ground.spheres["heel"].x, 6)
+    0.2
+    """
+
+    size_m: tuple[float, float, float] = _metres(above=0.0)
+    spheres: dict[str, SoleSphere]
+    constants: SimbodyConstants = field(default_factory=SimbodyConstants)
+    planar: bool = False
+    force_error_rms: float = 0.0
+    cop_error_rms_m: float = _metres(0.0)
+
+    def __post_init__(self):
+        if len(self.spheres) < 2:
+            raise InputError(
+                "spheres: a foot rolls over one alone; reduce with --spheres 2 "
+                "or more"
+            )
+        for name in self.spheres:
+            if "." in name or not name.strip():
+                raise InputError(f"spheres: {name!r} is no name; rename it")
+
+    @staticmethod
+    def read(path: str | Path) -> "SoleLaw":
+        """Read what `drake-exo sole reduce` wrote.
+
+        Raises:
+            InputError: with file, line and key.
+        """
+        return schema.load(path, SoleLaw)
+
+    def check_worn(self, person: Person) -> None:
+        """Refuse a person whose toes bend."""
+        if person.toes != "rigid":
+            raise InputError(
+                "foot_ground.law: the law of a sole is that of a rigid foot; "
+                "set model.human.toes to rigid"
+            )
+
+    def ground(
+        self, model: Model, at_m: tuple[float, float] | None = None
+    ) -> GroundContact:
+        """The contact of feet that wear it.
+
+        Args:
+            model: with toes that do not bend. Its one leg stands for two,
+                which wear two soles.
+            at_m: the sole frame's origin (x, z) in the foot [m]; by default
+                the sole lies in the middle of the foot's own spheres, its
+                bottom on the floor of the standing trial.
+
+        Raises:
+            InputError: toes are hinged.
+        """
+        self.check_worn(model.assembly.human)
+        if at_m is None:
+            x = [x for x, _ in model.spheres.values()]
+            floor = -model.human.ankle_height_m
+            at_m = 0.5 * (min(x) + max(x)), floor + self.size_m[2]
+        soles = 1 if model.assembly.human.sides else 2
+        spheres = {
+            name: ContactSphere(
+                soles * s.modulus_n_m2,
+                s.dissipation_s_m,
+                float(at_m[0] + s.x_m),
+                float(at_m[1] + s.z_m),
+                s.radius_m,
+            )
+            for name, s in self.spheres.items()
+        }
+        return GroundContact("simbody", spheres, self.constants, True).checked()
+
+
 @dataclass(frozen=True)
 class Reduction:
     """Fitted spheres and how near they are.
@@ -82,7 +210,6 @@ class Reduction:
         planar: whether y and roll were left out.
         stiffness: plane-strain modulus of each [N/m²], (S,).
         place: of each centre in the sole frame [m], (S, 3).
-        radius: of all [m].
         constants: of the law.
         interval: half-widths of 95 % of log stiffness and place, (S, 4).
         force: of the spheres, upwards [N], (N,).
@@ -93,7 +220,6 @@ class Reduction:
     planar: bool
     stiffness: np.ndarray
     place: np.ndarray
-    radius: float
     constants: SimbodyConstants
     interval: np.ndarray
     force: np.ndarray
@@ -131,44 +257,35 @@ class Reduction:
             columns["cop_y_spheres_m"] = self.cop[:, 1]
         return columns | {"loaded": mine.loaded.astype(int)}
 
-    def law(self) -> dict:
+    def law(self) -> "SoleLaw":
         """What law.yaml says: spheres in the sole's frame."""
-        names = ("x_m", "y_m", "z_m")
         spheres = {}
         for k, (E, place, half) in enumerate(
             zip(self.stiffness, self.place, self.interval, strict=True)
         ):
-            sphere = {
-                "modulus_n_m2": float(E),
-                "modulus_factor_95": float(np.exp(half[0])),
-                "dissipation_s_m": NOMINAL_DISSIPATION,
-                "radius_m": float(self.radius),
-            }
-            for name, value, width in zip(names, place, half[1:], strict=True):
-                if not (self.planar and name == "y_m"):
-                    sphere[name] = float(value)
-                    sphere[f"{name}_95"] = float(width)
-            spheres[f"sphere{k + 1}"] = sphere
-        return {
-            "law": "simbody",
-            "frame": "sole",
-            "planar": self.planar,
-            "constants": {
-                name: float(value)
-                for name, value in asdict(self.constants).items()
-            },
-            "spheres": spheres,
-            "force_error_rms": self.force_error,
-            "cop_error_rms_m": self.cop_error,
-        }
+            where = zip(("x_m", "y_m", "z_m"), place, half[1:], strict=True)
+            at = {}
+            for name, value, width in where:
+                at |= {name: float(value), f"{name}_95": float(width)}
+            spheres[f"sphere{k + 1}"] = SoleSphere(
+                float(E), float(np.exp(half[0])), **at
+            )
+        return SoleLaw(
+            tuple(float(x) for x in self.samples.size),
+            spheres,
+            self.constants,
+            self.planar,
+            self.force_error,
+            self.cop_error,
+        )
 
 
-def forces(samples: Samples, stiffness, place, radius, constants):
+def forces(samples: Samples, stiffness, place, constants):
     """Upward force of every sphere at every pose at rest, and its place.
 
     Args:
         samples: the poses.
-        stiffness, place, radius, constants: as in `Reduction`.
+        stiffness, place, constants: as in `Reduction`.
 
     Returns:
         Forces [N] (N, S), centres in the world [m] (N, S, 3).
@@ -179,12 +296,12 @@ def forces(samples: Samples, stiffness, place, radius, constants):
     zero = np.zeros(centre.shape[:2])
     normal, _ = sphere_force(
         "simbody",
-        radius - centre[..., 2],
+        CONTACT_RADIUS_M - centre[..., 2],
         zero,
         zero,
         stiffness,
         0.0,
-        radius,
+        CONTACT_RADIUS_M,
         constants,
     )
     return normal, centre
@@ -211,7 +328,7 @@ def reduce_sole(
         InputError: fewer samples than unknowns.
     """
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
-    unknowns = spheres * len(columns) + 2
+    unknowns = spheres * len(columns) + 1
     if (2 if planar else 3) * len(samples.force) < unknowns:
         raise InputError(
             f"{len(samples.force)} samples do not tell {unknowns} unknowns of "
@@ -223,12 +340,11 @@ def reduce_sole(
     scale = np.array([1.0, *(0.1 * samples.size[:2]), 1e-3])
 
     def unpacked(u):
-        radius, share = np.exp(u[:2])
         full = np.zeros((spheres, 4))
-        full[:, columns] = u[2:].reshape(spheres, -1)
+        full[:, columns] = u[1:].reshape(spheres, -1)
         full = full * scale
-        place = full[:, 1:] + [0, 0, radius - samples.size[2]]
-        return np.exp(full[:, 0]), place, radius, softened(share)
+        place = full[:, 1:] + [0, 0, CONTACT_RADIUS_M - samples.size[2]]
+        return np.exp(full[:, 0]), place, softened(float(np.exp(u[0])))
 
     def residuals(u):
         total, cop = _combined(*forces(samples, *unpacked(u)))
@@ -240,8 +356,8 @@ def reduce_sole(
 
     low = np.tile([np.log(_LOWER_N_M2), -6.0, -6.0, -20.0], (spheres, 1))
     high = np.tile([np.log(_UPPER_N_M2), 6.0, 6.0, 20.0], (spheres, 1))
-    low = np.r_[np.log([0.005, 0.003]), low[:, columns].ravel()]
-    high = np.r_[np.log([2.0, 1.0]), high[:, columns].ravel()]
+    low = np.r_[np.log(0.003), low[:, columns].ravel()]
+    high = np.r_[np.log(1.0), high[:, columns].ravel()]
     best = None
     for guess in _guesses(spheres, columns, samples.depth):
         found = least_squares(
@@ -281,25 +397,24 @@ def _guesses(spheres: int, columns, depth: float):
         log_E = np.log([1e6, 1e7, 1e8][k % 3]) * np.ones(spheres)
         full = np.stack([log_E, x, y, np.zeros(spheres)], axis=1)
         full[:, 1:3] += 0.7 * rng.standard_normal((spheres, 2))
-        shared = np.log([_RADIUS_M, min(depth / _USUAL_DEPTH_M, 0.9)])
-        yield np.r_[shared, full[:, columns].ravel()]
+        share = np.log(min(depth / _USUAL_DEPTH_M, 0.9))
+        yield np.r_[share, full[:, columns].ravel()]
 
 
 def _reduction(samples, planar, best, found, columns, scale) -> Reduction:
-    stiffness, place, radius, constants = found
+    stiffness, place, constants = found
     spare = max(len(best.fun) - len(best.x), 1)
     # Gauss–Newton's covariance, the residuals' own scatter as the noise.
     information = best.jac.T @ best.jac
     covariance = np.linalg.pinv(information) * 2 * best.cost / spare
     half = np.zeros((len(stiffness), 4))
-    sd = np.sqrt(np.diag(covariance))[2:]
+    sd = np.sqrt(np.diag(covariance))[1:]
     half[:, columns] = sd.reshape(len(stiffness), -1)
     return Reduction(
         samples,
         planar,
         stiffness,
         place,
-        float(radius),
         constants,
         _SD * half * scale,
         *_combined(*forces(samples, *found)),

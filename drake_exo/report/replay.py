@@ -47,6 +47,9 @@ class DrawnModel:
     def __init__(self, model: Model, contact: ContactModel | None = None):
         self.tree = model.tree
         self.soles = model.soles
+        if contact is not None:
+            under = contact.ground.under(model)
+            self.soles = {body: own.spheres for body, own in under.items()}
         self._paths = _paths(model)
         self._hip = ("pelvis", 0.0)
         if model.tree.root != "pelvis":
@@ -346,7 +349,7 @@ def _spheres(trial: Replayed) -> Iterator[tuple]:
         places = [
             y for y in _FEET_Y_M if not (left or right) or (y > 0.0) == left
         ]
-        for name in names if len(soles) > 1 else trial.spheres:
+        for name in names:
             path = f"{_SPHERES}/{name}"
             path += f"_{body}" if len(soles) > 1 else ""
             yield path, body, trial.spheres[name], places

@@ -1,11 +1,13 @@
 """The phases from Python, without a file: `import drake_exo as dx`."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import drake_exo as dx
+from drake_exo.contact.reduction import SoleLaw, SoleSphere
 from drake_exo.virtual_laboratory import synthetic
 
 pytestmark = pytest.mark.slow
@@ -204,3 +206,36 @@ def test_input_of_the_api_is_told(study, made):
         dx.Model("coupled", made.model.human)
     with pytest.raises(dx.InputError, match="there are no trials"):
         dx.calibrate_foot_ground(dx.Study(made.model, []))
+
+
+@pytest.fixture(scope="module")
+def worn(made, study):
+    """The same feet, as a sole's law says them."""
+    ground = made.contact.ground
+    spheres = {
+        f"of_{name}": SoleSphere(
+            0.5 * s.stiffness, 1.0, s.dissipation, s.radius, x_m=s.x, z_m=s.z
+        )
+        for name, s in ground.spheres.items()
+    }
+    law = SoleLaw((0.26, 0.1, 0.02), spheres, ground.constants)
+    settings = dx.FootGroundSettings(law=Path("law.yaml"), sole_at_m=(0.0, 0.0))
+    return dx.Study(made.model, made.trials, foot_ground=settings, sole=law)
+
+
+def test_a_sole_s_law_predicts_as_its_spheres_do(worn, cuffs, found):
+    ours = dx.predict(worn, worn.trials()[0], cuffs)
+    assert ours.success
+    np.testing.assert_allclose(ours.q, found.q, atol=1e-6)
+    np.testing.assert_allclose(
+        ours.ground.array, found.ground.array, atol=1e-3, rtol=1e-4
+    )
+
+
+def test_with_a_sole_nothing_of_the_feet_is_calibrated(worn, tmp_path):
+    ours = dx.calibrate_foot_ground(worn)
+    assert ours.success and ours.parameters == []
+    assert ours.uncertainty() is None
+    ours.write(tmp_path)
+    again = dx.read_contact(tmp_path)
+    assert again.ground.of_sole and again.ground == worn.ground
