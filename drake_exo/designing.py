@@ -20,18 +20,23 @@ from drake_exo.calibration.design import (
     DesignProblem,
     DesignResult,
     Variable,
-    Wearer,
     design_of,
     device_work,
-    drawn,
     norm_of,
     works,
 )
 from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.interaction import check_has_cuffs
-from drake_exo.calibration.own_movement import OwnMovement, assisted
 from drake_exo.calibration.results import solve_summary, write_contact
+from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.calibration.solving import SolveWatch
+from drake_exo.calibration.wearers import (
+    OwnMovement,
+    Wearer,
+    assisted,
+    drawn,
+    sized,
+)
 from drake_exo.contact.bushing import (
     NORMAL,
     ROTATION,
@@ -141,6 +146,13 @@ class Designed:
     def design(self) -> Design:
         """What is to be built; raises SealedSolutionError likewise."""
         return self.found.design
+
+    @property
+    def first(self) -> tuple[Wearer, list[Moved]]:
+        """The first wearer, and its movements on today's cuffs."""
+        name, moved = next(iter(self.before.items()))
+        wearers = self.found.problem.wearers
+        return next(w for w in wearers if w.name == name), moved
 
     @cached_property
     def peaks(self) -> dict[str, Peak]:
@@ -255,6 +267,22 @@ class Designed:
                 }
             rows.append(row)
         return rows
+
+    def wearers(self) -> dict[str, dict[str, float]]:
+        """Wearer -> norm of what it feels today and on the design [N].
+
+        As the program has it, of drawn and sized ones, too.
+        """
+        design = self.design
+        return {
+            name: {
+                "before": norm_of(today.trials, self.settings),
+                "after": norm_of(
+                    self.found.wearers[name].trials, self.settings, design
+                ),
+            }
+            for name, today in self.today.wearers.items()
+        }
 
     def _deflection(self, cuff: str, what: str, moved) -> np.ndarray:
         """The largest (3,) of all wearers' [m, m, rad]."""
@@ -431,7 +459,10 @@ class Designed:
         }
         if not self.success:
             return found
+        first, *others = self.before.items()
+        name, moved = first
         return found | {
+            "trials": [_label(m.trial, name if others else "") for m in moved],
             "response": self.settings.response,
             "peaks_n": {c: asdict(p) for c, p in self.peaks.items()},
             "support": self.support,
@@ -441,6 +472,7 @@ class Designed:
                 "forecast": self._forecast_norm(),
             },
             "felt": self.felt(),
+            "wearers_n": self.wearers(),
             "variables": self.variables(),
             "parts": self.parts,
             "extrapolated": bool(
@@ -491,6 +523,10 @@ class Designed:
             f"work of the device {s['before']:.1f} J today, "
             f"{s['after']:.1f} J on the design; the person moves {how}"
         )
+        if len(self.found.wearers) > len(self.before):
+            rows = [[k, *v.values()] for k, v in self.wearers().items()]
+            header = ["norm of forces [N]", "today", "design"]
+            parts.append(format_table(header, rows, 1))
         if self.parts:
             parts.append(
                 format_table(
@@ -526,11 +562,7 @@ class Designed:
             (folder / "design.txt").write_text(text + "\n", encoding="utf-8")
             for name, draw in design_figures.FIGURES.items():
                 save_figure(folder / name, draw(self))
-            first = next(iter(self.before))
-            moved = self.before[first]
-            (wearer,) = (
-                w for w in self.found.problem.wearers if w.name == first
-            )
+            wearer, moved = self.first
             write_inputs(folder, wearer.model, [m.measured for m in moved])
             write_contact(folder, self.design.contact(wearer.contact))
             text = device_sdf(wearer.model, self.design)
@@ -539,9 +571,8 @@ class Designed:
             for what in ("before", "after"):
                 for name, movements in getattr(self, what).items():
                     for m in movements:
-                        label = m.trial.name
-                        if len(self.before) > 1:
-                            label = f"{name}_{label}"
+                        who = name if len(self.before) > 1 else ""
+                        label = _label(m.trial, who)
                         m.trial.save(folder / f"{what}_{label}")
         write_json(folder / "summary.json", self.summary(accepted))
         return verdict
@@ -602,11 +633,7 @@ def design(
                 name, own.model, contact, tuple(m.trial for m in before[name])
             )
         )
-    everybody = [
-        w
-        for own in wearers
-        for w in (own, *drawn(own, settings.draws, settings.seed))
-    ]
+    everybody = [w for own in wearers for w in _wearers(own, settings)]
     today = DesignProblem(everybody, settings, held=True).solve(
         on_iterate=SolveWatch("today")
     )
@@ -624,6 +651,15 @@ def design(
     if parts:
         made = replace(made, parts=_parts(made))
     return made
+
+
+def _wearers(own: Wearer, settings: DesignSettings) -> list[Wearer]:
+    """A calibrated wearer, and those that it stands for."""
+    found = [own, *drawn(own, settings.draws, settings.seed)]
+    if settings.population is not None:
+        phase = PredictionSettings(solver=settings.solver, guess="data")
+        found += sized(own, settings.population, phase)
+    return found
 
 
 def _names(studies: Sequence[Study]) -> list[str]:
@@ -738,6 +774,11 @@ def front(
             }
         )
     return [row for row in rows if row["success"]]
+
+
+def _label(trial: Trial, who: str) -> str:
+    """What a trial's file is called; of several wearers, with the name."""
+    return f"{who}_{trial.name}" if who else trial.name
 
 
 def _largest(trial: Trial, cuff: str) -> float:

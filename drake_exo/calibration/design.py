@@ -20,13 +20,17 @@ from drake_exo.calibration.design_settings import (
     DesignSettings,
     JointFreedom,
 )
-from drake_exo.calibration.own_movement import own_kinematics
 from drake_exo.calibration.problem import (
     PhaseProblem,
     bound_feet,
     ground_terms,
 )
 from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
+from drake_exo.calibration.wearers import (
+    Wearer,
+    check_wearers,
+    own_kinematics,
+)
 from drake_exo.collocation.design_kernels import (
     AssistanceKernel,
     CuffKernel,
@@ -39,7 +43,7 @@ from drake_exo.collocation.design_kernels import (
 )
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
-from drake_exo.contact.parameters import TYPICAL_JERK, ContactModel
+from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     BY_AREA,
     STRAPS,
@@ -48,9 +52,10 @@ from drake_exo.contact.strap import (
     Design,
     JointDesign,
     hats,
+    links_above,
     movable,
+    weight_above,
 )
-from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
@@ -70,26 +75,6 @@ _OFFSETS = ("across_m", "along_m")
 _NUM_PLACES = 2 + len(_PRELOADS)
 # What the name of a factor on a joint's torque begins with.
 _FACTOR = "factor_at_"
-
-
-@dataclass(frozen=True)
-class Wearer:
-    """Somebody who wears the design.
-
-    Attributes:
-        name: unique.
-        model: subject and device.
-        contact: of today's cuffs.
-        trials: own movements on them, solved (`OwnMovement`).
-        is_drawn: whether drawn from a posterior: then a limit that is not
-            kept today need not be kept.
-    """
-
-    name: str
-    model: Model
-    contact: ContactModel
-    trials: tuple[Trial, ...]
-    is_drawn: bool = False
 
 
 @dataclass(frozen=True)
@@ -194,25 +179,6 @@ def joints_below(model: Model, cuff: str) -> list[str]:
     """Joints that move a cuff's link if they are moved themselves."""
     _, link = model.tree.cuffs[cuff]
     return [j for j in movable(model) if link in links_above(model, j)]
-
-
-def links_above(model: Model, joint: str) -> list[str]:
-    """Links of the device beyond one of its joints."""
-    found = [model.tree.joints[joint][1]]
-    for parent, child in model.tree.joints.values():
-        if parent in found:
-            found.append(child)
-    return found
-
-
-def weight_above(model: Model, joint: str) -> float:
-    """Of those links [N]."""
-    device = model.exoskeleton
-    masses = [
-        getattr(device, link.removeprefix(DEVICE)).mass_kg
-        for link in links_above(model, joint)
-    ]
-    return model.gravity_m_s2 * sum(masses)
 
 
 def design_of(values: Mapping[str, float]) -> Design:
@@ -379,8 +345,7 @@ class _Wearing(PhaseProblem):
         else:
             self._hold_person(movement, at)
         movement.add_tracking_cost(terms)
-        # Loose, as in the own movement: it is no part of what is minimised.
-        movement.add_jerk_cost(noise.jerk or TYPICAL_JERK)
+        movement.add_jerk_cost(self.jerk)
         self._drive(movement, at)
         self._add_forces(movement)
         self._limit(movement)
@@ -863,30 +828,6 @@ class DesignProblem:
         return DesignResult(self, solution, values, wearers)
 
 
-def check_wearers(wearers: Sequence[Wearer]) -> None:
-    """Refuse wearers that no design can be made for.
-
-    Raises:
-        InputError: see DesignProblem.
-    """
-    if not wearers:
-        raise InputError("there are no wearers; give at least one calibration")
-    first = wearers[0].model
-    for wearer in wearers:
-        if list(wearer.model.cuffs) != list(first.cuffs):
-            raise InputError(
-                f"{wearer.name} has the cuffs {', '.join(wearer.model.cuffs)}, "
-                f"{wearers[0].name} {', '.join(first.cuffs)}; design for "
-                "wearers of one device"
-            )
-        for trial in wearer.trials:
-            if trial.moments is None:
-                raise InputError(
-                    f"trial {trial.name}: the device's torques are not "
-                    "known; give exo_moments or device in the study"
-                )
-
-
 def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
     if held is True:
         return replace(v, lower=v.today, upper=v.today)
@@ -978,49 +919,3 @@ def device_work(trial: Trial) -> float:
     torque = trial.moments[:, names.is_device_joint]
     power = np.sum(torque * trial.v[:, names.device_columns], axis=1)
     return float(np.trapezoid(power, trial.times))
-
-
-def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
-    """Wearers drawn from what a calibration left open.
-
-    Args:
-        wearer: as calibrated.
-        count: of draws.
-        seed: of the random numbers.
-
-    Returns:
-        None where no calibration says how sure it is. A stiffness is drawn
-        log-normal, so that it stays positive.
-    """
-    known = wearer.contact.posterior
-    if known is None or not count:
-        return []
-    values = wearer.contact.values()
-    names = [
-        n
-        for n in known.names
-        if n in values and n.partition(".")[0] in wearer.contact.bushings
-    ]
-    middle, covariance = known.of(names)
-    log = np.array([n.endswith(("_stiffness", "slip")) for n in names])
-    unit = np.where(log, middle, 1.0)
-    root = np.linalg.cholesky(
-        covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(names))
-    )
-    rng = np.random.default_rng(seed)
-    found = []
-    for k in range(count):
-        change = root @ rng.standard_normal(len(names))
-        new = np.where(
-            log, middle * np.exp(np.clip(change, -2.0, 2.0)), middle + change
-        )
-        contact = wearer.contact.with_values(dict(zip(names, new, strict=True)))
-        found.append(
-            replace(
-                wearer,
-                name=f"{wearer.name} draw {k + 1}",
-                contact=contact,
-                is_drawn=True,
-            )
-        )
-    return found

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from scipy.special import ndtri
+
 from drake_exo.calibration.settings import Solver
 from drake_exo.contact.strap import PLACES, SOFTEST_N_M, SOFTEST_NM_RAD
 from drake_exo.errors import InputError
@@ -122,6 +124,50 @@ class DesignLimits:
 
 
 @dataclass(frozen=True)
+class Population:
+    """People of other sizes, normally distributed.
+
+    Nothing is built in, as populations differ: give your own.
+
+    Attributes:
+        height_m: mean and standard deviation.
+        mass_kg: likewise.
+        percentiles: of both at once, a body each.
+
+    >>> Population((1.70, 0.10), (70.0, 10.0), (50.0,)).bodies()
+    [('50th percentile', 1.7, 70.0)]
+    """
+
+    height_m: tuple[float, float] = field(metadata={"unit": "m", "above": 0.0})
+    mass_kg: tuple[float, float] = field(metadata={"unit": "kg", "above": 0.0})
+    percentiles: tuple[float, ...] = field(
+        default=(5.0, 50.0, 95.0), metadata={"above": 0.0}
+    )
+
+    def __post_init__(self):
+        for percentile in self.percentiles:
+            if not percentile < 100.0:
+                raise InputError(
+                    f"percentile {percentile:g} is none; give one between 0 "
+                    "and 100"
+                )
+
+    def bodies(self) -> list[tuple[str, float, float]]:
+        """Of each percentile: name, height [m] and mass [kg]."""
+        found = []
+        for percentile in self.percentiles:
+            off = float(ndtri(percentile / 100.0))
+            height, mass = (
+                mean + off * sd for mean, sd in (self.height_m, self.mass_kg)
+            )
+            name = f"{percentile:g}th percentile"
+            if min(height, mass) <= 0.0:
+                raise InputError(f"nobody is as small as the {name}")
+            found.append((name, height, mass))
+        return found
+
+
+@dataclass(frozen=True)
 class DesignSettings:
     """Phase D.
 
@@ -138,6 +184,8 @@ class DesignSettings:
         draws: wearers drawn from each calibration's posterior, besides the
             one that it found; a design for them is safer and less good.
         seed: of those draws.
+        population: wearers of other sizes besides, who move as each
+            calibrated one; none if left out.
         cuffs: what may change of each, by name; defaults where none is
             named.
         joints: how far those of the shipped device may move, exo_knee and
@@ -162,6 +210,7 @@ class DesignSettings:
     effort_nm: float = _positive(2000.0, "N m")
     draws: int = field(default=0, metadata={"minimum": 0})
     seed: int = field(default=0, metadata={"minimum": 0})
+    population: Population | None = None
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     joints: dict[str, JointFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = field(

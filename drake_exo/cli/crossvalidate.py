@@ -56,18 +56,11 @@ def run(args: argparse.Namespace) -> int:
     with prepare_output_folder(args.out, args.force) as out:
         for trial in trials:
             folds.append(fold(study, trial.name))
-            held = Verdict(
-                (
-                    *plausible,
-                    *(
-                        Check(
-                            SOLVED, f["success"], where=f"without {f['trial']}"
-                        )
-                        for f in folds
-                    ),
-                ),
-                tuple(args.accept),
+            solved = tuple(
+                Check(SOLVED, f["success"], where=f"without {f['trial']}")
+                for f in folds
             )
+            held = Verdict((*plausible, *solved), tuple(args.accept))
             summary = {"subject": study.name, "folds": folds}
             summary |= verdict(folds) | held.summary()
             write_json(out / "summary.json", summary)

@@ -15,7 +15,6 @@ from types import FunctionType
 from pydrake.systems.framework import System
 
 from drake_exo.calibration.checks import phase_checks
-from drake_exo.calibration.own_movement import assisted
 from drake_exo.calibration.results import (
     solve_summary,
     write_bands,
@@ -23,6 +22,7 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.scores import spread
+from drake_exo.calibration.wearers import assisted
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,

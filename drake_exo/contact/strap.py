@@ -18,9 +18,11 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.model.description import body_width, exoskeleton_sdf, hinged
+from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 
 DESIGN = "design.yaml"
+EXTRAPOLATED = "EXTRAPOLATED beyond what was calibrated"
 # What a strap may be at its softest; below, cuffs are no cuffs any more.
 SOFTEST_N_M = 1000.0
 SOFTEST_NM_RAD = 5.0
@@ -224,6 +226,21 @@ class Design:
             for name, cuff in cuffs.items()
         }
 
+    def undone(self, contact: ContactModel) -> ContactModel:
+        """The contact with its cuffs back where they were, springs as built."""
+        back = {
+            name: replace(
+                cuff,
+                **{
+                    k: getattr(cuff, k)
+                    - getattr(self.cuffs.get(name, CuffDesign()), PLACES[k])
+                    for k in PLACES
+                },
+            )
+            for name, cuff in contact.bushings.items()
+        }
+        return replace(contact, bushings=back)
+
     def contact(self, contact: ContactModel) -> ContactModel:
         """The contact with these cuffs, as sure as it was before.
 
@@ -262,6 +279,25 @@ def movable(model: Model) -> tuple[str, ...]:
     if model.exoskeleton is None or not model.assembly.is_fitted:
         return ()
     return tuple(j for j in _OFF if j in model.coordinates.device)
+
+
+def links_above(model: Model, joint: str) -> list[str]:
+    """Links of the device beyond one of its joints."""
+    found = [model.tree.joints[joint][1]]
+    for parent, child in model.tree.joints.values():
+        if parent in found:
+            found.append(child)
+    return found
+
+
+def weight_above(model: Model, joint: str) -> float:
+    """Of those links [N]."""
+    device = model.exoskeleton
+    masses = [
+        getattr(device, link.removeprefix(DEVICE)).mass_kg
+        for link in links_above(model, joint)
+    ]
+    return model.gravity_m_s2 * sum(masses)
 
 
 def device_sdf(model: Model, design: Design) -> str | None:

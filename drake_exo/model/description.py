@@ -38,6 +38,14 @@ _HINGES = (
 )
 
 
+# Segment -> ends of the names of what a cuff looks like.
+_CUFF_VISUALS = {
+    "shank": ("_calf_strap", "_shin_guard"),
+    "thigh": ("_thigh_strap", "_thigh_shell"),
+    "pelvis": ("belt", "buckle"),
+}
+
+
 def models_path() -> Path:
     """Folder of package.xml and the SDF files, in checkout or wheel."""
     return Path(str(importlib.resources.files("drake_exo.models")))
@@ -167,12 +175,12 @@ def exoskeleton_sdf(
         if name == "foot":
             x = z
             z = _sole_depth(exoskeleton) / _sole_depth(nominal)
-        _rewrite_link(
-            model,
-            f"exo_{name}",
-            segment,
-            _Stretch((x, width, z), (x, width, z)),
-        )
+        stretch = _Stretch((x, width, z), (x, width, z))
+        _rewrite_link(model, f"exo_{name}", segment, stretch)
+        if name in _CUFF_VISUALS:
+            usual = np.array(nominal.cuff_m(name)) * (x, z)
+            moved = np.array(exoskeleton.cuff_m(name)) - usual
+            _move_cuff(model, name, moved)
     for joint, below in (("knee", "shank"), ("hip", "thigh")):
         x, z = getattr(exoskeleton, f"{joint}_off_m")
         z += getattr(exoskeleton, below).length_m
@@ -180,6 +188,15 @@ def exoskeleton_sdf(
     for name in ("heel", "toe", "shank_cuff", "thigh_cuff", "pelvis_cuff"):
         _set_frame(model, f"exo_{name}", getattr(exoskeleton, f"{name}_m"))
     return _text(model)
+
+
+def _move_cuff(model: ET.Element, segment: str, moved: np.ndarray) -> None:
+    """Draw a cuff where it holds the limb, (x, z) from where it usually is."""
+    for visual in _link(model, f"exo_{segment}").findall("visual"):
+        if visual.get("name").endswith(_CUFF_VISUALS[segment]):
+            pose = _pose(visual)
+            pose[[0, 2]] += moved
+            _set_pose(visual, pose)
 
 
 def hinged(text: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drake_exo.contact.bushing import NORMAL
+from drake_exo.contact.strap import EXTRAPOLATED
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.report.figures import STYLE
 
@@ -71,8 +72,7 @@ def device_figure(designed) -> Figure:
     Args:
         designed: a `designing.Designed`.
     """
-    name, moved = next(iter(designed.before.items()))
-    wearer = next(w for w in designed.found.problem.wearers if w.name == name)
+    wearer, moved = designed.first
     trial, tree = moved[0].trial, wearer.model.tree
     new = designed.design.contact(wearer.contact).bushings
     told = {c: _told(c, d) for c, d in designed.design.cuffs.items()}
@@ -126,7 +126,7 @@ def _head(figure: Figure, designed) -> None:
     if designed.softened() or any(
         row["extrapolated"] for row in designed.variables()
     ):
-        said.append("EXTRAPOLATED beyond what was calibrated")
+        said.append(EXTRAPOLATED)
     text = ". ".join(filter(None, said))
     if text:
         figure.suptitle(text, color=_AFTER, fontsize=9)

@@ -79,6 +79,15 @@ class Results:
         ]
 
 
+def is_design(folder: Path) -> bool:
+    """Whether `drake-exo design` wrote a folder."""
+    path = Path(folder) / "summary.json"
+    if not path.exists():
+        return False
+    found = read_json(path, "run the command that wrote it again")
+    return isinstance(found, dict) and found.get("phase") == "design"
+
+
 def gather(folder: Path, accept: Sequence[str] = ()) -> list[Results]:
     """All results under a folder, in the order of their paths.
 

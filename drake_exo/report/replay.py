@@ -1,7 +1,8 @@
-"""A page that replays results of calibration and prediction.
+"""A page that replays results of calibration, prediction and design.
 
 The model moves as computed, beside or over a translucent one that moves as
-measured; forces of ground, chair and cuffs are arrows.
+measured, or in the device of today; forces of ground, chair and cuffs are
+arrows.
 """
 
 from __future__ import annotations
@@ -14,15 +15,22 @@ import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
-from drake_exo.calibration.results import read_calibration, read_model
+from drake_exo.calibration.results import (
+    read_calibration,
+    read_model,
+    read_trial,
+)
 from drake_exo.contact.bushing import ROTATION, bushing_wrench
 from drake_exo.contact.parameters import ContactModel, ContactSphere
+from drake_exo.contact.strap import EXTRAPOLATED, read_design
 from drake_exo.errors import InputError
+from drake_exo.files.output import read_json
+from drake_exo.files.verdict import stored_mark
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import Model
 from drake_exo.player.page import Arrow, Clip, Page, write_page
-from drake_exo.report.gathering import Results, gather
+from drake_exo.report.gathering import Results, gather, is_design
 from drake_exo.report.scene import (
     Scene,
     View,
@@ -45,6 +53,7 @@ class DrawnModel:
     """
 
     def __init__(self, model: Model, contact: ContactModel | None = None):
+        self.model = model
         self.tree = model.tree
         self.soles = model.soles
         if contact is not None:
@@ -101,6 +110,7 @@ class DrawnModel:
             self.pose(motion.q, human).T,
             self.pose(motion.q, device).T,
             self._bushings[name].origin,
+            self._bushings[name].preload,
         )
         zero = 0.0 * wrench.force_x
         return np.column_stack(
@@ -165,6 +175,7 @@ _SCALES = {
     _GROUND_SCALE: "Feet and chair: an arrow of 0.5 m is 500 N.",
     _CUFF_SCALE: "Cuffs (force on the human): 0.2 m is 50 N.",
 }
+_AGAIN = "run 'drake-exo design' again"
 _AROUND = "Grid: 0.25 m. Both legs are summed."
 
 
@@ -174,13 +185,16 @@ def replay_results(
     """Write the page of all results under a folder.
 
     Args:
-        folder: that `calibrate`, `predict` or `demo` wrote.
+        folder: that `calibrate`, `predict`, `design` or `demo` wrote.
         path: of the page.
         accept: see `gather`.
 
     Raises:
         InputError: no results, of several models, or none that succeeded.
     """
+    if is_design(folder):
+        _replay_design(folder, path)
+        return
     found = sorted(
         (r for r in gather(folder, accept) if r.summary["rmsd"]),
         key=lambda r: _ORDER.index(r.phase),
@@ -199,6 +213,38 @@ def replay_results(
             )
         trials += _replayed(results, model)
     write_replay(path, model, trials, _title(found))
+
+
+def _replay_design(folder: Path, path: Path) -> None:
+    """The page of a design's first wearer, beside the device of today."""
+    summary = read_json(folder / "summary.json", _AGAIN)
+    if not summary.get("success"):
+        raise InputError(
+            f"{folder}: holds no solved design to replay; see its summary.json"
+        )
+    model, design = read_model(folder), read_design(folder)
+    after = read_calibration(folder).contact
+    drawn = DrawnModel(design.model(model), after)
+    today = DrawnModel(model, design.undone(after))
+    mark = stored_mark(summary)
+    if summary.get("extrapolated"):
+        mark = ". ".join(filter(None, (mark, EXTRAPOLATED)))
+    trials = [
+        Replayed(
+            name.replace("_", " "),
+            "Design, forecast",
+            drawn,
+            read_trial(folder, name, "after"),
+            before := read_trial(folder, name, "before"),
+            after.ground.spheres,
+            before.chair is not None,
+            mark,
+            today,
+        )
+        for name in summary["trials"]
+    ]
+    who = str(summary["subjects"][0]).replace("_", " ")
+    write_replay(path, drawn.model, trials, f"Design for {who}", "today")
 
 
 def _title(found: Sequence[Results]) -> str:
@@ -221,6 +267,7 @@ class Replayed:
         spheres: name -> contact sphere in its segment.
         on_chair: whether to draw a stool.
         mark: of a result that does not hold.
+        drawn_measured: its model where it is measured, if it is another.
     """
 
     title: str
@@ -231,6 +278,16 @@ class Replayed:
     spheres: dict[str, ContactSphere]
     on_chair: bool = False
     mark: str = ""
+    drawn_measured: DrawnModel | None = None
+
+    @property
+    def halves(self) -> dict[str, tuple[DrawnModel, Trial]]:
+        """Root in meshcat's tree -> what moves there, and how."""
+        found = {SIMULATED: (self.drawn, self.simulated)}
+        if self.measured is not None:
+            drawn = self.drawn_measured or self.drawn
+            found[MEASURED] = (drawn, self.measured)
+        return found
 
 
 def _replayed(results: Results, model: Model) -> list[Replayed]:
@@ -260,6 +317,7 @@ def write_replay(
     model: Model,
     trials: Sequence[Replayed],
     title: str,
+    other: str = "measured",
 ) -> None:
     """Write a page that plays trials of one model.
 
@@ -268,6 +326,7 @@ def write_replay(
         model: to be drawn.
         trials: the first one is played at first.
         title: of the page.
+        other: what the translucent model is, in a word.
     """
     # The laboratory's origin need not be under the feet.
     centre = round(4.0 * float(trials[0].simulated.q[0, 0])) / 4.0
@@ -278,10 +337,10 @@ def write_replay(
     )
     compared = any(t.measured for t in trials)
     with quiet_drake():
-        stage = _stage(model, trials, centre, view, compared)
+        stage = _stage(trials, centre, view, compared)
     clips = [_clip(trial) for trial in trials]
     known = set().union(*(clip.arrows for clip in clips))
-    arrows = [a for a in _arrows(model) if a.name in known]
+    arrows = [a for a in _arrows(model, other) if a.name in known]
     drawn = {a.metres_per_newton for a in arrows}
     scales = [text for scale, text in _SCALES.items() if scale in drawn]
     page = Page(
@@ -295,7 +354,7 @@ def write_replay(
             "contact spheres": (_SPHERES,),
         },
         ghost=(MEASURED, _BESIDE_M) if compared else None,
-        ghost_text="Measured (blue, translucent)",
+        ghost_text=f"{other.capitalize()} (blue, translucent)",
         legend=(f'<p class="player-quiet">{" ".join(scales)} {_AROUND}</p>',),
         field_of_view_deg=view.field_of_view_deg,
         speed=0.5,
@@ -303,11 +362,11 @@ def write_replay(
     write_page(path, stage, page, clips)
 
 
-def _stage(model, trials, centre: float, view: View, compared: bool) -> str:
+def _stage(trials, centre: float, view: View, compared: bool) -> str:
     """Meshcat's page with all bodies in it."""
     meshcat = Meshcat()
     set_stage(meshcat, view)
-    _draw_figures(meshcat, model, compared)
+    _draw_figures(meshcat, trials, compared)
     _draw_markers(meshcat, trials[0], compared)
     add_floor(meshcat, centre)
     seats = [t.drawn.seat_height(t.simulated) for t in trials if t.on_chair]
@@ -316,11 +375,12 @@ def _stage(model, trials, centre: float, view: View, compared: bool) -> str:
     return meshcat.StaticHtml()
 
 
-def _draw_figures(meshcat, model: Model, compared: bool) -> None:
+def _draw_figures(meshcat, trials, compared: bool) -> None:
     """Human and exoskeleton, and the ghost."""
     for root in (SIMULATED, MEASURED)[: 1 + compared]:
+        drawn, _ = next(t.halves[root] for t in trials if root in t.halves)
         scene = Scene(
-            model,
+            drawn.model,
             meshcat=meshcat,
             prefix=root,
             colour=_GHOST if root == MEASURED else None,
@@ -363,8 +423,9 @@ def _overlay(meshcat, path, shape, colour: str, opacity: float) -> None:
         meshcat.SetProperty(f"{path}/<object>", f"material.{name}", value)
 
 
-def _arrows(model: Model) -> list[Arrow]:
+def _arrows(model: Model, other: str) -> list[Arrow]:
     """All forces, as computed and as measured."""
+    measured = other == "measured"
     drawn = []
     loads = dict(_LOADS)
     # From above: the pelvis first, as in tables.
@@ -379,7 +440,9 @@ def _arrows(model: Model) -> list[Arrow]:
         drawn.append(
             Arrow(
                 f"{name}_measured",
-                "measured" if name in _WRENCHES else "measured, normal part",
+                f"{other}, normal part"
+                if measured and name not in _WRENCHES
+                else other,
                 colour,
                 scale,
                 root=f"{MEASURED}/arrows",
@@ -395,17 +458,14 @@ def _clip(trial: Replayed) -> Clip:
     end = trial.simulated.times[-1]
     times = np.linspace(0.0, end, max(2, round(end / _SECONDS_PER_FRAME) + 1))
     bodies, arrows = {}, {}
-    halves = {SIMULATED: trial.simulated, MEASURED: trial.measured}
-    for root, motion in halves.items():
-        if motion is None:
-            continue
+    for root, (drawn, motion) in trial.halves.items():
         at = motion.sample(times)
-        for path, pose in trial.drawn.poses(at.q).items():
+        for path, pose in drawn.poses(at.q).items():
             bodies[f"{root}/{path}"] = pose
         ghost = root == MEASURED
-        cop = trial.drawn.centre_of_pressure(at)
+        cop = drawn.centre_of_pressure(at)
         bodies[f"{root}/cop" if ghost else "/cop"] = _still(cop)
-        for name, rows in trial.drawn.arrows(at).items():
+        for name, rows in drawn.arrows(at).items():
             arrows[f"{name}_measured" if ghost else name] = rows
     bodies |= _surroundings(trial, trial.simulated.sample(times))
     return Clip(

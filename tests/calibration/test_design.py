@@ -8,11 +8,9 @@ from program_derivatives import check_derivatives
 
 from drake_exo.calibration.design import (
     DesignProblem,
-    Wearer,
     design_of,
     design_variables,
     device_work,
-    drawn,
     largest_forces,
     norm_of,
     works,
@@ -22,14 +20,23 @@ from drake_exo.calibration.design_settings import (
     DesignLimits,
     DesignSettings,
     JointFreedom,
+    Population,
 )
 from drake_exo.calibration.error_model import NO_ERRORS
-from drake_exo.calibration.own_movement import OwnMovement, assisted
 from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.calibration.wearers import (
+    OwnMovement,
+    Size,
+    Wearer,
+    assisted,
+    drawn,
+    sized,
+)
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import Assistance, Design, JointDesign
 from drake_exo.errors import InputError
+from drake_exo.model.description import fit_exoskeleton
 
 pytestmark = pytest.mark.slow
 
@@ -306,6 +313,69 @@ def test_wearers_are_drawn_from_what_is_known(wearer):
     assert drawn(wearer, 3) == []
     again = drawn(sure, 1)[0].contact.values()
     assert again == draws[0].contact.values()
+
+
+def test_a_body_of_another_size_obeys_the_same_physics(wearer):
+    """Twice the mass and 1.1 times the height, standing still."""
+    size = Size("large", 1.1, 2.0)
+    human = wearer.model.human
+    body = size.human(human)
+    assert body.mass_kg == pytest.approx(2.0 * human.mass_kg)
+    assert body.height_m == pytest.approx(1.1 * human.height_m)
+    model = replace(wearer.model, human=body, exoskeleton=fit_exoskeleton(body))
+    (own,) = wearer.trials
+    still = replace(own, v=0.0 * own.v, a=0.0 * own.a)
+    found = size.trial(still, model, human.ankle_height_m)
+    np.testing.assert_allclose(found.ground.force_z, model.tree.weight)
+    np.testing.assert_allclose(found.ground.force[:, 0], 0.0, atol=1e-8)
+    ankle = body.ankle_height_m - human.ankle_height_m
+    np.testing.assert_allclose(found.q[:, 1] - own.q[:, 1], ankle)
+    q = still.q[:, :6]
+    moments = [
+        replace(m, kind="human", exoskeleton=None).tree.inverse_dynamics(
+            q, 0.0 * q, 0.0 * q
+        )[:, 3:]
+        for m in (wearer.model, model)
+    ]
+    np.testing.assert_allclose(moments[1], 2.2 * moments[0])
+    # Person and device together bear what the joint bears.
+    forces = model.tree.inverse_dynamics(found.q, found.v, found.a)
+    both = [found.coordinates.joint(j) for j in ("hip", "exo_hip")]
+    columns = found.coordinates.joint_columns[both]
+    np.testing.assert_allclose(
+        found.moments[:, both].sum(axis=1), forces[:, columns].sum(axis=1)
+    )
+    share = own.moment("exo_hip") * 2.2
+    np.testing.assert_allclose(found.moment("exo_hip"), share)
+
+
+def test_a_design_for_a_population(wearer):
+    """Small and large bodies wear it, too; they feel less than today."""
+    height, mass = wearer.model.human.height_m, wearer.model.human.mass_kg
+    people = Population((height, 0.07), (mass, 10.0), (5.0, 95.0))
+    others = sized(wearer, people, phase())
+    assert [w.name.rpartition(", ")[2] for w in others] == [
+        "5th percentile",
+        "95th percentile",
+    ]
+    assert all(w.is_drawn for w in others)
+    small, large = (w.model.human for w in others)
+    assert large.height_m - small.height_m == pytest.approx(2 * 1.644854 * 0.07)
+    weights = [w.trials[0].ground.force_z.mean() for w in others]
+    trees = [w.model.tree.weight for w in others]
+    assert weights == pytest.approx(trees, rel=0.03)
+    everybody = [wearer, *others]
+    before = DesignProblem(everybody, SETTINGS, held=True).solve()
+    after = DesignProblem(everybody, SETTINGS, today=before).solve()
+    assert after.solution.success
+    for w in everybody:
+        norms = [
+            norm_of(r.wearers[w.name].trials, SETTINGS) for r in (before, after)
+        ]
+        assert norms[1] < norms[0]
+    loaded = replace(wearer.model, kind="human", exoskeleton=None)
+    with pytest.raises(InputError, match="needs the shipped device"):
+        sized(replace(wearer, model=loaded), people, phase())
 
 
 def test_cuffs_stay_on_their_limbs(wearer):

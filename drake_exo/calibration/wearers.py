@@ -1,0 +1,372 @@
+"""Who wears a design, and how they move in a device whose contact is given.
+
+Own movement: the person moves as was measured and the device's torques are as
+measured; where the device goes, and what its cuffs bear, follows from its
+equations of motion. With the cuffs of today that is what a design is compared
+with, with other cuffs it is the design's forecast: neither its mats nor its
+encoders are believed, since other cuffs would change them.
+
+Besides those who were calibrated, wearers are drawn from what a calibration
+left open, or have bodies of other sizes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drake_exo.calibration.design_settings import Population
+from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel
+from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.problem import (
+    PhaseProblem,
+    ground_terms,
+    kinematic_terms,
+    torque_terms,
+)
+from drake_exo.calibration.settings import PredictionSettings
+from drake_exo.collocation.kernels import BodyWrench
+from drake_exo.collocation.trial_program import TrialProgram
+from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import Design
+from drake_exo.errors import InputError
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.description import fit_exoskeleton
+from drake_exo.model.plant import Model
+from drake_exo.model.segments import CUFFED, SEGMENTS, HumanParameters
+
+# Of the mass, in a sphere's stiffness.
+_POWER = {"simbody": 1.0, "paper": 2.0 / 3.0}
+
+
+class OwnMovement(PhaseProblem):
+    """The movement of measured trials on given cuffs, posed as a program.
+
+    Args:
+        model: subject and device.
+        trials: measured.
+        contact: calibrated.
+        settings: noise, errors and grid, as those of Phase C.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> posed = OwnMovement(made.model, made.trials, made.contact)
+    >>> len(posed.movements[0].tracked)
+    5
+
+    Raises:
+        InputError: the model has no cuffs.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        contact: ContactModel,
+        settings: PredictionSettings | None = None,
+    ):
+        check_has_cuffs(model)
+        settings = settings or PredictionSettings()
+        errors = ErrorModel(model, trials, settings.errors, contact.posterior)
+        super().__init__(model, trials, contact, [], settings, errors)
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement, at, effects = self._begin(trial)
+        noise = self.settings.noise
+        movement.add_tracking_cost(
+            [
+                *own_kinematics(movement, at, noise, effects),
+                *ground_terms(movement, at, noise),
+                *torque_terms(movement, at, noise, effects),
+            ],
+            self.error_variables,
+        )
+        movement.add_jerk_cost(self.jerk)
+        return movement
+
+
+def own_kinematics(movement, at: Trial, noise, effects=None) -> list:
+    """`kinematic_terms` of the person alone: the device goes where it must."""
+    terms = kinematic_terms(movement, at, noise, effects)
+    device = movement.coordinates.device_columns
+    for term in terms:
+        term.sigma = term.sigma.copy()
+        term.sigma[:, device] = np.inf
+    return terms
+
+
+def assisted(trial: Trial, design: Design) -> Trial:
+    """A trial with the device's torques times a design's factors.
+
+    What the device bears more the person bears less.
+    """
+    if trial.moments is None or not design.assistance:
+        return trial
+    names, moments = trial.coordinates, trial.moments.copy()
+    angles = trial.q[:, names.device_columns]
+    factors = design.factors(names.device, angles)
+    for i, joint in enumerate(names.device):
+        more = (factors[:, i] - 1.0) * trial.moment(joint)
+        moments[:, names.joint(joint)] += more
+        moments[:, names.joint(names.follows(joint))] -= more
+    return replace(trial, moments=moments)
+
+
+@dataclass(frozen=True)
+class Wearer:
+    """Somebody who wears the design.
+
+    Attributes:
+        name: unique.
+        model: subject and device.
+        contact: of today's cuffs.
+        trials: own movements on them, solved (`OwnMovement`).
+        is_drawn: whether drawn from a posterior: then a limit that is not
+            kept today need not be kept.
+    """
+
+    name: str
+    model: Model
+    contact: ContactModel
+    trials: tuple[Trial, ...]
+    is_drawn: bool = False
+
+
+def check_wearers(wearers: Sequence[Wearer]) -> None:
+    """Refuse wearers that no design can be made for.
+
+    Raises:
+        InputError: see DesignProblem.
+    """
+    if not wearers:
+        raise InputError("there are no wearers; give at least one calibration")
+    first = wearers[0].model
+    for wearer in wearers:
+        if list(wearer.model.cuffs) != list(first.cuffs):
+            raise InputError(
+                f"{wearer.name} has the cuffs {', '.join(wearer.model.cuffs)}, "
+                f"{wearers[0].name} {', '.join(first.cuffs)}; design for "
+                "wearers of one device"
+            )
+        for trial in wearer.trials:
+            if trial.moments is None:
+                raise InputError(
+                    f"trial {trial.name}: the device's torques are not "
+                    "known; give exo_moments or device in the study"
+                )
+
+
+def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
+    """Wearers drawn from what a calibration left open.
+
+    Args:
+        wearer: as calibrated.
+        count: of draws.
+        seed: of the random numbers.
+
+    Returns:
+        None where no calibration says how sure it is. A stiffness is drawn
+        log-normal, so that it stays positive.
+    """
+    known = wearer.contact.posterior
+    if known is None or not count:
+        return []
+    values = wearer.contact.values()
+    names = [
+        n
+        for n in known.names
+        if n in values and n.partition(".")[0] in wearer.contact.bushings
+    ]
+    middle, covariance = known.of(names)
+    log = np.array([n.endswith(("_stiffness", "slip")) for n in names])
+    unit = np.where(log, middle, 1.0)
+    root = np.linalg.cholesky(
+        covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(names))
+    )
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(count):
+        change = root @ rng.standard_normal(len(names))
+        new = np.where(
+            log, middle * np.exp(np.clip(change, -2.0, 2.0)), middle + change
+        )
+        contact = wearer.contact.with_values(dict(zip(names, new, strict=True)))
+        found.append(
+            replace(
+                wearer,
+                name=f"{wearer.name} draw {k + 1}",
+                contact=contact,
+                is_drawn=True,
+            )
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class Size:
+    """A body against that of a calibrated person.
+
+    Attributes:
+        name: what it is called.
+        height, mass: as shares of that person's.
+    """
+
+    name: str
+    height: float
+    mass: float
+
+    def human(self, human: HumanParameters) -> HumanParameters:
+        """The body, all lengths and all masses in proportion."""
+        parts = {
+            name: replace(
+                part,
+                mass_kg=self.mass * part.mass_kg,
+                com_m=self._point(part.com_m),
+                inertia_kg_m2=self.mass * self.height**2 * part.inertia_kg_m2,
+                length_m=self.height * part.length_m,
+            )
+            for name in SEGMENTS
+            for part in (getattr(human, name),)
+        }
+        points = {
+            name: self._point(getattr(human, name))
+            for name in ("heel_m", "toe_m", *(f"{c}_cuff_m" for c in CUFFED))
+        }
+        ankle = self.height * human.ankle_height_m
+        return replace(human, **parts, **points, ankle_height_m=ankle)
+
+    def _point(self, point: tuple[float, float]) -> tuple[float, float]:
+        x, z = point
+        return self.height * x, self.height * z
+
+    def contact(self, contact: ContactModel, ankle_m: float) -> ContactModel:
+        """Cuffs and spheres where this body has them.
+
+        Tissue is as stiff as the calibrated person's, the sole in proportion
+        to the mass. How sure all that is, nobody knows.
+
+        Args:
+            contact: of the person.
+            ankle_m: height of the person's ankle above the sole.
+        """
+        spheres = {
+            name: replace(
+                sphere,
+                stiffness=self.mass ** _POWER[contact.ground.law]
+                * sphere.stiffness,
+                x=self.height * sphere.x,
+                z=sphere.z - (self.height - 1.0) * ankle_m,
+            )
+            for name, sphere in contact.ground.spheres.items()
+        }
+        bushings = {
+            name: replace(
+                cuff,
+                origin_x=self.height * cuff.origin_x,
+                origin_z=self.height * cuff.origin_z,
+            )
+            for name, cuff in contact.bushings.items()
+        }
+        ground = replace(contact.ground, spheres=spheres)
+        return replace(
+            contact, ground=ground, bushings=bushings, posterior=None
+        )
+
+    def trial(self, trial: Trial, model: Model, ankle_m: float) -> Trial:
+        """The person's movement in this body, in the same time.
+
+        Joints turn alike; what foot and joints bear follows from the
+        equations of motion; the device gives the same share of the moments.
+
+        Args:
+            trial: the person's.
+            model: of this body.
+            ankle_m: height of the person's ankle.
+        """
+        names = trial.coordinates
+        q, v, a = trial.q.copy(), trial.v.copy(), trial.a.copy()
+        x, z, _ = names.root_columns
+        for part in (q, v, a):
+            part[:, x] *= self.height
+        q[:, z] += (self.height - 1.0) * ankle_m
+        device = names.is_device_joint
+        forces = model.tree.inverse_dynamics(q, v, a)
+        whole = forces[:, names.joint_columns]
+        moments = whole.copy()
+        moments[:, device] = self.mass * self.height * trial.moments[:, device]
+        for i, joint in enumerate(names.joints):
+            if device[i]:  # the person bears what the device does not
+                own = names.joint(names.follows(joint))
+                moments[:, own] += whole[:, i] - moments[:, i]
+        by_wrench = BodyWrench(model.tree, model.tree.root).by_wrench(q)
+        wrench = np.linalg.solve(
+            by_wrench[:, names.root_columns],
+            forces[:, names.root_columns, None],
+        )
+        return replace(
+            trial,
+            q=q,
+            v=v,
+            a=a,
+            ground=PlanarWrench.of(wrench[:, :, 0]),
+            moments=moments,
+            cuffs={},
+            mass_kg=model.human.mass_kg,
+        )
+
+
+def sized(
+    wearer: Wearer,
+    population: Population,
+    settings: PredictionSettings,
+) -> list[Wearer]:
+    """Wearers with bodies of a population, who move as one that is known.
+
+    Args:
+        wearer: as calibrated.
+        population: whose percentiles of height and mass.
+        settings: noise and grid of their own movements.
+
+    Raises:
+        InputError: the device does not adjust to a body, the person has two
+            legs or bears a load, or a body's movement cannot be solved.
+    """
+    model = wearer.model
+    if not model.assembly.is_fitted or model.assembly.human.sides:
+        raise InputError(
+            "design.population: needs the shipped device, which adjusts to a "
+            "body, on a person of one leg for both; leave it out"
+        )
+    loaded = [t.name for t in wearer.trials if t.borne()]
+    if loaded:
+        raise InputError(
+            f"design.population: trial {loaded[0]} has a chair or a load, and "
+            "how another body would bear it is not known; leave it out"
+        )
+    human, found = model.human, []
+    ankle = human.ankle_height_m
+    settings = replace(settings, errors=NO_ERRORS)
+    for name, height, mass in population.bodies():
+        size = Size(name, height / human.height_m, mass / human.mass_kg)
+        body = size.human(human)
+        own = replace(model, human=body, exoskeleton=fit_exoskeleton(body))
+        contact = size.contact(wearer.contact, ankle)
+        trials = [size.trial(t, own, ankle) for t in wearer.trials]
+        moved = OwnMovement(own, trials, contact, settings).solve()
+        if not moved.success:
+            raise InputError(
+                f"design.population: {size.name} cannot make the movements of "
+                f"{wearer.name} ({moved.solution.explain()}); choose "
+                "percentiles nearer to 50"
+            )
+        found.append(
+            Wearer(
+                f"{wearer.name}, {size.name}",
+                own,
+                contact,
+                tuple(moved.trials),
+                is_drawn=True,
+            )
+        )
+    return found
