@@ -19,6 +19,8 @@ from drake_exo.batch.processes import Processes
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 
+_LEAVE_SECONDS = 20.0  # that a call may take to write what it has
+
 
 def run_calls(
     function: Callable,
@@ -59,35 +61,53 @@ def run_calls(
     return [row.value for row in ended.values()]
 
 
-@contextmanager
-def beside(function: Callable, **arguments) -> Iterator[Callable[[], Any]]:
-    """A call that another process makes meanwhile; left, it is ended.
+class Beside:
+    """A call that another process makes meanwhile.
 
     Args:
-        function: of a module; what it prints is lost.
-        arguments: of the call; they are pickled.
-
-    Yields:
-        What waits for the value and returns it. It raises InputError as the
-        call does, RuntimeError for whatever else ends it.
+        pool: of one process.
+        job: the call.
     """
-    job = Job(function.__name__, _name(function), arguments)
 
-    def value() -> Any:
-        progress, ended = Progress(job.name, interval_seconds=5.0), []
+    def __init__(self, pool: Processes, job: Job):
+        self._pool, self._name = pool, job.name
+        pool.start(job)
+
+    def value(self) -> Any:
+        """Wait for what it returns.
+
+        Raises:
+            InputError: as the call does.
+            RuntimeError: whatever else ended it.
+        """
+        progress, ended = Progress(self._name, interval_seconds=5.0), []
         while not ended:
-            ended = pool.wait(POLL_SECONDS)
+            ended = self._pool.wait(POLL_SECONDS)
             progress.update("at work in another process")
         (row,) = ended
         if row.state != "done":
             if row.state == "failed" and not row.trace:
                 raise InputError(row.error)
-            raise RuntimeError(f"{job.name}: {row.error}\n{row.trace}")
+            raise RuntimeError(f"{self._name}: {row.error}\n{row.trace}")
         return row.value
 
+    def stop(self) -> None:
+        """Ctrl-C for the call, which leaves what it has so far."""
+        self._pool.interrupt()
+        self._pool.wait(_LEAVE_SECONDS)
+
+
+@contextmanager
+def beside(function: Callable, **arguments) -> Iterator[Beside]:
+    """A call that another process makes meanwhile; left, it is ended.
+
+    Args:
+        function: of a module; what it prints is lost.
+        arguments: of the call; they are pickled.
+    """
+    job = Job(function.__name__, _name(function), arguments)
     with Processes(1) as pool:
-        pool.start(job)
-        yield value
+        yield Beside(pool, job)
 
 
 def _name(function: Callable) -> str:

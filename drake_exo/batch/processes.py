@@ -119,6 +119,11 @@ class Worker:
             "allow more, with fewer workers if need be"
         )
 
+    def interrupt(self) -> None:
+        """Ctrl-C for its job."""
+        if self._process is not None:
+            self._process.send_signal(signal.SIGINT)
+
     def close(self) -> None:
         """End it at once, with whatever it does."""
         if self._process is not None:
@@ -176,6 +181,11 @@ class Processes:
     def workers(self) -> int:
         """See `jobs.Pool`."""
         return len(self._workers)
+
+    def interrupt(self) -> None:
+        """Ctrl-C for all jobs."""
+        for worker in self._workers:
+            worker.interrupt()
 
     def close(self) -> None:
         """See `jobs.Pool`."""

@@ -80,15 +80,16 @@ def _steps(out: Path) -> int:
             contact=contact,
             out=folder,
             checks=checks,
-        ) as waited,
+        ) as stiff_ones,
     ):
         title = "Phase C1: predict six movements from their end states"
         with part("prediction", title) as folder:
             predicted = write_predictions(study, contact, folder, checks=checks)
         if predicted not in (0, FAILS_CODE):
+            stiff_ones.stop()
             return predicted
         print("== Phase C2: again with cuffs 1.4 times as stiff", flush=True)
-        stiffer, said = waited()
+        stiffer, said = stiff_ones.value()
         print(said, end="", flush=True)
         if stiffer not in (0, FAILS_CODE):
             return stiffer

@@ -53,3 +53,12 @@ def spoil_streams():
     print("printed")
     os.write(1, b"as C++ code prints")
     return "answered"
+
+
+def interrupted(path):
+    """Write a file, and what there is once Ctrl-C comes."""
+    path.write_text("begun")
+    try:
+        time.sleep(60.0)
+    except KeyboardInterrupt:
+        path.write_text("so far")

@@ -54,7 +54,7 @@ def test_from_a_script(tmp_path, how):
 
 def test_a_call_beside_is_waited_for():
     with beside(example_jobs.sleep, seconds=0.2) as waited:
-        assert waited() == 0.2
+        assert waited.value() == 0.2
 
 
 def test_a_call_beside_fails_as_it_would_here():
@@ -62,12 +62,12 @@ def test_a_call_beside_fails_as_it_would_here():
         beside(example_jobs.refuse) as waited,
         pytest.raises(InputError, match=r"a\.yaml: wrong"),
     ):
-        waited()
+        waited.value()
     with (
         beside(example_jobs.add, a=1, b="x") as waited,
         pytest.raises(RuntimeError, match="TypeError"),
     ):
-        waited()
+        waited.value()
 
 
 def test_a_call_beside_ends_with_its_context():
@@ -78,3 +78,12 @@ def test_a_call_beside_ends_with_its_context():
     ):
         raise KeyboardInterrupt
     assert time.monotonic() - start < 30.0
+
+
+def test_a_call_beside_is_told_to_stop_and_leaves_what_it_has(tmp_path):
+    path = tmp_path / "left.txt"
+    with beside(example_jobs.interrupted, path=path) as call:
+        while not path.exists():
+            time.sleep(0.05)
+        call.stop()
+    assert path.read_text() == "so far"
