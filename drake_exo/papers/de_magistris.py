@@ -301,7 +301,8 @@ def line(row: dict) -> str:
         f"{row['volume_cm3']:.0f} cm³, "
         f"{'optimal' if row['optimal'] else row.get('status', '')}, "
         f"{'stable' if row['stable'] else 'unstable'}, largest strain "
-        f"{row['max_strain']:.2f}, {row['seconds']:.0f} s"
+        f"{row['max_strain']:.2f}, {row['seconds']:.0f} s; held by "
+        f"{', '.join(row['active']) or 'no limit'}"
     )
 
 

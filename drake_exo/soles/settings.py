@@ -20,6 +20,7 @@ from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick, read_mesh
 from drake_exo.soles.rotations import rotation_z, without_yaw
+from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.surface import (
     SUFFIXES,
     Unit,
@@ -384,6 +385,47 @@ OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 
 
 @dataclass(frozen=True)
+class ShapeBlock:
+    """What the surface of a design has to keep, in the sole's frame."""
+
+    symmetric: bool = False
+    fixed_m: tuple[tuple[Vector3, Vector3], ...] = ()
+    least_depth_m: float | None = positive("m")
+    largest_height_m: float | None = positive("m")
+    draft_deg: float | None = field(
+        default=None, metadata={"unit": "°", "minimum": 0.0, "below": 45.0}
+    )
+
+    def __post_init__(self):
+        low, high = self.least_depth_m, self.largest_height_m
+        if low is not None and high is not None and low >= high:
+            raise InputError(
+                f"least_depth_m {low:g} has to be below largest_height_m "
+                f"{high:g}"
+            )
+
+    def spline(self, mesh: TetMesh, intervals, fixed_top) -> SphericalSpline:
+        """Coefficients that are free; of the initial mesh.
+
+        Raises:
+            InputError: A fixed patch holds none of the surface, or all.
+        """
+        free = SphericalSpline(intervals, fixed_top)
+        kept, points = set(), mesh.nodes[mesh.bare]
+        for k, corners in enumerate(self.fixed_m):
+            low, high = np.sort(corners, axis=0)
+            inside = ((low <= points) & (points <= high)).all(axis=1)
+            if not inside.any():
+                raise InputError(
+                    f"optimize.shape.fixed_m[{k}]: no node of the sole's "
+                    "bare surface is in that box; give two corners in the "
+                    "sole's frame (top at z = 0), in metres"
+                )
+            kept |= set(free.around(points[inside]))
+        return replace(free, symmetric=self.symmetric, kept=tuple(sorted(kept)))
+
+
+@dataclass(frozen=True)
 class OptimizeBlock:
     """Shape parametrisation, limits and stages of an optimisation."""
 
@@ -400,6 +442,7 @@ class OptimizeBlock:
     remeshes: int = field(default=3, metadata={"minimum": 0})
     starts: int = field(default=3, metadata={"minimum": 1})
     stages: tuple[Stage, ...] | None = None
+    shape: ShapeBlock = ShapeBlock()
 
     def __post_init__(self):
         if not 0 < self.bounds[0] < 1 < self.bounds[1]:

@@ -7,6 +7,7 @@ origin.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -44,10 +45,14 @@ class SphericalSpline:
     Attributes:
         intervals: Number of knot intervals over [-π/2, π/2] in θ and φ.
         fixed_top: Keep the top surface as it is (the paper's case 5).
+        symmetric: Left and right alike: s(−θ, φ) = s(θ, φ).
+        kept: Of all coefficients, θ-major, further ones that are 1.
     """
 
     intervals: tuple[int, int] = (10, 10)
     fixed_top: bool = False
+    symmetric: bool = False
+    kept: tuple[int, ...] = ()
 
     def __post_init__(self):
         if min(self.intervals) < 1:
@@ -58,24 +63,35 @@ class SphericalSpline:
     @property
     def count(self) -> int:
         """Number of free coefficients."""
-        n_theta, n_phi = self.intervals
+        return int(self._column.max()) + 1
+
+    @cached_property
+    def _column(self) -> np.ndarray:
+        """Of all coefficients, θ-major, the free one each is; -1: it is 1."""
+        shape = n_theta, n_phi = tuple(n + 2 for n in self.intervals)
+        index = np.arange(n_theta * n_phi).reshape(shape)
+        tied = index.copy()
+        # All of a pole's are one, the last ones: after those between.
+        tied[:, 0], tied[:, -1] = index.size, index.size + 1
+        if self.symmetric:
+            tied = np.minimum(tied, tied[::-1])
+        held = np.zeros(shape, dtype=bool)
         if self.fixed_top:
-            return n_theta * n_phi
-        return (n_theta + 2) * n_phi + 2
+            held[[0, -1]] = held[:, [0, -1]] = True
+        held.ravel()[list(self.kept)] = True
+        held = np.isin(tied, tied[held])  # with those it is tied to
+        if held.all():
+            raise InputError(
+                "optimize.shape: nothing of the sole is left to change; give "
+                "smaller fixed patches, or more intervals"
+            )
+        out = np.full(shape, -1)
+        out[~held] = np.unique(tied[~held], return_inverse=True)[1]
+        return out.ravel()
 
     def free_map(self) -> tuple[csr_matrix, np.ndarray]:
         """T, p0 with (all coefficients, θ-major) = T · free + p0."""
-        n_theta, n_phi = (n + 2 for n in self.intervals)
-        column = np.full((n_theta, n_phi), -1)
-        if self.fixed_top:
-            inner = np.arange((n_theta - 2) * (n_phi - 2))
-            column[1:-1, 1:-1] = inner.reshape(n_theta - 2, n_phi - 2)
-        else:
-            inner = np.arange(n_theta * (n_phi - 2))
-            column[:, 1:-1] = inner.reshape(n_theta, n_phi - 2)
-            column[:, 0] = inner.size
-            column[:, -1] = inner.size + 1
-        column = column.ravel()
+        column = self._column
         rows = np.flatnonzero(column >= 0)
         T = csr_matrix(
             (np.ones(len(rows)), (rows, column[rows])),
@@ -83,12 +99,20 @@ class SphericalSpline:
         )
         return T, (column < 0).astype(float)
 
-    def basis(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Scale s = M p + s0 at the nodes: M (n, count), s0 (n,)."""
-        theta, phi = spherical_angles(nodes)
+    def around(self, points: np.ndarray) -> tuple[int, ...]:
+        """The coefficients that any of some points feels."""
+        return tuple(np.flatnonzero(self._full(points).any(axis=0)).tolist())
+
+    def _full(self, points: np.ndarray) -> np.ndarray:
+        theta, phi = spherical_angles(points)
         N_theta = _basis_matrix(theta, self.intervals[0])
         N_phi = _basis_matrix(phi, self.intervals[1])
-        full = np.einsum("nj,nk->njk", N_theta, N_phi).reshape(len(nodes), -1)
+        full = np.einsum("nj,nk->njk", N_theta, N_phi)
+        return full.reshape(len(points), -1)
+
+    def basis(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Scale s = M p + s0 at the nodes: M (n, count), s0 (n,)."""
+        full = self._full(nodes)
         T, p0 = self.free_map()
         return full @ T, full @ p0
 

@@ -44,6 +44,7 @@ from drake_exo.soles.step.simulation import (
 from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 
 _FORMER = 5  # earlier designs to fall back on
+_ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on twice the elements
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 _TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
@@ -151,6 +152,7 @@ class Design:
             "remeshed": self.remeshed,
             "starts": self.starts,
             "spread": self.spread,
+            "active": self.active(),
         }
         if last is not None:
             row |= {
@@ -172,6 +174,23 @@ class Design:
             c = c_tr - w * c_rot
             row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
         return row
+
+    def _surface(self) -> dict[str, tuple[float, float]]:
+        return self.problem.surface.measures(self.mesh)
+
+    def active(self) -> list[str]:
+        """Names of the limits that hold the design, and of what is kept."""
+        values = self.problem.constraints(self.coefficients)
+        names = [
+            name
+            for name, value in zip(self.problem.names(), values, strict=True)
+            if abs(value) < _ACTIVE
+        ]
+        if self.shape.symmetric:
+            names.append("symmetric")
+        if self.shape.kept:
+            names.append(f"{len(self.shape.kept)} coefficients fixed")
+        return names
 
     @property
     def spread(self) -> float | None:
@@ -256,6 +275,17 @@ class Design:
             for what, value, limit, unit, sign in held
             if limit is not None
         ]  # fmt: skip
+        for what, (value, limit) in self._surface().items():
+            slack = limit - value if what == "height" else value - limit
+            checks.append(
+                Check(
+                    f"bounds.{what.removesuffix('_deg')}",
+                    bool(slack >= -max(_ROUNDING * limit, 1e-9)),
+                    value, limit, "°" if what == "draft_deg" else "m", name,
+                    "the design's surface is outside the case's limit; "
+                    "optimise it longer (--resume, --iterations)",
+                )
+            )  # fmt: skip
         if finer is not None:
             change = finer["change"]
             holds = bool(abs(change) <= _FINER)
@@ -298,6 +328,8 @@ class Design:
             {
                 "intervals": self.shape.intervals,
                 "fixed_top": self.shape.fixed_top,
+                "symmetric": self.shape.symmetric,
+                "kept": self.shape.kept,
                 "coefficients": self.coefficients,
                 "stage": len(self.setup.settings.optimize.stages),
             },

@@ -271,7 +271,12 @@ class StoredDesign:
         data = read_json(path, remedy)
         try:
             n_theta, n_phi = map(int, data["intervals"])
-            spline = SphericalSpline((n_theta, n_phi), bool(data["fixed_top"]))
+            spline = SphericalSpline(
+                (n_theta, n_phi),
+                bool(data["fixed_top"]),
+                bool(data.get("symmetric", False)),
+                tuple(map(int, data.get("kept", ()))),
+            )
             p = np.array(data["coefficients"], dtype=float)
         except (ValueError, KeyError, TypeError, OverflowError):
             raise InputError(f"{path}: holds no design; {remedy}") from None

@@ -20,7 +20,7 @@ from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity.linear import Sole, gradient_operators
 from drake_exo.soles.elasticity.shape_gradient import energy_gradient, pairs
-from drake_exo.soles.mesh import scatter
+from drake_exo.soles.mesh import TetMesh, scatter
 from drake_exo.soles.optimize.adjoint import (
     ForceTerm,
     heavy,
@@ -168,6 +168,8 @@ def _powers(matrices, order):
 
 
 _SHARPNESS = 60.0  # of the soft minimum over samples
+_SURFACE_SHARPNESS = 500.0  # likewise over nodes or faces of the surface
+_DOWNWARDS = 0.5  # least downward part of a normal at the bottom
 _TILT_SCALE = 0.06  # 1 − cos 20°
 
 
@@ -181,6 +183,10 @@ class Limits:
         tilt_deg: Largest tilt [°].
         strain: Largest p-norm of the principal strains.
         c_rot: Least c_rot [N·m/rad], for the front of c_tr against c_rot.
+        depth: Least one of the bottom below the top plane [m].
+        height: Largest one of all of the bare surface [m].
+        draft_deg: Least angle of bare faces with the vertical [°], so that a
+            mould that opens upwards lets go.
     """
 
     volume: float
@@ -188,6 +194,9 @@ class Limits:
     tilt_deg: float | None = None
     strain: float | None = None
     c_rot: float | None = None
+    depth: float | None = None
+    height: float | None = None
+    draft_deg: float | None = None
 
 
 @dataclass
@@ -313,6 +322,86 @@ def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
     if limits.c_rot is not None:
         out.append(RotationLimit(limits.c_rot, by_rot))
     return out
+
+
+@dataclass(frozen=True)
+class SurfaceLimits:
+    """Limits on the shape alone, minima over nodes or faces.
+
+    Args:
+        limits: Those on depth, height and draft count.
+        mesh: The undeformed sole, which says what is its bottom.
+    """
+
+    limits: Limits
+    mesh: TetMesh
+
+    def measures(self, mesh: TetMesh) -> dict[str, tuple[float, float]]:
+        """Least depth, largest height [m] and least draft [°], with limits.
+
+        Args:
+            mesh: The deformed sole.
+        """
+        z, mine = mesh.nodes[:, 2], self.limits
+        found = {
+            "depth": (-z[self._bottom].max(), mine.depth),
+            "height": (-z.min(), mine.height),
+        }
+        up = _normals(mesh)[1].max()
+        draft = -float(np.rad2deg(np.arcsin(np.clip(up, -1, 1))))
+        found["draft_deg"] = draft, mine.draft_deg
+        return {
+            name: (float(value), limit)
+            for name, (value, limit) in found.items()
+            if limit is not None
+        }
+
+    @cached_property
+    def _bottom(self) -> np.ndarray:
+        """Nodes of faces that look downwards rather than sideways."""
+        down = _normals(self.mesh)[1] < -_DOWNWARDS
+        faces = self.mesh.contact_faces[down]
+        return np.setdiff1d(faces, self.mesh.fixed)
+
+    def evaluate(self, mesh: TetMesh) -> list[tuple[str, float, np.ndarray]]:
+        """Name, scaled value (at least 0 where met), ∂/∂nodes (n, 3)."""
+        mine, out = self.limits, []
+        z = mesh.nodes[:, 2]
+        for name, nodes, sign, limit in (
+            ("depth", self._bottom, -1.0, mine.depth),
+            ("height", mesh.bare, 1.0, mine.height),
+        ):
+            if limit is not None:
+                excess = sign * (z[nodes] / limit + 1.0)
+                value, share = soft_minimum(excess, _SURFACE_SHARPNESS)
+                by_nodes = np.zeros_like(mesh.nodes)
+                by_nodes[nodes, 2] = sign * share / limit
+                out.append((name, value, by_nodes))
+        if mine.draft_deg is not None:
+            normal, up, size = _normals(mesh)
+            value, share = soft_minimum(
+                -up - np.sin(np.deg2rad(mine.draft_deg)), _SURFACE_SHARPNESS
+            )
+            # ∂(a_z/|a|)/∂a, and a = (p1 − p0) × (p2 − p0).
+            pull = -normal * up[:, None]
+            pull[:, 2] += 1.0
+            pull *= (-share / size)[:, None]
+            faces = mesh.contact_faces
+            x, by_nodes = mesh.nodes[faces], np.zeros_like(mesh.nodes)
+            for k in range(3):
+                edge = x[:, (k + 2) % 3] - x[:, (k + 1) % 3]
+                np.add.at(by_nodes, faces[:, k], np.cross(pull, edge))
+            out.append(("draft_deg", value, by_nodes))
+        return out
+
+
+def _normals(mesh: TetMesh):
+    """Of bare faces: outward (f, 3), its upward part (f,), 2 × area (f,)."""
+    x = mesh.nodes[mesh.contact_faces]
+    area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    size = np.linalg.norm(area, axis=1)
+    normal = area / size[:, None]
+    return normal, normal[:, 2], size
 
 
 def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

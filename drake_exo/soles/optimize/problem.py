@@ -23,6 +23,7 @@ from drake_exo.soles.optimize.limits import (
     Evaluation,
     Limits,
     RotationLimit,
+    SurfaceLimits,
     active_limits,
     soft_minimum,
 )
@@ -99,6 +100,7 @@ class ShapeProblem:
         share = self.load.shares[self.thinned.phase]
         self.by_tr, self.by_rot = share * by_tr, share * by_rot
         self._bends = second_differences(self.spline)
+        self.surface = SurfaceLimits(self.limits, self.mesh)
         self._rest = self.mesh.volumes
         if self.meshed_at is not None:
             self._rest = self.deformed(self.meshed_at).volumes
@@ -204,7 +206,13 @@ class ShapeProblem:
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
-        return ["volume", "elements", *(limit.name for limit in self.limited)]
+        surface = self.surface.evaluate(self.mesh)
+        return [
+            "volume",
+            "elements",
+            *(name for name, *_ in surface),
+            *(limit.name for limit in self.limited),
+        ]
 
     def constraints(self, p: np.ndarray) -> np.ndarray:
         """Scaled constraint values, feasible where >= 0."""
@@ -216,6 +224,7 @@ class ShapeProblem:
             [
                 1.0 - mesh.volume / self.limits.volume,
                 self._elements(mesh)[0],
+                *(value for _, value, _ in self.surface.evaluate(mesh)),
                 *(limit.value(e) for limit in self.limited),
             ]
         )
@@ -258,8 +267,12 @@ class ShapeProblem:
         ]
         volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
         elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
+        surface = [
+            self.by_coefficients(by_nodes)
+            for *_, by_nodes in self.surface.evaluate(e.sole.mesh)
+        ]
         return rows[0], np.array(
-            [volume / self.limits.volume, elements, *rows[1:]]
+            [volume / self.limits.volume, elements, *surface, *rows[1:]]
         )
 
     def regularization(self, p: np.ndarray):

@@ -38,7 +38,6 @@ from drake_exo.soles.optimize.remeshing import (
     with_new_elements,
 )
 from drake_exo.soles.settings import Settings, Setup, Stage
-from drake_exo.soles.shape import SphericalSpline
 
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
@@ -60,6 +59,9 @@ def limits_of(settings: Settings) -> Limits:
         None if held else block.tilt_deg,
         block.strain,
         block.c_rot_nm_per_rad,
+        block.shape.least_depth_m,
+        block.shape.largest_height_m,
+        block.shape.draft_deg,
     )
 
 
@@ -83,7 +85,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
     block, sole = settings.optimize, setup.sole(mesh)
     return ShapeProblem(
         mesh,
-        SphericalSpline(tuple(block.intervals), block.fixed_top),
+        block.shape.spline(setup.mesh, tuple(block.intervals), block.fixed_top),
         sole.material,
         ContactLaw(
             settings.contact.friction, sole.penalty, stage.layer_m, stage.kappa
