@@ -51,7 +51,6 @@ from drake_exo.contact.strap import (
     CuffDesign,
     Design,
     JointDesign,
-    hats,
     links_above,
     movable,
     weight_above,
@@ -74,7 +73,7 @@ _PRELOADS = ("preload_across_m", "preload_along_m")
 _OFFSETS = ("across_m", "along_m")
 _NUM_PLACES = 2 + len(_PRELOADS)
 # What the name of a factor on a joint's torque begins with.
-_FACTOR = "factor_at_"
+_FACTOR, _DEG = "factor_at_", "_deg"
 
 
 @dataclass(frozen=True)
@@ -146,10 +145,18 @@ def design_variables(
             for w in _OFFSETS
         ]
     for joint in model.coordinates.device:
-        for angle in _angles(joint, wearers, settings.points):
-            name = f"{joint}.{_FACTOR}{angle:g}_deg"
+        for place in _factors_at(joint, wearers, settings):
+            name = f"{joint}.{_FACTOR}{place}"
             found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
     return found
+
+
+def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
+    """Where a joint's factors are, as their names end."""
+    if settings.assistance_over == "angle":
+        angles = _angles(joint, wearers, settings.points)
+        return [f"{angle:g}{_DEG}" for angle in angles]
+    return [f"{k + 1}_of_{settings.points}" for k in range(settings.points)]
 
 
 def _angles(joint: str, wearers, count: int) -> np.ndarray:
@@ -190,8 +197,7 @@ def design_of(values: Mapping[str, float]) -> Design:
         group, _, what = name.partition(".")
         value = float(value)
         if what.startswith(_FACTOR):
-            angle = float(what.removeprefix(_FACTOR).removesuffix("_deg"))
-            factors.setdefault(group, {})[angle] = value
+            factors.setdefault(group, {})[what.removeprefix(_FACTOR)] = value
         elif group.startswith(DEVICE):
             joints.setdefault(group, {})[what] = value
         elif what.startswith("strap"):
@@ -201,12 +207,18 @@ def design_of(values: Mapping[str, float]) -> Design:
             cuffs.setdefault(group, {})[what] = value
     return Design(
         {cuff: CuffDesign(**v) for cuff, v in cuffs.items()},
-        {
-            joint: Assistance(tuple(v), tuple(v.values()))
-            for joint, v in factors.items()
-        },
+        {joint: _assistance(v) for joint, v in factors.items()},
         {joint: JointDesign(**v) for joint, v in joints.items()},
     )
+
+
+def _assistance(factors: Mapping[str, float]) -> Assistance:
+    """Of one joint, by where its factors are."""
+    values = tuple(factors.values())
+    angles = [n.removesuffix(_DEG) for n in factors if n.endswith(_DEG)]
+    if angles:
+        return Assistance(tuple(map(float, angles)), values)
+    return Assistance((), values, "movement")
 
 
 @dataclass(frozen=True)
@@ -372,11 +384,11 @@ class _Wearing(PhaseProblem):
         for i, joint in enumerate(names.device):
             first = f"{joint}.{_FACTOR}"
             own = [n for n in posed.variables if n.startswith(first)]
-            points = [
-                float(n.partition(_FACTOR)[2].removesuffix("_deg")) for n in own
-            ]
             factors = np.array([posed.variables[n] for n in own])
-            weights = hats(points, at.coordinate(joint))
+            known = _assistance({n.partition(_FACTOR)[2]: 1.0 for n in own})
+            weights = known.weights(
+                at.coordinate(joint), at.times / at.duration
+            )
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
                 AssistanceKernel(1, len(own)),

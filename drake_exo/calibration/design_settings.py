@@ -191,8 +191,11 @@ class DesignSettings:
         joints: how far those of the shipped device may move, exo_knee and
             exo_hip, by name; where they are if none is named.
         assistance: lowest and highest factor on the device's torques.
-        points: angles of each of its joints at which there is a factor; 1
-            for one throughout.
+        assistance_over: what they depend on: the "angle" of their joint, or
+            how much of the "movement"'s time is over.
+        points: factors of each joint: at that many angles, or that many
+            coefficients of a cubic spline over the movement; 1 for one
+            throughout.
         limits: what no wearer may feel more of.
         solver: grid and solver.
 
@@ -216,6 +219,7 @@ class DesignSettings:
     assistance: tuple[float, float] = field(
         default=(0.7, 1.3), metadata={"above": 0.0}
     )
+    assistance_over: Literal["angle", "movement"] = "angle"
     points: int = field(default=4, metadata={"minimum": 1})
     limits: DesignLimits = DesignLimits()
     solver: Solver = field(

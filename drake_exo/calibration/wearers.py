@@ -99,13 +99,16 @@ def own_kinematics(movement, at: Trial, noise, effects=None) -> list:
 def assisted(trial: Trial, design: Design) -> Trial:
     """A trial with the device's torques times a design's factors.
 
+    The movement is the trial, from its start to its end.
+
     What the device bears more the person bears less.
     """
     if trial.moments is None or not design.assistance:
         return trial
     names, moments = trial.coordinates, trial.moments.copy()
     angles = trial.q[:, names.device_columns]
-    factors = design.factors(names.device, angles)
+    share = trial.times / trial.duration
+    factors = design.factors(names.device, angles, share)
     for i, joint in enumerate(names.device):
         more = (factors[:, i] - 1.0) * trial.moment(joint)
         moments[:, names.joint(joint)] += more

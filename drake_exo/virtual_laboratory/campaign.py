@@ -350,6 +350,10 @@ class Campaign:
             self.planner.rise(plan, seat),
             seat,
             _HELP if assisted else PASSIVE,
+            (
+                plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S,
+                _rise_end(plan),
+            ),
             progress,
             done,
         )
@@ -422,6 +426,10 @@ def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
     )
 
 
+def _rise_end(plan: RisePlan) -> float:
+    return plan.duration - plan.stand_s + _AFTER_RISE_S
+
+
 def _window(
     movement: Trial, plan: RisePlan, rng: np.random.Generator | None
 ) -> tuple[float, float]:
@@ -435,7 +443,7 @@ def _window(
             below a threshold that is above both; None for the truth.
     """
     force, gone = movement.chair.force_z, _CHAIR_GONE_N
-    end = plan.duration - plan.stand_s + _AFTER_RISE_S
+    end = _rise_end(plan)
     if rng is not None:
         noise = rng.normal(0.0, _SEEN_NOISE_N, len(force))
         offset = rng.uniform(-_SEEN_OFFSET_N, _SEEN_OFFSET_N)

@@ -119,7 +119,8 @@ class DeviceController(LeafSystem):
         model: the coupled one.
         share: of the gravity torque at ankle, knee and hip.
         friction: of the joints.
-        design: factors on the help by the joints' angles.
+        design: factors on the help.
+        span: begin and end of what a factor over the movement is over [s].
     """
 
     def __init__(
@@ -128,9 +129,11 @@ class DeviceController(LeafSystem):
         share: tuple[float, float, float],
         friction: Friction,
         design: Design | None = None,
+        span: tuple[float, float] = (0.0, 1.0),
     ):
         super().__init__()
         self.set_name("device")
+        self._span = span
         self._tree, self._share = model.rigid.tree, np.array(share)
         self._weight = self._tree.weight
         names = model.coordinates
@@ -142,11 +145,11 @@ class DeviceController(LeafSystem):
             self.DeclareVectorInputPort("ground_reaction", 3)
         self.DeclareVectorOutputPort("torques", len(self._columns), self._calc)
 
-    def torques(self, angles, rates, load) -> np.ndarray:
-        """Torques (N, 3) at angles and rates (N, 3) and F_z (N,) [N]."""
-        return self.help(angles, load) + self._friction.torques(rates)
+    def torques(self, times, angles, rates, load) -> np.ndarray:
+        """Torques (N, 3) at times, angles and rates (N, 3), F_z (N,) [N]."""
+        return self.help(times, angles, load) + self._friction.torques(rates)
 
-    def help(self, angles, load) -> np.ndarray:
+    def help(self, times, angles, load) -> np.ndarray:
         """What the drives give, without friction."""
         if not self._share.any():
             return np.zeros_like(angles)
@@ -158,7 +161,9 @@ class DeviceController(LeafSystem):
         low, high = _ENGAGED
         s = np.clip((load / self._weight - low) / (high - low), 0.0, 1.0)
         engaged = s * s * (3.0 - 2.0 * s)
-        factors = self._design.factors(self._joints, angles)
+        start, end = self._span
+        share = (times - start) / (end - start)
+        factors = self._design.factors(self._joints, angles, share)
         return engaged[:, None] * self._share * factors * gravity
 
     def _calc(self, context, output):
@@ -168,7 +173,8 @@ class DeviceController(LeafSystem):
             load = self.GetInputPort("ground_reaction").Eval(context)[1:2]
         q, v = np.split(state, 2)
         at = self._columns
-        found = self.torques(q[None, at], v[None, at], load)
+        times = np.array([context.get_time()])
+        found = self.torques(times, q[None, at], v[None, at], load)
         output.SetFromVector(found[0])
 
 

@@ -44,6 +44,7 @@ def simulate(
     reference: Reference,
     seat: SeatParameters | None = None,
     help_share: tuple[float, float, float] = PASSIVE,
+    span: tuple[float, float] = (0.0, 1.0),
     progress: Progress | None = None,
     done: int | None = None,
 ) -> Trial:
@@ -56,10 +57,11 @@ def simulate(
         seat: the chair, if there is one.
         help_share: of the gravity torque at ankle, knee and hip, which the
             exoskeleton bears.
+        span: begin and end of the movement, as the exoskeleton takes it [s].
         progress: told of every step.
         done: movements simulated before.
     """
-    subject, device = _controllers(truth, reference, help_share)
+    subject, device = _controllers(truth, reference, help_share, span)
     built = build_diagram(
         truth.model,
         ContactModel(truth.contact),
@@ -82,13 +84,13 @@ def simulate(
     return _recorded(name, truth, seat, (subject, device), motion)
 
 
-def _controllers(truth: Truth, reference: Reference, help_share):
+def _controllers(truth: Truth, reference: Reference, help_share, span):
     device = DeviceController(
-        truth.model, help_share, truth.friction, truth.design
+        truth.model, help_share, truth.friction, truth.design, span
     )
     names = truth.model.rigid.coordinates
     angles = reference.q[:, names.joint_columns]
-    help_expected = device.help(angles, reference.ground[:, 1])
+    help_expected = device.help(reference.times, angles, reference.ground[:, 1])
     names = truth.model.coordinates
     return SubjectController(names, reference, help_expected), device
 
@@ -179,7 +181,7 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     torque = np.hstack(
         [
             subject.torques(times, q, v),
-            device.torques(q[:, exo], v[:, exo], ground.force_z),
+            device.torques(times, q[:, exo], v[:, exo], ground.force_z),
         ]
     )
     loads = applied(tree, truth.contact, truth.cuffs, seat, q, v)

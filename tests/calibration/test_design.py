@@ -174,14 +174,18 @@ def test_the_forecast_is_what_the_design_promised(found, in_device, driven):
         ("pelvis.area", 1.1, 1e-2),
         ("exo_knee.across_m", 2e-3, 2e-4),
         ("exo_hip.along_m", -2e-3, 2e-4),
+        ("exo_knee.factor_at_2_of_4", 1.05, 5e-3),
     ],
 )
 def test_slope_is_that_of_problems_solved_again(
     wearer, name, value, step, today
 ):
     """Gradient of the optimum by a variable, to 1 %."""
+    over = "movement" if "_of_" in name else "angle"
     free = replace(
         SETTINGS,
+        assistance_over=over,
+        points=4 if over == "movement" else 1,
         limits=DesignLimits(
             migration_mm=None,
             moment_factor=None,
@@ -190,8 +194,10 @@ def test_slope_is_that_of_problems_solved_again(
         ),
     )
 
+    everything = design_variables([wearer], free)
+
     def solved(at):
-        held = {v.name: v.today for v in today.problem.design} | {name: at}
+        held = {v.name: v.today for v in everything} | {name: at}
         result = DesignProblem([wearer], free, held=held).solve()
         assert result.solution.success
         return result
@@ -200,6 +206,29 @@ def test_slope_is_that_of_problems_solved_again(
     up, down = (solved(value + s * step) for s in (1.0, -1.0))
     expected = up.solution.objective - down.solution.objective
     assert slope == pytest.approx(expected / (2.0 * step), rel=0.01)
+
+
+def test_torques_over_the_movement_keep_the_support(wearer, today):
+    """A spline for each joint: less is felt, at the same work."""
+    settings = replace(SETTINGS, assistance_over="movement", points=5)
+    names = [v.name for v in design_variables([wearer], settings)]
+    assert "exo_hip.factor_at_5_of_5" in names
+    result = DesignProblem([wearer], settings, today=today).solve()
+    assert result.solution.success
+    assert result.norm_n < 0.9 * today.norm_n
+    work = [works(r)["somebody"] for r in (today, result)]
+    assert work[1] == pytest.approx(work[0], rel=0.006)
+    spline = result.design.assistance["exo_knee"]
+    assert spline.over == "movement" and len(spline.factor) == 5
+    (found,) = result.wearers["somebody"].trials
+    share = found.times / found.duration
+    own = wearer.trials[0].sample(found.times)
+    expected = own.moment("exo_knee")
+    np.testing.assert_allclose(
+        found.moment("exo_knee"),
+        expected * spline.factors(None, share),
+        atol=0.05,
+    )
 
 
 def test_moved_joints_are_those_of_the_model_that_is_built(wearer):

@@ -15,6 +15,7 @@ from drake_exo.contact.strap import (
     JointDesign,
     in_series,
     read_design,
+    splines,
     write_design,
 )
 from drake_exo.errors import InputError
@@ -29,7 +30,11 @@ MOVED = Design(
             strap_rotational_nm_rad=20.0,
         )
     },
-    {"exo_knee": Assistance((10.0, 90.0), (1.2, 0.8))},
+    {
+        "exo_knee": Assistance((10.0, 90.0), (1.2, 0.8)),
+        "exo_ankle": Assistance((), (1.1, 0.9, 1.0), "movement"),
+    },
+    {"exo_hip": JointDesign(0.01, -0.02)},
 )
 
 
@@ -179,6 +184,28 @@ def test_joints_and_cuffs_move_in_the_file_that_is_built(nominal):
 
 def test_factors_are_linear_between_angles_and_constant_beyond():
     angles = np.deg2rad([[-30.0, 0.0], [50.0, 0.0], [70.0, 5.0], [120.0, 1.0]])
-    found = MOVED.factors(["exo_knee", "exo_hip"], angles)
+    found = MOVED.factors(["exo_knee", "exo_hip"], angles, 0.5)
     np.testing.assert_allclose(found[:, 0], [1.2, 1.0, 0.9, 0.8])
     np.testing.assert_array_equal(found[:, 1], 1.0)
+
+
+def test_a_spline_over_the_movement():
+    """Cubic: what it can be is found again, and factors bound it."""
+    share = np.linspace(-0.1, 1.1, 400)
+    inside = (share >= 0.0) & (share <= 1.0)
+    weights = splines(6, share)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    assert (weights >= -1e-12).all()
+    # Any cubic over the whole movement is one of these splines.
+    wanted = 1.0 + 0.3 * share - 0.5 * share**2 + 0.2 * share**3
+    fit, *_ = np.linalg.lstsq(weights[inside], wanted[inside], rcond=None)
+    np.testing.assert_allclose(weights[inside] @ fit, wanted[inside])
+    # Before and after, what it begins and ends with.
+    assist = Assistance((), tuple(fit), "movement")
+    found = assist.factors(np.zeros(400), share)
+    np.testing.assert_allclose(found[share < 0.0], 1.0)
+    np.testing.assert_allclose(found[share > 1.0], 1.0)
+    assert splines(1, 0.3) == pytest.approx(1.0)
+    for angles, over in (((1.0,), "movement"), ((), "angle")):
+        with pytest.raises(InputError):
+            Assistance(angles, (1.0,), over)

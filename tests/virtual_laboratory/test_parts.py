@@ -190,7 +190,9 @@ def test_controllers_join_to_six_torques():
     reference = Planner(RIGID, truth.contact).standing(1.0, STANDING_COP_M)
     friction = Friction((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))
     device = DeviceController(truth.model, (0.0, 0.5, 0.5), friction)
-    expected = device.help(reference.q[:, 3:], reference.ground[:, 1])
+    expected = device.help(
+        reference.times, reference.q[:, 3:], reference.ground[:, 1]
+    )
     subject = SubjectController(truth.model.coordinates, reference, expected)
     both = controller(subject, device)
     context = both.CreateDefaultContext()
@@ -204,7 +206,9 @@ def test_controllers_join_to_six_torques():
     total = found[:3] + found[3:] - rubbing
     np.testing.assert_allclose(total, reference.torque[0], atol=1e-9)
     assert np.abs(expected[0]).max() > 1.0
-    unloaded = device.torques(q[None, 6:], v[None, 6:], np.zeros(1))
+    unloaded = device.torques(
+        np.zeros(1), q[None, 6:], v[None, 6:], np.zeros(1)
+    )
     np.testing.assert_allclose(unloaded[0], rubbing, atol=1e-9)
 
 

@@ -73,7 +73,7 @@ def test_friction_is_viscous_and_dry_against_the_motion():
     ]
     np.testing.assert_allclose(friction.torques(rates), expected)
     assert DeviceController(MODEL, (0.0, 0.0, 0.0), friction).torques(
-        rates, rates, np.zeros(2)
+        np.zeros(2), rates, rates, np.zeros(2)
     ) == pytest.approx(np.array(expected))
 
 
@@ -480,7 +480,8 @@ def test_the_device_helps_as_the_feet_are_loaded():
     plant.SetPositions(context, q[0])
     gravity = -plant.CalcGravityGeneralizedForces(context)[3:]
     expected = np.outer([0.0, 0.5, 1.0, 1.0], share * gravity)
-    np.testing.assert_allclose(device.help(angles, load), expected, atol=1e-9)
+    found = device.help(np.zeros(4), angles, load)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_standing_is_over_the_named_centre_of_pressure():

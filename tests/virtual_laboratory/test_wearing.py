@@ -46,13 +46,30 @@ def test_help_follows_the_factors_and_friction_does_not(truth):
         DeviceController(truth.model, share, truth.friction, design)
         for design in (None, DESIGN)
     )
-    ratio = built.help(angles, load)[:, 1:] / own.help(angles, load)[:, 1:]
+    at = np.zeros(2), angles
+    ratio = built.help(*at, load)[:, 1:] / own.help(*at, load)[:, 1:]
     np.testing.assert_allclose(ratio, [[1.0, 1.0], [0.4, 1.0]])
     friction = [
-        d.torques(angles, rates, load) - d.help(angles, load)
-        for d in (own, built)
+        d.torques(*at, rates, load) - d.help(*at, load) for d in (own, built)
     ]
     np.testing.assert_allclose(*friction)
+
+
+def test_help_follows_a_spline_over_the_movement(truth):
+    """From 2 s to 4 s; the ends' factors before and after."""
+    spline = Assistance((), (1.2, 1.0, 0.9, 0.8), "movement")
+    share, times = (0.1, 0.2, 0.2), np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    angles = np.tile(np.deg2rad([10.0, 60.0, 30.0]), (5, 1))
+    load = np.full(5, truth.model.tree.weight)
+    own, built = (
+        DeviceController(truth.model, share, truth.friction, design, (2.0, 4.0))
+        for design in (None, Design(assistance={"exo_hip": spline}))
+    )
+    ratio = built.help(times, angles, load) / own.help(times, angles, load)
+    # Four coefficients: a Bezier curve.
+    middle = (1.2 + 3.0 * 1.0 + 3.0 * 0.9 + 0.8) / 8.0
+    np.testing.assert_allclose(ratio[:, 2], [1.2, 1.2, middle, 0.8, 0.8])
+    np.testing.assert_allclose(ratio[:, :2], 1.0)
 
 
 def test_a_design_of_another_device_is_refused(truth):
