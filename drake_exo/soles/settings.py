@@ -39,7 +39,7 @@ def positive(unit: str, default=None):
     return field(default=default, metadata=meta)
 
 
-def not_negative(unit: str, default: float | None):
+def not_negative(unit: str, default: float):
     """A field of at least 0."""
     return field(default=default, metadata={"unit": unit, "minimum": 0.0})
 
@@ -364,14 +364,13 @@ class CostBlock:
 
 @dataclass(frozen=True)
 class Stage:
-    """One run of the optimiser; roughness left out: that of the block."""
+    """One run of the optimiser."""
 
     divisions: tuple[int, int, int] | None = None
     samples: int | None = None
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
     iterations: int = field(default=40, metadata={"minimum": 0})
-    roughness: float | None = not_negative("", None)
 
 
 _FINE = (18, 12, 4)
@@ -618,16 +617,9 @@ class Setup:
         )
 
     def without_limits(self) -> "Setup":
-        """The paper's own problem: stability, tilt and strain are free.
-
-        Every stage has the block's roughness: it alone holds the shape there.
-        """
-        stages = self.settings.optimize.stages
+        """The paper's own problem: stability, tilt and strain are free."""
         return self.optimizing(
-            stability_n_per_m=None,
-            tilt_deg=None,
-            strain=None,
-            stages=tuple(replace(s, roughness=None) for s in stages),
+            stability_n_per_m=None, tilt_deg=None, strain=None
         )
 
     def with_iterations(self, iterations: int | None) -> "Setup":

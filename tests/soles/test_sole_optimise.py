@@ -230,14 +230,10 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     assert "of another case" in capsys.readouterr().err
 
 
-def test_a_stage_has_its_own_roughness_or_the_cases(folder):
+def test_without_limits_stability_tilt_and_strain_are_free():
     settings = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
-    case, block = Case.open(settings), settings.optimize
-    own = [stage_problem(case, s).regularization_weight for s in block.stages]
-    assert own == [3.0, block.roughness]
-    free = case.without_limits().settings.optimize
+    free = Case.open(settings).without_limits().settings.optimize
     assert (free.strain, free.tilt_deg, free.stability_n_per_m) == (None,) * 3
-    assert [s.roughness for s in free.stages] == [None, None]
 
 
 def test_case_files_are_the_studys_cases():
@@ -246,6 +242,7 @@ def test_case_files_are_the_studys_cases():
         name = f"sole_{case.name.lower().replace('-', '_')}.yaml"
         read = Settings.read(cases / name)
         assert read.optimize == case.optimize
+        assert read.mesh == case.mesh
         assert read.cost == case.cost
         assert read.material == case.material
         assert read.load.straight == case.load.straight

@@ -19,18 +19,21 @@ from drake_exo.soles.elasticity.linear import (
 _NEGLIGIBLE = 1e-7
 
 
-def compliance_gradient(
-    sole: Sole, left: np.ndarray, right: np.ndarray
-) -> np.ndarray:
-    """Derivative of tr(C̄ᵀ C) with C̄ = left rightᵀ by the nodes, (n, 3).
+def compliance_gradients(sole: Sole, terms: list) -> np.ndarray:
+    """Derivatives of tr(C̄ᵀ C) with C̄ = left rightᵀ by the nodes, (f, n, 3).
 
     C is symmetric: the eigenvectors of C̄'s symmetric part are all the fields
     that it takes.
 
     Args:
         sole: The condensed sole.
-        left, right: (3m, c) each.
+        terms: Pairs of left and right, (3m, c) each, one for each C̄.
     """
+    return _gradients(sole, [_fields(sole, *term) for term in terms])
+
+
+def _fields(sole: Sole, left: np.ndarray, right: np.ndarray):
+    """Free displacements and factors, see `energy_gradient`."""
     dofs = np.flatnonzero(left.any(axis=1) | right.any(axis=1))
     left, right = left[dofs], right[dofs]
     if 2 * left.shape[1] < len(dofs):
@@ -44,7 +47,7 @@ def compliance_gradient(
     vectors = vectors[:, kept] if basis is None else basis @ vectors[:, kept]
     forces = np.zeros((3 * len(sole.mesh.contact), kept.sum()))
     forces[dofs] = vectors
-    return energy_gradient(sole, sole.carry(forces), values[kept])
+    return sole.carry(forces), values[kept]
 
 
 def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,19 +76,26 @@ def energy_gradient(
         w: Free displacements, (3 n_f, k).
         factors: λ, (k,).
     """
-    pattern, out = sole.pattern, np.zeros_like(sole.mesh.nodes)
+    return _gradients(sole, [(w, factors)])[0]
+
+
+def _gradients(sole: Sole, fields: list) -> np.ndarray:
+    """As `energy_gradient` for several pairs of w and λ, (f, n, 3)."""
+    pattern = sole.pattern
     indptr, indices = pattern.graph.indptr, pattern.graph.indices
-    fields = np.ascontiguousarray(w).reshape(len(sole.free), 3, -1)
-    W = _products(indptr, indices, fields, factors)
+    W = np.empty((len(indices), len(fields), 3, 3))
+    for which, (w, factors) in enumerate(fields):
+        w = np.ascontiguousarray(w).reshape(len(sole.free), 3, -1)
+        _products(indptr, indices, w, factors, W[:, which])
+    out = np.zeros((len(fields), *sole.mesh.nodes.shape))
     for groups in groups_of(sole.mesh, sole.material, pattern):
-        _add_gradient(*groups, indptr, indices, W, out)
+        _add_gradients(*groups, indptr, indices, W, out)
     return out
 
 
 @njit(fastmath=True)
-def _products(indptr, indices, w, factors):
-    """Σ λ w_a w_bᵀ of the matrix's blocks with a <= b, (nnz, 3, 3)."""
-    out = np.empty((len(indices), 3, 3))
+def _products(indptr, indices, w, factors, out):
+    """Σ λ w_a w_bᵀ of the matrix's blocks with a <= b, into (nnz, 3, 3)."""
     for a in range(len(indptr) - 1):
         x, y, z = factors * w[a, 0], factors * w[a, 1], factors * w[a, 2]
         for entry in range(indptr[a], indptr[a + 1]):
@@ -99,21 +109,24 @@ def _products(indptr, indices, w, factors):
                     q += y[k] * v[k]
                     r += z[k] * v[k]
                 out[entry, 0, j], out[entry, 1, j], out[entry, 2, j] = p, q, r
-    return out
 
 
 @njit()
-def _add_gradient(
+def _add_gradients(
     start, around, tets, g, volumes, shear, lam, number, indptr, indices, W, out
 ):
     """Add −∂(W : K)/∂X of the groups' energies, see `groups_of`.
 
     That of a group is Σ G_aᵀ M_ab G_b / V with G = Σ v g, V = Σ v and
     M = μ (tr W I + Wᵀ) + λ W.
+
+    Args:
+        W: Blocks with a <= b, (nnz, f, 3, 3).
+        out: (f, n, 3).
     """
     slot = np.full(len(number), -1)
     nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
-    by_G = np.empty((len(number), 3))
+    by_G = np.empty((len(number), len(out), 3))
     for group in range(len(start) - 1):
         elements = around[start[group] : start[group + 1]]
         count, V = average_gradients(
@@ -126,41 +139,54 @@ def _add_gradient(
             for b in range(count):
                 if nodes[b] < nodes[a]:
                     continue
-                w = W[low + np.searchsorted(row, nodes[b])]
-                trace = w[0, 0] + w[1, 1] + w[2, 2]
-                for i in range(3):
-                    for j in range(3):
-                        M = shear * w[j, i] + lam * w[i, j]
-                        if i == j:
-                            M += shear * trace
-                        by_G[a, i] += M * G[b, j]
-                        if a != b:
-                            by_G[b, j] += M * G[a, i]
-        energy = 0.0
-        for a in range(count):
-            for i in range(3):
-                energy += by_G[a, i] * G[a, i] / V
-                by_G[a, i] *= 2 / V
-        for e in elements:
-            by_volume = -energy / V
-            for a in range(4):
-                node = number[tets[e, a]]
-                if node >= 0:
+                entry = low + np.searchsorted(row, nodes[b])
+                for f in range(len(out)):
+                    w = W[entry, f]
+                    trace = w[0, 0] + w[1, 1] + w[2, 2]
                     for i in range(3):
-                        by_volume += by_G[slot[node], i] * g[e, a, i]
-            # ∂v = v g_c·dX_c and ∂g_a = −g_c (g_a·dX_c).
-            for c in range(4):
+                        for j in range(3):
+                            M = shear * w[j, i] + lam * w[i, j]
+                            if i == j:
+                                M += shear * trace
+                            by_G[a, f, i] += M * G[b, j]
+                            if a != b:
+                                by_G[b, f, j] += M * G[a, i]
+        for f in range(len(out)):
+            energy = 0.0
+            for a in range(count):
                 for i in range(3):
-                    out[tets[e, c], i] -= volumes[e] * by_volume * g[e, c, i]
-                for a in range(4):
-                    node = number[tets[e, a]]
-                    if node >= 0:
-                        along = 0.0
-                        for i in range(3):
-                            along += by_G[slot[node], i] * g[e, c, i]
-                        for i in range(3):
-                            out[tets[e, c], i] += (
-                                volumes[e] * along * g[e, a, i]
-                            )
+                    energy += by_G[a, f, i] * G[a, i]
+                    by_G[a, f, i] *= 2 / V
+            _by_places(
+                elements, tets, g, volumes, number, slot,
+                by_G[:, f], -energy / V**2, out[f],
+            )  # fmt: skip
         for a in range(count):
             slot[nodes[a]] = -1
+
+
+@njit()
+def _by_places(elements, tets, g, volumes, number, slot, by_G, by_volume, out):
+    """Subtract a group's derivative by the nodes from out (n, 3).
+
+    ∂v = v g_c·dX_c and ∂g_a = −g_c (g_a·dX_c), added up in G and V.
+    """
+    for e in elements:
+        size = by_volume
+        for a in range(4):
+            node = number[tets[e, a]]
+            if node >= 0:
+                for i in range(3):
+                    size += by_G[slot[node], i] * g[e, a, i]
+        for c in range(4):
+            for i in range(3):
+                out[tets[e, c], i] -= volumes[e] * size * g[e, c, i]
+            for a in range(4):
+                node = number[tets[e, a]]
+                if node < 0:
+                    continue
+                along = 0.0
+                for i in range(3):
+                    along += by_G[slot[node], i] * g[e, c, i]
+                for i in range(3):
+                    out[tets[e, c], i] += volumes[e] * along * g[e, a, i]

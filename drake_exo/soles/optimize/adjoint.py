@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.elasticity.shape_gradient import compliance_gradient
+from drake_exo.soles.elasticity.shape_gradient import compliance_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.rotations import cross, rotation_z, yaw_of
 from drake_exo.soles.step.simulation import StepHistory
@@ -166,11 +166,10 @@ def shape_gradients(
         target = load.target(q, reference)
         step = _Step(solver, history, q, target)
         step.reverse(*zip(*live, strict=True))
-    out = np.zeros((len(sums), *sole.mesh.nodes.shape))
+    out = compliance_gradients(
+        sole, [(np.array(x.left).T, np.array(x.right).T) for x in sums]
+    )
     for X, total in zip(out, sums, strict=True):
-        X += compliance_gradient(
-            sole, np.array(total.left).T, np.array(total.right).T
-        )
         X[sole.mesh.contact] += total.lP
     return out
 

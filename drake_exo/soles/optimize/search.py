@@ -95,7 +95,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
         settings.cost.weight,
         limits_of(settings),
         settings.mesh.element,
-        block.roughness if stage.roughness is None else stage.roughness,
+        block.roughness,
         settings.cost.heel_strike_fraction,
         stage.samples,
         use_tr=block.use_tr,
