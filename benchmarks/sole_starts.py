@@ -42,12 +42,12 @@ def optimum(root, start):
     setup = setup_of(root)
     bounds = tuple(setup.settings.optimize.bounds)
     p = np.array(start)
-    approximation, warm = QuasiNewton(len(p)), None
-    begun = None
+    approximation = warm = begun = None
     for stage in STAGES:
         problem = stage_problem(setup, stage)
         if begun is None:
             begun = problem.cost(p)
+            approximation = QuasiNewton(problem.metric)
         found = minimise(
             problem, p, bounds, stage.iterations,
             hessian_approximation=approximation, warm=warm,

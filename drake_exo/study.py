@@ -61,9 +61,8 @@ from drake_exo.measurement.plausibility import plausibility, refuse
 from drake_exo.measurement.plausibility.evidence import Evidence
 from drake_exo.measurement.processing import Recordings, load_trials
 from drake_exo.measurement.quality import Quality, assess
-from drake_exo.measurement.sagittal import COP_THRESHOLD_N
-from drake_exo.measurement.settings import Filter, RecordingSettings, Side, Use
-from drake_exo.measurement.steps import Begin, End, RecordedStep, recorded_step
+from drake_exo.measurement.settings import Filter, RecordingSettings, Use
+from drake_exo.measurement.steps import RecordedStep, recorded_step
 from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -260,26 +259,9 @@ class RecordedStudy(Study):
         self._loaded |= {trial.name: trial for trial in found}
         return tuple(self._loaded[f.name] for f in files)
 
-    def step(
-        self,
-        trial: str,
-        foot: Side,
-        start: Begin = "heel_strike",
-        end: End = "toe_off",
-        number: int = 0,
-        least_force_n: float = COP_THRESHOLD_N,
-    ) -> RecordedStep:
-        """One step of a foot on its force plate; see `recorded_step`."""
-        return recorded_step(
-            self.file,
-            self.root,
-            trial,
-            foot,
-            start,
-            end,
-            number,
-            least_force_n,
-        )
+    def step(self, *which, **more) -> RecordedStep:
+        """One step of a foot: `recorded_step` from its argument `trial` on."""
+        return recorded_step(self.file, self.root, *which, **more)
 
     def quality(self) -> Quality:
         """How good the recordings are, without solving anything."""

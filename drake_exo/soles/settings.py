@@ -376,8 +376,8 @@ class Stage:
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start.
 STAGES = (
-    Stage(_FINE, 24, 3e-4, 0.2, 50),
-    Stage(_FINE, None, 5e-6, 0.2, 45),
+    Stage(_FINE, 24, 3e-4, 0.2, 40),
+    Stage(_FINE, 48, 5e-6, 0.2, 50),
 )
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
@@ -436,7 +436,7 @@ class OptimizeBlock:
     strain: float | None = positive("", 0.3)
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
     use_tr: float = not_negative("", 1.0)
-    roughness: float = not_negative("", 5.0)
+    roughness: float = not_negative("", 1.0)
     tolerance: float = positive("", 1e-4)
     remeshes: int = field(default=3, metadata={"minimum": 0})
     starts: int = field(default=3, metadata={"minimum": 1})

@@ -286,7 +286,7 @@ def test_learnt_curvature_is_that_of_a_quadratic():
     rng = np.random.default_rng(4)
     root = rng.standard_normal((6, 6))
     H = root @ root.T + np.eye(6)
-    hessian_approximation = QuasiNewton(6)
+    hessian_approximation = QuasiNewton(np.eye(6))
     p, nothing = np.ones(6), np.zeros((0, 6))
     for _ in range(9):
         hessian_approximation.update(p, H @ p, nothing, np.zeros(0))

@@ -18,7 +18,7 @@ from drake_exo.soles.contact.newton import (
     Target,
     move,
 )
-from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.contact.node_law import project_node
 
 _LOCAL_STEPS = 60
 
@@ -53,11 +53,6 @@ class GaussSeidelSolver(ContactSolver):
         self.relaxation = relaxation
         self.max_sweeps = max_sweeps
         self.sweeps = 0
-
-    @classmethod
-    def of(cls, sole: Sole, law, **options) -> "GaussSeidelSolver":
-        """Of a sole; sweeps go over all nodes that may touch."""
-        return cls(sole.compliance, sole.positions, law, **options)
 
     def solve(
         self, state: State, target: Target, fixed_pose: bool = False
@@ -233,31 +228,16 @@ def _slip(Waa, others, mu):
     F[2] = -others[2] / Waa[2, 2]
     J = np.zeros((3, 3))
     phi = np.zeros(3)
-    D = np.zeros((3, 3))
+    D, T, tau = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for _ in range(_LOCAL_STEPS):
         place = others + _times(Waa, F)
-        tau_n = F[2] - q_n * place[2]
-        if tau_n <= 0.0:
+        tau[2] = F[2] - q_n * place[2]
+        if tau[2] <= 0.0:
             return np.zeros(3)
-        t0, t1 = F[0] - q_t * place[0], F[1] - q_t * place[1]
-        rho = np.hypot(t0, t1)
-        g = mu * tau_n
-        D[:, :] = 0.0
-        D[2, 2] = 1.0
-        if rho <= g:
-            T0, T1 = t0, t1
-            D[0, 0] = 1.0
-            D[1, 1] = 1.0
-        else:
-            n0, n1 = t0 / rho, t1 / rho
-            T0, T1 = g * n0, g * n1
-            D[0, 0] = g / rho * (1.0 - n0 * n0)
-            D[1, 1] = g / rho * (1.0 - n1 * n1)
-            D[0, 1] = -g / rho * n0 * n1
-            D[1, 0] = D[0, 1]
-            D[0, 2] = mu * n0
-            D[1, 2] = mu * n1
-        phi[0], phi[1], phi[2] = F[0] - T0, F[1] - T1, F[2] - tau_n
+        tau[0], tau[1] = F[0] - q_t * place[0], F[1] - q_t * place[1]
+        project_node(tau, mu, 0.0, 0.0, T, D)
+        for k in range(3):
+            phi[k] = F[k] - T[k]
         size = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
         if size <= 1e-15 * (abs(F[2]) + 1e-300):
             break

@@ -279,6 +279,7 @@ class ContactSolver:
                 point, direction, target, fixed_pose, scale
             )
             state = point.state
+        self.active.refresh()  # rounding of a way that led nowhere
         steps = len(history) - 1
         message = message or f"no convergence in {steps} Newton steps"
         return state, Convergence(False, steps, history[-1], message, history)

@@ -22,13 +22,13 @@ class QuasiNewton:
     """Dense damped BFGS matrix of a Lagrangian.
 
     Args:
-        size: Number of variables.
+        metric: What it is a multiple of as long as nothing is known, (P, P).
         matrix: What an earlier stage learnt; None begins anew.
     """
 
-    def __init__(self, size: int, matrix: np.ndarray | None = None):
-        self.fresh = matrix is None
-        self.matrix = 0.1 * np.eye(size) if self.fresh else matrix.copy()
+    def __init__(self, metric: np.ndarray, matrix: np.ndarray | None = None):
+        self.fresh, self._metric = matrix is None, metric
+        self.matrix = 0.1 * metric if self.fresh else matrix.copy()
         self._last = None
 
     def forget_point(self) -> None:
@@ -50,7 +50,7 @@ class QuasiNewton:
         s = p - last[0]
         y = gradient - last[1] + (jacobian - last[2]).T @ multipliers
         if self.fresh and y @ s > 0:
-            self.matrix = np.eye(len(s)) * (y @ s) / (s @ s)
+            self.matrix = self._metric * (y @ s) / (s @ self._metric @ s)
             self.fresh = False
         Bs = self.matrix @ s
         sBs, sy = s @ Bs, s @ y
@@ -72,12 +72,11 @@ _OPTIONS = {
     "mu_init": 1e-3,
     "nlp_scaling_method": "none",
     "bound_relax_factor": 0.0,
+    # Second-order corrections cost a simulation each, and win little.
+    "max_soc": 0,
     "print_level": 0,
     "sb": "yes",
 }
-# Second-order corrections cost a simulation each: near a design that is good
-# already they win little.
-_REFINING = {"max_soc": 0}
 # Steps there are cut since contacts open and close along them: the next ones
 # are as short at once. Factors on the curvature for a rejected trial (two count
 # at most), for none, and the largest.
@@ -343,8 +342,8 @@ def minimise(
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far; a text
             ends the run, as its status.
-        refining: p0 is good already: no second-order corrections, and
-            rejected trials shorten the steps that follow.
+        refining: p0 is good already: rejected trials shorten the steps that
+            follow.
         hessian_approximation: Curvature known already; learns more.
         warm: Multipliers of a neighbouring problem, or of this one before
             an interruption.
@@ -352,7 +351,7 @@ def minimise(
     n, m = problem.spline.count, len(problem.names())
     p0, before = np.clip(p0, *bounds), problem.evaluations
     best = Optimum(p0.copy())
-    curvature = hessian_approximation or QuasiNewton(n)
+    curvature = hessian_approximation or QuasiNewton(problem.metric)
     curvature.forget_point()
     calls = _Callbacks(problem, curvature, best, on_iterate, refining)
     solver = _ipopt(
@@ -365,7 +364,6 @@ def minimise(
             "theta_max_fact": _furthest(problem, p0),
             **_OPTIONS,
             **({**_WARM, "mu_init": warm.barrier} if warm else {}),
-            **(_REFINING if refining else {}),
         },
     )
     multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)

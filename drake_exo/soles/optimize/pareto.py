@@ -84,11 +84,11 @@ def pareto_front(
             "the front's first design cannot be simulated; simulate the case "
             "first, or change its load or its bounds"
         )
-    own = QuasiNewton(len(p))
+    own = QuasiNewton(problem.metric)
     p = found(problem, p, stages[0], "own optimum", own).p
     cost = replace(setup.settings.cost, weight=0.0)
     alone = replace(free, settings=replace(free.settings, cost=cost))
-    points, approximation = [], QuasiNewton(len(p))
+    points, approximation = [], QuasiNewton(problem.metric)
     for floor in sorted(floors):
         problem = stage_problem(alone, stages[1])
         problem.add_rotation_floor(_AIM * floor * problem.first.c_rot)

@@ -329,7 +329,7 @@ def _search(problem, block, number, at: Checkpoint, out: Path, say, remeshable):
     Where elements can be made anew it ends once they are worn out.
     """
     stage, bounds = block.stages[number], tuple(block.bounds)
-    approximation = QuasiNewton(problem.spline.count, at.curvature)
+    approximation = QuasiNewton(problem.metric, at.curvature)
     begin = settle(problem, at.latest)
 
     def note(iteration, best):

@@ -31,7 +31,7 @@ from drake_exo.soles.step import stiffness
 _MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
-_MAX_SUBSTEPS = 60
+_LEAST_STEP = 1.0 / 256.0  # of the way to a load
 _LEAP = 0.1  # rad between designs
 _SAME = 1e-6  # rad; solutions are far closer than branches
 _LEAST_PART = 1 / 64  # of the time between samples
@@ -127,7 +127,6 @@ def _turn(a: State, b: State) -> float:
 def _follow_design(solver, target, near, press):
     state, report = solver.solve(near, target)
     if not report.converged:
-        solver.active.refresh()
         unloaded = State(np.zeros_like(solver.lP), near.O.copy(), near.R)
         laws = [solver.law]
         state, report = _lead(solver, target, unloaded, press, laws)
@@ -224,7 +223,7 @@ def follow_load(
     target: Target,
     guess: State | None = None,
 ) -> tuple[State, Convergence]:
-    """Newton at the target, else continuation in force and ZMP.
+    """Newton at the target from a guess, else `lead`.
 
     Args:
         solver: Newton solver.
@@ -233,33 +232,42 @@ def follow_load(
         target: Load wanted; its references hold all along.
         guess: Tried first, before `state` itself.
     """
-    total = 0
-    for begin in (guess, state):
-        if begin is None:
-            continue
-        new, report = solver.solve(begin, target)
+    spent = 0
+    if guess is not None:
+        new, report = solver.solve(guess, target)
+        if report.converged:
+            return new, report
+        spent = report.iterations
+    state, report, _ = lead(solver, state, before, target)
+    report.iterations += spent
+    return state, report
+
+
+def lead(solver, state, before: Target, target: Target):
+    """From equilibrium at `before` to `target`, bisecting the way.
+
+    Args:
+        solver: In small or finite strain.
+        state: Solution for `before`.
+        before, target: Loads; the target's references hold all along.
+
+    Returns:
+        Last equilibrium, report at the target, part of the way reached.
+    """
+    done, step, total = 0.0, 1.0, 0
+    while done < 1.0 and step >= _LEAST_STEP:
+        aim = min(1.0, done + step)
+        trial, report = solver.solve(state, target.partway(before, aim))
         total += report.iterations
         if report.converged:
-            report.iterations = total
-            return new, report
-        solver.active.refresh()
-    done, step = 0.0, 0.25
-    for _ in range(_MAX_SUBSTEPS):
-        aim = min(1.0, done + step)
-        trial, sub = solver.solve(state, target.partway(before, aim))
-        total += sub.iterations
-        if sub.converged:
-            state, done, step = trial, aim, 1.5 * step
-            if done >= 1.0:
-                sub.iterations = total
-                return state, sub
+            state, done, step = trial, aim, 2.0 * step
         else:
             step *= 0.5
-            if step < 1e-3:
-                break
-    report.message += f"; continuation in the load stopped at {done:.3f}"
     report.iterations = total
-    return new, report
+    report.converged = done >= 1.0
+    if not report.converged:
+        report.message += f"; no equilibrium found beyond {done:.3f} of the way"
+    return state, report, done
 
 
 def refine_time(
@@ -296,7 +304,6 @@ def refine_time(
             places = solver.deformed(state.F, state.R) + state.O
             part, parts = 2.0 * part, parts + 1
         else:
-            solver.active.refresh()
             part *= 0.5
     report.converged, report.iterations, report.parts = done >= 1, total, parts
     if not report.converged:

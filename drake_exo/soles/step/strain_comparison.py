@@ -26,11 +26,15 @@ from drake_exo.soles.rotations import tilt_deg
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.results import principal_strains
-from drake_exo.soles.step.simulation import StepHistory, first_step, simulate
+from drake_exo.soles.step.simulation import (
+    StepHistory,
+    first_step,
+    lead,
+    simulate,
+)
 
 # Parts of the first sample's load at which to enter from small strain.
 _ENTRIES = (1.0, 0.5, 0.25, 0.1, 0.04)
-_LEAST_STEP = 1.0 / 256.0
 
 
 @dataclass
@@ -112,30 +116,6 @@ def _leave_out(history: FiniteHistory, count: int) -> None:
     history.states += [None] * count
     history.reports += [rest] * count
     history.reached += [0.0] * count
-
-
-def lead(solver, state, before: Target, target: Target):
-    """From equilibrium at `before` to `target`, bisecting the way.
-
-    Returns:
-        Last equilibrium, report at the target, part of the way reached.
-    """
-    done, step, total = 0.0, 1.0, 0
-    while True:
-        aim = min(1.0, done + step)
-        trial, report = solver.solve(state, target.partway(before, aim))
-        total += report.iterations
-        if report.converged:
-            state, done, step = trial, aim, 2.0 * step
-        else:
-            step *= 0.5
-        if done >= 1.0 or step < _LEAST_STEP:
-            break
-    report.iterations = total
-    report.converged = done >= 1.0
-    if not report.converged:
-        report.message += f"; no equilibrium found beyond {done:.3f} of the way"
-    return state, report, done
 
 
 def _enter(sole, solver, target: Target, largest: float, known: State | None):
