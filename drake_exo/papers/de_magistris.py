@@ -4,6 +4,8 @@ De Magistris, Miossec, Escande and Kheddar, Design of optimized soft soles for
 humanoid robots.
 """
 
+import base64
+import html
 import time
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -15,7 +17,7 @@ import numpy as np
 from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
 from drake_exo.batch.processes import Processes
 from drake_exo.files.output import Progress, read_json, write_json
-from drake_exo.files.verdict import Check, Verdict, stored
+from drake_exo.files.verdict import Check, Verdict, stored, stored_mark
 from drake_exo.soles.case import Case
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
@@ -291,7 +293,7 @@ def line(row: dict) -> str:
         f"{'optimal' if row['optimal'] else row.get('status', '')}, "
         f"{'stable' if row['stable'] else 'unstable'}, largest strain "
         f"{row['max_strain']:.2f}, {row['seconds']:.0f} s; held by "
-        f"{', '.join(row['active']) or 'no limit'}"
+        f"{', '.join(row.get('active', ())) or 'no limit'}"
     )
 
 
@@ -431,7 +433,7 @@ def draw_front(out: Path, fronts: dict[str, list[dict]], rows=()) -> None:
 
 
 def report(out: Path, designs: list[StoredDesign]) -> str:
-    """soles.png, stiffness.png, histories.png, finite_strain.csv and .txt.
+    """soles.png, stiffness.png, histories.png, finite_strain.*, report.html.
 
     Returns:
         The finite-strain table, empty where no design has one.
@@ -453,7 +455,57 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
         for name, f in found.items()
         if "samples" in f
     }
-    return strain_comparison.write_table(out, found) if found else ""
+    text = strain_comparison.write_table(out, found) if found else ""
+    _write_page(out, designs, [*figures, "front.png"], text)
+    return text
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<style>body {{font: 15px sans-serif; max-width: 75em; margin: 2em auto;
+padding: 0 1em}} img {{max-width: 100%}} pre {{overflow-x: auto}}
+.mark {{color: #c8102e; font-weight: bold}}</style></head>
+<body><h1>{title}</h1>
+{body}
+</body></html>
+"""
+
+
+def _write_page(out: Path, designs, figures, strains: str) -> None:
+    """report.html: every table and picture in one file, without network."""
+
+    def picture(path: Path) -> str:
+        data = base64.b64encode(path.read_bytes()).decode()
+        return (
+            f'<img alt="{html.escape(path.stem)}" '
+            f'src="data:image/png;base64,{data}">'
+        )
+
+    def preformatted(text: str) -> str:
+        return f"<pre>{html.escape(text)}</pre>"
+
+    body = []
+    if (out / "table.txt").is_file():
+        body.append(preformatted((out / "table.txt").read_text("utf-8")))
+    # Only what this run has drawn or a study has left beside it.
+    body += [picture(out / f) for f in figures if (out / f).is_file()]
+    if strains:
+        body += ["<h2>Heel strike in finite strain</h2>", preformatted(strains)]
+    for design in designs:
+        row = design.summary()
+        body.append(f"<h2>{html.escape(design.name)}</h2>")
+        mark = html.escape(stored_mark(row))
+        body += [f'<p class="mark">{mark}</p>'] if mark else []
+        body.append(preformatted(line(row)))
+        found = stored(row)
+        body += [preformatted(found.text())] if found else []
+        drawing = design.folder / "drawing.png"
+        body += [picture(drawing)] if drawing.is_file() else []
+    title = ", ".join(design.name for design in designs)
+    page = _PAGE.format(
+        title=html.escape(f"Soles: {title}"), body="\n".join(body)
+    )
+    (out / "report.html").write_text(page, encoding="utf-8")
 
 
 def _drawn(design: StoredDesign):

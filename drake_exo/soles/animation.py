@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import check_arrays, read_arrays, read_json
+from drake_exo.files.verdict import stored_mark
 from drake_exo.player.page import Arrow, Clip, Page, Surface, write_page
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.step.simulation import FIRST_HISTORY, HISTORY
@@ -77,6 +78,7 @@ class SoleMotion:
         origin, rotation: of that frame, world, (N, 3) [m] and (N, 3, 3).
         places: of the contact nodes, world [m], (N, m, 3).
         force: of the ground on them, world [N], (N, m, 3).
+        mark: of a result that does not hold.
     """
 
     title: str
@@ -87,6 +89,7 @@ class SoleMotion:
     rotation: np.ndarray
     places: np.ndarray
     force: np.ndarray
+    mark: str = ""
 
     @staticmethod
     def of(
@@ -298,6 +301,7 @@ def _clip(number: int, motion: SoleMotion, values, box: _Box) -> Clip:
             )
         },
         note=f"{span:.2f} s of contact",
+        mark=motion.mark,
     )
 
 
@@ -384,7 +388,7 @@ def replay_soles(folder: Path, path: Path) -> None:
     """
     motions = []
     for history in sorted(Path(folder).rglob(HISTORY)):
-        name = _name(history.parent)
+        name, mark = _told(history.parent)
         first = history.with_name(FIRST_HISTORY)
         titles = {history: name}
         if first.is_file():
@@ -393,9 +397,10 @@ def replay_soles(folder: Path, path: Path) -> None:
                 first: f"{name}: initial shape",
             }
         motions += [
-            SoleMotion.read(file, title, name) for file, title in titles.items()
+            (SoleMotion.read(file, title, name), mark * (file == history))
+            for file, title in titles.items()
         ]
-    shown = [motion for motion in motions if motion is not None]
+    shown = [replace(m, mark=mark) for m, mark in motions if m is not None]
     if not shown:
         raise InputError(
             f"{folder}: holds no {HISTORY} of a sole that converged; give the "
@@ -405,10 +410,12 @@ def replay_soles(folder: Path, path: Path) -> None:
     write_animation(path, shown, f"Sole {', '.join(groups)}")
 
 
-def _name(folder: Path) -> str:
-    """Of the case in a folder."""
+def _told(folder: Path) -> tuple[str, str]:
+    """Name of the case in a folder, and the mark of its result."""
     summary = read_json(
         folder / "summary.json", "run the command that wrote it again"
     )
-    name = summary.get("name") if isinstance(summary, dict) else None
-    return name if isinstance(name, str) else folder.name
+    if not isinstance(summary, dict):
+        return folder.name, ""
+    name = summary.get("name")
+    return name if isinstance(name, str) else folder.name, stored_mark(summary)

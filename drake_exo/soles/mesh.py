@@ -352,6 +352,25 @@ def write_triangles(path: Path | str, corners: np.ndarray, what: str) -> None:
     Path(path).write_bytes(header + count + record.tobytes())
 
 
+def is_watertight(corners: np.ndarray) -> bool:
+    """Whether outward triangles (f, 3, 3) [m] close around a volume.
+
+    As a slicer asks of an STL: every edge is shared by two that go along it
+    in opposite directions, at the file's own single precision.
+    """
+    points = np.float32(1e3 * corners).reshape(-1, 3)
+    index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1, 3)
+    edges = np.concatenate([index[:, [0, 1]], index[:, [1, 2]],
+                            index[:, [2, 0]]])  # fmt: skip
+    there, count = np.unique(edges, axis=0, return_counts=True)
+    back = np.unique(edges[:, ::-1], axis=0)
+    a, b, c = np.swapaxes(corners, 0, 1)
+    volume = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
+    return bool(
+        np.array_equal(there, back) and (count == 1).all() and volume > 0
+    )
+
+
 def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
     """v_max = m / ρ [m³], the paper's (32)."""
     return mass_kg / density_kg_per_m3

@@ -548,3 +548,176 @@ def _legend(figure, norm, size) -> None:
     axis.plot([80, 105], [0.62, 0.62], color="0.25", lw=0.8,
               ls=(0, (4, 3)))  # fmt: skip
     axis.text(110, 0.62, "initial shape", va="center")
+
+
+_UNDERCUT = (0.86, 0.15, 0.15)
+_RUBBER = (0.62, 0.66, 0.72)
+_MARGIN = 18.0  # mm around a view of the drawing
+_CUTS = (0.15, 0.5, 0.85)  # of the length: where it is cut across
+
+
+@style()
+def drawing_figure(
+    mesh: TetMesh, name: str, peak: np.ndarray, mark: str = ""
+) -> Figure:
+    """A sole as a drawing: views and sections with dimensions in mm.
+
+    Args:
+        mesh: The sole.
+        name: Of the sole.
+        peak: Largest pressure at its contact nodes over the step [Pa], (m,).
+        mark: Of a result that does not hold.
+    """
+    nodes = 1e3 * mesh.nodes
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    length, width, height = high - low
+    at = low[0] + length * np.array(_CUTS)
+    apart = height + 28.0  # of the cuts across
+    tall = np.array(
+        [width + 3 * _MARGIN, height + 4 * _MARGIN, max(width, 3 * apart) + 50]
+    )
+    scale = 5.6 / (length + 2 * _MARGIN)  # inches a millimetre
+    figure = Figure(figsize=(12.0, scale * tall.sum() + 1.2))
+    axes = figure.subplots(3, 2, height_ratios=tall)
+    for axis in axes.flat:
+        axis.set(aspect="equal", xlim=(low[0] - _MARGIN, high[0] + _MARGIN))
+        axis.set_axis_off()
+    (above, below), (side, along), (across, pressed) = axes
+    under = f"undercut {100 * mesh.undercut:.1f} %"
+    _shaded(above, mesh, View("", (0, 0, 1), (0, 1, 0)),
+            f"from above; {under} (red)")  # fmt: skip
+    _dimension(above, low[:2] - [0, 7], (length, 0), f"{length:.1f}")
+    _dimension(above, (high[0] + 7, low[1]), (0, width), f"{width:.1f}")
+    for x, letter in zip(at, "ABC", strict=True):
+        above.plot([x, x], [low[1] - 3, high[1] + 3], "k-.", lw=0.7)
+        above.text(x, high[1] + 4, letter, ha="center", va="bottom")
+    _shaded(below, mesh, View("", (0, 0, -1), (0, -1, 0)), "from below")
+    _shaded(side, mesh, View("", (0, -1, 0)), "right side")
+    _dimension(side, (high[0] + 7, low[2]), (0, height), f"{height:.1f}")
+    middle = 0.5 * (low[1] + high[1])
+    _section(along, mesh, 1, middle, lambda p: p[:, [0, 2]])
+    along.set(title="cut along the middle", ylim=(low[2] - 16, _MARGIN))
+    for x in at:
+        _thickness(along, mesh, x, middle, x)
+    across.set_title("cuts A, B, C, seen from behind")
+    centre = 0.5 * (low[0] + high[0]) + middle
+    for k, (x, letter) in enumerate(zip(at, "ABC", strict=True)):
+        down = np.array([centre, -k * apart])
+        cut = _section(across, mesh, 0, x,
+                       lambda p, d=down: d + p[:, 1:] * [-1, 1])  # fmt: skip
+        if cut is not None:
+            wide = np.ptp(cut[:, 0])
+            _dimension(across, cut[0] - [0, 6], (wide, 0), f"{wide:.1f}")
+            _thickness(across, mesh, x, middle, centre - middle, down[1])
+            across.text(cut[0, 0] - 6, cut[:, 1].mean(), letter, ha="right",
+                        va="center")  # fmt: skip
+    across.set_ylim(low[2] - 2 * apart - 16, 8)
+    _peak(figure, pressed, mesh, peak)
+    figure.suptitle(
+        f"{name}: {length:.0f} × {width:.0f} × {height:.0f} mm, "
+        f"{1e6 * mesh.volume:.0f} cm³ (dimensions in mm)"
+    )
+    if mark:
+        figure.supxlabel(mark, color=_UNDERCUT, size=9, wrap=True)
+    return figure
+
+
+def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
+    faces = mesh.boundary_faces
+    plain = np.tile(_RUBBER, (len(mesh.nodes), 1))
+    shape = surface(mesh.nodes, faces, plain)
+    bare = ~np.isin(faces, mesh.fixed).all(axis=1)
+    across = np.cross(
+        shape.corners[:, 1] - shape.corners[:, 0],
+        shape.corners[:, 2] - shape.corners[:, 0],
+    )
+    up = across[:, 2] > 1e-3 * np.linalg.norm(across, axis=1)
+    shape.colours[bare & up] = _UNDERCUT
+    draw(axis, shape.refined(), view)
+    low, high = extent(mesh.nodes, view)
+    axis.set_ylim(low[1] - _MARGIN, high[1] + _MARGIN)
+    axis.set_title(title)
+
+
+def _dimension(axis, start, span, text: str) -> None:
+    """An arrow with both ends, and its length in mm."""
+    start, span = np.asarray(start), np.asarray(span)
+    look = {"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
+    axis.annotate("", start + span, start, arrowprops=look)
+    axis.text(
+        *(start + 0.5 * span), text, ha="center", va="center", size=8,
+        rotation=90 if span[1] else 0, color="k",
+        bbox={"fc": "w", "ec": "none", "pad": 0.6},
+    )  # fmt: skip
+
+
+def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
+    """Fill where a plane cuts the sole; corners of its box, None if nowhere.
+
+    Args:
+        normal: 0 for x, 1 for y.
+        at: Where on that axis [mm].
+        flat: From points (k, 3) [mm] to the picture.
+    """
+    x = 1e3 * mesh.nodes[mesh.tets]
+    x = x[np.abs(np.sign(x[:, :, normal] - at).sum(axis=1)) < 4]
+    pieces = []
+    for tet in x:
+        ends = tet[np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])]
+        d = ends[:, :, normal] - at
+        cut = (d[:, 0] < 0) != (d[:, 1] < 0)
+        if cut.sum() < 3:
+            continue
+        d, ends = d[cut], ends[cut]
+        share = (d[:, 0] / (d[:, 0] - d[:, 1]))[:, None]
+        points = flat(ends[:, 0] + share * (ends[:, 1] - ends[:, 0]))
+        turn = points - points.mean(axis=0)
+        pieces.append(points[np.argsort(np.arctan2(turn[:, 1], turn[:, 0]))])
+    if not pieces:
+        return None
+    axis.add_collection(
+        PolyCollection(pieces, facecolors=_RUBBER, edgecolors=_RUBBER, lw=0.5)
+    )
+    every = np.concatenate(pieces)
+    return np.stack([every.min(axis=0), every.max(axis=0)])
+
+
+def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
+    """Dimension of the sole's thickness above a point of the ground [mm].
+
+    Args:
+        axis, mesh: Where, and of what.
+        x, y: The point.
+        place, lift: It in the picture, and what z = 0 is there.
+    """
+    corners = 1e3 * mesh.nodes[mesh.boundary_faces]
+    a, b, c = (corners[:, k] for k in range(3))
+    point = np.array([x, y, 0.0]) + 1e-4  # off the edges of regular meshes
+
+    def cross(p, q):
+        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+
+    area = cross(b - a, c - a)
+    u, v = cross(b - point, c - point), cross(c - point, a - point)
+    with np.errstate(all="ignore"):
+        weights = np.stack([u, v, area - u - v]) / area
+    inside = (weights >= 0).all(axis=0) & (area != 0)
+    z = np.einsum("kf,kf->f", weights, corners[:, :, 2].T)[inside]
+    if len(z):
+        low, high = z.min(), z.max()
+        text = f"{high - low:.1f}"
+        _dimension(axis, (place, lift + low), (0, high - low), text)
+
+
+def _peak(figure, axis, mesh: TetMesh, peak: np.ndarray) -> None:
+    faces, place = _underside(mesh)
+    place, kpa = 1e3 * place, 1e-3 * peak
+    drawn = axis.tripcolor(
+        Triangulation(*place.T, faces), kpa, shading="gouraud",
+        cmap="inferno", vmin=0,
+    )  # fmt: skip
+    top = int(np.argmax(kpa))
+    axis.plot(*place[top], "x", color="cyan")
+    axis.set_ylim(place[:, 1].min() - _MARGIN, place[:, 1].max() + _MARGIN)
+    axis.set_title(f"largest pressure of the step; ×: {kpa[top]:.0f} kPa")
+    figure.colorbar(drawn, ax=axis, label="kPa", shrink=0.8)

@@ -6,6 +6,8 @@ import pytest
 from drake_exo.soles.mesh import (
     brick,
     has_star_outline,
+    is_watertight,
+    mould_triangles,
     write_mould,
     write_stl,
 )
@@ -80,3 +82,15 @@ def test_an_outline_that_turns_back_has_no_mould(mesh, tmp_path):
     away = mesh.with_nodes(mesh.nodes + np.array([0.3, 0.0, 0.0]))
     assert not write_mould(tmp_path / "mould.stl", away)
     assert not (tmp_path / "mould.stl").exists()
+
+
+def test_what_a_slicer_refuses_is_not_watertight(mesh):
+    """Holes, a face turned over, a surface inside out."""
+    corners = mesh.nodes[mesh.boundary_faces]
+    assert is_watertight(corners)
+    assert is_watertight(mould_triangles(mesh))
+    assert not is_watertight(corners[1:])
+    turned = corners.copy()
+    turned[0] = turned[0, ::-1]
+    assert not is_watertight(turned)
+    assert not is_watertight(corners[:, ::-1])

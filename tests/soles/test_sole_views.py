@@ -73,3 +73,44 @@ def test_change_is_radial(mesh):
         change[away], 100 * (after[away] / before[away] - 1), atol=1e-10
     )
     assert (change[~away] == 0).all()
+
+
+def test_dimensions_of_a_drawing_are_the_mesh_s():
+    """A wedge: 120 mm long, 20 mm high at its heel and 40 at its toe."""
+    mesh = brick((0.12, 0.06, 0.02), (8, 4, 2))
+    nodes = mesh.nodes * [1, 1, 0]
+    nodes[:, 2] = mesh.nodes[:, 2] * (1.5 + mesh.nodes[:, 0] / 0.12)
+    peak = np.zeros(len(mesh.contact))
+    peak[3] = 123e3
+    figure = pictures.drawing_figure(
+        mesh.with_nodes(nodes), "wedge", peak, "DOES NOT HOLD: x"
+    )
+    above, _, side, along, across, pressed = figure.axes[:6]
+
+    def numbers(axis):
+        texts = (text.get_text() for text in axis.texts)
+        return [float(t) for t in texts if t.replace(".", "").isdigit()]
+
+    assert numbers(above) == [120.0, 60.0]
+    assert numbers(side) == [40.0]
+    assert numbers(along) == pytest.approx([23.0, 30.0, 37.0], abs=0.11)
+    # Widths and thicknesses, cut by cut.
+    wanted = [60.0, 23.0, 60.0, 30.0, 60.0, 37.0]
+    assert numbers(across) == pytest.approx(wanted, abs=0.11)
+    assert "123 kPa" in pressed.get_title()
+    assert "undercut 0.0 %" in above.get_title()
+    words = [figure._supxlabel.get_text(), figure._suptitle.get_text()]
+    assert words[0] == "DOES NOT HOLD: x" and "216 cm³" in words[1]
+
+
+def test_what_no_mould_lets_go_of_is_red():
+    mesh = brick((0.12, 0.06, 0.02), (8, 4, 2))
+    nodes = mesh.nodes * np.where(mesh.nodes[:, 2:] < -0.015, 1.3, 1.0)
+    figure = pictures.drawing_figure(
+        mesh.with_nodes(nodes), "wide", np.ones(len(mesh.contact))
+    )
+    (drawn,) = (
+        c for c in figure.axes[0].collections if len(c.get_facecolors())
+    )
+    red = drawn.get_facecolors()[:, 0] > 2 * drawn.get_facecolors()[:, 2]
+    assert red.any() and not red.all()

@@ -6,11 +6,14 @@ import shutil
 
 import numpy as np
 import pytest
+from page_reader import player_data
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
+from drake_exo.soles.animation import replay_soles
 from drake_exo.soles.case import Case
 from drake_exo.soles.loads import read_columns
+from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import find_designs
 from drake_exo.soles.step import strain_comparison
 
@@ -110,8 +113,12 @@ def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
         shutil.copytree(study / "small", pair / name)
         text = (study / "small" / "case.yaml").read_text()
         (pair / name / "case.yaml").write_text(
-            text.replace("name: small", f"name: {name}", 1)
+            text.replace("name: small", f"name: {name} <b>", 1)
         )
+    said = pair / "twin" / "summary.json"
+    row = json.loads(said.read_text())
+    row["checks"][0]["holds"] = False
+    said.write_text(json.dumps(row))
     rows = [{"name": "small"}, {"name": "twin"}]
     (pair / "summary.json").write_text(json.dumps({"cases": rows}))
     out = tmp_path / "out"
@@ -124,6 +131,24 @@ def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
     assert [(out / name).read_bytes() for name in pictures] == first
     text = (out / "finite_strain.txt").read_text()
     assert text.count("twin ") == 3
+    page = (out / "report.html").read_text()
+    assert "://" not in page
+    assert page.count("data:image/png;base64,") == 3 + 2
+    assert "<h2>twin &lt;b&gt;</h2>" in page and "<b>" not in page
+    assert page.count('class="mark"') == 1
+    animation = tmp_path / "animation.html"
+    replay_soles(pair, animation)
+    marks = [clip["mark"] for clip in player_data(animation)["clips"]]
+    assert sum(map(bool, marks)) == 1  # not that of its first shape
+
+
+def test_a_design_s_stl_is_told(study):
+    told = json.loads((study / "small" / "summary.json").read_text())["stl"]
+    sole, mould = told["sole.stl"], told["mould.stl"]
+    assert sole["watertight"] and mould["watertight"]
+    mesh = read_mesh(study / "small" / "sole.vtk", (0.0, 0.0, 0.0))
+    assert sole["height_mm"] == pytest.approx(-1e3 * mesh.nodes[:, 2].min())
+    assert 0 < sole["least_depth_mm"] <= sole["height_mm"]
 
 
 def test_a_sample_not_reached_is_nan_in_table_and_csv(study, tmp_path):

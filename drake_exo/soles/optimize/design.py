@@ -13,8 +13,11 @@ import numpy as np
 from drake_exo.files.output import write_json
 from drake_exo.files.verdict import Check, Verdict
 from drake_exo.soles.mesh import (
+    WALL,
     TetMesh,
     brick,
+    is_watertight,
+    mould_triangles,
     write_mould,
     write_stl,
     write_vtk,
@@ -175,7 +178,8 @@ class Design:
             row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
         return row
 
-    def _surface(self) -> dict[str, tuple[float, float]]:
+    @property
+    def _surface(self) -> dict[str, float]:
         return self.problem.surface.measures(self.mesh)
 
     def active(self) -> list[str]:
@@ -241,7 +245,9 @@ class Design:
 
     def write_animation(self, path: Path | str) -> None:
         """Write a page that plays the step of both shapes."""
-        self.step.write_animation(path, **{"initial shape": self.first})
+        self.step.write_animation(
+            path, self.verdict().mark, **{"initial shape": self.first}
+        )
 
     def verdict(
         self, accepted: Sequence[str] = (), finer: dict | None = None
@@ -255,6 +261,7 @@ class Design:
             finer: What `check_finer` has found, if it has been asked.
         """
         limits, name = self.problem.limits, self.setup.name
+        surface = self._surface
         cm3 = 1e6 * self.mesh.volume
         margin = float(np.min(self.step.stability))
         held = [
@@ -263,11 +270,14 @@ class Design:
             ("tilt", self.step.tilt_deg.max(), limits.tilt_deg, "°", 1),
             ("stability", margin, limits.stability, "N/m", -1),
             ("c_rot", self.step.c_rot, limits.c_rot, "N·m/rad", -1),
+            ("depth", surface["depth"], limits.depth, "m", -1),
+            ("height", surface["height"], limits.height, "m", 1),
+            ("draft", surface["draft"], limits.draft_deg, "°", -1),
         ]
         checks = [
             Check(
                 f"bounds.{what}",
-                bool(sign * (value - limit) <= _ROUNDING * limit),
+                bool(sign * (value - limit) <= _ROUNDING * limit + 1e-9),
                 float(value), limit, unit, name,
                 "the design by the exact law is outside the case's limit; "
                 "optimise it longer (--resume, --iterations)",
@@ -275,17 +285,6 @@ class Design:
             for what, value, limit, unit, sign in held
             if limit is not None
         ]  # fmt: skip
-        for what, (value, limit) in self._surface().items():
-            slack = limit - value if what == "height" else value - limit
-            checks.append(
-                Check(
-                    f"bounds.{what.removesuffix('_deg')}",
-                    bool(slack >= -max(_ROUNDING * limit, 1e-9)),
-                    value, limit, "°" if what == "draft_deg" else "m", name,
-                    "the design's surface is outside the case's limit; "
-                    "optimise it longer (--resume, --iterations)",
-                )
-            )  # fmt: skip
         if finer is not None:
             change = finer["change"]
             holds = bool(abs(change) <= _FINER)
@@ -320,7 +319,8 @@ class Design:
         """
         folder, began = Path(folder), time.perf_counter()
         row, finer = self.summary(), self.check_finer()
-        row |= self.verdict(accepted, finer).summary() | {"finer": finer}
+        verdict = self.verdict(accepted, finer)
+        row |= verdict.summary() | {"finer": finer}
         row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
         row["stages_seconds"] = [round(s, 2) for s in self.stages_seconds]
         write_json(
@@ -334,8 +334,7 @@ class Design:
                 "stage": len(self.setup.settings.optimize.stages),
             },
         )
-        write_stl(folder / "sole.stl", self.mesh)
-        write_mould(folder / "mould.stl", self.mesh)
+        row["stl"] = self._write_stl(folder)
         for step, mesh, table, history in (
             (self.step, MESH, STEPS, HISTORY),
             (self.first, "initial.vtk", "initial_steps.csv", FIRST_HISTORY),
@@ -346,16 +345,36 @@ class Design:
                 folder / history, step.sole.mesh, step.times, step.history
             )
         write_csv(folder / "history.csv", self.history)
-        self._draw(folder)
+        self._draw(folder, verdict.mark)
         row["finite_strain"] = self._compare_strains(folder, say)
         write_json(folder / SUMMARY, row)
         return row
 
-    def _draw(self, folder: Path) -> None:
+    def _write_stl(self, folder: Path) -> dict:
+        """Sole and mould for printing; what was checked of both."""
+        faces, measured = self.mesh.boundary_faces, self._surface
+        told = {
+            "sole.stl": {
+                "watertight": is_watertight(self.mesh.nodes[faces]),
+                "least_depth_mm": 1e3 * measured["depth"],
+                "height_mm": 1e3 * measured["height"],
+                "least_draft_deg": measured["draft"],
+                "undercut": self.mesh.undercut,
+            }
+        }
+        write_stl(folder / "sole.stl", self.mesh)
+        if write_mould(folder / "mould.stl", self.mesh):
+            told["mould.stl"] = {
+                "watertight": is_watertight(mould_triangles(self.mesh)),
+                "least_wall_mm": 1e3 * WALL,
+            }
+        return told
+
+    def _draw(self, folder: Path, mark: str) -> None:
         # matplotlib takes half a second to load.
         from drake_exo.soles import pictures
 
-        self.step.draw(folder, "optimised", initial=self.first)
+        self.step.draw(folder, mark, "optimised", initial=self.first)
         drawn = pictures.DrawnSole(
             self.setup.name,
             f"{1e6 * self.mesh.volume:.0f} cm³",

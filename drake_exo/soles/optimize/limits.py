@@ -336,24 +336,17 @@ class SurfaceLimits:
     limits: Limits
     mesh: TetMesh
 
-    def measures(self, mesh: TetMesh) -> dict[str, tuple[float, float]]:
-        """Least depth, largest height [m] and least draft [°], with limits.
+    def measures(self, mesh: TetMesh) -> dict[str, float]:
+        """Least depth, largest height [m] and least draft [°].
 
         Args:
             mesh: The deformed sole.
         """
-        z, mine = mesh.nodes[:, 2], self.limits
-        found = {
-            "depth": (-z[self._bottom].max(), mine.depth),
-            "height": (-z.min(), mine.height),
-        }
-        up = _normals(mesh)[1].max()
-        draft = -float(np.rad2deg(np.arcsin(np.clip(up, -1, 1))))
-        found["draft_deg"] = draft, mine.draft_deg
+        z, up = mesh.nodes[:, 2], _normals(mesh)[1].max()
         return {
-            name: (float(value), limit)
-            for name, (value, limit) in found.items()
-            if limit is not None
+            "depth": float(-z[self._bottom].max()),
+            "height": float(-z.min()),
+            "draft": -float(np.rad2deg(np.arcsin(np.clip(up, -1, 1)))),
         }
 
     @cached_property

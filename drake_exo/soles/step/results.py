@@ -390,8 +390,16 @@ class Step:
             curves, self.times[self.heel_strike - 1]
         )
 
-    def write_animation(self, path: Path | str, **beside: "Step") -> None:
-        """Write a page that plays the step, and others by label."""
+    def write_animation(
+        self, path: Path | str, mark: str = "", **beside: "Step"
+    ) -> None:
+        """Write a page that plays the step, and others by label.
+
+        Args:
+            path: Of the page.
+            mark: `Verdict.mark` of what does not hold.
+            beside: The others.
+        """
         from drake_exo.soles.animation import SoleMotion, write_animation
 
         name = self.setup.name
@@ -400,23 +408,32 @@ class Step:
             SoleMotion.of(label, s.sole.mesh, s.times, s.history)
             for label, s in steps.items()
         ]
+        if motions[0] is not None:
+            motions[0] = replace(motions[0], mark=mark)
         shown = [motion for motion in motions if motion is not None]
         if shown:
             write_animation(Path(path), shown, name)
 
-    def draw(self, folder: Path, label: str = "", **beside: "Step") -> None:
+    def draw(
+        self, folder: Path, mark: str, label: str = "", **beside: "Step"
+    ) -> None:
         """All pictures of the step and its animation.
 
         Args:
-            folder: For load.png, stiffness.png, pose.png, pressure.png and
-                animation.html.
+            folder: For drawing.png, load.png, stiffness.png, pose.png,
+                pressure.png and animation.html.
+            mark: `Verdict.mark` of what does not hold.
             label: Of this step in stiffness.png.
             beside: Other steps there, by label.
         """
         from drake_exo.soles import pictures
 
         load, mesh = self.setup.load, self.sole.mesh
+        peak = np.nan_to_num(self.pressure).max(axis=0)
         drawn = {
+            "drawing": pictures.drawing_figure(
+                mesh, self.setup.name, peak, mark
+            ),
             "load": pictures.load_figure(load, mesh),
             "stiffness": self.plot(label, **beside),
             "pose": pictures.pose_figure(self.table()),
@@ -427,7 +444,7 @@ class Step:
         for name, figure in drawn.items():
             if figure is not None:
                 pictures.save(figure, folder / f"{name}.png")
-        self.write_animation(folder / "animation.html")
+        self.write_animation(folder / "animation.html", mark)
 
     def write(
         self,
@@ -457,7 +474,7 @@ class Step:
             folder / HISTORY, self.sole.mesh, self.times, self.history
         )
         tables = time.perf_counter()
-        self.draw(folder)
+        self.draw(folder, verdict.mark)
         numbers |= self.seconds | (seconds or {})
         numbers["tables_seconds"] = round(tables - began, 4)
         numbers["pictures_seconds"] = round(time.perf_counter() - tables, 4)
