@@ -56,7 +56,7 @@ from drake_exo.files.output import Progress, write_json
 from drake_exo.files.verdict import SOLVED, Check, Verdict
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
-from drake_exo.report.tables import format_table
+from drake_exo.report.tables import format_table, rounded
 from drake_exo.study import Calibration, Study, contact_of, write_inputs
 
 # A cuff that moves further than this is where nothing was calibrated.
@@ -475,17 +475,15 @@ class Designed:
             "wearers_n": self.wearers(),
             "variables": self.variables(),
             "parts": self.parts,
-            "extrapolated": bool(
-                self.softened()
-                or any(row["extrapolated"] for row in self.variables())
-            ),
+            "extrapolated": bool(self.beyond()),
         }
 
     def table(self) -> str:
         """Before and after by cuff, and the design."""
+        beyond = self.beyond()
         rows = [
             [
-                cuff + (" *" if self._marked(cuff) else ""),
+                cuff + (" *" if cuff in beyond else ""),
                 p.measured_before,
                 p.model_before,
                 p.forecast_after,
@@ -534,15 +532,15 @@ class Designed:
                     [[k, v] for k, v in self.parts.items()],
                 )
             )
-        if self.softened() or any(r["extrapolated"] for r in self.variables()):
+        if beyond:
             parts.append("* beyond what was calibrated: an extrapolation")
         return "\n\n".join(parts)
 
-    def _marked(self, cuff: str) -> bool:
-        return cuff in self.softened() or any(
-            r["extrapolated"] and r["name"].startswith(f"{cuff}.")
-            for r in self.variables()
-        )
+    def beyond(self) -> list[str]:
+        """Cuffs and joints of which the design is an extrapolation."""
+        moved = [r["name"] for r in self.variables() if r["extrapolated"]]
+        names = [*self.softened(), *(n.partition(".")[0] for n in moved)]
+        return [n for n in (*self.peaks, *self.design.joints) if n in names]
 
     def write(
         self, folder: str | Path, accepted: Sequence[str] = ()
@@ -815,7 +813,7 @@ def _told(row: dict) -> str:
     if "strap" in row:
         if row["strap"] is None or row["strap"] > _STIFF:
             return "stiff"
-        return f"{row['strap']:.4g} {row['strap_unit']}"
+        return f"{rounded(row['strap'])} {row['strap_unit']}"
     if row["unit"] == "m":
         return f"{1e3 * row['value']:+.1f} mm"
     return f"{row['value']:.3f}"

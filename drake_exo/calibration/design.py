@@ -66,6 +66,12 @@ from drake_exo.nlp.sparse import SparseProgram
 
 # A cuff stays this far from the joints at its limb's ends.
 _FROM_JOINT_M = 0.05
+# Jerk in a design, against what is typical.
+_LOOSE = 10.0
+# A joint drives if its torque reaches this share of the largest.
+_DRIVEN = 0.05
+# Cost of a change by its typical size: what buys nothing is not changed.
+_LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
 # Where the device's half of a cuff goes alone: forwards, up.
@@ -144,11 +150,29 @@ def design_variables(
             Variable(f"{joint}.{w}", "m", *getattr(free, w), 0.0, 0.005)
             for w in _OFFSETS
         ]
-    for joint in model.coordinates.device:
+    for joint in _driven(wearers):
         for place in _factors_at(joint, wearers, settings):
             name = f"{joint}.{_FACTOR}{place}"
             found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
     return found
+
+
+def _driven(wearers: Sequence[Wearer]) -> list[str]:
+    """Joints of the device with more than friction to offer."""
+    joints = wearers[0].model.coordinates.device
+    most = np.max(
+        [
+            [np.abs(t.moment(joint)).max() for joint in joints]
+            for w in wearers
+            for t in w.trials
+        ],
+        axis=0,
+    )
+    return [
+        joint
+        for joint, moment in zip(joints, most, strict=True)
+        if moment > _DRIVEN * most.max()
+    ]
 
 
 def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
@@ -357,7 +381,8 @@ class _Wearing(PhaseProblem):
         else:
             self._hold_person(movement, at)
         movement.add_tracking_cost(terms)
-        movement.add_jerk_cost(self.jerk)
+        # The movement is known: its jerk is no part of what is minimised.
+        movement.add_jerk_cost(_LOOSE * self.jerk)
         self._drive(movement, at)
         self._add_forces(movement)
         self._limit(movement)
@@ -384,6 +409,9 @@ class _Wearing(PhaseProblem):
         for i, joint in enumerate(names.device):
             first = f"{joint}.{_FACTOR}"
             own = [n for n in posed.variables if n.startswith(first)]
+            if not own:
+                movement.bound(torque[:, i], today[:, i], today[:, i])
+                continue
             factors = np.array([posed.variables[n] for n in own])
             known = _assistance({n.partition(_FACTOR)[2]: 1.0 for n in own})
             weights = known.weights(
@@ -752,6 +780,10 @@ class DesignProblem:
         (variable,) = prog.NewContinuousVariables(1, v.name)
         prog.SetVariableScaling(variable, v.size)
         prog.AddBoundingBoxConstraint(v.lower, v.upper, variable)
+        if v.free:
+            prog.AddQuadraticCost(
+                0.5 * _LEAST_GAIN * ((variable - v.today) / v.size) ** 2
+            )
         return variable
 
     @cached_property

@@ -12,6 +12,7 @@ from drake_exo.contact.bushing import NORMAL
 from drake_exo.contact.strap import EXTRAPOLATED
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.report.figures import STYLE
+from drake_exo.report.tables import rounded
 
 if TYPE_CHECKING:
     from drake_exo.contact.strap import CuffDesign
@@ -78,7 +79,10 @@ def device_figure(designed) -> Figure:
     told = {c: _told(c, d) for c, d in designed.design.cuffs.items()}
     with matplotlib.rc_context(STYLE):
         figure = Figure((7.2, 4.4), layout="constrained")
-        axes = figure.subplots(1, 2, sharey=True)
+        axes = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 2.2))
+        # Side by side, however narrow equal scales make them.
+        for axis, side in zip(axes, "EW", strict=True):
+            axis.set_anchor(side)
         for axis, row, title in ((axes[0], 0, "start"), (axes[1], -1, "end")):
             q = trial.q[[row]]
             for parent, child in tree.joints.values():
@@ -123,10 +127,9 @@ def device_figure(designed) -> Figure:
 def _head(figure: Figure, designed) -> None:
     """What does not hold, or is an extrapolation, above a figure."""
     said = [designed.verdict().mark]
-    if designed.softened() or any(
-        row["extrapolated"] for row in designed.variables()
-    ):
-        said.append(EXTRAPOLATED)
+    beyond = designed.beyond()
+    if beyond:
+        said.append(f"{EXTRAPOLATED}: {', '.join(beyond)}")
     text = ". ".join(filter(None, said))
     if text:
         figure.suptitle(text, color=_AFTER, fontsize=9)
@@ -143,7 +146,7 @@ def _told(cuff: str, design: CuffDesign) -> str:
         if abs(size) >= 5e-4
     ]
     straps = [
-        f"{what} strap {_rounded(value)} {unit}"
+        f"{what} strap {rounded(value)} {unit}"
         for what, value, unit in (
             ("normal", design.strap_normal_n_m, "N/m"),
             ("tangential", design.strap_tangential_n_m, "N/m"),
@@ -153,11 +156,6 @@ def _told(cuff: str, design: CuffDesign) -> str:
     ]
     said = [*words, *straps] or ["as today"]
     return f"{cuff}: " + "\n    ".join(said)
-
-
-def _rounded(value: float) -> str:
-    """Three digits, without a power of ten."""
-    return f"{float(f'{value:.3g}'):,.10g}".replace(",", " ")
 
 
 def _draw_link(axis, model, q, parent: str, child: str) -> None:
