@@ -187,21 +187,25 @@ def bushing(
     name: str,
     human: tuple[str, Pose],
     device: tuple[str, Pose],
-    values: dict[str, Iterable[float]],
+    values: dict[str, Iterable[float] | str],
+    kind: str = "BushingForce",
 ) -> ET.Element:
-    """A BushingForce between frames on two bodies.
+    """A BushingForce, or another of its kind, between frames on two bodies.
 
     Args:
         name: of the force.
         human, device: bodies and the frames on them; it acts along the axes
             of the first.
-        values: OpenSim's names of its properties, three numbers each.
+        values: OpenSim's names of its properties, three numbers each, or an
+            expression.
+        kind: or "ExpressionBasedBushingForce".
     """
-    made = ET.Element("BushingForce", name=name)
+    made = ET.Element(kind, name=name)
     ends = {f"{name}_human": human, f"{name}_device": device}
     for i, frame in enumerate(ends):
         ET.SubElement(made, f"socket_frame{i + 1}").text = frame
     for key, three in values.items():
-        ET.SubElement(made, key).text = text_of(three)
+        text = three if isinstance(three, str) else text_of(three)
+        ET.SubElement(made, key).text = text
     _frames(made, ends)
     return made

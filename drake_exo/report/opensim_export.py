@@ -1,8 +1,9 @@
 """A calibration, written into the OpenSim model that its person was read from.
 
-Spheres become SmoothSphereHalfSpaceForces, cuffs BushingForces, the device's
-links bodies with pins. A person of one leg has all of them on both legs, each
-with half the stiffness, damping, mass and inertia. Movements become states of
+Spheres become SmoothSphereHalfSpaceForces, cuffs BushingForces (those that
+slip ExpressionBasedBushingForces), the device's links bodies with pins. A
+person of one leg has all of them on both legs, each with half the stiffness,
+damping, mass and inertia. Movements become states of
 the model: its pelvis, and feet, are where the planar ones are, so that knees
 that slide do not move the contacts; hips, knees and ankles take up what the
 planar pins lack.
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.calibration.results import read_contact, read_model, read_trial
+from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files import osim_writing as xml
@@ -217,14 +219,10 @@ def _add_cuffs(file, copies: Copies, contact: ContactModel) -> None:
         links = copies.model.assembly.cuffs[name]
         held, frame = _held(copies, name)
         for copy in copies.of(links.human):
-            k, t = copy.share, copy.share
+            kind, springs = _springs(b, copy.share)
+            t = copy.share
             values = {
-                "rotational_stiffness": (0, 0, k * b.rotational_stiffness),
-                "translational_stiffness": (
-                    k * b.normal_stiffness,
-                    k * b.tangential_stiffness,
-                    0,
-                ),
+                **springs,
                 "rotational_damping": (0, 0, t * b.rotational_damping),
                 "translational_damping": (
                     t * b.normal_damping,
@@ -245,8 +243,32 @@ def _add_cuffs(file, copies: Copies, contact: ContactModel) -> None:
                 (copy.body, human),
                 (f"{held}{end}", device),
                 values,
+                kind,
             )
             file.add("ForceSet", made)
+
+
+def _springs(b: BushingParameters, share: float) -> tuple[str, dict]:
+    """OpenSim's force that holds one copy of a cuff, and its springs."""
+    normal, along, turn = (
+        share * k
+        for k in (
+            b.normal_stiffness,
+            b.tangential_stiffness,
+            b.rotational_stiffness,
+        )
+    )
+    if b.slip == 0.0:
+        return "BushingForce", {
+            "rotational_stiffness": (0, 0, turn),
+            "translational_stiffness": (normal, along, 0),
+        }
+    held = b.slip / share * along  # copies slip at their share of the force
+    return "ExpressionBasedBushingForce", {
+        "Mz_expression": f"{turn!r}*theta_z",
+        "Fx_expression": f"{normal!r}*delta_x",
+        "Fy_expression": (f"{along!r}*delta_y/(1+({held!r}*delta_y)^4)^0.25"),
+    }
 
 
 def _planar(poses: dict[str, np.ndarray], base: str, body: str) -> Pose:
