@@ -24,12 +24,12 @@ from drake_exo.calibration.problem import (
     PhaseProblem,
     bound_feet,
     ground_terms,
+    kinematic_terms,
 )
 from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
 from drake_exo.calibration.wearers import (
     Wearer,
     check_wearers,
-    own_kinematics,
 )
 from drake_exo.collocation.design_kernels import (
     AssistanceKernel,
@@ -376,7 +376,7 @@ class _Wearing(PhaseProblem):
                 foot_pitch_deg=settings.own_angle_deg,
                 foot_m=1e-4,
             )
-            terms += own_kinematics(movement, at, near)
+            terms += kinematic_terms(movement, at, near, encoders=False)
             terms += ground_terms(movement, at, noise)
         else:
             self._hold_person(movement, at)

@@ -34,6 +34,7 @@ from drake_exo.contact.parameters import ContactModel, ContactParameter
 from drake_exo.errors import InputError
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.nlp import drake_ipopt, infeasibility, ipopt
 from drake_exo.nlp.ipopt import Iterate, Solution
@@ -694,6 +695,8 @@ def kinematic_terms(
     at: Trial,
     noise: TrackingNoise,
     effects: Effects | None = None,
+    *,
+    encoders: bool = True,
 ) -> list[Tracking]:
     """Tracking of coordinates and velocities.
 
@@ -702,9 +705,11 @@ def kinematic_terms(
         at: measured values at the nodes.
         noise: standard deviations.
         effects: of unknown errors.
+        encoders: whether the device is tracked, too.
     """
     grid, names = movement.grid, movement.coordinates
     device = names.is_device_joint
+    of_device = 1.0 if encoders else np.inf
     foot_q = (noise.foot_m, noise.foot_m, np.deg2rad(noise.foot_pitch_deg))
     foot_v = (
         noise.foot_velocity_m_s,
@@ -720,24 +725,18 @@ def kinematic_terms(
             np.deg2rad(noise.velocity_deg_s),
         )
         feet = list(measured_feet(movement, at).items())
-    joint_q = np.where(device, noise.exo_angle_deg, noise.angle_deg)
-    joint_v = np.where(device, noise.exo_velocity_deg_s, noise.velocity_deg_s)
+    joint_q = np.where(device, of_device * noise.exo_angle_deg, noise.angle_deg)
+    joint_v = np.where(
+        device, of_device * noise.exo_velocity_deg_s, noise.velocity_deg_s
+    )
     sigma_q = np.r_[root_q, np.deg2rad(joint_q)]
     sigma_v = np.r_[root_v, np.deg2rad(joint_v)]
     terms = [
-        Tracking(
-            grid.q,
-            at.q,
-            sigma_q,
-            role="position",
-            effects=effects and effects.q,
+        _against_the_foot(
+            movement, grid.q, at.q, sigma_q, "position", effects and effects.q
         ),
-        Tracking(
-            grid.v,
-            at.v,
-            sigma_v,
-            role="velocity",
-            effects=effects and effects.v,
+        _against_the_foot(
+            movement, grid.v, at.v, sigma_v, "velocity", effects and effects.v
         ),
     ]
     for foot, measured in feet:
@@ -747,6 +746,46 @@ def kinematic_terms(
             Tracking(pose[:, 3:], measured[:, 3:], foot_v, role="velocity"),
         ]
     return terms
+
+
+def _against_the_foot(
+    movement: TrialProgram, variables, target, sigma, role, effects
+) -> Tracking:
+    """Tracking of coordinates that hang on a foot, in a device.
+
+    What an encoder tells to a tenth of a degree it tells against the foot, and
+    a contact of few spheres turns the foot otherwise than it turned, by as
+    much as its measured pitch is uncertain: an error that all joints at the
+    foot share.
+    """
+    if effects is None or not movement.tree.root.startswith("foot"):
+        return Tracking(variables, target, sigma, role=role, effects=effects)
+    known = np.isfinite(sigma)
+    turn = foot_turn(movement.tree) * sigma[2]
+    covariance = np.diag(sigma**2) + np.outer(turn, turn)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
+    rows = np.eye(len(sigma))
+    rows[np.ix_(known, known)] = sigma[known, None] * (
+        (vectors / np.sqrt(values)) @ vectors.T
+    )
+    return Tracking(
+        variables,
+        target @ rows.T,
+        sigma,
+        np.broadcast_to(rows, (len(target), *rows.shape)),
+        role,
+        np.einsum("rq,nqk->nrk", rows, effects),
+    )
+
+
+def foot_turn(tree: PlanarTree) -> np.ndarray:
+    """Change of all coordinates (nq,) if the root alone turns by 1."""
+    links = [tree.root, *(child for _, child in tree.joints.values())]
+    columns = np.flatnonzero(tree.coordinates.is_angle)
+    T = np.array([tree.turning(link)[columns] for link in links])
+    found = np.zeros(len(tree.coordinates))
+    found[columns] = np.linalg.inv(T)[:, 0]
+    return found
 
 
 def ground_terms(

@@ -76,7 +76,7 @@ class OwnMovement(PhaseProblem):
         noise = self.settings.noise
         movement.add_tracking_cost(
             [
-                *own_kinematics(movement, at, noise, effects),
+                *kinematic_terms(movement, at, noise, effects, encoders=False),
                 *ground_terms(movement, at, noise),
                 *torque_terms(movement, at, noise, effects),
             ],
@@ -84,16 +84,6 @@ class OwnMovement(PhaseProblem):
         )
         movement.add_jerk_cost(self.jerk)
         return movement
-
-
-def own_kinematics(movement, at: Trial, noise, effects=None) -> list:
-    """`kinematic_terms` of the person alone: the device goes where it must."""
-    terms = kinematic_terms(movement, at, noise, effects)
-    device = movement.coordinates.device_columns
-    for term in terms:
-        term.sigma = term.sigma.copy()
-        term.sigma[:, device] = np.inf
-    return terms
 
 
 def assisted(trial: Trial, design: Design) -> Trial:

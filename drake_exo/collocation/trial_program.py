@@ -87,6 +87,7 @@ class TrialProgram:
     ):
         self.name = name
         self.program = program
+        self.tree = tree
         self.coordinates = tree.coordinates
         intervals = max(round(duration * nodes_per_second), FEWEST)
         self.grid: Transcription = TRANSCRIPTIONS[transcription](

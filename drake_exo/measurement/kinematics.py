@@ -12,7 +12,7 @@ leg is followed on its own; a model's one leg is their mean, since feet that
 stand apart fore and aft give the legs different angles.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,11 @@ from drake_exo.model.plant import Model
 
 LEG = ("thigh", "shank", "foot", "toes")
 _JOINTS = ("ankle", "knee", "hip")
+# Weight of markers on a foot that a device is welded to: they stay within a
+# millimetre, others slide by 10 mm and more (Peters et al., Gait & Posture 31,
+# 2010). With equal weights skin that slides on a shank turns the foot by two
+# degrees.
+_RIGID = 100.0
 # The joint at the origin of each segment of a leg, and the one above.
 _ORIGIN = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "ball"}
 
@@ -114,6 +119,7 @@ def build_marker_model(
     markers: Markers,
     frame: SagittalFrame,
     ball_m: tuple[float, float] | None = None,
+    welded: Collection[str] = (),
 ) -> MarkerModel:
     """Measure lengths and marker places in a standing trial.
 
@@ -123,6 +129,7 @@ def build_marker_model(
         frame: directions of the planar frame in the trial's axes.
         ball_m: place (x, z) of the toes' hinge before the ankle of a flat
             foot; None where toes are rigid.
+        welded: feet that a device is welded to, whose markers are rigid.
 
     Raises:
         InputError: a marker is missing or has gaps, no leg is complete, or
@@ -139,6 +146,9 @@ def build_marker_model(
         lever = joints[side]["ankle"].copy()
         lever[segments.index(f"foot_{side}")] += complex(*ball_m)
         joints[side]["ball"] = lever
+    rigid = [
+        s for s in segments if s in welded or s.partition("_")[0] in welded
+    ]
     names, segment_of, levers = [], [], []
     for segment, side, name in _attachments(markers, sides, leg):
         k = segments.index(segment if side is None else f"{segment}_{side}")
@@ -159,7 +169,14 @@ def build_marker_model(
         names=tuple(names),
         segment_of=np.array(segment_of),
         levers=np.array(levers),
-        weights=np.array([markers.weights.get(n, 1.0) for n in names]),
+        weights=np.array(
+            [
+                markers.weights.get(
+                    name, _RIGID if segments[k] in rigid else 1.0
+                )
+                for name, k in zip(names, segment_of, strict=True)
+            ]
+        ),
         ankles={side: joints[side]["ankle"] for side in sides},
         standing_angles=np.angle(w),
         lengths_m=_lengths(centres),
@@ -275,7 +292,7 @@ def _check_determined(model: MarkerModel, source: str) -> None:
         )
 
 
-_MAX_ITERATIONS = 50
+_MAX_ITERATIONS = 200  # markers that do not fit are followed slowly
 _CONVERGED = 1e-10  # largest step [m or rad]
 # Weight of a marker that is not seen: none, but every frame has a solution.
 _UNSEEN = 1e-8

@@ -316,7 +316,8 @@ class Markers:
     """The marker set.
 
     Attributes:
-        weights: weight of single markers in inverse kinematics, 1 if absent.
+        weights: weight of single markers in inverse kinematics; if absent 100
+            on a foot that a device is welded to, and 1 elsewhere.
     """
 
     joint_centres: JointCentres

@@ -98,12 +98,17 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         settings.laboratory.fill_gaps_s,
     )
     gaps.check()
+    device = settings.assembly.device
+    welds = device.welds.values() if device else ()
+    feet = [weld.to for weld in welds if weld.to.startswith("foot")]
     if upright is None:
         ball = _ball(settings, named, standing, person)
-        markers = build_marker_model(standing, named, frame, ball)
+        markers = build_marker_model(standing, named, frame, ball, feet)
     else:
         ball = person.human.ball_m if who.toes == "hinged" else None
-        markers = build_marker_model(upright, named, SagittalFrame(), ball)
+        markers = build_marker_model(
+            upright, named, SagittalFrame(), ball, feet
+        )
     points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
     poses = solve_poses(markers, points, standing.source)
     ankles = ankle_paths(markers, poses)

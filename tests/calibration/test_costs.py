@@ -14,6 +14,7 @@ from drake_exo.calibration.error_model import NO_ERRORS, ErrorSizes
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.problem import foot_turn
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     InteractionNoise,
@@ -288,18 +289,34 @@ def test_errors_shift_what_was_measured(in_device, trial, kind):
     for k, unknown in enumerate(errors.unknowns):
         d = unknown.sd
         expected = 0.5 * (d / unknown.sd) ** 2
-        for effect, sigma, weights in (
-            (by.q, SIGMA_Q, kinematic),
-            (by.v, SIGMA_V, kinematic),
-            (by.moments, SIGMA_M, w),
+        turn = foot_turn(in_device.model.tree)
+        for effect, sigma, shared, weights in (
+            (by.q, SIGMA_Q, turn * SIGMA_Q[2], kinematic),
+            (by.v, SIGMA_V, turn * SIGMA_V[2], kinematic),
+            (by.moments, SIGMA_M, 0.0 * SIGMA_M, w),
         ):
-            off = d * effect[:, :, k] / sigma
-            expected += 0.5 * weights @ np.sum(off**2, axis=1)
+            off = d * effect[:, :, k]
+            covariance = np.diag(sigma**2) + np.outer(shared, shared)
+            square = np.sum(off * np.linalg.solve(covariance, off.T).T, axis=1)
+            expected += 0.5 * weights @ square
         if kind == "b":
             for normal in by.normal.values():
                 expected += 0.5 * w @ (d * normal[:, k] / 3.0) ** 2
         found = cost.bend(variables[[k]], d)
         assert found == pytest.approx(expected, rel=1e-6), unknown.name
+
+
+def test_the_foot_alone_turns(in_device):
+    tree = in_device.model.tree
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, (1, len(tree.coordinates)))
+    moved = q + 0.1 * foot_turn(tree)
+    for link in tree.names:
+        turned = tree.body_angles(moved, link) - tree.body_angles(q, link)
+        on_foot = (
+            tree.segment_of[tree.body_index(link)]
+            == tree.segment_of[tree.body_index(tree.root)]
+        )
+        assert turned == pytest.approx(0.1 if on_foot else 0.0, abs=1e-12)
 
 
 def test_priors_of_cuffs_are_those_of_the_settings(in_device, trial):
