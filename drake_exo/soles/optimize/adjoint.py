@@ -221,9 +221,12 @@ class _Step:
         b_O = bP_all.sum(axis=1)
         b_w += cross(self.Y, bP_all).sum(axis=1)
         by = bP_all @ R
-        # The product with all of C is faster than the gathering of a part.
-        lift = (by.reshape(c, -1) @ self.solver.C).reshape(by.shape)
-        lift = lift[:, self.nodes] @ R.T
+        # The block of C that holds all of them: faster than gathering rows.
+        there = np.append(np.flatnonzero(by.any(axis=(0, 2))), self.nodes)
+        a, b = there.min(), there.max() + 1
+        C = self.solver.C[3 * a : 3 * b, 3 * a : 3 * b]
+        lift = by[:, a:b].reshape(c, -1) @ C
+        lift = lift.reshape(c, -1, 3)[:, self.nodes - a] @ R.T
         bF += lift
         b_w -= cross(F, lift).sum(axis=1)
         y, l_m = self._adjoint(bF, b_O, b_w)
