@@ -377,7 +377,7 @@ _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start.
 STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 40),
-    Stage(_FINE, 48, 5e-6, 0.2, 50),
+    Stage(_FINE, 48, 5e-6, 0.2, 30),
 )
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
