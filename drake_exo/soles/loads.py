@@ -361,7 +361,6 @@ def read_force_plate(
     start_s: float,
     end_s: float,
     least_force_n: float = 20.0,
-    suffixes: tuple[str, str, str] = ("v", "p", "m"),
 ) -> Load:
     """One plate of an OpenSim `.mot` file (x forward, y up, z right).
 
@@ -371,9 +370,8 @@ def read_force_plate(
         start_s: Window's first time [s].
         end_s: Window's last time [s].
         least_force_n: Samples below are left out at both ends [N].
-        suffixes: Letters of force, centre of pressure and moment.
     """
-    names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in suffixes]
+    names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in "vpm"]
     table = _opensim_columns(path, [n for row in names for n in row])
     time = table["time"]
     rows = (time >= start_s - 1e-9) & (time <= end_s + 1e-9)

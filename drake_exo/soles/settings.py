@@ -435,7 +435,6 @@ class OptimizeBlock:
     tilt_deg: float | None = positive("°", 20.0)
     strain: float | None = positive("", 0.3)
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
-    use_tr: float = not_negative("", 1.0)
     roughness: float = not_negative("", 1.0)
     tolerance: float = positive("", 1e-4)
     remeshes: int = field(default=3, metadata={"minimum": 0})

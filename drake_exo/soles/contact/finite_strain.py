@@ -23,7 +23,6 @@ from scipy.sparse.linalg import splu
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     Convergence,
-    Start,
     Target,
 )
 from drake_exo.soles.contact.node_law import (
@@ -129,9 +128,7 @@ class FiniteStrainSolver:
 
     def _reference(self, target, R) -> np.ndarray:
         """Q with zero height, (m, 3)."""
-        Q_t = target.reference
-        if isinstance(Q_t, Start):
-            Q_t = Q_t.reference(R, self.rest)
+        Q_t = target.references(R, self.rest)
         return np.column_stack([Q_t, np.zeros(len(Q_t))])
 
     def _evaluate(self, tau, guess, target, scale) -> "_Point":
@@ -159,9 +156,7 @@ class FiniteStrainSolver:
         return _Point(state, tau, arm, balance, wrench, merit / scale)
 
     def _linearise(self, point, target) -> "_Linearisation":
-        dQ = None
-        if isinstance(target.reference, Start):
-            dQ = target.reference.reference_derivative(point.state.R, self.rest)
+        dQ = target.reference_turn(point.state.R, self.rest)
         return _Linearisation(self, point, dQ)
 
     def _line_search(self, point, step, target, scale):

@@ -13,7 +13,6 @@ from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     ContactSolver,
     Convergence,
-    Start,
     State,
     Target,
     move,
@@ -21,6 +20,11 @@ from drake_exo.soles.contact.newton import (
 from drake_exo.soles.contact.node_law import project_node
 
 _LOCAL_STEPS = 60
+_WRENCH_TOLERANCE = 1e-10  # ε4, on the scaled wrench
+_RELAXATION = (
+    0.1  # λ of (25): sweeps as exact as that times the wrench's residual
+)
+_MAX_SWEEPS = 20000  # over all pose steps of a sample
 
 
 class GaussSeidelSolver(ContactSolver):
@@ -29,10 +33,6 @@ class GaussSeidelSolver(ContactSolver):
     Args:
         C, lP, law: As for `ContactSolver`; the law must be exact.
         sweep_tolerance: ε1, relative change of the forces in one sweep.
-        wrench_tolerance: ε4, on the scaled wrench.
-        relaxation: λ of (25): sweeps need not be more exact than λ times
-            the wrench's residual.
-        max_sweeps: Over all pose steps of one sample.
     """
 
     def __init__(
@@ -41,17 +41,11 @@ class GaussSeidelSolver(ContactSolver):
         lP,
         law,
         sweep_tolerance: float = 1e-10,
-        wrench_tolerance: float = 1e-10,
-        relaxation: float = 0.1,
-        max_sweeps: int = 20000,
     ):
         if law.epsilon > 0 or law.kappa > 0:
             raise ValueError("Gauss–Seidel solves the exact law alone")
         super().__init__(C, lP, law, max_iterations=60)
         self.sweep_tolerance = sweep_tolerance
-        self.wrench_tolerance = wrench_tolerance
-        self.relaxation = relaxation
-        self.max_sweeps = max_sweeps
         self.sweeps = 0
 
     def solve(
@@ -65,25 +59,23 @@ class GaussSeidelSolver(ContactSolver):
         self.sweeps, history = 0, []
         need = np.inf if not fixed_pose else 0.0
         for iteration in range(self.max_iterations):
-            tolerance = max(
-                self.sweep_tolerance, min(1e-3, self.relaxation * need)
-            )
+            tolerance = max(self.sweep_tolerance, min(1e-3, _RELAXATION * need))
             while True:
                 change = self._sweeps(state, target, tolerance)
                 point = self._evaluate(state, target, fixed_pose, scale)
                 need = _scaled(point.wrench, scale)
                 if fixed_pose or tolerance <= self.sweep_tolerance:
                     break
-                if tolerance <= self.relaxation * need:
+                if tolerance <= _RELAXATION * need:
                     break  # (25): exact enough for this wrench
-                tolerance = max(self.sweep_tolerance, self.relaxation * need)
+                tolerance = max(self.sweep_tolerance, _RELAXATION * need)
             history.append(need)
             if change > tolerance:
-                return state, self._failure(
-                    iteration, need, "Gauss–Seidel sweeps did not settle",
-                    history,
+                return state, Convergence(
+                    False, iteration, need,
+                    "Gauss–Seidel sweeps did not settle", history,
                 )  # fmt: skip
-            done = fixed_pose or need < self.wrench_tolerance
+            done = fixed_pose or need < _WRENCH_TOLERANCE
             if done and change <= self.sweep_tolerance:
                 return state, Convergence(
                     True, iteration + 1, max(need, change), "", history
@@ -92,12 +84,10 @@ class GaussSeidelSolver(ContactSolver):
                 need = self.sweep_tolerance
                 continue
             self._pose_step(state, point, target)
-        return state, self._failure(
-            self.max_iterations, need, "pose Newton did not settle", history
-        )
-
-    def _failure(self, iteration, residual, message, history):
-        return Convergence(False, iteration, residual, message, history)
+        return state, Convergence(
+            False, self.max_iterations, need, "pose Newton did not settle",
+            history,
+        )  # fmt: skip
 
     def _sweeps(self, state: State, target: Target, tolerance) -> float:
         """Algorithm 3 at the state's pose; updates its forces."""
@@ -106,12 +96,9 @@ class GaussSeidelSolver(ContactSolver):
         C = self.C.reshape(m, 3, m, 3)
         W = np.einsum("ab,ibjc,dc->iajd", R, C, R, optimize=True)
         W = np.ascontiguousarray(W.reshape(3 * m, 3 * m))
-        reference = target.reference
-        if isinstance(reference, Start):
-            reference = reference.reference(R, self.lP)
         delta = self.deformed(state.F, R) + state.O
-        delta[:, :2] -= reference
-        budget = self.max_sweeps - self.sweeps
+        delta[:, :2] -= target.references(R, self.lP)
+        budget = _MAX_SWEEPS - self.sweeps
         change, used = _gauss_seidel(
             W, state.F, delta, self.law.friction, tolerance, budget
         )
@@ -121,16 +108,9 @@ class GaussSeidelSolver(ContactSolver):
     def _pose_step(self, state, point, target) -> None:
         """Newton step (24) of the pose; forces follow in the next sweeps."""
         lin = self._linearisation(point, target)
-        dQ = None
-        if isinstance(target.reference, Start):
-            dQ = target.reference.reference_derivative(
-                state.R, self.lP[lin.nodes]
-            )
-        dF, d_place = lin.pose_response(dQ)
-        if dQ is not None:
-            d_place = d_place.copy()
-            d_place[:, :, 3:] += dQ
-        J = lin.wrench_change(dF, d_place)
+        dF, _, J = lin.pose_response(
+            target.reference_turn(state.R, self.lP[lin.nodes])
+        )
         dp, at = np.zeros(6), target.asked
         dp[at] = np.linalg.solve(J[np.ix_(at, at)], -point.wrench[at])
         step = min(

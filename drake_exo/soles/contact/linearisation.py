@@ -193,12 +193,27 @@ class Linearisation:
         return T + self._S_g @ x, known
 
     def pose_response(self, dQ: np.ndarray | None = None):
-        """Changes dF and dδ for unit pose increments (dzO, dω), (k, 3, 6)."""
-        return tuple(self._to_world(x) for x in self._pose_response(dQ))
+        """What unit pose increments (dzO, dω) change.
+
+        Args:
+            dQ: Derivative of the references by the turn, if they have one.
+
+        Returns:
+            dF and dδ (k, 3, 6), [dF; dΓ] about the ZMP (6, 6).
+        """
+        dF, dP = self._pose_response(dQ)
+        world = [self._to_world(x) for x in (dF, dP)]
+        return *world, self._pose_wrench(dF, dP, dQ)
 
     def _pose_response(self, dQ=None):
         T = self._S_times(self._against_pose(dQ))
         return self._respond(T, np.zeros_like(T))
+
+    def _pose_wrench(self, dF, dP, dQ=None) -> np.ndarray:
+        """[dF; dΓ] of what columns change that end with `_against_pose`'s."""
+        if dQ is not None:
+            dP[:, -3:] += self._to_sole(dQ)
+        return _wrench_change(self.R, self.arm, self.F, dF, dP)
 
     def _against_pose(self, dQ) -> np.ndarray:
         """−D_p but for its part in F, (3k, 6)."""
@@ -236,11 +251,6 @@ class Linearisation:
         offset[self._g] = 0.0
         return offset, local[self._g, 0]
 
-    def wrench_change(self, dF, dP) -> np.ndarray:
-        """[ΣdF; Σ(P−Z)×dF + dP×F] for fields (k, 3, c) -> (6, c)."""
-        dF, dP = dF.reshape(-1, dF.shape[2]), dP.reshape(-1, dP.shape[2])
-        return _wrench_change(np.eye(3), self.arm, self.F, dF, dP)
-
     def solve(self, phi, wrench, asked, dQ=None):
         """Newton step for law residual phi (k, 3) and wrench residual (6,).
 
@@ -259,9 +269,7 @@ class Linearisation:
         known = np.zeros_like(T)
         known[:, :1] = offset
         dF, dP = self._respond(T, known, phi_g)
-        if dQ is not None:
-            dP[:, 4:] += self._to_sole(dQ)
-        G = _wrench_change(self.R, self.arm, self.F, dF, dP)
+        G = self._pose_wrench(dF, dP, dQ)
         dp, at = np.zeros(6), np.ix_(asked, asked)
         dp[asked] = np.linalg.solve(G[:, 1:][at], -(wrench + G[:, 0])[asked])
         step = dF[:, 0] + dF[:, 1:] @ dp
@@ -269,8 +277,7 @@ class Linearisation:
 
     def cartesian_stiffness(self) -> np.ndarray:
         """K_c (6, 6): [dF; dΓ_Z] = K_c [dzO; dω], references frozen."""
-        fields = self._pose_response()
-        return _wrench_change(self.R, self.arm, self.F, *fields)
+        return self._pose_wrench(*self._pose_response())
 
     def solve_transposed(self, Sb: np.ndarray):
         """Solve J_Fᵀ z = b for b given as S b.
@@ -373,7 +380,7 @@ def _turned_hats(R, v):
 
 @njit()
 def _wrench_change(R, arm, F, dF, dP):
-    """As `Linearisation.wrench_change` for fields that R turns, (3k, c)."""
+    """[ΣdF; Σ(P−Z)×dF + dP×F] for fields that R turns, (3k, c) -> (6, c)."""
     out = np.zeros((6, dF.shape[1]))
     f, x = np.empty(3), np.empty(3)
     for n in range(len(arm)):

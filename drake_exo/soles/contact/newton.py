@@ -168,6 +168,18 @@ class Target:
         """Components of the wrench that are asked for, and of the pose."""
         return _WHOLE if self.rotation is None else _SHIFT
 
+    def references(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
+        """Tangential references of nodes at rest positions lP, (m, 2)."""
+        if isinstance(self.reference, Start):
+            return self.reference.reference(R, lP)
+        return self.reference
+
+    def reference_turn(self, R, lP) -> np.ndarray | None:
+        """Their derivative by the turn (m, 3, 3), if they have one."""
+        if isinstance(self.reference, Start):
+            return self.reference.reference_derivative(R, lP)
+        return None
+
     def partway(self, before: "Target", part: float) -> "Target":
         """A part of the way from `before` to here, at this reference."""
         rotation = self.rotation
@@ -300,10 +312,7 @@ class ContactSolver:
         F, law = state.F, self.law
         if P is None:
             P = self.deformed(F, state.R) + state.O
-        if isinstance(target.reference, Start):
-            Q_t = target.reference.reference(state.R, self.lP)
-        else:
-            Q_t = target.reference
+        Q_t = target.references(state.R, self.lP)
         tau, phi, arm, wrench, largest = residual(
             P, F, Q_t, target.zmp,
             law.penalty, law.friction, law.epsilon, law.kappa,
@@ -346,16 +355,12 @@ class ContactSolver:
             point_new.merit = point.merit
             point.__dict__.update(point_new.__dict__)
         lin = self._linearisation(point, target)
-        dQ = None
-        if isinstance(target.reference, Start) and not fixed_pose:
-            dQ = target.reference.reference_derivative(
-                state.R, self.lP[lin.nodes]
-            )
         dF = np.zeros_like(state.F)
         phi = point.phi[lin.nodes]
         if fixed_pose:
             dF[lin.nodes] = lin.solve_forces(phi)
             return dF, np.zeros(6)
+        dQ = target.reference_turn(state.R, self.lP[lin.nodes])
         dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, dQ)
         if not np.isfinite(dp).all():
             raise np.linalg.LinAlgError

@@ -182,16 +182,11 @@ class _Step:
         self.state = state = history.state(q)
         self.lin = solver.linearise(state, target, history.P[q])
         self.nodes = self.lin.nodes
-        self.dF, self.dP = self.lin.pose_response()
+        self.dF, self.dP, self.G = self.lin.pose_response()
         self.first = isinstance(target.reference, Start)
-        self.G, self.dQ = history.K_c[q], None
-        if self.first:
-            lP = solver.lP[self.nodes]
-            self.dQ = target.reference.reference_derivative(state.R, lP)
-            dF, dP = self.lin.pose_response(self.dQ)
-            dP = dP.copy()
-            dP[:, :, 3:] += self.dQ
-            self.G = self.lin.wrench_change(dF, dP)
+        self.dQ = target.reference_turn(state.R, solver.lP[self.nodes])
+        if self.dQ is not None:
+            self.G = self.lin.pose_response(self.dQ)[2]
         self.Y = history.P[q] - state.O
 
     def reverse(self, sums: list[Sensitivity], terms: list[list]) -> None:

@@ -59,7 +59,6 @@ class ShapeProblem:
             of the coefficients.
         fraction: Heel strike's part of the samples.
         samples: How many samples to simulate.
-        use_tr: Factor of c_tr in the cost.
         of: Of several loads the mean of c over the initial shape's, or the
             worst.
         branch: History of the last accepted design.
@@ -81,7 +80,6 @@ class ShapeProblem:
     regularization_weight: float = 0.0
     fraction: float = 0.1
     samples: int | None = None
-    use_tr: float = 1.0
     of: Literal["mean", "worst"] = "mean"
     branch: StepHistory | None = None
     meshed_at: np.ndarray | None = None
@@ -183,7 +181,7 @@ class ShapeProblem:
     def _costs(self, e: Evaluation) -> np.ndarray:
         """C of every contact phase, times its share, (K,)."""
         K = e.history.K_c
-        c = self.use_tr * self.by_tr * stiffness.sigma_max_translation(K)
+        c = self.by_tr * stiffness.sigma_max_translation(K)
         c = c - self.weight * self.by_rot * stiffness.sigma_min_rotation(K)
         return np.add.reduceat(c, self.thinned.begins)
 
@@ -250,7 +248,7 @@ class ShapeProblem:
         by_c = self._combined(e)[1][self.thinned.phase]
         cost = singular_terms(
             e.history.K_c,
-            self.use_tr * self.by_tr * by_c,
+            self.by_tr * by_c,
             -self.weight * self.by_rot * by_c,
         )
         parts = [(cost, 0.0), *(limit.derivative(e) for limit in self.limited)]

@@ -98,7 +98,6 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
         block.roughness,
         settings.cost.heel_strike_fraction,
         stage.samples,
-        use_tr=block.use_tr,
         of=settings.cost.of,
     )
 
