@@ -62,16 +62,7 @@ def multiply(a, b, out):
 
 def exp_rotation(w: np.ndarray) -> np.ndarray:
     """Rotation matrix exp(hat(w)) of a rotation vector w [rad]."""
-    angle = float(np.linalg.norm(w))
-    K = hat(np.asarray(w, dtype=float))
-    if angle < 1e-4:  # series: sin(a)/a and (1-cos a)/a² lose digits here
-        a2 = angle * angle
-        return np.eye(3) + (1 - a2 / 6) * K + (0.5 - a2 / 24) * K @ K
-    return (
-        np.eye(3)
-        + np.sin(angle) / angle * K
-        + (1 - np.cos(angle)) / angle**2 * K @ K
-    )
+    return Rotation.from_rotvec(w).as_matrix()
 
 
 def rotation_vector(R: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ foot.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -191,7 +192,7 @@ def plan(robot: Robot) -> Pattern:
     )  # fmt: skip
     basis = BSpline(knots, np.eye(_PIECES + _DEGREE), _DEGREE)
     t = np.linspace(0, T, _GRID)
-    Z = basis(t) - basis(t, 2) / omega2
+    Z = _zmp(basis, omega2, t)
     inside = np.concatenate([Z[t >= D], _ends(basis, omega2, T, D)])
     hold = _HOLD * _double_support_residual(basis, omega2, t[t <= D], D)
     own, share = _own_rows(basis, omega2, t, T, D)
@@ -253,12 +254,14 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
     return p0 + free @ result.GetSolution(y)
 
 
+def _zmp(spline, omega2, at, order=0):
+    """Of the ZMP z = c − c̈/ω² of a CoM's spline, or a derivative."""
+    return spline(at, order) - spline(at, order + 2) / omega2
+
+
 def _own_rows(basis, omega2, t, T, D):
     """Rows of one foot's ZMP times its share, landing to lift-off."""
-
-    def z(at, order=0):
-        return basis(at, order) - basis(at, order + 2) / omega2
-
+    z = partial(_zmp, basis, omega2)
     landing, off = t[t < D], t[t <= D]
     forth, back = _progress(off, D)[0], _progress(landing, D)[1]
     rows = np.concatenate(
@@ -280,19 +283,13 @@ def _own_rows(basis, omega2, t, T, D):
 
 def _ends(basis, omega2, T, D):
     """Rows of the right foot's ZMP as it lands and as it lifts off."""
-
-    def z(at, order=0):
-        return basis(at, order) - basis(at, order + 2) / omega2
-
+    z = partial(_zmp, basis, omega2)
     return np.stack([z(D) - D / 2 * z(D, 1), z(T) + D / 2 * z(T, 1)])
 
 
 def _double_support_residual(basis, omega2, t, D):
     """Rows of z(t) − (1 − α) a(t) − α b(t): the feet keep to lines."""
-
-    def z(at, order=0):
-        return basis(at, order) - basis(at, order + 2) / omega2
-
+    z = partial(_zmp, basis, omega2)
     share = smooth_share(t / D)[:, None]
     forth, back = _progress(t, D)
     a = z(0.0)[None] + forth * z(0.0, 1)[None]
@@ -316,6 +313,6 @@ def _as_spline(knots, c: BSpline, omega2: float) -> BSpline:
     sites = np.array(
         [multiple[i + 1 : i + _DEGREE + 1].mean() for i in range(count)]
     )
-    values = c(sites) - c(sites, 2) / omega2
+    values = _zmp(c, omega2, sites)
     design = BSpline.design_matrix(sites, multiple, _DEGREE).toarray()
     return BSpline(multiple, np.linalg.solve(design, values), _DEGREE)

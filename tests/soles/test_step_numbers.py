@@ -79,16 +79,6 @@ def test_heel_strike_is_the_first_part(samples, fraction, count):
     assert stiffness.heel_strike_count(samples, fraction) == count
 
 
-def test_costs_are_plain_sums():
-    K = np.zeros((20, 6, 6))
-    for q in range(20):
-        K[q] = -np.diag([1.0, 2.0, 10.0 + q, 3.0 + q, 50.0, 60.0])
-    c_tr, c_rot, c = stiffness.costs(K, weight=0.5, fraction=0.1)
-    assert c_tr == pytest.approx(10.0 + 11.0)
-    assert c_rot == pytest.approx(sum(3.0 + q for q in range(20)))
-    assert c == pytest.approx(c_tr - 0.5 * c_rot)
-
-
 def by_hand(K: np.ndarray) -> tuple[float, float]:
     """Largest and least stretch of a block's rows, by its Gram matrix."""
     largest = np.sqrt(np.linalg.eigvalsh(K[:3, :3].T @ K[:3, :3]).max())

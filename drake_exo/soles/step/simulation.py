@@ -26,7 +26,6 @@ from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.rotations import rotation_between, rotation_z, yaw_of
-from drake_exo.soles.step import stiffness
 
 _MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
@@ -362,10 +361,6 @@ class StepHistory:
             f"followed in {report.parts} parts of its time")
             for report in self.reports
         ]  # fmt: skip
-
-    def costs(self, weight: float = 1.0, fraction: float = 0.1):
-        """c_tr, c_rot and c over the samples (NaN where one failed)."""
-        return stiffness.costs(self.K_c, weight, fraction)
 
 
 def touches_elsewhere(

@@ -63,17 +63,3 @@ def sample_weights(
         by_tr[phase.start : phase.start + count] = share
         by_rot[phase] = share
     return by_tr, by_rot
-
-
-def costs(K_c: np.ndarray, weight: float = 1.0, fraction: float = 0.1):
-    """c_tr, c_rot and c = c_tr − w c_rot: plain sums over samples.
-
-    Args:
-        K_c: Stiffness at every sample, (N, 6, 6).
-        weight: w.
-        fraction: Part of the samples that is heel strike.
-    """
-    count = heel_strike_count(len(K_c), fraction)
-    c_tr = float(sigma_max_translation(K_c[:count]).sum())
-    c_rot = float(sigma_min_rotation(K_c).sum())
-    return c_tr, c_rot, c_tr - weight * c_rot
