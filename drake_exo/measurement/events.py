@@ -1,5 +1,7 @@
 """Events of a sit-to-stand: seat-off and standing, and the chair until then.
 
+And of a walk: heel strike and toe-off, where a foot's own plates pass 20 N.
+
 Seat-off is where the feet carry the whole body by Newton's law: what the
 chair must bear, m (a_com + g) - F_z, has fallen to a small share of body
 weight. A bare threshold on F_z would be passed while still seated, since the
@@ -10,18 +12,24 @@ fallen to 5 % of body weight. What is left then is faded out within 50 ms, so
 that no step remains in the dynamics.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from drake_exo.errors import InputError
+from drake_exo.files.tables import runs
 from drake_exo.measurement.filters import minimum_jerk
-from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.sagittal import COP_THRESHOLD_N, PlanarWrench
+from drake_exo.model.assembly import SIDES
 
 SEATED_SHARE = 0.5  # of body weight on the chair: clearly seated
 CHAIR_SHARE = 0.05  # of body weight on the chair: seat-off
 STEADY_SHARE = 0.1  # force within this share of body weight: standing
 STEADY_S = 0.1  # for so long
 _MIN_RANGE_M = 0.15  # hips that move less do not rise
+_SHORTEST_S = 0.1  # contacts below are noise
+_CLEAR_S = 0.02  # a whole contact leaves so much at either end of the file
 
 
 @dataclass(frozen=True)
@@ -134,3 +142,118 @@ def until_seat_off(
     away = np.minimum(np.abs(later - time), np.abs(time - earlier))
     share = 1.0 - minimum_jerk(away / _FADE_S)[0]
     return PlanarWrench(share[:, None] * wrench.force, share * wrench.moment)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Times between which a plate is loaded, and what of it was recorded.
+
+    Attributes:
+        start_s, end_s: first and last loaded sample [s].
+        begins, ends: whether the recording holds its begin and its end.
+    """
+
+    start_s: float
+    end_s: float
+    begins: bool
+    ends: bool
+
+    def __str__(self) -> str:
+        cut = []
+        if not self.begins:
+            cut.append("the recording begins within it")
+        if not self.ends:
+            cut.append("the recording ends within it")
+        said = f" ({', '.join(cut)})" if cut else ""
+        return f"{self.start_s:.2f} to {self.end_s:.2f} s{said}"
+
+
+def contacts(
+    time: np.ndarray, F_z: np.ndarray, least_n: float = COP_THRESHOLD_N
+) -> list[Contact]:
+    """Where a foot's plates bear a force or more.
+
+    Args:
+        time: (N,) [s].
+        F_z: (N,) vertical force of all of them, unfiltered [N].
+        least_n: that force [N].
+    """
+    found = []
+    for a, b in runs(F_z >= least_n):
+        if time[b - 1] - time[a] >= _SHORTEST_S:
+            begins = bool(time[a] - time[0] >= _CLEAR_S)
+            ends = bool(time[-1] - time[b - 1] >= _CLEAR_S)
+            at = float(time[a]), float(time[b - 1])
+            found.append(Contact(*at, begins, ends))
+    return found
+
+
+@dataclass(frozen=True)
+class FootEvent:
+    """An event of a walk by name.
+
+    Attributes:
+        kind: "heel_strike" or "toe_off".
+        side: of the foot.
+        number: which of them in the recording, from 1.
+    """
+
+    kind: str
+    side: str
+    number: int
+
+    @staticmethod
+    def of(text: str) -> "FootEvent":
+        """From words such as "heel_strike right 1".
+
+        Raises:
+            InputError: it does not say an event.
+
+        >>> FootEvent.of("toe_off left 2").number
+        2
+        """
+        kind, side, number, *more = [*text.split(), "", "", ""][:4]
+        if (
+            kind not in _EVENTS
+            or side not in SIDES
+            or not (number.isascii() and number.isdigit() and int(number))
+            or any(more)
+        ):
+            raise InputError(
+                f"{text!r} is no event; say {' or '.join(_EVENTS)}, left or "
+                "right, and which from 1, as in 'heel_strike right 1'"
+            )
+        return FootEvent(kind, side, int(number))
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.side} {self.number}"
+
+    def time_s(self, feet: Mapping[str, Sequence[Contact]]) -> float:
+        """When it is [s].
+
+        Args:
+            feet: side -> contacts of that foot; those without a plate of
+                their own are left out.
+
+        Raises:
+            InputError: it was not recorded.
+        """
+        if self.side not in feet:
+            raise InputError(
+                f"{self}: no plate is the {self.side} foot's alone; name it in "
+                f"plates.{self.side}, or give a time"
+            )
+        whole, at = _EVENTS[self.kind]
+        found = [getattr(c, at) for c in feet[self.side] if getattr(c, whole)]
+        if self.number > len(found):
+            when = ", ".join(f"{t:.2f} s" for t in found)
+            raise InputError(
+                f"{self}: the recording has {len(found)} {self.kind} of the "
+                f"{self.side} foot{' at ' if when else ''}{when}; name one of "
+                "them, or give a time"
+            )
+        return found[self.number - 1]
+
+
+# Which contacts have such an event, and when.
+_EVENTS = {"heel_strike": ("begins", "start_s"), "toe_off": ("ends", "end_s")}

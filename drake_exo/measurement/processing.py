@@ -15,7 +15,14 @@ from drake_exo.measurement.clocks import (
     force_delay,
     mat_delay,
 )
-from drake_exo.measurement.events import Rise, find_rises, until_seat_off
+from drake_exo.measurement.events import (
+    Contact,
+    FootEvent,
+    Rise,
+    contacts,
+    find_rises,
+    until_seat_off,
+)
 from drake_exo.measurement.exoskeleton import (
     Signal,
     drive_moments,
@@ -120,6 +127,7 @@ class Recording:
         chair: wrench (N,) of the chair until seat-off, None where no plate
             is under it.
         rises: sit-to-stand rises found in it.
+        contacts: side -> when that foot stood on plates of its own.
         angles: encoders, None for none.
         moments: recorded exoskeleton moments, None for none.
         mats: force of each mat.
@@ -132,6 +140,7 @@ class Recording:
     feet: dict[str, PlanarWrench]
     chair: PlanarWrench | None
     rises: list[Rise]
+    contacts: dict[str, list[Contact]]
     angles: Signal | None
     moments: Signal | None
     mats: tuple[MatForce, ...]
@@ -229,6 +238,8 @@ def _recording(files: TrialFiles) -> TrialFiles:
         seated_s=0.0,
         start_s=None,
         end_s=None,
+        begin=None,
+        end=None,
     )
 
 
@@ -275,6 +286,11 @@ def process(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory
     )
     forces = forces.delayed(force_clock.lag_s)
+    stood = {
+        side: contacts(forces.time, wrench.force_z)
+        for side, wrench in forces.wrenches.items()
+        if side in SIDES
+    }
     # Before the filter: a foot that stands has a steady centre of pressure.
     forces = forces.on_belt(settings.ground.belt_speed_m_s)
     forces = forces.held(laboratory.hold_cop_below_n).filtered(low_pass_filter)
@@ -300,6 +316,7 @@ def process(
         feet,
         chair,
         _rises(motion, feet, chair, forces, model.rigid),
+        stood,
         angles,
         moments,
         mats,
@@ -675,6 +692,15 @@ def _bounds(files: TrialFiles, recording: Recording):
         start, how["start_s"] = files.start_s, files.start_s
     if files.end_s is not None:
         end, how["end_s"] = files.end_s, files.end_s
+    if files.begin is not None:
+        start, how["start"] = _event(files, recording, "from", files.begin)
+    if files.end is not None:
+        end, how["end"] = _event(files, recording, "to", files.end)
+    if end <= start:
+        raise InputError(
+            f"trial {files.name}: its part ends at {end:g} s, not after it "
+            f"starts ({start:g} s); correct from and to, or start_s and end_s"
+        )
     outside = max(time[0] - start, end - time[-1])
     if outside > time[1] - time[0]:
         raise InputError(
@@ -684,6 +710,17 @@ def _bounds(files: TrialFiles, recording: Recording):
             "end_s, or export the whole file"
         )
     return start, end, how
+
+
+def _event(files: TrialFiles, recording: Recording, key: str, name: str):
+    """When an event is [s], and how that is told."""
+    try:
+        time = FootEvent.of(name).time_s(recording.contacts)
+    except InputError as error:
+        raise InputError(
+            f"trial {files.name}, {files.forces}: {key}: {error}"
+        ) from None
+    return time, {"event": name, "time_s": time}
 
 
 def _coordinates(files, recording: Recording, inside, model: Model):

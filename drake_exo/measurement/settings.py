@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError, check_file_name
+from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.model.assembly import ASSEMBLIES, Assembly
@@ -513,6 +514,8 @@ class TrialFiles:
         seated_s: how long before seat-off the used part starts; needs the
             chair's plate.
         start_s, end_s: used part, instead of (or bounding) a rise found.
+        begin, end: likewise by an event of a walk: heel_strike or toe_off, a
+            foot, and which of them in the recording, from 1.
         loads: what is carried, or pulls and pushes.
     """
 
@@ -529,10 +532,24 @@ class TrialFiles:
     seated_s: float = field(default=0.0, metadata={"unit": "s", "minimum": 0.0})
     start_s: float | None = field(default=None, metadata=_SECONDS)
     end_s: float | None = field(default=None, metadata=_SECONDS)
+    begin: str | None = field(default=None, metadata={"key": "from"})
+    end: str | None = field(default=None, metadata={"key": "to"})
     loads: tuple[Load, ...] = ()
 
     def __post_init__(self):
         _check_window(self.start_s, self.end_s)
+        for key, event, time, seconds in (
+            ("from", self.begin, "start_s", self.start_s),
+            ("to", self.end, "end_s", self.end_s),
+        ):
+            if event is None:
+                continue
+            FootEvent.of(event)
+            if seconds is not None:
+                raise InputError(
+                    f"{key} and {time} both say where the used part "
+                    f"{'starts' if key == 'from' else 'ends'}; leave one out"
+                )
         if self.seated_s > 0.0 and self.rise is None:
             raise InputError("seated_s counts back from a rise; name it")
         if self.seated_s > 0.0 and self.plates.chair is None:

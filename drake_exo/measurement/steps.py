@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData, PlateRecording, runs
+from drake_exo.files.tables import MarkerData, PlateRecording
+from drake_exo.measurement.events import Contact, contacts
 from drake_exo.measurement.gaps import fill_gaps
 from drake_exo.measurement.recording import (
     plates_under,
@@ -32,8 +33,6 @@ from drake_exo.measurement.settings import (
     TrialFiles,
 )
 
-_SHORTEST_S = 0.1  # contacts below are noise
-_CLEAR_S = 0.02  # a whole contact leaves so much at either end of the file
 _FLAT_SHARE = 0.2  # of a contact: frames in which the foot turns least
 _BELT_M_S = 0.2  # a flat foot that moves faster stands on a belt
 _SHORTEST_FOOT_M = 0.1  # between rearmost and foremost marker
@@ -69,25 +68,6 @@ class RecordedStep:
     place: np.ndarray
     yaw: float
     belt: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Contact:
-    """Times between which a plate is loaded, and what of it was recorded."""
-
-    start_s: float
-    end_s: float
-    begins: bool
-    ends: bool
-
-    def __str__(self) -> str:
-        cut = []
-        if not self.begins:
-            cut.append("the recording begins within it")
-        if not self.ends:
-            cut.append("the recording ends within it")
-        said = f" ({', '.join(cut)})" if cut else ""
-        return f"{self.start_s:.2f} to {self.end_s:.2f} s{said}"
 
 
 def recorded_step(
@@ -130,8 +110,8 @@ def recorded_step(
     frame, sign = lab.force_axes.frame, _sign(lab)
     each = [sign * spatial_wrench(plate, frame) for plate in plates]
     time = time - lab.force_delay_s
-    contacts = _contacts(time, sum(each)[:, 2], least_force_n)
-    contact = _chosen(contacts, start, end, number, where)
+    found = contacts(time, sum(each)[:, 2], least_force_n)
+    contact = _chosen(found, start, end, number, where)
     first = contact.start_s if isinstance(start, str) else start
     last = contact.end_s if isinstance(end, str) else end
     _check_one_plate(time, each, (first, last), files.plates.of(foot), where)
@@ -169,27 +149,16 @@ def _sign(laboratory: Laboratory) -> float:
     return -1.0 if laboratory.forces_act_on == "plate" else 1.0
 
 
-def _contacts(time, up: np.ndarray, least: float) -> list[_Contact]:
-    """Where a foot's plates bear a force `least` [N] or more."""
-    out = []
-    for a, b in runs(up >= least):
-        if time[b - 1] - time[a] >= _SHORTEST_S:
-            whole = time[a] - time[0], time[-1] - time[b - 1]
-            whole = (margin >= _CLEAR_S for margin in whole)
-            out.append(_Contact(float(time[a]), float(time[b - 1]), *whole))
-    return out
-
-
-def _chosen(contacts, start, end, number, where) -> _Contact:
+def _chosen(every, start, end, number, where) -> Contact:
     fitting = [
         c
-        for c in contacts
+        for c in every
         if (c.begins if isinstance(start, str) else start < c.end_s)
         and (c.ends if isinstance(end, str) else end > c.start_s)
     ]
     if number < len(fitting):
         return fitting[number]
-    found = "; ".join(map(str, contacts)) or "none"
+    found = "; ".join(map(str, every)) or "none"
     raise InputError(
         f"{where}: there is no step {number} (counted from 0) from {start} to "
         f"{end}; contacts found: {found}; name another trial or foot, or give "
@@ -223,7 +192,7 @@ def _foot_markers(
     root: Path,
     files: TrialFiles,
     foot: Side,
-    contact: _Contact,
+    contact: Contact,
 ) -> MarkerData:
     """Smoothed markers of foot and toes: forward, left, up (N, k, 3) [m]."""
     names = _names(settings, foot)

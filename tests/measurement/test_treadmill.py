@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.files.opensim import read_trc
+from drake_exo.files.opensim import read_plates, read_trc
+from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.recording import FootForces
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Ground
@@ -41,6 +42,81 @@ def test_a_foot_that_bears_the_body_rests(walk):
         # Four contacts each.
         starts = np.diff(bears.astype(int)) == 1
         assert starts.sum() + bears[0] >= 4
+
+
+def part(walk, **window):
+    """The walk from one event to another, as the study's trial."""
+    (files,) = walk.file.trials
+    files = replace(files, start_s=None, end_s=None, **window)
+    return RecordedStudy(replace(walk.file, trials=(files,)), walk.root)
+
+
+def test_a_part_starts_and_ends_with_events(walk, data_root):
+    """As the plates' own files say, sample by sample."""
+    path = data_root / "treadmill_walk" / "walk2_grf.mot"
+    time, plates = read_plates(path)
+    on = {p.number: p.force[:, 1] >= 20.0 for p in plates}
+    strikes = time[1:][np.diff(on[1].astype(int)) == 1]
+    lifts = time[:-1][np.diff(on[2].astype(int)) == -1]
+    assert len(strikes) == 5 and len(lifts) == 5
+    study = part(walk, begin="toe_off right 1", end="heel_strike left 4")
+    (trial,) = study.trials()
+    frame = 0.01
+    assert 0.0 <= trial.start_s - lifts[0] < frame
+    assert 0.0 <= strikes[3] - (trial.start_s + trial.duration) < frame
+    said = trial.provenance["part"]
+    assert said["start"] == {"event": "toe_off right 1", "time_s": lifts[0]}
+    assert said["end"]["time_s"] == strikes[3]
+    # The right foot stands when the recording begins: no heel strike of it.
+    (trial,) = part(walk, begin="heel_strike right 1").trials()
+    assert trial.start_s > lifts[0]
+
+
+@pytest.mark.parametrize(
+    "window, sentence",
+    [
+        (
+            {"begin": "heel_strike left 6"},
+            "from: heel_strike left 6: the recording has 5 heel_strike of the "
+            "left foot at 0.64 s, 1.74 s, 2.85 s, 3.96 s, 5.06 s; name",
+        ),
+        (
+            {"begin": "toe_off left 2", "end": "heel_strike left 1"},
+            "ends at 0.64 s, not after it starts .2.447 s",
+        ),
+    ],
+)
+def test_an_event_that_is_not_there_is_named(walk, window, sentence):
+    with pytest.raises(InputError, match=sentence):
+        part(walk, **window).trials()
+
+
+@pytest.mark.parametrize(
+    "text, sentence",
+    [
+        ("from: heel_strike both 1", "'heel_strike both 1' is no event"),
+        ("from: heel_strike left", "as in 'heel_strike right 1'"),
+        ("to: toe_off left 0", "which from 1"),
+        ("to: toe_off left 1 2", "is no event"),
+        ("from: toe_off left 1", "from and start_s both say where"),
+        ("to: toe_off left 1", "to and end_s both say where"),
+    ],
+)
+def test_words_that_say_no_event_are_refused(tmp_path, text, sentence):
+    study = Path(__file__).parents[1] / "studies" / "treadmill_walk.yaml"
+    written = study.read_text("utf-8").replace(
+        "    end_s: 5.02", f"    {text}\n    end_s: 5.02"
+    )
+    path = tmp_path / "study.yaml"
+    path.write_text(written, "utf-8")
+    with pytest.raises(InputError, match=sentence):
+        read_study(path)
+
+
+def test_a_foot_without_a_plate_of_its_own_has_no_events():
+    event = FootEvent.of("toe_off left 1")
+    with pytest.raises(InputError, match="no plate is the left foot's alone"):
+        event.time_s({"right": []})
 
 
 def test_a_belt_that_is_not_declared_is_named(walk):
