@@ -7,13 +7,18 @@ touch.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from drake_exo.calibration.problem import (
     PhaseProblem,
+    PhaseResult,
     ground_terms,
     kinematic_terms,
     typical_jerk,
 )
+from drake_exo.calibration.scores import rmsd
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.parameters import (
@@ -21,6 +26,7 @@ from drake_exo.contact.parameters import (
     ContactParameter,
     GroundContact,
 )
+from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 
@@ -75,3 +81,61 @@ class FootGroundCalibration(PhaseProblem):
         )
         movement.add_jerk_cost(self.jerk)
         return movement
+
+
+FRONT_KINDS = ("angles_deg", "velocities_deg_s", "grf_n", "cop_mm")
+
+
+def pareto_front(result: PhaseResult) -> list[dict]:
+    """Calibrate again with the noise of forces scaled by factors.
+
+    Args:
+        result: of Phase A with the settings as they stand, which name the
+            factors.
+
+    Returns:
+        One row for each factor: factor, success, and of each of FRONT_KINDS the
+        mean and the worst RMSD.
+    """
+    problem = result.problem
+    settings, noise = problem.settings, problem.settings.noise
+    rows = []
+    factors = sorted({1.0, *settings.front})
+    progress = Progress("front", total=len(factors))
+    for i, factor in enumerate(factors):
+        found = result
+        if factor != 1.0:
+            scaled = replace(
+                noise,
+                force_n=factor * noise.force_n,
+                cop_m=factor * noise.cop_m,
+            )
+            found = FootGroundCalibration(
+                problem.model,
+                problem.trials,
+                replace(settings, noise=scaled),
+                problem.parameters,
+            ).solve(near=result)
+        rows.append(_row(factor, found))
+        progress.update(f"factor {factor:g}", done=i + 1)
+    return rows
+
+
+def _row(factor: float, found: PhaseResult) -> dict:
+    success = found.success
+    found = found if success else found.unsealed()
+    scores = [
+        rmsd(t, measured)
+        for t, measured in zip(found.trials, found.problem.trials, strict=True)
+    ]
+    row = {"factor": factor, "success": success}
+    for kind in FRONT_KINDS:
+        values = np.hstack(
+            [
+                list(s[kind].values()) if isinstance(s[kind], dict) else s[kind]
+                for s in scores
+            ]
+        )
+        row[kind] = float(np.mean(values))
+        row[f"{kind}_worst"] = float(np.max(values))
+    return row

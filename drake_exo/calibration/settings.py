@@ -21,6 +21,7 @@ from drake_exo.contact.parameters import (
     check_range,
 )
 from drake_exo.errors import InputError, check_bounds
+from drake_exo.model.assembly import without_side
 from drake_exo.nlp.ipopt import SolverOptions
 
 __all__ = [
@@ -295,9 +296,10 @@ class FootGroundSettings:
         return law(**self.constants)
 
     def of(self, sphere: str) -> SphereSettings:
-        """Of one sphere by name."""
+        """Of one sphere by name; those of `heel` are `heel_left`'s, too."""
         own = {"heel": self.heel, "toe": self.toe} | self.spheres
-        return own.get(sphere, SphereSettings())
+        usual = own.get(without_side(sphere), SphereSettings())
+        return own.get(sphere, usual)
 
     def parameters(
         self, places: dict[str, tuple[float, float]]

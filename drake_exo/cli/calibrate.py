@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from drake_exo.calibration.foot_ground import pareto_front
 from drake_exo.calibration.interaction import (
     check_has_cuffs,
     check_is_measured,
 )
-from drake_exo.calibration.pareto import pareto_front
 from drake_exo.calibration.results import read_calibration
 from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel

@@ -179,7 +179,8 @@ class Assembly:
         cuffs: name -> what it joins; any number.
         ground: segment -> its spheres by name, or with a place (x, z) of
             their own; those of the person's soles if left out. Spheres of one
-            name share their parameters.
+            name share their parameters; `heel_left` and `heel_right` are two,
+            each where a `heel` is.
 
     >>> Assembly(Person("two", "hinged")).spheres["toes_left"]
     {'toe': None}
@@ -232,6 +233,16 @@ class Assembly:
     def is_fitted(self) -> bool:
         """Whether the device is the shipped one, fitted to the person."""
         return self.device is not None and self.device.file is None
+
+
+def without_side(sphere: str) -> str:
+    """What a sphere is on either foot.
+
+    >>> without_side("heel_left"), without_side("heel")
+    ('heel', 'heel')
+    """
+    name, _, side = sphere.rpartition("_")
+    return name if name and side in SIDES else sphere
 
 
 _SHIPPED = ("foot", *CUFFED)

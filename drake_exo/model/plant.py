@@ -27,7 +27,13 @@ from pydrake.multibody.tree import (
 )
 
 from drake_exo.errors import InputError, check_bounds
-from drake_exo.model.assembly import ASSEMBLIES, Assembly, DeviceFile, Weld
+from drake_exo.model.assembly import (
+    ASSEMBLIES,
+    Assembly,
+    DeviceFile,
+    Weld,
+    without_side,
+)
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
     body_width,
@@ -184,7 +190,7 @@ class Model:
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for body, spheres in self.assembly.spheres.items():
             for name, place in spheres.items():
-                place = place or usual.get(body, {}).get(name)
+                place = place or usual.get(body, {}).get(without_side(name))
                 if place is None:
                     known = ", ".join(usual.get(body, {})) or "none"
                     raise InputError(

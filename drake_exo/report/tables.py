@@ -158,7 +158,7 @@ def audit_table(rows: list[dict]) -> str:
 
 
 def front_table(rows: list[dict]) -> str:
-    """A Pareto front as `calibration.pareto` finds it."""
+    """A Pareto front as `pareto_front` finds it."""
     header = [
         "noise of forces ×",
         "angles [deg]",

@@ -2,13 +2,17 @@
 
 import argparse
 import json
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.calibration.pareto import pareto_front
+from drake_exo.calibration.foot_ground import (
+    FootGroundCalibration,
+    pareto_front,
+)
+from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.settings import Solver
 from drake_exo.calibration.uncertainty import (
     analyse,
@@ -113,6 +117,16 @@ def test_the_command_writes_what_it_found(
     found = json.loads((tmp_path / "out" / "sensitivity.json").read_text())
     assert found["radius_profile"] == [row]
     assert found["names"] == [p.name for p in result.parameters]
+
+
+def test_a_front_s_failed_solve_is_told(result):
+    problem = copy(result.problem)
+    settings = problem.settings
+    solver = replace(settings.solver, max_iterations=1)
+    problem.settings = replace(settings, solver=solver)
+    rows = pareto_front(PhaseResult(problem, result.solution))
+    assert [r["success"] for r in rows] == [False, True]
+    assert "0.5 (failed)" in front_table(rows)
 
 
 def test_front_trades_kinematics_for_forces(result, tmp_path):

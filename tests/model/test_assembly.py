@@ -9,6 +9,11 @@ import pytest
 from opensim_answers import expanded
 from scipy.interpolate import make_interp_spline
 
+from drake_exo.calibration.settings import (
+    FootGroundSettings,
+    Range,
+    SphereSettings,
+)
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.model.assembly import (
@@ -454,3 +459,29 @@ def test_a_link_turned_on_its_segment():
     # Toes up by 90 degrees: what lay ahead lies above.
     place = tree.point_positions(q, "shoe", (0.2, 0.0))
     np.testing.assert_allclose(place, [[0.1, 0.2]], atol=1e-12)
+
+
+def test_feet_may_have_parameters_of_their_own():
+    """Each sphere where the shared one is, bounded as it, and on its own."""
+    sides = ("left", "right")
+    ground = {f"foot_{s}": (f"heel_{s}", f"toe_{s}") for s in sides}
+    own = Model(Assembly(Person("two"), ground=ground), nominal_human())
+    shared = Model(Assembly(Person("two")), nominal_human())
+    soft = SphereSettings(modulus_n_m2=Range(2e6, 1e6, 3e6))
+    odd = SphereSettings(modulus_n_m2=Range(4e6, 1e6, 5e6))
+    settings = FootGroundSettings(heel=soft, spheres={"toe_left": odd})
+    for side in sides:
+        for name in ("heel", "toe"):
+            place = own.soles[f"foot_{side}"][f"{name}_{side}"]
+            assert place == shared.soles[f"foot_{side}"][name]
+    found = {p.name: p for p in settings.parameters(own.spheres)}
+    assert len(found) == 2 * len(settings.parameters(shared.spheres))
+    moduli = {n: p.nominal for n, p in found.items() if "stiffness" in n}
+    assert moduli == {
+        "heel_left.stiffness": 2e6,
+        "toe_left.stiffness": 4e6,
+        "heel_right.stiffness": 2e6,
+        "toe_right.stiffness": 1e7,
+    }
+    contact = settings.contact(own.spheres).ground.under(own)
+    assert list(contact["foot_left"].spheres) == ["heel_left", "toe_left"]
