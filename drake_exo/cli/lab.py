@@ -4,6 +4,7 @@ import argparse
 import os
 
 from drake_exo.contact.strap import read_design
+from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.virtual_laboratory.campaign import (
     FILES,
@@ -11,6 +12,7 @@ from drake_exo.virtual_laboratory.campaign import (
     write_campaign,
 )
 from drake_exo.virtual_laboratory.truth import DISTURBANCES, KINDS
+from drake_exo.virtual_laboratory.two_legs import MOVEMENTS, write_movements
 
 PROCESSES = min(
     os.cpu_count() or 1, 2
@@ -35,8 +37,8 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--trials",
         type=int,
-        default=NUM_USED,
-        help="movements to record, the three of calibration first",
+        help="movements to record, the three of calibration first "
+        f"(default: {NUM_USED}; with --model 3)",
     )
     parser.add_argument(
         "--full",
@@ -76,6 +78,25 @@ def add_parser(subparsers) -> None:
         help="results of 'drake-exo design': its cuffs and assistance on the "
         "same subject",
     )
+    parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="what a study's 'model' says, of two legs: simulate that person "
+        "and device, passive and without mats, instead",
+    )
+    parser.add_argument(
+        "--movement",
+        choices=MOVEMENTS,
+        default=MOVEMENTS[0],
+        help="with --model",
+    )
+    parser.add_argument(
+        "--left-share",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="with --model: of the ground's force, that the left leg bears",
+    )
     parser.set_defaults(run=run)
 
 
@@ -85,19 +106,51 @@ def run(args: argparse.Namespace) -> int:
     if "all" in off:
         off |= set(DISTURBANCES) - {"variation"}
     active = [name for name in DISTURBANCES if name not in off]
+    if args.model is not None:
+        return _described(args, active)
+    if args.movement != MOVEMENTS[0] or args.left_share != 0.5:
+        raise InputError(
+            "--movement and --left-share are of a person of two legs; give "
+            "--model FILE"
+        )
+    trials = NUM_USED if args.trials is None else args.trials
     design = None if args.design is None else read_design(args.design)
     with prepare_output_folder(args.out, args.force) as folder:
         study = write_campaign(
             folder,
             args.seed,
             active,
-            args.trials,
+            trials,
             full=args.full,
             files=args.files,
             truth=args.truth,
-            processes=max(min(args.jobs, args.trials), 1),
+            processes=max(min(args.jobs, trials), 1),
             design=design,
         )
         name = study.name
-    print(f"wrote {args.out}/{name} with {args.trials} trials")
+    print(f"wrote {args.out}/{name} with {trials} trials")
+    return 0
+
+
+def _described(args: argparse.Namespace, active: list[str]) -> int:
+    """Write trials of a person and a device from a file."""
+    if args.full or args.design is not None:
+        raise InputError(
+            "--full and --design are of the shipped exoskeleton; leave them "
+            "out, or --model"
+        )
+    trials = 3 if args.trials is None else args.trials
+    with prepare_output_folder(args.out, args.force) as folder:
+        study = write_movements(
+            folder,
+            args.model,
+            args.movement,
+            args.seed,
+            active,
+            trials,
+            left_share=args.left_share,
+            files=args.files,
+        )
+        name = study.name
+    print(f"wrote {args.out}/{name} with {trials} trials")
     return 0

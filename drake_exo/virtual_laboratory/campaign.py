@@ -430,6 +430,22 @@ def _rise_end(plan: RisePlan) -> float:
     return plan.duration - plan.stand_s + _AFTER_RISE_S
 
 
+def after_chair(
+    movement: Trial, force: np.ndarray | None = None, gone: float | None = None
+) -> float:
+    """When the chair is felt no more, filters' tails included [s].
+
+    Args:
+        movement: what happened.
+        force: vertical one of the chair as it is seen; the true one.
+        gone: at which there is none [N].
+    """
+    force = movement.chair.force_z if force is None else force
+    gone = _CHAIR_GONE_N if gone is None else gone
+    last = np.flatnonzero(force > gone)[-1]
+    return float(movement.times[last] + _AFTER_CHAIR_S)
+
+
 def _window(
     movement: Trial, plan: RisePlan, rng: np.random.Generator | None
 ) -> tuple[float, float]:
@@ -450,6 +466,6 @@ def _window(
         force = Filter().smooth(force + noise, RATE_HZ, "chair") + offset
         gone = _SEEN_GONE_N
         end += rng.uniform(-_SEEN_END_S, _SEEN_END_S)
-    start = movement.times[np.flatnonzero(force > gone)[-1]] + _AFTER_CHAIR_S
+    start = after_chair(movement, force, gone)
     frames = np.round(np.array([start, end]) * MARKER_RATE_HZ)
     return tuple((frames / MARKER_RATE_HZ).tolist())

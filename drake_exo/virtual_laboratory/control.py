@@ -12,9 +12,9 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory.plan import Reference
 
-# Of the subject's own feedback, both legs: ankle, knee, hip.
-_STIFFNESS = np.array([3000.0, 2000.0, 2000.0])  # N m/rad
-_DAMPING = np.array([250.0, 120.0, 120.0])  # N m s/rad
+# Of the subject's own feedback, both legs together.
+_STIFFNESS = {"ankle": 3000.0, "knee": 2000.0, "hip": 2000.0}  # N m/rad
+_DAMPING = {"ankle": 250.0, "knee": 120.0, "hip": 120.0}  # N m s/rad
 _SAMPLE_S = 1e-3
 # The device helps when the feet bear this much of the weight.
 _ENGAGED = (0.5, 0.9)
@@ -25,17 +25,17 @@ class Friction:
     """Friction of the device's joints, both legs together.
 
     Attributes:
-        viscous: ankle, knee, hip [N m s/rad].
+        viscous: of each joint: ankle, knee, hip [N m s/rad].
         coulomb: likewise [N m].
         speed: at which tanh(1) of the dry friction acts [rad/s].
     """
 
-    viscous: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    coulomb: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    viscous: tuple[float, ...] = (0.0, 0.0, 0.0)
+    coulomb: tuple[float, ...] = (0.0, 0.0, 0.0)
     speed: float = field(default=0.05, metadata={"unit": "rad/s"})
 
     def torques(self, rates: np.ndarray) -> np.ndarray:
-        """Torques (..., 3) at joint rates (..., 3)."""
+        """Torques (..., joints) at joint rates (..., joints)."""
         dry = np.array(self.coulomb) * np.tanh(rates / self.speed)
         return -np.array(self.viscous) * rates - dry
 
@@ -43,12 +43,12 @@ class Friction:
 class SubjectController(LeafSystem):
     """Feed-forward joint torques and feedback towards a plan.
 
-    Input state; output torques: ankle, knee, hip [N m].
+    Input state; output torques of the human's k joints [N m].
 
     Args:
         names: coordinates of the coupled model.
         reference: the plan; its ends are held before and after.
-        help_expected: (n, 3) torques that the device is trusted with.
+        help_expected: (n, k) torques that the device is trusted with.
     """
 
     def __init__(
@@ -60,6 +60,12 @@ class SubjectController(LeafSystem):
         super().__init__()
         self._body, self._nq = names.body_columns, len(names)
         self._held = held = _held(names)
+        joints = [name.split("_")[0] for name in names.human]
+        legs = joints.count("ankle")
+        self._stiffness, self._damping = (
+            np.array([gains[joint] / legs for joint in joints])
+            for gains in (_STIFFNESS, _DAMPING)
+        )
         self.set_name("subject")
         end = reference.times[-1]
         self._last = round(end / _SAMPLE_S) - 1
@@ -78,14 +84,16 @@ class SubjectController(LeafSystem):
         self.DeclareVectorOutputPort("torques", len(held), self._calc)
 
     def torques(self, time, q, v) -> np.ndarray:
-        """Torques (..., 3) at times (...) and states (..., nq)."""
+        """Torques (..., k) at times (...) and states (..., nq)."""
         at = np.clip(time / self._step, 0.0, self._last + 1.0)
         i = np.minimum(at.astype(int), self._last)
         share = (at - i)[..., None]
         plan = (1.0 - share) * self._table[i] + share * self._table[i + 1]
-        error = plan[..., :3] - q[..., self._body] @ self._held.T
-        rate = plan[..., 3:6] - v[..., self._body] @ self._held.T
-        return plan[..., 6:] + _STIFFNESS * error + _DAMPING * rate
+        k = len(self._held)
+        error = plan[..., :k] - q[..., self._body] @ self._held.T
+        rate = plan[..., k : 2 * k] - v[..., self._body] @ self._held.T
+        torque = plan[..., 2 * k :] + self._stiffness * error
+        return torque + self._damping * rate
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
@@ -94,15 +102,23 @@ class SubjectController(LeafSystem):
 
 
 def _held(names: Coordinates) -> np.ndarray:
-    """What the feedback holds, (3, 6) of the body's coordinates.
+    """What the feedback holds, (k, body's coordinates).
 
     The ankle holds the shank against the vertical, not against the foot: on
     soft soles a foot that tips would otherwise take the body along.
     """
-    rows = np.eye(len(names.body))
-    held = rows[[names.body.index(name) for name in names.human]]
-    held[0] -= rows[names.body.index(names.root[-1])]
-    return held
+    rows = dict(zip(names.body, np.eye(len(names.body)), strict=True))
+    pitch, held = rows[names.root[-1]], []
+    for name in names.human:
+        joint, _, side = name.partition("_")
+        if joint != "ankle":
+            held.append(rows[name])
+        elif not side:  # the foot is the root
+            held.append(rows[name] - pitch)
+        else:  # the pelvis is
+            lean = rows[f"knee_{side}"] - rows[f"hip_{side}"] - pitch
+            held.append(lean)
+    return np.array(held)
 
 
 class DeviceController(LeafSystem):
@@ -117,7 +133,8 @@ class DeviceController(LeafSystem):
 
     Args:
         model: the coupled one.
-        share: of the gravity torque at ankle, knee and hip.
+        share: of the gravity torque at each of its joints; only a device
+            of ankle, knee and hip helps.
         friction: of the joints.
         design: factors on the help.
         span: begin and end of what a factor over the movement is over [s].
@@ -126,7 +143,7 @@ class DeviceController(LeafSystem):
     def __init__(
         self,
         model: Model,
-        share: tuple[float, float, float],
+        share: tuple[float, ...],
         friction: Friction,
         design: Design | None = None,
         span: tuple[float, float] = (0.0, 1.0),
@@ -179,9 +196,10 @@ class DeviceController(LeafSystem):
 
 
 def controller(subject: SubjectController, device: DeviceController) -> Diagram:
-    """Both as one system with the output joint_torques (6)."""
+    """Both as one system with the output joint_torques."""
     builder = DiagramBuilder()
-    joined = builder.AddSystem(Multiplexer([3, 3]))
+    sizes = [s.GetOutputPort("torques").size() for s in (subject, device)]
+    joined = builder.AddSystem(Multiplexer(sizes))
     for i, system in enumerate((subject, device)):
         builder.AddSystem(system)
         builder.Connect(

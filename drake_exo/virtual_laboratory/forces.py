@@ -39,6 +39,7 @@ from drake_exo.contact.systems import (
 from drake_exo.measurement.inverse_dynamics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
+from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 
 
@@ -241,11 +242,17 @@ def link_motion(tree: PlanarTree, q, v, body: str):
     )
 
 
+def feet(tree: PlanarTree) -> list[str]:
+    """Links that stand on the ground."""
+    both = [f"foot_{side}" for side in SIDES]
+    return both if both[0] in tree.names else [tree.root]
+
+
 def ground_wrench(
-    tree: PlanarTree, contact: GroundContact, q, v
+    tree: PlanarTree, contact: GroundContact, q, v, foot: str | None = None
 ) -> PlanarWrench:
-    """Ground reaction (N,) on the foot."""
-    position, angle, motion = link_motion(tree, q, v, tree.root)
+    """Ground reaction (N,) on a foot, the root by default."""
+    position, angle, motion = link_motion(tree, q, v, foot or tree.root)
     wrench = foot_contact(
         contact.law,
         position[:, :, None],
@@ -315,8 +322,9 @@ def applied(
     v,
 ) -> np.ndarray:
     """Generalized forces (N, nq) of ground, chair and cuffs together."""
-    loads = wrench_on_body(
-        tree, q, tree.root, ground_wrench(tree, contact, q, v)
+    loads = sum(
+        wrench_on_body(tree, q, foot, ground_wrench(tree, contact, q, v, foot))
+        for foot in feet(tree)
     )
     loads += wrench_on_body(tree, q, "pelvis", chair_wrench(tree, seat, q, v))
     for name, w in interaction(tree, cuffs, q, v)[1].items():

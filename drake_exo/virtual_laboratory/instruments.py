@@ -179,7 +179,7 @@ class Laboratory:
             share = 0.5
         share += self.faults.left_share - 0.5
         feet = {"left": share, "right": 1.0 - share}
-        wrenches = {
+        wrenches = dict(movement.feet) or {
             foot: PlanarWrench.of(s * movement.ground.array)
             for foot, s in feet.items()
         }

@@ -5,7 +5,7 @@ length of the segment and, of the foot, the height of the ankle. Errors are
 what stands between bones and marker positions.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,22 @@ class Marker:
     x_m: float
     z_m: float
     y_m: float
+
+    @property
+    def segment(self) -> str:
+        """Its link, whichever leg it is of."""
+        return self.body.split("_")[0]
+
+    def on_own_leg(self) -> "Marker":
+        """The same on a person whose legs move on their own."""
+        if self.body == "pelvis":
+            return self
+        return replace(self, body=f"{self.body}_{self.side}")
+
+    @property
+    def side(self) -> str:
+        """Of the midplane."""
+        return "left" if self.y_m > 0.0 else "right"
 
 
 # Of each leg: link, x and z [m], z [segment's length], outwards [m].
@@ -157,7 +173,7 @@ _GAP_FRAMES = (4, 13)
 
 def slides(markers: dict[str, Marker], rng: np.random.Generator) -> np.ndarray:
     """How each marker slides (M, 2) along x and z of its link [m/rad]."""
-    spread = np.array([_SLIDE[m.body] for m in markers.values()])
+    spread = np.array([_SLIDE[m.segment] for m in markers.values()])
     return spread[:, None] * rng.normal(size=(len(markers), 2))
 
 
@@ -244,7 +260,10 @@ def soft_tissue(
     """
     moved = np.zeros((len(q), len(markers), 3))
     for i, marker in enumerate(markers.values()):
-        flexion = q[:, tree.coordinates.index(_JOINT[marker.body])]
+        joint = _JOINT[marker.segment]
+        if joint not in tree.coordinates.names:
+            joint = f"{joint}_{marker.side}"
+        flexion = q[:, tree.coordinates.index(joint)]
         turn = np.exp(1j * tree.body_angles(q, marker.body))
         p = flexion * turn * complex(*slide[i])
         moved[:, i, 0], moved[:, i, 1] = p.real, p.imag

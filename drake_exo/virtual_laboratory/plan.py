@@ -156,6 +156,20 @@ class Planner:
         foot = self._foot(self.weight * (1.0 - share), plan.cop_m)
         return self._solve(plan, seat, times, foot, share)
 
+    def squat(self, plan: RisePlan) -> Reference:
+        """From standing to the leant posture and back, without a chair.
+
+        Args:
+            plan: whose lean_s and rise_s are the ways down and up; its seated
+                posture is another standing one.
+        """
+        times = np.linspace(
+            0.0, plan.duration, round(plan.duration / _NODE_S) + 1
+        )
+        none = np.zeros(len(times))
+        foot = self._foot(self.weight + none, plan.cop_m)
+        return self._solve(plan, None, times, foot, none)
+
     def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
         """Seated coordinates (1, 6), and the chair's share of the weight."""
         seat, share = SeatParameters(height_m=0.0), 0.6

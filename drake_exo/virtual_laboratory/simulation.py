@@ -25,6 +25,7 @@ from drake_exo.virtual_laboratory.forces import (
     SeatParameters,
     applied,
     chair_wrench,
+    feet,
     ground_wrench,
     interaction,
 )
@@ -43,7 +44,7 @@ def simulate(
     truth: Truth,
     reference: Reference,
     seat: SeatParameters | None = None,
-    help_share: tuple[float, float, float] = PASSIVE,
+    help_share: tuple[float, ...] = PASSIVE,
     span: tuple[float, float] = (0.0, 1.0),
     progress: Progress | None = None,
     done: int | None = None,
@@ -72,7 +73,10 @@ def simulate(
     simulator.get_mutable_integrator().set_maximum_step_size(_STEP_S)
     context = simulator.get_mutable_context()
     context.SetTime(-_SETTLE_S)
-    q = equilibrium(truth, seat, reference.q[0])
+    if truth.model.assembly.human.sides:  # settles on its feet by itself
+        q = truth.model.coordinates.aligned(reference.q[:1])[0]
+    else:
+        q = equilibrium(truth, seat, reference.q[0])
     built.plant.SetPositions(built.plant_context(context), q)
     end = float(reference.times[-1])
 
@@ -175,7 +179,8 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     end = motion[0].x[-1]
     times = np.arange(round(end * RATE_HZ) + 1) / RATE_HZ
     q, v = (spline(np.minimum(times, end)) for spline in motion)
-    ground = ground_wrench(tree, truth.contact, q, v)
+    stood = {f: ground_wrench(tree, truth.contact, q, v, f) for f in feet(tree)}
+    ground = sum(list(stood.values())[1:], next(iter(stood.values())))
     subject, device = controllers
     exo = names.device_columns
     torque = np.hstack(
@@ -195,6 +200,11 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
         _accelerations(tree, q, v, loads),
         ground,
         source="simulated",
+        feet={
+            foot.removeprefix("foot_"): wrench for foot, wrench in stood.items()
+        }
+        if len(stood) > 1
+        else {},
         moments=torque,
         cuffs=interaction(tree, truth.cuffs, q, v)[0],
         chair=chair_wrench(tree, seat, q, v),

@@ -80,7 +80,7 @@ def write_study(
         "model": "coupled",
         "gravity_m_s2": truth.model.gravity_m_s2,
         "filter": {"cutoff_hz": 6.0, "order": 4},
-        "laboratory": _laboratory(laboratory.files, active),
+        "laboratory": laboratory_section(laboratory.files, active),
         "standing": {
             **laboratory.motion_files("standing"),
             "plates": dict(PLATES),
@@ -92,7 +92,7 @@ def write_study(
         "device": _device(truth, laboratory.faults.friction_share),
         "mats": mats,
         "trials": [_trial(laboratory, entry) for entry in entries],
-        "foot_ground": _foot_ground(),
+        "foot_ground": foot_ground_section(),
         "interaction": _interaction(),
         "prediction": _prediction(),
     }
@@ -103,7 +103,8 @@ def write_study(
     )
 
 
-def _laboratory(files: str, active: frozenset[str]) -> dict:
+def laboratory_section(files: str, active: frozenset[str]) -> dict:
+    """The section `laboratory`."""
     section: dict = {}
     if files == "c3d":
         axes = {"forward": "x", "up": "z"}
@@ -158,12 +159,17 @@ def _trial(laboratory: Laboratory, entry: Entry) -> dict:
     return trial
 
 
-def _foot_ground() -> dict:
-    """Settings of the first phase; nominal values are not the truth."""
+def foot_ground_section(legs: int = 1) -> dict:
+    """Settings of the first phase; nominal values are not the truth.
+
+    Args:
+        legs: that move on their own, each with soles of its own.
+    """
 
     def sphere():
+        modulus = {"nominal": 5e6, "lower": 1e6, "upper": 2e7}
         return {
-            "modulus_n_m2": {"nominal": 5e6, "lower": 1e6, "upper": 2e7},
+            "modulus_n_m2": {k: v / legs for k, v in modulus.items()},
             "dissipation_s_m": {"nominal": 2.0, "lower": 0.0, "upper": 5.0},
             "x_m": {"below": 0.03, "above": 0.03},
             "z_m": {"below": 0.015, "above": 0.015},

@@ -88,7 +88,7 @@ _COM_SHIFT_M = 0.008  # across it
 _LENGTH = 0.04
 _CUFF_PROGRESSION = 1.0 / 0.02  # 1/m
 _CUFF_SLIP = 1.0 / 25.0  # 1/N
-_FRICTION = Friction(viscous=(0.3, 0.5, 0.5), coulomb=(0.8, 1.2, 1.5))
+JOINT_FRICTION = Friction(viscous=(0.3, 0.5, 0.5), coulomb=(0.8, 1.2, 1.5))
 
 
 def checked(names: Iterable[str]) -> frozenset[str]:
@@ -123,7 +123,7 @@ class CuffDraw:
 
 # Not about the nominal values, so that a prior around them is none of truth.
 _WIDE_SHARES = (1.3 / 3.3, 1.3 * 3.3)
-_CUFF_DRAWS = {
+CUFF_DRAWS = {
     "near": CuffDraw((0.74, 1.35), None, (-0.015, 0.015)),
     "wide": CuffDraw(_WIDE_SHARES, _WIDE_SHARES, (-0.022, 0.038)),
 }
@@ -164,7 +164,7 @@ def draw_truth(
     """Parameters off the nominal ones by what a calibration has to find.
 
     The feet's stiffness and dissipation are within 35 % of nominal values,
-    spheres within 12 mm along the foot. Cuffs are drawn from `_CUFF_DRAWS`.
+    spheres within 12 mm along the foot. Cuffs are drawn from `CUFF_DRAWS`.
     The foot's frame is level in standing, as that of the markers is: spheres
     lie lower than nominal ones by what they sink in.
 
@@ -178,11 +178,11 @@ def draw_truth(
         other = _other_body(nominal, rng)
         nominal = other if "body" in active else nominal
     usual, human = nominal_contact(nominal), nominal.human
-    two = _two_spheres(usual.ground, rng)
-    five = _five_spheres(nominal.exoskeleton, rng)
+    two = two_spheres(usual.ground, rng)
+    five = five_spheres(nominal.exoskeleton, rng)
     contact = (five if "contact" in active else two).checked()
-    cuffs = _cuffs(usual.bushings, rng, active, _CUFF_DRAWS[kind])
-    masses = _other_masses(human, rng)
+    cuffs = drawn_cuffs(usual.bushings, rng, active, CUFF_DRAWS[kind])
+    masses = other_masses(human, rng)
     flat = levelled(
         nominal.rigid.tree,
         contact,
@@ -192,7 +192,7 @@ def draw_truth(
     )
     if "segments" in active:
         nominal = replace(nominal, human=masses)
-    friction = _FRICTION if "friction" in active else Friction()
+    friction = JOINT_FRICTION if "friction" in active else Friction()
     return Truth(nominal, flat, cuffs, friction)
 
 
@@ -215,7 +215,8 @@ def wearing(truth: Truth, design: Design) -> Truth:
     return replace(truth, model=model, cuffs=cuffs, design=design)
 
 
-def _two_spheres(usual: GroundContact, rng) -> GroundContact:
+def two_spheres(usual: GroundContact, rng) -> GroundContact:
+    """Soles as the model has them, with other values."""
     spheres = {
         name: replace(
             sphere,
@@ -228,7 +229,8 @@ def _two_spheres(usual: GroundContact, rng) -> GroundContact:
     return replace(usual, spheres=spheres)
 
 
-def _five_spheres(device, rng) -> GroundContact:
+def five_spheres(device, rng) -> GroundContact:
+    """Rich soles between the heel_m and toe_m of a device or a person."""
     heel, toe = np.array(device.heel_m), np.array(device.toe_m)
     sole = heel[1] - CONTACT_RADIUS_M
     spheres = {}
@@ -247,7 +249,8 @@ def _five_spheres(device, rng) -> GroundContact:
     return GroundContact("simbody", spheres, _SHARP)
 
 
-def _cuffs(usual, rng, active, draw: CuffDraw) -> dict[str, Cuff]:
+def drawn_cuffs(usual, rng, active, draw: CuffDraw) -> dict[str, Cuff]:
+    """Cuffs with other values than the usual bushings."""
     cuffs = {}
     for name, bushing in usual.items():
         values = {
@@ -293,7 +296,7 @@ def _other_body(model: Model, rng) -> Model:
     return replace(model, human=human, exoskeleton=fit_exoskeleton(human))
 
 
-def _other_masses(human: HumanParameters, rng) -> HumanParameters:
+def other_masses(human: HumanParameters, rng) -> HumanParameters:
     """The same body mass, shared out in another way."""
     names = [name for name in SEGMENTS if name != "pelvis"]
     parts = {name: getattr(human, name) for name in names}
@@ -367,7 +370,8 @@ def truth_table(movement: Trial, step: int = 1) -> Table:
         values.append(x)
     columns += [f"{name}_torque" for name in names.joints]
     values.append(movement.moments)
-    for place, w in (("ground", movement.ground), ("chair", movement.chair)):
+    borne = {"ground": movement.ground, **movement.feet}
+    for place, w in (*borne.items(), ("chair", movement.chair)):
         columns += [f"{place}_{k}" for k in ("force_x", "force_z", "moment_y")]
         values.append(w.array)
     for cuff, force in movement.cuffs.items():

@@ -1,0 +1,427 @@
+"""A person of two legs, in a device of the user's own, who rises or squats.
+
+What both legs do is planned for one that stands for both. Each leg then bears
+its share of the ground's force all the time, and its torques are what that
+asks for. There are no mats, and the device does not help.
+"""
+
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.interpolate import make_interp_spline
+
+from drake_exo.contact.parameters import GroundContact, nominal_contact
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.files.opensim import write_table
+from drake_exo.files.output import Progress
+from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import SIDES, Assembly
+from drake_exo.model.description import nominal_human
+from drake_exo.model.device_file import with_text
+from drake_exo.model.plant import Model
+from drake_exo.model.segments import HumanParameters
+from drake_exo.virtual_laboratory.campaign import (
+    after_chair,
+    vary,
+)
+from drake_exo.virtual_laboratory.control import Friction
+from drake_exo.virtual_laboratory.forces import levelled, resting_foot
+from drake_exo.virtual_laboratory.instruments import (
+    MARKER_RATE_HZ,
+    PLATES,
+    Clocks,
+    Faults,
+    Laboratory,
+    empty_plate_levels,
+)
+from drake_exo.virtual_laboratory.markers import (
+    marker_set,
+    slides,
+    study_markers,
+)
+from drake_exo.virtual_laboratory.plan import (
+    Planner,
+    Posture,
+    Reference,
+    RisePlan,
+)
+from drake_exo.virtual_laboratory.simulation import RATE_HZ, simulate
+from drake_exo.virtual_laboratory.study_file import (
+    EMPTY,
+    foot_ground_section,
+    laboratory_section,
+)
+from drake_exo.virtual_laboratory.truth import (
+    CUFF_DRAWS,
+    MEASUREMENT,
+    STANDING_COP_M,
+    TRUTH,
+    Truth,
+    drawn_cuffs,
+    five_spheres,
+    other_masses,
+    truth_table,
+    two_spheres,
+    write_parameters,
+)
+
+MOVEMENTS = ("rise", "squat")
+# What acts of the disturbances: those of mats and of a wide truth do not.
+ACTING = tuple(
+    name
+    for name in (*TRUTH, *MEASUREMENT)
+    if name not in ("pressure_steps", "clocks")
+)
+_STANDING_S = 2.0
+_VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
+# Knees stay bent: a straight leg cannot give way to the other one.
+_STANDING = Posture(shank=9.0, knee=14.0, trunk=2.0)
+_BOTTOM = Posture(shank=24.0, knee=85.0, trunk=36.0)
+_QUIET_S = 0.1  # of standing before and after a squat that is used
+_RISE = RisePlan(standing=_STANDING)
+_SQUAT = RisePlan(_STANDING, _BOTTOM, _STANDING, lean_s=1.4, rise_s=1.4)
+
+
+@dataclass(frozen=True)
+class TwoLegs:
+    """A subject of two legs, and the plans' own of one.
+
+    Attributes:
+        truth: as it is; its contact is that of each foot.
+        planner: of one leg that stands for both, without the device.
+        files: the description, as the study says it again.
+    """
+
+    truth: Truth
+    planner: Planner
+    files: dict
+
+    @property
+    def model(self) -> Model:
+        """Person and device."""
+        return self.truth.model
+
+
+def write_movements(
+    folder: str | Path,
+    description: str | Path,
+    movement: str = "rise",
+    seed: int = 0,
+    disturbances: Iterable[str] = ACTING,
+    trials: int = 3,
+    *,
+    left_share: float = 0.5,
+    files: str = "c3d",
+) -> Path:
+    """Simulate a described subject, and write what a laboratory would.
+
+    Args:
+        folder: exists; receives study.yaml, standing and trial files, the
+            device's file, and truth/.
+        description: YAML file that says what a study's `model` does.
+        movement: a name in MOVEMENTS.
+        seed: same seed, same bytes.
+        disturbances: names of `ACTING` that act; others are left out.
+        trials: how many.
+        left_share: of the ground's force that the left leg bears.
+        files: "c3d" or "opensim".
+
+    Returns:
+        The study file.
+
+    Raises:
+        InputError: a description that cannot be, or is not of two legs with
+            rigid feet; an unknown movement, a share that tips the body over.
+    """
+    folder = Path(folder)
+    if movement not in MOVEMENTS:
+        raise InputError(
+            f"movement is {movement!r}; the virtual laboratory has "
+            f"{' and '.join(MOVEMENTS)}"
+        )
+    if not 0.1 <= left_share <= 0.9:
+        raise InputError(
+            f"left_share is {left_share:g}; give 0.1 to 0.9, as both feet stand"
+        )
+    if trials < 1 or seed < 0:
+        raise InputError("give at least one trial, and a seed from 0 on")
+    active = frozenset(disturbances) & frozenset(ACTING)
+    subject = draw(Path(description), seed, active)
+    _copy_device(Path(description), subject, folder)
+    (folder / "truth").mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng([seed, 21])
+    markers = {
+        name: marker.on_own_leg()
+        for name, marker in marker_set(subject.truth.human).items()
+    }
+    laboratory = Laboratory(
+        folder,
+        subject.model.tree,
+        files,
+        markers,
+        slides(markers, rng),
+        {place: empty_plate_levels(rng) for place in PLATES},
+        active,
+        Faults(encoder_offset_rad=(0.0,)),
+    )
+    with Progress("virtual laboratory", trials, interval_seconds=2.0) as tell:
+        _stand(subject, laboratory, seed, tell)
+        entries = [
+            _record(subject, laboratory, movement, left_share, seed, i, tell)
+            for i in range(trials)
+        ]
+    about = {"seed": seed, "disturbances": active, "left_share": left_share}
+    write_parameters(folder / "truth", subject.truth, about)
+    path = folder / "study.yaml"
+    path.write_text(
+        f"# A virtual subject of two legs: {movement}.\n"
+        + yaml.dump(
+            _study(subject, laboratory, entries),
+            sort_keys=False,
+            default_flow_style=None,
+            width=78,
+        ),
+        encoding="utf-8",
+    )
+    return path
+
+
+def draw(path: Path, seed: int, active: frozenset[str]) -> TwoLegs:
+    """A subject off the nominal one, as described.
+
+    Args:
+        path: of the description.
+        seed: of all that is drawn.
+        active: disturbances.
+    """
+    assembly = schema.load(path, Assembly)
+    if assembly.human.legs != "two" or assembly.human.toes != "rigid":
+        raise InputError(
+            f"{path}: the virtual laboratory simulates two legs with rigid "
+            "toes; say 'human: {legs: two}'"
+        )
+    if assembly.human.osim is not None or assembly.is_fitted:
+        raise InputError(
+            f"{path}: the virtual laboratory has a person of its own and no "
+            "shipped device; leave osim out, and give the device's file"
+        )
+    rng, person = np.random.default_rng([seed, 20]), nominal_human()
+    alone = Model("human", person)
+    two = two_spheres(nominal_contact(alone).ground, rng)
+    five = five_spheres(person, rng)
+    masses = other_masses(person, rng)
+    soles = levelled(
+        alone.tree,
+        (five if "contact" in active else two).checked(),
+        alone.tree.weight,
+        STANDING_COP_M,
+        person.ankle_height_m,
+    )
+    if "segments" in active:
+        alone = replace(alone, human=masses)
+    worn = with_text(assembly, path.parent)
+    places = {name: (s.x, s.z) for name, s in soles.spheres.items()}
+    ground = {f"foot_{side}": places for side in SIDES}
+    model = Model(replace(worn, ground=ground), alone.human)
+    usual = nominal_contact(model)
+    cuffs = drawn_cuffs(usual.bushings, rng, active, CUFF_DRAWS["near"])
+    joints = len(model.coordinates.device)
+    rough = "friction" in active
+    friction = Friction(
+        (_VISCOUS * rough,) * joints, (_COULOMB * rough,) * joints
+    )
+    return TwoLegs(
+        Truth(model, _of_each(soles), cuffs, friction),
+        Planner(alone.tree, soles),
+        yaml.safe_load(path.read_text("utf-8")),
+    )
+
+
+def _of_each(soles: GroundContact) -> GroundContact:
+    """One foot's contact, of that of both together."""
+    spheres = {
+        name: replace(s, stiffness=0.5 * s.stiffness)
+        for name, s in soles.spheres.items()
+    }
+    return replace(soles, spheres=spheres)
+
+
+def both_legs(subject: TwoLegs, plan: Reference, share: float) -> Reference:
+    """A plan of one leg, done by two that bear unequally.
+
+    Args:
+        subject: who does it.
+        plan: of one leg that stands for both.
+        share: of the ground's force that the left one bears.
+    """
+    planner, tree = subject.planner, subject.model.rigid.tree
+    one, names = planner.tree, tree.coordinates
+    shares = dict(zip(SIDES, (share, 1.0 - share), strict=True))
+    q = np.zeros((len(plan.q), len(names)))
+    q[:, :2] = one.point_positions(plan.q, "pelvis", (0.0, 0.0))
+    q[:, 2] = one.body_angles(plan.q, "pelvis")
+    for side, part in shares.items():
+        # Soles give way to what they bear: legs are of unequal length.
+        load, at = part * plan.ground[:, 1], plan.ground
+        cop = -at[:, 2].sum() / at[:, 1].sum()
+        foot = resting_foot(one, subject.truth.contact, load, cop)
+        bent = _bent(subject.truth.human, q, foot)
+        for joint, angle in zip(("hip", "knee", "ankle"), bent, strict=True):
+            q[:, names.index(f"{joint}_{side}")] = angle
+    path = make_interp_spline(plan.times, q, k=5)
+    v, a = (path.derivative(k)(plan.times) for k in (1, 2))
+    loads = {"pelvis": PlanarWrench.of(plan.seat)}
+    ground = tree.ground_reaction(q, inverse_dynamics(tree, q, v, a, loads))
+    for side, part in shares.items():
+        loads[f"foot_{side}"] = PlanarWrench.of(part * ground)
+    torque = inverse_dynamics(tree, q, v, a, loads)[:, names.joint_columns]
+    return Reference(plan.times, q, v, torque, ground, plan.seat)
+
+
+def _bent(human: HumanParameters, q, foot):
+    """Hip, knee and ankle (n,) between a pelvis and a foot (n, 3) [rad]."""
+    thigh, shank = human.thigh.length_m, human.shank.length_m
+    x, z = (q[:, :2] - foot[:, :2]).T
+    square = x * x + z * z
+    cosine = (square - thigh**2 - shank**2) / (2.0 * thigh * shank)
+    knee = np.arccos(np.clip(cosine, -1.0, 1.0))
+    lean = np.arctan2(x, z) + np.arcsin(thigh * np.sin(knee) / np.sqrt(square))
+    return knee - lean - q[:, 2], knee, lean + foot[:, 2]
+
+
+def _stand(subject: TwoLegs, laboratory: Laboratory, seed, tell) -> None:
+    plan = subject.planner.standing(_STANDING_S, STANDING_COP_M)
+    happened = _happens("standing", subject, plan, None, 0.5, tell, None)
+    rng = np.random.default_rng([seed, 22])
+    laboratory.record_motion(happened, rng, hidden=False)
+    if "plate_drift" in laboratory.disturbances:
+        laboratory.record_empty(EMPTY, rng)
+
+
+def _happens(name, subject, plan, seat, share, tell, done) -> Trial:
+    return simulate(
+        name,
+        subject.truth,
+        both_legs(subject, plan, share),
+        seat,
+        (0.0,) * len(subject.model.coordinates.device),
+        progress=tell,
+        done=done,
+    )
+
+
+def _record(
+    subject: TwoLegs,
+    laboratory: Laboratory,
+    movement: str,
+    share: float,
+    seed: int,
+    number: int,
+    tell: Progress,
+) -> dict:
+    """Simulate a trial, write its files; what the study says of it."""
+    name, key = f"{movement}_{number + 1}", [seed, 23, number]
+    plan = _RISE if movement == "rise" else _SQUAT
+    if "variation" in laboratory.disturbances:
+        plan = vary(plan, np.random.default_rng(key))
+    planner, seat = subject.planner, None
+    if movement == "rise":
+        seat = planner.seat(plan)
+        motion = planner.rise(plan, seat)
+    else:
+        plan = replace(plan, seated=plan.standing)
+        motion = planner.squat(plan)
+    happened = _happens(name, subject, motion, seat, share, tell, number)
+    rng = np.random.default_rng([seed, 24, number])
+    laboratory.record_motion(happened, rng)
+    used = {"markers": "", **laboratory.motion_files(name)}
+    if subject.model.coordinates.device:
+        laboratory.record_device(happened, Clocks(), False, rng)
+        used["encoders"] = laboratory.device_file(name, "encoders")
+    step = round(RATE_HZ / MARKER_RATE_HZ)
+    write_table(
+        laboratory.folder / "truth" / f"{name}.sto",
+        truth_table(happened, step),
+        f"{name}: what truly happened",
+    )
+    end = plan.duration - plan.stand_s + _QUIET_S
+    begin = plan.quiet_s - _QUIET_S
+    if seat is not None:
+        begin = after_chair(happened)
+    start, end = np.round(np.array([begin, end]) * MARKER_RATE_HZ)
+    return {
+        "name": name,
+        **used,
+        "plates": {side: PLATES[side] for side in SIDES},
+        **_empty(laboratory),
+        "start_s": float(start / MARKER_RATE_HZ),
+        "end_s": float(end / MARKER_RATE_HZ),
+    }
+
+
+def _empty(laboratory: Laboratory) -> dict:
+    if "plate_drift" not in laboratory.disturbances:
+        return {}
+    return {"empty_plates": laboratory.motion_files(EMPTY)["forces"]}
+
+
+def _study(subject: TwoLegs, laboratory: Laboratory, entries) -> dict:
+    human = subject.truth.human
+    study = {
+        "subject": {
+            "name": "virtual_subject",
+            "mass_kg": round(human.mass_kg, 3),
+            "height_m": round(human.height_m, 4),
+            "sex": "male",
+        },
+        "model": subject.files,
+        "gravity_m_s2": subject.model.gravity_m_s2,
+        "filter": {"cutoff_hz": 6.0, "order": 4},
+        "laboratory": laboratory_section(
+            laboratory.files, laboratory.disturbances
+        ),
+        "standing": {
+            **laboratory.motion_files("standing"),
+            "plates": {side: PLATES[side] for side in SIDES},
+            **_empty(laboratory),
+            "start_s": 0.5,
+        },
+        "scaling": {"lengths": "markers", "trunk_com": "table"},
+        "markers": study_markers(),
+        "trials": entries,
+        "foot_ground": foot_ground_section(legs=2),
+    }
+    if subject.model.coordinates.device:
+        study["device"] = {
+            "joints": {
+                name: {
+                    "viscous_nm_s": viscous,
+                    "coulomb_nm": dry,
+                    "coulomb_speed_rad_s": subject.truth.friction.speed,
+                }
+                for name, viscous, dry in zip(
+                    subject.model.coordinates.device,
+                    subject.truth.friction.viscous,
+                    subject.truth.friction.coulomb,
+                    strict=True,
+                )
+            }
+        }
+    return study
+
+
+def _copy_device(description: Path, subject: TwoLegs, folder: Path) -> None:
+    """The device's file beside the study, which names it."""
+    device = subject.files.get("device")
+    if device is None:
+        return
+    source = description.parent / device["file"]
+    shutil.copyfile(source, folder / source.name)
+    device["file"] = source.name
