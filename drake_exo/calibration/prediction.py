@@ -24,6 +24,7 @@ from drake_exo.calibration.problem import (
 )
 from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.collocation.initial_guess import straight_line
+from drake_exo.collocation.kernels import SoleKernel
 from drake_exo.collocation.loads import ControllerKernel
 from drake_exo.collocation.trial_program import (
     Tracking,
@@ -32,13 +33,24 @@ from drake_exo.collocation.trial_program import (
 )
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
+from drake_exo.files.tables import runs
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
+from drake_exo.nlp.program import AffineKernel
 
 # An end counts as a second of tracking does: noise of a signal is one size
 # for about that long.
 END_WEIGHT_S = 1.0
 _TOES_RAD = np.deg2rad(3.0)
+# How far joints turn where nothing else says so, as the American Academy of
+# Orthopaedic Surgeons tells it; ankles bend further under load.
+_RANGES_DEG = {
+    "hip": (-30.0, 120.0),
+    "knee": (0.0, 140.0),
+    "ankle": (-50.0, 35.0),
+    "toes": (-30.0, 70.0),
+}
 
 
 class PredictionProblem(PhaseProblem):
@@ -93,6 +105,8 @@ class PredictionProblem(PhaseProblem):
         super().__init__(model, trials, contact, [], settings, errors, refined)
 
     def _add(self, trial: Trial) -> TrialProgram:
+        if self.settings.ends == "periodic":
+            return self._step(trial)
         movement, at, effects = self._begin(trial)
         settings, noise = self.settings, self.settings.noise
         if effects is not None or len(self.feet) > 1:
@@ -104,8 +118,7 @@ class PredictionProblem(PhaseProblem):
                 self.error_variables,
                 at_ends,
             )
-        limit = np.full(movement.torque.size, settings.torque_limit_nm)
-        movement.bound(movement.torque.ravel(), -limit, limit)
+        self._limit(movement)
         if settings.objective == "tracking":
             terms = [
                 *ground_terms(movement, at, noise),
@@ -123,6 +136,66 @@ class PredictionProblem(PhaseProblem):
         self.minimise_energy(movement, everything, noise.energy_j)
         if self._controller is not None:
             self._drive(movement)
+        return movement
+
+    def _limit(self, movement: TrialProgram) -> None:
+        limit = np.full(movement.torque.size, self.settings.torque_limit_nm)
+        movement.bound(movement.torque.ravel(), -limit, limit)
+
+    def _step(self, trial: Trial) -> TrialProgram:
+        """A step that could go on for ever, with little effort.
+
+        The other leg's step is its mirror image: half a cycle says it all.
+        """
+        movement = self._movement(trial)
+        grid, names = movement.grid, movement.coordinates
+        at = trial.sample(grid.times)
+        x, *_ = names.root_columns
+        mirrored = _mirrored(names)
+        speed = self.settings.speed_m_s
+        if speed is None:
+            speed = (at.q[-1, x] - at.q[0, x]) / trial.duration
+        ahead = np.zeros(len(names))
+        ahead[x] = speed * trial.duration
+        movement.bound(grid.q[0, [x]], at.q[0, [x]], at.q[0, [x]])
+        # The root's accelerations follow from all else.
+        for what, values, rows, gain in (
+            ("positions", grid.q, slice(None), ahead),
+            ("velocities", grid.v, slice(None), 0.0),
+            ("accelerations", grid.a, names.joint_columns, 0.0),
+        ):
+            self.program.add_constraints(
+                f"{movement.name} mirrored {what}",
+                AffineKernel(np.hstack([np.eye(len(names)), -mirrored])[rows]),
+                np.hstack([values[-1], values[0]])[None],
+                gain,
+                gain,
+            )
+        for side, wrench in at.feet.items():
+            foot = f"foot_{side}"
+            swings = _middle(~wrench.is_loaded)
+            if not len(swings):
+                continue
+            kernel = SoleKernel(self.sphere_values(self.contact, foot))
+            self.program.add_constraints(
+                f"{movement.name} clearance of {foot}",
+                kernel,
+                movement.poses[foot][swings],
+                self.settings.clearance_m,
+                np.inf,
+            )
+        for name in names.human:
+            lower, upper = np.deg2rad(_RANGES_DEG[name.split("_")[0]])
+            q, own = grid.q[:, names.index(name)], at.coordinate(name)
+            movement.bound(
+                q,
+                np.full(len(q), min(lower, own.min())),
+                np.full(len(q), max(upper, own.max())),
+            )
+        self._limit(movement)
+        effort = minimised(movement.torque, self.settings.noise.torque_nm)
+        movement.add_tracking_cost([effort])
+        movement.add_jerk_cost(self.jerk)
         return movement
 
     def _drive(self, movement: TrialProgram) -> None:
@@ -147,6 +220,32 @@ class PredictionProblem(PhaseProblem):
         if steps or self.settings.guess == "data":
             return super()._start(movement, trial)
         return straight_line(trial, movement.grid.times)
+
+
+def _mirrored(names: Coordinates) -> np.ndarray:
+    """Matrix (nq, nq) that exchanges left and right.
+
+    Raises:
+        InputError: a coordinate has no other side.
+    """
+    other = {"left": "right", "right": "left"}
+    found = np.zeros((len(names), len(names)))
+    for i, name in enumerate(names.names):
+        parts = [other.get(part, part) for part in name.split("_")]
+        if i >= len(names.root) and parts == name.split("_"):
+            raise InputError(
+                f"prediction.ends: {name} is of both legs at once; a periodic "
+                "step needs two, say human: {legs: two}"
+            )
+        found[i, names.index("_".join(parts))] = 1.0
+    return found
+
+
+def _middle(free: np.ndarray) -> np.ndarray:
+    """The middle half of the longest run of nodes (n,) without load."""
+    longest = max(runs(free), key=lambda r: r[1] - r[0], default=(0, 0))
+    quarter = (longest[1] - longest[0]) // 4
+    return np.arange(longest[0] + quarter, longest[1] - quarter)
 
 
 def _held_toes(movement: TrialProgram, at: Trial) -> list[Tracking]:

@@ -552,6 +552,13 @@ class PredictionSettings:
             paper) or "comfort" (interaction forces minimised, ground
             reaction free, effort bounded).
         torque_limit_nm: bound on every joint torque, both legs together.
+        ends: "measured", or "periodic": a step of two legs that ends as it
+            begins with left and right exchanged, at `speed_m_s`. Nothing is
+            tracked then; the trial is where the search starts, and how long
+            the step lasts.
+        speed_m_s: of the pelvis over a periodic step; the trial's if null.
+        clearance_m: of a foot in the middle half of its measured swing, in a
+            periodic step.
         guess: where the search starts: "data", or "line" (a minimum-jerk line
             between the end states, no start for legs that step). By default
             the line for one leg, data for two.
@@ -567,6 +574,13 @@ class PredictionSettings:
     end_tolerance: PredictionEnds = PredictionEnds()
     torque_limit_nm: float = field(
         default=1000.0, metadata={"unit": "N m", "above": 0.0}
+    )
+    ends: Literal["measured", "periodic"] = "measured"
+    speed_m_s: float | None = field(
+        default=None, metadata={"unit": "m/s", "above": 0.0, "maximum": 10.0}
+    )
+    clearance_m: float = field(
+        default=0.01, metadata={"unit": "m", "minimum": 0.0, "maximum": 0.3}
     )
     guess: Literal["data", "line"] | None = None
     errors: ErrorSizes = field(default_factory=ErrorSizes)

@@ -421,6 +421,36 @@ class FootGroundKernel:
         return p, motion, d
 
 
+class SoleKernel:
+    """How far spheres under a body are above the ground.
+
+    Inputs: x, z, angle of the body and their rates. Outputs: height of each
+    sphere's lowest point [m].
+
+    Args:
+        spheres: (m, 5) SPHERE_PARAMETERS.
+    """
+
+    def __init__(self, spheres: np.ndarray):
+        _, _, *place, self._radius = np.asarray(spheres).T
+        self._x, self._z = place
+        self.sparsity = np.zeros((len(spheres), 6), bool)
+        self.sparsity[:, 1:3] = True
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        c, s = np.cos(x[:, [2]]), np.sin(x[:, [2]])
+        return x[:, [1]] + s * self._x + c * self._z - self._radius
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        c, s = np.cos(x[:, [2]]), np.sin(x[:, [2]])
+        J = np.zeros((len(x), *self.sparsity.shape))
+        J[:, :, 1] = 1.0
+        J[:, :, 2] = c * self._x - s * self._z
+        return J
+
+
 def _motion_curvature(x, p, gradient):
     """Second derivatives of a sphere's motion, weighted: (n, 10, 10).
 

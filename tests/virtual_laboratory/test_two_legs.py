@@ -1,0 +1,155 @@
+"""Two legs that bear unequally, and a device for hip and knee of both."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+import drake_exo as dx
+from drake_exo.cli import main
+from drake_exo.errors import InputError
+from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.virtual_laboratory.two_legs import (
+    _SQUAT,
+    ACTING,
+    both_legs,
+    draw,
+    write_movements,
+)
+
+_LINK = """<link name="{}"><inertial><origin xyz="0 0 {}"/>
+<mass value="{}"/><inertia ixx="0.03" iyy="0.03" izz="0.03" ixy="0" ixz="0"
+iyz="0"/></inertial></link>"""
+_JOINT = """<joint name="{}" type="revolute"><parent link="{}"/>
+<child link="{}"/><origin xyz="0 0 {}"/><axis xyz="0 {} 0"/>
+<limit lower="-3" upper="3" effort="100" velocity="10"/></joint>"""
+_CUFFS = "".join(
+    f"  {part}_{side}: {{human: {part}_{side}, device: {part}_bar_{side}}}\n"
+    for side in ("left", "right")
+    for part in ("thigh", "shank")
+)
+
+
+def device():
+    """A belt with a thigh and a shank bar on either side, as URDF."""
+    parts = [_LINK.format("belt", 0.05, 4.0)]
+    for side in ("left", "right"):
+        thigh, shank = f"thigh_bar_{side}", f"shank_bar_{side}"
+        parts += [
+            _LINK.format(thigh, -0.2, 1.8),
+            _LINK.format(shank, -0.15, 1.0),
+            _JOINT.format(f"{side}_hip", "belt", thigh, 0.0, -1),
+            _JOINT.format(f"{side}_knee", thigh, shank, -0.42, 1),
+        ]
+    return f'<robot name="hip_and_knee">{"".join(parts)}</robot>'
+
+
+@pytest.fixture
+def alone(tmp_path):
+    path = tmp_path / "alone.yaml"
+    path.write_text("human: {legs: two}\n")
+    return path
+
+
+@pytest.fixture
+def worn(tmp_path):
+    (tmp_path / "hip_and_knee.urdf").write_text(device())
+    path = tmp_path / "worn.yaml"
+    path.write_text(
+        "human: {legs: two}\n"
+        "device: {file: hip_and_knee.urdf, weld: {belt: pelvis}}\n"
+        f"cuffs:\n{_CUFFS}"
+    )
+    return path
+
+
+@pytest.mark.slow
+def test_a_plan_of_two_legs_obeys_newton(worn):
+    """Feet where soles sink to, each leg bearing its share."""
+    subject, share = draw(worn, 3, frozenset(ACTING)), 0.7
+    plan = subject.planner.squat(_SQUAT)
+    found = both_legs(subject, plan, share)
+    tree = subject.model.rigid.tree
+    names = tree.coordinates
+    path = make_interp_spline(found.times, found.q, k=5)
+    v, a = (path.derivative(k)(found.times) for k in (1, 2))
+    np.testing.assert_allclose(found.v, v)
+    loads = {
+        "foot_left": PlanarWrench.of(share * found.ground),
+        "foot_right": PlanarWrench.of((1.0 - share) * found.ground),
+    }
+    Q = inverse_dynamics(tree, found.q, v, a, loads)
+    np.testing.assert_allclose(Q[:, names.root_columns], 0.0, atol=1e-7)
+    np.testing.assert_allclose(Q[:, names.joint_columns], found.torque)
+    weight = subject.model.tree.weight
+    np.testing.assert_allclose(found.ground[[0, -1], 1], weight, rtol=1e-3)
+    left, right = (
+        tree.point_positions(found.q, f"foot_{side}", (0.0, 0.0)).T
+        for side in ("left", "right")
+    )
+    # Under one hip, and the heavier foot deeper in its sole.
+    np.testing.assert_allclose([left[0], right[0]], 0.0, atol=1e-9)
+    assert (left[1] < right[1] - 1e-4).all()
+    assert np.abs(left[1] - right[1]).max() < 0.01
+
+
+@pytest.mark.slow
+def test_an_uneven_rise_is_calibrated(alone, tmp_path):
+    """One leg bears 70 %: forces of either foot within 10 N."""
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    study = write_movements(folder, alone, seed=2, trials=1, left_share=0.7)
+    study = dx.read_study(study)
+    (trial,) = study.trials()
+    total = trial.ground.force_z
+    share = trial.feet["left"].force_z / total
+    assert share.mean() == pytest.approx(0.7, abs=0.01)
+    assert total[-1] == pytest.approx(study.model.tree.weight, abs=15.0)
+    found = dx.calibrate_foot_ground(study)
+    assert found.success
+    (off,) = found.rmsd()
+    assert max(off["grf_n"].values()) < 10.0
+    assert max(off["angles_deg"].values()) < 1.0
+    assert all(audit.holds for audit in found.audit())
+
+
+@pytest.mark.slow
+def test_a_squat_in_a_device_is_recorded(worn, tmp_path):
+    """Encoders of its four joints, which follow the person's."""
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    path = write_movements(folder, worn, "squat", 1, ["contact"], 1)
+    study = dx.read_study(path)
+    (trial,) = study.trials()
+    names = trial.coordinates
+    assert names.device == ("left_hip", "left_knee", "right_hip", "right_knee")
+    knee = np.rad2deg(trial.coordinate("knee_left"))
+    assert knee.max() > 75.0
+    assert max(knee[0], knee[-1]) < 30.0
+    for joint in names.device:
+        own = trial.coordinate(names.follows(joint))
+        assert np.abs(own - trial.coordinate(joint)).max() < np.deg2rad(10.0)
+    assert not trial.feet["left"].force_z.min() < 200.0
+    assert all(check.holds for check in study.plausibility())
+
+
+def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
+    one = tmp_path / "one.yaml"
+    one.write_text("human: {legs: one}\n")
+    for path, options, words in (
+        (one, {}, "simulates two legs"),
+        (alone, {"left_share": 0.95}, "give 0.1 to 0.9"),
+        (alone, {"movement": "walk"}, "has rise and squat"),
+        (alone, {"trials": 0}, "at least one trial"),
+        (tmp_path / "none.yaml", {}, "cannot be read"),
+    ):
+        with pytest.raises(InputError, match=words):
+            write_movements(tmp_path, path, **options)
+    out = str(tmp_path / "out")
+    for options, words in (
+        (["--left-share", "0.7"], "give --model FILE"),
+        (["--movement", "squat"], "give --model FILE"),
+        (["--model", str(alone), "--full"], "are of the shipped exoskeleton"),
+    ):
+        assert main(["lab", "--out", out, *options]) == 2
+        assert words in capsys.readouterr().err
