@@ -11,11 +11,14 @@ from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.problem import measured_feet, torque_terms
 from drake_exo.calibration.scores import rmsd
+from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.calibration.solving import solve
 from drake_exo.calibration.start import settled
+from drake_exo.collocation.kernels import SoleKernel
 from drake_exo.errors import InputError
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.study import RecordedStudy, predict, read_study
+from drake_exo.virtual_laboratory import synthetic
 
 pytestmark = pytest.mark.slow
 
@@ -119,6 +122,61 @@ def test_a_prediction_does_not_depend_on_its_start(study, predicted):
     assert again.objective == pytest.approx(at.objective, rel=1e-3)
 
 
+def test_a_step_repeats_itself_and_tracks_nothing(study, calibrated):
+    """Mirrored ends at a given speed; what comes out is a person's step."""
+    (files,) = (f for f in study.file.trials if f.name == "walking1")
+    files = replace(files, end_s=None, end="toe_off right 1")
+    step = RecordedStudy(replace(study.file, trials=(files,)), study.root)
+    (trial,) = step.trials()
+    noise = replace(study.prediction.noise, torque_nm=20.0, jerk=1000.0)
+    solver = replace(
+        study.prediction.solver, nodes_per_second=100.0, hessian="exact"
+    )
+    settings = replace(
+        study.prediction,
+        ends="periodic",
+        speed_m_s=1.25,
+        torque_limit_nm=120.0,
+        noise=noise,
+        solver=solver,
+    )
+    problem = PredictionProblem(
+        step.model, [trial], calibrated.contact, settings
+    )
+    assert all(
+        term.role == "regulariser"
+        for movement in problem.movements
+        for term in movement.tracked
+    )
+    found = problem.solve()
+    assert found.success
+    (own,), names = found.trials, trial.coordinates
+    other = {"left": "right", "right": "left"}
+    swapped = names.columns(
+        ["_".join(other.get(p, p) for p in n.split("_")) for n in names.names]
+    )
+    ahead = np.zeros(len(names))
+    ahead[names.index("pelvis_x")] = 1.25 * trial.duration
+    for x, gain in ((own.q, ahead), (own.v, 0.0), (own.a, 0.0)):
+        np.testing.assert_allclose(x[-1], x[0][swapped] + gain, atol=1e-4)
+    # The feet bear alike, and together the body's weight over the step.
+    np.testing.assert_allclose(
+        own.feet["left"].force[-1], own.feet["right"].force[0], atol=0.5
+    )
+    weight = problem.tree.weight
+    step_s = np.trapezoid(own.ground.force_z, own.times) / own.duration
+    assert step_s == pytest.approx(weight, rel=0.05)
+    assert np.abs(own.moments).max() <= 120.0 + 1e-6
+    knee = np.rad2deg(own.coordinate("knee_left"))
+    assert knee.max() > 35.0  # in swing
+    assert knee.min() > -1.0
+    swing = own.feet["left"].force_z < 5.0
+    middle = np.flatnonzero(swing)[len(np.flatnonzero(swing)) // 2]
+    spheres = problem.sphere_values(calibrated.contact, "foot_left")
+    pose = problem.movements[0].ties["foot_left"].poses(own.q, own.v)
+    assert SoleKernel(spheres).evaluate(pose, None)[middle].min() > 0.009
+
+
 def test_a_line_is_no_start_for_steps(study, calibrated):
     (trial,) = study.trials("prediction")
     settings = replace(study.prediction, guess="line")
@@ -142,6 +200,14 @@ def test_moments_weigh_more_in_swing(study, predicted):
         i = int(np.argmin(sigma))
         near = np.abs(at.times - at.times[i]) < 0.1
         assert not loaded[near].any()
+
+
+def test_one_leg_makes_no_step():
+    model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    settings = PredictionSettings(ends="periodic")
+    contact = FootGroundCalibration(model, [trial]).contact
+    with pytest.raises(InputError, match="is of both legs at once"):
+        PredictionProblem(model, [trial], contact, settings)
 
 
 def test_moments_missing_are_told_about_the_foot():

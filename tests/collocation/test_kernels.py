@@ -13,6 +13,7 @@ from drake_exo.collocation.kernels import (
     FORCE_UNIT,
     DynamicsKernel,
     FootGroundKernel,
+    SoleKernel,
     _motion_curvature,
 )
 from drake_exo.contact.bushing import (
@@ -230,3 +231,19 @@ def test_bushing_kernel_equals_the_law(plant, tree, segment):
         d, rate = bushing_deflection(*states, origin, preload)
         expected = bushing_force(d, rate, stiffness, damping, slip)
         np.testing.assert_allclose(force, np.array(expected), atol=1e-8)
+
+
+def test_soles_clear_the_ground():
+    """Height of each sphere's lowest point, and its derivatives."""
+    spheres = np.array(
+        [[1e6, 1.0, -0.05, -0.04, 0.03], [1e6, 1, 0.15, 0, 0.02]]
+    )
+    kernel = SoleKernel(spheres)
+    flat = np.array([[0.4, 0.07, 0.0, 1.0, 2.0, 3.0]])
+    found = kernel.evaluate(flat, None)
+    np.testing.assert_allclose(found, [[0.0, 0.05]], atol=1e-12)
+    upright = flat.copy()
+    upright[0, 2] = np.pi / 2  # toes up: places ahead are above
+    found = kernel.evaluate(upright, None)
+    np.testing.assert_allclose(found, [[-0.01, 0.2]], atol=1e-12)
+    _check(kernel, _states(20, 6))

@@ -118,7 +118,7 @@ def test_a_squat_in_a_device_is_recorded(worn, tmp_path):
     """Encoders of its four joints, which follow the person's."""
     folder = tmp_path / "lab"
     folder.mkdir()
-    path = write_movements(folder, worn, "squat", 1, ["contact"], 1)
+    path = write_movements(folder, worn, "squat", 1, [], 1)
     study = dx.read_study(path)
     (trial,) = study.trials()
     names = trial.coordinates
