@@ -164,15 +164,7 @@ def _together(kernel, spheres, q, loads):
     def settled(pitch):
         """Height (n,) that gives the force, and the indentations."""
         below = r - np.outer(np.sin(pitch), px) - np.outer(np.cos(pitch), pz)
-        lowest = below.max(axis=1)
-
-        def excess(depth):
-            depths = below - (lowest - depth)[:, None]
-            return static_force(kernel, spheres, depths).sum(axis=1) - total
-
-        depth = bisected(excess, -_CLEARANCE, _DEEPEST, total.shape)
-        height = lowest - depth
-        return height, below - height[:, None]
+        return sunk(kernel, spheres, below, total)
 
     def behind(pitch):
         force = static_force(kernel, spheres, settled(pitch)[1])
@@ -184,6 +176,26 @@ def _together(kernel, spheres, q, loads):
     height, depths = settled(pitch)
     forces = static_force(kernel, spheres, depths)
     return np.column_stack([height, pitch]), forces, depths
+
+
+def sunk(kernel, spheres, below, force, clearance=_CLEARANCE):
+    """Height (n,) of a foot that gives a force, and indentations (n, m) [m].
+
+    Args:
+        kernel: the law.
+        spheres: parameters (m, 5).
+        below: (n, m) how far spheres reach below the foot's origin.
+        force: (n,) vertical one of all of them [N].
+        clearance: above the ground, where there is none.
+    """
+    lowest = below.max(axis=1)
+
+    def excess(depth):
+        depths = below - (lowest - depth)[:, None]
+        return static_force(kernel, spheres, depths).sum(axis=1) - force
+
+    height = lowest - bisected(excess, -clearance, _DEEPEST, force.shape)
+    return height, below - height[:, None]
 
 
 def static_force(kernel, spheres, depths):

@@ -13,6 +13,7 @@ from drake_exo.collocation.initial_guess import (
     bisected,
     slip_velocity,
     static_force,
+    sunk,
 )
 from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.contact.hunt_crossley import contact_arm
@@ -23,7 +24,7 @@ _PITCH_RAD = 0.1  # that the settled foot may turn from the measured one
 _SMOOTH_S = 0.02  # of that turn
 _FADE_S = 0.1  # of offsets, while the foot is in the air
 _CLEAR_M = 0.005  # of a foot that bears nothing
-_CLEARANCE, _DEEPEST, _PITCHES = 0.3, 0.2, 20
+_CLEARANCE, _PITCHES = 0.3, 20
 _RADIUS = SPHERE_PARAMETERS.index("radius")
 
 
@@ -87,15 +88,8 @@ def _heights(kernel, spheres, places, pitch, force):
     """Height (n,) of the foot that gives a force, and forces (n, m)."""
     _, up = _reach(places, pitch)
     below = spheres[:, _RADIUS] - up
-    lowest = below.max(axis=1)
-
-    def excess(depth):
-        depths = below - (lowest - depth)[:, None]
-        return static_force(kernel, spheres, depths).sum(axis=1) - force
-
-    depth = bisected(excess, -_CLEARANCE, _DEEPEST, force.shape)
-    height = lowest - depth
-    return height, static_force(kernel, spheres, below - height[:, None])
+    height, depths = sunk(kernel, spheres, below, force, _CLEARANCE)
+    return height, static_force(kernel, spheres, depths)
 
 
 def _pitches(kernel, spheres, places, q, ground, loaded):
