@@ -190,10 +190,13 @@ class Designed:
 
     @property
     def support(self) -> dict[str, float | None]:
-        """Work of the device over all trials [J], before, after, measured."""
+        """Work of the device over all trials [J], before, after, measured.
+
+        The first two over the movement of today, whose device goes as far.
+        """
         return {
-            "before": _work(self.before),
-            "after": _work(self.after),
+            "before": sum(works(self.today)[name] for name in self.before),
+            "after": sum(works(self.found)[name] for name in self.before),
             "measured_before": sum(
                 _measured_work(m.measured)
                 for moved in self.before.values()
@@ -795,10 +798,6 @@ def _half_width(moved: Moved, cuff: str) -> float:
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
-
-
-def _work(moved: dict[str, list[Moved]]) -> float:
-    return sum(device_work(m.trial) for ms in moved.values() for m in ms)
 
 
 def _measured_work(trial: Trial) -> float:

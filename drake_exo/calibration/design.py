@@ -39,7 +39,6 @@ from drake_exo.collocation.design_kernels import (
     MigrationKernel,
     MovedWeight,
     PressureKernel,
-    WorkKernel,
 )
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
@@ -257,7 +256,7 @@ class _Posed:
         today: wearer -> cuff -> largest force (3,) of today; None while that
             is not known: then there are no limits.
         deflected: wearer -> cuff -> largest deflection (3,); likewise.
-        work_j: wearer -> work that the device is to do; likewise.
+        support: share of today's work that the device is to do.
         moments: wearer -> largest moment of each of the person's joints.
     """
 
@@ -267,7 +266,7 @@ class _Posed:
     weights_s: float
     today: Mapping[str, Mapping[str, np.ndarray]] | None
     deflected: Mapping[str, Mapping[str, np.ndarray]] | None
-    work_j: Mapping[str, float] | None
+    support: float
     moments: Mapping[str, np.ndarray] | None
 
 
@@ -278,7 +277,9 @@ class _Wearing(PhaseProblem):
         self.wearer, self._posed = wearer, posed
         settings = posed.settings
         phase = PredictionSettings(solver=settings.solver, guess="data")
-        self._work: list = []
+        # Design variable -> work that the device does by it [J].
+        self._work: dict[str, float] = {}
+        self._undriven, self._total = 0.0, None
         self._slid: dict[tuple[str, str], np.ndarray] = {}
         self._pressed: dict[tuple[str, str], np.ndarray] = {}
         super().__init__(
@@ -410,12 +411,16 @@ class _Wearing(PhaseProblem):
             first = f"{joint}.{_FACTOR}"
             own = [n for n in posed.variables if n.startswith(first)]
             if not own:
+                self._count_work(movement, joint, at, {})
                 movement.bound(torque[:, i], today[:, i], today[:, i])
                 continue
             factors = np.array([posed.variables[n] for n in own])
             known = _assistance({n.partition(_FACTOR)[2]: 1.0 for n in own})
             weights = known.weights(
                 at.coordinate(joint), at.times / at.duration
+            )
+            self._count_work(
+                movement, joint, at, dict(zip(own, weights.T, strict=True))
             )
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
@@ -496,8 +501,6 @@ class _Wearing(PhaseProblem):
             most = limits.effort_factor * self._posed.moments[self.wearer.name]
             edge = np.broadcast_to(most, own.shape).ravel()
             movement.bound(own.ravel(), -edge, edge)
-        if limits.support is not None:
-            self._add_work(movement)
 
     def _limit_migration(self, movement, cuff: str, times) -> None:
         prog, grid = self.program.prog, movement.grid
@@ -548,60 +551,81 @@ class _Wearing(PhaseProblem):
             np.hstack([movement.cuffs[cuff][:, [NORMAL]], area, pressed]),
         )
 
-    def _add_work(self, movement: TrialProgram) -> None:
-        names, grid = movement.coordinates, movement.grid
-        torque = movement.torque[:, names.is_device_joint]
-        rate = grid.v[:, names.device_columns]
-        prog = self.program.prog
-        work = prog.NewContinuousVariables(1, f"{movement.name} work")
-        prog.SetVariableScaling(work[0], 10.0)
-        self._work.append(work[0])
-        self.program.add_constraints(
-            f"{movement.name} work",
-            WorkKernel(*torque.shape),
-            np.concatenate([torque.ravel(), rate.ravel(), work])[None],
-            data=grid.quadrature[None],
-        )
+    def _count_work(self, movement: TrialProgram, joint: str, at: Trial, by):
+        """Work of a joint's torques over the movement of today, by factor.
+
+        Softer cuffs let the device go further, which is no support: a device
+        that is built does not follow. So its movement of today counts.
+        """
+        names = movement.coordinates
+        rate = at.v[:, names.index(joint)]
+        work = movement.grid.quadrature * at.moment(joint) * rate
+        for name, weights in by.items():
+            self._work[name] = self._work.get(name, 0.0) + float(work @ weights)
+        if not by:
+            self._undriven += float(work.sum())
+
+    def work(self, values: Mapping[str, float]) -> float:
+        """Of the device over all trials [J], see `_count_work`.
+
+        Args:
+            values: of the design variables.
+        """
+        own = [job * values[name] for name, job in self._work.items()]
+        return self._undriven + sum(own)
 
     def _limit_support(self) -> None:
         """The device's work over all trials, about that of today."""
-        if not self._work:
+        posed = self._posed
+        limit = posed.settings.limits.support
+        if posed.today is None or limit is None:
             return
-        prog = self.program.prog
-        total = prog.NewContinuousVariables(1, f"{self.wearer.name} work")
-        prog.SetVariableScaling(total[0], 10.0)
-        row = np.r_[np.ones(len(self._work)), -1.0][None]
+        prog, name = self.program.prog, f"{self.wearer.name} work"
+        self._total = prog.NewContinuousVariables(1, name)
+        prog.SetVariableScaling(self._total[0], 10.0)
+        jobs = np.array(list(self._work.values()))
+        factors = np.array([posed.variables[n] for n in self._work])
         prog.AddLinearEqualityConstraint(
-            row, [0.0], np.concatenate([self._work, total])
-        ).evaluator().set_description(f"{self.wearer.name} work")
-        today = self._posed.work_j[self.wearer.name]
-        slack = abs(today) * self._posed.settings.limits.support
-        prog.AddBoundingBoxConstraint([today - slack], [today + slack], total)
+            np.r_[jobs, -1.0][None],
+            [-self._undriven],
+            np.concatenate([factors, self._total]),
+        ).evaluator().set_description(name)
+        today = self.work(dict.fromkeys(self._work, 1.0))
+        wanted, slack = posed.support * today, abs(today) * limit
+        prog.AddBoundingBoxConstraint(
+            [wanted - slack], [wanted + slack], self._total
+        )
         self.program.label(
             "limit",
-            total[None],
+            self._total[None],
             [f"{self.wearer.name} work of the device"],
             [""],
             [("J", 1.0)],
         )
-        self._total = total[0]
 
     def fill(
-        self, x: np.ndarray, design: Design, trials: Sequence[Trial]
+        self,
+        x: np.ndarray,
+        values: Mapping[str, float],
+        trials: Sequence[Trial],
     ) -> None:
-        """Program variables of these trials from solved ones."""
+        """Program variables of these trials from solved ones.
+
+        Args:
+            x: all program variables.
+            values: of the design variables.
+            trials: solved.
+        """
+        design = design_of(values)
         contact = design.contact(self.wearer.contact)
         for group, variables in self._variables.items():
             x[self.program.indices(variables)] = [
                 p.nominal for p in contact.fixed(group)
             ]
-        works = []
         for movement, trial in zip(self.movements, trials, strict=True):
             self._fill_trial(x, movement, trial, contact, design)
-            works.append(device_work(trial))
-        if self._work:
-            index = self.program.indices(np.array([*self._work, self._total]))
-            x[index] = [*works, sum(works)]
+        if self._total is not None:
+            x[self.program.indices(self._total)] = self.work(values)
 
     def _fill_trial(
         self, x, movement, trial: Trial, contact, design: Design
@@ -766,9 +790,7 @@ class DesignProblem:
             cuffs * sum(t.duration for t in own),
             None if today is None else largest_forces(today),
             None if today is None else largest_deflections(today),
-            None
-            if today is None
-            else {name: support * j for name, j in works(today).items()},
+            support,
             None if today is None else largest_moments(today),
         )
         self.parts = [_Wearing(w, posed, self.program) for w in self.wearers]
@@ -817,12 +839,11 @@ class DesignProblem:
         }
         for name, value in chosen.items():
             x[self.program.indices(np.array([self.variables[name]]))] = value
-        design = design_of(chosen)
         for part in self.parts:
             name, trials = part.wearer.name, part.trials
             if self._today is not None:
                 trials = self._today.wearers[name].trials
-            part.fill(x, design, trials)
+            part.fill(x, chosen, trials)
         return x
 
     def solve(
@@ -950,9 +971,9 @@ def largest_moments(result: DesignResult) -> dict[str, np.ndarray]:
 
 
 def works(result: DesignResult) -> dict[str, float]:
-    """Wearer -> work of the device over its trials [J]."""
+    """Wearer -> work of the device over its movements of today [J]."""
     return {
-        name: sum(device_work(t) for t in found.trials)
+        name: found.problem.work(result.values)
         for name, found in result.wearers.items()
     }
 

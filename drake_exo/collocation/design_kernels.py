@@ -13,7 +13,6 @@ from drake_exo.collocation.kernels import FORCE_UNIT, MOMENT_UNIT
 from drake_exo.contact.bushing import ROTATION, TANGENTIAL, BushingKinematics
 
 PLACE_UNIT = 0.01  # m
-WORK_UNIT = 10.0  # J
 # Keeps the norm of a force smooth at zero, in parts of its scale, squared.
 _SMALL = 1e-6
 
@@ -341,39 +340,3 @@ class PressureKernel:
             -weights[:, 0] * self._n_kpa / INTERACTION_FORCE_UNIT
         )
         return H
-
-
-class WorkKernel:
-    """Work of some joints over a trial minus a variable [J], / 10 J.
-
-    One instance is a whole trial. Inputs: torques (n m), rates (n m), each
-    node's together, then the variable. Data: (1, n) weights of the nodes [s].
-
-    Args:
-        num_nodes, num_joints: n and m.
-    """
-
-    def __init__(self, num_nodes: int, num_joints: int):
-        self._shape = num_nodes, num_joints
-        self.sparsity = np.ones((1, 2 * num_nodes * num_joints + 1), bool)
-
-    def _split(self, x):
-        n, m = self._shape
-        torque, rate = x[:, : n * m], x[:, n * m : -1]
-        return torque.reshape(-1, n, m), rate.reshape(-1, n, m)
-
-    def evaluate(self, x, data):
-        """See Kernel."""
-        torque, rate = self._split(x)
-        work = np.einsum("an,anm,anm->a", data, torque, rate)
-        return (work - x[:, -1])[:, None] / WORK_UNIT
-
-    def jacobian(self, x, data):
-        """See Kernel."""
-        torque, rate = self._split(x)
-        weights = data[:, :, None]
-        parts = [
-            (weights * part).reshape(len(x), -1) for part in (rate, torque)
-        ]
-        ones = np.ones((len(x), 1))
-        return np.hstack([*parts, -ones])[:, None, :] / WORK_UNIT

@@ -9,7 +9,6 @@ from drake_exo.collocation.design_kernels import (
     ForceNormKernel,
     MigrationKernel,
     PressureKernel,
-    WorkKernel,
 )
 from drake_exo.contact.bushing import BushingKinematics
 
@@ -60,15 +59,10 @@ def cases(rng, tree):
             None,
         ),
         "pressure": (PressureKernel(0.02), _felt(rng, N), None),
-        "work": (
-            WorkKernel(4, 2),
-            rng.uniform(-3.0, 3.0, (N, 17)),
-            rng.uniform(0.1, 0.2, (N, 4)),
-        ),
     }
 
 
-NAMES = ["cuff", "assistance", "peak", "mean", "migration", "pressure", "work"]
+NAMES = ["cuff", "assistance", "peak", "mean", "migration", "pressure"]
 
 
 def by_complex_step(kernel, x, data):
@@ -164,15 +158,6 @@ def test_squares_sum_to_the_norm(rng):
     size = np.hypot(force[:, 1], np.sqrt(shear) * force[:, 0])
     norm = (weights @ size**order) ** (1.0 / order)
     assert np.sum(r * r) == pytest.approx((norm / scale) ** order, rel=1e-4)
-
-
-def test_work_is_that_of_the_power(rng):
-    torque, rate = rng.uniform(-2.0, 2.0, (2, 5, 3))
-    weights = rng.uniform(0.1, 0.3, 5)
-    x = np.r_[torque.ravel(), rate.ravel(), 0.0][None]
-    found = WorkKernel(5, 3).evaluate(x, weights[None])
-    expected = np.sum(weights[:, None] * torque * rate)
-    assert found[0, 0] == pytest.approx(expected / 10.0)
 
 
 def test_pressure_is_force_over_area():
