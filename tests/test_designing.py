@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from page_reader import player_data
 
 import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem, device_work
@@ -13,7 +14,7 @@ from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.cli import main
-from drake_exo.contact.strap import read_design
+from drake_exo.contact.strap import Design, read_design
 from drake_exo.designing import Peak, front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
@@ -112,6 +113,35 @@ def test_files(found, study, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_design_is_replayed_beside_the_device_of_today(found, tmp_path):
+    """Cuffs where they are built, and where they are; each with its force."""
+    found.write(tmp_path / "designed")
+    page = tmp_path / "page.html"
+    assert main(["view", str(tmp_path / "designed"), "--out", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "Today (blue, translucent)" in text
+    assert "EXTRAPOLATED" in text
+    clips = player_data(page)["clips"]
+    name, (first, *_) = next(iter(found.after.items()))
+    assert len(clips) == len(found.after[name])
+    wearer, before = found.first
+    contact = wearer.contact
+    for moved, key, design in (
+        (before[0], "thigh_measured", Design()),
+        (first, "thigh", found.design),
+    ):
+        rows = clips[0]["arrows"][key].reshape(-1, 6)
+        force = moved.trial.cuffs["thigh"]
+        size = np.hypot(force.normal[0], force.tangential[0])
+        assert np.hypot(*rows[0, [3, 5]]) == pytest.approx(size, rel=1e-3)
+        cuff = design.contact(contact).bushings["thigh"]
+        tree = design.model(wearer.model).tree
+        place = np.add(cuff.origin, cuff.preload[:2])
+        at = tree.point_positions(moved.trial.q[:1], "exo_thigh", place)[0]
+        assert rows[0, [0, 2]] == pytest.approx(at, abs=1e-4)
+
+
+@pytest.mark.slow
 def test_what_lies_beyond_calibration_is_marked(found):
     rows = found.variables()
     far = [r for r in rows if r["unit"] == "m" and abs(r["value"]) > 0.03]
@@ -131,7 +161,7 @@ def test_built_forces_stand_beside_the_forecast(found):
     for peak in built.peaks.values():
         assert peak.measured_after is not None
     assert built.support["measured_after"] == pytest.approx(
-        built.support["after"]
+        sum(map(device_work, trials))
     )
 
 
