@@ -46,6 +46,7 @@ from drake_exo.contact.bushing import (
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     PLACES,
+    STIFF,
     STRAPS,
     Design,
     device_sdf,
@@ -236,8 +237,9 @@ class Designed:
                 "slope_today": self.slopes.get(v.name),
                 "extrapolated": self._is_extrapolated(v, value),
             }
-            if v.name.partition(".")[2] in STRAPS.values():
-                strap = 1.0 / value if value > 0.0 else None
+            if v.is_strap:
+                cuff, _, what = v.name.partition(".")
+                strap = getattr(self.design.cuffs[cuff], what)
                 row |= {"strap": strap, "strap_unit": _strap_unit(v)}
             rows.append(row)
         return rows
@@ -810,15 +812,13 @@ def _strap_unit(v: Variable) -> str:
 
 def _told(row: dict) -> str:
     if "strap" in row:
-        if row["strap"] is None or row["strap"] > _STIFF:
+        strap, unit = row["strap"], row["strap_unit"]
+        if strap is None or strap > STIFF[unit]:
             return "stiff"
-        return f"{rounded(row['strap'])} {row['strap_unit']}"
+        return f"{rounded(strap)} {unit}"
     if row["unit"] == "m":
         return f"{1e3 * row['value']:+.1f} mm"
     return f"{row['value']:.3f}"
-
-
-_STIFF = 1e6
 
 
 def _failed(solution: Solution) -> str:

@@ -67,6 +67,8 @@ from drake_exo.nlp.sparse import SparseProgram
 _FROM_JOINT_M = 0.05
 # Jerk in a design, against what is typical.
 _LOOSE = 10.0
+# Typical compliance of a strap.
+_STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
 # A joint drives if its torque reaches this share of the largest.
 _DRIVEN = 0.05
 # Cost of a change by its typical size: what buys nothing is not changed.
@@ -105,12 +107,19 @@ class Variable:
         """Whether it may change."""
         return self.lower < self.upper
 
+    @property
+    def is_strap(self) -> bool:
+        """Whether it is the compliance of a strap."""
+        return self.name.partition(".")[2] in STRAPS.values()
+
     def at_bound(self, value: float) -> bool:
-        """Whether a value sits at a bound, within 0.5 % of the range."""
+        """Whether a value sits at a bound, within 0.5 % of the range.
+
+        No strap can be stiffer than stiff: that is no bound.
+        """
         margin = 5e-3 * (self.upper - self.lower)
-        return self.free and not (
-            self.lower + margin < value < self.upper - margin
-        )
+        below = value <= self.lower + margin and not self.is_strap
+        return self.free and (below or value >= self.upper - margin)
 
 
 def design_variables(
@@ -138,7 +147,7 @@ def design_variables(
             rotates = strap.endswith("rad")
             softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m
             unit = "rad/(N m)" if rotates else "m/N"
-            size = 1e-2 if rotates else 1e-4
+            size = _STRAP_SIZE[unit]
             most = 0.0 if softest is None else 1.0 / softest
             found.append(
                 Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size)

@@ -28,6 +28,8 @@ EXTRAPOLATED = "EXTRAPOLATED beyond what was calibrated"
 # What a strap may be at its softest; below, cuffs are no cuffs any more.
 SOFTEST_N_M = 1000.0
 SOFTEST_NM_RAD = 5.0
+# From here on, a strap adds next to nothing to what tissue gives.
+STIFF = {"N/m": 5e5, "N m/rad": 5e3}
 _STRAP = {"unit": "N/m", "minimum": SOFTEST_N_M}
 # A cuff's stiffness -> the strap that is in series with it.
 STRAPS = {

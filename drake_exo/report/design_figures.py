@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drake_exo.contact.bushing import NORMAL
-from drake_exo.contact.strap import EXTRAPOLATED
+from drake_exo.contact.strap import EXTRAPOLATED, STIFF
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.report.figures import STYLE
 from drake_exo.report.tables import rounded
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 _BEFORE, _AFTER = "#1f6fb4", "#c8102e"
 _PERSON, _DEVICE = "0.82", "0.35"
-# A strap that adds nothing to what tissue gives.
-_STIFF = 1e6
 
 
 def forces_figure(designed) -> Figure:
@@ -106,10 +104,11 @@ def device_figure(designed) -> Figure:
                     arrowprops={"arrowstyle": "-", "lw": 0.5, "color": "0.5"},
                 )
             axis.set_aspect("equal")
-            axis.set_title(f"{trial.name}, {title}", fontsize=8)
+            axis.set_title(title, fontsize=8)
             axis.set_xlabel("x [m]")
         axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.75)
         axes[0].set_ylabel("z [m]")
+        axes[1].set_title(trial.name, fontsize=8, loc="right")
         for marker, face, edge, label in (
             ("o", "none", _BEFORE, "cuff today"),
             ("o", _AFTER, _AFTER, "cuff as designed"),
@@ -152,7 +151,7 @@ def _told(cuff: str, design: CuffDesign) -> str:
             ("tangential", design.strap_tangential_n_m, "N/m"),
             ("rotational", design.strap_rotational_nm_rad, "N m/rad"),
         )
-        if value is not None and value < _STIFF
+        if value is not None and value < STIFF[unit]
     ]
     said = [*words, *straps] or ["as today"]
     return f"{cuff}: " + "\n    ".join(said)
