@@ -149,10 +149,10 @@ class ShapeProblem:
         return self._cache[key]
 
     def _simulate(self, p):
-        mesh = self.deformed(p)
-        if self.stretch(p).min() <= 0 or mesh.volumes.min() <= 0:
+        stretch = self.stretch(p)
+        sole = self._sole.with_nodes(stretch[:, None] * self.mesh.nodes)
+        if stretch.min() <= 0 or sole.mesh.volumes.min() <= 0:
             return None
-        sole = self._sole.with_nodes(mesh.nodes)
         solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
         history = simulate(
             solver,
