@@ -1,5 +1,6 @@
 """Gradients of the simulation by shape against finite differences."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,11 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.optimize.adjoint import (
+    load_gradients,
+    shape_gradients,
+    singular_terms,
+)
 from drake_exo.soles.optimize.limits import Limits, StrainNorm, soft_minimum
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
 from drake_exo.soles.optimize.problem import (
@@ -109,6 +114,42 @@ def test_gradient_matches_central_differences(divisions, count, element):
     assert min(errors) < 1e-5
     # A planted error of a tenth of a per mille must not go unnoticed.
     assert abs((plus - minus) / (2 * h) / (1.0001 * slope) - 1) > 1e-5
+
+
+@pytest.mark.parametrize("element", ["linear", "smoothed"])
+def test_gradient_by_the_load_matches_central_differences(element):
+    """By forces and ZMPs of all samples together, and of each alone."""
+    setting, count = Setting((6, 5, 4), 6, element), 6
+    rng = np.random.default_rng(2)
+    p = 1 + 0.05 * rng.standard_normal(setting.spline.count)
+    by_tr = (np.arange(count) < 3).astype(float)
+    by_rot = -3.0 * np.ones(count)
+    given = setting.load
+    sole, solver, history = setting.forward(p)
+    terms = singular_terms(history.K_c, by_tr, by_rot)
+    (found,) = load_gradients(sole, solver, given, START, history, [terms])
+
+    def measure(force, zmp):
+        setting.load = replace(given, force=force, zmp=zmp)
+        return _measure(setting.forward(p)[2], by_tr, by_rot)
+
+    weights = [np.ones(count), np.eye(count)[0], np.eye(count)[3]]
+    for row, part in itertools.product(weights, ("force", "zmp")):
+        d = rng.standard_normal((count, 3)) * row[:, None]
+        h = 1e-3 if part == "force" else 1e-7
+        ends = [
+            measure(given.force + s * h * d, given.zmp)
+            if part == "force"
+            else measure(given.force, given.zmp + s * h * d[:, :2])
+            for s in (1, -1)
+        ]
+        numeric = (ends[0] - ends[1]) / (2 * h)
+        exact = (
+            (found[:, :3] * d).sum()
+            if part == "force"
+            else (found[:, 3:] * d[:, :2]).sum()
+        )
+        assert exact == pytest.approx(numeric, rel=3e-5)
 
 
 @pytest.mark.parametrize("pose", ["moment", "measured"])

@@ -35,17 +35,20 @@ class Sensitivity:
         lP: By the rest positions of the contact nodes, (m, 3).
         left, right: Columns with ∂/∂C = Σ left rightᵀ, lists of (3m,).
         mu: By the tangential places of the sample before, (m, 3).
+        load: By force and ZMP of every sample, (N, 5).
     """
 
     lP: np.ndarray  # noqa: N815
     left: list
     right: list
     mu: np.ndarray
+    load: np.ndarray
 
     @classmethod
-    def zero(cls, m: int) -> "Sensitivity":
+    def zero(cls, m: int, samples: int) -> "Sensitivity":
         """Nothing yet."""
-        return cls(np.zeros((m, 3)), [], [], np.zeros((m, 3)))
+        zero = np.zeros((m, 3))
+        return cls(zero, [], [], zero.copy(), np.zeros((samples, 5)))
 
     def add(self, left: np.ndarray, right: np.ndarray) -> None:
         """∂/∂C += left rightᵀ for fields (m, 3)."""
@@ -152,7 +155,29 @@ def shape_gradients(
         history: Its result, all samples converged.
         functionals: For each functional and sample a list of terms.
     """
-    sums = [Sensitivity.zero(len(sole.positions)) for _ in functionals]
+    sums = _reversed(sole, solver, load, start, history, functionals)
+    out = compliance_gradients(
+        sole, [(np.array(x.left).T, np.array(x.right).T) for x in sums]
+    )
+    for X, total in zip(out, sums, strict=True):
+        X[sole.mesh.contact] += total.lP
+    return out
+
+
+def load_gradients(sole, solver, load, start, history, functionals):
+    """Derivatives by every sample's force and ZMP, (f, N, 5).
+
+    Args:
+        sole, solver, load, start, history, functionals: As `shape_gradients`.
+    """
+    sums = _reversed(sole, solver, load, start, history, functionals)
+    return np.array([total.load for total in sums])
+
+
+def _reversed(sole, solver, load, start, history, functionals):
+    """Backwards through all samples: a Sensitivity for each functional."""
+    m, count = len(sole.positions), len(load.times)
+    sums = [Sensitivity.zero(m, count) for _ in functionals]
     for q in reversed(range(len(load.times))):
         live = [
             (total, functional[q])
@@ -166,19 +191,14 @@ def shape_gradients(
         target = load.target(q, reference)
         step = _Step(solver, history, q, target)
         step.reverse(*zip(*live, strict=True))
-    out = compliance_gradients(
-        sole, [(np.array(x.left).T, np.array(x.right).T) for x in sums]
-    )
-    for X, total in zip(out, sums, strict=True):
-        X[sole.mesh.contact] += total.lP
-    return out
+    return sums
 
 
 class _Step:
     """One sample, linearised once and reversed for all functionals."""
 
     def __init__(self, solver, history: StepHistory, q: int, target: Target):
-        self.solver, self.target = solver, target
+        self.solver, self.target, self.q = solver, target, q
         self.state = state = history.state(q)
         self.lin = solver.linearise(state, target, history.P[q])
         self.nodes = self.lin.nodes
@@ -224,7 +244,12 @@ class _Step:
         lift = lift.reshape(c, -1, 3)[:, self.nodes - a] @ R.T
         bF += lift
         b_w -= cross(F, lift).sum(axis=1)
-        y, l_m = self._adjoint(bF, b_O, b_w)
+        y, l_w = self._adjoint(bF, b_O, b_w)
+        l_f, l_m = l_w[:, :3], l_w[:, 3:]
+        # The wrench about Z is Σ F − F_d and Σ (P − Z) × F.
+        about = cross(F.sum(axis=0)[None], l_m)
+        for i, total in enumerate(sums):
+            total.load[self.q] -= [*l_f[i], *about[i, :2]]
         by[:, self.nodes] += (y + cross(F, l_m[:, None])) @ R
         bQ -= y
         bQ[:, :, 2] = 0.0
@@ -265,11 +290,14 @@ class _Step:
         b_dP = cross(F, u_m) - y
         # h = R C Rᵀ b_dP without a product with C.
         h = e - plain
-        by_P = cross(dF, u_m) - r * p + cross(b_dP, turn)
+        by_arm = cross(dF, u_m) + cross(b_dP, turn)
+        by_P = by_arm - r * p
         by_F = cross(u_m, dP) + p - cross(h, turn)
         by_turn = (cross(R_du, b_dP) - cross(gg, h)).sum(axis=1)
         for i, (functional, _) in enumerate(terms):
             bP[functional] += by_P[i]
+            # The arm is P − Z.
+            sums[functional].load[self.q, 3:] -= by_arm[i].sum(axis=0)[:2]
             bF[functional] += by_F[i]
             bQ[functional] += r * p[i]
             b_w[functional] += by_turn[i]
@@ -281,7 +309,7 @@ class _Step:
         """Solve the transposed Newton system for all functionals.
 
         Returns:
-            Bᵀ λ (c, k, 3) and l_w's moment (c, 3).
+            Bᵀ λ (c, k, 3) and l_w (c, 6).
         """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
         Z = np.array([*self.target.zmp, 0.0])
@@ -300,7 +328,7 @@ class _Step:
         l_f, l_m = l_w[:, None, :3], l_w[:, None, 3:]
         plain = l_f - cross(arm, l_m)
         Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
-        return lin.solve_transposed(Sb)[1], l_w[:, 3:]
+        return lin.solve_transposed(Sb)[1], l_w
 
 
 def _reference_by_position(start: Start, R) -> np.ndarray:

@@ -18,7 +18,11 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Element, Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, scatter
-from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.optimize.adjoint import (
+    load_gradients,
+    shape_gradients,
+    singular_terms,
+)
 from drake_exo.soles.optimize.limits import (
     Evaluation,
     Limits,
@@ -245,13 +249,10 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
-        by_c = self._combined(e)[1][self.thinned.phase]
-        cost = singular_terms(
-            e.history.K_c,
-            self.by_tr * by_c,
-            -self.weight * self.by_rot * by_c,
-        )
-        parts = [(cost, 0.0), *(limit.derivative(e) for limit in self.limited)]
+        parts = [
+            (self._cost_terms(e), 0.0),
+            *(limit.derivative(e) for limit in self.limited),
+        ]
         X = shape_gradients(
             e.sole,
             e.solver,
@@ -272,6 +273,26 @@ class ShapeProblem:
         ]
         return rows[0], np.array(
             [volume / self.limits.volume, elements, *surface, *rows[1:]]
+        )
+
+    def by_load(self, p: np.ndarray) -> np.ndarray:
+        """Derivatives of cost and limits by force and ZMP, (1 + L, N, 5).
+
+        Of the samples that are simulated; limits in the order of `limited`.
+        """
+        e = self.evaluate(p)
+        parts = [self._cost_terms(e)]
+        parts += [limit.derivative(e)[0] for limit in self.limited]
+        return load_gradients(
+            e.sole, e.solver, self.thinned, self.start, e.history, parts
+        )
+
+    def _cost_terms(self, e: Evaluation):
+        by_c = self._combined(e)[1][self.thinned.phase]
+        return singular_terms(
+            e.history.K_c,
+            self.by_tr * by_c,
+            -self.weight * self.by_rot * by_c,
         )
 
     def regularization(self, p: np.ndarray):
