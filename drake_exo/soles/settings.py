@@ -27,7 +27,7 @@ from drake_exo.soles.surface import (
     read_surface,
     sole_from_surface,
 )
-from drake_exo.soles.walking_pattern import Robot, plan
+from drake_exo.soles.walking_pattern import Gait, Robot, plan
 
 Vector3 = tuple[float, float, float]
 Vector2 = tuple[float, float]
@@ -145,10 +145,18 @@ class Pattern:
     least_share: float = field(
         default=0.13, metadata={"above": 0.0, "below": 1.0}
     )
+    free: tuple[
+        Literal["step_length", "step_time", "double_support", "zmp"], ...
+    ] = ()
+
+    def gait(self, friction: float) -> Gait:
+        """The walk, and what of it may change."""
+        *numbers, period, least, free = astuple(self)
+        return Gait(Robot(*numbers), free, friction, period, least)
 
     def load(self) -> Load:
         """Plan the step; the right foot's load."""
-        *numbers, period, least = astuple(self)
+        *numbers, period, least, _ = astuple(self)
         return plan(Robot(*numbers)).foot_load(period, least)
 
 
@@ -475,6 +483,13 @@ class Settings:
     def __post_init__(self):
         if (self.load is None) == (not self.loads):
             raise InputError("give either load, or loads as a list of such")
+        for block in self.all_loads:
+            free = block.pattern is not None and block.pattern.free
+            if free and (self.loads or block.straight):
+                raise InputError(
+                    "load.pattern.free: a walk is sought for one load that "
+                    "is not straight; leave it out here"
+                )
         self.material.material()
         if self.optimize.stages is None:
             stages = STAGES if self.mesh.brick else OWN_STAGES

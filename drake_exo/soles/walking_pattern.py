@@ -13,8 +13,8 @@ The landing foot is the right one; y is to the left; sole frame of the right
 foot.
 """
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -25,6 +25,7 @@ from drake_exo.soles.loads import Load
 
 _DEGREE, _PIECES, _GRID = 5, 16, 161
 _SPEED_TIME = 0.03  # [s]; the ZMP's speed times it counts as a distance
+_NEAR = 1e-6  # of a bound's range: where it holds the ZMP
 _HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
 
 
@@ -96,16 +97,27 @@ class Pattern:
         out[late] = _mirrored(out[late], self.robot)
         return out
 
-    def foot_load(self, period: float = 0.005, least: float = 0.1) -> Load:
+    def foot_load(
+        self,
+        period: float = 0.005,
+        least: float = 0.1,
+        like: Robot | None = None,
+    ) -> Load:
         """Force and ZMP of the right foot over its whole contact phase.
 
         Args:
             period: Time between samples [s].
             least: Leave samples out below this part of the weight.
+            like: Whose samples are taken, at the same parts of both supports.
         """
         robot = self.robot
         T, D = robot.step_time, robot.double_support
-        t = np.arange(0.0, T + D + 1e-9, period)
+        other = like or robot
+        ends = np.cumsum([0.0, other.double_support,
+                          other.step_time - other.double_support,
+                          other.double_support])  # fmt: skip
+        t = np.arange(0.0, ends[-1] + 1e-9, period)
+        t = np.interp(t, ends, [0.0, D, T, T + D])
         z, acceleration = self.at(self.zmp, t), self._acceleration(t)
         share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))
         own = self._own_zmp(t, z)
@@ -244,6 +256,7 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
         2 * H.T @ H / scale**2, -2 * H.T @ r / scale**2, y, is_convex=True
     )
     offset = rows @ p0
+    inside = rows @ free
     prog.AddLinearConstraint(rows @ free, low - offset, high - offset, y)
     result = ClarabelSolver().Solve(prog)
     if not result.is_success():
@@ -251,7 +264,24 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
             "pattern: no ZMP inside its bounds carries this step; widen "
             "back_m to front_m and outer_m to inner_m, or slow the step"
         )
-    return p0 + free @ result.GetSolution(y)
+    found = result.GetSolution(y)
+    return p0 + free @ _polished(
+        found, H, r, inside, low - offset, high - offset
+    )
+
+
+def _polished(y, H, r, rows, low, high) -> np.ndarray:
+    """The minimum on the bounds that hold the solver's: it is smooth then."""
+    value = rows @ y
+    near = _NEAR * (high - low)
+    held = np.concatenate([rows[value < low + near], rows[value > high - near]])
+    at = np.concatenate([low[value < low + near], high[value > high - near]])
+    base = np.linalg.lstsq(held, at)[0] if len(held) else np.zeros(len(y))
+    Z = null_space(held) if len(held) else np.eye(len(y))
+    exact = base + Z @ np.linalg.lstsq(H @ Z, r - H @ base)[0]
+    value = rows @ exact
+    good = (value >= low - near).all() and (value <= high + near).all()
+    return exact if good else y
 
 
 def _zmp(spline, omega2, at, order=0):
@@ -313,6 +343,136 @@ def _as_spline(knots, c: BSpline, omega2: float) -> BSpline:
     sites = np.array(
         [multiple[i + 1 : i + _DEGREE + 1].mean() for i in range(count)]
     )
+    sites = np.clip(sites, inner[0], inner[-1])  # rounding
     values = _zmp(c, omega2, sites)
     design = BSpline.design_matrix(sites, multiple, _DEGREE).toarray()
     return BSpline(multiple, np.linalg.solve(design, values), _DEGREE)
+
+
+# How far a walk's numbers may go, as factors.
+_REACH = {
+    "step_length": (0.75, 1.25),
+    "step_time": (0.75, 1.25),
+    "double_support": (0.5, 2.0),
+    "torque_weight": (0.25, 4.0),
+}
+_AIM = {"aim_x": 0.04, "aim_y": 0.02}  # [m], to both sides of the ankle
+_MORE = 1.1  # of the CoM's acceleration and sway than in the case's own walk
+_SLIP = 0.9  # of the friction cone
+_STEP = 1e-4  # of differences, of a variable's range
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A walk whose numbers may change, each from 0 to 1 in its range.
+
+    Its samples stay at the same parts of both supports. Limits, at least 0
+    where kept: the walk is no slower; the CoM's acceleration and its sway
+    stay within 1.1 of the case's own; friction within 0.9 of its cone.
+
+    Attributes:
+        robot: The case's own walk.
+        free: Of step_length, step_time, double_support; and zmp, whose path
+            is drawn to a place near the ankle by a weight.
+        friction: Of the contact.
+        period, least: As `Pattern.foot_load`.
+    """
+
+    robot: Robot
+    free: tuple[str, ...]
+    friction: float
+    period: float
+    least: float
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Name -> lowest and highest value."""
+        own, found = self.numbers(self.robot), {}
+        for name, (low, high) in _REACH.items():
+            if name in self.free or (
+                name == "torque_weight" and "zmp" in self.free
+            ):
+                found[name] = low * own[name], high * own[name]
+        if "zmp" in self.free:
+            for name, by in _AIM.items():
+                found[name] = own[name] - by, own[name] + by
+        return found
+
+    @staticmethod
+    def numbers(robot: Robot) -> dict[str, float]:
+        """Those that may be free, by name."""
+        own = {name: getattr(robot, name) for name in _REACH}
+        return own | dict(zip(_AIM, robot.ankle, strict=True))
+
+    @property
+    def start(self) -> np.ndarray:
+        """The case's own walk, (G,)."""
+        return np.array(
+            [
+                (self.numbers(self.robot)[name] - low) / (high - low)
+                for name, (low, high) in self.ranges.items()
+            ]
+        )
+
+    def at(self, x: np.ndarray) -> Robot:
+        """The walk of variables (G,)."""
+        values = {
+            name: float(low + share * (high - low))
+            for share, (name, (low, high)) in zip(
+                x, self.ranges.items(), strict=True
+            )
+        }
+        own = self.numbers(self.robot) | values
+        ankle = own.pop("aim_x"), own.pop("aim_y")
+        return replace(self.robot, ankle=ankle, **own)
+
+    def load(self, x: np.ndarray) -> Load:
+        """Of the right foot."""
+        return self._planned(x)[0]
+
+    def limits(self, x: np.ndarray) -> np.ndarray:
+        """Scaled, at least 0 where kept, (k,)."""
+        return self._planned(x)[1]
+
+    def _planned(self, x) -> tuple[Load, np.ndarray]:
+        pattern = plan(self.at(x))
+        load = pattern.foot_load(self.period, self.least, self.robot)
+        mine, its = _measures(pattern), self._own
+        slip = np.linalg.norm(load.force[:, :2], axis=1)
+        return load, np.concatenate(
+            [
+                [mine[0] / its[0] - 1.0],
+                _MORE - mine[1] / its[1].max(),
+                _MORE - np.abs(mine[2]) / np.abs(its[2]).max(),
+                _SLIP - slip / (self.friction * load.force[:, 2]),
+            ]
+        )
+
+    @cached_property
+    def _own(self):
+        return _measures(plan(self.robot))
+
+    def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By the variables: of force and ZMP (G, N, 5), of limits (k, G).
+
+        Central differences of the programme's optimum, which is exact and
+        smooth while the same bounds hold the ZMP.
+        """
+        loads, limits = [], []
+        for d in _STEP * np.eye(len(x)):
+            ends = [self._planned(x + s * d) for s in (1, -1)]
+            both = [np.hstack([load.force, load.zmp]) for load, _ in ends]
+            loads.append((both[0] - both[1]) / (2 * _STEP))
+            limits.append((ends[0][1] - ends[1][1]) / (2 * _STEP))
+        return np.array(loads), np.array(limits).T
+
+
+def _measures(pattern: Pattern):
+    """Speed; |c̈| and the CoM's place off its path's middle in time."""
+    robot = pattern.robot
+    t = np.linspace(0, robot.step_time, 41)
+    return (
+        robot.step_length / robot.step_time,
+        np.linalg.norm(pattern.com(t, 2), axis=1),
+        pattern.com(t)[:, 1] - robot.step_width / 2,
+    )

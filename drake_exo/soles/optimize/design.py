@@ -79,6 +79,7 @@ class Design:
         starts: Cost and violation that every start of the first stage has
             led to.
         seconds: What all of it took.
+        gait: The walk that was sought with it: numbers before and after.
     """
 
     setup: Setup
@@ -91,6 +92,7 @@ class Design:
     remeshed: tuple[dict, ...] = ()
     starts: tuple[dict, ...] = ()
     seconds: float = 0.0
+    gait: dict | None = None
 
     @property
     def mesh(self) -> TetMesh:
@@ -156,6 +158,7 @@ class Design:
             "starts": self.starts,
             "spread": self.spread,
             "active": self.active(),
+            "gait": self.gait,
         }
         if last is not None:
             row |= {

@@ -17,6 +17,7 @@ from pathlib import Path
 from queue import Empty
 
 import numpy as np
+from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
 from drake_exo.soles.contact.node_law import ContactLaw
@@ -38,12 +39,17 @@ from drake_exo.soles.optimize.remeshing import (
     with_new_elements,
 )
 from drake_exo.soles.settings import Settings, Setup, Stage
+from drake_exo.soles.step.results import Step
+from drake_exo.soles.walking_pattern import Gait
 
 _CHECKPOINT_EVERY = 3  # iterations
 _LEAST_ROUND = 5  # iterations before elements are made anew
 _WORN_OUT = "elements worn out"
 _BARRIER = 1e-4  # IPOPT's μ on new elements
 _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
+_ROUNDS, _GAIT_ITERATIONS = 2, 20  # of a walk and its sole in turns
+_KEPT = 1e-3  # of a limit
+_NO_SIMULATION = 1e3  # cost where there is none
 _TRIES = 20  # bends that are drawn until one can be simulated
 
 
@@ -148,9 +154,116 @@ def optimise(
         _keep(at, out)
     if problem is None:
         problem = at.on_its_mesh(stage_problem(setup, stages[-1]))
+    gait = None
+    if setup.settings.load and setup.settings.load.pattern:
+        gait = setup.settings.load.pattern.gait(setup.settings.contact.friction)
+    if gait is not None and gait.free:
+        alone = verified(setup, problem, at, list(optima), seconds).step
+        x = gait.start
+        for _ in range(_ROUNDS):
+            x = GaitProblem(gait, problem, at.p, x, say).minimise()
+            setup = replace(setup, load=gait.load(x))
+            again = replace(at, stage=len(stages) - 1, iteration=0,
+                            curvature=None, multipliers=None)  # fmt: skip
+            run, problem = _run_stage(setup, len(stages) - 1, again, None, say)
+            optima.append(run.optimum)
+            seconds.append(run.seconds)
+            at = run.at
     design = verified(setup, problem, at, optima, seconds)
+    if gait is not None and gait.free:
+        design.gait = _told_of_gait(gait, x, alone)
     design.seconds = time.perf_counter() - whole
     return design
+
+
+class GaitProblem:
+    """The walk of least cost for one shape, its limits and the sole's kept.
+
+    The cost's derivative goes through the adjoint by force and ZMP, and
+    through the plan by the walk's numbers.
+
+    Args:
+        gait: What may change.
+        problem: Of the shape, whose scales and limits stay.
+        p: The shape.
+        x: The walk so far.
+        say: Called with one line of progress for each simulation.
+    """
+
+    def __init__(self, gait: Gait, problem: ShapeProblem, p, x, say=str):
+        self.gait, self.problem, self.p, self.say = gait, problem, p, say
+        self._known: dict[bytes, tuple] = {}
+        self.first = x
+        # A limit that the shape breaks, by rounding or more, gets no worse.
+        self._least = np.minimum(self.simulated(x)[2], 0.0)
+
+    def simulated(self, x) -> tuple[ShapeProblem, float, np.ndarray]:
+        """The shape's problem on this walk, its cost and limits."""
+        key = x.tobytes()
+        if key not in self._known:
+            there = replace(
+                self.problem, load=self.gait.load(x), branch=None, _cache={}
+            )
+            there.limited = self.problem.limited
+            values = there.constraints(self.p)
+            kept = values[len(values) - len(there.limited) :]
+            self._known[key] = there, there.cost(self.p), kept
+            self.say(
+                f"gait {len(self._known)}: c/|c0| {self._known[key][1]:+.4f}"
+            )
+        return self._known[key]
+
+    def cost(self, x) -> float:
+        """Of the shape on this walk."""
+        value = self.simulated(x)[1]
+        return value if np.isfinite(value) else _NO_SIMULATION
+
+    def limits(self, x) -> np.ndarray:
+        """The walk's and the sole's, at least 0 where kept."""
+        kept = np.nan_to_num(self.simulated(x)[2], nan=-1.0) - self._least
+        return np.concatenate([self.gait.limits(x), kept])
+
+    def slopes(self, x) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of cost (G,) and limits."""
+        there = self.simulated(x)[0]
+        if there.evaluate(self.p) is None:
+            own = self.gait.slopes(x)[1]
+            count = len(own) + len(self._least)
+            return np.zeros(len(x)), np.zeros((count, len(x)))
+        by_load = there.by_load(self.p)
+        loads, own = self.gait.slopes(x)
+        soles = np.einsum("fnk,gnk->fg", by_load, loads[:, there.picked])
+        return soles[0], np.concatenate([own, soles[1:]])
+
+    def minimise(self) -> np.ndarray:
+        """The best walk met that keeps all limits."""
+        minimize(
+            self.cost,
+            self.first,
+            jac=lambda x: self.slopes(x)[0],
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * len(self.first),
+            constraints={
+                "type": "ineq",
+                "fun": self.limits,
+                "jac": lambda x: self.slopes(x)[1],
+            },
+            options={"maxiter": _GAIT_ITERATIONS, "ftol": 1e-4},
+        )
+        met = [np.frombuffer(key) for key in self._known]
+        good = [x for x in met if self.limits(x).min() >= -_KEPT]
+        return min(good, key=self.cost, default=self.first).copy()
+
+
+def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
+    """What summary.json says of a walk that was sought."""
+    before, after = (gait.numbers(r) for r in (gait.robot, gait.at(x)))
+    return {
+        "walk": {name: [before[name], after[name]] for name in gait.ranges},
+        "least_limit": float(gait.limits(x).min()),
+        "c_tr_sole_alone": alone.c_tr,
+        "c_rot_sole_alone": alone.c_rot,
+    }
 
 
 def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
