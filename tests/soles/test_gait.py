@@ -1,7 +1,6 @@
 """A walk and its sole: the walk's derivatives, limits, and the search."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from undrawn import undrawn
 
 from drake_exo import cli
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.search import GaitProblem, stage_problem
 from drake_exo.soles.settings import Pattern
 
@@ -90,7 +90,9 @@ def test_slopes_agree_with_differences(gait):
 
 
 @pytest.mark.slow
-def test_sole_and_walk_are_sought_together(tmp_path):
+def test_sole_and_walk_are_sought_together(tmp_path, monkeypatch):
+    monkeypatch.setattr(search, "_GAIT_ITERATIONS", 5)
+    monkeypatch.setattr(search, "_ROUNDS", 1)
     path = tmp_path / "case.yaml"
     path.write_text(_case())
     with undrawn():
@@ -98,14 +100,11 @@ def test_sole_and_walk_are_sought_together(tmp_path):
         assert cli.main(argv) in (0, 3)
     said = json.loads((tmp_path / "out" / "summary.json").read_text())
     walk = said["gait"]["walk"]
-    assert list(walk)[:3] == ["step_length", "step_time", "double_support"]
+    assert set(FREE) - {"zmp"} < set(walk)
     assert said["gait"]["least_limit"] >= -1e-3
     length, time = walk["step_length"], walk["step_time"]
     assert length[1] / time[1] >= 0.999 * length[0] / time[0]
     assert any(a != b for a, b in walk.values())
-    # What is told of the sole alone is that of a search for it alone.
-    alone = replace(Case.from_text(_case()).settings.load.pattern, free=())
-    assert alone.load().times.shape == Pattern().load().times.shape
     w = said["weight"]
     before = (
         said["gait"]["c_tr_sole_alone"] - w * said["gait"]["c_rot_sole_alone"]

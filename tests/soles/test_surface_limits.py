@@ -36,7 +36,7 @@ def test_values_are_those_of_the_surface(bent):
     """By a loop over nodes and faces; soft minima err on the safe side."""
     mesh, spline, p = bent
     shaped = _deformed(mesh, spline, p)
-    limits = SurfaceLimits(ALL, mesh)
+    limits = SurfaceLimits(ALL, mesh, np.ones(len(mesh.nodes), bool))
     level = np.isclose(mesh.nodes[:, 2], -SIZE[2])
     depth = min(-z for z in shaped.nodes[level, 2])
     height = max(-z for z in shaped.nodes[:, 2])
@@ -64,7 +64,10 @@ def test_values_are_those_of_the_surface(bent):
 
 def _slopes(bent, wrong=1.0):
     mesh, spline, p = bent
-    limits, step = SurfaceLimits(ALL, mesh), 1e-6
+    limits, step = (
+        SurfaceLimits(ALL, mesh, np.ones(len(mesh.nodes), bool)),
+        1e-6,
+    )
     d = np.random.default_rng(1).standard_normal(len(p))
     ahead, behind = (
         limits.evaluate(_deformed(mesh, spline, p + s * step * d))
@@ -81,6 +84,17 @@ def _slopes(bent, wrong=1.0):
 def test_gradients_agree_with_differences(bent):
     for numeric, exact in _slopes(bent):
         assert exact == pytest.approx(numeric, rel=1e-5)
+
+
+def test_what_does_not_move_is_not_limited(bent):
+    """The toe's half, whatever it is like."""
+    mesh, spline, p = bent
+    shaped = _deformed(mesh, spline, p)
+    back = mesh.nodes[:, 0] < 0
+    found = SurfaceLimits(ALL, mesh, back).measures(shaped)
+    assert found["height"] == pytest.approx(-shaped.nodes[back, 2].min())
+    level = back & np.isclose(mesh.nodes[:, 2], -SIZE[2])
+    assert found["depth"] == pytest.approx(-shaped.nodes[level, 2].max())
 
 
 def test_a_wrong_gradient_is_caught(bent):

@@ -331,10 +331,13 @@ class SurfaceLimits:
     Args:
         limits: Those on depth, height and draft count.
         mesh: The undeformed sole, which says what is its bottom.
+        moving: Which of its nodes a design moves, (n,); what stays is as it
+            was given.
     """
 
     limits: Limits
     mesh: TetMesh
+    moving: np.ndarray
 
     def measures(self, mesh: TetMesh) -> dict[str, float]:
         """Least depth, largest height [m] and least draft [°].
@@ -342,19 +345,31 @@ class SurfaceLimits:
         Args:
             mesh: The deformed sole.
         """
-        z, up = mesh.nodes[:, 2], _normals(mesh)[1].max()
+        z, up = mesh.nodes[:, 2], _normals(mesh, self._sides)[1].max()
         return {
             "depth": float(-z[self._bottom].max()),
-            "height": float(-z.min()),
+            "height": float(-z[self._bare].min()),
             "draft": -float(np.rad2deg(np.arcsin(np.clip(up, -1, 1)))),
         }
 
     @cached_property
+    def _bare(self) -> np.ndarray:
+        """Nodes of the bare surface that move."""
+        return np.intersect1d(self.mesh.bare, np.flatnonzero(self.moving))
+
+    @cached_property
     def _bottom(self) -> np.ndarray:
-        """Nodes of faces that look downwards rather than sideways."""
-        down = _normals(self.mesh)[1] < -_DOWNWARDS
-        faces = self.mesh.contact_faces[down]
-        return np.setdiff1d(faces, self.mesh.fixed)
+        """Those of faces that look downwards rather than sideways."""
+        faces = self.mesh.contact_faces
+        down = _normals(self.mesh, faces)[1] < -_DOWNWARDS
+        return np.intersect1d(faces[down], self._bare)
+
+    @cached_property
+    def _sides(self) -> np.ndarray:
+        """Bare faces that move, but for those at the rim that look upwards."""
+        faces = self.mesh.contact_faces
+        up = _normals(self.mesh, faces)[1] > _DOWNWARDS
+        return faces[~up & self.moving[faces].any(axis=1)]
 
     def evaluate(self, mesh: TetMesh) -> list[tuple[str, float, np.ndarray]]:
         """Name, scaled value (at least 0 where met), ∂/∂nodes (n, 3)."""
@@ -362,7 +377,7 @@ class SurfaceLimits:
         z = mesh.nodes[:, 2]
         for name, nodes, sign, limit in (
             ("depth", self._bottom, -1.0, mine.depth),
-            ("height", mesh.bare, 1.0, mine.height),
+            ("height", self._bare, 1.0, mine.height),
         ):
             if limit is not None:
                 excess = sign * (z[nodes] / limit + 1.0)
@@ -371,7 +386,8 @@ class SurfaceLimits:
                 by_nodes[nodes, 2] = sign * share / limit
                 out.append((name, value, by_nodes))
         if mine.draft_deg is not None:
-            normal, up, size = _normals(mesh)
+            faces = self._sides
+            normal, up, size = _normals(mesh, faces)
             value, share = soft_minimum(
                 -up - np.sin(np.deg2rad(mine.draft_deg)), _SURFACE_SHARPNESS
             )
@@ -379,7 +395,6 @@ class SurfaceLimits:
             pull = -normal * up[:, None]
             pull[:, 2] += 1.0
             pull *= (-share / size)[:, None]
-            faces = mesh.contact_faces
             x, by_nodes = mesh.nodes[faces], np.zeros_like(mesh.nodes)
             for k in range(3):
                 edge = x[:, (k + 2) % 3] - x[:, (k + 1) % 3]
@@ -388,9 +403,9 @@ class SurfaceLimits:
         return out
 
 
-def _normals(mesh: TetMesh):
-    """Of bare faces: outward (f, 3), its upward part (f,), 2 × area (f,)."""
-    x = mesh.nodes[mesh.contact_faces]
+def _normals(mesh: TetMesh, faces: np.ndarray):
+    """Outward normals (f, 3), their upward part (f,), 2 × area (f,)."""
+    x = mesh.nodes[faces]
     area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     size = np.linalg.norm(area, axis=1)
     normal = area / size[:, None]

@@ -103,7 +103,9 @@ class ShapeProblem:
         share = self.load.shares[self.thinned.phase]
         self.by_tr, self.by_rot = share * by_tr, share * by_rot
         self._bends = second_differences(self.spline)
-        self.surface = SurfaceLimits(self.limits, self.mesh)
+        self.surface = SurfaceLimits(
+            self.limits, self.mesh, (self.M != 0).any(axis=1)
+        )
         self._rest = self.mesh.volumes
         if self.meshed_at is not None:
             self._rest = self.deformed(self.meshed_at).volumes
