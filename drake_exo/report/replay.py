@@ -86,14 +86,22 @@ class DrawnModel:
         """Of a seat that the subject would sit on at the start [m]."""
         return float(self.hip(motion.q[:1])[0, 1]) - _HIP_OVER_SEAT_M
 
-    def centre_of_pressure(self, motion: Trial) -> np.ndarray:
-        """On the ground (n, 3) [m]; NaN where the feet hardly load."""
-        x = motion.ground.cop_x
-        return np.column_stack([x, 0.0 * x, 0.0 * x])
+    def centres_of_pressure(self, motion: Trial) -> dict[str, np.ndarray]:
+        """Path -> place on the ground (n, 3) [m]; NaN where it hardly bears."""
+        found = {}
+        for side, wrench in motion.soles.items():
+            x = wrench.cop_x
+            place = np.column_stack([x, _ACROSS_M[side] + 0.0 * x, 0.0 * x])
+            found[f"/cop/{side}"] = place
+        return found
 
     def arrows(self, motion: Trial) -> dict[str, np.ndarray]:
         """Force -> (n, 6) point and force, world; NaN where there is none."""
-        found = {"ground": _on_level(motion.ground, 0.0)}
+        found = {}
+        for side, wrench in motion.soles.items():
+            rows = _on_level(wrench, 0.0)
+            rows[:, 1] = _ACROSS_M[side]
+            found[_GROUND[side]] = rows
         if motion.chair_shares:
             seat = self.seat_height(motion)
             found["chair"] = _on_level(motion.chair, seat)
@@ -156,14 +164,18 @@ _BESIDE_M = (1.35, 0.0, 0.0)
 _CHAIR = "/chair"
 _SPHERES = "/spheres"
 _GHOST = Rgba(0.30, 0.55, 0.95, 0.35)
-_FEET_Y_M = (0.1, -0.1)
+_ACROSS_M = {"left": 0.1, "right": -0.1, "both": 0.0}
+_FEET_Y_M = (_ACROSS_M["left"], _ACROSS_M["right"])
+_GROUND = {"left": "ground_left", "right": "ground_right", "both": "ground"}
 _GROUND_SCALE, _CUFF_SCALE = 1e-3, 4e-3  # m/N
 _LOADS = {
     "ground": ("ground reaction", "#c8102e", _GROUND_SCALE, "feet"),
+    "ground_left": ("ground, left foot", "#c8102e", _GROUND_SCALE, "left"),
+    "ground_right": ("ground, right foot", "#e07020", _GROUND_SCALE, "right"),
     "chair": ("chair", "#8a5a1f", _GROUND_SCALE, "chair"),
 }
 _CUFF_COLOURS = ("#1f5fb4", "#7a3fb0", "#0f7f6b", "#b0603f", "#5f7f0f")
-_WRENCHES = ("ground", "chair")
+_WRENCHES = (*_GROUND.values(), "chair")
 _ORDER = ("prediction", "interaction", "foot-ground")
 _PHASES = {"interaction": "B", "foot-ground": "A"}
 _GROUPS = {
@@ -176,7 +188,7 @@ _SCALES = {
     _CUFF_SCALE: "Cuffs (force on the human): 0.2 m is 50 N.",
 }
 _AGAIN = "run 'drake-exo design' again"
-_AROUND = "Grid: 0.25 m. Both legs are summed."
+_AROUND, _SUMMED = "Grid: 0.25 m.", "Both legs are summed."
 
 
 def replay_results(
@@ -342,7 +354,8 @@ def write_replay(
     known = set().union(*(clip.arrows for clip in clips))
     arrows = [a for a in _arrows(model, other) if a.name in known]
     drawn = {a.metres_per_newton for a in arrows}
-    scales = [text for scale, text in _SCALES.items() if scale in drawn]
+    legend = [text for scale, text in _SCALES.items() if scale in drawn]
+    legend += [_AROUND] if model.assembly.human.sides else [_AROUND, _SUMMED]
     page = Page(
         title,
         view.eye,
@@ -355,7 +368,7 @@ def write_replay(
         },
         ghost=(MEASURED, _BESIDE_M) if compared else None,
         ghost_text=f"{other.capitalize()} (blue, translucent)",
-        legend=(f'<p class="player-quiet">{" ".join(scales)} {_AROUND}</p>',),
+        legend=(f'<p class="player-quiet">{" ".join(legend)}</p>',),
         field_of_view_deg=view.field_of_view_deg,
         speed=0.5,
     )
@@ -393,7 +406,9 @@ def _draw_markers(meshcat, trial: Replayed, compared: bool) -> None:
     """Centres of pressure and contact spheres, seen through the feet."""
     for root, opacity in (("", 1.0), (MEASURED, 0.45))[: 1 + compared]:
         disc = Cylinder(0.022, 0.006)
-        _overlay(meshcat, f"{root}/cop/disc", disc, "c8102e", opacity)
+        for side in trial.simulated.soles:
+            own = f"{root}/cop/{side}/disc"
+            _overlay(meshcat, own, disc, "c8102e", opacity)
     for path, _, sphere, places in _spheres(trial):
         for side, y in enumerate(places):
             own = f"{path}/{side}"
@@ -463,8 +478,8 @@ def _clip(trial: Replayed) -> Clip:
         for path, pose in drawn.poses(at.q).items():
             bodies[f"{root}/{path}"] = pose
         ghost = root == MEASURED
-        cop = drawn.centre_of_pressure(at)
-        bodies[f"{root}/cop" if ghost else "/cop"] = _still(cop)
+        for path, place in drawn.centres_of_pressure(at).items():
+            bodies[root + path if ghost else path] = _still(place)
         for name, rows in drawn.arrows(at).items():
             arrows[f"{name}_measured" if ghost else name] = rows
     bodies |= _surroundings(trial, trial.simulated.sample(times))
@@ -504,14 +519,18 @@ def show_trial(meshcat: Meshcat, model: Model, trial: Trial) -> None:
     """
     scene, drawn = Scene(model, meshcat=meshcat), DrawnModel(model)
     set_stage(meshcat)
-    _overlay(meshcat, "/cop/disc", Cylinder(0.022, 0.006), "c8102e", 1.0)
+    for side in trial.soles:
+        disc = Cylinder(0.022, 0.006)
+        _overlay(meshcat, f"/cop/{side}/disc", disc, "c8102e", 1.0)
     frames = max(2, round(trial.duration / _SECONDS_PER_FRAME) + 1)
     at = trial.sample(np.linspace(0.0, trial.duration, frames))
-    cop = np.nan_to_num(drawn.centre_of_pressure(at))
+    cops = drawn.centres_of_pressure(at)
     meshcat.StartRecording()
-    for t, q, p in zip(at.times, at.q, cop, strict=True):
+    for i, (t, q) in enumerate(zip(at.times, at.q, strict=True)):
         scene.set_pose(q, t)
         scene.diagram.ForcedPublish(scene.context)
-        meshcat.SetTransform("/cop", RigidTransform(p), t)
+        for path, place in cops.items():
+            at_rest = RigidTransform(np.nan_to_num(place[i]))
+            meshcat.SetTransform(path, at_rest, t)
     meshcat.StopRecording()
     meshcat.PublishRecording()

@@ -69,9 +69,41 @@ def test_ground_reaction_starts_at_the_centre_of_pressure(clip):
     force = rows(clip["arrows"]["ground"], 6)
     np.testing.assert_allclose(force[50], [0.35, 0, 0, 50, 0, 800], atol=1e-4)
     assert np.isnan(force[0]).any()  # nothing bears on the ground at first
-    disc = rows(clip["bodies"]["/cop"], 7)
+    disc = rows(clip["bodies"]["/cop/both"], 7)
     np.testing.assert_allclose(disc[50, :3], [0.35, 0.0, 0.0], atol=1e-6)
     assert np.isnan(disc[0, 0])
+
+
+def test_each_foot_has_an_arrow_of_its_own():
+    model = Model(Assembly(Person("two")), nominal_human())
+    names = model.coordinates
+    q = np.zeros((2, len(names)))
+    left = np.array([[10.0, 500.0, -50.0], [0.0, 0.0, 0.0]])
+    right = np.array([[-10.0, 200.0, -60.0], [0.0, 700.0, -70.0]])
+    feet = {"left": left, "right": right}
+    motion = Trial(
+        "steps",
+        names,
+        np.array([0.0, 1.0]),
+        q,
+        q,
+        q,
+        PlanarWrench.of(left + right),
+        feet={side: PlanarWrench.of(w) for side, w in feet.items()},
+    )
+    drawn = DrawnModel(model)
+    arrows = drawn.arrows(motion)
+    assert list(arrows) == ["ground_left", "ground_right"]
+    np.testing.assert_allclose(
+        arrows["ground_left"][0], [0.1, 0.1, 0.0, 10.0, 0.0, 500.0]
+    )
+    assert np.isnan(arrows["ground_left"][1, 0])
+    np.testing.assert_allclose(
+        arrows["ground_right"][0], [0.3, -0.1, 0.0, -10.0, 0.0, 200.0]
+    )
+    discs = drawn.centres_of_pressure(motion)
+    np.testing.assert_allclose(discs["/cop/right"][1], [0.1, -0.1, 0.0])
+    assert np.isnan(discs["/cop/left"][1, 0])
 
 
 def test_chair_pushes_at_the_height_of_its_seat(clip):
