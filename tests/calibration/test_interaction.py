@@ -136,7 +136,10 @@ def test_response_predicts_another_solve(regular, in_device):
     change = other.compiled.gradient(y) - program.gradient(y)
     predicted = found.by_gradient @ change
     actual = other.compiled.restrict(moved.solution.raw_values()) - y
-    strong = np.abs(predicted) > 0.05 * np.abs(predicted).max()
+    # What moves little follows curvature that Gauss and Newton leave out:
+    # slipping cuffs, logarithms of priors.
+    strong = np.abs(predicted) > 0.15 * np.abs(predicted).max()
+    assert strong.sum() >= 4
     np.testing.assert_allclose(
         actual[columns][strong], predicted[strong], rtol=0.2
     )
