@@ -154,26 +154,33 @@ def optimise(
         _keep(at, out)
     if problem is None:
         problem = at.on_its_mesh(stage_problem(setup, stages[-1]))
-    gait = None
-    if setup.settings.load and setup.settings.load.pattern:
-        gait = setup.settings.load.pattern.gait(setup.settings.contact.friction)
-    if gait is not None and gait.free:
-        alone = verified(setup, problem, at, list(optima), seconds).step
-        x = gait.start
-        for _ in range(_ROUNDS):
-            x = GaitProblem(gait, problem, at.p, x, say).minimise()
-            setup = replace(setup, load=gait.load(x))
-            again = replace(at, stage=len(stages) - 1, iteration=0,
-                            curvature=None, multipliers=None)  # fmt: skip
-            run, problem = _run_stage(setup, len(stages) - 1, again, None, say)
-            optima.append(run.optimum)
-            seconds.append(run.seconds)
-            at = run.at
     design = verified(setup, problem, at, optima, seconds)
-    if gait is not None and gait.free:
-        design.gait = _told_of_gait(gait, x, alone)
+    pattern = setup.settings.load and setup.settings.load.pattern
+    if pattern and pattern.free:
+        gait = pattern.gait(setup.settings.contact.friction)
+        design = _with_gait(gait, design, at, say)
     design.seconds = time.perf_counter() - whole
     return design
+
+
+def _with_gait(gait: Gait, alone: Design, at: Checkpoint, say) -> Design:
+    """Walk and sole in turns, for as long as c by the exact law gets less."""
+    best, walk = alone, gait.start
+    number = len(alone.setup.settings.optimize.stages) - 1
+    for _ in range(_ROUNDS):
+        x = GaitProblem(gait, best.problem, at.p, walk, say).minimise()
+        setup = replace(best.setup, load=gait.load(x))
+        again = replace(at, stage=number, iteration=0)
+        run, problem = _run_stage(setup, number, again, None, say)
+        found = verified(
+            setup, problem, run.at, [*best.optima, run.optimum],
+            [*best.stages_seconds, run.seconds],
+        )  # fmt: skip
+        if found.step.failed_steps or found.step.c >= best.step.c:
+            break
+        best, walk, at = found, x, run.at
+    best.gait = _told_of_gait(gait, walk, alone.step)
+    return best
 
 
 class GaitProblem:
