@@ -442,7 +442,10 @@ def main() -> None:
                 kind, total=len(seeds), stream=sys.stderr
             ) as progress:
                 for seed in seeds:
-                    rows.append(run(_campaign(data, kind, seed), seed, chosen))
+                    # The laboratory tells its progress, too.
+                    with contextlib.redirect_stdout(sys.stderr):
+                        campaign = _campaign(data, kind, seed)
+                    rows.append(run(campaign, seed, chosen))
                     progress.update(f"seed {seed}", done=len(rows))
             found[kind] = {"rows": rows, **summary(rows, chosen)}
             if not args.json:

@@ -51,7 +51,9 @@ def sweep(factors: list[float]) -> list[dict]:
     cases = [("as it stands", 1.0, INSTRUMENT_NOISE)]
     for group, names in GROUPS.items():
         for factor in factors:
-            scaled = {n: factor * getattr(INSTRUMENT_NOISE, n) for n in names}
+            own = {n: getattr(INSTRUMENT_NOISE, n) for n in names}
+            # What is taken from the trials has no size to scale.
+            scaled = {n: factor * v for n, v in own.items() if v is not None}
             cases.append((group, factor, replace(INSTRUMENT_NOISE, **scaled)))
     rows, base, half = [], None, None
     progress = Progress("weights", total=len(cases))

@@ -19,6 +19,7 @@ from drake_exo.designing import Peak, front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.model.plant import nominal_model
+from drake_exo.report.design_figures import forces_figure
 
 SOLVER = Solver(20.0, tolerance=1e-4)
 SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
@@ -163,6 +164,13 @@ def test_built_forces_stand_beside_the_forecast(found):
     assert built.support["measured_after"] == pytest.approx(
         sum(map(device_work, trials))
     )
+    (legend,) = forces_figure(built).legends
+    assert {t.get_text() for t in legend.get_texts()} == {
+        "today",
+        "design",
+        "measured today",
+        "measured as built",
+    }
 
 
 @pytest.mark.slow

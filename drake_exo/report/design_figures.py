@@ -57,7 +57,18 @@ def forces_figure(designed) -> Figure:
                     axis.set_ylabel(f"{cuff} [N]")
             axes[0, column].set_title(before.trial.name, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
-        axes[0, 0].legend(fontsize=7)
+        # Not every trial has mats of every cuff.
+        shown: dict[str, object] = {}
+        for axis in axes.flat:
+            lines, labels = axis.get_legend_handles_labels()
+            shown |= dict(zip(labels, lines, strict=True))
+        figure.legend(
+            shown.values(),
+            shown,
+            fontsize=7,
+            loc="outside lower center",
+            ncols=len(shown),
+        )
         _head(figure, designed)
     return figure
 
