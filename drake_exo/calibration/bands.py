@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.problem import PhaseResult, shared_noise
 from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.bushing import NORMAL
 from drake_exo.measurement.trial import Trial
@@ -148,6 +148,7 @@ def bands(result: PhaseResult) -> Bands | None:
         np.sqrt(
             own**2
             + term.sigma[0] ** 2
+            + shared_noise(problem.tree, term.sigma[0]) ** 2
             + np.einsum("nqa,ab,nqb->nq", by, prior, by, optimize=True)
         )
         for own, term, by in zip(sd, ends, (effects.q, effects.v), strict=True)

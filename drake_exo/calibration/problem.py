@@ -758,10 +758,10 @@ def _against_the_foot(
     much as its measured pitch is uncertain: an error that all joints at the
     foot share.
     """
-    if effects is None or not movement.tree.root.startswith("foot"):
-        return Tracking(variables, target, sigma, role=role, effects=effects)
+    if effects is None:
+        return Tracking(variables, target, sigma, role=role)
     known = np.isfinite(sigma)
-    turn = foot_turn(movement.tree) * sigma[2]
+    turn = shared_noise(movement.tree, sigma)
     covariance = np.diag(sigma**2) + np.outer(turn, turn)
     values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
     rows = np.eye(len(sigma))
@@ -776,6 +776,16 @@ def _against_the_foot(
         role,
         np.einsum("rq,nqk->nrk", rows, effects),
     )
+
+
+def shared_noise(tree: PlanarTree, sigma: np.ndarray) -> np.ndarray:
+    """Error (nq,) of all coordinates by a foot that turns by its noise.
+
+    Args:
+        tree: one that hangs on a pelvis has none.
+        sigma: (nq,) of the coordinates, or of their rates.
+    """
+    return foot_turn(tree) * (sigma[2] if tree.root.startswith("foot") else 0.0)
 
 
 def foot_turn(tree: PlanarTree) -> np.ndarray:
