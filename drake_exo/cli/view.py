@@ -9,6 +9,7 @@ sole's contact pressure in colour.
 from __future__ import annotations
 
 import argparse
+import gc
 import tempfile
 import webbrowser
 from collections.abc import Sequence
@@ -138,6 +139,8 @@ class _Silent(SimpleHTTPRequestHandler):
 
 def _serve(folder: Path, open_browser: bool) -> None:
     """Serve the page until Ctrl-C."""
+    # A Meshcat must end in the thread that made it, not in one that serves.
+    gc.collect()
     handler = partial(_Silent, directory=str(folder))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         address = f"http://localhost:{server.server_port}/{REPLAY}"
