@@ -238,13 +238,17 @@ def test_bands_by_dense_algebra(in_device, coarse):
         assert (off < 0.02 * 1.96 * own_sd.max(axis=0)).all()
     # What markers show: noise of a sample, and errors of measurement.
     effects = problem.errors.effects(in_device.trials[0].sample(grid.times))
-    sigma = movement.tracked[0].sigma[0]
+    # The foot alone turns: joints on it turn the other way.
+    turn = np.zeros(len(sigma := movement.tracked[0].sigma[0]))
+    turn[[2, 3, 6]] = 1.0
+    own = sigma**2 + (turn * sigma[2]) ** 2
     by_errors = np.einsum("nqa,ab,nqb->nq", effects.q, prior, effects.q)
-    shown = np.sqrt((found.q / 1.959964) ** 2 + sigma**2 + by_errors)
+    shown = np.sqrt((found.q / 1.959964) ** 2 + own + by_errors)
     np.testing.assert_allclose(found.seen_q, 1.959964 * shown)
     by_errors = np.einsum("nqa,ab,nqb->nq", effects.v, prior, effects.v)
     sigma = movement.tracked[1].sigma[0]
-    shown = np.sqrt((found.v / 1.959964) ** 2 + sigma**2 + by_errors)
+    own = sigma**2 + (turn * sigma[2]) ** 2
+    shown = np.sqrt((found.v / 1.959964) ** 2 + own + by_errors)
     np.testing.assert_allclose(found.seen_v, 1.959964 * shown)
     (mat,) = found.mats
     assert mat in in_device.trials[0].cuffs

@@ -1,5 +1,6 @@
 """Sound meshes, loads and checkpoints of soles, and the readers of each."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import meshio
@@ -72,6 +73,8 @@ def soles() -> dict:
     playback[:, 0] = phases
     plates = plates_table()
     plates.values[:, [1, 7]] += 300.0
+    moments = [n.replace("torque_1_", "force_1_m") for n in plates.names]
+    plates = replace(plates, names=tuple(moments))
     found = {
         f"mesh {name}": (file, kind, meshed(file, **options), read_mesh)
         for name, file, kind, options in (
@@ -119,9 +122,7 @@ def soles() -> dict:
             "a.mot",
             "text",
             written(lambda p: write_table(p, plates)),
-            lambda p: loads.read_force_plate(
-                p, "ground_force_1", 0.0, 0.2, suffixes=("v", "p", "p")
-            ),
+            lambda p: loads.read_force_plate(p, "ground_force_1", 0.0, 0.2),
         ),
         "load playback": (
             "a.txt",

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from cli_runs import normal_use
@@ -68,7 +69,7 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
 
     @contextlib.contextmanager
     def beside(function, **arguments):
-        yield lambda: function(**arguments)
+        yield SimpleNamespace(value=lambda: function(**arguments))
 
     for name in (
         *("write_campaign", "write_interaction"),
