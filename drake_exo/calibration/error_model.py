@@ -269,10 +269,5 @@ def _turns(model: Model) -> dict[str, np.ndarray]:
     tree, names = model.tree, model.coordinates
     columns = names.columns(names.human)
     segments = _segments(model)
-    T = np.array([tree.turning(s)[columns] for s in segments])
-    found = {}
-    for i, segment in enumerate(segments):
-        change = np.zeros(len(names))
-        change[columns] = np.linalg.inv(T)[:, i]
-        found[segment] = change
-    return found
+    turns = tree.turned_alone(segments, columns)
+    return dict(zip(segments, turns, strict=True))

@@ -792,10 +792,7 @@ def foot_turn(tree: PlanarTree) -> np.ndarray:
     """Change of all coordinates (nq,) if the root alone turns by 1."""
     links = [tree.root, *(child for _, child in tree.joints.values())]
     columns = np.flatnonzero(tree.coordinates.is_angle)
-    T = np.array([tree.turning(link)[columns] for link in links])
-    found = np.zeros(len(tree.coordinates))
-    found[columns] = np.linalg.inv(T)[:, 0]
-    return found
+    return tree.turned_alone(links, columns)[0]
 
 
 def ground_terms(

@@ -15,6 +15,7 @@ from drake_exo.contact.bushing import (
     BushingKinematics,
     bushing_energy,
     bushing_force,
+    held_share,
 )
 from drake_exo.model.planar_tree import PlanarTree
 
@@ -218,7 +219,7 @@ def slipping(force, slip) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         By that force, and by `slip` [N^2].
     """
-    share = (1.0 + (slip * force) ** 4) ** -0.25
+    share = held_share(force, slip)
     return share**5, -(force**2) * (slip * force) ** 3 * share**5
 
 
@@ -229,8 +230,7 @@ def slipping_bends(force, slip) -> tuple[np.ndarray, np.ndarray]:
         By `force` twice over `slip`, which is that by both over `force`; and
         by `slip` twice.
     """
-    past = (slip * force) ** 4
-    share = (1.0 + past) ** -0.25
+    past, share = (slip * force) ** 4, held_share(force, slip)
     by_both = -5.0 * (slip * force) ** 3 * share**9
     by_slips = force**5 * slip**2 * share**5 * (5.0 * past * share**4 - 3.0)
     return by_both, by_slips

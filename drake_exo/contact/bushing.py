@@ -195,7 +195,7 @@ def bushing_force(deflection, rate, stiffness, damping, slip=0.0) -> Components:
     >>> bushing_force((0, 0.005, 0), still, (1, 4000.0, 1), still).normal
     20.0
     """
-    held = (_held(stiffness[0] * deflection[0], slip), 1.0, 1.0)
+    held = (held_share(stiffness[0] * deflection[0], slip), 1.0, 1.0)
     return Components(
         *(
             k * d * share + b * d_dot
@@ -209,7 +209,7 @@ def bushing_force(deflection, rate, stiffness, damping, slip=0.0) -> Components:
 @any_scalar
 def bushing_energy(deflection, stiffness, slip=0.0) -> Components:
     """Energy ½ k d² [J] stored in each component; what slips stores none."""
-    held = (_held(stiffness[0] * deflection[0], slip), 1.0, 1.0)
+    held = (held_share(stiffness[0] * deflection[0], slip), 1.0, 1.0)
     return Components(
         *(
             0.5 * k * (share * d) ** 2
@@ -218,7 +218,7 @@ def bushing_energy(deflection, stiffness, slip=0.0) -> Components:
     )
 
 
-def _held(force, slip):
+def held_share(force, slip):
     """Share of a spring's force along the limb that does not slip."""
     square = (slip * force) ** 2
     return 1.0 / sqrt(sqrt(1.0 + square * square))

@@ -157,6 +157,18 @@ class PlanarTree:
         """Derivatives (nq,) of `body_angles` by the coordinates."""
         return self.angles_by_q[self.segment_of[self.body_index(body)]]
 
+    def turned_alone(self, bodies, columns) -> np.ndarray:
+        """Change of all coordinates (m, nq) if each body alone turns by 1.
+
+        Args:
+            bodies: (m,) names; the others of them do not turn.
+            columns: (m,) places of the angles that give way.
+        """
+        T = np.array([self.turning(body)[columns] for body in bodies])
+        found = np.zeros((len(T), self.num_positions))
+        found[:, columns] = np.linalg.inv(T).T
+        return found
+
     def center_of_mass(self, q) -> np.ndarray:
         """Whole-body centre of mass (N, 2) [m] in the world."""
         w = np.exp(1j * self.segment_angles(q))
