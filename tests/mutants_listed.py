@@ -61,8 +61,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('"x_mm": float(1e3 * x)', '"x_mm": float(1e2 * x)'),
         ('"z_mm": float(1e3 * z)', '"z_mm": float(1e3 * x)'),
         ("float(np.rad2deg(pitch))", "float(pitch)"),
-        ('"cop_mm": float(1e3 * rms(cop)[0])', '"cop_mm": float(rms(cop)[0])'),
-        ("found.ground.cop_x - at.ground.cop_x", "found.ground.cop_x"),
+        ("float(1e3 * rms(off)[0])", "float(rms(off)[0])"),
+        ("wrench.cop_x - measured_wrench.cop_x", "wrench.cop_x"),
         (
             "np.rad2deg(values[names.joint_columns])",
             "values[names.joint_columns]",
@@ -76,7 +76,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.linspace(0.0, t.duration, _PHASE_SAMPLES)",
             "np.linspace(0.0, 1.0, _PHASE_SAMPLES)",
         ),
-        ("t.ground.cop_x - t.coordinate(foot)", "t.ground.cop_x"),
+        (
+            "t.soles[side].cop_x - t.coordinate(root)",
+            "t.soles[side].cop_x",
+        ),
         ("if at.moments is not None and loads", "if at.moments is not None"),
     ],
     "drake_exo/calibration/audit.py": [
@@ -92,15 +95,14 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("simulated.ground.force - found.ground.force", "found.ground.force"),
         ("float(angles.max())", "float(angles.min())"),
         ("dynamics = FORCE_UNIT * movement", "dynamics = movement"),
-        ("contact * [FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT]", "contact"),
         (
-            "forces = [dynamics[:, ~is_angle], contact[:, :2]]",
-            "forces = [dynamics[:, ~is_angle]]",
+            "WRENCH_UNITS * problem.kernels[body].evaluate(x, None)",
+            "problem.kernels[body].evaluate(x, None)",
         ),
-        (
-            "moments = [dynamics[:, is_angle], contact[:, 2:]]",
-            "moments = [contact[:, 2:]]",
-        ),
+        ("forces.append(contact[:, :2])", "pass"),
+        ("moments.append(_about(x, contact))", "pass"),
+        ("[dynamics[:, is_angle]]", "[np.zeros((len(times), 1))]"),
+        ("x[:, 1] * F_x - x[:, 0] * F_z", "x[:, 1] * F_x"),
         ("np.abs(part[kind]).max(axis=1)", "part[kind].max(axis=1)"),
         ("value = result.contact.values()", "value = problem.contact.values()"),
     ],
@@ -202,24 +204,21 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "weight = 0.5 * np.linalg.inv(covariance)",
             "weight = np.linalg.inv(covariance)",
         ),
-        ("np.r_[foot_q, np.deg2rad(joint_q)]", "np.r_[foot_q, joint_q]"),
+        ("np.r_[root_q, np.deg2rad(joint_q)]", "np.r_[root_q, joint_q]"),
         (
-            "np.r_[foot_v, np.deg2rad(joint_v)]",
-            "np.r_[foot_v, np.deg2rad(joint_q)]",
+            "np.r_[root_v, np.deg2rad(joint_v)]",
+            "np.r_[root_v, np.deg2rad(joint_q)]",
         ),
         (
-            "np.where(device, noise.exo_moment_nm, noise.moment_nm)",
-            "noise.moment_nm",
+            "names.is_device_joint, noise.exo_moment_nm, noise.moment_nm",
+            "names.is_device_joint, noise.moment_nm, noise.moment_nm",
         ),
         ("noise.cop_m * reference", "noise.cop_m"),
         (
             "np.sqrt(grid.quadrature[used])[:, None]",
             "grid.quadrature[used][:, None]",
         ),
-        (
-            "[tolerance.x_m, tolerance.z_m, np.deg2rad(tolerance.pitch_deg)]",
-            "[tolerance.x_m, tolerance.z_m, tolerance.pitch_deg]",
-        ),
+        ("degree * tolerance.pitch_deg,", "tolerance.pitch_deg,"),
         ("variables[:, [NORMAL]],", "variables[:, [0]],"),
     ],
     "drake_exo/calibration/interaction.py": [
@@ -272,7 +271,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/report/figures.py": [
         ("np.rad2deg(read(t, name))", "read(t, name)"),
-        ("lambda t: t.ground.force_x),", "lambda t: t.ground.force_z),"),
+        (
+            "getattr(t.soles[s], w)",
+            'getattr(t.soles[s], "force_z")',
+        ),
         (
             '((Trial.coordinate, "°"), (Trial.velocity, "°/s"))',
             '((Trial.coordinate, "°/s"), (Trial.velocity, "°"))',
@@ -363,19 +365,20 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "return -np.array(self.viscous) * rates",
         ),
         ("np.tanh(rates / self.speed)", "np.tanh(rates)"),
-        (
-            "_STIFFNESS * error + _DAMPING * rate",
-            "_STIFFNESS * error - _DAMPING * rate",
-        ),
+        ("torque + self._damping * rate", "torque - self._damping * rate"),
         (
             "(load / self._weight - low) / (high - low)",
             "(load / self._weight - low)",
         ),
-        ("held[0] -= rows", "held[0] += rows"),
+        ("held.append(rows[name] - pitch)", "held.append(rows[name] + pitch)"),
+        (
+            '- rows[f"hip_{side}"] - pitch',
+            '- rows[f"hip_{side}"] + pitch',
+        ),
     ],
     "drake_exo/virtual_laboratory/forces.py": [
         ("(cuff.progression * d) ** 2", "(cuff.progression * d)"),
-        ("along / np.sqrt(1.0 + (cuff.slip * along) ** 2)", "along"),
+        ("along / sqrt(1.0 + (cuff.slip * along) ** 2)", "along"),
         ("(force / factor) ** (2.0 / 3.0)", "(force / factor) ** (1.0 / 3.0)"),
     ],
     "drake_exo/virtual_laboratory/truth.py": [
@@ -397,8 +400,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/virtual_laboratory/campaign.py": [
         ("_AFTER_CHAIR_S = 0.08", "_AFTER_CHAIR_S = 0.8"),
         (
-            "end = plan.duration - plan.stand_s + _AFTER_RISE_S",
-            "end = plan.duration",
+            "return plan.duration - plan.stand_s + _AFTER_RISE_S",
+            "return plan.duration",
         ),
         (
             "rise_s=float(rng.uniform(1.2, 1.7))",
@@ -433,6 +436,15 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("margin.min() > 0)", "margin.max() > 0)"),
         ("gap = P[:, 2] * law.penalty / scale", "gap = P[:, 2] / scale"),
         ("margin = law.friction * f[:, 2] - size", "margin = f[:, 2] - size"),
+        (
+            "c_tr - self.setup.settings.cost.weight * c_rot",
+            "c_tr - c_rot",
+        ),
+        (
+            "float(by_rot[rows] @ self.sigma_min_rotation[rows])",
+            "float(self.sigma_min_rotation[rows].mean())",
+        ),
+        ("c_rot / count,", "c_rot,"),
     ],
     "drake_exo/soles/step/stiffness.py": [
         ("K_c[..., :3, :3])[..., 0]", "K_c[..., :3, :3])[..., -1]"),
@@ -447,15 +459,9 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "int(np.floor(fraction * samples))",
             "int(np.ceil(fraction * samples))",
         ),
-        (
-            "sigma_max_translation(K_c[:count]).sum()",
-            "sigma_max_translation(K_c).sum()",
-        ),
-        (
-            "float(sigma_min_rotation(K_c).sum())",
-            "float(sigma_min_rotation(K_c).mean())",
-        ),
-        ("c_tr - weight * c_rot", "c_tr - c_rot"),
+        ("phase.start : phase.start + count", "phase"),
+        ("by_rot[phase] = share", "by_rot[phase] = 1.0"),
+        ("= share\n        by_rot", "= 1.0\n        by_rot"),
     ],
     "drake_exo/soles/walking_pattern.py": [
         (
