@@ -34,10 +34,12 @@ from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData, PlateRecording, Table
-from drake_exo.measurement import recording
+from drake_exo.measurement import mats, recording
 
 # A campaign's files are read once, not once for each mistake.
 recording.read_c3d = functools.cache(recording.read_c3d)
+mats.read_surface = functools.cache(mats.read_surface)
+mats.read_novel_asc = functools.cache(mats.read_novel_asc)
 JOINTS = ("ankle", "knee", "hip")
 LEFT, RIGHT, CHAIR = 1, 2, 3
 
@@ -371,7 +373,8 @@ def run(campaign: Path, seed: int, mistakes) -> dict:
             p = Plant(campaign, scratch, study, seed)
             mistake(p)
             row["said"][mistake.__name__] = judge(p.study, scratch, campaign)
-    recording.read_c3d.cache_clear()
+    for read in (recording.read_c3d, mats.read_surface, mats.read_novel_asc):
+        read.cache_clear()
     return row
 
 

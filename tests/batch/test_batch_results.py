@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.batch import page
+from drake_exo.batch import figures, page
 from drake_exo.batch.figures import (
     MEASURED,
     PREDICTED,
@@ -244,3 +244,44 @@ def test_figures_where_there_is_enough(tmp_path):
     ]
     assert (tmp_path / "bland_altman.png").read_bytes().startswith(b"\x89PNG")
     assert draw_figures(tmp_path, []) == {}
+
+
+def _row(subject, trial, signal, value):
+    return Row(subject, trial, "predict", signal, value, "N", *"hvf")
+
+
+def test_a_panel_holds_differences_over_means():
+    """A dot a trial, predicted less measured; their mean as a line."""
+    pairs = {"1": (10.0, 14.0), "2": (30.0, 28.0), "3": (55.0, 60.0)}
+    rows = []
+    for trial, values in pairs.items():
+        for source, value in zip((PREDICTED, MEASURED), values, strict=True):
+            rows.append(_row("a", trial, f"{source}force", value))
+    (ax,) = (a for a in figures._bland_altman(rows).axes if a.get_visible())
+    (dots,) = ax.collections
+    expected = [(12.0, -4.0), (29.0, 2.0), (57.5, -5.0)]
+    np.testing.assert_allclose(dots.get_offsets(), expected)
+    drawn = [line.get_ydata()[0] for line in ax.lines]
+    sd = np.sqrt((25.0 + 169.0 + 64.0) / 9.0 / 2.0)
+    bias = -7.0 / 3.0
+    np.testing.assert_allclose(
+        drawn, [bias, bias - 1.96 * sd, bias + 1.96 * sd]
+    )
+    assert ax.get_ylabel() == "predicted - measured [N]"
+
+
+def test_bars_are_means_over_subjects():
+    """Of each subject's own mean, with the SD between subjects."""
+    values = {("a", "1"): 2.0, ("a", "2"): 4.0, ("b", "1"): 7.0}
+    rows = [
+        _row(*key, "rmsd.grf_n.vertical", value)
+        for key, value in values.items()
+    ]
+    (ax,) = figures._over_subjects(rows).axes
+    (bar,) = ax.patches
+    assert bar.get_height() == pytest.approx(5.0)
+    (segment,) = ax.collections[0].get_segments()
+    half = np.sqrt(8.0)
+    np.testing.assert_allclose(segment[:, 1], [5.0 - half, 5.0 + half])
+    dots = ax.lines[-1].get_ydata()
+    np.testing.assert_allclose(dots, [3.0, 7.0])

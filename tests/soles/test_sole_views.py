@@ -5,6 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from drake_exo.soles import pictures
+from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.shape import SphericalSpline
 
@@ -73,6 +74,22 @@ def test_change_is_radial(mesh):
         change[away], 100 * (after[away] / before[away] - 1), atol=1e-10
     )
     assert (change[~away] == 0).all()
+
+
+def test_a_load_is_drawn_in_millimetres_and_newtons(mesh):
+    """ZMP on the outline, force over time."""
+    t = np.linspace(0.0, 1.0, 5)
+    force = np.stack([3.0 * t, 5.0 - t, 700.0 + t], axis=1)
+    zmp = np.stack([0.02 * t, -0.01 * t], axis=1)
+    left, right = pictures.load_figure(Load(t, force, zmp), mesh).axes[:2]
+    (dots,) = left.collections
+    np.testing.assert_allclose(dots.get_offsets(), 1e3 * zmp)
+    np.testing.assert_allclose(dots.get_array(), t)
+    (ring,) = left.patches
+    corners = ring.get_xy()
+    np.testing.assert_allclose(np.abs(corners), [[100.0, 50.0]] * 5)
+    for k, line in enumerate(right.lines[:3]):
+        np.testing.assert_allclose(line.get_data(), (t, force[:, k]))
 
 
 def test_dimensions_of_a_drawing_are_the_mesh_s():

@@ -80,6 +80,30 @@ def test_both_feet_carry_the_whole_load(pattern):
     assert np.abs(np.diff(load.force[:, 2])).max() < 0.06 * 80 * 9.81
 
 
+def test_a_foot_comes_to_rest_and_another_sets_off(pattern):
+    """The landing foot's own path begins at rest, the unloading one's ends so.
+
+    Both go on with the speed of single support; sums of both feet do not tell,
+    they are right with any paths.
+    """
+    h, D = 1e-6, ROBOT.double_support
+    a, b = pattern._lines(np.array([0.0, h, D - h, D]))
+    z = pattern.zmp
+    np.testing.assert_allclose(a[0], z(0.0), atol=1e-12)
+    np.testing.assert_allclose(b[3], z(D), atol=1e-12)
+    speed = np.abs(z(np.array([0.0, D]), 1)).max()
+    for early, late, expected in (
+        (a[0], a[1], z(0.0, 1)),
+        (a[2], a[3], 0.0),
+        (b[0], b[1], 0.0),
+        (b[2], b[3], z(D, 1)),
+    ):
+        found = (late - early) / h
+        np.testing.assert_allclose(
+            found, expected + 0 * found, atol=1e-4 * speed
+        )
+
+
 def test_horizontal_forces_move_the_body(pattern):
     """Newton, with accelerations by differences; the next step mirrored."""
     load = pattern.foot_load(period=0.005, least=1e-6)
