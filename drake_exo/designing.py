@@ -54,7 +54,13 @@ from drake_exo.contact.strap import (
 )
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress, write_json
-from drake_exo.files.verdict import SOLVED, Check, Verdict
+from drake_exo.files.verdict import (
+    SOLVED,
+    Check,
+    Verdict,
+    save_figure,
+    write_text,
+)
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.tables import format_table, rounded
@@ -552,19 +558,15 @@ class Designed:
     ) -> Verdict:
         """Table, figure, design.yaml and summary.json into a folder."""
         from drake_exo.report import design_figures
-        from drake_exo.report.figures import save_figure
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         verdict = self.verdict(accepted)
         if self.success:
             write_design(folder, self.design)
-            text = self.table()
-            if verdict.mark:
-                text = f"{verdict.mark}\n\n{text}"
-            (folder / "design.txt").write_text(text + "\n", encoding="utf-8")
+            write_text(folder / "design.txt", self.table(), verdict.mark)
             for name, draw in design_figures.FIGURES.items():
-                save_figure(folder / name, draw(self))
+                save_figure(folder / name, draw(self), verdict.mark)
             wearer, moved = self.first
             write_inputs(folder, wearer.model, [m.measured for m in moved])
             write_contact(folder, self.design.contact(wearer.contact))

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from drake_exo.batch.run import Batch
 from drake_exo.batch.table import Row
 from drake_exo.calibration.results import read_trial
+from drake_exo.files.verdict import FAILS, HOLDS, mark_of, save_figure
 from drake_exo.measurement.trial import Trial
-from drake_exo.report.figures import STYLE, save_figure
+from drake_exo.report.figures import STYLE
 
 PREDICTED, MEASURED = "peak.predicted.", "peak.measured."
 _GROUPS = {
@@ -88,13 +89,21 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
         Name of each file -> what it shows.
     """
     drawn = {}
+    mark = _mark(rows)
     with matplotlib.rc_context(STYLE):
         for name, (draw, shows) in _FIGURES.items():
             figure = draw(rows)
             if figure is not None:
-                save_figure(out / name, figure)
+                save_figure(out / name, figure, mark)
                 drawn[name] = shows
     return drawn
+
+
+def _mark(rows: list[Row]) -> str:
+    """Which of the results that are drawn do not hold."""
+    shown = [row for row in rows if row.phase == "predict"]
+    off = [row.folder for row in shown if not row.verdict.startswith(HOLDS)]
+    return mark_of(FAILS, list(dict.fromkeys(off))) if off else ""
 
 
 def _over_subjects(rows: list[Row]) -> Figure | None:

@@ -31,11 +31,12 @@ from drake_exo.files.verdict import (
     UNSOLVED,
     Check,
     Verdict,
+    save_figure,
     stored,
 )
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
-from drake_exo.report.figures import front_figure, save_figure
+from drake_exo.report.figures import front_figure
 from drake_exo.report.tables import (
     audit_table,
     front_table,

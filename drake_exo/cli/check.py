@@ -9,7 +9,7 @@ from drake_exo.files.output import (
     prepare_output_folder,
     write_json,
 )
-from drake_exo.files.verdict import Verdict
+from drake_exo.files.verdict import Verdict, save_figure, write_text
 from drake_exo.measurement.quality import Quality, text_of
 from drake_exo.study import RecordedStudy, read_study
 
@@ -58,10 +58,10 @@ def run(args: argparse.Namespace) -> int:
 def _write(
     out: Path, study: RecordedStudy, quality: Quality, verdict: Verdict
 ) -> None:
-    from drake_exo.report.figures import quality_figure, save_figure
+    from drake_exo.report.figures import quality_figure
 
     text = f"{text_of(quality)}\n{verdict.text(color=False)}\n"
-    (out / "quality.txt").write_text(text, encoding="utf-8")
+    write_text(out / "quality.txt", text.rstrip(), verdict.mark)
     write_json(
         out / "quality.json",
         {
@@ -77,5 +77,5 @@ def _write(
     ):
         trial.save(out / trial.name)
         figure = quality_figure(trial, found)
-        save_figure(out / f"{trial.name}.png", figure)
+        save_figure(out / f"{trial.name}.png", figure, verdict.mark)
         progress.update(trial.name, done=i + 1)

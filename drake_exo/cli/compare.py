@@ -8,6 +8,7 @@ import argparse
 from pathlib import Path
 
 from drake_exo.files.output import prepare_output_folder
+from drake_exo.files.verdict import joined_mark, save_figure
 from drake_exo.report.comparison import compare
 
 
@@ -31,12 +32,11 @@ def run(args: argparse.Namespace) -> int:
     found = compare(args.results)
     text = found.text()
     if args.out is not None:
-        from drake_exo.report.figures import save_figure
-
         with prepare_output_folder(args.out, args.force) as out:
             (out / "compared.txt").write_text(text + "\n", encoding="utf-8")
             for name, figure in found.figures().items():
-                save_figure(out / f"{name}.png", figure)
+                mark = joined_mark(found.marks())
+                save_figure(out / f"{name}.png", figure, mark)
     print(text)
     if args.out is not None:
         print(f"results in {args.out}")

@@ -19,7 +19,7 @@ from drake_exo.files.output import (
     prepare_output_folder,
     write_json,
 )
-from drake_exo.files.verdict import stored
+from drake_exo.files.verdict import Check, Verdict, stored
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles.optimize.files import (
     SUMMARY,
@@ -275,11 +275,27 @@ def _front(args) -> int:
     with prepare_output_folder(args.out, args.force) as out:
         say = _progress(f"{case.name}, front").update
         points = soles.pareto_front(case, paper.FLOORS, say)
-        write_json(out / SUMMARY, {"name": case.name, "front": points})
-        paper.draw_front(out, {"front": points})
+        verdict = Verdict(
+            tuple(
+                Check(
+                    "solved",
+                    not p["failed_steps"],
+                    p["failed_steps"],
+                    0,
+                    "samples",
+                    f"floor {p['floor']:.3f}",
+                    "samples that cannot be simulated",
+                )
+                for p in points
+            )
+        )
+        summary = {"name": case.name, "front": points} | verdict.summary()
+        write_json(out / SUMMARY, summary)
+        paper.draw_front(out, {"front": points}, mark=verdict.mark)
     print(paper.front_table(points))
+    print(verdict.text())
     print(f"{case.name}: results in {args.out}")
-    return 1 if any(p["failed_steps"] for p in points) else 0
+    return verdict.exit_code
 
 
 def _strain(args) -> int:

@@ -8,13 +8,18 @@ carries `Verdict.mark` wherever it is shown, accepted or not.
 
 from __future__ import annotations
 
+import math
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from drake_exo.errors import InputError
+
+if TYPE_CHECKING:  # matplotlib takes half a second to load
+    from matplotlib.figure import Figure
 
 SOLVED = "solved"
 HOLDS, FAILS, UNSOLVED = "holds", "does not hold", "not solved"
@@ -146,10 +151,56 @@ def mark_of(word: str, failed: Sequence[str]) -> str:
     return f"{word.upper()}: {'; '.join(failed)}"
 
 
+def joined_mark(marks: Mapping[str, str]) -> str:
+    """The mark of what shows several results, whose marks these are by name.
+
+    >>> joined_mark({"a": "", "b": "NOT SOLVED: solved"})
+    'DOES NOT HOLD: b: NOT SOLVED: solved'
+    """
+    told = [f"{name}: {mark}" for name, mark in marks.items() if mark]
+    return mark_of(FAILS, told) if told else ""
+
+
 def write_text(path: Path, text: str, mark: str = "") -> None:
     """Write a text for a reader, under its mark if it has one."""
     text = f"{mark}\n\n{text}" if mark else text
     path.write_text(text + "\n", encoding="utf-8")
+
+
+def save_figure(path: Path, figure: Figure, mark: str = "") -> None:
+    """Write a figure; the same input gives the same bytes.
+
+    Args:
+        path: of the picture.
+        figure: to be written.
+        mark: `Verdict.mark`: across it, under it, and as its description.
+    """
+    # Without the software's name.
+    metadata = {"Software": None}
+    if mark:
+        _draw_mark(figure, mark)
+        metadata["Description"] = mark
+    figure.savefig(
+        path, metadata=metadata, bbox_inches="tight" if mark else None
+    )
+
+
+def _draw_mark(figure: Figure, mark: str) -> None:
+    width, height = figure.get_size_inches()
+    style = {"color": "#c8102e", "ha": "center"}
+    figure.text(
+        0.5,
+        0.5,
+        mark.partition(":")[0],
+        va="center",
+        rotation=math.degrees(math.atan2(height, width)),
+        fontsize=7.0 * math.hypot(width, height) * 0.6,
+        alpha=0.18,
+        weight="bold",
+        **style,
+    )
+    lines = textwrap.wrap(mark, int(12 * width))
+    figure.text(0.5, -0.02, "\n".join(lines), va="top", fontsize=9, **style)
 
 
 def stored_mark(summary: Mapping[str, Any]) -> str:

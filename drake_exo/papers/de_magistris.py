@@ -17,7 +17,14 @@ import numpy as np
 from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
 from drake_exo.batch.processes import Processes
 from drake_exo.files.output import Progress, read_json, write_json
-from drake_exo.files.verdict import Check, Verdict, stored, stored_mark
+from drake_exo.files.verdict import (
+    Check,
+    Verdict,
+    joined_mark,
+    stored,
+    stored_mark,
+    write_text,
+)
 from drake_exo.soles.case import Case
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
@@ -223,8 +230,8 @@ class Study:
         verdict = Verdict(tuple(checks), tuple(accepted))
         summary |= verdict.summary()
         write_json(out / SUMMARY, summary)
-        text = _tables(out, summary)
-        (out / "table.txt").write_text(text + "\n", encoding="utf-8")
+        text = _tables(out, summary, verdict.mark)
+        write_text(out / "table.txt", text, verdict.mark)
         return verdict, text
 
 
@@ -297,7 +304,7 @@ def line(row: dict) -> str:
     )
 
 
-def _tables(out: Path, summary: dict) -> str:
+def _tables(out: Path, summary: dict, mark: str) -> str:
     """Tables and front.png."""
     parts, fronts = [], {}
     for key, title in (("cases", ""), (UNLIMITED, "without limits\n")):
@@ -309,7 +316,7 @@ def _tables(out: Path, summary: dict) -> str:
             others = [p for p in found["at_paper"] if p not in found["points"]]
             fronts[_FRONTS[key].replace("_", " ")] = found["points"]
             parts.append(front_table(found["points"] + others))
-    draw_front(out, fronts, summary["cases"])
+    draw_front(out, fronts, summary["cases"], mark)
     return "\n\n".join(parts)
 
 
@@ -420,7 +427,9 @@ def _paper(point: dict) -> str:
     return "" if ratio is None else f"{ratio:6.3f}"
 
 
-def draw_front(out: Path, fronts: dict[str, list[dict]], rows=()) -> None:
+def draw_front(
+    out: Path, fronts: dict[str, list[dict]], rows=(), mark: str = ""
+) -> None:
     """Draw front.png: fronts by label, designs beside the paper's."""
     from drake_exo.soles import pictures
 
@@ -429,7 +438,7 @@ def draw_front(out: Path, fronts: dict[str, list[dict]], rows=()) -> None:
         for name, (tr0, tr, rot0, rot) in TABLE_2.items()
     }
     figure = pictures.pareto_figure(fronts, rows, paper)
-    pictures.save(figure, out / "front.png")
+    pictures.save(figure, out / "front.png", mark)
 
 
 def report(out: Path, designs: list[StoredDesign]) -> str:
@@ -447,15 +456,17 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
     }
     if len(designs) > 1:  # a design has a picture of its own stiffness
         figures["stiffness.png"] = stiffness_figure(designs)
+    summaries = {d.name: d.summary() for d in designs}
+    mark = joined_mark({n: stored_mark(s) for n, s in summaries.items()})
     for name, figure in figures.items():
-        pictures.save(figure, out / name)
-    found = {d.name: d.summary().get("finite_strain") or {} for d in designs}
+        pictures.save(figure, out / name, mark)
+    found = {n: s.get("finite_strain") or {} for n, s in summaries.items()}
     found = {
         name: strain_comparison.from_json(f)
         for name, f in found.items()
         if "samples" in f
     }
-    text = strain_comparison.write_table(out, found) if found else ""
+    text = strain_comparison.write_table(out, found, mark) if found else ""
     _write_page(out, designs, [*figures, "front.png"], text)
     return text
 

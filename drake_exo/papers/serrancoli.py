@@ -8,6 +8,7 @@ give them by trial of another subject.
 from collections.abc import Callable
 from pathlib import Path
 
+from drake_exo.files.verdict import joined_mark, save_figure
 from drake_exo.report import figures
 from drake_exo.report.gathering import Results
 from drake_exo.report.tables import (
@@ -184,9 +185,9 @@ def draw_figures(folder: Path, found: list[Results]) -> None:
         if any(t.cuffs for t in _curves(predicted)[1]):
             shown.append((7, figures.interaction_figure, predicted))
     for number, draw, own in shown:
-        marks = "; ".join(r.mark for r in own.values() if r.mark)
+        mark = joined_mark({label: r.mark for label, r in own.items()})
         path = folder / f"figure_{number}.png"
-        figures.save_figure(path, draw(*_curves(own)), marks)
+        save_figure(path, draw(*_curves(own)), mark)
 
 
 def _curves(results: dict[str, Results]):

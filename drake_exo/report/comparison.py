@@ -51,16 +51,17 @@ class Comparison:
         tables = [
             f"{title}\n{self._table(rows)}" for title, rows in parts if rows
         ]
-        return "\n\n".join([*self.marks(), *tables])
+        marks = [f"{name}: {mark}" for name, mark in self.marks().items()]
+        return "\n\n".join([*marks, *tables])
 
-    def marks(self) -> list[str]:
-        """A line for each result that does not hold."""
+    def marks(self) -> dict[str, str]:
+        """Label -> mark of each result that does not hold."""
         marks = [stored_mark(r.summary) for r in self.results]
-        return [
-            f"{label}: {mark}"
+        return {
+            label: mark
             for label, mark in zip(self.labels, marks, strict=True)
             if mark
-        ]
+        }
 
     def _table(self, rows: dict[str, list[str]]) -> str:
         count = max(map(len, rows.values())) - len(self.labels)

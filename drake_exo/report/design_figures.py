@@ -135,13 +135,10 @@ def device_figure(designed) -> Figure:
 
 
 def _head(figure: Figure, designed) -> None:
-    """What does not hold, or is an extrapolation, above a figure."""
-    said = [designed.verdict().mark]
+    """What is an extrapolation, above a figure."""
     beyond = designed.beyond()
     if beyond:
-        said.append(f"{EXTRAPOLATED}: {', '.join(beyond)}")
-    text = ". ".join(filter(None, said))
-    if text:
+        text = f"{EXTRAPOLATED}: {', '.join(beyond)}"
         figure.suptitle(text, color=_AFTER, fontsize=9)
 
 

@@ -4,7 +4,6 @@ A run is a list of solved trials with a label; several runs (C1 and C2) are
 drawn over the same measured curves. One column for each trial.
 """
 
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from matplotlib.figure import Figure
 
 from drake_exo.calibration.bands import Bands
 from drake_exo.contact.bushing import NORMAL
+from drake_exo.files.verdict import save_figure
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 
@@ -85,42 +85,6 @@ def plot_trials(
     if measured[0].moments is not None:
         drawn["moments"] = moments_figure(runs, measured)
     return drawn
-
-
-def save_figure(path: Path, figure: Figure, mark: str = "") -> None:
-    """Write a figure; the same input gives the same bytes.
-
-    Args:
-        path: of the picture.
-        figure: to be written.
-        mark: `Verdict.mark`, written across it and under it.
-    """
-    if mark:
-        _draw_mark(figure, mark)
-    # Without the software's name.
-    figure.savefig(
-        path,
-        metadata={"Software": None},
-        bbox_inches="tight" if mark else None,
-    )
-
-
-def _draw_mark(figure: Figure, mark: str) -> None:
-    width, height = figure.get_size_inches()
-    style = {"color": "#c8102e", "ha": "center"}
-    figure.text(
-        0.5,
-        0.5,
-        mark.partition(":")[0],
-        va="center",
-        rotation=np.rad2deg(np.arctan2(height, width)),
-        fontsize=7.0 * np.hypot(width, height) * 0.6,
-        alpha=0.18,
-        weight="bold",
-        **style,
-    )
-    lines = textwrap.wrap(mark, int(12 * width))
-    figure.text(0.5, -0.02, "\n".join(lines), va="top", fontsize=9, **style)
 
 
 def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:

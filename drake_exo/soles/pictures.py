@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from scipy.spatial import ConvexHull
 
+from drake_exo.files.verdict import save_figure
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.shape import SphericalSpline
@@ -179,11 +180,10 @@ def panels(rows: int, columns: int, size: tuple[float, float], **shared):
     return figure, figure.subplots(rows, columns, **shared)
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure, the same bytes for the same figure."""
+def save(figure: Figure, path: Path, mark: str = "") -> None:
+    """Write a figure in the style of all, see `save_figure`."""
     with style():
-        # No software version in the file.
-        figure.savefig(path, metadata={"Software": None})
+        save_figure(path, figure, mark)
 
 
 @style()
@@ -557,16 +557,13 @@ _CUTS = (0.15, 0.5, 0.85)  # of the length: where it is cut across
 
 
 @style()
-def drawing_figure(
-    mesh: TetMesh, name: str, peak: np.ndarray, mark: str = ""
-) -> Figure:
+def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
     """A sole as a drawing: views and sections with dimensions in mm.
 
     Args:
         mesh: The sole.
         name: Of the sole.
         peak: Largest pressure at its contact nodes over the step [Pa], (m,).
-        mark: Of a result that does not hold.
     """
     nodes = 1e3 * mesh.nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
@@ -617,8 +614,6 @@ def drawing_figure(
         f"{name}: {length:.0f} × {width:.0f} × {height:.0f} mm, "
         f"{1e6 * mesh.volume:.0f} cm³ (dimensions in mm)"
     )
-    if mark:
-        figure.supxlabel(mark, color=_UNDERCUT, size=9, wrap=True)
     return figure
 
 

@@ -378,6 +378,16 @@ def test_a_body_of_another_size_obeys_the_same_physics(wearer):
     np.testing.assert_allclose(found.moment("exo_hip"), share)
 
 
+def test_bodies_are_at_their_percentiles():
+    """Of a normal distribution: 5 % are smaller than 1.644854 SD below."""
+    found = Population((1.70, 0.10), (70.0, 10.0), (5.0, 50.0, 97.5)).bodies()
+    for (name, *sizes), score in zip(
+        found, (-1.644854, 0.0, 1.959964), strict=True
+    ):
+        expected = [1.70 + 0.10 * score, 70.0 + 10.0 * score]
+        assert sizes == pytest.approx(expected, rel=1e-6), name
+
+
 def test_a_design_for_a_population(wearer):
     """Small and large bodies wear it, too; they feel less than today."""
     height, mass = wearer.model.human.height_m, wearer.model.human.mass_kg

@@ -25,7 +25,8 @@ from drake_exo.collocation.kernels import (
     GROUND_MOMENT_UNIT,
     FootGroundKernel,
 )
-from drake_exo.report.figures import front_figure, save_figure
+from drake_exo.files.verdict import save_figure
+from drake_exo.report.figures import front_figure
 from drake_exo.report.tables import front_table
 from drake_exo.study import Study
 from drake_exo.virtual_laboratory import synthetic

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from undrawn import undrawn
+from unmarked import unmarked
 
 import drake_exo as dx
 from drake_exo.calibration.foot_ground import FootGroundCalibration
@@ -47,6 +48,20 @@ def test_a_failed_solve_is_written_marked(failed, tmp_path):
         assert "NOT SOLVED: solved" in first, path.name
     origin = read_json(tmp_path / "parameters.json", "")["origin"]
     assert (origin["verdict"], origin["failed"]) == ("not solved", ["solved"])
+
+
+@pytest.mark.slow
+def test_the_mark_is_on_everything_that_is_written(failed, tmp_path):
+    """Figures and tables of the phase, and the report and the page on them."""
+    failed.write(tmp_path / "a")
+    assert unmarked(tmp_path) == []
+    assert list(tmp_path.rglob("*.png")) and list(tmp_path.rglob("*.sto"))
+    page = str(tmp_path / "page.html")
+    accept = ["--accept", "solved"]
+    assert main(["report", str(tmp_path / "a"), *accept]) == 0
+    assert main(["view", str(tmp_path / "a"), *accept, "--out", page]) == 0
+    tables = ("table_2.csv", "table_3.csv")
+    assert unmarked(tmp_path, tables) == []
 
 
 @pytest.mark.slow
@@ -108,6 +123,17 @@ def test_a_calibration_of_another_is_refused(
     assert summary["accepted"] == ["provenance"]
     text = (tmp_path / "c1" / "rise4_coordinates.sto").read_text("utf-8")
     assert "DOES NOT HOLD: provenance.subject" in text.splitlines()[0]
+
+
+@pytest.mark.parametrize("refined", [1, 2])
+def test_a_grid_has_the_intervals_that_were_asked_for(refined):
+    """Nodes a second, and twice as many where it was refined."""
+    model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    settings = FootGroundSettings(solver=Solver(20.0))
+    more = {} if refined == 1 else {trial.name: refined}
+    posed = FootGroundCalibration(model, [trial], settings, refined=more)
+    intervals = len(posed.movements[0].grid.times) - 1
+    assert intervals == round(20.0 * refined * trial.duration)
 
 
 @pytest.mark.slow

@@ -118,5 +118,10 @@ def test_a_rolling_foot_bears_what_was_measured():
     in_air = np.r_[0 : STANCE.start, STANCE.stop : len(TIMES)]
     assert np.abs(law(kernel, q, v)[in_air, 1]).max() < 5.0
     assert np.abs(q[:, 2] - foot[:, 2]).max() < 0.11
+    # Where it slips to is what its speed adds up to.
+    speed = np.gradient(q[:, 0], TIMES)[STANCE][2:-2]
+    slipping = v[STANCE, 0][2:-2]
+    assert np.abs(slipping).max() > 0.5
+    np.testing.assert_allclose(speed, slipping, atol=0.005)
     # Rolling moves the ankle, which was drawn as standing.
     assert np.abs(q[:, 0] - foot[:, 0]).max() < 0.06

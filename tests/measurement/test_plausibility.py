@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from seated_recording import EXO_JOINTS, write_seated
+from unmarked import unmarked
 
 from drake_exo.cli import main
 from drake_exo.errors import InputError
@@ -335,6 +336,7 @@ def test_the_command_ends_with_3_unless_it_is_accepted(folder, capsys):
     told = json.loads((out / "quality.json").read_text())
     assert told["accepted"] == [accept]
     assert told["verdict"] == "does not hold"
+    assert unmarked(out) == [] and list(out.glob("*.png"))
 
 
 @pytest.mark.parametrize(

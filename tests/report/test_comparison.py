@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from unmarked import unmarked
 
 from drake_exo.calibration.results import write_trial
 from drake_exo.calibration.scores import rmsd
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
+from drake_exo.files.verdict import Check, Verdict
 from drake_exo.report.comparison import compare
 from drake_exo.virtual_laboratory import synthetic
 
@@ -87,10 +89,22 @@ def test_half_widths_and_marks(folders, tmp_path, trials):
     )
     found = compare([*folders, third])
     assert found.parameters()["heel.x [m]"][2] == "1 ± 0.25"
-    assert found.marks() == [
-        "carl: DOES NOT HOLD: audit (rise1, 2.5 N, limit 1 N)"
-    ]
+    mark = "DOES NOT HOLD: audit (rise1, 2.5 N, limit 1 N)"
+    assert found.marks() == {"carl": mark}
     assert found.text().startswith("carl: DOES NOT HOLD")
+
+
+@pytest.mark.slow
+def test_the_mark_is_on_everything_that_is_written(folders, tmp_path, trials):
+    off = Check("audit", False, 2.5, 1.0, "N", "rise1")
+    third = leave(tmp_path / "carl", trials, 1.0, **Verdict((off,)).summary())
+    out = tmp_path / "compared"
+    given = [str(folder) for folder in (*folders, third)]
+    assert main(["compare", *given, "--out", str(out)]) == 0
+    assert unmarked(out) == []
+    assert list(out.glob("*.png"))
+    assert main(["compare", *given[:2], "--out", str(tmp_path / "two")]) == 0
+    assert "compared.txt" in unmarked(tmp_path / "two")
 
 
 def test_one_trial_in_common_is_enough(tmp_path, trials):

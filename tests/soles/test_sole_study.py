@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_step import stage, write_case, write_step
+from unmarked import unmarked
 
+from drake_exo.files.verdict import Check, Verdict
 from drake_exo.papers import de_magistris as paper
 from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.optimize import pareto
-from drake_exo.soles.optimize.files import read_summary
+from drake_exo.soles.optimize.files import find_designs, read_summary
 from drake_exo.soles.settings import LoadBlock, Pattern, Stage
 
 
@@ -36,6 +38,14 @@ def test_a_study_runs_its_cases_side_by_side(tmp_path, capsys):
     rows = json.loads((out / "summary.json").read_text("utf-8"))["cases"]
     assert [row["name"] for row in rows] == ["1-Ref", "2-Rot"]
     assert not list(out.rglob("optimize.log"))[1:]
+    # One of three has failed, another is made to: what shows all says so.
+    off = Check("plausibility.strain", False, 0.8, 0.6)
+    path = out / "1-Ref" / "summary.json"
+    row = json.loads(path.read_text("utf-8")) | Verdict((off,)).summary()
+    path.write_text(json.dumps(row), encoding="utf-8")
+    paper.report(out, find_designs(out))
+    assert len(list(out.glob("*.png"))) >= 3 and list(out.glob("*.html"))
+    assert not [name for name in unmarked(out) if "/" not in name]
 
 
 def test_the_papers_optimum_is_rescaled_to_our_brick():

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from as_load import as_load
+from unmarked import unmarked
 
 from drake_exo import cli
 from drake_exo.errors import InputError
@@ -192,6 +193,8 @@ def test_a_simulation_ends_with_its_verdict(tmp_path, capsys):
     soft = EXAMPLE.replace("neoprene}", "neoprene, youngs_modulus_pa: 1.5e4}")
     code, summary = _simulate(tmp_path, soft)
     assert (code, summary["verdict"]) == (3, "does not hold")
+    out = tmp_path / "out"
+    assert unmarked(out) == [] and len(list(out.glob("*.png"))) >= 5
     assert "inside out" in capsys.readouterr().out
     code, summary = _simulate(tmp_path, soft, "--accept", "plausibility")
     assert (code, summary["accepted"]) == (0, ["plausibility"])

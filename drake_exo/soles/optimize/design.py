@@ -349,7 +349,7 @@ class Design:
             )
         write_csv(folder / "history.csv", self.history)
         self._draw(folder, verdict.mark)
-        row["finite_strain"] = self._compare_strains(folder, say)
+        row["finite_strain"] = self._compare_strains(folder, say, verdict.mark)
         write_json(folder / SUMMARY, row)
         return row
 
@@ -385,17 +385,18 @@ class Design:
             self.mesh,
             pictures.radial_change(self.mesh, self.shape, self.coefficients),
         )
-        pictures.save(pictures.soles_figure([drawn]), folder / "shape.png")
-        pictures.save(
-            pictures.trace_figure(self.optima), folder / "history.png"
-        )
+        for name, figure in (
+            ("shape", pictures.soles_figure([drawn])),
+            ("history", pictures.trace_figure(self.optima)),
+        ):
+            pictures.save(figure, folder / f"{name}.png", mark)
 
-    def _compare_strains(self, folder: Path, say) -> dict:
+    def _compare_strains(self, folder: Path, say, mark: str) -> dict:
         """Write the case, and the table of both strains."""
         write_case(folder, self.setup.settings, self.setup.start)
         began = time.perf_counter()
         found = compare_strains(replace(self.setup, mesh=self.mesh), say)
-        write_table(folder, {self.setup.name: found})
+        write_table(folder, {self.setup.name: found}, mark)
         found["solve_seconds"] = round(time.perf_counter() - began, 2)
         return found
 

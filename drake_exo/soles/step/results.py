@@ -431,9 +431,7 @@ class Step:
         load, mesh = self.setup.load, self.sole.mesh
         peak = np.nan_to_num(self.pressure).max(axis=0)
         drawn = {
-            "drawing": pictures.drawing_figure(
-                mesh, self.setup.name, peak, mark
-            ),
+            "drawing": pictures.drawing_figure(mesh, self.setup.name, peak),
             "load": pictures.load_figure(load, mesh),
             "stiffness": self.plot(label, **beside),
             "pose": pictures.pose_figure(self.table()),
@@ -443,7 +441,7 @@ class Step:
         }
         for name, figure in drawn.items():
             if figure is not None:
-                pictures.save(figure, folder / f"{name}.png")
+                pictures.save(figure, folder / f"{name}.png", mark)
         self.write_animation(folder / "animation.html", mark)
 
     def write(

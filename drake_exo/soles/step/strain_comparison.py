@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.files.verdict import write_text
 from drake_exo.soles.contact.finite_strain import (
     FiniteState,
     FiniteStrainSolver,
@@ -356,10 +357,10 @@ def _remarks(sole: dict) -> list[str]:
     return lines
 
 
-def write_table(folder: Path, found: dict[str, dict]) -> str:
-    """Write finite_strain.txt and .csv; the text."""
+def write_table(folder: Path, found: dict[str, dict], mark: str = "") -> str:
+    """Write finite_strain.txt, marked, and .csv; the text."""
     text = table(found)
-    (folder / "finite_strain.txt").write_text(text + "\n", encoding="utf-8")
+    write_text(folder / "finite_strain.txt", text, mark)
     rows = [
         {"sole": name, **row}
         for name, sole in found.items()
