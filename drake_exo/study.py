@@ -31,6 +31,7 @@ from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.results import (
     Origin,
     phase_summary,
+    read_calibration,
     write_contact,
     write_model,
     write_trial,
@@ -202,6 +203,34 @@ class Study:
         checks = self.plausibility(use)
         refuse(checks, accepted, self.name)
         return checks
+
+    def calibrated(
+        self,
+        folder: str | Path,
+        accepted: Sequence[str] = (),
+        trials: Sequence[Trial] = (),
+    ) -> tuple[ContactModel, list[Check]]:
+        """A calibration's contact, where it holds and is of this study.
+
+        Args:
+            folder: that `calibrate` wrote.
+            accepted: as of `gate`.
+            trials: that it is to be used for.
+
+        Returns:
+            The contact, on the study's sole if it has one, and the checks of
+            its provenance.
+
+        Raises:
+            InputError: there is none, or another check fails.
+        """
+        found = read_calibration(folder)
+        law = None if self.sole else self.foot_ground.law
+        checks = found.checks(self.name, self.model, law, trials)
+        contact = found.taken(checks, accepted)
+        if self.sole is not None:
+            contact = replace(contact, ground=self.ground)
+        return contact, checks
 
 
 class RecordedStudy(Study):

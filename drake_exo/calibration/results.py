@@ -31,7 +31,7 @@ from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import checksum, write_json
 from drake_exo.files.tables import Table
-from drake_exo.files.verdict import HOLDS, Check, Verdict, is_accepted
+from drake_exo.files.verdict import HOLDS, Check, Verdict
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
@@ -267,30 +267,12 @@ class StoredCalibration:
                 what was calibrated.
             trials: that it is to be used for.
         """
-        made_of, where = self.origin, self.folder.name
-
-        def check(name, holds, sentence, level="fail"):
-            text = "" if holds else sentence
-            return Check(
-                f"provenance.{name}", holds, None, None, "", where, text, level
-            )
-
+        made_of, own = self.origin, self.own_check
         if made_of is None:
-            return [
-                check(
-                    "calibration",
-                    False,
-                    "it is not known what it was calibrated on; run "
-                    "'drake-exo calibrate' again",
-                )
-            ]
+            return [own]
+        check = self._check
         return [
-            check(
-                "calibration",
-                made_of.verdict == HOLDS,
-                f"the calibration itself: {made_of.verdict} "
-                f"({', '.join(made_of.failed)})",
-            ),
+            own,
             check(
                 "subject",
                 made_of.subject == subject,
@@ -318,6 +300,52 @@ class StoredCalibration:
                 "note",
             ),
         ]
+
+    @property
+    def own_check(self) -> Check:
+        """Whether the calibration itself holds."""
+        made_of = self.origin
+        if made_of is None:
+            return self._check(
+                "calibration",
+                False,
+                "it is not known what it was calibrated on; run "
+                "'drake-exo calibrate' again",
+            )
+        return self._check(
+            "calibration",
+            made_of.verdict == HOLDS,
+            f"the calibration itself: {made_of.verdict}: "
+            f"{', '.join(made_of.failed)}",
+        )
+
+    def _check(self, name, holds, sentence, level="fail") -> Check:
+        text, where = "" if holds else sentence, self.folder.name
+        return Check(
+            f"provenance.{name}", holds, None, None, "", where, text, level
+        )
+
+    def taken(
+        self, checks: Sequence[Check], accepted: Sequence[str]
+    ) -> ContactModel:
+        """The contact, unless a check fails that nobody accepted.
+
+        Args:
+            checks: some of `checks`.
+            accepted: names of checks, or beginnings of them, that may fail.
+
+        Raises:
+            InputError: it is refused.
+        """
+        refused = Verdict(tuple(checks), tuple(accepted)).refused
+        if refused:
+            why = "; ".join(c.sentence for c in refused)
+            options = " ".join(f"--accept {c.name}" for c in refused)
+            raise InputError(
+                f"{self.folder}: is refused: {why}. Give a calibration of this "
+                f"study that holds, or {options}"
+            )
+        return self.contact
 
 
 def read_calibration(folder: str | Path) -> StoredCalibration:
@@ -360,19 +388,7 @@ def read_contact(
     True
     """
     found = read_calibration(folder)
-    origin = found.origin
-    holds = origin is not None and origin.verdict == HOLDS
-    if not holds and not is_accepted("provenance.calibration", accept):
-        why = (
-            "it is not known what they were calibrated on"
-            if origin is None
-            else f"{origin.verdict}: {', '.join(origin.failed)}"
-        )
-        raise InputError(
-            f"{folder}: its parameters are not to be used ({why}); calibrate "
-            "again, or accept provenance.calibration"
-        )
-    return found.contact
+    return found.taken([found.own_check], accept)
 
 
 def solve_summary(solution: Solution) -> dict:

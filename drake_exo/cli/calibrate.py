@@ -7,7 +7,6 @@ foot_ground) and then the interaction of human and exoskeleton (Phase B).
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from drake_exo.calibration.foot_ground import pareto_front
@@ -18,7 +17,6 @@ from drake_exo.calibration.interaction import (
 from drake_exo.calibration.results import read_calibration
 from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.errors import InputError
 from drake_exo.files.output import (
     prepare_output_folder,
     read_json,
@@ -34,7 +32,6 @@ from drake_exo.files.verdict import (
     save_figure,
     stored,
 )
-from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
 from drake_exo.report.tables import (
@@ -126,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         check_has_cuffs(study.model)
         check_is_measured(study.trials("calibration"))
         if args.calibration is not None:
-            contact, made_of = usable(args.calibration, study, args.accept)
+            contact, made_of = study.calibrated(args.calibration, args.accept)
             checks += made_of
     with prepare_output_folder(args.out, args.force, args.resume) as out:
         done = _finished(out) if args.resume else None
@@ -145,40 +142,6 @@ def run(args: argparse.Namespace) -> int:
             )
     print(f"results in {args.out}")
     return code
-
-
-def usable(
-    folder: Path,
-    study: Study,
-    accepted: Sequence[str],
-    trials: Sequence[Trial] = (),
-) -> tuple[ContactModel, list[Check]]:
-    """A calibration that holds and is of this study, or is accepted.
-
-    Returns:
-        Its contact, and the checks of its provenance.
-
-    Raises:
-        InputError: it is to be refused.
-    """
-    found = read_calibration(folder)
-    checks = found.checks(
-        study.name,
-        study.model,
-        None if study.sole else study.foot_ground.law,
-        trials,
-    )
-    refused = Verdict(tuple(checks), tuple(accepted)).refused
-    if refused:
-        why = "; ".join(c.sentence for c in refused)
-        options = " ".join(f"--accept {c.name}" for c in refused)
-        raise InputError(
-            f"{folder}: is refused: {why}. Give a calibration of this study "
-            f"that holds, or {options}"
-        )
-    if study.sole is None:
-        return found.contact, checks
-    return replace(found.contact, ground=study.ground), checks
 
 
 def write_foot_ground(

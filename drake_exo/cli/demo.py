@@ -13,7 +13,7 @@ import io
 from pathlib import Path
 
 from drake_exo.batch.calls import beside
-from drake_exo.cli.calibrate import usable, write_interaction
+from drake_exo.cli.calibrate import write_interaction
 from drake_exo.cli.lab import PROCESSES
 from drake_exo.cli.predict import write_predictions
 from drake_exo.cli.report import write_report
@@ -68,7 +68,7 @@ def _steps(out: Path) -> int:
         code = write_interaction(study, folder, checks=checks)
         if code not in (0, FAILS_CODE):
             return code
-        contact, made_of = usable(folder, study, ["all"])
+        contact, made_of = study.calibrated(folder, ["all"])
         checks = [*study.gate("prediction"), *made_of]
     # Both only read what was calibrated: a core for each.
     stiff = prepare_output_folder(out / "prediction_stiff")

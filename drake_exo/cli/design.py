@@ -10,7 +10,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from drake_exo.cli.calibrate import report_failure, usable
+from drake_exo.cli.calibrate import report_failure
 from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.designing import Designed, design, front
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     for study in studies:
         checks += study.gate(use, args.accept)
     for study, folder in zip(studies, args.calibration, strict=False):
-        contact, made_of = usable(folder, study, args.accept)
+        contact, made_of = study.calibrated(folder, args.accept)
         contacts.append(contact)
         checks += made_of
     for study in studies:

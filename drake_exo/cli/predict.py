@@ -27,7 +27,6 @@ from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,
     report_failure,
-    usable,
 )
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, read_design
@@ -109,8 +108,8 @@ def run(args: argparse.Namespace) -> int:
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
     # Bad input ends before a folder is made.
-    contact, checks = usable(
-        args.calibration, study, args.accept, study.trials("prediction")
+    contact, checks = study.calibrated(
+        args.calibration, args.accept, study.trials("prediction")
     )
     checks += study.gate("prediction", args.accept)
     if args.design is not None:

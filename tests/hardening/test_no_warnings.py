@@ -65,6 +65,9 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
         def trials(self, use):
             return ()
 
+        def calibrated(self, folder, accepted):
+            return None, []
+
         alone = trials
 
     @contextlib.contextmanager
@@ -77,7 +80,6 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
     ):
         monkeypatch.setattr(demo, name, step)
     monkeypatch.setattr(demo, "read_study", lambda *_: Passed())
-    monkeypatch.setattr(demo, "usable", lambda *_: (None, []))
     monkeypatch.setattr(demo, "beside", beside)
     assert demo.run(argparse.Namespace(out=out, force=True)) == 0
     growing = Path(f"{out}.partial")
