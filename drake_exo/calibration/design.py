@@ -639,43 +639,27 @@ class _Wearing(PhaseProblem):
     def _fill_trial(
         self, x, movement, trial: Trial, contact, design: Design
     ) -> None:
-        grid, settings = movement.grid, self._posed.settings
-        at = trial.sample(grid.times)
-        jerk = np.gradient(at.a, grid.times, axis=0)[: len(grid.jerk)]
-        if trial.jerk is not None and trial.jerk.shape == jerk.shape:
-            jerk = trial.jerk
-        filled = [
-            (grid.q, at.q),
-            (grid.v, at.v),
-            (grid.a, at.a),
-            (grid.jerk, jerk),
-            (movement.ground, at.ground.array),
-            (movement.torque, at.moments),
-        ]
-        for cuff, kinematics in self.bushings.items():
-            bushing = contact.bushings[cuff]
-            own = self.contact.bushings[cuff].preload
-            places = np.r_[
-                bushing.origin, np.subtract(bushing.preload, own)[:2]
-            ]
-            for joint in joints_below(self.model, cuff):
-                moved = design.joints.get(joint, JointDesign())
-                places = np.r_[places, moved.across_m, moved.along_m]
-            places = np.broadcast_to(places, (len(at.q), len(places)))
-            terms = kinematics.terms(at.q, places)
-            deflection = kinematics.deflection(at.q, terms)
-            force = kinematics.force(deflection, bushing)
-            filled.append((movement.cuffs[cuff], force))
+        at, indices = trial.sample(movement.grid.times), self.program.indices
+        cuffs = {}
+        for cuff in self.bushings:
+            deflection, force, _ = self._cuff_at(x, cuff, at.q, contact)
+            cuffs[cuff] = force
             slid = self._slid.get((cuff, movement.name))
             if slid is not None:
-                filled.append((slid, deflection[:, [TANGENTIAL]]))
+                x[indices(slid)] = deflection[:, [TANGENTIAL]]
             pressed = self._pressed.get((cuff, movement.name))
             if pressed is not None:
                 share = design.cuffs.get(cuff, CuffDesign()).area
-                area = 1e3 * share * settings.freedom(cuff).area_m2
-                filled.append((pressed, force[:, [NORMAL]] / area))
-        for variables, numbers in filled:
-            x[self.program.indices(variables)] = numbers
+                area = self._posed.settings.freedom(cuff).area_m2
+                x[indices(pressed)] = 1e-3 * force[:, [NORMAL]] / (share * area)
+        self._fill(
+            x,
+            movement,
+            (at.q, at.v, at.a),
+            at.moments,
+            at.ground.array,
+            cuffs,
+        )
 
 
 @dataclass(frozen=True)

@@ -386,7 +386,7 @@ class PhaseProblem(ABC):
                 p.nominal for p in contact.fixed(group)
             ]
         for movement, trial in zip(self.movements, self.trials, strict=True):
-            self._fill(x, movement, self._start(movement, trial), contact)
+            self._settle(x, movement, self._start(movement, trial), contact)
         return x
 
     def guess_from(self, found: PhaseResult) -> np.ndarray:
@@ -401,57 +401,83 @@ class PhaseProblem(ABC):
         for movement, solved, ground in zip(
             self.movements, found.trials, found.grounds, strict=True
         ):
-            grid = movement.grid
-            at = solved.sample(grid.times)
-            filled = [
-                (grid.q, at.q),
-                (grid.v, at.v),
-                (grid.a, at.a),
-                (
-                    movement.ground,
-                    CubicSpline(solved.times, ground)(grid.times),
-                ),
-                (movement.torque, at.moments),
-            ]
-            filled += [
-                (movement.poses[body], tie.poses(at.q, at.v))
-                for body, tie in movement.ties.items()
-            ]
-            filled += [
-                (variables, at.cuffs[cuff].components)
-                for cuff, variables in movement.cuffs.items()
-            ]
-            for variables, numbers in filled:
-                x[self.program.indices(variables)] = numbers
+            times = movement.grid.times
+            at = solved.sample(times)
+            self._fill(
+                x,
+                movement,
+                (at.q, at.v, at.a),
+                at.moments,
+                CubicSpline(solved.times, ground)(times),
+                {cuff: at.cuffs[cuff].components for cuff in movement.cuffs},
+            )
         return x
 
     def _start(self, movement: TrialProgram, trial: Trial) -> Trial:
         """Motion that the guess follows."""
         return trial.sample(movement.grid.times)
 
-    def _fill(self, x, movement: TrialProgram, at: Trial, contact) -> None:
+    def _settle(self, x, movement: TrialProgram, at: Trial, contact) -> None:
         """Variables of one trial, so that the equations of motion hold."""
-        names, grid = self.tree.coordinates, movement.grid
         start = settled(self, movement, at, contact)
         q, v, a = start.q, start.v, start.a
         forces = self.tree.inverse_dynamics(q, v, a)
         forces -= movement.applied(q)
-        filled = [(grid.q, q), (grid.v, v), (grid.a, a)]
         for body, wrench in start.ground.items():
-            filled.append((movement.grounds[body], wrench))
             forces -= BodyWrench(self.tree, body).generalized(q, wrench)
+        cuffs = {}
+        for cuff, kinematics in self.bushings.items():
+            _, cuffs[cuff], terms = self._cuff_at(x, cuff, q, contact)
+            forces += np.einsum(
+                "nc,ncq->nq", cuffs[cuff], kinematics.deflection_jacobian(terms)
+            )
+        joints = self.tree.coordinates.joint_columns
+        ground = np.hstack([start.ground[body] for body in self.soles])
+        self._fill(x, movement, (q, v, a), forces[:, joints], ground, cuffs)
+
+    def _cuff_at(self, x, cuff: str, q, contact: ContactModel):
+        """A cuff's springs at q (n, nq), at the places that x holds.
+
+        Returns:
+            Deflection (n, 3) [m, m, rad], force (n, 3) [N, N, N m], and the
+            kinematics' terms.
+        """
+        kinematics = self.bushings[cuff]
+        places = x[self.program.indices(self.places(cuff))]
+        terms = kinematics.terms(
+            q, np.broadcast_to(places, (len(q), len(places)))
+        )
+        deflection = kinematics.deflection(q, terms)
+        return (
+            deflection,
+            kinematics.force(deflection, contact.bushings[cuff]),
+            terms,
+        )
+
+    def _fill(self, x, movement: TrialProgram, motion, moments, ground, cuffs):
+        """Variables of one trial.
+
+        Args:
+            x: all program variables.
+            movement: the trial.
+            motion: q, v, a, each (n, nq), at its nodes.
+            moments: (n, nj) of the joints [N m].
+            ground: (n, 3 k) on the k segments that touch.
+            cuffs: cuff -> force (n, 3).
+        """
+        grid = movement.grid
+        q, v, a = motion
+        filled = [
+            (grid.q, q),
+            (grid.v, v),
+            (grid.a, a),
+            (movement.ground, ground),
+            (movement.torque, moments),
+        ]
         for body, tie in movement.ties.items():
             filled.append((movement.poses[body], tie.poses(q, v)))
-        for cuff, kinematics in self.bushings.items():
-            bushing = contact.bushings[cuff]
-            origin = np.broadcast_to(bushing.origin, (len(q), 2))
-            terms = kinematics.terms(q, origin)
-            force = kinematics.force(kinematics.deflection(q, terms), bushing)
+        for cuff, force in cuffs.items():
             filled.append((movement.cuffs[cuff], force))
-            forces += np.einsum(
-                "nc,ncq->nq", force, kinematics.deflection_jacobian(terms)
-            )
-        filled.append((movement.torque, forces[:, names.joint_columns]))
         for variables, numbers in filled:
             x[self.program.indices(variables)] = numbers
 
