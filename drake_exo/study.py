@@ -26,6 +26,7 @@ from drake_exo.calibration.interaction import (
     check_has_cuffs,
     check_is_measured,
 )
+from drake_exo.calibration.periodic import PeriodicStep
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.results import (
@@ -704,12 +705,15 @@ def predict(
     if study.sole is not None:
         scaled = replace(scaled, ground=study.ground)
 
+    settings = settings or study.prediction
+    kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
+
     def pose(refined):
-        return PredictionProblem(
+        return kind(
             study.model,
             [trial],
             scaled,
-            settings or study.prediction,
+            settings,
             controller=controller,
             refined=refined,
         )

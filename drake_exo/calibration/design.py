@@ -26,7 +26,11 @@ from drake_exo.calibration.problem import (
     ground_terms,
     kinematic_terms,
 )
-from drake_exo.calibration.settings import PredictionEnds, PredictionSettings
+from drake_exo.calibration.settings import (
+    InteractionNoise,
+    PredictionEnds,
+    PredictionSettings,
+)
 from drake_exo.calibration.wearers import (
     Wearer,
     check_wearers,
@@ -285,7 +289,12 @@ class _Wearing(PhaseProblem):
     def __init__(self, wearer: Wearer, posed: _Posed, program: BatchedProgram):
         self.wearer, self._posed = wearer, posed
         settings = posed.settings
-        phase = PredictionSettings(solver=settings.solver, guess="data")
+        jerk = settings.jerk or _LOOSE * wearer.contact.jerk
+        phase = PredictionSettings(
+            noise=InteractionNoise(jerk=jerk),
+            solver=settings.solver,
+            guess="data",
+        )
         # Design variable -> work that the device does by it [J].
         self._work: dict[str, float] = {}
         self._undriven, self._total = 0.0, None
@@ -372,10 +381,23 @@ class _Wearing(PhaseProblem):
         prog.AddBoundingBoxConstraint(values, values, variables[len(own) :])
         return variables
 
-    def _add(self, trial: Trial) -> TrialProgram:
-        movement = self._movement(trial)
+    def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
+        """The person's ends; the device's follow from its equations."""
+        if self._posed.settings.response == "own":
+            return
+        names = movement.coordinates
+        own = names.columns(names.human)
+        for i in (0, -1):
+            for variables, values in (
+                (movement.grid.q, at.q),
+                (movement.grid.v, at.v),
+            ):
+                given = values[i, own]
+                movement.bound(variables[i, own], given, given)
+        bound_feet(movement, at, PredictionEnds())
+
+    def _terms(self, movement, at, effects):
         settings, noise = self._posed.settings, self.settings.noise
-        at = trial.sample(movement.grid.times)
         human = movement.torque[:, ~movement.coordinates.is_device_joint]
         terms = [minimised(human, settings.effort_nm)]
         if settings.response == "own":
@@ -388,28 +410,14 @@ class _Wearing(PhaseProblem):
             )
             terms += kinematic_terms(movement, at, near, encoders=False)
             terms += ground_terms(movement, at, noise)
-        else:
-            self._hold_person(movement, at)
-        movement.add_tracking_cost(terms)
-        # The movement is known: its jerk is no part of what is minimised.
-        movement.add_jerk_cost(_LOOSE * self.jerk)
-        self._drive(movement, at)
+        return terms
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = super()._add(trial)
+        self._drive(movement, trial.sample(movement.grid.times))
         self._add_forces(movement)
         self._limit(movement)
         return movement
-
-    def _hold_person(self, movement: TrialProgram, at: Trial) -> None:
-        """The person's ends; the device's follow from its equations."""
-        names = movement.coordinates
-        own = names.columns(names.human)
-        for i in (0, -1):
-            for variables, values in (
-                (movement.grid.q, at.q),
-                (movement.grid.v, at.v),
-            ):
-                given = values[i, own]
-                movement.bound(variables[i, own], given, given)
-        bound_feet(movement, at, PredictionEnds())
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
         """The device's torques are those of today times factors."""

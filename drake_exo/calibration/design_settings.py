@@ -181,6 +181,9 @@ class DesignSettings:
             (as is least effort, between the ends).
         own_angle_deg: how near to the own movement, one standard deviation.
         effort_nm: typical moment of the person's joints in the cost.
+        jerk: typical jerk there; if left out, ten times that of the movements
+            that calibrated: what is known already is no part of what is
+            minimised.
         draws: wearers drawn from each calibration's posterior, besides the
             one that it found; a design for them is safer and less good.
         seed: of those draws.
@@ -211,6 +214,7 @@ class DesignSettings:
     response: Literal["own", "free"] = "own"
     own_angle_deg: float = _positive(0.02, "deg")
     effort_nm: float = _positive(2000.0, "N m")
+    jerk: float | None = _positive(None, "rad/s^3")
     draws: int = field(default=0, metadata={"minimum": 0})
     seed: int = field(default=0, metadata={"minimum": 0})
     population: Population | None = None

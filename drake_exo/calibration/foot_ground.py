@@ -20,7 +20,7 @@ from drake_exo.calibration.problem import (
 )
 from drake_exo.calibration.scores import rmsd
 from drake_exo.calibration.settings import FootGroundSettings
-from drake_exo.collocation.trial_program import TrialProgram, minimised
+from drake_exo.collocation.trial_program import minimised
 from drake_exo.contact.parameters import (
     ContactModel,
     ContactParameter,
@@ -69,18 +69,13 @@ class FootGroundCalibration(PhaseProblem):
             model, trials, contact, parameters, settings, refined=refined
         )
 
-    def _add(self, trial: Trial) -> TrialProgram:
-        movement, at, _ = self._begin(trial)
+    def _terms(self, movement, at, effects):
         noise = self.settings.noise
-        movement.add_tracking_cost(
-            [
-                *kinematic_terms(movement, at, noise),
-                *ground_terms(movement, at, noise),
-                minimised(movement.torque, noise.torque_nm),
-            ]
-        )
-        movement.add_jerk_cost(self.jerk)
-        return movement
+        return [
+            *kinematic_terms(movement, at, noise),
+            *ground_terms(movement, at, noise),
+            minimised(movement.torque, noise.torque_nm),
+        ]
 
 
 FRONT_KINDS = ("angles_deg", "velocities_deg_s", "grf_n", "cop_mm")

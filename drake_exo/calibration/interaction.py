@@ -68,24 +68,22 @@ class InteractionCalibration(PhaseProblem):
             refined,
         )
 
-    def _add(self, trial: Trial) -> TrialProgram:
-        movement, at, effects = self._begin(trial)
+    def _terms(self, movement, at, effects):
         noise = self.settings.noise
-        movement.add_tracking_cost(
-            [
-                *kinematic_terms(movement, at, noise, effects),
-                *ground_terms(movement, at, noise),
-                *torque_terms(movement, at, noise, effects),
-                *normal_force_terms(movement, at, noise, effects),
-            ],
-            self.error_variables,
-        )
-        movement.add_jerk_cost(self.jerk)
+        return [
+            *kinematic_terms(movement, at, noise, effects),
+            *ground_terms(movement, at, noise),
+            *torque_terms(movement, at, noise, effects),
+            *normal_force_terms(movement, at, noise, effects),
+        ]
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = super()._add(trial)
         unmeasured = {
             cuff: [c for c in EVERY if c != NORMAL or cuff not in trial.cuffs]
             for cuff in self.bushings
         }
-        self.minimise_energy(movement, unmeasured, noise.energy_j)
+        self.minimise_energy(movement, unmeasured, self.settings.noise.energy_j)
         return movement
 
 

@@ -290,9 +290,26 @@ class PhaseProblem(ABC):
         wrench = 0.0 * pose[:, :3] if wrench is None else wrench
         return np.hstack([pose, wrench, np.tile(values, (len(pose), 1))])
 
-    @abstractmethod
     def _add(self, trial: Trial) -> TrialProgram:
         """Add a trial: dynamics, contact, ends, cost."""
+        movement, at, effects = self._begin(trial)
+        movement.add_tracking_cost(
+            self._terms(movement, at, effects), self.error_variables
+        )
+        movement.add_jerk_cost(self.jerk)
+        return movement
+
+    @abstractmethod
+    def _terms(
+        self, movement: TrialProgram, at: Trial, effects: Effects | None
+    ) -> list[Tracking]:
+        """What is tracked of a trial, or minimised.
+
+        Args:
+            movement: its variables.
+            at: measured, at the nodes.
+            effects: of the unknown errors.
+        """
 
     # Kernel of the equations of motion with cuffs.
     coupled = CoupledDynamicsKernel

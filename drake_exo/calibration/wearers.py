@@ -26,7 +26,6 @@ from drake_exo.calibration.problem import (
 )
 from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.collocation.kernels import BodyWrench
-from drake_exo.collocation.trial_program import TrialProgram
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
@@ -71,27 +70,20 @@ class OwnMovement(PhaseProblem):
         errors = ErrorModel(model, trials, settings.errors, contact.posterior)
         super().__init__(model, trials, contact, [], settings, errors)
 
-    def _add(self, trial: Trial) -> TrialProgram:
-        movement, at, effects = self._begin(trial)
+    def _terms(self, movement, at, effects):
         noise = self.settings.noise
-        movement.add_tracking_cost(
-            [
-                *kinematic_terms(movement, at, noise, effects, encoders=False),
-                *ground_terms(movement, at, noise),
-                *torque_terms(movement, at, noise, effects),
-            ],
-            self.error_variables,
-        )
-        movement.add_jerk_cost(self.jerk)
-        return movement
+        return [
+            *kinematic_terms(movement, at, noise, effects, encoders=False),
+            *ground_terms(movement, at, noise),
+            *torque_terms(movement, at, noise, effects),
+        ]
 
 
 def assisted(trial: Trial, design: Design) -> Trial:
     """A trial with the device's torques times a design's factors.
 
-    The movement is the trial, from its start to its end.
-
-    What the device bears more the person bears less.
+    A factor over the movement is over the whole trial. What the device bears
+    more the person bears less.
     """
     if trial.moments is None or not design.assistance:
         return trial
@@ -159,8 +151,8 @@ def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
         seed: of the random numbers.
 
     Returns:
-        None where no calibration says how sure it is. A stiffness is drawn
-        log-normal, so that it stays positive.
+        None of them where no calibration says how sure it is. A stiffness is
+        drawn log-normal, so that it stays positive.
     """
     known = wearer.contact.posterior
     if known is None or not count:

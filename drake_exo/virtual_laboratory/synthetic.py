@@ -344,10 +344,12 @@ class RisesInDevice:
 class _PassiveDevice(PhaseProblem):
     """The drawn rise, loosely, with a device that has no torque."""
 
-    def _add(self, trial):
-        movement = self._movement(trial)
-        grid, names = movement.grid, movement.coordinates
-        at = trial.sample(grid.times)
+    def _hold_ends(self, movement, at):
+        still = np.zeros(len(movement.coordinates))
+        for i in (0, -1):
+            movement.bound(movement.grid.v[i], still, still)
+
+    def _terms(self, movement, at, effects):
         loose = replace(
             self.settings.noise,
             angle_deg=5.0,
@@ -356,20 +358,13 @@ class _PassiveDevice(PhaseProblem):
             exo_velocity_deg_s=20.0,
             foot_pitch_deg=2.0,
         )
-        device = names.is_device_joint
+        device = movement.coordinates.is_device_joint
         passive = movement.torque[:, device]
-        movement.add_tracking_cost(
-            [
-                *kinematic_terms(movement, at, loose),
-                minimised(movement.torque[:, ~device], loose.torque_nm),
-                Tracking(passive, np.zeros(passive.shape), _DEVICE_NM),
-            ]
-        )
-        still = np.zeros(len(names))
-        for i in (0, -1):
-            movement.bound(grid.v[i], still, still)
-        movement.add_jerk_cost(self.jerk)
-        return movement
+        return [
+            *kinematic_terms(movement, at, loose),
+            minimised(movement.torque[:, ~device], loose.torque_nm),
+            Tracking(passive, np.zeros(passive.shape), _DEVICE_NM),
+        ]
 
 
 def rises_in_device(

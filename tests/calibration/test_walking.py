@@ -8,6 +8,7 @@ import pytest
 
 from drake_exo.calibration.audit import _about, audit
 from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.periodic import PeriodicStep
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.problem import measured_feet, torque_terms
 from drake_exo.calibration.scores import rmsd
@@ -140,9 +141,7 @@ def test_a_step_repeats_itself_and_tracks_nothing(study, calibrated):
         noise=noise,
         solver=solver,
     )
-    problem = PredictionProblem(
-        step.model, [trial], calibrated.contact, settings
-    )
+    problem = PeriodicStep(step.model, [trial], calibrated.contact, settings)
     assert all(
         term.role == "regulariser"
         for movement in problem.movements
@@ -207,6 +206,8 @@ def test_one_leg_makes_no_step():
     settings = PredictionSettings(ends="periodic")
     contact = FootGroundCalibration(model, [trial]).contact
     with pytest.raises(InputError, match="is of both legs at once"):
+        PeriodicStep(model, [trial], contact, settings)
+    with pytest.raises(ValueError, match="periodic ends"):
         PredictionProblem(model, [trial], contact, settings)
 
 
