@@ -12,8 +12,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
 from drake_exo.batch.processes import Processes
 from drake_exo.files.output import Progress, read_json, write_json
@@ -73,7 +71,6 @@ _WHOLE = "1-Ref"  # the case with the whole front
 UNLIMITED = "unlimited"
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
 _FRONT, SOLES = "front.json", "soles.png"
-_LEAST_ERROR = 1e-8  # errors below are drawn there
 
 
 def step_block(root: Path | None) -> LoadBlock:
@@ -452,10 +449,12 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
 
     figures = {
         SOLES: pictures.soles_figure([_drawn(d) for d in designs]),
-        "histories.png": histories_figure(designs),
+        "histories.png": pictures.histories_figure(
+            {d.name: read_columns(d.folder / "history.csv") for d in designs}
+        ),
     }
     if len(designs) > 1:  # a design has a picture of its own stiffness
-        figures["stiffness.png"] = stiffness_figure(designs)
+        figures["stiffness.png"] = _stiffness(designs)
     summaries = {d.name: d.summary() for d in designs}
     mark = joined_mark({n: stored_mark(s) for n, s in summaries.items()})
     for name, figure in figures.items():
@@ -534,83 +533,21 @@ def _drawn(design: StoredDesign):
     return DrawnSole(design.name, caption, initial, mesh, change)
 
 
-def stiffness_figure(designs: list[StoredDesign]):
-    """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13)."""
+def _stiffness(designs: list[StoredDesign]):
+    """What is drawn of their stiffness, see `pictures.stiffness_figure`."""
     from drake_exo.soles import pictures
 
-    keys = ("sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad")
-    looks = {
-        "initial": ("initial_steps.csv", {"color": "0.45", "ls": "--"}),
-        "optimised": ("steps.csv", {}),
+    keys = ("time_s", "sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad")
+    files = {"initial": "initial_steps.csv", "optimised": "steps.csv"}
+    soles = {
+        design.name: {
+            label: tuple(read_columns(design.folder / file)[k] for k in keys)
+            for label, file in files.items()
+        }
+        for design in designs
     }
     first = designs[0].setup
     strike = heel_strike_count(
         len(first.load.times), first.settings.cost.heel_strike_fraction
     )
-    with pictures.style():
-        figure, axes = pictures.panels(
-            2, len(designs), (1.2 + 2.7 * len(designs), 5.4),
-            sharex=True, sharey="row", squeeze=False,
-        )  # fmt: skip
-        for column, design in enumerate(designs):
-            steps = {
-                label: read_columns(design.folder / file)
-                for label, (file, _) in looks.items()
-            }
-            for axis, key, scale in zip(
-                axes[:, column], keys, (1e-3, 1.0), strict=True
-            ):
-                for label, (_, look) in looks.items():
-                    t = steps[label]["time_s"] - steps[label]["time_s"][0]
-                    axis.plot(t, scale * steps[label][key], label=label,
-                              **{"color": f"C{column}"} | look)  # fmt: skip
-                axis.axvspan(t[0], t[strike - 1], color="tab:orange",
-                             alpha=0.15, lw=0, label="heel strike")  # fmt: skip
-                axis.margins(x=0.01)
-            axes[0, column].set_title(design.name)
-            axes[1, column].set_xlabel("time since contact [s]")
-        axes[0, 0].legend(fontsize=8)
-        for axis in axes[:, 0]:
-            axis.set_ylim(0, None)
-        axes[0, 0].set_ylabel(r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]")
-        axes[1, 0].set_ylabel(r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]")
-    return figure
-
-
-def histories_figure(designs: list[StoredDesign]):
-    """Cost, violation and optimality error over iterations, case by case."""
-    from drake_exo.soles import pictures
-
-    with pictures.style():
-        figure, axes = pictures.panels(
-            2, len(designs), (1.2 + 2.7 * len(designs), 5.0),
-            sharex="col", squeeze=False,
-        )  # fmt: skip
-        for column, design in enumerate(designs):
-            trace = read_columns(design.folder / "history.csv")
-            cost, error = axes[:, column]
-            cost.set_title(design.name)
-            error.set_xlabel("iteration")
-            x = np.arange(len(trace["stage"]))
-            if len(x) == 0:
-                cost.text(0.5, 0.5, "no iterations", ha="center",
-                          transform=cost.transAxes)  # fmt: skip
-                continue
-            for stage in np.unique(trace["stage"]):
-                rows = trace["stage"] == stage
-                cost.plot(x[rows], trace["cost"][rows], ".-", ms=4,
-                          label=f"stage {stage:.0f}")  # fmt: skip
-            for key, look in (
-                ("dual_infeasibility", {"color": "k", "lw": 1.2}),
-                ("violation", {"color": "tab:red", "ls": ":"}),
-            ):
-                label = {"violation": "constraint violation"}.get(
-                    key, "dual infeasibility"
-                )
-                error.semilogy(x, np.maximum(trace[key], _LEAST_ERROR),
-                               label=label, **look)  # fmt: skip
-            cost.legend(fontsize=8)
-        axes[0, 0].set_ylabel(r"cost $c/|c_0|$ with regulariser")
-        axes[1, 0].set_ylabel("scaled error")
-        axes[1, 0].legend(fontsize=8)
-    return figure
+    return pictures.stiffness_figure(soles, strike)

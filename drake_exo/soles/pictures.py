@@ -7,6 +7,7 @@ orthographic: faces that look away are dropped, the others painted from far to
 near. Every view has the same scale, in millimetres.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -156,6 +157,7 @@ def extent(nodes: np.ndarray, view: View) -> np.ndarray:
 _COLOURS = matplotlib.colormaps["coolwarm"]
 _GAP = 14.0  # mm between views
 _HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
+_LEAST_ERROR = 1e-8  # errors below are drawn there
 _INCH = 1.0 / 62.0  # inches a millimetre of sole
 _STYLE = {
     "font.size": 10,
@@ -221,29 +223,43 @@ def load_figure(load: Load, mesh: TetMesh) -> Figure:
     return figure
 
 
+def _columns(count: int, height: float, **shared):
+    """Two rows of axes, a column for each of some soles."""
+    width = max(1.2 + 2.7 * count, 6.0)
+    return panels(2, count, (width, height), squeeze=False, **shared)
+
+
 @style()
-def stiffness_figure(curves: dict, heel_strike: float) -> Figure:
-    """σ_max(K_tr) and σ_min(K_rot) over the step (Fig. 13).
+def stiffness_figure(soles: Mapping[str, Mapping[str, tuple]], strike: int):
+    """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13).
 
     Args:
-        curves: Label -> (times [s], σ_max [N/m], σ_min [N·m/rad]).
-        heel_strike: End of heel strike [s].
+        soles: Name -> label -> (times [s], σ_max [N/m], σ_min [N·m/rad]), each
+            (N,); what is called "initial" stays in the background.
+        strike: How many of the times are heel strike.
     """
-    figure, axes = panels(1, 2, (9.0, 3.6))
-    titles = (
-        r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]",
-        r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]",
-    )
-    for k, axis in enumerate(axes):
-        for label, values in curves.items():
-            scale = 1e-3 if k == 0 else 1.0
-            axis.plot(values[0], scale * values[k + 1], label=label)
-        start = min(v[0][0] for v in curves.values())
-        axis.axvspan(start, heel_strike, color="tab:orange", alpha=0.15,
-                     lw=0, label="heel strike")  # fmt: skip
-        axis.set(xlabel="time [s]", title=titles[k], ylim=(0, None))
-        axis.margins(x=0.01)
-    axes[0].legend()
+    figure, axes = _columns(len(soles), 5.4, sharex=True, sharey="row")
+    for column, (name, curves) in enumerate(soles.items()):
+        for label, (times, *both) in curves.items():
+            look = {"color": f"C{column}"}
+            if label == "initial":
+                look = {"color": "0.45", "ls": "--"}
+            t = times - times[0]
+            for axis, values, scale in zip(
+                axes[:, column], both, (1e-3, 1.0), strict=True
+            ):
+                axis.plot(t, scale * values, label=label, **look)
+        for axis in axes[:, column]:
+            axis.axvspan(t[0], t[strike - 1], color="tab:orange", alpha=0.15,
+                         lw=0, label="heel strike")  # fmt: skip
+            axis.margins(x=0.01)
+        axes[0, column].set_title(name)
+        axes[1, column].set_xlabel("time since contact [s]")
+    axes[0, 0].legend(fontsize=8)
+    for axis in axes[:, 0]:
+        axis.set_ylim(0, None)
+    axes[0, 0].set_ylabel(r"$\sigma_{\max}(K_c^{\mathrm{tr}})$ [kN/m]")
+    axes[1, 0].set_ylabel(r"$\sigma_{\min}(K_c^{\mathrm{rot}})$ [N·m/rad]")
     return figure
 
 
@@ -332,28 +348,37 @@ def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 @style()
-def trace_figure(optima) -> Figure:
-    """Cost and optimality error over iterations, stage by stage."""
-    figure, (cost, error) = panels(1, 2, (9.0, 3.4))
-    start = 0
-    for number, best in enumerate(optima):
-        trace = np.array(best.trace)
-        if len(trace) == 0:
+def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
+    """Cost, violation and optimality error over iterations, sole by sole.
+
+    Args:
+        histories: Name -> columns of history.csv, each (N,).
+    """
+    figure, axes = _columns(len(histories), 5.0, sharex="col")
+    for column, (name, trace) in enumerate(histories.items()):
+        cost, error = axes[:, column]
+        cost.set_title(name)
+        error.set_xlabel("iteration")
+        x = np.arange(len(trace["stage"]))
+        if len(x) == 0:
+            cost.text(0.5, 0.5, "no iterations", ha="center",
+                      transform=cost.transAxes)  # fmt: skip
             continue
-        x = start + np.arange(len(trace))
-        label = f"stage {number + 1}"
-        cost.plot(x, trace[:, 1], ".-", label=label)
-        error.semilogy(x, np.maximum(trace[:, 3], 1e-12), ".-")
-        error.semilogy(x, np.maximum(trace[:, 2], 1e-12), ":", color="k",
-                       lw=1)  # fmt: skip
-        start += len(trace)
-    cost.set(xlabel="iteration", title="cost $c/|c_0|$ with regulariser")
-    error.set(
-        xlabel="iteration",
-        title="scaled dual infeasibility (dotted: violation)",
-    )
-    if start:
-        cost.legend()
+        for stage in np.unique(trace["stage"]):
+            rows = trace["stage"] == stage
+            cost.plot(x[rows], trace["cost"][rows], ".-", ms=4,
+                      label=f"stage {stage:.0f}")  # fmt: skip
+        for key, label, look in (
+            ("dual_infeasibility", "dual infeasibility", {"color": "k"}),
+            ("violation", "constraint violation",
+             {"color": "tab:red", "ls": ":"}),
+        ):  # fmt: skip
+            error.semilogy(x, np.maximum(trace[key], _LEAST_ERROR),
+                           label=label, **look)  # fmt: skip
+        cost.legend(fontsize=8)
+        error.legend(fontsize=8)
+    axes[0, 0].set_ylabel(r"cost $c/|c_0|$ with regulariser")
+    axes[1, 0].set_ylabel("scaled error")
     return figure
 
 

@@ -385,9 +385,10 @@ class Design:
             self.mesh,
             pictures.radial_change(self.mesh, self.shape, self.coefficients),
         )
+        histories = {self.setup.name: self.history}
         for name, figure in (
             ("shape", pictures.soles_figure([drawn])),
-            ("history", pictures.trace_figure(self.optima)),
+            ("history", pictures.histories_figure(histories)),
         ):
             pictures.save(figure, folder / f"{name}.png", mark)
 

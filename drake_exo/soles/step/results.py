@@ -387,7 +387,7 @@ class Step:
             for label, s in steps.items()
         }
         return pictures.stiffness_figure(
-            curves, self.times[self.heel_strike - 1]
+            {self.setup.name: curves}, self.heel_strike
         )
 
     def write_animation(
