@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.batch.calls import run_calls
+from drake_exo.batch.jobs import run_calls
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,

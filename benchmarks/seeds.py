@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import drake_exo as dx
-from drake_exo.batch.calls import run_calls
+from drake_exo.batch.jobs import run_calls
 from drake_exo.calibration.scores import rms
 from drake_exo.files.opensim import read_table
 from drake_exo.files.output import read_json

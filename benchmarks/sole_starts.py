@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.batch.calls import run_calls
+from drake_exo.batch.jobs import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
 from drake_exo.soles.optimize.optimizer import QuasiNewton, WarmStart, minimise
 from drake_exo.soles.optimize.search import stage_problem, start_design

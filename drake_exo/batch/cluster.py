@@ -1,6 +1,6 @@
 """Workers of a Dask cluster that run jobs, each in a process of its own.
 
-A Dask worker hands its job to a `processes.Worker`: compiled code that keeps
+A Dask worker hands its job to a `jobs.Worker`: compiled code that keeps
 Python's lock cannot then cost the Dask worker its connection, and a process
 that is killed costs one attempt at one job. Results travel by files, so every
 machine sees the same folders.
@@ -13,8 +13,7 @@ import queue
 import threading
 import time
 
-from drake_exo.batch.jobs import Ended, Job
-from drake_exo.batch.processes import Worker
+from drake_exo.batch.jobs import Ended, Job, Worker
 from drake_exo.errors import InputError, reason
 
 _CONNECT_SECONDS = 60.0  # a scheduler that starts again has that long

@@ -8,8 +8,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from drake_exo.batch.results import Row
 from drake_exo.batch.run import Batch
-from drake_exo.batch.table import Row
 from drake_exo.calibration.results import read_trial
 from drake_exo.files.verdict import FAILS, HOLDS, mark_of, save_figure
 from drake_exo.measurement.trial import Trial

@@ -1,21 +1,30 @@
 """Jobs that need each other, run by whatever has room for them.
 
 A job is a call of a module's function in another process. What runs it is a
-`Pool`: processes of this machine (`processes.Processes`) or a Dask cluster
-(`cluster.Cluster`). Here is what both have in common: which job may begin,
-what a failure means for those that need it, progress.
+`Pool`: `Processes` of this machine, which outlive one that is killed, or a
+Dask cluster (`cluster.Cluster`). Here is which job may begin, what a failure
+means for those that need it, progress; and one function called many times
+(`run_calls`), or once beside something else (`beside`).
 """
 
 from __future__ import annotations
 
+import os
+import pickle
+import signal
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any, Literal, Protocol, TextIO
 
 from drake_exo.errors import InputError
+from drake_exo.files.output import Progress
 
 POLL_SECONDS = 1.0
 _SHOWN = 8  # running jobs that progress names one by one
@@ -281,3 +290,287 @@ def _last_line(log: str | None) -> str:
     except OSError:
         return ""
     return f": {lines[-1].strip()[:70]}" if lines else ""
+
+
+ATTEMPTS = 3  # of a job whose process ends under it
+_THREADS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+_NO_MEMORY = ("bad_alloc", "MemoryError", "annot allocate memory")
+
+
+class Worker:
+    """A process that runs one job at a time.
+
+    Args:
+        memory_mb: that it may use; no bound if None.
+    """
+
+    def __init__(self, memory_mb: int | None = None):
+        self.memory_mb = memory_mb
+        self.job: Job | None = None
+        self.attempt = 0
+        self.since = 0.0
+        self._process: subprocess.Popen | None = None
+
+    def start(self, job: Job, attempt: int = 1) -> None:
+        """Begin a job; the process is made if there is none."""
+        if self._process is None:
+            self._process = self._open()
+        self.job, self.attempt, self.since = job, attempt, time.monotonic()
+        try:
+            pickle.dump(
+                (job.function, dict(job.arguments)), self._process.stdin
+            )
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            pass  # it has ended, which `end` will find
+
+    def _open(self) -> subprocess.Popen:
+        # More threads than workers only wait for each other; and sums come
+        # out the same wherever a job runs.
+        env = os.environ | dict.fromkeys(_THREADS, "1")
+        env["PYTHONPATH"] = os.pathsep.join(p or os.getcwd() for p in sys.path)
+        command = [sys.executable, "-m", "drake_exo.batch.process_child"]
+        if self.memory_mb is not None:
+            command.append(str(self.memory_mb))
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 (outlives this)
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._said,
+            env=env,
+            start_new_session=True,  # Ctrl-C is its master's to handle
+        )
+
+    @property
+    def pipe(self):
+        """Readable once there is an answer, or none to come."""
+        return self._process.stdout
+
+    def end(self) -> Ended | None:
+        """How the job ended; waits. None if it is worth another attempt."""
+        job, self.job = self.job, None
+        try:
+            answer = pickle.load(self._process.stdout)
+        except (EOFError, pickle.UnpicklingError):
+            return self._died(job)
+        if answer["state"] == "memory":
+            answer["error"] = self._too_large(job)
+        return Ended(job.name, attempts=self.attempt, **answer)
+
+    def _died(self, job: Job) -> Ended | None:
+        self._process.stdin.close()
+        self._process.stdout.close()
+        code = self._process.wait()
+        said = self._last_words()
+        self._said.close()
+        self._process = None
+        seconds = time.monotonic() - self.since
+        how = {"seconds": seconds, "attempts": self.attempt}
+        if self.memory_mb is not None and any(w in said for w in _NO_MEMORY):
+            return Ended(job.name, "memory", error=self._too_large(job), **how)
+        if self.attempt < ATTEMPTS:
+            return None
+        word = signal.Signals(-code).name if code < 0 else f"code {code}"
+        last = said.strip().splitlines()[-1:] if code >= 0 else []
+        return Ended(
+            job.name,
+            "lost",
+            error=f"its process ended {self.attempt} times ({word})"
+            + "".join(f", saying {line[:120]!r}" for line in last)
+            + "; where memory is short, use fewer workers",
+            **how,
+        )
+
+    def _last_words(self) -> str:
+        self._said.seek(0, 2)
+        self._said.seek(max(self._said.tell() - 4000, 0))
+        return self._said.read().decode("utf-8", "replace")
+
+    def _too_large(self, job: Job) -> str:
+        return (
+            f"needs more than the {self.memory_mb} MB that --memory allows; "
+            "allow more, with fewer workers if need be"
+        )
+
+    def interrupt(self) -> None:
+        """Ctrl-C for its job."""
+        if self._process is not None:
+            self._process.send_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        """End it at once, with whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process.stdin.close()
+            self._process.stdout.close()
+            self._said.close()
+            self._process = None
+
+
+class Processes:
+    """Workers on this machine; see `jobs.Pool`.
+
+    Args:
+        workers: processes at once.
+        memory_mb: that each may use; no bound if None.
+    """
+
+    def __init__(self, workers: int, memory_mb: int | None = None):
+        self._workers = [Worker(memory_mb) for _ in range(workers)]
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def room(self) -> int:
+        """See `jobs.Pool`."""
+        return sum(w.job is None for w in self._workers)
+
+    def start(self, job: Job) -> None:
+        """See `jobs.Pool`."""
+        next(w for w in self._workers if w.job is None).start(job)
+
+    def wait(self, seconds: float) -> list[Ended]:
+        """See `jobs.Pool`."""
+        busy = {w.pipe: w for w in self._workers if w.job is not None}
+        ended = []
+        for pipe in wait_for(list(busy), seconds):
+            worker, job = busy[pipe], busy[pipe].job
+            row = worker.end()
+            if row is None:
+                worker.start(job, worker.attempt + 1)
+            else:
+                ended.append(row)
+        return ended
+
+    def running(self) -> dict[str, float]:
+        """See `jobs.Pool`."""
+        now = time.monotonic()
+        return {w.job.name: now - w.since for w in self._workers if w.job}
+
+    def workers(self) -> int:
+        """See `jobs.Pool`."""
+        return len(self._workers)
+
+    def interrupt(self) -> None:
+        """Ctrl-C for all jobs."""
+        for worker in self._workers:
+            worker.interrupt()
+
+    def close(self) -> None:
+        """See `jobs.Pool`."""
+        for worker in self._workers:
+            worker.close()
+
+
+_LEAVE_SECONDS = 20.0  # that a call may take to write what it has
+
+
+def run_calls(
+    function: Callable,
+    calls: Sequence[Mapping[str, Any]],
+    workers: int = 2,
+    title: str = "",
+    tell: Callable[[Any], object] | None = None,
+) -> list:
+    """What a function returns, for each set of arguments.
+
+    Args:
+        function: of a module, or of the script that runs; what it prints is
+            lost.
+        calls: arguments by name.
+        workers: processes at once.
+        title: begins lines of progress on standard error.
+        tell: told each value as it comes.
+
+    Returns:
+        The values, in the order of `calls`.
+
+    Raises:
+        RuntimeError: a call failed; those that wait are not made.
+    """
+    name = _name(function)
+    jobs = [Job(f"{k}/{title}", name, call) for k, call in enumerate(calls)]
+
+    def end(row: Ended) -> None:
+        if row.state != "done":
+            call = dict(calls[int(row.name.partition("/")[0])])
+            raise RuntimeError(f"{name}({call}): {row.error}\n{row.trace}")
+        if tell is not None:
+            tell(row.value)
+
+    progress = BatchProgress(title, stream=sys.stderr)
+    with Processes(workers) as pool:
+        ended = run_jobs(jobs, pool, end, progress)
+    return [row.value for row in ended.values()]
+
+
+class Beside:
+    """A call that another process makes meanwhile.
+
+    Args:
+        pool: of one process.
+        job: the call.
+    """
+
+    def __init__(self, pool: Processes, job: Job):
+        self._pool, self._name = pool, job.name
+        pool.start(job)
+
+    def value(self) -> Any:
+        """Wait for what it returns.
+
+        Raises:
+            InputError: as the call does.
+            RuntimeError: whatever else ended it.
+        """
+        progress, ended = Progress(self._name, interval_seconds=5.0), []
+        while not ended:
+            ended = self._pool.wait(POLL_SECONDS)
+            progress.update("at work in another process")
+        (row,) = ended
+        if row.state != "done":
+            if row.state == "failed" and not row.trace:
+                raise InputError(row.error)
+            raise RuntimeError(f"{self._name}: {row.error}\n{row.trace}")
+        return row.value
+
+    def stop(self) -> None:
+        """Ctrl-C for the call, which leaves what it has so far."""
+        self._pool.interrupt()
+        self._pool.wait(_LEAVE_SECONDS)
+
+
+@contextmanager
+def beside(function: Callable, **arguments) -> Iterator[Beside]:
+    """A call that another process makes meanwhile; left, it is ended.
+
+    Args:
+        function: of a module; what it prints is lost.
+        arguments: of the call; they are pickled.
+    """
+    job = Job(function.__name__, _name(function), arguments)
+    with Processes(1) as pool:
+        yield Beside(pool, job)
+
+
+def _name(function: Callable) -> str:
+    return f"{_module(function)}:{function.__name__}"
+
+
+def _module(function: Callable) -> str:
+    """Under which a process imports it; a script goes by another name."""
+    if function.__module__ != "__main__":
+        return function.__module__
+    main = sys.modules["__main__"]
+    spec = getattr(main, "__spec__", None)
+    return Path(main.__file__).stem if spec is None else spec.name

@@ -8,9 +8,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from drake_exo.batch.file import BatchFile, read_batch
+from drake_exo.batch.file import BatchFile, check_key, file_class, read_batch
 from drake_exo.batch.jobs import BatchProgress, Ended, Job, Pool, run_jobs
-from drake_exo.batch.sweep import check_key, file_class
 from drake_exo.batch.tasks import Task, is_sole, tasks_of
 from drake_exo.batch.work import (
     DRAFTS,

@@ -21,7 +21,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from drake_exo.batch.sweep import changed_text, file_class
+from drake_exo.batch.file import changed_text, file_class
 from drake_exo.batch.tasks import LAB, Task
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.output import MANIFEST, write_json

@@ -8,9 +8,9 @@ import argparse
 import os
 from pathlib import Path
 
-from drake_exo.batch.processes import Processes
+from drake_exo.batch.jobs import Processes
+from drake_exo.batch.results import is_told, write_results
 from drake_exo.batch.run import Batch, run_batch
-from drake_exo.batch.telling import is_told, write_results
 
 _PARSE = "drake_exo.cli:parse"
 

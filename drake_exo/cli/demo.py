@@ -12,7 +12,7 @@ import contextlib
 import io
 from pathlib import Path
 
-from drake_exo.batch.calls import beside
+from drake_exo.batch.jobs import beside
 from drake_exo.cli.calibrate import write_interaction
 from drake_exo.cli.lab import PROCESSES
 from drake_exo.cli.predict import write_predictions

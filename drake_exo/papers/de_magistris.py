@@ -12,8 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
-from drake_exo.batch.processes import Processes
+from drake_exo.batch.jobs import BatchProgress, Ended, Job, Processes, run_jobs
 from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.files.verdict import (
     Check,

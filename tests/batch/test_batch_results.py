@@ -10,18 +10,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.batch import figures, page
+from drake_exo.batch import figures, results
 from drake_exo.batch.figures import (
     MEASURED,
     PREDICTED,
     draw_figures,
     limits_of_agreement,
 )
-from drake_exo.batch.page import write_report
+from drake_exo.batch.results import (
+    COLUMNS,
+    Row,
+    is_told,
+    rows_of,
+    summary,
+    unit_of,
+    write_report,
+    write_results,
+    write_table,
+)
 from drake_exo.batch.run import Batch
-from drake_exo.batch.table import COLUMNS, Row, rows_of, unit_of, write_table
 from drake_exo.batch.tasks import Task
-from drake_exo.batch.telling import is_told, summary, write_results
 from drake_exo.batch.work import outcome
 from drake_exo.files.output import write_json
 
@@ -155,7 +163,7 @@ def test_the_page_holds_everything_failures_first(batch):
 
 def test_the_page_stays_small(batch, monkeypatch):
     rows = rows_of(batch) * 100
-    monkeypatch.setattr(page, "LARGEST_BYTES", page._TEXT_BYTES + 20_000)
+    monkeypatch.setattr(results, "LARGEST_BYTES", results._TEXT_BYTES + 20_000)
     write_report(batch, rows, {})
     text = (batch.out / "report.html").read_text("utf-8")
     assert results_in(batch.out / "report.html")["count"] < len(rows)
@@ -191,7 +199,7 @@ def test_200_000_rows_in_a_browser(tmp_path):
     rows = many_rows(200_000)
     write_report(batch, rows, {})
     report = tmp_path / "report.html"
-    assert report.stat().st_size < page.LARGEST_BYTES
+    assert report.stat().st_size < results.LARGEST_BYTES
     done = subprocess.run(
         [
             *(browser, "--headless=new", "--no-sandbox", "--disable-gpu"),

@@ -8,13 +8,13 @@ import time
 import example_jobs
 import pytest
 
-from drake_exo.batch.calls import beside, run_calls
+from drake_exo.batch.jobs import beside, run_calls
 from drake_exo.errors import InputError
 
 pytestmark = pytest.mark.slow
 
 SCRIPT = """
-from drake_exo.batch.calls import run_calls
+from drake_exo.batch.jobs import run_calls
 
 def square(x):
     return x * x

@@ -11,8 +11,14 @@ import time
 import numpy as np
 import pytest
 
-from drake_exo.batch.jobs import BatchProgress, Ended, Job, run_jobs
-from drake_exo.batch.processes import ATTEMPTS, Processes
+from drake_exo.batch.jobs import (
+    ATTEMPTS,
+    BatchProgress,
+    Ended,
+    Job,
+    Processes,
+    run_jobs,
+)
 from drake_exo.errors import InputError
 
 HERE = "example_jobs:"
@@ -173,7 +179,7 @@ def test_a_worker_ends_with_its_master():
     script = (
         "import sys, time\n"
         "from drake_exo.batch.jobs import Job\n"
-        "from drake_exo.batch.processes import Worker\n"
+        "from drake_exo.batch.jobs import Worker\n"
         "w = Worker()\n"
         "w.start(Job('nap', 'example_jobs:sleep', {'seconds': 60}))\n"
         "print(w._process.pid, flush=True)\n"

@@ -1,0 +1,407 @@
+"""What a batch comes to: one long table, a page, figures, counts.
+
+The table has a row a number. The page is one HTML file that needs no network:
+texts of a column are held once, a row holds their numbers; the script draws
+only the rows in view, so that hundreds of thousands stay usable.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import html
+import io
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_exo.batch.run import Batch
+from drake_exo.batch.tasks import Task
+from drake_exo.errors import InputError
+from drake_exo.files.output import read_json, write_json
+
+_AGAIN = "run the batch again"
+# Ends of keys that tell the unit of the numbers below them.
+_UNITS = {
+    "_deg_s": "deg/s",
+    "_deg": "deg",
+    "_nm": "N m",
+    "_mm": "mm",
+    "_kg": "kg",
+    "_m": "m",
+    "_n": "N",
+    "_s": "s",
+}
+# Parts of summary.json that are lists of one dictionary for each trial.
+_OF_TRIALS = ("rmsd", "rmsd_uncalibrated", "band_coverage", "audit", "solves")
+_NOT_TOLD = frozenset(
+    ("evaluations", "binding_bounds", "worst_constraints", "settings")
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of a batch.
+
+    Attributes:
+        subject: or sole, as the batch calls it.
+        trial: "" of what is not of one trial.
+        phase: the step.
+        signal: what the number is of.
+        value: None in the row of a task without results.
+        unit: of it.
+        verdict: of the task; its sentence where it does not hold.
+        variant: what the sweep changed.
+        folder: of the results, below the batch's.
+    """
+
+    subject: str
+    trial: str
+    phase: str
+    signal: str
+    value: float | None
+    unit: str
+    verdict: str
+    variant: str
+    folder: str
+
+
+COLUMNS = tuple(f.name for f in fields(Row))
+
+
+def rows_of(batch: Batch) -> list[Row]:
+    """Every number of every task, and a row for each without results.
+
+    Raises:
+        InputError: a result file is damaged.
+    """
+    found = []
+    for task in batch.tasks:
+        outcome = batch.outcomes[task.name]
+        verdict = outcome.verdict
+        if outcome.sentence:
+            verdict += f": {outcome.sentence}"
+
+        def row(trial, signal, value, unit, task=task, verdict=verdict):
+            return Row(
+                task.entry,
+                trial,
+                task.step,
+                signal,
+                value,
+                unit,
+                verdict,
+                task.variant,
+                task.name,
+            )
+
+        rows = [row(*number) for number in _numbers(batch.out, task)]
+        if outcome.code not in (0, 3):
+            rows.insert(0, row("", "", None, ""))
+        found += rows
+    return found
+
+
+def _numbers(out: Path, task: Task) -> Iterator[tuple[str, str, float, str]]:
+    """(trial, signal, value, unit) of a task's results."""
+    folder = out / task.name
+    if (folder / "quality.json").is_file():
+        yield from _quality(read_json(folder / "quality.json", _AGAIN))
+    if (folder / "summary.json").is_file():
+        summary = read_json(folder / "summary.json", _AGAIN)
+        if not isinstance(summary, dict):
+            raise InputError(f"{folder}: summary.json is damaged; {_AGAIN}")
+        yield from _summary(summary)
+
+
+def _quality(found: dict) -> Iterator[tuple]:
+    rest = {k: v for k, v in found.items() if k not in ("trials", "standing")}
+    yield from _leaves("", rest, "")
+    for trial in found.get("trials", []):
+        yield from _leaves(str(trial.get("name", "")), trial, "")
+
+
+def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
+    for part in _OF_TRIALS:
+        for found in summary.get(part) or []:
+            if isinstance(found, dict):
+                yield from _leaves(str(found.get("trial", "")), found, part)
+    for fold in summary.get("folds") or []:
+        yield from _leaves(str(fold["trial"]), fold, "")
+    for p in summary.get("parameters") or []:
+        name = f"parameters.{p['name']}"
+        yield "", name, p["value"], p["unit"]
+        if p.get("half_width_95") is not None:
+            yield "", f"{name}.half_width_95", p["half_width_95"], p["unit"]
+    apart = {*_OF_TRIALS, "folds", "parameters", "checks", "foot_ground"}
+    rest = {k: v for k, v in summary.items() if k not in apart}
+    yield from _leaves("", rest, "")
+
+
+def _leaves(trial: str, tree, place: str) -> Iterator[tuple]:
+    """Numbers of nested dictionaries, by dotted key."""
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            if key not in _NOT_TOLD:
+                where = f"{place}.{key}" if place else key
+                yield from _leaves(trial, value, where)
+    elif isinstance(tree, list):
+        if len(tree) <= 3 and all(_is_number(v) for v in tree):
+            for k, value in enumerate(tree):
+                yield trial, f"{place}.{k}", float(value), unit_of(place)
+    elif _is_number(tree):
+        yield trial, place, float(tree), unit_of(place)
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def unit_of(signal: str) -> str:
+    """By the last part of a dotted name that tells one.
+
+    >>> unit_of("rmsd.velocities_deg_s.exo_hip"), unit_of("rmsd.cop_mm")
+    ('deg/s', 'mm')
+    """
+    for part in reversed(signal.split(".")):
+        for end, unit in _UNITS.items():
+            if part.endswith(end):
+                return unit
+    return ""
+
+
+def write_table(folder: Path, rows: list[Row]) -> list[str]:
+    """Write results.csv and, where pyarrow is installed, results.parquet.
+
+    Returns:
+        Names of the files.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        writer.writerow("" if x is None else x for x in astuple_of(row))
+    replace_file(folder / "results.csv", text.getvalue().encode())
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        return ["results.csv"]
+    columns = {name: [getattr(row, name) for row in rows] for name in COLUMNS}
+    kinds = {name: pyarrow.string() for name in COLUMNS}
+    kinds["value"] = pyarrow.float64()
+    table = pyarrow.table(columns, schema=pyarrow.schema(list(kinds.items())))
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(table, sink)
+    replace_file(folder / "results.parquet", sink.getvalue().to_pybytes())
+    return ["results.csv", "results.parquet"]
+
+
+def astuple_of(row: Row) -> tuple:
+    """The row's cells in the order of `COLUMNS`."""
+    return tuple(getattr(row, name) for name in COLUMNS)
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all."""
+    draft = path.with_name(path.name + ".tmp")
+    draft.write_bytes(data)
+    os.replace(draft, path)
+
+
+LARGEST_BYTES = 20_000_000
+_BYTES_OF_ROW = 4 / 3 * (4 * (len(COLUMNS) - 1) + 8)
+_TEXT_BYTES = 6_000_000  # that pictures, texts and the script may take
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<style>{css}</style></head><body>
+<h1>{title}</h1>
+<p>{counts}</p>
+{failures}
+<section><h2>Over subjects</h2>
+<p><label>phase <select id="phase"></select></label>
+<label>signal <select id="signal"></select></label>
+<label>a box for each <select id="by"><option>variant</option>
+<option>subject</option></select></label>
+<span id="box-note"></span></p>
+<div id="boxes"></div>{pictures}</section>
+<section><h2>All numbers</h2>
+<p><span id="shown"></span> A click on a name sorts, text below it filters
+(numbers: <code>&gt;5</code>, <code>&lt;5</code>).</p>
+<div id="head"></div><div id="view"><div id="space"></div></div></section>
+<script>const RESULTS = {data};</script>
+<script>{script}</script></body></html>
+"""
+
+
+def write_report(
+    batch: Batch, rows: list[Row], pictures: dict[str, str]
+) -> None:
+    """Write report.html.
+
+    Args:
+        batch: whose folder it goes to.
+        rows: of its table; those that do not hold come first, and stay where
+            not all of them fit.
+        pictures: name of a PNG in that folder -> what it shows.
+    """
+    rows = sorted(rows, key=lambda row: row.verdict == "holds")
+    most = int((LARGEST_BYTES - _TEXT_BYTES) / _BYTES_OF_ROW)
+    good = len(batch.tasks) - len(batch.bad)
+    counts = f"{good} of {len(batch.tasks)} tasks hold."
+    if len(rows) > most:
+        counts += (
+            f" The first {most} of {len(rows)} rows are shown here; all of "
+            "them are in results.csv."
+        )
+    page = _PAGE.format(
+        title="Results of a batch",
+        css=_asset("report.css"),
+        counts=html.escape(counts),
+        failures=_failures(batch),
+        pictures="".join(
+            _picture(batch.out / name, text) for name, text in pictures.items()
+        ),
+        data=_data(rows[:most], _links(batch)),
+        script=_asset("report.js"),
+    )
+    replace_file(batch.out / "report.html", page.encode())
+
+
+def _asset(name: str) -> str:
+    return files("drake_exo.batch").joinpath(name).read_text("utf-8")
+
+
+def _failures(batch: Batch) -> str:
+    """A table of what failed or does not hold; at most 2 000 of them."""
+    if not batch.bad:
+        return ""
+    lines = []
+    for task, found in batch.bad[:2000]:
+        cells = (
+            _link(batch.out, task.name),
+            html.escape(found.verdict),
+            html.escape(found.sentence),
+        )
+        lines.append(f"<tr>{''.join(f'<td>{c}</td>' for c in cells)}</tr>")
+    title = f"Failed or does not hold ({len(batch.bad)})"
+    return (
+        f"<section><h2>{title}</h2><table id='failures'>"
+        f"{''.join(lines)}</table></section>"
+    )
+
+
+def _link(out: Path, name: str) -> str:
+    text = html.escape(name)
+    if not (out / name).is_dir():
+        return text
+    return f'<a href="{_address(name)}/">{text}</a>'
+
+
+def _address(name: str) -> str:
+    from urllib.parse import quote
+
+    return html.escape(quote(name))
+
+
+def _links(batch: Batch) -> dict[str, str]:
+    """Folder -> its replay, of those that have one."""
+    return {
+        task.name: f"{_address(task.name)}/replay.html"
+        for task in batch.tasks
+        if (batch.out / task.name / "replay.html").is_file()
+    }
+
+
+def _picture(path: Path, text: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    text = html.escape(text)
+    return (
+        f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{text}</figcaption></figure>"
+    )
+
+
+def _data(rows: list[Row], replays: dict[str, str]) -> str:
+    """What the script reads, as JSON."""
+    columns = {}
+    for name in COLUMNS:
+        cells = [getattr(row, name) for row in rows]
+        if name == "value":
+            numbers = [np.nan if x is None else x for x in cells]
+            columns[name] = {"data": _packed(numbers, "f8")}
+            continue
+        texts = list(dict.fromkeys(cells))
+        places = {text: k for k, text in enumerate(texts)}
+        numbers = [places[text] for text in cells]
+        columns[name] = {"texts": texts, "data": _packed(numbers, "u4")}
+    data = {"columns": columns, "count": len(rows), "replays": replays}
+    # "</" would end the script that holds the data.
+    return json.dumps(data, ensure_ascii=False).replace("</", "<\\/")
+
+
+def _packed(numbers, kind: str) -> str:
+    data = np.asarray(numbers, dtype=f"<{kind}").tobytes()
+    return base64.b64encode(data).decode("ascii")
+
+
+SUMMARY = "summary.json"
+
+
+def write_results(batch: Batch) -> list[str]:
+    """Write results.csv, results.parquet, figures, report.html, summary.json.
+
+    Returns:
+        Names of the files in the batch's folder.
+
+    Raises:
+        InputError: a result file is damaged.
+    """
+    rows = rows_of(batch)
+    pictures: dict[str, str] = {}
+    if any(row.phase == "predict" and row.trial for row in rows):
+        # Half a second to import, which only predictions need.
+        from drake_exo.batch.figures import draw_figures, peak_rows
+
+        rows += peak_rows(batch, rows)
+        pictures = draw_figures(batch.out, rows)
+    names = write_table(batch.out, rows)
+    write_report(batch, rows, pictures)
+    write_json(batch.out / SUMMARY, summary(batch))
+    return [*names, *pictures, "report.html", SUMMARY]
+
+
+def is_told(batch: Batch) -> bool:
+    """Whether just these results are told already."""
+    names = (SUMMARY, "results.csv", "report.html")
+    if not all((batch.out / name).is_file() for name in names):
+        return False
+    told = read_json(batch.out / SUMMARY, "remove it")
+    return not batch.fresh and told == summary(batch)
+
+
+def summary(batch: Batch) -> dict:
+    """What summary.json holds: counts, and how each task ended."""
+    found = batch.outcomes
+    return {
+        "tasks": [
+            {
+                "name": task.name,
+                "step": task.step,
+                "code": found[task.name].code,
+                "verdict": found[task.name].verdict,
+                "sentence": found[task.name].sentence,
+            }
+            for task in batch.tasks
+        ],
+        "verdicts": dict(Counter(row.verdict for row in found.values())),
+        "verdict": "does not hold" if batch.bad else "holds",
+    }
