@@ -30,10 +30,15 @@ import yaml
 
 import drake_exo as dx
 from drake_exo.errors import InputError
-from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.output import Progress
-from drake_exo.files.tables import MarkerData, PlateRecording, Table
+from drake_exo.files.tables import (
+    MarkerData,
+    PlateRecording,
+    Table,
+    read_csv_table,
+    write_csv_table,
+)
 from drake_exo.measurement import mats, recording
 
 # A campaign's files are read once, not once for each mistake.

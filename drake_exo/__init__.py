@@ -23,8 +23,8 @@ _PLACES = {
     "calibration.interaction": ["InteractionCalibration"],
     "calibration.prediction": ["PredictionProblem"],
     "calibration.results": ["read_contact", "read_trial"],
-    "calibration.design_settings": ["DesignSettings"],
     "calibration.settings": [
+        "DesignSettings",
         "FootGroundSettings",
         "InteractionSettings",
         "PredictionSettings",

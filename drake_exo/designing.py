@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.calibration.bands import Bands, bands
 from drake_exo.calibration.design import (
     DesignProblem,
     DesignResult,
@@ -25,11 +24,11 @@ from drake_exo.calibration.design import (
     norm_of,
     works,
 )
-from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.results import solve_summary, write_contact
-from drake_exo.calibration.settings import PredictionSettings
+from drake_exo.calibration.settings import DesignSettings, PredictionSettings
 from drake_exo.calibration.solving import SolveWatch
+from drake_exo.calibration.uncertainty import Bands, bands
 from drake_exo.calibration.wearers import (
     OwnMovement,
     Wearer,
@@ -557,7 +556,7 @@ class Designed:
         self, folder: str | Path, accepted: Sequence[str] = ()
     ) -> Verdict:
         """Table, figure, design.yaml and summary.json into a folder."""
-        from drake_exo.report import design_figures
+        from drake_exo.report.figures import DESIGN_FIGURES
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
@@ -565,7 +564,7 @@ class Designed:
         if self.success:
             write_design(folder, self.design)
             write_text(folder / "design.txt", self.table(), verdict.mark)
-            for name, draw in design_figures.FIGURES.items():
+            for name, draw in DESIGN_FIGURES.items():
                 save_figure(folder / name, draw(self), verdict.mark)
             wearer, moved = self.first
             write_inputs(folder, wearer.model, [m.measured for m in moved])

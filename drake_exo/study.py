@@ -17,9 +17,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
-from drake_exo.calibration.bands import Bands, bands
 from drake_exo.calibration.checks import phase_checks
-from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
@@ -38,13 +36,16 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.settings import (
+    DesignSettings,
     FootGroundSettings,
     InteractionSettings,
     PredictionSettings,
 )
 from drake_exo.calibration.solving import solve
 from drake_exo.calibration.uncertainty import (
+    Bands,
     Uncertainty,
+    bands,
     posterior,
     uncertainty,
 )

@@ -10,7 +10,10 @@ TESTS = {
     "drake_exo/batch/": ["tests/batch"],
     "drake_exo/calibration/": _CALIBRATION,
     "drake_exo/calibration/audit.py": ["tests/calibration/test_audit.py"],
-    "drake_exo/calibration/bands.py": ["tests/calibration/test_bands.py"],
+    "drake_exo/calibration/uncertainty.py": [
+        "tests/calibration/test_bands.py",
+        "tests/calibration/test_identifiability.py",
+    ],
     "drake_exo/calibration/results.py": [
         "tests/calibration/test_results.py",
         "tests/calibration/test_bands.py",
@@ -126,8 +129,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "d_cop = -(J[:, 2] + cop * J[:, 1]) / load",
             "d_cop = -J[:, 2] / load",
         ),
-    ],
-    "drake_exo/calibration/bands.py": [
         ("_DISCREPANCY = 0.12", "_DISCREPANCY = 0.24"),
         ("np.abs(off) <= width", "np.abs(off) >= width"),
         ("at, names = measured.sample(found.times)", "at, names = measured"),
@@ -332,8 +333,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("reach = np.deg2rad(3.0)", "reach = np.deg2rad(6.0)"),
         ("torque[:, 2] = -(wrench.moment", "torque[:, 2] = (wrench.moment"),
         ("p = p + noise", "pass"),
-    ],
-    "drake_exo/virtual_laboratory/markers.py": [
         ("NOISE_M = 3e-4", "NOISE_M = 6e-4"),
         ("self.linear * f + self.quadratic * f * f", "self.linear * f"),
         (
@@ -349,8 +348,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "p = flexion * turn * complex(*slide[i])",
             "p = turn * complex(*slide[i])",
         ),
-    ],
-    "drake_exo/virtual_laboratory/pressure_mats.py": [
         ("_STEP_PA = 2500.0", "_STEP_PA = 5000.0"),
         ("np.minimum(pressure, _LARGEST_PA)", "pressure"),
         ("np.interp(time - lag_s,", "np.interp(time,"),
@@ -409,8 +406,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("clocks.mats,\n", "clocks.device,\n"),
         ("gone = _SEEN_GONE_N", "pass"),
-    ],
-    "drake_exo/virtual_laboratory/study_file.py": [
         ("found[i] * friction.viscous[i]", "friction.viscous[i]"),
         (
             '"largest_delay_s": 1.5 * LARGEST_LAG_S',

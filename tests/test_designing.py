@@ -10,16 +10,19 @@ from page_reader import player_data
 
 import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem, device_work
-from drake_exo.calibration.design_settings import DesignSettings
 from drake_exo.calibration.error_model import NO_ERRORS
-from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.calibration.settings import (
+    DesignSettings,
+    PredictionSettings,
+    Solver,
+)
 from drake_exo.cli import main
 from drake_exo.contact.strap import Design, read_design
 from drake_exo.designing import Peak, front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.model.plant import nominal_model
-from drake_exo.report.design_figures import forces_figure
+from drake_exo.report.figures import forces_figure
 
 SOLVER = Solver(20.0, tolerance=1e-4)
 SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)

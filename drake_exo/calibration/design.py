@@ -16,10 +16,6 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_exo.calibration.design_settings import (
-    DesignSettings,
-    JointFreedom,
-)
 from drake_exo.calibration.problem import (
     PhaseProblem,
     bound_feet,
@@ -27,7 +23,9 @@ from drake_exo.calibration.problem import (
     kinematic_terms,
 )
 from drake_exo.calibration.settings import (
+    DesignSettings,
     InteractionNoise,
+    JointFreedom,
     PredictionEnds,
     PredictionSettings,
 )

@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from drake_exo.calibration.bands import Bands
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.scores import rmsd, spread
 from drake_exo.calibration.settings import FootGroundSettings
+from drake_exo.calibration.uncertainty import Bands
 from drake_exo.contact.bushing import (
     CALIBRATED,
     COMPONENTS,

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drake_exo.calibration.design_settings import Population
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.problem import (
@@ -24,7 +23,7 @@ from drake_exo.calibration.problem import (
     kinematic_terms,
     torque_terms,
 )
-from drake_exo.calibration.settings import PredictionSettings
+from drake_exo.calibration.settings import Population, PredictionSettings
 from drake_exo.collocation.kernels import BodyWrench
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design

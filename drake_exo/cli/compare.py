@@ -9,7 +9,7 @@ from pathlib import Path
 
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.files.verdict import joined_mark, save_figure
-from drake_exo.report.comparison import compare
+from drake_exo.report.gathering import compare
 
 
 def add_parser(subparsers) -> None:

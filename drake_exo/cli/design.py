@@ -17,7 +17,7 @@ from drake_exo.designing import Designed, design, front
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.files.verdict import Check, save_figure
-from drake_exo.report.design_figures import front_figure
+from drake_exo.report.figures import design_front_figure
 from drake_exo.report.tables import format_table
 from drake_exo.study import (
     Calibration,
@@ -164,4 +164,4 @@ def _write_front(made: Designed, out: Path) -> None:
         )
     )
     mark = made.verdict().mark
-    save_figure(out / "front.png", front_figure(rows), mark)
+    save_figure(out / "front.png", design_front_figure(rows), mark)

@@ -17,8 +17,7 @@ from pydrake.planning import DirectCollocation
 from pydrake.systems.primitives import LinearSystem
 from scipy.interpolate import BSpline
 
-from drake_exo.nlp.program import AffineKernel, BatchedProgram
-from drake_exo.nlp.unknowns import Substitution
+from drake_exo.nlp.program import AffineKernel, BatchedProgram, Substitution
 
 FEWEST = 4  # mesh intervals of a trial
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].

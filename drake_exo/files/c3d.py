@@ -35,8 +35,8 @@ from drake_exo.files.tables import (
     PlateRecording,
     Table,
     plate_axes,
+    read_bytes,
 )
-from drake_exo.files.text import read_bytes
 
 _CHILD = Path(__file__).with_name("c3d_child.py")
 _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}

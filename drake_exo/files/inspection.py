@@ -8,7 +8,6 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
-from drake_exo.files.csv import read_csv_table
 from drake_exo.files.opensim import has_plates, plates_of, read_table, read_trc
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.pressure import (
@@ -16,8 +15,14 @@ from drake_exo.files.pressure import (
     read_novel_asc,
     read_pressure_csv,
 )
-from drake_exo.files.tables import MarkerData, PlateRecording, Table, runs
-from drake_exo.files.text import read_text
+from drake_exo.files.tables import (
+    MarkerData,
+    PlateRecording,
+    Table,
+    read_csv_table,
+    read_text,
+    runs,
+)
 
 _TOLD = 6  # gaps that a line lists
 _LOADED_N = 20.0

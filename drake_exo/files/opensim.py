@@ -18,8 +18,10 @@ from drake_exo.files.tables import (
     Table,
     check_gaps,
     check_increasing,
+    frame_rate,
+    number_rows,
+    read_text,
 )
-from drake_exo.files.text import frame_rate, number_rows, read_text
 
 # ground_force_1_vx, ground_force_vx, 1_ground_force_vx, ground_torque_x,
 # ground_moment_1_mx, ground_force_calcn_r_px, ...

@@ -10,9 +10,11 @@ from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
     check_increasing,
+    frame_rate,
+    number_rows,
     plate_axes,
+    read_text,
 )
-from drake_exo.files.text import frame_rate, number_rows, read_text
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.

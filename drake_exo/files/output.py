@@ -19,7 +19,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.text import read_bytes
+from drake_exo.files.tables import read_bytes
 
 # Names what a run wrote, so that replacing results never removes files that
 # somebody else put into the folder.

@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import check_gaps, check_increasing
-from drake_exo.files.text import number_rows, read_text
+from drake_exo.files.tables import (
+    check_gaps,
+    check_increasing,
+    number_rows,
+    read_text,
+)
 
 _PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
 

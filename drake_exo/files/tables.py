@@ -2,13 +2,130 @@
 
 Missing values are NaN until somebody asks for the column: then they are
 refused, with the place of the gap.
+
+Text files of numbers are read so that every mistake is named by its line; a
+CSV table of signals has one line of names with units, then numbers:
+
+time [s],exo_ankle [deg],exo_knee [deg],exo_hip [deg]
 """
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError, nearest
+from drake_exo.errors import InputError, nearest, printable
+
+# No measurement is larger in any unit; squares and sums stay numbers.
+_LARGEST = 1e30
+_SHOWN = 40  # characters of a cell in a message
+
+
+def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
+    """What a file holds.
+
+    Raises:
+        InputError: it cannot be read; `remedy` ends the sentence.
+    """
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); {remedy}"
+        ) from error
+
+
+def read_text(path: str | Path, remedy: str = "check the path") -> str:
+    """Text of a file; bytes that are no UTF-8 become question marks.
+
+    Raises:
+        InputError: it cannot be read, or is no text.
+    """
+    data = read_bytes(path, remedy)
+    if b"\0" in data:
+        raise InputError(f"{path}: is a binary file, not text; check it")
+    text = data.decode("utf-8-sig", errors="replace")
+    # Names from damaged files end up in messages: one line, printable.
+    return printable(text, keep="\t\r\n")
+
+
+def shown(cell: str) -> str:
+    """A cell as it may stand in a message: not endless."""
+    cell = cell.strip()
+    return cell if len(cell) <= _SHOWN else cell[:_SHOWN] + "..."
+
+
+def number_rows(
+    path: str | Path, rows: Iterable[tuple[int, list[str]]], width: int
+) -> np.ndarray:
+    """Rows of text cells as numbers (len(rows), width); empty cells are NaN.
+
+    Args:
+        path: for messages.
+        rows: line number and cells of each.
+        width: cells that each row must have.
+
+    Raises:
+        InputError: naming the line: another number of cells, a cell that is
+            no number, or one that no measurement can be; or there are no
+            rows.
+    """
+    rows = list(rows)
+    if not rows:
+        raise InputError(f"{path}: holds no data rows; export it again")
+    for line, cells in rows:
+        if len(cells) != width:
+            raise InputError(
+                f"{path}:{line}: has {len(cells)} values where {width} are "
+                "named; the file is truncated or damaged"
+            )
+    texts = [[cell.strip() or "nan" for cell in cells] for _, cells in rows]
+    try:
+        values = np.array(texts, dtype=float)
+    except ValueError:
+        raise _not_a_number(path, rows, texts) from None
+    large = np.abs(values) > _LARGEST
+    if large.any():
+        i, j = np.argwhere(large)[0]
+        raise InputError(
+            f"{path}:{rows[i][0]}: {shown(texts[i][j])!r} is larger than "
+            "any measurement; the file is damaged"
+        )
+    return values
+
+
+def frame_rate(path: str | Path, text: str | None, key: str) -> float:
+    """Frames per second that a header names under `key`.
+
+    Raises:
+        InputError: it does not, or no camera is that slow or fast.
+    """
+    try:
+        rate = float(text)
+    except (TypeError, ValueError):
+        rate = 0.0
+    if not 0.0 < rate < 1e6:
+        raise InputError(
+            f"{path}: {key} in the header is {text and shown(text)!r}; write "
+            "frames per second"
+        )
+    return rate
+
+
+def _not_a_number(path, rows, texts) -> InputError:
+    for (line, _), cells in zip(rows, texts, strict=True):
+        for cell in cells:
+            try:
+                float(cell)
+            except ValueError:
+                return InputError(
+                    f"{path}:{line}: holds text among numbers "
+                    f"({shown(cell)!r}); correct it or export it again"
+                )
+    return InputError(f"{path}: holds text among numbers; export it again")
+
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}  # to m
 # A time stamp may be rounded, but no frame may be missing.
@@ -272,3 +389,71 @@ def check_increasing(source: str, time: np.ndarray) -> None:
             f"{source}: time does not increase from {time[frame - 1]:g} to "
             f"{time[frame]:g} s (frame {frame + 1}); sort or re-export it"
         )
+
+
+# Factors to s, rad, N m, N, m.
+UNITS = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "rad": 1.0,
+    "deg": np.pi / 180.0,
+    "nm": 1.0,
+    "n m": 1.0,
+    "n": 1.0,
+    "m": 1.0,
+    "mm": 1e-3,
+}
+_COLUMN = re.compile(r"\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
+
+
+def read_csv_table(path: str | Path) -> Table:
+    """Read a CSV table; values in SI units, angles in radians.
+
+    Raises:
+        InputError: unreadable, a column without a known unit, damaged rows,
+            no time, or time that does not increase.
+    """
+    lines = [s for s in read_text(path).splitlines() if s.strip()]
+    if len(lines) < 3:
+        raise InputError(f"{path}: holds fewer than two samples")
+    names, factors = _header(path, lines[0].split(","))
+    rows = [(i, line.split(",")) for i, line in enumerate(lines[1:], 2)]
+    values = number_rows(path, rows, len(names))
+    values = values * factors
+    check_increasing(str(path), values[:, 0])
+    return Table(
+        values[:, 0], tuple(names[1:]), values[:, 1:], False, str(path)
+    )
+
+
+def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
+    names, factors = [], []
+    for cell in cells:
+        match = _COLUMN.fullmatch(cell)
+        unit = match["unit"].strip().lower() if match else None
+        if unit not in UNITS:
+            raise InputError(
+                f"{path}:1: column {shown(cell)!r} names no unit that is "
+                f"known; write it as 'name [unit]' with one of "
+                f"{', '.join(UNITS)}"
+            )
+        if match["name"] in names:
+            raise InputError(
+                f"{path}:1: two columns are named "
+                f"{shown(match['name'])!r}; rename one"
+            )
+        names.append(match["name"])
+        factors.append(UNITS[unit])
+    if names[0].lower() != "time":
+        raise InputError(f"{path}:1: the first column must be 'time [s]'")
+    return names, np.array(factors)
+
+
+def write_csv_table(path: str | Path, table: Table, units: list[str]) -> None:
+    """Write a table in the given units (of `UNITS`), time in seconds."""
+    factors = np.array([UNITS[u.lower()] for u in units])
+    cells = [f"{n} [{u}]" for n, u in zip(table.names, units, strict=True)]
+    rows = np.column_stack([table.time, table.values / factors])
+    body = [",".join(f"{x:.10g}" for x in row) for row in rows]
+    text = "\n".join([",".join(["time [s]", *cells]), *body])
+    Path(path).write_text(text + "\n", encoding="utf-8")

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.csv import read_csv_table
 from drake_exo.files.opensim import read_table
 from drake_exo.files.tables import (
     Table,
     is_translation,
     missing_column,
+    read_csv_table,
     uniform_time,
 )
 from drake_exo.measurement.filters import (

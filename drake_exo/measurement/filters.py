@@ -1,16 +1,25 @@
-"""Low-pass filtering and derivatives of recorded signals.
+"""Recorded signals: low-pass filtering, derivatives, gaps filled.
 
 Zero-lag Butterworth: once forward, once backward. Both passes together damp
 the cut-off by 1/sqrt(2), so each is designed for a higher one, by the factor
 (2^(1/2) - 1)^(-1/(2 n)) of the warped frequency, n the order of a pass
 (D. A. Winter, Biomechanics and Motor Control of Human Movement, 2.2.4.4).
+
+Markers are hidden at times. Short gaps are filled by cubic splines through
+their surroundings. A marker that is hidden for longer, or at either end, is
+held in those frames and hardly counts; whether that matters is judged in the
+part of the recording that is used.
 """
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from drake_exo.errors import InputError
+from drake_exo.files.tables import MarkerData, missing_column, runs
 
 MIN_FRAMES = 20
 MIN_RATE_OVER_CUTOFF = 4.0
@@ -101,3 +110,186 @@ def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         30.0 * s**2 * (1.0 - s) ** 2,
         60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
     )
+
+
+_NEIGHBOURS = 10  # seen frames on each side that carry the spline
+_TOLD = 12  # gaps that a sentence lists
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Frames in a row without a value.
+
+    Attributes:
+        marker: name.
+        start_s: of the first of them.
+        frames: how many.
+        length_s: frames over rate.
+    """
+
+    marker: str
+    start_s: float
+    frames: int
+    length_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.marker!r} in {self.frames} frames from {self.start_s:g} s "
+            f"({self.length_s:g} s)"
+        )
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Gaps of the markers that are needed.
+
+    Attributes:
+        time: (N,) of the markers [s].
+        rate_hz: frames per second.
+        longest_s: longest gap that is filled [s].
+        source: file name.
+        unseen: marker -> (N,) bool, of those that have any.
+    """
+
+    time: np.ndarray
+    rate_hz: float
+    longest_s: float
+    source: str
+    unseen: dict[str, np.ndarray]
+
+    def frames(self, start_s: float, end_s: float) -> dict[str, int]:
+        """Unseen frames of each marker from start to end, none left out."""
+        inside = self._inside(start_s, end_s)
+        counts = {n: int((m & inside).sum()) for n, m in self.unseen.items()}
+        return {name: count for name, count in counts.items() if count}
+
+    def too_long(self, start_s: float, end_s: float) -> list[Gap]:
+        """Gaps that are not filled and reach into a part."""
+        inside = self._inside(start_s, end_s)
+        return [
+            Gap(name, float(self.time[a]), b - a, (b - a) / self.rate_hz)
+            for name, mask in self.unseen.items()
+            for a, b in runs(mask)
+            if self._is_too_long(a, b) and inside[a:b].any()
+        ]
+
+    def hidden(self, names: Iterable[str]) -> np.ndarray:
+        """Frames (N, len(names)) in gaps that are not filled."""
+        columns = []
+        for name in names:
+            column = np.zeros(len(self.time), bool)
+            mask = self.unseen.get(name, column)
+            for a, b in runs(mask):
+                column[a:b] = self._is_too_long(a, b)
+            columns.append(column)
+        return np.stack(columns, axis=1)
+
+    def check(self, start_s: float = -np.inf, end_s: float = np.inf) -> None:
+        """Refuse gaps that are not filled, all in one sentence.
+
+        Raises:
+            InputError: there are such.
+        """
+        found = self.too_long(start_s, end_s)
+        if found:
+            raise InputError(
+                f"{self.source}: {self.sentence(found)}; "
+                f"{gap_remedy(self.longest_s)}"
+            )
+
+    def sentence(self, found: list[Gap]) -> str:
+        """Which markers are hidden, when, for how long."""
+        more = len(found) - _TOLD
+        text = ", ".join(str(gap) for gap in found[:_TOLD])
+        if more > 0:
+            text += f" and {more} more gaps"
+        return f"marker without a value: {text}"
+
+    def _inside(self, start_s: float, end_s: float) -> np.ndarray:
+        return (self.time >= start_s - 1e-9) & (self.time <= end_s + 1e-9)
+
+    def _is_too_long(self, start: int, end: int) -> bool:
+        at_end = start == 0 or end == len(self.time)
+        return at_end or (end - start) / self.rate_hz > self.longest_s + 1e-9
+
+
+def gap_remedy(longest_s: float) -> str:
+    """What to do about gaps that are not filled."""
+    return (
+        f"gaps up to laboratory.fill_gaps_s ({longest_s:g} s) are filled, but "
+        "not at the ends of the recording: raise it, fill them in the "
+        "motion-capture software, or use a part without them"
+    )
+
+
+def fill_gaps(
+    data: MarkerData, names: Iterable[str], longest_s: float
+) -> tuple[MarkerData, Gaps]:
+    """Fill the gaps of some markers; those too long are bridged all the same.
+
+    Args:
+        data: markers on an even time base.
+        names: the markers that are needed; others stay as they are.
+        longest_s: longest gap that may be filled [s].
+
+    Returns:
+        The markers without gaps, and where they had some.
+
+    Raises:
+        InputError: a marker is missing, or hidden ones were written as zeros.
+    """
+    names = tuple(dict.fromkeys(names))
+    for name in names:
+        if name not in data.names:
+            raise missing_column(data.source, name, data.names, "marker")
+    _check_zeros(data, names)
+    positions, unseen = data.positions.copy(), {}
+    for name in names:
+        p = positions[:, data.names.index(name)]
+        mask = ~np.isfinite(p).all(axis=1)
+        if mask.any():
+            unseen[name] = mask
+    gaps = Gaps(data.time, data.rate_hz, longest_s, data.source, unseen)
+    for name, mask in unseen.items():
+        p = positions[:, data.names.index(name)]
+        _fill(data.time, p, mask, gaps.hidden([name])[:, 0])
+    return replace(data, positions=positions), gaps
+
+
+def _check_zeros(data: MarkerData, names: tuple[str, ...]) -> None:
+    """No marker stays in the very origin of the laboratory."""
+    at = [data.names.index(name) for name in names]
+    zero = (data.positions[:, at] == 0.0).all(axis=2)
+    if not zero.any():
+        return
+    found = [
+        f"{name!r} in {zero[:, i].sum()} frames from "
+        f"{data.time[np.argmax(zero[:, i])]:g} s"
+        for i, name in enumerate(names)
+        if zero[:, i].any()
+    ]
+    raise InputError(
+        f"{data.source}: marker at exactly (0, 0, 0): {', '.join(found)}; "
+        "hidden markers were exported as zeros: export them as empty fields"
+    )
+
+
+def _fill(time, p: np.ndarray, unseen: np.ndarray, hidden: np.ndarray) -> None:
+    """Fill p (N, 3) in place; what is hidden for long by straight lines."""
+    seen = np.flatnonzero(~unseen)
+    if not len(seen):
+        p[:] = 0.0
+        return
+    for start, end in runs(unseen):
+        before = seen[seen < start][-_NEIGHBOURS:]
+        after = seen[seen >= end][:_NEIGHBOURS]
+        if hidden[start]:
+            knots = np.r_[before[-1:], after[:1]]
+            p[start:end] = np.column_stack(
+                [np.interp(time[start:end], time[knots], x) for x in p[knots].T]
+            )
+            continue
+        knots = np.r_[before, after]
+        degree = min(3, len(knots) - 1)
+        spline = make_interp_spline(time[knots], p[knots], k=degree)
+        p[start:end] = spline(time[start:end])

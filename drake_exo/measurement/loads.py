@@ -12,8 +12,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.filters import derivatives, minimum_jerk
-from drake_exo.measurement.gaps import fill_gaps
+from drake_exo.measurement.filters import derivatives, fill_gaps, minimum_jerk
 from drake_exo.measurement.recording import read_foot_forces
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import (

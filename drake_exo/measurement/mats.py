@@ -23,8 +23,7 @@ from drake_exo.files.pressure import (
     read_pressure_csv,
     split,
 )
-from drake_exo.files.tables import LENGTHS, uniform_time
-from drake_exo.files.text import number_rows, read_text
+from drake_exo.files.tables import LENGTHS, number_rows, read_text, uniform_time
 from drake_exo.measurement.filters import check_filterable
 from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
 

@@ -31,8 +31,14 @@ from drake_exo.measurement.exoskeleton import (
     read_moments,
     within,
 )
-from drake_exo.measurement.filters import derivatives, resample
-from drake_exo.measurement.gaps import Gap, Gaps, fill_gaps, gap_remedy
+from drake_exo.measurement.filters import (
+    Gap,
+    Gaps,
+    derivatives,
+    fill_gaps,
+    gap_remedy,
+    resample,
+)
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,

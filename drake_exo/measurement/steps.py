@@ -16,7 +16,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData, PlateRecording
 from drake_exo.measurement.events import Contact, contacts
-from drake_exo.measurement.gaps import fill_gaps
+from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.recording import (
     plates_under,
     read_markers,

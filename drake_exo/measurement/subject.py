@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.gaps import fill_gaps
+from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import (
     MarkerModel,
     ankle_paths,
@@ -32,10 +32,10 @@ from drake_exo.measurement.settings import (
     SidedMarkers,
     Standing,
 )
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.assembly import SIDES, Assembly, Person
 from drake_exo.model.description import (
     NOMINAL_MASS_KG,
+    ball_m,
     fit_exoskeleton,
     nominal_exoskeleton,
     nominal_human,
@@ -48,9 +48,9 @@ from drake_exo.model.segments import (
     SEGMENTS,
     HumanParameters,
     SegmentParameters,
+    scale_human,
     with_overrides,
 )
-from drake_exo.model.skeleton import ball_m
 
 _LEAST_MASS_KG = 20.0  # where none is stated
 

@@ -14,9 +14,12 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.osim import OsimJoint, OsimModel, read_osim
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.assembly import Person
-from drake_exo.model.segments import HumanParameters, SegmentParameters
+from drake_exo.model.segments import (
+    HumanParameters,
+    SegmentParameters,
+    scale_human,
+)
 
 ENDS = {"left": "_l", "right": "_r"}
 # Body of the file -> segment of the leg; each takes along what hangs on it.

@@ -36,13 +36,16 @@ from drake_exo.model.assembly import (
 )
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
+    Hinge,
     body_width,
     exoskeleton_sdf,
     fit_exoskeleton,
     hinged,
+    hinges,
     human_sdf,
     models_path,
     nominal_human,
+    soles,
 )
 from drake_exo.model.device_file import (
     add_device,
@@ -57,7 +60,6 @@ from drake_exo.model.segments import (
     ExoskeletonParameters,
     HumanParameters,
 )
-from drake_exo.model.skeleton import Hinge, hinges, soles
 
 GRAVITY = 9.81
 

@@ -3,6 +3,14 @@
 All values are sums over both legs (the legs move as one), in SI units, in the
 segment's own frame: origin at its lower joint (the foot: at the ankle), x
 forward and z up along the segment when standing straight. Points are (x, z).
+
+Those of a subject follow from body mass, height and sex: P. de Leva,
+"Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters", J.
+Biomechanics 29(9), 1996, Table 4: lengths, masses, centres of mass and radii of
+gyration between joint centres, gamma-ray scans of 100 men (1.741 m, 73.0 kg)
+and 15 women (1.735 m, 61.9 kg). The table prints no ankle height; it is taken
+from D. A. Winter, Biomechanics and Motor Control of Human Movement, Fig. 4.1
+(Drillis and Contini): 0.039 of the height.
 """
 
 from collections.abc import Mapping
@@ -15,6 +23,7 @@ from dataclasses import (
     make_dataclass,
     replace,
 )
+from math import isfinite
 from typing import Any, TypeVar
 
 from drake_exo.errors import InputError, check_bounds
@@ -217,3 +226,199 @@ def _point(value: Any, label: str) -> tuple[float, float]:
         check_bounds(label, coordinate, _POINT)
     x, z = map(float, value)
     return x, z
+
+
+@dataclass(frozen=True)
+class DeLevaRow:
+    """One row of Table 4; a limb's row is one limb.
+
+    Attributes:
+        mass: share of body mass [%].
+        length: between the two reference points [mm] at `MEAN_HEIGHT_MM`.
+        com: distance of the centre of mass from the first reference point, in
+            percent of the length.
+        gyration: radius of gyration about the transverse (left-right) axis,
+            in percent of the length.
+    """
+
+    mass: float
+    length: float
+    com: float
+    gyration: float
+
+
+MEAN_HEIGHT_MM = {"male": 1741.0, "female": 1735.0}
+
+# First reference point: head from the vertex, trunk from the suprasternale
+# (to the mid-hip), arm, forearm, thigh and shank from their proximal joint,
+# hand from the wrist (to the third metacarpale), foot from the heel.
+# Men's head is 6.94 %: 0.694 of body mass, as some reprints say, is a slip.
+# Women's shank is 432.3 mm: reprints with 423.3 put its centre of mass
+# elsewhere than the row from the knee to the lateral malleolus does.
+DE_LEVA = {
+    "male": {
+        "head": DeLevaRow(6.94, 203.3, 59.76, 37.6),
+        "trunk": DeLevaRow(43.46, 531.9, 44.86, 34.7),
+        "upper_arm": DeLevaRow(2.71, 281.7, 57.72, 26.9),
+        "forearm": DeLevaRow(1.62, 268.9, 45.74, 26.5),
+        "hand": DeLevaRow(0.61, 86.2, 79.00, 51.3),
+        "thigh": DeLevaRow(14.16, 422.2, 40.95, 32.9),
+        "shank": DeLevaRow(4.33, 434.0, 44.59, 24.9),
+        "foot": DeLevaRow(1.37, 258.1, 44.15, 24.5),
+    },
+    "female": {
+        "head": DeLevaRow(6.68, 200.2, 58.94, 35.9),
+        "trunk": DeLevaRow(42.57, 529.3, 41.51, 33.9),
+        "upper_arm": DeLevaRow(2.55, 275.1, 57.54, 26.0),
+        "forearm": DeLevaRow(1.38, 264.3, 45.59, 25.7),
+        "hand": DeLevaRow(0.56, 78.0, 74.74, 45.4),
+        "thigh": DeLevaRow(14.78, 368.5, 36.12, 36.4),
+        "shank": DeLevaRow(4.81, 432.3, 44.16, 26.7),
+        "foot": DeLevaRow(1.29, 228.3, 40.14, 27.9),
+    },
+}
+
+# Heights above the mid-hip, along the trunk [mm]: vertex (VERT-CERV plus
+# CERV-MIDH) and mid-shoulder (MIDS-MIDH), alternative rows of Table 4.
+VERTEX_HEIGHT_MM = {"male": 242.9 + 603.3, "female": 243.7 + 614.8}
+SHOULDER_HEIGHT_MM = {"male": 515.5, "female": 497.9}
+
+_ANKLE_HEIGHT = 0.039  # of body height, Winter
+# Ours, in parts of the foot's length: the heel's surface lies this far behind
+# the ankle; the contact spheres under the calcaneus and the toes.
+_HEEL_BEHIND_ANKLE = 0.22
+_HEEL_SPHERE = -0.173
+_TOE_SPHERE = 0.636
+# Ours: cuffs in parts of the segment's length, hip belt in parts of height.
+_SHANK_CUFF = 0.60
+_THIGH_CUFF = 0.55
+_BELT = 0.060
+
+
+def scale_human(
+    mass_kg: float,
+    height_m: float,
+    sex: str = "male",
+    overrides: Any = None,
+) -> HumanParameters:
+    """Scale de Leva's mean body to a subject; arms hang at the sides.
+
+    Lengths are in proportion to height, masses to body mass (their sum is the
+    body mass exactly), centres of mass and radii of gyration to lengths.
+
+    Args:
+        mass_kg: body mass, without the exoskeleton.
+        height_m: stature.
+        sex: "male" or "female".
+        overrides: `HumanOverrides` or a mapping of the same names; each value
+            replaces the scaled one and nothing else follows it (a changed
+            segment mass changes the total).
+
+    Raises:
+        InputError: mass, height or their ratio that no adult has; unknown
+            sex; impossible override.
+    """
+    _check_subject(mass_kg, height_m, sex)
+    rows = DE_LEVA[sex]
+    scale = height_m / MEAN_HEIGHT_MM[sex]
+    ankle_height = _ANKLE_HEIGHT * height_m
+    foot_length = rows["foot"].length * scale
+    shares = _mass_shares(rows)
+
+    def both_legs(name: str, com_m: tuple[float, float]) -> SegmentParameters:
+        row, length = rows[name], rows[name].length * scale
+        mass = mass_kg * shares[name]
+        radius = row.gyration / 100.0 * length
+        return SegmentParameters(mass, com_m, mass * radius**2, length)
+
+    def from_lower_joint(name: str) -> tuple[float, float]:
+        row = rows[name]
+        return 0.0, (1.0 - row.com / 100.0) * row.length * scale
+
+    shank = both_legs("shank", from_lower_joint("shank"))
+    thigh = both_legs("thigh", from_lower_joint("thigh"))
+    foot_com_x = (rows["foot"].com / 100.0 - _HEEL_BEHIND_ANKLE) * foot_length
+    sphere_z = CONTACT_RADIUS_M - ankle_height
+    human = HumanParameters(
+        foot=both_legs("foot", (foot_com_x, -0.5 * ankle_height)),
+        shank=shank,
+        thigh=thigh,
+        pelvis=_upper_body(mass_kg, height_m, sex, shank, thigh),
+        ankle_height_m=ankle_height,
+        heel_m=(_HEEL_SPHERE * foot_length, sphere_z),
+        toe_m=(_TOE_SPHERE * foot_length, sphere_z),
+        shank_cuff_m=(0.0, _SHANK_CUFF * shank.length_m),
+        thigh_cuff_m=(0.0, _THIGH_CUFF * thigh.length_m),
+        pelvis_cuff_m=(0.0, _BELT * height_m),
+    )
+    return with_overrides(human, overrides, "human")
+
+
+def _check_subject(mass_kg: float, height_m: float, sex: str) -> None:
+    if sex not in DE_LEVA:
+        raise InputError(f"subject sex must be male or female, not {sex!r}")
+    if not (isfinite(height_m) and 0.9 <= height_m <= 2.6):
+        raise InputError(
+            f"subject height_m must lie between 0.9 and 2.6 m, not "
+            f"{height_m:g}; give metres"
+        )
+    if not (isfinite(mass_kg) and 15.0 <= mass_kg <= 350.0):
+        raise InputError(
+            f"subject mass_kg must lie between 15 and 350 kg, not {mass_kg:g}; "
+            f"give kilograms"
+        )
+    index = mass_kg / height_m**2
+    if not 8.0 <= index <= 100.0:
+        raise InputError(
+            f"subject mass_kg {mass_kg:g} and height_m {height_m:g} give a "
+            f"body mass index of {index:.1f}, which nobody has; check both"
+        )
+
+
+def _mass_shares(rows: dict[str, DeLevaRow]) -> dict[str, float]:
+    """Share of body mass of each row, both sides summed; they add up to 1."""
+    percent = {
+        name: row.mass if name in ("head", "trunk") else 2.0 * row.mass
+        for name, row in rows.items()
+    }
+    total = sum(percent.values())  # women's column adds up to 99.99
+    return {name: value / total for name, value in percent.items()}
+
+
+def _upper_body(
+    mass_kg: float,
+    height_m: float,
+    sex: str,
+    shank: SegmentParameters,
+    thigh: SegmentParameters,
+) -> SegmentParameters:
+    """Pelvis, trunk, head and straight arms as one rigid body."""
+    rows = DE_LEVA[sex]
+    scale = height_m / MEAN_HEIGHT_MM[sex]
+    shares = _mass_shares(rows)
+    elbow = SHOULDER_HEIGHT_MM[sex] - rows["upper_arm"].length
+    wrist = elbow - rows["forearm"].length
+    top = {
+        "head": VERTEX_HEIGHT_MM[sex],
+        "trunk": rows["trunk"].length,
+        "upper_arm": SHOULDER_HEIGHT_MM[sex],
+        "forearm": elbow,
+        "hand": wrist,
+    }
+    mass = {name: mass_kg * shares[name] for name in top}
+    z = {
+        name: (top[name] - rows[name].com / 100.0 * rows[name].length) * scale
+        for name in top
+    }
+    total = sum(mass.values())
+    com_z = sum(mass[name] * z[name] for name in top) / total
+    inertia = sum(
+        mass[name]
+        * (
+            (rows[name].gyration / 100.0 * rows[name].length * scale) ** 2
+            + (z[name] - com_z) ** 2
+        )
+        for name in top
+    )
+    length = height_m * (1.0 - _ANKLE_HEIGHT) - shank.length_m - thigh.length_m
+    return SegmentParameters(total, (0.0, com_z), inertia, length)

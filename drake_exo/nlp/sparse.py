@@ -17,10 +17,11 @@ from drake_exo.nlp.program import (
     Batch,
     BatchedProgram,
     BindingKernel,
+    Substitution,
+    Unknowns,
     linear_rows,
     quadratic_cost,
 )
-from drake_exo.nlp.unknowns import Substitution, Unknowns
 
 # Far from feasible points the multipliers, and so the curvature, mean little:
 # below the first violation curvature enters, above the second it leaves.

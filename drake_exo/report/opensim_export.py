@@ -3,13 +3,17 @@
 Spheres become SmoothSphereHalfSpaceForces, cuffs BushingForces (those that
 slip ExpressionBasedBushingForces), the device's links bodies with pins. A
 person of one leg has all of them on both legs, each with half the stiffness,
-damping, mass and inertia. Movements become states of
-the model: its pelvis, and feet, are where the planar ones are, so that knees
-that slide do not move the contacts; hips, knees and ankles take up what the
-planar pins lack.
+damping, mass and inertia.
+
+Movements become states of the model: its pelvis, and feet, are where the
+planar ones are, so that knees that slide do not move the contacts; hips, knees
+and ankles take up what planar pins lack, and where a leg has six coordinates
+the foot keeps upright, too. Forces of the exported numbers at those states are
+evaluated from the file alone, by a reader that knows nothing of the planar
+model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,25 +21,449 @@ import numpy as np
 
 from drake_exo.calibration.results import read_contact, read_model, read_trial
 from drake_exo.contact.bushing import BushingParameters
+from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
-from drake_exo.files import osim_writing as xml
-from drake_exo.files.osim import Pose, read_osim
-from drake_exo.model.osim_person import OsimPerson, read_person
+from drake_exo.files import osim as xml
+from drake_exo.files.opensim import write_table
+from drake_exo.files.osim import OsimModel, Pose, read_osim
+from drake_exo.files.tables import Table
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import Person
+from drake_exo.model.osim_person import (
+    ENDS,
+    JOINTS,
+    OsimPerson,
+    flexing,
+    read_person,
+)
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import SEGMENTS
-from drake_exo.report.opensim_states import (
-    Copies,
-    Link,
-    about_z,
-    exported_forces,
-    on_frame,
-    own_forces,
-    states_of,
-    turned_off,
-    write_forces,
-    write_states,
-)
+
+_BODIES = {"thigh": "femur", "shank": "tibia", "foot": "calcn", "toes": "toes"}
+_ORIGINS = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "toes"}
+_STEPS, _THERE = 60, 1e-11  # of the inverse kinematics [m or rad]
+_LARGEST_STEP = 0.3
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A planar body as the model has it.
+
+    Attributes:
+        body: of the model.
+        frame: the planar body's frame on it.
+        end: of names, such as "_r"; empty for what there is once.
+        share: of stiffness and mass.
+    """
+
+    body: str
+    frame: Pose
+    end: str
+    share: float
+
+
+class Copies:
+    """Where the planar model's bodies are in OpenSim's.
+
+    Args:
+        model: planar, of one leg or two.
+        person: of OpenSim's.
+    """
+
+    def __init__(self, model: Model, person: OsimPerson):
+        self.model, self.person = model, person
+        self.who: Person = model.assembly.human
+        self.tree = model.tree
+        self.zero = {
+            name: (R[0], p[0]) for name, (R, p) in person.osim.poses().items()
+        }
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """Of the copies of what is not of one side."""
+        return ("",) if self.who.sides else tuple(ENDS.values())
+
+    def of(self, segment: str) -> Iterator[Copy]:
+        """Copies of a segment of the person."""
+        part, _, side = segment.partition("_")
+        share = 1.0 / len(self.ends)
+        for end in self.ends:
+            own = side or next((s for s, e in ENDS.items() if e == end), "")
+            body = "pelvis" if part == "pelvis" else _BODIES[part] + ENDS[own]
+            yield Copy(
+                body,
+                self._frame(body, part, own),
+                end or (ENDS[own] if own else ""),
+                share,
+            )
+
+    def _frame(self, body: str, part: str, side: str) -> Pose:
+        """A segment's frame on a body of the model, at its zeros."""
+        R_GP, p_GP = self.zero["pelvis"]
+        place, lean, aside = self.person.middle, 0.0, 0.0
+        if part != "pelvis":
+            at = self.person.places[side]
+            place = place + at[_ORIGINS[part]]
+            above = {"thigh": "hip", "shank": "knee"}.get(part)
+            if above is not None:
+                along = at[above] - at[_ORIGINS[part]]
+                lean = np.angle(along / 1j)
+            hung = JOINTS[_ORIGINS[part]] + ENDS[side]
+            R, p = self.zero[hung]
+            p_M = p + R @ self.person.osim.joint_of(hung).X_CM.p
+            aside = (R_GP.T @ (p_M - p_GP))[2]
+        p_PS = np.array([place.real, place.imag, aside])
+        R_GB, p_GB = self.zero[body]
+        return Pose(
+            R_GB.T @ R_GP @ about_z(lean), R_GB.T @ (p_GP + R_GP @ p_PS - p_GB)
+        )
+
+
+def about_z(angle: float) -> np.ndarray:
+    """Rotation matrix of a turn about z [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def on_frame(frame: Pose, x: float, z: float, angle: float = 0.0) -> Pose:
+    """A planar frame on a body, given where it is in a segment's frame."""
+    return Pose(
+        frame.R @ about_z(angle), frame.p + frame.R @ np.array([x, z, 0.0])
+    )
+
+
+@dataclass(frozen=True)
+class Link:
+    """A pin of the device as the model has it: its name and coordinate."""
+
+    joint: str
+    parent: str
+    child: str
+
+
+def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
+    """Coordinates and speeds (n,) of the model, by name."""
+    tree, n = copies.tree, len(trial.times)
+    q: dict[str, np.ndarray] = {}
+    v: dict[str, np.ndarray] = {}
+
+    def reach(names, segment, copy: Copy, rows=(0, 1, 2)):
+        R, p = copies.zero[copy.body]
+        aside = np.array([(p + R @ copy.frame.p)[2], 0.0, 0.0])
+        target = np.column_stack(
+            [
+                tree.point_positions(trial.q, segment, (0.0, 0.0)),
+                tree.body_angles(trial.q, segment),
+                np.tile(aside, (n, 1)),
+            ]
+        )
+        J = tree.point_jacobian(trial.q, segment, (0.0, 0.0))
+        rate = np.column_stack(
+            [
+                np.einsum("nij,nj->ni", J, trial.v),
+                trial.v @ tree.turning(segment),
+                np.zeros((n, 3)),
+            ]
+        )
+        _reach(osim, q, v, names, copy, target, rate, list(rows), segment)
+
+    def own(body):
+        joint = osim.joint_of(body)
+        found = flexing(osim, joint)
+        if found is None:
+            raise InputError(
+                f"{osim.source}: joint {joint.name!r} is fixed, but the "
+                "calibrated person's turns; say toes: rigid and calibrate again"
+            )
+        return found
+
+    (pelvis,) = {copy.body: copy for copy in copies.of("pelvis")}.values()
+    names = _root(osim)
+    for name in names:
+        q[name] = np.zeros(n)
+    reach(names, "pelvis", pelvis)
+    for part_of in copies.who.suffixes:
+        angles = [
+            tree.body_angles(trial.q, f"{part}{part_of}" if part else "pelvis")
+            for part in ("", "thigh", "shank", "foot")
+        ]
+        for copy in copies.of(f"foot{part_of}"):
+            names = []
+            for i, joint in enumerate(("hip", "knee", "ankle")):
+                name, rate = own(JOINTS[joint] + copy.end)
+                q[name] = (angles[i + 1] - angles[i]) / rate
+                names.append(name)
+            free = _free(osim, copy.body)
+            if len(free) < 6:
+                reach(names, f"foot{part_of}", copy)
+                continue
+            for name in free:
+                q.setdefault(name, np.zeros(n))
+            reach(free, f"foot{part_of}", copy, range(6))
+        if copies.who.toes == "hinged":
+            for copy in copies.of(f"toes{part_of}"):
+                name, rate = own(f"toes{copy.end}")
+                bend = tree.body_angles(trial.q, f"toes{part_of}") - angles[-1]
+                q[name] = bend / rate
+                reach([name], f"toes{part_of}", copy, (2,))
+    for link in links:
+        row = tree.turning(link.child) - tree.turning(link.parent)
+        q[f"{link.joint}_angle"] = trial.q @ row
+        v[f"{link.joint}_angle"] = trial.v @ row
+    _couple(osim, q, v)
+    return q, v
+
+
+def _free(osim: OsimModel, body: str) -> list[str]:
+    """Coordinates between the pelvis and a body that are not held."""
+    found = []
+    while body != "pelvis":
+        joint = osim.joint_of(body)
+        found += [
+            name
+            for name, locked in zip(
+                joint.coordinates, joint.locked, strict=True
+            )
+            if not locked
+        ]
+        body = joint.parent
+    return found
+
+
+def _root(osim: OsimModel) -> list[str]:
+    """Coordinates that tilt the pelvis, and move it forward and up."""
+    joint = osim.joint_of("pelvis")
+    tilt = flexing(osim, joint)
+    poses, p = osim.poses(), osim.poses()["pelvis"][1]
+    moved = {
+        name: osim.motion(name, "pelvis", p, {}, poses)[1][0]
+        for name in joint.coordinates
+        if tilt is None or name != tilt[0]
+    }
+    found = [
+        max(moved, key=lambda name: abs(moved[name][axis]), default="")
+        for axis in (0, 1)
+    ]
+    if tilt is None or any(
+        not abs(moved[name][axis]) > 0.9 for axis, name in enumerate(found)
+    ):
+        raise InputError(
+            f"{osim.source}: joint {joint.name!r} does not move the pelvis "
+            "forward, up and about z"
+        )
+    return [tilt[0], *found]
+
+
+def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
+    """Coordinates and speeds that put a body's frame where it should be.
+
+    Newton's method, all states at once; `q` holds the first guess. Rows of
+    `target` and `rate` are x, y, the angle in the plane, z, and the x and y of
+    the frame's z axis, which is to stay normal to the plane.
+
+    Raises:
+        InputError: the model cannot reach it.
+    """
+    n = len(target)
+
+    def jacobian(of):
+        poses = osim.poses(q, n)
+        R_GB, p_GB = poses[copy.body]
+        R, p = R_GB @ copy.frame.R, p_GB + R_GB @ copy.frame.p
+        J = np.zeros((n, 6, len(of)))
+        c, s = R[:, 0, 0], R[:, 1, 0]
+        for k, name in enumerate(of):
+            turn, motion = osim.motion(name, copy.body, p, q, poses)
+            spin = np.cross(turn, R[:, :, 0])
+            J[:, :2, k] = motion[:, :2]
+            J[:, 2, k] = (c * spin[:, 1] - s * spin[:, 0]) / (c**2 + s**2)
+            J[:, 3, k] = motion[:, 2]
+            J[:, 4:, k] = np.cross(turn, R[:, :, 2])[:, :2]
+        pose = [p[:, :2], np.arctan2(s, c), p[:, 2], R[:, :2, 2]]
+        return np.column_stack(pose), J
+
+    for _ in range(_STEPS):
+        pose, J = jacobian(names)
+        error = target - pose
+        error[:, 2] = np.angle(np.exp(1j * error[:, 2]))
+        error = error[:, rows]
+        if np.abs(error).max() < _THERE:
+            break
+        step = np.einsum("nij,nj->ni", np.linalg.pinv(J[:, rows]), error)
+        step *= np.minimum(
+            1.0, _LARGEST_STEP / np.abs(step).max(axis=1, initial=1e-30)
+        )[:, None]
+        for k, name in enumerate(names):
+            q[name] = q[name] + step[:, k]
+    else:
+        if np.abs(error).max() > 1e3 * _THERE:
+            raise InputError(
+                f"{osim.source}: cannot put the {what.replace('_', ' ')} "
+                "where the calibrated person has it"
+            )
+    _, J = jacobian(names)
+    others = [name for name in v if name not in names]
+    _, K = jacobian(others)
+    known = np.stack([v[name] for name in others], axis=1) if others else None
+    left = rate if known is None else rate - np.einsum("nij,nj->ni", K, known)
+    speeds = np.einsum("nij,nj->ni", np.linalg.pinv(J[:, rows]), left[:, rows])
+    for k, name in enumerate(names):
+        v[name] = speeds[:, k]
+
+
+def _couple(osim: OsimModel, q, v) -> None:
+    """Coordinates that constraints of the model make of others."""
+    for coupler in osim.couplers:
+        at = q.get(coupler.independent)
+        if at is not None:
+            slope = coupler.function(at, 1)
+            q[coupler.dependent] = coupler.function(at, 0)
+            v[coupler.dependent] = slope * v[coupler.independent]
+
+
+def write_states(
+    path: Path, osim: OsimModel, trial: Trial, q, v, energies: list[str]
+) -> None:
+    """States as OpenSim names them; coordinates that do not move are zero.
+
+    So are `energies`, which bushings count from wherever they start.
+    """
+    columns, values = [], []
+    zero = np.zeros(len(trial.times))
+    for joint in osim.joints:
+        for name in joint.coordinates:
+            for what, of in (("value", q), ("speed", v)):
+                columns.append(f"/jointset/{joint.name}/{name}/{what}")
+                values.append(of.get(name, zero))
+    columns += energies
+    values += [zero] * len(energies)
+    table = Table(
+        trial.times, tuple(columns), np.column_stack(values), in_degrees=False
+    )
+    write_table(path, table, f"States of {trial.name}", digits=17)
+
+
+def write_forces(path: Path, copies: Copies, trial: Trial) -> None:
+    """Ground reaction of each foot, as OpenSim's external loads have it."""
+    columns, values = [], []
+    zero = np.zeros(len(trial.times))
+    feet = {
+        end: trial.soles["both" if not copies.who.sides else side]
+        for side, end in ENDS.items()
+    }
+    share = 1.0 if copies.who.sides else 0.5
+    for end, wrench in feet.items():
+        cop = np.nan_to_num(wrench.cop_x)
+        columns += [f"ground_force{end}_{k}{a}" for k in "vp" for a in "xyz"]
+        columns += [f"ground_torque{end}_{a}" for a in "xyz"]
+        force = share * wrench.force
+        # On the ground below the centre of pressure, and its free moment
+        # where that means nothing.
+        free = share * (wrench.moment + cop * wrench.force_z)
+        values += [force[:, 0], force[:, 1], zero, cop, zero, zero]
+        values += [zero, zero, -free]
+    table = Table(
+        trial.times, tuple(columns), np.column_stack(values), in_degrees=False
+    )
+    write_table(path, table, f"Ground reaction of {trial.name}", digits=17)
+
+
+def own_forces(copies: Copies, contact: ContactModel, trial: Trial):
+    """Side -> force (n, 2) of the calibrated law at the solution."""
+    tree = copies.tree
+    found = {side: np.zeros((len(trial.times), 2)) for side in ENDS}
+    for segment, ground in contact.ground.under(copies.model).items():
+        for s in ground.spheres.values():
+            at = (s.x, s.z)
+            p = tree.point_positions(trial.q, segment, at)
+            J = tree.point_jacobian(trial.q, segment, at)
+            motion = np.einsum("nij,nj->ni", J, trial.v)
+            wrench = sphere_wrench(
+                "simbody",
+                *p.T,
+                *motion.T,
+                trial.v @ tree.turning(segment),
+                s.stiffness,
+                s.dissipation,
+                s.radius,
+                ground.constants,
+            )
+            force = np.column_stack([wrench.force_x, wrench.force_z])
+            side = segment.partition("_")[2]
+            for name in (side,) if side else ENDS:
+                found[name] += force if side else 0.5 * force
+    return found
+
+
+def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
+    """Side -> force (n, 2) of the numbers that were written, in the plane."""
+    n = len(next(iter(q.values())))
+    poses = osim.poses(q, n)
+    found = {side: np.zeros((n, 2)) for side in ENDS}
+    for force in file.model.iterfind("ForceSet/objects/*"):
+        name = force.get("name")
+        if force.tag != "SmoothSphereHalfSpaceForce" or not name.startswith(
+            "contact_"
+        ):
+            continue
+        shape = file.model.find(
+            f"ContactGeometrySet/objects/ContactSphere[@name='{name}_sphere']"
+        )
+        body = shape.findtext("socket_frame").rpartition("/")[2]
+        R, p = poses[body]
+        centre = p + R @ np.array(shape.findtext("location").split(), float)
+        turn, motion = np.zeros((2, n, 3))
+        for coordinate, speed in v.items():
+            rates = osim.motion(coordinate, body, centre, q, poses)
+            turn += rates[0] * speed[:, None]
+            motion += rates[1] * speed[:, None]
+        constants = SimbodyConstants(
+            **{
+                key: float(force.findtext(key))
+                for key in vars(SimbodyConstants())
+            }
+        )
+        wrench = sphere_wrench(
+            "simbody",
+            centre[:, 0],
+            centre[:, 1],
+            motion[:, 0],
+            motion[:, 1],
+            turn[:, 2],
+            float(force.findtext("stiffness")),
+            float(force.findtext("dissipation")),
+            float(shape.findtext("radius")),
+            constants,
+        )
+        side = next(s for s, end in ENDS.items() if body.endswith(end))
+        found[side] += np.column_stack([wrench.force_x, wrench.force_z])
+    return found
+
+
+def turned_off(copies: Copies, q, trial: Trial) -> dict[str, float]:
+    """Largest difference of a leg's coordinates from the pins' angles."""
+    found, tree, osim = {}, copies.tree, copies.person.osim
+    for side, end in ENDS.items():
+        suffix = f"_{side}" if copies.who.sides else ""
+        parts = (
+            "pelvis",
+            *(f"{p}{suffix}" for p in ("thigh", "shank", "foot")),
+        )
+        lean = [0.0, 0.0, 0.0, 0.0]
+        at = copies.person.places[side]
+        lean[1] = np.angle((at["hip"] - at["knee"]) / 1j)
+        lean[2] = np.angle((at["knee"] - at["ankle"]) / 1j)
+        angles = [
+            tree.body_angles(trial.q, part) - off
+            for part, off in zip(parts, lean, strict=True)
+        ]
+        for i, joint in enumerate(("hip", "knee", "ankle")):
+            name, rate = flexing(osim, osim.joint_of(JOINTS[joint] + end))
+            pin = (angles[i + 1] - angles[i]) / rate
+            found[name] = float(np.abs(q[name] - pin).max())
+    return found
+
 
 _GROUND = "contact_ground"
 # From x forward, y left, z up to OpenSim's x forward, y up, z right.

@@ -29,7 +29,7 @@ from drake_exo.files.verdict import stored_mark
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import Model
-from drake_exo.player.page import Arrow, Clip, Page, write_page
+from drake_exo.player import Arrow, Clip, Page, write_page
 from drake_exo.report.gathering import Results, gather, is_design
 from drake_exo.report.scene import (
     Scene,

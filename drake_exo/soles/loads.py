@@ -12,8 +12,7 @@ from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.files.tables import missing_column
-from drake_exo.files.text import number_rows, read_text
+from drake_exo.files.tables import missing_column, number_rows, read_text
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.rotations import rotation_z
 

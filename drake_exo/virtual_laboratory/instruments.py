@@ -1,30 +1,565 @@
-"""From what happened to what a laboratory's instruments say."""
+"""From what happened to what a laboratory's instruments say.
 
-from collections.abc import Iterable
+The subject wears 56 markers, as in the paper. Their places are in the links'
+frames, in parts of what scales with the body: the length of the segment and, of
+the foot, the height of the ankle. Errors are what stands between bones and
+marker positions.
+
+Pressure mats lie between cuffs and body. Every cuff presses on the front and
+the back of the segment; straps hold it with a tension, so both mats see
+pressure at rest. The resultant along the segment's x is the cuff's normal
+force.
+"""
+
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from drake_exo.files.csv import write_csv_table
 from drake_exo.files.opensim import write_table, write_trc
-from drake_exo.files.tables import MarkerData, PlateRecording, Table
+from drake_exo.files.tables import (
+    MarkerData,
+    PlateRecording,
+    Table,
+    write_csv_table,
+)
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.segments import HumanParameters
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
-from drake_exo.virtual_laboratory.markers import (
-    HALF_STANCE_M,
-    NOISE_M,
-    Marker,
-    Skin,
-    draw_skin,
-    hide,
-    marker_positions,
-    soft_tissue,
-    turned_skin,
-)
 from drake_exo.virtual_laboratory.simulation import RATE_HZ
+
+MAT_RATE_HZ = 50.0
+CELL_AREA_M2 = 2e-4
+_STEP_PA = 2500.0
+_LARGEST_PA = 30000.0
+_PITCH_M = np.sqrt(CELL_AREA_M2)
+_PATCH_RAD, _PATCH_M = 0.45, 0.02  # of the pressed area, around and along
+_FACETS = 96
+
+
+@dataclass(frozen=True)
+class MatDesign:
+    """A mat on one face of a segment.
+
+    Attributes:
+        segment: "shank", "thigh" or "pelvis".
+        face: "front" or "back".
+        rows, columns: cells; rows run around the segment or along it.
+        around: which of them runs around.
+        legs: "left" for a mat on the left leg alone.
+    """
+
+    segment: str
+    face: str
+    rows: int
+    columns: int
+    around: str
+    legs: str
+
+    @property
+    def name(self) -> str:
+        """Of the mat in study and files."""
+        return f"{self.segment}_{self.face}"
+
+
+# Half axes of the segment's cross section, forward and left [m], and tension
+# of its straps, both legs together [N].
+_SECTION = {
+    "shank": (0.058, 0.052),
+    "thigh": (0.085, 0.078),
+    "pelvis": (0.120, 0.170),
+}
+_TENSION_N = {"shank": 40.0, "thigh": 50.0, "pelvis": 50.0}
+CONFIGURATIONS = {
+    "pelvis": tuple(
+        MatDesign("pelvis", face, 32, 8, "rows", "both")
+        for face in ("front", "back")
+    ),
+    "legs": tuple(
+        MatDesign(segment, face, 16, 8, around, "left")
+        for segment, around in (("thigh", "rows"), ("shank", "columns"))
+        for face in ("front", "back")
+    ),
+}
+
+
+def record_pressure(
+    path: Path,
+    movement: Trial,
+    configuration: str,
+    lag_s: float,
+    human: HumanParameters,
+    in_steps: bool,
+    left_share: float = 0.5,
+    seen: Mapping[str, float] | None = None,
+) -> None:
+    """Write a recording of the mats as Novel's software exports it.
+
+    Args:
+        path: the .asc file.
+        movement: what happened.
+        configuration: a name in CONFIGURATIONS.
+        lag_s: of the mats' clock.
+        human: the wearer.
+        in_steps: quantised, and no more than the sensor's range.
+        left_share: of what both legs press, which mats on the left leg see.
+        seen: cuff -> share of its force that mats see; all by default.
+    """
+    seen = seen or {}
+    time = np.arange(1.0 / MAT_RATE_HZ, movement.times[-1], 1.0 / MAT_RATE_HZ)
+    mats = CONFIGURATIONS[configuration]
+    readings = []
+    for mat in mats:
+        force = movement.cuff(mat.segment).normal
+        normal = np.interp(time - lag_s, movement.times, force)
+        share = seen.get(mat.segment, 1.0)
+        if mat.legs == "left":
+            share *= left_share
+        readings.append(share * cell_pressures(mat, human, normal))
+    pressure = np.hstack(readings)
+    if in_steps:
+        pressure = _STEP_PA * np.round(pressure / _STEP_PA)
+        pressure = np.minimum(pressure, _LARGEST_PA)
+    _write_asc(path, time, pressure, mats)
+
+
+def cell_pressures(
+    mat: MatDesign, human: HumanParameters, normal: np.ndarray
+) -> np.ndarray:
+    """Pressure (N, cells) under both legs' normal force (N,) [Pa].
+
+    Front and back differ by the force and multiply to the square of the
+    straps' tension, so that neither ever pulls.
+    """
+    tension = _TENSION_N[mat.segment]
+    middle = np.hypot(0.5 * normal, tension)
+    side = middle + (0.5 if mat.face == "back" else -0.5) * normal
+    _, inward, around, along = cells(mat, human)
+    shape = np.exp(-((around / _PATCH_RAD) ** 2) - (along / _PATCH_M) ** 2)
+    total = CELL_AREA_M2 * np.sum(shape * np.abs(inward[:, 0]))
+    return np.outer(side / total, shape)
+
+
+def cells(mat: MatDesign, human: HumanParameters):
+    """Cells of a mat in its segment's frame.
+
+    Returns:
+        Centres (C, 3) x forward, y left, z up along the segment [m]; inward
+        normals (C, 3); angle (C,) around from the middle of the mat [rad];
+        distance (C,) along the segment from the cuff [m].
+    """
+    a, b = _SECTION[mat.segment]
+    middle = 0.0 if mat.face == "front" else np.pi
+    turns, lengths = mat.rows, mat.columns
+    if mat.around == "columns":
+        turns, lengths = lengths, turns
+    angle = _even_angles(a, b, turns, middle)
+    height = (np.arange(lengths) - 0.5 * (lengths - 1)) * _PITCH_M
+    grid = np.meshgrid(angle, height, indexing="ij")
+    if mat.around == "columns":
+        grid = [g.T for g in grid]
+    angle, height = (g.ravel() for g in grid)
+    cuff = human.cuff_m(mat.segment)[1]
+    centres = np.column_stack(
+        [a * np.cos(angle), b * np.sin(angle), cuff + height]
+    )
+    normals = np.column_stack(
+        [np.cos(angle) / a, np.sin(angle) / b, np.zeros(len(angle))]
+    )
+    normals /= -np.linalg.norm(normals, axis=1, keepdims=True)
+    return centres, normals, angle - middle, height
+
+
+def _even_angles(a, b, count, middle) -> np.ndarray:
+    """Parameters of an ellipse a cell apart, about its front or back."""
+    fine = np.linspace(-np.pi, np.pi, 4001)
+    x, y = a * np.cos(fine + middle), b * np.sin(fine + middle)
+    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+    places = (np.arange(count) - 0.5 * (count - 1)) * _PITCH_M
+    return middle + np.interp(places + 0.5 * s[-1], s, fine)
+
+
+def write_scans(
+    folder: Path, tree: PlanarTree, q: np.ndarray, human: HumanParameters
+) -> dict[str, dict]:
+    """Write the scanned segments and the cells on them, standing, in mm.
+
+    Args:
+        folder: receives scan_SEGMENT.obj and cells_MAT.csv.
+        tree: the model.
+        q: (9,) standing posture.
+        human: the wearer.
+
+    Returns:
+        The section `mats` of the study, by name.
+    """
+    section = {}
+    for segment in tree.cuffs:
+        length = getattr(human, segment).length_m
+        to_world = _placed(tree, q, segment)
+        _write_surface(
+            folder / f"scan_{segment}.obj", *_SECTION[segment], length, to_world
+        )
+    for mat in (m for mats in CONFIGURATIONS.values() for m in mats):
+        to_world = _placed(tree, q, mat.segment)
+        rows, columns = np.indices((mat.rows, mat.columns)).reshape(2, -1) + 1
+        centres = 1e3 * to_world(cells(mat, human)[0])
+        lines = [
+            f"{r},{c}," + ",".join(f"{x:.4f}" for x in p)
+            for r, c, p in zip(rows, columns, centres, strict=True)
+        ]
+        text = "\n".join(["row,column,x,y,z", *lines]) + "\n"
+        (folder / f"cells_{mat.name}.csv").write_text(text, encoding="utf-8")
+        length = getattr(human, mat.segment).length_m
+        axis = 1e3 * to_world(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, length]]))
+        section[mat.name] = {
+            "segment": mat.segment,
+            "rows": mat.rows,
+            "columns": mat.columns,
+            "cell_area_m2": CELL_AREA_M2,
+            "legs": mat.legs,
+            "scan": {
+                "file": f"scan_{mat.segment}.obj",
+                "unit": "mm",
+                "cells": f"cells_{mat.name}.csv",
+                "segment_axis": axis.round(4).tolist(),
+            },
+        }
+    return section
+
+
+def _placed(tree: PlanarTree, q, segment):
+    """Function from the segment's frame to x forward, y left, z up."""
+    q = np.asarray(q)[None]
+    x, z = tree.point_positions(q, segment, (0.0, 0.0))[0]
+    angle = tree.body_angles(q, segment)[0]
+    c, s = np.cos(angle), np.sin(angle)
+
+    def to_world(p):
+        return np.column_stack(
+            [
+                x + c * p[:, 0] - s * p[:, 2],
+                p[:, 1],
+                z + s * p[:, 0] + c * p[:, 2],
+            ]
+        )
+
+    return to_world
+
+
+def _write_surface(path: Path, a, b, length, to_world) -> None:
+    """An elliptic cylinder as OBJ, in mm."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _FACETS, endpoint=False)
+    rings = max(round(length / 0.01), 2)
+    heights = np.linspace(0.0, length, rings)
+    p = np.array(
+        [(a * np.cos(t), b * np.sin(t), h) for h in heights for t in angle]
+    )
+    lines = ["v " + " ".join(f"{x:.4f}" for x in v) for v in 1e3 * to_world(p)]
+    for ring in range(rings - 1):
+        for k in range(_FACETS):
+            i, j = (ring * _FACETS + m % _FACETS + 1 for m in (k, k + 1))
+            up_i, up_j = i + _FACETS, j + _FACETS
+            lines += [f"f {i} {j} {up_j}", f"f {i} {up_j} {up_i}"]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_asc(path: Path, time, pressure, mats) -> None:
+    masks = "".join(
+        f"{mat.name}: "
+        + "".join(f"{k + 1}," for k in range(mat.rows * mat.columns))
+        + "\n"
+        for mat in mats
+    )
+    numbers = [k + 1 for m in mats for k in range(m.rows * m.columns)]
+    head = (
+        f"file name:  {path.stem}.sol\n"
+        "sensor type:  pliance 2 cm2\n"
+        f"total time [secs]:  {len(time) / MAT_RATE_HZ:.3f}\t"
+        f"time per frame [secs]:  {1.0 / MAT_RATE_HZ:.5f}\t"
+        f"scanning rate [Hz]:   {MAT_RATE_HZ:g}\n"
+        "pressure values in  kPa\n\n"
+        f"mask definition: \n{masks}\n"
+        "time[secs]\t" + "\t".join(f"{k}" for k in numbers) + "\n"
+    )
+    rows = [
+        f"{t:.5f}\t" + "\t".join(f"{x:.4g}" for x in 1e-3 * p)
+        for t, p in zip(time, pressure, strict=True)
+    ]
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+# Half the distance between the legs' midlines [m].
+HALF_STANCE_M = 0.09
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A marker fixed to a link.
+
+    Attributes:
+        body: link of the human.
+        x_m, z_m: place in the link's frame.
+        y_m: to the left of the body's midplane.
+    """
+
+    body: str
+    x_m: float
+    z_m: float
+    y_m: float
+
+    @property
+    def segment(self) -> str:
+        """Its link, whichever leg it is of."""
+        return self.body.split("_")[0]
+
+    def on_own_leg(self) -> "Marker":
+        """The same on a person whose legs move on their own."""
+        if self.body == "pelvis":
+            return self
+        return replace(self, body=f"{self.body}_{self.side}")
+
+    @property
+    def side(self) -> str:
+        """Of the midplane."""
+        return "left" if self.y_m > 0.0 else "right"
+
+
+# Of each leg: link, x and z [m], z [segment's length], outwards [m].
+_LEG = {
+    "SHK1": ("shank", 0.040, 0.0, 0.30, 0.01),
+    "SHK2": ("shank", -0.045, 0.0, 0.42, 0.03),
+    "SHK3": ("shank", 0.035, 0.0, 0.62, 0.03),
+    "SHK4": ("shank", -0.055, 0.0, 0.75, 0.02),
+    "LMAL": ("shank", -0.004, -0.003, 0.0, 0.04),
+    "MMAL": ("shank", 0.004, 0.003, 0.0, -0.04),
+    "THI1": ("thigh", 0.060, 0.0, 0.30, 0.03),
+    "THI2": ("thigh", -0.050, 0.0, 0.40, 0.05),
+    "THI3": ("thigh", 0.070, 0.0, 0.62, 0.04),
+    "THI4": ("thigh", -0.020, 0.0, 0.70, 0.07),
+    "LKNE": ("thigh", -0.005, 0.004, 0.0, 0.055),
+    "MKNE": ("thigh", 0.005, -0.004, 0.0, -0.055),
+    "TROC": ("thigh", 0.000, 0.0, 1.0, 0.09),
+}
+# Of each foot: x [foot's length], z [ankle's height], outwards [m].
+_FOOT = {
+    "CAL": (-0.215, -0.55, 0.0),
+    "MT1": (0.470, -0.60, -0.04),
+    "MT5": (0.400, -0.70, 0.05),
+    "TOE": (0.600, -0.65, 0.0),
+}
+# Of pelvis and trunk, on both sides: x [m], z [hip to vertex], y [m].
+_SIDED_TRUNK = {
+    "ASI": (0.090, 0.090, 0.13),
+    "PSI": (-0.110, 0.100, 0.05),
+    "SHO": (0.000, 0.610, 0.19),
+    "ELB": (-0.030, 0.270, 0.24),
+    "WRI": (0.020, -0.040, 0.25),
+    "FHD": (0.090, 0.900, 0.07),
+    "BHD": (-0.090, 0.910, 0.07),
+}
+# On the midline: x [m], z [hip to vertex].
+_MIDDLE_TRUNK = {
+    "SACR": (-0.130, 0.080),
+    "L1": (-0.110, 0.240),
+    "T10": (-0.115, 0.390),
+    "T4": (-0.105, 0.540),
+    "C7": (-0.070, 0.660),
+    "CLAV": (0.070, 0.560),
+    "STRN": (0.110, 0.440),
+    "VERT": (0.000, 1.010),
+}
+
+
+def marker_set(human: HumanParameters) -> dict[str, Marker]:
+    """All markers by name, left and right legs alike."""
+    markers = {}
+    foot, trunk = human.foot.length_m, human.pelvis.length_m
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        letter = side[0].upper()
+        for name, (x, z, out) in _FOOT.items():
+            place = (x * foot, z * human.ankle_height_m)
+            y = sign * (HALF_STANCE_M + out)
+            markers[f"{letter}_{name}"] = Marker("foot", *place, y)
+        for name, (body, x, z, share, out) in _LEG.items():
+            place = (x, z + share * getattr(human, body).length_m)
+            y = sign * (HALF_STANCE_M + out)
+            markers[f"{letter}_{name}"] = Marker(body, *place, y)
+        for name, (x, z, y) in _SIDED_TRUNK.items():
+            place = (x, z * trunk, sign * y)
+            markers[f"{letter}_{name}"] = Marker("pelvis", *place)
+    for name, (x, z) in _MIDDLE_TRUNK.items():
+        markers[name] = Marker("pelvis", x, z * trunk, 0.0)
+    return markers
+
+
+def marker_positions(
+    tree: PlanarTree, q: np.ndarray, markers: dict[str, Marker]
+) -> np.ndarray:
+    """Positions (N, M, 3) in the laboratory: x forward, y up, z right [m]."""
+    positions = np.empty((len(q), len(markers), 3))
+    for i, m in enumerate(markers.values()):
+        p = tree.point_positions(q, m.body, (m.x_m, m.z_m))
+        positions[:, i, 0], positions[:, i, 1] = p.T
+        positions[:, i, 2] = -m.y_m
+    return positions
+
+
+def study_markers() -> dict:
+    """The section `markers` of the study file."""
+
+    def legs(*names):
+        return {
+            side: [f"{side[0].upper()}_{name}" for name in names]
+            for side in SIDES
+        }
+
+    return {
+        "joint_centres": {
+            "ankle": legs("LMAL", "MMAL"),
+            "knee": legs("LKNE", "MKNE"),
+            "hip": legs("TROC"),
+        },
+        "segments": {
+            "foot": legs("CAL", "MT1", "MT5", "TOE"),
+            "shank": legs("SHK1", "SHK2", "SHK3", "SHK4", "LMAL", "MMAL"),
+            "thigh": legs(
+                "THI1", "THI2", "THI3", "THI4", "LKNE", "MKNE", "TROC"
+            ),
+            "pelvis": {
+                **legs("ASI", "PSI", "SHO"),
+                "middle": ["SACR", "L1", "T10", "T4", "C7", "CLAV", "STRN"],
+            },
+        },
+    }
+
+
+NOISE_M = 3e-4
+# Spread of how far skin slides for each radian of the joint nearby [m/rad].
+_SLIDE = {"foot": 0.0, "shank": 0.004, "thigh": 0.006, "pelvis": 0.004}
+_JOINT = {"foot": "ankle", "shank": "knee", "thigh": "knee", "pelvis": "hip"}
+_NEIGHBOURS = {
+    "shank": ("ankle", "knee"),
+    "thigh": ("knee", "hip"),
+    "pelvis": ("hip",),
+}
+_GAPS = 6
+_GAP_FRAMES = (4, 13)
+
+
+def slides(markers: dict[str, Marker], rng: np.random.Generator) -> np.ndarray:
+    """How each marker slides (M, 2) along x and z of its link [m/rad]."""
+    spread = np.array([_SLIDE[m.segment] for m in markers.values()])
+    return spread[:, None] * rng.normal(size=(len(markers), 2))
+
+
+@dataclass(frozen=True)
+class Skin:
+    """How the markers of a segment turn on it with what lies beneath.
+
+    By linear * f + quadratic * f^2 about their middle, f being flexion of the
+    neighbouring joints a lag before, each by its share.
+
+    Attributes:
+        shares: joint -> its share of f.
+        linear: [rad/rad].
+        quadratic: [rad/rad^2].
+        lag_s: lag.
+    """
+
+    shares: dict[str, float]
+    linear: float
+    quadratic: float
+    lag_s: float
+
+    def turn(self, tree: PlanarTree, q: np.ndarray, rate_hz: float):
+        """Angle (N,) [rad] along a motion q (N, nq) of that rate."""
+        joints = [tree.coordinates.index(name) for name in self.shares]
+        f = q[:, joints] @ np.array(list(self.shares.values()))
+        before = np.arange(len(f)) - self.lag_s * rate_hz
+        f = np.interp(before, np.arange(len(f)), f)
+        return self.linear * f + self.quadratic * f * f
+
+
+def draw_skin(rng: np.random.Generator) -> dict[str, Skin]:
+    """Skin of the segments that have some, by name.
+
+    Thigh artefacts are close to linear in the flexions of hip and knee,
+    subject by subject (Camomilla et al., J. Biomechanics 46, 2013).
+    """
+    found = {}
+    for name, joints in _NEIGHBOURS.items():
+        share = rng.uniform()
+        shares = dict(zip(joints, (share, 1.0 - share), strict=False))
+        if len(joints) == 1:
+            shares = {joints[0]: 1.0}
+        sign = rng.choice([-1.0, 1.0])
+        found[name] = Skin(
+            shares,
+            float(sign * rng.uniform(0.02, 0.06)),
+            float(rng.uniform(-0.02, 0.02)),
+            float(rng.uniform(0.02, 0.06)),
+        )
+    return found
+
+
+def turned_skin(
+    tree: PlanarTree,
+    q: np.ndarray,
+    rate_hz: float,
+    markers: dict[str, Marker],
+    skin: dict[str, Skin],
+) -> np.ndarray:
+    """Displacement (N, M, 3) by skin that turns, in OpenSim's axes [m]."""
+    moved = np.zeros((len(q), len(markers), 3))
+    for body, own in skin.items():
+        on = [i for i, m in enumerate(markers.values()) if m.body == body]
+        places = [list(markers.values())[i] for i in on]
+        p = np.array([complex(m.x_m, m.z_m) for m in places])
+        turn = np.exp(1j * own.turn(tree, q, rate_hz)) - 1.0
+        link = np.exp(1j * tree.body_angles(q, body))
+        slid = (link * turn)[:, None] * (p - p.mean())
+        moved[:, on, 0], moved[:, on, 1] = slid.real, slid.imag
+    return moved
+
+
+def soft_tissue(
+    tree: PlanarTree,
+    q: np.ndarray,
+    markers: dict[str, Marker],
+    slide: np.ndarray,
+) -> np.ndarray:
+    """Displacement (N, M, 3) by sliding skin in OpenSim's axes [m].
+
+    In proportion to the flexion of the joint nearby, so that there is next
+    to none in standing, where markers are placed.
+    """
+    moved = np.zeros((len(q), len(markers), 3))
+    for i, marker in enumerate(markers.values()):
+        joint = _JOINT[marker.segment]
+        if joint not in tree.coordinates.names:
+            joint = f"{joint}_{marker.side}"
+        flexion = q[:, tree.coordinates.index(joint)]
+        turn = np.exp(1j * tree.body_angles(q, marker.body))
+        p = flexion * turn * complex(*slide[i])
+        moved[:, i, 0], moved[:, i, 1] = p.real, p.imag
+    return moved
+
+
+def hide(positions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The same positions (N, M, 3) with a few short gaps (NaN)."""
+    n, m = positions.shape[:2]
+    seen = positions.copy()
+    for marker in rng.choice(m, _GAPS, replace=False):
+        length = int(rng.integers(*_GAP_FRAMES))
+        first = int(rng.integers(1, n - length - 1))
+        seen[first : first + length, marker] = np.nan
+    return seen
+
 
 MARKER_RATE_HZ = 100.0
 DEVICE_RATE_HZ = 200.0

@@ -28,7 +28,10 @@ from drake_exo.model.device_file import with_text
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import HumanParameters
 from drake_exo.virtual_laboratory.campaign import (
+    EMPTY,
     after_chair,
+    foot_ground_section,
+    laboratory_section,
     vary,
 )
 from drake_exo.virtual_laboratory.control import Friction
@@ -40,8 +43,6 @@ from drake_exo.virtual_laboratory.instruments import (
     Faults,
     Laboratory,
     empty_plate_levels,
-)
-from drake_exo.virtual_laboratory.markers import (
     marker_set,
     slides,
     study_markers,
@@ -53,11 +54,6 @@ from drake_exo.virtual_laboratory.plan import (
     RisePlan,
 )
 from drake_exo.virtual_laboratory.simulation import RATE_HZ, simulate
-from drake_exo.virtual_laboratory.study_file import (
-    EMPTY,
-    foot_ground_section,
-    laboratory_section,
-)
 from drake_exo.virtual_laboratory.truth import (
     CUFF_DRAWS,
     MEASUREMENT,

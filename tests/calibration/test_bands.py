@@ -9,8 +9,7 @@ import pytest
 from measured_trials import CUFFS, JOINTS, NAMES, moved, prediction, seen
 from scipy.linalg import null_space
 
-from drake_exo.calibration import bands as module
-from drake_exo.calibration.bands import Bands, bands
+from drake_exo.calibration import uncertainty as module
 from drake_exo.calibration.error_model import ErrorSizes
 from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.prediction import PredictionProblem
@@ -26,7 +25,9 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.uncertainty import (
     QUANTILE_95,
+    Bands,
     Uncertainty,
+    bands,
     noise_basis,
     posterior,
 )

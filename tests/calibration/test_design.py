@@ -15,15 +15,16 @@ from drake_exo.calibration.design import (
     norm_of,
     works,
 )
-from drake_exo.calibration.design_settings import (
+from drake_exo.calibration.error_model import NO_ERRORS
+from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
     JointFreedom,
     Population,
+    PredictionSettings,
+    Solver,
 )
-from drake_exo.calibration.error_model import NO_ERRORS
-from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.wearers import (
     OwnMovement,
     Size,

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.bands import bands
 from drake_exo.calibration.error_model import (
     NO_ERRORS,
     ErrorModel,
@@ -16,7 +15,7 @@ from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.results import read_calibration, write_contact
 from drake_exo.calibration.settings import PredictionSettings, Solver
-from drake_exo.calibration.uncertainty import posterior
+from drake_exo.calibration.uncertainty import bands, posterior
 from drake_exo.cli.crossvalidate import verdict
 from drake_exo.collocation.bushing_kernels import BushingKernel
 from drake_exo.contact.bushing import BushingKinematics

@@ -15,8 +15,8 @@ from drake_exo.measurement.inverse_dynamics import (
 )
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import scale_human
 
 pytestmark = pytest.mark.slow
 

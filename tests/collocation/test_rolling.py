@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from test_kernels import _check, _states
 
+from drake_exo.collocation.initial_guess import settle_rolling
 from drake_exo.collocation.kernels import (
     DynamicsKernel,
     FootGroundKernel,
     PoseKernel,
 )
-from drake_exo.collocation.rolling import settle_rolling
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human

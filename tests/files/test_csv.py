@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.files.csv import read_csv_table, write_csv_table
-from drake_exo.files.tables import Table
+from drake_exo.files.tables import Table, read_csv_table, write_csv_table
 
 TEXT = "time [ms],exo_knee [deg],exo_knee_moment [Nm]\n0,90,1\n10,45,2\n"
 

@@ -8,7 +8,6 @@ from small_osim import small_osim
 from sound_files import written
 
 from drake_exo.files.c3d import read_c3d
-from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -18,7 +17,13 @@ from drake_exo.files.opensim import (
 )
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.pressure import read_novel_asc, read_pressure_csv
-from drake_exo.files.tables import MarkerData, PlateRecording, Table
+from drake_exo.files.tables import (
+    MarkerData,
+    PlateRecording,
+    Table,
+    read_csv_table,
+    write_csv_table,
+)
 from drake_exo.measurement import mats as body_surface
 from drake_exo.measurement.exoskeleton import read_angles, read_moments
 from drake_exo.measurement.settings import Filter, Scan

@@ -12,9 +12,9 @@ from drake_exo.measurement.clocks import (
 )
 from drake_exo.measurement.exoskeleton import Signal
 from drake_exo.measurement.filters import derivatives
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import scale_human
 
 TIME = np.arange(300) / 100.0
 STIFFNESS = np.array(

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.files.csv import write_csv_table
 from drake_exo.files.opensim import write_table
-from drake_exo.files.tables import Table
+from drake_exo.files.tables import Table, write_csv_table
 from drake_exo.measurement.exoskeleton import (
     drive_moments,
     read_angles,

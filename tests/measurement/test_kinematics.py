@@ -17,8 +17,8 @@ from drake_exo.measurement.kinematics import (
 )
 from drake_exo.measurement.processing import process
 from drake_exo.measurement.sagittal import SagittalFrame
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import scale_human
 from drake_exo.study import StudyFile, read_study
 
 FRAME = SagittalFrame()

@@ -9,8 +9,7 @@ from synthetic_recording import load, write_recording
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.csv import write_csv_table
-from drake_exo.files.tables import Table
+from drake_exo.files.tables import Table, write_csv_table
 from drake_exo.model.description import models_path, nominal_human
 from drake_exo.study import StudyFile
 

@@ -16,14 +16,14 @@ from unmarked import unmarked
 
 from drake_exo.cli import main
 from drake_exo.errors import InputError
-from drake_exo.files.csv import read_csv_table, write_csv_table
 from drake_exo.files.opensim import (
     read_table,
     read_trc,
     write_table,
     write_trc,
 )
-from drake_exo.model.anthropometry import scale_human
+from drake_exo.files.tables import read_csv_table, write_csv_table
+from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
 
 

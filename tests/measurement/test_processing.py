@@ -25,7 +25,7 @@ from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.processing import load_trials, process
 from drake_exo.measurement.settings import Scaling
 from drake_exo.measurement.subject import fit_subject
-from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
 from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 

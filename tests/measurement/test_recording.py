@@ -5,7 +5,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.gaps import fill_gaps
+from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.recording import level, unloaded
 from drake_exo.measurement.sagittal import PlanarWrench
 

@@ -22,7 +22,7 @@ from drake_exo.measurement.settings import (
     TrialFiles,
 )
 from drake_exo.measurement.trial import CuffForce, Trial
-from drake_exo.model.anthropometry import scale_human
+from drake_exo.model.segments import scale_human
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,16 @@ import csv
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.model.anthropometry import (
+from drake_exo.model.segments import (
     DE_LEVA,
     MEAN_HEIGHT_MM,
+    SEGMENTS,
     SHOULDER_HEIGHT_MM,
     VERTEX_HEIGHT_MM,
+    HumanOverrides,
+    SegmentOverrides,
     scale_human,
 )
-from drake_exo.model.segments import SEGMENTS, HumanOverrides, SegmentOverrides
 
 SEXES = ("male", "female")
 

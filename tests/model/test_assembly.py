@@ -24,10 +24,13 @@ from drake_exo.model.assembly import (
     Person,
     Weld,
 )
-from drake_exo.model.description import models_path, nominal_human
+from drake_exo.model.description import (
+    foot_and_toes,
+    models_path,
+    nominal_human,
+)
 from drake_exo.model.device_file import brought_in, with_text
 from drake_exo.model.plant import Model, nominal_model
-from drake_exo.model.skeleton import foot_and_toes
 
 ANKLE = Assembly(
     device=DeviceFile({"shoe": "foot"}, Path("ankle_only.urdf")),

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,
@@ -18,6 +17,7 @@ from drake_exo.model.segments import (
     SEGMENTS,
     ExoskeletonOverrides,
     SegmentOverrides,
+    scale_human,
 )
 
 

@@ -11,9 +11,9 @@ from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.analysis import Simulator
 
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton, models_path
 from drake_exo.model.plant import KINDS, build_plant, nominal_model
+from drake_exo.model.segments import scale_human
 
 COUPLED = nominal_model("coupled").coordinates
 

@@ -9,9 +9,8 @@ from small_programs import PUSHES, pushed_cart, valleys
 from drake_exo.errors import InputError
 from drake_exo.nlp import infeasibility, ipopt
 from drake_exo.nlp.infeasibility import ElasticProgram
-from drake_exo.nlp.program import BatchedProgram
+from drake_exo.nlp.program import BatchedProgram, Substitution
 from drake_exo.nlp.sparse import SparseProgram
-from drake_exo.nlp.unknowns import Substitution
 
 
 def test_what_is_wrong_is_named():

@@ -5,9 +5,8 @@ import pytest
 import scipy.sparse as sp
 from program_derivatives import DerivativeError, check_derivatives
 
-from drake_exo.nlp.program import AffineKernel, BatchedProgram
+from drake_exo.nlp.program import AffineKernel, BatchedProgram, Substitution
 from drake_exo.nlp.sparse import SparseProgram
-from drake_exo.nlp.unknowns import Substitution
 
 _N = 6
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from page_reader import clip_titles, player_data
 
-from drake_exo.player.page import Arrow, Clip, Page, Surface, write_page
+from drake_exo.player import Arrow, Clip, Page, Surface, write_page
 
 TIMES = np.array([0.0, 0.5, 1.0])
 POSE = np.tile([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0], (3, 1))

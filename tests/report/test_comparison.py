@@ -12,7 +12,7 @@ from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 from drake_exo.files.verdict import Check, Verdict
-from drake_exo.report.comparison import compare
+from drake_exo.report.gathering import compare
 from drake_exo.virtual_laboratory import synthetic
 
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from measured_trials import JOINTS, prediction, seen
 
-from drake_exo.calibration.bands import Bands
+from drake_exo.calibration.uncertainty import Bands
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce

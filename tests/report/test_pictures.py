@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model, nominal_model
+from drake_exo.model.segments import scale_human
 from drake_exo.report.scene import (
     HALFWAY_DEG,
     STANDING_DEG,

@@ -14,23 +14,21 @@ from drake_exo.files.tables import plate_axes
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
-from drake_exo.virtual_laboratory import pressure_mats
+from drake_exo.virtual_laboratory import instruments
 from drake_exo.virtual_laboratory.instruments import (
     PLATES,
     Clocks,
     Faults,
     Laboratory,
-    _design,
-    draw_faults,
-    empty_plate_levels,
-    plate_recording,
-)
-from drake_exo.virtual_laboratory.markers import (
     Marker,
     Skin,
+    _design,
+    draw_faults,
     draw_skin,
+    empty_plate_levels,
     marker_positions,
     marker_set,
+    plate_recording,
     slides,
     soft_tissue,
     turned_skin,
@@ -376,10 +374,10 @@ def pressed(tmp_path, monkeypatch):
     def keep(path, time, pressure, mats):
         caught.update(time=time, pressure=pressure, mats=mats)
 
-    monkeypatch.setattr(pressure_mats, "_write_asc", keep)
+    monkeypatch.setattr(instruments, "_write_asc", keep)
 
     def record(configuration="pelvis", lag=0.0, steps=False, **more):
-        pressure_mats.record_pressure(
+        instruments.record_pressure(
             tmp_path / "a.asc",
             happened(),
             configuration,
@@ -396,9 +394,9 @@ def pressed(tmp_path, monkeypatch):
 def normal_force(pressure, configuration="pelvis"):
     """Of both faces of each segment (N, segments), by summing the cells."""
     found, first = {}, 0
-    for mat in pressure_mats.CONFIGURATIONS[configuration]:
+    for mat in instruments.CONFIGURATIONS[configuration]:
         cells = mat.rows * mat.columns
-        _, inward, _, _ = pressure_mats.cells(mat, MODEL.human)
+        _, inward, _, _ = instruments.cells(mat, MODEL.human)
         part = 2e-4 * pressure[:, first : first + cells] @ inward[:, 0]
         found[mat.segment] = found.get(mat.segment, 0.0) + part
         first += cells
@@ -445,7 +443,7 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
     assert np.abs(coarse - fine).max() <= 1250.0
     assert len(np.unique(steps)) > 3
     high = {"pelvis": 3000.0}
-    monkeypatch.setattr(pressure_mats, "_TENSION_N", high)
+    monkeypatch.setattr(instruments, "_TENSION_N", high)
     _, pressed_hard = pressed(steps=True)
     assert pressed_hard.max() == 30000.0
     _, beyond = pressed()
@@ -453,7 +451,7 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
 
 
 def test_pressure_files_are_in_kilopascal(tmp_path):
-    pressure_mats.record_pressure(
+    instruments.record_pressure(
         tmp_path / "a.asc", happened(), "pelvis", 0.0, MODEL.human, True
     )
     found = read_novel_asc(tmp_path / "a.asc")

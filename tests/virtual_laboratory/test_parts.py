@@ -34,15 +34,17 @@ from drake_exo.virtual_laboratory.forces import (
     levelled,
     resting_foot,
 )
-from drake_exo.virtual_laboratory.markers import hide, marker_set, study_markers
-from drake_exo.virtual_laboratory.plan import Planner, RisePlan
-from drake_exo.virtual_laboratory.pressure_mats import (
+from drake_exo.virtual_laboratory.instruments import (
     CELL_AREA_M2,
     CONFIGURATIONS,
     cell_pressures,
     cells,
+    hide,
+    marker_set,
+    study_markers,
     write_scans,
 )
+from drake_exo.virtual_laboratory.plan import Planner, RisePlan
 from drake_exo.virtual_laboratory.simulation import equilibrium
 from drake_exo.virtual_laboratory.truth import (
     STANDING_COP_M,

@@ -11,7 +11,7 @@ from drake_exo.contact.parameters import nominal_contact
 from drake_exo.files.output import read_json
 from drake_exo.model.plant import nominal_model
 from drake_exo.model.segments import CONTACT_RADIUS_M, SEGMENTS
-from drake_exo.virtual_laboratory import campaign, study_file, truth
+from drake_exo.virtual_laboratory import campaign, truth
 from drake_exo.virtual_laboratory.control import (
     DeviceController,
     Friction,
@@ -375,11 +375,11 @@ def written_study(tmp_path, active, files="c3d", **faults):
         Faults(**faults),
     )
     entries = [
-        study_file.Entry("one", "calibration", "pelvis", False, 1.25, 2.5),
-        study_file.Entry("two", "prediction", "legs", True, 1.0, 2.0),
+        campaign.Entry("one", "calibration", "pelvis", False, 1.25, 2.5),
+        campaign.Entry("two", "prediction", "legs", True, 1.0, 2.0),
     ]
     path = tmp_path / "study.yaml"
-    study_file.write_study(path, made, laboratory, {}, entries)
+    campaign.write_study(path, made, laboratory, {}, entries)
     return made, yaml.safe_load(path.read_text())
 
 
