@@ -55,17 +55,18 @@ def _row(folder: Path, seed: int, floor: bool) -> dict:
     }
     if floor:
         contacts["floor"] = _true(folder, cuffs.contact)
-    trials = study.trials("prediction")
+    trials, clocks = study.trials("prediction"), cuffs.clocks
     for name, contact in contacts.items():
         found = [dx.predict(study, trial, contact) for trial in trials]
         row[name] = _errors(folder, trials, found)
         if name == "calibrated":
             row["C1"] = [_solve(p) for p in found]
+            clocks += [c for p in found for c in p.clocks]
             bands = [
                 (p, p.bands(), t) for p, t in zip(found, trials, strict=True)
             ]
             row["coverage"] = [b.coverage(p, t) for p, b, t in bands]
-    row["clocks"] = [_clocks(folder, t) for t in study.trials()]
+    row["clocks"] = _clocks(folder, study.trials(), clocks)
     row["seconds"] = time.perf_counter() - start
     return row
 
@@ -134,17 +135,28 @@ def _errors(folder: Path, trials, found) -> dict:
     }
 
 
-def _clocks(folder: Path, trial) -> dict:
-    """What was left of the lags of the device's and the mats' clock [s]."""
-    true = read_json(folder / "truth" / f"{trial.name}_clocks.json", "")
-    lags, said = trial.provenance["delays_s"], trial.provenance["clocks"]
-    return {
-        name: {
-            "error_s": lags[name] - true[key],
-            "unsure": "unsure" in said.get(name, ""),
-        }
-        for name, key in (("encoders", "device"), ("pressure", "mats"))
-    }
+def _clocks(folder: Path, trials, found) -> list[dict]:
+    """How far off each clock of device and mats is, and how sure [s].
+
+    One that was not found counts as unsure, with the lag that was taken out.
+    """
+    known = {(c.trial, c.system): c for c in found}
+    rows = []
+    for trial in trials:
+        true = read_json(folder / "truth" / f"{trial.name}_clocks.json", "")
+        for system, key in (("encoders", "device"), ("pressure", "mats")):
+            clock = known.get((trial.name, system))
+            lag = trial.provenance["delays_s"][system]
+            rows.append(
+                {
+                    "trial": trial.name,
+                    "system": system,
+                    "error_s": (clock.lag_s if clock else lag) - true[key],
+                    "sd_s": clock.sd_s if clock else None,
+                    "unsure": not (clock and clock.sure),
+                }
+            )
+    return rows
 
 
 def summary(rows: list[dict]) -> dict:
@@ -167,7 +179,7 @@ def summary(rows: list[dict]) -> dict:
         [c for f in r["coverage"] for c in f["interaction_n"].values()]
         for r in good
     ]
-    clocks = [c for r in good for t in r["clocks"] for c in t.values()]
+    clocks = [c for r in good for c in r["clocks"]]
     off = [c for c in clocks if abs(c["error_s"]) > 0.01]
     iterations = [r["B"]["iterations"] for r in good]
     return {

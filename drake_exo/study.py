@@ -18,6 +18,7 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
 from drake_exo.calibration.checks import phase_checks
+from drake_exo.calibration.clocks import Clock, Timing, clocks, left, timed
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
@@ -41,7 +42,7 @@ from drake_exo.calibration.settings import (
     InteractionSettings,
     PredictionSettings,
 )
-from drake_exo.calibration.solving import solve
+from drake_exo.calibration.solving import SolveWatch, solve
 from drake_exo.calibration.uncertainty import (
     Bands,
     Uncertainty,
@@ -379,11 +380,25 @@ class Calibration:
         return replace(self.result.contact, posterior=self.posterior)
 
     @cached_property
+    def _known(self) -> Posterior:
+        """How sure Phase B is of all that it estimates."""
+        return posterior(self.result)
+
+    @property
     def posterior(self) -> Posterior | None:
-        """How sure Phase B is of parameters and of errors of measurement."""
+        """How sure Phase B is of parameters and errors that trials share."""
         if self.phase == "foot-ground":
             return None
-        return posterior(self.result)
+        errors = self.result.problem.errors
+        own = {u.name for u in errors.unknowns if u.trial is not None}
+        return self._known.part([n for n in self._known.names if n not in own])
+
+    @property
+    def clocks(self) -> list[Clock]:
+        """Lags of encoders and mats that Phase B found; none of Phase A."""
+        if self.phase == "foot-ground":
+            return []
+        return clocks(self.result.problem.trials, self._known)
 
     @property
     def trials(self) -> list[Trial]:
@@ -441,7 +456,8 @@ class Calibration:
             checks: of its input, which come first.
             accepted: names of checks that need not hold.
         """
-        own = phase_checks(self.result, self._audits)
+        found = self.clocks if self.success else []
+        own = phase_checks(self.result, self._audits, found)
         return Verdict((*checks, *own), tuple(accepted))
 
     def plot(self) -> Figure:
@@ -462,6 +478,8 @@ class Calibration:
         summary = phase_summary(self.phase, self.study.name, found)
         summary |= (verdict or self.verdict()).summary()
         summary["audit"] = [a.summary() for a in self._audits]
+        found = self.clocks if self.success else []
+        summary["clocks"] = [c.summary() for c in found]
         known = self.uncertainty() if self.success else None
         if known is not None:
             rows = {row["name"]: row for row in summary["parameters"]}
@@ -519,6 +537,7 @@ class Prediction(Trial):
 
     Attributes:
         result: of the solve.
+        clocks: lags of the trial's encoders and mats that it counts with.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -529,6 +548,7 @@ class Prediction(Trial):
     """
 
     result: PhaseResult = field(repr=False)
+    clocks: tuple[Clock, ...] = ()
 
     def __post_init__(self):
         """The trial that this is made of has been checked."""
@@ -662,6 +682,52 @@ def calibrate_interaction(
     return Calibration("interaction", study, result)
 
 
+def find_clocks(
+    study: Study,
+    trials: Sequence[Trial],
+    contact: Calibration | ContactModel,
+) -> list[Clock]:
+    """Lags of encoders and mats of trials, on cuffs that are calibrated.
+
+    Each trial is solved as Phase B does it, the cuffs being known: what its
+    instruments show has to agree with its forces and its movement.
+
+    Args:
+        study: says the settings, which are those of Phase B.
+        trials: of the device that was calibrated; of those that are not
+            recorded with encoders nothing is told.
+        contact: calibrated.
+
+    Returns:
+        None of trials where that cannot be solved, and none where the contact
+        does not say how sure it is.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> find_clocks(Study(made.model, made.trials), made.trials, made.contact)
+    []
+    """
+    found = []
+    for trial in trials:
+        result = _timing(study, trial, contact_of(contact))
+        if result is not None and result.solution.was_stopped:
+            raise KeyboardInterrupt
+        if result is not None and result.success:
+            found += timed(result)
+    return found
+
+
+def _timing(
+    study: Study, trial: Trial, contact: ContactModel
+) -> PhaseResult | None:
+    """The trial with cuffs that are known; None where that tells nothing."""
+    lags = trial.provenance.get("delays_s", {})
+    if contact.posterior is None or "encoders" not in lags:
+        return None
+    problem = Timing(study.model, [trial], contact, study.interaction)
+    return problem.solve(on_iterate=SolveWatch(f"time {trial.name}"))
+
+
 def predict(
     study: Study,
     trial: Trial,
@@ -673,6 +739,7 @@ def predict(
     folder: Path | None = None,
     resume: bool = False,
     near: Prediction | None = None,
+    clocks: Sequence[Clock] | None = None,
 ) -> Prediction:
     """Phase C: a movement and its interaction forces from its end states.
 
@@ -689,6 +756,8 @@ def predict(
         folder, resume: as `calibrate_foot_ground`.
         near: of the same trial with another contact, to start from; by default
             the start is that of the settings.
+        clocks: of the trial's instruments, among others; by default those of
+            `find_clocks`.
 
     Raises:
         InputError: the contact knows nothing of the model's cuffs; or
@@ -702,7 +771,18 @@ def predict(
     (True, True)
     """
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
-    scaled = contact_of(contact).scaled(scale_interaction)
+    known = contact_of(contact)
+    if clocks is None:
+        clocks, timing = [], _timing(study, trial, known)
+        if timing is not None and timing.solution.was_stopped:
+            return _prediction(timing)
+        if timing is not None and timing.success:
+            clocks = timed(timing)
+    own = tuple(c for c in clocks if c.trial == trial.name)
+    scaled = known.scaled(scale_interaction)
+    if scaled.posterior is not None:
+        both = scaled.posterior.beside(left(trial, own))
+        scaled = replace(scaled, posterior=both)
     if study.sole is not None:
         scaled = replace(scaled, ground=study.ground)
 
@@ -721,9 +801,15 @@ def predict(
 
     start = None if near is None else near.result
     result = solve(pose, f"predict {trial.name}", folder, resume, start)
+    return _prediction(result, own)
+
+
+def _prediction(
+    result: PhaseResult, clocks: tuple[Clock, ...] = ()
+) -> Prediction:
     (found,) = result.unsealed().trials
     own = {f.name: getattr(found, f.name) for f in fields(found)}
-    return Prediction(**own, result=result)
+    return Prediction(**own, result=result, clocks=clocks)
 
 
 def uncalibrated(

@@ -3,17 +3,21 @@
 from collections.abc import Iterable, Sequence
 
 from drake_exo.calibration.audit import Audit
+from drake_exo.calibration.clocks import LARGEST_DOUBT_S, Clock
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.files.verdict import SOLVED, Check
 from drake_exo.measurement.trial import Trial
 
 
-def phase_checks(result: PhaseResult, audits: Sequence[Audit]) -> list[Check]:
+def phase_checks(
+    result: PhaseResult, audits: Sequence[Audit], clocks: Sequence[Clock] = ()
+) -> list[Check]:
     """Solved, audit and simulation; as notes bounds and clocks.
 
     Args:
         result: of a phase.
         audits: of its trials; none after a failed solve.
+        clocks: that were found with it.
     """
     solution = result.solution
     names = ", ".join(t.name for t in result.problem.trials)
@@ -42,22 +46,48 @@ def phase_checks(result: PhaseResult, audits: Sequence[Audit]) -> list[Check]:
         for p in result.problem.parameters
         if p.free
     ]
-    return made + clock_checks(result.problem.trials)
+    return made + clock_checks(result.problem.trials, clocks)
 
 
-def clock_checks(trials: Iterable[Trial]) -> list[Check]:
-    """Whether the lag of each clock is known, as notes."""
+def clock_checks(
+    trials: Iterable[Trial], found: Sequence[Clock] = ()
+) -> list[Check]:
+    """Whether the lag of each clock is known, as notes.
+
+    Args:
+        trials: recorded; of a clock that was not found it counts what was
+            said when the recording was read.
+        found: those that were.
+    """
+    known = {(c.trial, c.system): c for c in found}
     made = []
     for trial in trials:
-        for clock, said in trial.provenance.get("clocks", {}).items():
-            sure = not said.endswith("unsure")
-            made.append(
-                Check(
-                    "clocks",
-                    sure,
-                    where=f"{trial.name}, {clock}",
-                    sentence="" if sure else said,
-                    level="note",
+        said = trial.provenance.get("clocks", {})
+        for system in trial.provenance.get("delays_s", {}):
+            where = f"{trial.name}, {system}"
+            clock = known.get((trial.name, system))
+            if clock is not None:
+                made.append(
+                    Check(
+                        "clocks",
+                        clock.sure,
+                        1e3 * clock.half_width_s,
+                        1e3 * LARGEST_DOUBT_S,
+                        "ms",
+                        where,
+                        "" if clock.sure else clock.sentence,
+                        level="note",
+                    )
                 )
-            )
+            elif system in said:
+                sure = not said[system].endswith("unsure")
+                made.append(
+                    Check(
+                        "clocks",
+                        sure,
+                        where=where,
+                        sentence="" if sure else said[system],
+                        level="note",
+                    )
+                )
     return made

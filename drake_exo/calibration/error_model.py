@@ -21,6 +21,8 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 
 _DIFFERENCE = 1e-4  # of an unknown, relative to 1 rad/rad
+# System of a trial -> what its clock is called among the unknowns.
+CLOCKS = {"encoders": "encoder_clock", "pressure": "mat_clock"}
 
 
 def _sd(default: float, unit: str):

@@ -147,7 +147,7 @@ def _prior_sd(p: ContactParameter, value: float) -> float:
 
 
 def posterior(result: PhaseResult) -> Posterior:
-    """What a calibration knows of parameters and errors that trials share.
+    """What a calibration knows of parameters and errors of measurement.
 
     The normal approximation at the optimum: the inverse of the curvature of
     the cost, which is a sum of squares of errors over their standard
@@ -159,11 +159,8 @@ def posterior(result: PhaseResult) -> Posterior:
     names = [problem.parameters[k].name for k in free]
     variables = problem.parameter_variables[free]
     if problem.error_variables is not None:
-        shared = [
-            k for k, u in enumerate(problem.errors.unknowns) if not u.trial
-        ]
-        names += [problem.errors.names[k] for k in shared]
-        variables = np.r_[variables, problem.error_variables[shared]]
+        names += problem.errors.names
+        variables = np.r_[variables, problem.error_variables]
     program = problem.compiled
     x = result.values
     y = program.restrict(x)

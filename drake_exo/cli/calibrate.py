@@ -36,6 +36,7 @@ from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
 from drake_exo.report.tables import (
     audit_table,
+    clocks_table,
     front_table,
     parameters_table,
     rmsd_table,
@@ -216,6 +217,8 @@ def _write(
     verdict = found.verdict(checks, accepted)
     summary = found.write(out, verdict) | more
     print(parameters_table(summary["parameters"]))
+    if summary["clocks"]:
+        print(clocks_table(summary["clocks"]))
     print(rmsd_table(summary["rmsd"], summary["measured_sd"]))
     if found.success:
         print(audit_table(summary["audit"]))

@@ -15,6 +15,7 @@ from types import FunctionType
 from pydrake.systems.framework import System
 
 from drake_exo.calibration.checks import phase_checks
+from drake_exo.calibration.clocks import Clock
 from drake_exo.calibration.results import (
     solve_summary,
     write_bands,
@@ -34,10 +35,16 @@ from drake_exo.errors import InputError, reason
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.files.verdict import Check, Verdict, write_text
 from drake_exo.report.figures import draw_figures
-from drake_exo.report.tables import audit_table, format_table, rmsd_table
+from drake_exo.report.tables import (
+    audit_table,
+    clocks_table,
+    format_table,
+    rmsd_table,
+)
 from drake_exo.study import (
     Prediction,
     Study,
+    find_clocks,
     predict,
     read_study,
     uncalibrated,
@@ -112,7 +119,10 @@ def run(args: argparse.Namespace) -> int:
         args.calibration, args.accept, study.trials("prediction")
     )
     checks += study.gate("prediction", args.accept)
+    clocks = None
     if args.design is not None:
+        # Of the cuffs that were worn.
+        clocks = find_clocks(study, study.trials("prediction"), contact)
         study, contact = on_design(study, contact, read_design(args.design))
     with prepare_output_folder(args.out, args.force, args.resume) as out:
         code = write_predictions(
@@ -125,6 +135,7 @@ def run(args: argparse.Namespace) -> int:
             resume=args.resume,
             checks=checks,
             accepted=args.accept,
+            clocks=clocks,
         )
     print(f"results in {args.out}")
     return code
@@ -157,13 +168,18 @@ def write_predictions(
     resume: bool = False,
     checks: Sequence[Check] = (),
     accepted: Sequence[str] = (),
+    clocks: Sequence[Clock] | None = None,
 ) -> int:
     """Every trial for prediction into a folder; returns the exit code."""
     trials = study.trials("prediction")
     write_inputs(out, study.model, trials)
     write_contact(out, contact)
     usual = uncalibrated(study.model, contact)
-    how = {"scale_interaction": scale_interaction, "controller": controller}
+    how = {
+        "scale_interaction": scale_interaction,
+        "controller": controller,
+        "clocks": clocks,
+    }
     found: list[Prediction] = []
     baseline: list[Prediction | None] = []
     checks, audits, stopped = list(checks), [], False
@@ -186,7 +202,7 @@ def write_predictions(
             stopped = report_failure(prediction.solution) == STOPPED_CODE
         baseline.append(beside)
         audits += audited
-        checks += phase_checks(prediction.result, audited)
+        checks += phase_checks(prediction.result, audited, prediction.clocks)
         if stopped:
             break
     verdict = Verdict(tuple(checks), tuple(accepted))
@@ -211,9 +227,12 @@ def write_predictions(
         if band is not None
     ]
     summary["audit"] = [audit.summary() for audit in audits]
+    summary["clocks"] = [c.summary() for p in found for c in p.clocks]
     if good:
         _write(out, good, bands, summary, verdict.mark)
         print(audit_table(summary["audit"]))
+    if summary["clocks"]:
+        print(clocks_table(summary["clocks"]))
     write_json(out / "summary.json", summary)
     print(verdict.text())
     return STOPPED_CODE if stopped else verdict.exit_code

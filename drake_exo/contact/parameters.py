@@ -185,6 +185,24 @@ class Posterior:
         i = [self.names.index(name) for name in names]
         return self.values[i], self.covariance[np.ix_(i, i)]
 
+    def part(self, names: Sequence[str]) -> "Posterior":
+        """The same of some alone."""
+        return Posterior(tuple(names), *self.of(names))
+
+    def beside(self, other: "Posterior") -> "Posterior":
+        """With what is known of others, as if by other data."""
+        m, n = len(self.names), len(self.names) + len(other.names)
+        covariance = np.zeros((n, n))
+        covariance[:m, :m], covariance[m:, m:] = (
+            self.covariance,
+            other.covariance,
+        )
+        return Posterior(
+            (*self.names, *other.names),
+            np.concatenate([self.values, other.values]),
+            covariance,
+        )
+
 
 @dataclass(frozen=True)
 class ContactModel:

@@ -130,6 +130,20 @@ def _interval(parameter: dict) -> str:
     return "-" if half is None else f"± {half:.2g}"
 
 
+def clocks_table(clocks: list[dict]) -> str:
+    """Clocks as summary.json holds them, a line for each."""
+    rows = [
+        [
+            f"{c['trial']}, {c['system']}",
+            f"{1e3 * c['lag_s']:+.0f}",
+            f"± {1e3 * c['half_width_95_s']:.0f}",
+            "" if c["sure"] else "unsure",
+        ]
+        for c in clocks
+    ]
+    return format_table(["clock", "lag [ms]", "95 %", ""], rows)
+
+
 def audit_table(rows: list[dict]) -> str:
     """Audits as summary.json holds them, a line for each trial."""
     header = [
