@@ -48,6 +48,7 @@ _PLACES = {
         "Study",
         "calibrate_foot_ground",
         "calibrate_interaction",
+        "find_clocks",
         "predict",
         "read_study",
     ],

@@ -14,6 +14,7 @@ TESTS = {
         "tests/calibration/test_bands.py",
         "tests/calibration/test_identifiability.py",
     ],
+    "drake_exo/calibration/clocks.py": ["tests/calibration/test_clocks.py"],
     "drake_exo/calibration/results.py": [
         "tests/calibration/test_results.py",
         "tests/calibration/test_bands.py",
@@ -151,6 +152,12 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.hypot(spread(variables), _DISCREPANCY * force)",
             "spread(variables)",
         ),
+    ],
+    "drake_exo/calibration/clocks.py": [
+        ("return QUANTILE_95 * self.sd_s", "return self.sd_s"),
+        ("float(lag + late)", "float(late)"),
+        ("c.lag_s - lags[c.system]", "c.lag_s"),
+        ("known.covariance + more", "known.covariance"),
     ],
     "drake_exo/calibration/error_model.py": [
         ("moments[:, :, k] = self._moments(at, q, v, a, k)", "pass"),
@@ -407,10 +414,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("clocks.mats,\n", "clocks.device,\n"),
         ("gone = _SEEN_GONE_N", "pass"),
         ("found[i] * friction.viscous[i]", "friction.viscous[i]"),
-        (
-            '"largest_delay_s": 1.5 * LARGEST_LAG_S',
-            '"largest_delay_s": LARGEST_LAG_S',
-        ),
+        ('"estimate_encoder_delay": True', '"estimate_encoder_delay": False'),
         ('"start_s": entry.start_s', '"start_s": entry.end_s'),
     ],
     "drake_exo/soles/step/results.py": [

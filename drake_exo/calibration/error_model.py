@@ -45,7 +45,8 @@ class ErrorSizes:
         mat_share: of a cuff's force that its mats do not see.
         mat_offset_n: of a cuff's mats at rest.
         friction: of a device's friction that a bench identified, as a share.
-        encoder_clock_s, mat_clock_s: what is left of the lag of each clock.
+        encoder_clock_s, mat_clock_s: what is left of the lag of each clock;
+            systems that are started by hand are up to 50 ms apart.
 
     >>> ErrorSizes(skin=0.0).encoder_offset_deg
     2.0
@@ -57,8 +58,8 @@ class ErrorSizes:
     mat_share: float = _sd(0.05, "1")
     mat_offset_n: float = _sd(3.0, "N")
     friction: float = _sd(0.4, "1")
-    encoder_clock_s: float = _sd(0.02, "s")
-    mat_clock_s: float = _sd(0.02, "s")
+    encoder_clock_s: float = _sd(0.03, "s")
+    mat_clock_s: float = _sd(0.03, "s")
 
 
 # Of instruments that are perfect but for noise.
@@ -141,12 +142,13 @@ class ErrorModel:
             found.append(Unknown(f"mat.{cuff}.unseen", "1", sizes.mat_share))
             found.append(Unknown(f"mat.{cuff}.offset", "N", sizes.mat_offset_n))
         for trial in trials:
-            clocks = {"encoder_clock": sizes.encoder_clock_s}
+            clocks = {"encoders": sizes.encoder_clock_s}
             if trial.cuffs:
-                clocks["mat_clock"] = sizes.mat_clock_s
+                clocks["pressure"] = sizes.mat_clock_s
             found += [
-                Unknown(f"{trial.name}.{what}", "s", sd, trial.name)
-                for what, sd in clocks.items()
+                Unknown(f"{trial.name}.{CLOCKS[system]}", "s", sd, trial.name)
+                for system, sd in clocks.items()
+                if not _is_given(trial, system)
             ]
         self.unknowns = [u for u in found if u.sd > 0.0] if names.device else []
 
@@ -244,6 +246,13 @@ class ErrorModel:
         found = np.zeros((len(at.times), names.num_joints))
         found[:, ~names.is_device_joint] = change / (2.0 * _DIFFERENCE)
         return found
+
+
+def _is_given(trial: Trial, system: str) -> bool:
+    """Whether a study says what the lag of a clock is."""
+    said = trial.provenance
+    left = said.get("clocks", {})
+    return system in said.get("delays_s", {}) and system not in left
 
 
 def _squared(f, rate, acceleration):

@@ -9,12 +9,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.clocks import (
-    EXPLAINED,
-    encoder_delay,
-    force_delay,
-    mat_delay,
-)
+from drake_exo.measurement.clocks import force_delay
 from drake_exo.measurement.events import (
     Contact,
     FootEvent,
@@ -306,15 +301,13 @@ def process(
     clocks = {"forces": force_clock}
     angles = moments = None
     if model.coordinates.device:
-        angles, moments, encoder_clock = _device(
-            files, motion, model, settings, root
-        )
+        angles, moments, encoder_clock = _device(files, model, settings, root)
         if encoder_clock is not None:
             clocks["encoders"] = encoder_clock
     mats = read_mat_forces(files.pressure, settings.mats, root, low_pass_filter)
     if mats:
-        clocks["pressure"] = _mat_clock(motion, angles, mats, model, laboratory)
-        lag = clocks["pressure"].lag_s
+        lag = laboratory.pressure_delay_s
+        clocks["pressure"] = _to_find(lag, laboratory.estimate_pressure_delay)
         mats = tuple(mat.delayed(lag) for mat in mats)
     return Recording(
         motion,
@@ -420,7 +413,7 @@ def _force_clock(motion, forces: FootForces, rigid: Model, laboratory) -> Clock:
     lag, said = laboratory.force_delay_s, None
     if laboratory.estimate_force_delay:
         late = _force_delay(motion, forces.delayed(lag), rigid, laboratory)
-        lag, said = lag + late, _said(late, laboratory, None)
+        lag, said = lag + late, _said(late, laboratory)
     return Clock(lag, said)
 
 
@@ -449,92 +442,37 @@ def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
     return force_delay(time, needed, F_z, used, reach)
 
 
-def _said(late: float, laboratory, explained: float | None) -> str:
+def _said(late: float, laboratory) -> str:
     """What an estimated delay is worth, in words."""
     text = f"estimated {1e3 * late:+.0f} ms"
-    if explained is not None:
-        text += f", {100.0 * explained:.0f} % explained"
     if abs(late) > laboratory.largest_delay_s - 1.5e-3:
         text += "; at the edge of the search, raise laboratory.largest_delay_s"
     return text
 
 
-def _believed(lag, late, explained, laboratory) -> Clock:
-    """The clock with the estimate, or without if that is not worth it.
-
-    One at the edge of its search is no minimum, and one that explains little
-    may be any: neither is applied, and both are said to be unsure.
-    """
-    said = _said(late, laboratory, explained)
-    if explained < EXPLAINED:
-        return Clock(lag, said + "; too little, not applied, unsure")
-    if "edge" in said:
-        return Clock(lag, said + "; not applied, unsure")
-    return Clock(lag + late, said)
-
-
-def _device(files, motion, model: Model, settings, root):
+def _device(files, model: Model, settings, root):
     """Encoders and recorded moments, on the markers' clock, and theirs."""
     laboratory, device = settings.laboratory, settings.device or Device()
     joints = model.coordinates.device
     moments = angles = clock = None
+    lag = laboratory.encoder_delay_s
     if files.exo_moments is not None:
         path = root / files.exo_moments
         legs = device.moment_legs
         moments = read_moments(path, joints, legs, settings.filter)
-    lag = laboratory.encoder_delay_s
+        moments = moments.delayed(lag)
     if files.encoders is not None:
         path = root / files.encoders
         legs = device.encoder_legs
         angles = read_angles(path, joints, legs, settings.filter)
-        clock = Clock(lag)
-        if laboratory.estimate_encoder_delay:
-            late, explained = encoder_delay(
-                motion.time[motion.known],
-                [x[motion.known] for x in (motion.q, motion.v, motion.a)],
-                angles.delayed(lag),
-                _drive(device, moments, lag, model),
-                model,
-                laboratory.largest_delay_s,
-            )
-            clock = _believed(lag, late, explained, laboratory)
-        lag = clock.lag_s
         angles = angles.delayed(lag)
-    if moments is not None:
-        moments = moments.delayed(lag)
+        clock = _to_find(lag, laboratory.estimate_encoder_delay)
     return angles, moments, clock
 
 
-def _drive(device: Device, moments: Signal | None, lag: float, model: Model):
-    """The device's joint moments as a function of its time and motion."""
-    if moments is None:
-        return lambda _, q, v, a: drive_moments(device, model.tree, q, v, a)
-    time = moments.time - lag
-
-    def recorded(at, *_):
-        return np.column_stack(
-            [np.interp(at, time, x) for x in moments.values.T]
-        )
-
-    return recorded
-
-
-def _mat_clock(motion, angles: Signal | None, mats, model, laboratory):
-    """Lag of the mats behind the deflection between device and human."""
-    lag = laboratory.pressure_delay_s
-    if not laboratory.estimate_pressure_delay:
-        return Clock(lag)
-    if angles is None:
-        return Clock(lag, "not estimated: there are no encoders")
-    seen = (motion.time >= angles.time[0]) & (motion.time <= angles.time[-1])
-    seen &= motion.known
-    time = motion.time[seen]
-    q = np.hstack([motion.q[seen], angles.at(time, "encoder angles")])
-    signals = [(m.segment, m.time - lag, m.normal) for m in mats]
-    reach = laboratory.largest_delay_s
-    return _believed(
-        lag, *mat_delay(time, q, signals, model, reach), laboratory
-    )
+def _to_find(lag: float, is_unknown: bool) -> Clock:
+    """Clock of a device's instruments, which a calibration finds."""
+    return Clock(lag, "left to the calibration, unsure" if is_unknown else None)
 
 
 def cut(

@@ -222,11 +222,9 @@ class Laboratory:
         fill_gaps_s: longest gap of a marker that is filled; none by default.
         encoder_delay_s, pressure_delay_s: lag of their clocks behind the
             markers'.
-        estimate_encoder_delay: find what lag is left from the device's
-            equations of motion, the cuffs being springs.
-        estimate_pressure_delay: likewise from the cuffs' deflection; needs
-            encoders.
-        largest_delay_s: how far estimates look to either side.
+        estimate_encoder_delay, estimate_pressure_delay: calibration and
+            prediction find what lag is left; without, it is as given.
+        largest_delay_s: how far the plates' estimate looks to either side.
         remove_plate_drift: level the plates where nothing stands on them.
         hold_cop_below_n: at smaller vertical forces of a foot its centre of
             pressure stays where it was, or will be, at larger ones; for files
@@ -244,9 +242,9 @@ class Laboratory:
         default=0.0, metadata={"unit": "s", "minimum": 0.0}
     )
     encoder_delay_s: float = field(default=0.0, metadata=_SECONDS)
-    estimate_encoder_delay: bool = False
+    estimate_encoder_delay: bool = True
     pressure_delay_s: float = field(default=0.0, metadata=_SECONDS)
-    estimate_pressure_delay: bool = False
+    estimate_pressure_delay: bool = True
     largest_delay_s: float = field(
         default=0.05, metadata={"unit": "s", "above": 0.0, "maximum": 1.0}
     )

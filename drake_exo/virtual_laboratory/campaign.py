@@ -157,7 +157,6 @@ def laboratory_section(files: str, active: frozenset[str]) -> dict:
         section |= {
             "estimate_encoder_delay": True,
             "estimate_pressure_delay": True,
-            "largest_delay_s": 1.5 * LARGEST_LAG_S,
         }
     return section
 

@@ -1,0 +1,221 @@
+"""Clocks of encoders and mats that a calibration finds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from drake_exo.calibration.checks import clock_checks
+from drake_exo.calibration.clocks import Clock, Timing, clocks, left, timed
+from drake_exo.calibration.error_model import (
+    NO_ERRORS,
+    ErrorModel,
+    ErrorSizes,
+)
+from drake_exo.calibration.uncertainty import QUANTILE_95, posterior
+from drake_exo.contact.parameters import Posterior
+from drake_exo.measurement.trial import CuffForce
+from drake_exo.report.tables import clocks_table
+from drake_exo.study import Study, calibrate_interaction, find_clocks, predict
+
+LAGS = {"encoders": 0.03, "pressure": -0.02}
+
+
+def recorded(trial, said=("encoders", "pressure"), **lags):
+    """The trial with what the processing says of its clocks."""
+    given = dict.fromkeys(("forces", "encoders", "pressure"), 0.0) | lags
+    text = {system: "left to the calibration, unsure" for system in said}
+    return replace(trial, provenance={"delays_s": given, "clocks": text})
+
+
+def late(trial, encoders=0.0, pressure=0.0):
+    """As instruments show it whose clocks lag, by shifted splines."""
+    names, t = trial.coordinates, trial.times
+    device = names.device_columns
+
+    def shown(x, lag):
+        return CubicSpline(t, x)(np.clip(t - lag, t[0], t[-1]))
+
+    q, v, a, moments = (
+        x.copy() for x in (trial.q, trial.v, trial.a, trial.moments)
+    )
+    for x in (q, v, a):
+        x[:, device] = shown(x[:, device], encoders)
+    cuffs = {
+        c: CuffForce(shown(f.normal, pressure)) for c, f in trial.cuffs.items()
+    }
+    return replace(trial, q=q, v=v, a=a, moments=moments, cuffs=cuffs)
+
+
+def known_of(trial, encoders, pressure, sd=0.004):
+    names = (f"{trial.name}.encoder_clock", "other", f"{trial.name}.mat_clock")
+    values = np.array([encoders, 7.0, pressure])
+    return Posterior(names, values, np.diag([sd**2, 9.0, (3.0 * sd) ** 2]))
+
+
+def test_a_clock_is_what_was_taken_out_and_what_was_left(in_device):
+    trial = recorded(in_device.trials[0], pressure=0.05)
+    found = clocks([trial], known_of(trial, 0.03, -0.02))
+    assert [c.system for c in found] == ["encoders", "pressure"]
+    assert [c.lag_s for c in found] == pytest.approx([0.03, 0.03])
+    assert [c.sd_s for c in found] == pytest.approx([0.004, 0.012])
+    again = left(trial, found)
+    assert again.names == tuple(
+        f"{trial.name}.{c}" for c in ("encoder_clock", "mat_clock")
+    )
+    np.testing.assert_allclose(again.values, [0.03, -0.02])
+    np.testing.assert_allclose(again.covariance, np.diag([16e-6, 144e-6]))
+    # Of a trial that was not recorded nothing is told.
+    assert clocks(in_device.trials, known_of(trial, 0.03, -0.02)) == []
+    assert left(in_device.trials[0], []).names == ()
+
+
+def test_a_clock_is_sure_if_it_is_known_to_ten_milliseconds():
+    limit = 0.01 / QUANTILE_95
+    assert Clock("rise", "encoders", 0.0, 0.999 * limit).sure
+    assert not Clock("rise", "encoders", 0.0, 1.001 * limit).sure
+    rows = [
+        Clock("rise", "encoders", 0.0314, 0.002).summary(),
+        Clock("rise", "pressure", -0.0062, 0.02).summary(),
+    ]
+    lines = clocks_table(rows).splitlines()
+    assert lines[2].split() == ["rise,", "encoders", "+31", "±", "4"]
+    assert lines[3].split() == ["rise,", "pressure", "-6", "±", "39", "unsure"]
+
+
+def test_checks_tell_what_is_known_of_each_clock(in_device):
+    trial = recorded(in_device.trials[0])
+    found = [
+        Clock(trial.name, "encoders", 0.031, 0.004),
+        Clock(trial.name, "pressure", -0.01, 0.02),
+    ]
+    by = {c.where: c for c in clock_checks([trial], found)}
+    good = by[f"{trial.name}, encoders"]
+    assert good.holds and good.sentence == ""
+    assert good.value == pytest.approx(4.0 * QUANTILE_95)
+    assert (good.limit, good.unit, good.level) == (10.0, "ms", "note")
+    bad = by[f"{trial.name}, pressure"]
+    assert not bad.holds and bad.sentence == "-10 ± 39 ms"
+    unfound = clock_checks([trial])
+    assert [c.holds for c in unfound] == [False, False]
+    assert unfound[0].sentence == "left to the calibration, unsure"
+    assert clock_checks([recorded(trial, said=())]) == []
+
+
+def test_a_clock_that_the_study_gives_is_no_unknown(in_device):
+    for said, expected in (
+        (("encoders", "pressure"), ["encoder_clock", "mat_clock"]),
+        (("pressure",), ["mat_clock"]),
+        ((), []),
+    ):
+        trial = recorded(in_device.trials[0], said)
+        names = ErrorModel(in_device.model, [trial], ErrorSizes()).names
+        own = [n for n in names if n.startswith(trial.name)]
+        assert own == [f"{trial.name}.{what}" for what in expected]
+
+
+def test_what_is_known_of_others_comes_beside():
+    one = Posterior(("a", "b"), np.array([1.0, 2.0]), np.diag([4.0, 9.0]))
+    one.covariance[0, 1] = one.covariance[1, 0] = 1.0
+    both = one.beside(Posterior(("c",), np.array([3.0]), np.array([[16.0]])))
+    assert both.names == ("a", "b", "c")
+    np.testing.assert_array_equal(both.values, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(
+        both.covariance, [[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 16.0]]
+    )
+    part = both.part(["c", "a"])
+    assert part.names == ("c", "a")
+    np.testing.assert_array_equal(part.covariance, np.diag([16.0, 4.0]))
+
+
+@pytest.fixture(scope="module")
+def studied(in_device):
+    """Phase B of two trials whose clocks lag, and a third one to predict."""
+    trials = [recorded(late(t, **LAGS)) for t in in_device.trials]
+    sizes = replace(NO_ERRORS, encoder_clock_s=0.03, mat_clock_s=0.03)
+    settings = in_device.settings(errors=sizes)
+    study = Study(in_device.model, trials, interaction=settings)
+    study.prediction = replace(
+        study.prediction, errors=sizes, solver=settings.solver
+    )
+    found = calibrate_interaction(study, trials[:2], in_device.contact)
+    assert found.success
+    return study, found
+
+
+@pytest.mark.slow
+def test_phase_b_finds_clocks_and_says_how_sure(studied):
+    _, found = studied
+    assert len(found.clocks) == 4
+    for clock in found.clocks:
+        off = clock.lag_s - LAGS[clock.system]
+        assert abs(off) < max(3.0 * clock.sd_s, 2e-3)
+        assert 0.0 < clock.sd_s < 0.03
+        if clock.system == "encoders":
+            assert abs(off) < 0.006
+    summary = found.summary()
+    assert summary["clocks"] == [c.summary() for c in found.clocks]
+    told = [c for c in summary["checks"] if c["name"] == "clocks"]
+    assert [c["holds"] for c in told] == [c.sure for c in found.clocks]
+    own = [n for n in found.posterior.names if n.endswith("_clock")]
+    assert own == []  # no other trial has those
+
+
+@pytest.mark.slow
+def test_a_trial_to_predict_is_timed_with_known_cuffs(studied):
+    study, cuffs = studied
+    trial = study.trials()[2]
+    own = find_clocks(study, [trial], cuffs)
+    assert [c.system for c in own] == ["encoders", "pressure"]
+    assert own[0].lag_s == pytest.approx(LAGS["encoders"], abs=0.006)
+    predicted = predict(study, trial, cuffs)
+    assert list(predicted.clocks) == own
+    # The prediction counts with them.
+    problem = predicted.result.problem
+    k = problem.errors.names.index(f"{trial.name}.encoder_clock")
+    mean, covariance = problem.errors.prior()
+    assert mean[k] == pytest.approx(own[0].lag_s)
+    assert covariance[k, k] == pytest.approx(own[0].sd_s ** 2)
+    given = [Clock(trial.name, "encoders", 0.01, 1e-4)]
+    other = predict(study, trial, cuffs, clocks=given)
+    assert other.clocks == tuple(given)
+    # Cuffs that nobody calibrated time nothing.
+    assert find_clocks(study, [trial], cuffs.result.contact) == []
+
+
+@pytest.mark.slow
+def test_what_is_not_known_of_cuffs_is_not_known_of_clocks(studied):
+    """By another solve with a stiffness moved by a little."""
+    study, cuffs = studied
+    trial, contact = study.trials()[2], cuffs.contact
+    solver = replace(study.interaction.solver, tolerance=1e-9)
+    settings = replace(study.interaction, solver=solver)
+
+    def solve(contact):
+        return Timing(study.model, [trial], contact, settings).solve()
+
+    result, known = solve(contact), contact.posterior
+    name = "pelvis.rotational_stiffness"
+    i, value = known.names.index(name), contact.values()[name]
+    covariance = np.zeros_like(known.covariance)
+    covariance[i, i] = (0.05 * value) ** 2
+    sd = [c.sd_s for c in timed(result)]
+    sure = replace(known, covariance=np.zeros_like(covariance))
+    only = replace(known, covariance=covariance)
+    for chosen, expected in ((sure, 0.0), (only, None)):
+        result.problem.contact = replace(contact, posterior=chosen)
+        found = np.array([c.sd_s for c in timed(result)])
+        own = posterior(result).part(result.problem.errors.names[-2:])
+        more = np.sqrt(np.maximum(found**2 - np.diag(own.covariance), 0.0))
+        if expected is None:
+            moved = solve(contact.with_values({name: 1.02 * value}))
+            place = result.problem.program.indices
+            index = place(result.problem.error_variables[-2:])
+            change = moved.values[index] - result.values[index]
+            np.testing.assert_allclose(
+                more, np.abs(change) * 0.05 / 0.02, rtol=0.1, atol=1e-6
+            )
+        else:
+            np.testing.assert_allclose(more, expected, atol=1e-9)
+    assert sd[0] > 0.0
