@@ -9,7 +9,6 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.clocks import force_delay
 from drake_exo.measurement.events import (
     Contact,
     FootEvent,
@@ -52,6 +51,7 @@ from drake_exo.measurement.recording import (
     FootForces,
     check_loaded,
     common_time,
+    force_delay,
     merge_plates,
     read_feet,
     read_markers,

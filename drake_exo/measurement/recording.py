@@ -38,6 +38,7 @@ _BAND_N = 12.0  # unloaded samples scatter within this around their level
 _SMOOTH_S = 0.025
 _SHORTEST_S = 0.1  # unloaded for at least so long
 _EDGE_S = 0.1  # cut from either side of an unloaded part
+_STEP_S = 0.001  # of a search for a lag
 _TREND_SHARE = 0.5  # of the recording that unloaded parts must span
 # A level beyond this is a load, not drift. A chair may not have been tared.
 LARGEST_FOOT_N = 20.0
@@ -433,6 +434,37 @@ def check_loaded(
         f"{source}: the feet bear {most:.3g} N at most ({where}), the body "
         f"weighs {weight:.0f} N; {cause}"
     )
+
+
+def force_delay(
+    time: np.ndarray,
+    needed: np.ndarray,
+    force: np.ndarray,
+    used: np.ndarray,
+    reach_s: float = 0.05,
+) -> float:
+    """By how much the recorded force lags behind the motion [s].
+
+    Systems that are started by hand, or filtered on their way, are
+    milliseconds apart; in a fast rise ten of them are tens of newtons.
+
+    Args:
+        time: (N,) evenly spaced [s].
+        needed: (N,) m (a_com + g) of the filtered motion [N].
+        force: (N,) filtered vertical force of feet and chair [N].
+        used: (N,) bool, where they alone bear the body.
+        reach_s: largest delay either way.
+
+    Returns:
+        The delay, to 1 ms, at which the difference varies least.
+    """
+    count = round(reach_s / _STEP_S)
+    delays = _STEP_S * np.arange(-count, count + 1)
+    spread = [
+        np.std(needed[used] - np.interp(time[used] + delay, time, force))
+        for delay in delays
+    ]
+    return round(float(delays[int(np.argmin(spread))]), 6)
 
 
 def common_time(

@@ -150,10 +150,9 @@ def test_phase_b_finds_clocks_and_says_how_sure(studied):
     assert len(found.clocks) == 4
     for clock in found.clocks:
         off = clock.lag_s - LAGS[clock.system]
-        assert abs(off) < max(3.0 * clock.sd_s, 2e-3)
-        assert 0.0 < clock.sd_s < 0.03
-        if clock.system == "encoders":
-            assert abs(off) < 0.006
+        assert abs(off) < 3.0 * clock.sd_s
+        # Encoders are told, mats hardly.
+        assert clock.sd_s < (0.01 if clock.system == "encoders" else 0.03)
     summary = found.summary()
     assert summary["clocks"] == [c.summary() for c in found.clocks]
     told = [c for c in summary["checks"] if c["name"] == "clocks"]
@@ -168,7 +167,9 @@ def test_a_trial_to_predict_is_timed_with_known_cuffs(studied):
     trial = study.trials()[2]
     own = find_clocks(study, [trial], cuffs)
     assert [c.system for c in own] == ["encoders", "pressure"]
-    assert own[0].lag_s == pytest.approx(LAGS["encoders"], abs=0.006)
+    assert own[0].sd_s < 0.01
+    for clock in own:
+        assert abs(clock.lag_s - LAGS[clock.system]) < 3.0 * clock.sd_s
     predicted = predict(study, trial, cuffs)
     assert list(predicted.clocks) == own
     # The prediction counts with them.

@@ -6,7 +6,7 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import fill_gaps
-from drake_exo.measurement.recording import level, unloaded
+from drake_exo.measurement.recording import force_delay, level, unloaded
 from drake_exo.measurement.sagittal import PlanarWrench
 
 FRAMES = np.arange(200) / 100.0
@@ -138,3 +138,25 @@ def test_a_chair_is_tared():
 def test_moments_shorter_than_a_tenth_of_a_second_do_not_count():
     F_z = 300.0 * (1.0 - np.exp(-(((TIME - 2.0) / 0.03) ** 2)))
     assert not unloaded(TIME, F_z, 20.0).any()
+
+
+SECONDS = np.arange(300) / 100.0
+
+
+def pulse(t):
+    return 700.0 + 300.0 * np.exp(-(((t - 1.4) / 0.2) ** 2))
+
+
+@pytest.mark.parametrize("late", [-0.021, 0.0, 0.017])
+def test_plates_are_timed_by_what_the_feet_must_bear(late):
+    """To a millisecond, an offset of the force notwithstanding."""
+    used = (SECONDS > 0.5) & (SECONDS < 2.5)
+    force = pulse(SECONDS - late) + 15.0
+    found = force_delay(SECONDS, pulse(SECONDS), force, used)
+    assert found == pytest.approx(late, abs=1e-3)
+
+
+def test_a_search_ends_at_its_reach():
+    used = np.ones(300, bool)
+    force = pulse(SECONDS - 0.1)
+    assert force_delay(SECONDS, pulse(SECONDS), force, used, 0.03) == 0.03
