@@ -48,7 +48,6 @@ _PLACES = {
         "Study",
         "calibrate_foot_ground",
         "calibrate_interaction",
-        "find_clocks",
         "predict",
         "read_study",
     ],

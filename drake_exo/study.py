@@ -720,11 +720,17 @@ def find_clocks(
 def _timing(
     study: Study, trial: Trial, contact: ContactModel
 ) -> PhaseResult | None:
-    """The trial with cuffs that are known; None where that tells nothing."""
+    """The trial with cuffs that are known; None where that tells nothing.
+
+    Clocks need no grid as fine as forces do.
+    """
     lags = trial.provenance.get("delays_s", {})
     if contact.posterior is None or "encoders" not in lags:
         return None
-    problem = Timing(study.model, [trial], contact, study.interaction)
+    solver = study.interaction.solver
+    half = replace(solver, nodes_per_second=0.5 * solver.nodes_per_second)
+    settings = replace(study.interaction, solver=half)
+    problem = Timing(study.model, [trial], contact, settings)
     return problem.solve(on_iterate=SolveWatch(f"time {trial.name}"))
 
 
