@@ -60,6 +60,16 @@ class Transcription(ABC):
     def _arrays(self):
         return self.q, self.v, self.a, self.jerk
 
+    def alternating(self) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations midway between nodes that no node tells of.
+
+        Returns:
+            variables (m, n_dof, k) and their weights (k,) in m accelerations
+            of each coordinate; none where the nodes determine what is between
+            them.
+        """
+        return self.jerk[:0, :, None], np.ones(1)
+
     @abstractmethod
     def _add_to(self, program: BatchedProgram) -> None:
         """Add variables and collocation constraints."""
@@ -137,6 +147,18 @@ class HermiteSimpson(Transcription):
         program.register(
             f"{self.name} collocation", kernel, bindings, zero, zero
         )
+
+    def alternating(self):
+        """See Transcription.
+
+        A jerk that changes its sign from node to node leaves the
+        accelerations at the nodes as they are: j_{k+1} + j_k is given, their
+        difference is not, and what sets it off, such as a force with a
+        corner, is never damped. Midway it is this much.
+        """
+        j = self.jerk
+        variables = np.stack([j[:-2], j[1:-1], j[2:]], axis=2)
+        return variables, self.step / 16.0 * np.array([1.0, -2.0, 1.0])
 
     @staticmethod
     def between(fraction, times, q, v, a, jerk):

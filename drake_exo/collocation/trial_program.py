@@ -33,6 +33,10 @@ from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.nlp.program import BatchedProgram
 
+# Accelerations of the root [m/s^2, rad/s^2] that may alternate between nodes:
+# a newton or so of a body's weight, as much as an audit allows.
+ALTERNATING = 0.0125
+
 Role = Literal["position", "velocity", "measured", "regulariser"]
 
 
@@ -293,7 +297,11 @@ class TrialProgram:
                 cost.evaluator().set_description(f"{self.name} cost[{t}]")
 
     def add_jerk_cost(self, sigma) -> None:
-        """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
+        """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof.
+
+        And of what alternates between the nodes, for the root: no torque takes
+        what the equations of motion then miss.
+        """
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
         Q = np.diag(1.0 / self.jerk_sigma**2)
@@ -303,6 +311,15 @@ class TrialProgram:
             self.program.prog.AddQuadraticCost(
                 weight * Q, zero, row, is_convex=True
             )
+        variables, factors = self.grid.alternating()
+        factors = factors / ALTERNATING
+        Q = self.grid.step * np.outer(factors, factors)
+        zero = np.zeros(len(factors))
+        for rows in variables[:, self.coordinates.root_columns]:
+            for row in rows:
+                self.program.prog.AddQuadraticCost(
+                    Q, zero, row, is_convex=True
+                )
 
     @property
     def jerk_weight(self) -> float:

@@ -87,7 +87,9 @@ class SimbodyConstants:
     about v_t · (F_x/F_z)/u_s, so OpenSim's usual 0.2 m/s lets it slide
     centimetres, while its default 0.01 m/s makes the equations stiff.
     `constant_contact_force` smooths both |indentation| (m²) and |slip|
-    (m²/s²).
+    (m²/s²). `friction_rounding`, which OpenSim does not have, rounds the
+    corner at the transition velocity: a foot that touches down while it
+    slides crosses it within milliseconds, and no grid follows.
     """
 
     static_friction: float = _constant(0.8, "1", minimum=0.0)
@@ -97,6 +99,7 @@ class SimbodyConstants:
     constant_contact_force: float = _constant(1e-5, "m², m²/s²", above=0.0)
     hertz_smoothing: float = _constant(300.0, "1/m", above=0.0)
     hunt_crossley_smoothing: float = _constant(50.0, "s/m", above=0.0)
+    friction_rounding: float = _constant(0.0, "1", minimum=0.0)
 
 
 Constants = PaperConstants | SimbodyConstants
@@ -229,7 +232,8 @@ def friction_coefficient(law: Law, speed, constants: Constants):
 
     paper: u_v v + u_s S(v/v_t) − (u_s − u_d) S((v/v_t − 1)/2), the printed
     three pieces (equation 7) as one expression. simbody:
-    min(v/v_t, 1) (u_d + 2 (u_s − u_d)/(1 + (v/v_t)²)) + u_v v.
+    min(v/v_t, 1) (u_d + 2 (u_s − u_d)/(1 + (v/v_t)²)) + u_v v, the minimum
+    rounded where the constants say so (`saturated`).
     """
     return _coefficient(law, speed, constants)
 
@@ -242,7 +246,20 @@ def _coefficient(law: Law, speed, constants: Constants):
         drop = (u_s - u_d) * step5(0.5 * (ratio - 1.0))
         return viscous + u_s * step5(ratio) - drop
     stribeck = u_d + 2.0 * (u_s - u_d) / (1.0 + ratio * ratio)
-    return viscous + minimum(ratio, 1.0) * stribeck
+    return viscous + saturated(ratio, constants.friction_rounding) * stribeck
+
+
+def saturated(ratio, rounding):
+    """min(ratio, 1) of a ratio that is not negative, its corner rounded.
+
+    ½ (√((ratio + 1)² + w²) − √((ratio − 1)² + w²)): the minimum for w = 0,
+    zero at zero and 1 far off for every w.
+    """
+    if isinstance(rounding, float) and rounding == 0.0:
+        return minimum(ratio, 1.0)
+    above, below = ratio + 1.0, ratio - 1.0
+    w = rounding * rounding
+    return 0.5 * (sqrt(above * above + w) - sqrt(below * below + w))
 
 
 @any_scalar
@@ -493,11 +510,17 @@ def _simbody_coefficient(speed, p: SimbodyConstants):
     peak = 2.0 * drop_size / (1.0 + ratio * ratio)
     stribeck = p.dynamic_friction + peak
     d_stribeck = -2.0 * ratio * peak / (1.0 + ratio * ratio)
-    slow = ratio < 1.0
-    rise = np.where(slow, ratio, 1.0)
+    rise = saturated(ratio, p.friction_rounding)
+    if p.friction_rounding == 0.0:
+        slope = np.where(ratio < 1.0, 1.0, 0.0)
+    else:
+        above, below = ratio + 1.0, ratio - 1.0
+        w = p.friction_rounding**2
+        slope = 0.5 * (above / np.sqrt(above**2 + w))
+        slope -= 0.5 * (below / np.sqrt(below**2 + w))
     mu = p.viscous_friction * speed + rise * stribeck
-    d_rise = np.where(slow, stribeck, 0.0) + rise * d_stribeck
-    return mu, p.viscous_friction + scale * d_rise
+    d_mu = slope * stribeck + rise * d_stribeck
+    return mu, p.viscous_friction + scale * d_mu
 
 
 def sphere_force_derivatives(
@@ -513,8 +536,8 @@ def sphere_force_derivatives(
     """`sphere_force` and its derivatives by FORCE_INPUTS.
 
     Arguments and errors as in `hunt_crossley.sphere_force`, floats only.
-    Where the simbody law has a corner, at slip speed v_t, the derivative is
-    the one from above.
+    Where the simbody law has a corner, at slip speed v_t without rounding,
+    the derivative is the one from above.
     """
     p = checked_constants(law, constants)
     x, x_dot, v, k, c, r = (

@@ -422,6 +422,7 @@ def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
             **{
                 key: float(force.findtext(key))
                 for key in vars(SimbodyConstants())
+                if key != "friction_rounding"
             }
         )
         wrench = sphere_wrench(
@@ -513,6 +514,12 @@ def export_opensim(
         raise InputError(
             f"{folder}: its foot-ground law is {contact.ground.law!r}, which "
             "OpenSim does not have; calibrate with foot_ground.law: simbody"
+        )
+    if contact.ground.constants.friction_rounding:
+        raise InputError(
+            f"{folder}: its friction is rounded at the transition velocity, "
+            "OpenSim's has a corner there; calibrate with "
+            "foot_ground.constants.friction_rounding: 0"
         )
     if model.assembly.human.osim is None:
         raise InputError(
@@ -621,7 +628,8 @@ def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
 
 def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
     file.add("ContactGeometrySet", xml.half_space(_GROUND))
-    constants = contact.ground.constants
+    constants = dict(vars(contact.ground.constants))
+    del constants["friction_rounding"]
     for segment, ground in contact.ground.under(copies.model).items():
         for name, sphere in ground.spheres.items():
             for copy in copies.of(segment):
@@ -636,7 +644,7 @@ def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
                     # The force is in proportion to it.
                     "stiffness": copy.share * sphere.stiffness,
                     "dissipation": sphere.dissipation,
-                    **vars(constants),
+                    **constants,
                 }
                 made = xml.sphere_force(label, shape, _GROUND, values)
                 file.add("ForceSet", made)
