@@ -317,9 +317,7 @@ class TrialProgram:
         zero = np.zeros(len(factors))
         for rows in variables[:, self.coordinates.root_columns]:
             for row in rows:
-                self.program.prog.AddQuadraticCost(
-                    Q, zero, row, is_convex=True
-                )
+                self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
 
     @property
     def jerk_weight(self) -> float:

@@ -129,6 +129,32 @@ def test_states_between_nodes_follow_the_polynomials(name, fraction):
         np.testing.assert_allclose(found[:, 0], expected, atol=1e-11)
 
 
+def test_what_alternates_between_nodes_is_what_the_nodes_miss():
+    """Nodes of a still motion may hide a jerk that swings from node to node."""
+    program, grid = _grid("hermite_simpson", 1, 0.6, 6)
+    n = len(grid.times)
+    jerk = 100.0 * (-1.0) ** np.arange(n)
+    still = np.zeros((n, 1))
+    *_, midway = grid.between(0.5, grid.times, *(still,) * 3, jerk[:, None])
+    variables, factors = grid.alternating()
+    where = program.indices(variables) - program.indices(grid.jerk)[0, 0]
+    assert where.shape == (n - 2, 1, 3)
+    # Between nodes, a = s (j0 + s snap/2) starts and ends at zero.
+    np.testing.assert_allclose(np.abs(midway), 0.25 * grid.step * 100.0)
+    np.testing.assert_allclose(
+        np.abs(jerk[where] @ factors), 0.25 * grid.step * 100.0
+    )
+    # A jerk that grows evenly tells of nothing.
+    even = np.linspace(3.0, 4.0, n)
+    np.testing.assert_allclose(even[where] @ factors, 0.0, atol=1e-12)
+
+
+def test_points_of_the_radau_grid_tell_all():
+    _, grid = _grid("pseudospectral", 2, 0.6, 6)
+    variables, _ = grid.alternating()
+    assert variables.shape == (0, 2, 1)
+
+
 def test_constraints_are_named_by_trial():
     program = BatchedProgram()
     for name in ("rise1", "rise2"):

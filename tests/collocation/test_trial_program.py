@@ -6,6 +6,7 @@ import pytest
 from drake_exo.collocation.initial_guess import settle_foot
 from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.collocation.trial_program import (
+    ALTERNATING,
     Tracking,
     TrialProgram,
     add_parameters,
@@ -58,6 +59,23 @@ def test_kernel_equals_the_diagrams_contact(human, law):
         np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
         largest = max(largest, np.abs(expected).max())
     assert largest > 1e3
+
+
+def test_alternating_accelerations_cost_where_no_torque_is(human):
+    program = BatchedProgram()
+    movement = TrialProgram(program, "rise1", human.tree, 0.5, 20.0)
+    movement.add_jerk_cost(100.0)
+    prog, grid = program.prog, movement.grid
+    n = len(grid.times)
+    swing = (-1.0) ** np.arange(n)
+    whole = 0.5 * n * movement.jerk_weight * (4.0 / 100.0) ** 2
+    missed = grid.step * 4.0 / 4.0 / ALTERNATING  # midway, of the allowed
+    between = 0.5 * (n - 2) * grid.step * missed**2
+    for column, expected in ((1, whole + between), (4, whole)):
+        x = np.zeros(prog.num_vars())
+        x[program.indices(grid.jerk[:, column])] = 4.0 * swing
+        costs = prog.EvalBindings(prog.GetAllCosts(), x)
+        assert costs.sum() == pytest.approx(expected, rel=1e-12)
 
 
 def standing(human, law, transcription):

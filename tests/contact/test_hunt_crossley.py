@@ -264,6 +264,25 @@ def test_simbody_friction_coefficient_has_stribeck_shape():
     assert mu[-1] == pytest.approx(0.6, abs=1e-3)
 
 
+def test_rounded_friction_has_no_corner_and_the_same_ends():
+    sharp = SimbodyConstants(viscous_friction=0.0, transition_velocity=0.2)
+    rounded = replace(sharp, friction_rounding=0.5)
+    speed = np.linspace(0.0, 4.0, 4001)
+    mu, mu_sharp = (
+        friction_coefficient("simbody", speed, p) for p in (rounded, sharp)
+    )
+    assert mu[0] == 0.0
+    assert (np.diff(mu) > 0.0).all()
+    assert (mu <= mu_sharp).all()
+    assert mu[-1] == pytest.approx(0.8, rel=1e-3)
+    # At the corner: 0.8 (sqrt(4.25) - 0.5)/2.
+    assert mu[200] == pytest.approx(0.4 * (np.sqrt(4.25) - 0.5))
+    # Slopes jump by 0.8/0.2 where there is a corner.
+    jumps = [np.abs(np.diff(m, 2)).max() / 1e-3 for m in (mu, mu_sharp)]
+    assert jumps[0] < 0.02
+    assert jumps[1] == pytest.approx(4.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_wrench_uses_the_material_point_in_contact(law):
     x, omega = 0.006, 1.5

@@ -17,10 +17,11 @@ from drake_exo.contact.hunt_crossley import (
 LAWS = ("paper", "simbody")
 
 
-def constants_of(law, dynamic=0.6):
-    return replace(
+def constants_of(law, dynamic=0.6, rounding=0.0):
+    found = replace(
         default_constants(law), static_friction=0.9, dynamic_friction=dynamic
     )
+    return replace(found, friction_rounding=rounding) if rounding else found
 
 
 def parameters(law, rng, n):
@@ -34,7 +35,9 @@ def parameters(law, rng, n):
     ]
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    ("law", "rounding"), [("paper", 0.0), ("simbody", 0.0), ("simbody", 0.4)]
+)
 @pytest.mark.parametrize("dynamic", [0.6, 0.9])
 @pytest.mark.parametrize(
     "regime",
@@ -47,7 +50,7 @@ def parameters(law, rng, n):
     }.items(),
     ids=lambda item: item[0],
 )
-def test_force_derivatives(law, dynamic, regime, check_derivatives):
+def test_force_derivatives(law, rounding, dynamic, regime, check_derivatives):
     rng = np.random.default_rng(11)
     n = 300
     low_x, high_x, low_rate, high_rate, low_slip, high_slip = regime[1]
@@ -57,7 +60,7 @@ def test_force_derivatives(law, dynamic, regime, check_derivatives):
         rng.uniform(low_slip, high_slip, n),
         *parameters(law, rng, n),
     ]
-    constants = constants_of(law, dynamic)
+    constants = constants_of(law, dynamic, rounding)
     result = sphere_force_derivatives(law, *arguments, constants)
     assert result.d_normal.shape == (len(FORCE_INPUTS), n)
     force = sphere_force(law, *arguments, constants)

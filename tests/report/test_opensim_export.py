@@ -11,7 +11,7 @@ from small_osim import small_osim
 from drake_exo.calibration.results import write_contact, write_model
 from drake_exo.cli import main
 from drake_exo.contact.bushing import bushing_deflection, bushing_force
-from drake_exo.contact.hunt_crossley import sphere_wrench
+from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
@@ -333,6 +333,12 @@ def test_what_was_done_is_said(case):
 def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
     one = case("alone", law="paper")
     with pytest.raises(InputError, match=r"law is 'paper', which OpenSim does"):
+        one.export()
+    constants = SimbodyConstants(friction_rounding=0.5)
+    one = case("alone")
+    ground = replace(one.contact.ground, constants=constants)
+    write_contact(one.folder, replace(one.contact, ground=ground))
+    with pytest.raises(InputError, match=r"friction is rounded .*rounding: 0"):
         one.export()
     one = case("alone")
     with pytest.raises(InputError, match=r"is refused: it is not known"):
