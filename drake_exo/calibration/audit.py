@@ -25,6 +25,7 @@ from drake_exo.contact.systems import Chair
 from drake_exo.files.verdict import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.planar_tree import PlanarTree
 
 FORCE_TOLERANCE = 1.0  # N
 MOMENT_TOLERANCE = 0.5  # N m
@@ -55,6 +56,8 @@ class Audit:
         simulated_interaction_n: largest RMS difference of an interaction
             force; None without bushings.
         intervals: of the grid.
+        simulated_moments_nm: largest RMS of the moment of a joint that
+            feedback adds in the simulation to the solution's.
     """
 
     trial: str
@@ -64,6 +67,7 @@ class Audit:
     simulated_angles_deg: float
     simulated_interaction_n: float | None = None
     intervals: int = 0
+    simulated_moments_nm: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -83,6 +87,13 @@ class Audit:
                 self.simulated_angles_deg,
                 ANGLE_TOLERANCE,
                 "deg",
+                _SIMULATED,
+            ),
+            (
+                "simulation",
+                self.simulated_moments_nm,
+                MOMENT_TOLERANCE,
+                "N m",
                 _SIMULATED,
             ),
         )
@@ -122,6 +133,7 @@ def audit(result: PhaseResult, index: int = 0) -> Audit:
         float(angles.max()),
         float(rms(np.hstack(off)).max()) if off else None,
         len(force),
+        float(rms(simulated.moments - found.moments).max()),
     )
 
 
@@ -213,7 +225,7 @@ def _by_segment(result: PhaseResult, index: int) -> np.ndarray:
 def simulate(result: PhaseResult, index: int = 0) -> Trial:
     """Run a trial in the Diagram with the phase's contact.
 
-    The solution's torques act, with feedback that keeps it from drifting. In
+    The solution's torques act, with feedback that keeps it from falling. In
     Phase A, human and exoskeleton do not touch.
 
     Args:
@@ -228,7 +240,11 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
         model,
         result.contact,
         controller=TrackingController(
-            found.times, found.q, found.v, found.moments
+            found.times,
+            found.q,
+            found.v,
+            found.moments,
+            *holding_gains(model.tree, found),
         ),
         forces=_borne(model, result.problem.trials[index]),
     )
@@ -275,6 +291,27 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
         moments=np.array(rows["joint_torques"]),
         cuffs=cuffs,
     )
+
+
+def holding_gains(tree: PlanarTree, trial: Trial) -> tuple[float, float]:
+    """Feedback of a joint that holds all that is borne above it.
+
+    A body that is borne with the force F at the height h falls over against
+    less than F h. Twice that holds it, critically damped for a mass F/g there;
+    what is softer lets the error of an integrator grow without end.
+
+    Args:
+        tree: of the model.
+        trial: with its ground reaction.
+
+    Returns:
+        Stiffness [N m/rad] and damping [N m s/rad].
+    """
+    force = float(trial.ground.force_z.max())
+    height = float(tree.center_of_mass(trial.q)[:, 1].max())
+    stiffness = 2.0 * force * height
+    inertia = force / tree.gravity * height**2
+    return stiffness, 2.0 * np.sqrt(stiffness * inertia)
 
 
 def _ground_ports(built) -> dict[str, str]:

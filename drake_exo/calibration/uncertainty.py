@@ -33,7 +33,7 @@ from drake_exo.calibration.problem import (
 )
 from drake_exo.calibration.scores import rms
 from drake_exo.collocation.kernels import WRENCH_UNITS
-from drake_exo.collocation.trial_program import ALTERNATING, TrialProgram
+from drake_exo.collocation.trial_program import TrialProgram
 from drake_exo.contact.bushing import NORMAL
 from drake_exo.contact.parameters import ContactParameter, Posterior
 from drake_exo.measurement.trial import Trial
@@ -230,12 +230,10 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
         jerk = problem.program.indices(movement.grid.jerk)
         weight = movement.jerk_weight / movement.jerk_sigma**2
         g[jerk] += weight * x[jerk]
-        variables, factors = movement.grid.alternating()
-        root = variables[:, movement.coordinates.root_columns]
-        index = problem.program.indices(root)
-        factors = factors / ALTERNATING
+        variables, factors = movement.alternating()
+        index = problem.program.indices(variables)
         missed = movement.grid.step * (x[index] @ factors)
-        np.add.at(g, index, missed[:, :, None] * factors)
+        np.add.at(g, index, missed[:, None] * factors)
         weights = movement.grid.quadrature[:, None]
         for term in movement.tracked:
             if term.role == "regulariser":

@@ -299,8 +299,7 @@ class TrialProgram:
     def add_jerk_cost(self, sigma) -> None:
         """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof.
 
-        And of what alternates between the nodes, for the root: no torque takes
-        what the equations of motion then miss.
+        And of what `alternating` tells.
         """
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
@@ -311,13 +310,27 @@ class TrialProgram:
             self.program.prog.AddQuadraticCost(
                 weight * Q, zero, row, is_convex=True
             )
-        variables, factors = self.grid.alternating()
-        factors = factors / ALTERNATING
+        variables, factors = self.alternating()
         Q = self.grid.step * np.outer(factors, factors)
         zero = np.zeros(len(factors))
-        for rows in variables[:, self.coordinates.root_columns]:
-            for row in rows:
-                self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
+        for row in variables:
+            self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
+
+    def alternating(self) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations of a root in the air that alternate between nodes.
+
+        No torque takes what the equations of motion then miss between the
+        nodes. A root on the ground is held by its contact.
+
+        Returns:
+            variables (m, k) and their weights (k,) in m accelerations, in
+            units of ALTERNATING.
+        """
+        variables, factors = self.grid.alternating()
+        if self.tree.root in self.grounds:
+            variables = variables[:0]
+        variables = variables[:, self.coordinates.root_columns]
+        return variables.reshape(-1, len(factors)), factors / ALTERNATING
 
     @property
     def jerk_weight(self) -> float:

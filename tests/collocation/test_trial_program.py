@@ -63,7 +63,9 @@ def test_kernel_equals_the_diagrams_contact(human, law):
 
 def test_alternating_accelerations_cost_where_no_torque_is(human):
     program = BatchedProgram()
-    movement = TrialProgram(program, "rise1", human.tree, 0.5, 20.0)
+    movement = TrialProgram(
+        program, "step", human.tree, 0.5, 20.0, bodies=["pelvis"]
+    )
     movement.add_jerk_cost(100.0)
     prog, grid = program.prog, movement.grid
     n = len(grid.times)
@@ -76,6 +78,12 @@ def test_alternating_accelerations_cost_where_no_torque_is(human):
         x[program.indices(grid.jerk[:, column])] = 4.0 * swing
         costs = prog.EvalBindings(prog.GetAllCosts(), x)
         assert costs.sum() == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_foot_on_the_ground_may_alternate(human):
+    movement = TrialProgram(BatchedProgram(), "rise1", human.tree, 0.5, 20.0)
+    variables, factors = movement.alternating()
+    assert variables.shape == (0, len(factors))
 
 
 def standing(human, law, transcription):
