@@ -15,15 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.calibration.design import (
-    DesignProblem,
+from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_result import (
     DesignResult,
-    Variable,
-    design_of,
     device_work,
     norm_of,
     works,
 )
+from drake_exo.calibration.design_variables import Variable, design_of
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.settings import DesignSettings, PredictionSettings

@@ -9,7 +9,8 @@ import pytest
 from page_reader import player_data
 
 import drake_exo as dx
-from drake_exo.calibration.design import DesignProblem, device_work
+from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_result import device_work
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
     DesignSettings,

@@ -16,6 +16,24 @@ from functools import cached_property
 
 import numpy as np
 
+from drake_exo.calibration.design_result import (
+    DesignResult,
+    WearerResult,
+    largest_deflections,
+    largest_forces,
+    largest_moments,
+    norm_of,
+)
+from drake_exo.calibration.design_variables import (
+    FACTOR,
+    OFFSETS,
+    PRELOADS,
+    Variable,
+    assistance_of,
+    design_of,
+    design_variables,
+    joints_below,
+)
 from drake_exo.calibration.problem import (
     PhaseProblem,
     bound_feet,
@@ -25,7 +43,6 @@ from drake_exo.calibration.problem import (
 from drake_exo.calibration.settings import (
     DesignSettings,
     InteractionNoise,
-    JointFreedom,
     PredictionEnds,
     PredictionSettings,
 )
@@ -44,215 +61,27 @@ from drake_exo.collocation.design_kernels import (
 )
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
-from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     BY_AREA,
     STRAPS,
-    Assistance,
     CuffDesign,
     Design,
-    JointDesign,
-    links_above,
-    movable,
     weight_above,
 )
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.planar_tree import DEVICE
-from drake_exo.model.plant import Model
 from drake_exo.nlp import ipopt
-from drake_exo.nlp.ipopt import Iterate, Solution
+from drake_exo.nlp.ipopt import Iterate
 from drake_exo.nlp.program import BatchedProgram
-from drake_exo.nlp.sensitivity import Optimum
 from drake_exo.nlp.sparse import SparseProgram
 
-# A cuff stays this far from the joints at its limb's ends.
-_FROM_JOINT_M = 0.05
 # Jerk in a design, against what is typical.
 _LOOSE = 10.0
-# Typical compliance of a strap.
-_STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
-# A joint drives if its torque reaches this share of the largest.
-_DRIVEN = 0.05
 # Cost of a change by its typical size: what buys nothing is not changed.
 _LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
-# Where the device's half of a cuff goes alone: forwards, up.
-_PRELOADS = ("preload_across_m", "preload_along_m")
-_OFFSETS = ("across_m", "along_m")
-_NUM_PLACES = 2 + len(_PRELOADS)
-# What the name of a factor on a joint's torque begins with.
-_FACTOR, _DEG = "factor_at_", "_deg"
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A design variable.
-
-    Attributes:
-        name: such as "thigh.along_m" or "exo_knee.factor".
-        unit: of its values.
-        lower, upper: bounds; equal ones hold it.
-        today: value that changes nothing.
-        size: typical one.
-    """
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-    today: float
-    size: float
-
-    @property
-    def free(self) -> bool:
-        """Whether it may change."""
-        return self.lower < self.upper
-
-    @property
-    def is_strap(self) -> bool:
-        """Whether it is the compliance of a strap."""
-        return self.name.partition(".")[2] in STRAPS.values()
-
-    def at_bound(self, value: float) -> bool:
-        """Whether a value sits at a bound, within 0.5 % of the range.
-
-        No strap can be stiffer than stiff: that is no bound.
-        """
-        margin = 5e-3 * (self.upper - self.lower)
-        below = value <= self.lower + margin and not self.is_strap
-        return self.free and (below or value >= self.upper - margin)
-
-
-def design_variables(
-    wearers: Sequence[Wearer], settings: DesignSettings
-) -> list[Variable]:
-    """All of them, those of each cuff, then factors on the device's torques.
-
-    Straps are varied as compliance [m/N]: 0 for one that adds nothing.
-    """
-    found = []
-    model = wearers[0].model
-    for cuff in model.cuffs:
-        freedom = settings.freedom(cuff)
-        lower, upper = _along(cuff, wearers, freedom.along_m)
-        found += [
-            Variable(f"{cuff}.across_m", "m", *freedom.across_m, 0.0, 0.01),
-            Variable(f"{cuff}.along_m", "m", lower, upper, 0.0, 0.01),
-        ]
-        found += [
-            Variable(f"{cuff}.{w}", "m", *getattr(freedom, w), 0.0, 0.005)
-            for w in _PRELOADS
-        ]
-        found.append(Variable(f"{cuff}.area", "1", *freedom.area, 1.0, 0.1))
-        for strap in STRAPS.values():
-            rotates = strap.endswith("rad")
-            softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m
-            unit = "rad/(N m)" if rotates else "m/N"
-            size = _STRAP_SIZE[unit]
-            most = 0.0 if softest is None else 1.0 / softest
-            found.append(
-                Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size)
-            )
-    for joint in movable(model):
-        free = settings.joints.get(joint, JointFreedom())
-        found += [
-            Variable(f"{joint}.{w}", "m", *getattr(free, w), 0.0, 0.005)
-            for w in _OFFSETS
-        ]
-    for joint in _driven(wearers):
-        for place in _factors_at(joint, wearers, settings):
-            name = f"{joint}.{_FACTOR}{place}"
-            found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
-    return found
-
-
-def _driven(wearers: Sequence[Wearer]) -> list[str]:
-    """Joints of the device with more than friction to offer."""
-    joints = wearers[0].model.coordinates.device
-    most = np.max(
-        [
-            [np.abs(t.moment(joint)).max() for joint in joints]
-            for w in wearers
-            for t in w.trials
-        ],
-        axis=0,
-    )
-    return [
-        joint
-        for joint, moment in zip(joints, most, strict=True)
-        if moment > _DRIVEN * most.max()
-    ]
-
-
-def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
-    """Where a joint's factors are, as their names end."""
-    if settings.assistance_over == "angle":
-        angles = _angles(joint, wearers, settings.points)
-        return [f"{angle:g}{_DEG}" for angle in angles]
-    return [f"{k + 1}_of_{settings.points}" for k in range(settings.points)]
-
-
-def _angles(joint: str, wearers, count: int) -> np.ndarray:
-    """Whole degrees (k,) over the range that a joint moves in."""
-    seen = [t.coordinate(joint) for w in wearers for t in w.trials]
-    lower, upper = (
-        float(np.rad2deg(f([f(x) for x in seen]))) for f in (min, max)
-    )
-    points = np.round(np.linspace(lower, upper, count))
-    return np.unique(points) if count > 1 else np.zeros(1)
-
-
-def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
-    """How far a cuff may go along the limb of every wearer [m]."""
-    lower, upper = wanted
-    for wearer in wearers:
-        segment = wearer.model.tree.cuffs[cuff][0]
-        part = getattr(wearer.model.human, segment, None)
-        length = np.inf if part is None else part.length_m
-        place = wearer.contact.bushings[cuff].origin_z
-        lower = max(lower, min(_FROM_JOINT_M - place, 0.0))
-        upper = min(upper, max(length - _FROM_JOINT_M - place, 0.0))
-    return lower, upper
-
-
-def joints_below(model: Model, cuff: str) -> list[str]:
-    """Joints that move a cuff's link if they are moved themselves."""
-    _, link = model.tree.cuffs[cuff]
-    return [j for j in movable(model) if link in links_above(model, j)]
-
-
-def design_of(values: Mapping[str, float]) -> Design:
-    """The design that values of all variables make."""
-    cuffs: dict[str, dict] = {}
-    joints: dict[str, dict] = {}
-    factors: dict[str, dict[float, float]] = {}
-    for name, value in values.items():
-        group, _, what = name.partition(".")
-        value = float(value)
-        if what.startswith(_FACTOR):
-            factors.setdefault(group, {})[what.removeprefix(_FACTOR)] = value
-        elif group.startswith(DEVICE):
-            joints.setdefault(group, {})[what] = value
-        elif what.startswith("strap"):
-            strap = 1.0 / value if value > 0.0 else None
-            cuffs.setdefault(group, {})[what] = strap
-        else:
-            cuffs.setdefault(group, {})[what] = value
-    return Design(
-        {cuff: CuffDesign(**v) for cuff, v in cuffs.items()},
-        {joint: _assistance(v) for joint, v in factors.items()},
-        {joint: JointDesign(**v) for joint, v in joints.items()},
-    )
-
-
-def _assistance(factors: Mapping[str, float]) -> Assistance:
-    """Of one joint, by where its factors are."""
-    values = tuple(factors.values())
-    angles = [n.removesuffix(_DEG) for n in factors if n.endswith(_DEG)]
-    if angles:
-        return Assistance(tuple(map(float, angles)), values)
-    return Assistance((), values, "movement")
+# Places of a cuff that every design has, see BushingKinematics.
+_NUM_PLACES = 2 + len(PRELOADS)
 
 
 @dataclass(frozen=True)
@@ -319,9 +148,9 @@ class _Wearing(PhaseProblem):
 
     def places(self, cuff: str) -> np.ndarray:
         """See PhaseProblem."""
-        names = [f"{cuff}.{w}" for w in _PRELOADS]
+        names = [f"{cuff}.{w}" for w in PRELOADS]
         for joint in joints_below(self.model, cuff):
-            names += [f"{joint}.{w}" for w in _OFFSETS]
+            names += [f"{joint}.{w}" for w in OFFSETS]
         moved = [self._posed.variables[n] for n in names]
         return np.concatenate([super().places(cuff), moved])
 
@@ -423,14 +252,14 @@ class _Wearing(PhaseProblem):
         device = names.is_device_joint
         torque, today = movement.torque[:, device], at.moments[:, device]
         for i, joint in enumerate(names.device):
-            first = f"{joint}.{_FACTOR}"
+            first = f"{joint}.{FACTOR}"
             own = [n for n in posed.variables if n.startswith(first)]
             if not own:
                 self._count_work(movement, joint, at, {})
                 movement.bound(torque[:, i], today[:, i], today[:, i])
                 continue
             factors = np.array([posed.variables[n] for n in own])
-            known = _assistance({n.partition(_FACTOR)[2]: 1.0 for n in own})
+            known = assistance_of({n.partition(FACTOR)[2]: 1.0 for n in own})
             weights = known.weights(
                 at.coordinate(joint), at.times / at.duration
             )
@@ -668,76 +497,6 @@ class _Wearing(PhaseProblem):
         )
 
 
-@dataclass(frozen=True)
-class WearerResult:
-    """What a design makes of one wearer's movements.
-
-    Attributes:
-        problem: the wearer's part of the program.
-        solution: of the whole program.
-        contact: with the design's cuffs.
-        trials: the solution of each movement, named as measured.
-    """
-
-    problem: PhaseProblem
-    solution: Solution
-    contact: ContactModel
-    trials: list[Trial]
-
-
-@dataclass(frozen=True)
-class DesignResult:
-    """What a design found.
-
-    Attributes:
-        problem: that was solved.
-        solution: state of the solve.
-        values: name -> value of each design variable (straps as compliance).
-        wearers: name -> its trials on the design.
-    """
-
-    problem: DesignProblem
-    solution: Solution
-    values: dict[str, float]
-    wearers: dict[str, WearerResult]
-
-    @property
-    def design(self) -> Design:
-        """What is to be built.
-
-        Raises:
-            SealedSolutionError: the solve failed.
-        """
-        self.solution.check()
-        return design_of(self.values)
-
-    @property
-    def norm_n(self) -> float:
-        """The norm of all cuffs' forces that was minimised [N]."""
-        trials = [t for found in self.wearers.values() for t in found.trials]
-        return norm_of(trials, self.problem.settings, design_of(self.values))
-
-    def slopes(self) -> dict[str, float]:
-        """Derivative of the optimum by each design variable that is held.
-
-        Of the whole cost; held are those whose bounds are equal, or that sit
-        at a bound.
-        """
-        problem = self.problem
-        program = problem.compiled
-        y = program.restrict(self.solution.raw_values())
-        index = {
-            n: int(problem.program.indices(np.array([v]))[0])
-            for n, v in problem.variables.items()
-        }
-        fixed = {v.name: index[v.name] for v in problem.design if not v.free}
-        free = [i for n, i in index.items() if n not in fixed]
-        border = program.unknowns.column_of(np.array(sorted(free), int))
-        optimum = Optimum(program, y, border)
-        slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
-        return dict(zip(fixed, map(float, slopes), strict=True))
-
-
 class DesignProblem:
     """A design posed as one MathematicalProgram.
 
@@ -898,88 +657,3 @@ def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
     if held and v.name in held:
         return replace(v, lower=held[v.name], upper=held[v.name])
     return v
-
-
-def norm_of(
-    trials: Sequence[Trial],
-    settings: DesignSettings,
-    design: Design | None = None,
-) -> float:
-    """The norm that is minimised, of all cuffs' forces in some trials [N].
-
-    Each over the cuff's area against today's, if a design changes it.
-    """
-    cuffs = {} if design is None else design.cuffs
-    total, duration = 0.0, 0.0
-    for trial in trials:
-        for cuff, force in trial.cuffs.items():
-            square = force.normal**2
-            square = square + settings.shear_weight * force.tangential**2
-            square = square / cuffs.get(cuff, CuffDesign()).area ** 2
-            total += np.trapezoid(
-                square ** (settings.exponent / 2), trial.times
-            )
-            duration += trial.duration
-    return float((total / duration) ** (1.0 / settings.exponent))
-
-
-def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:
-    """Wearer -> cuff -> largest force (3,) over its trials [N, N, N m]."""
-    return {
-        name: {
-            cuff: peaks(found.trials, cuff) for cuff in found.problem.bushings
-        }
-        for name, found in result.wearers.items()
-    }
-
-
-def largest_deflections(
-    result: DesignResult,
-) -> dict[str, dict[str, np.ndarray]]:
-    """Wearer -> cuff -> largest deflection (3,) [m, m, rad]."""
-    return {
-        name: {
-            cuff: kinematics.largest(
-                found.trials, found.contact.bushings[cuff].origin
-            )
-            for cuff, kinematics in found.problem.bushings.items()
-        }
-        for name, found in result.wearers.items()
-    }
-
-
-def peaks(trials: Sequence[Trial], cuff: str) -> np.ndarray:
-    """Largest tangential, normal force and moment (3,) over trials."""
-    return np.max(
-        [np.abs(t.cuffs[cuff].components).max(axis=0) for t in trials], axis=0
-    )
-
-
-def largest_moments(result: DesignResult) -> dict[str, np.ndarray]:
-    """Wearer -> largest moment of each of its joints over trials [N m]."""
-    return {
-        name: np.max(
-            [
-                np.abs(t.moments[:, ~t.coordinates.is_device_joint]).max(axis=0)
-                for t in found.trials
-            ],
-            axis=0,
-        )
-        for name, found in result.wearers.items()
-    }
-
-
-def works(result: DesignResult) -> dict[str, float]:
-    """Wearer -> work of the device over its movements of today [J]."""
-    return {
-        name: found.problem.work(result.values)
-        for name, found in result.wearers.items()
-    }
-
-
-def device_work(trial: Trial) -> float:
-    """Work of the device's joints over a trial [J], by the trapezoid rule."""
-    names = trial.coordinates
-    torque = trial.moments[:, names.is_device_joint]
-    power = np.sum(torque * trial.v[:, names.device_columns], axis=1)
-    return float(np.trapezoid(power, trial.times))

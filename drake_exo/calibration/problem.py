@@ -36,7 +36,7 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
-from drake_exo.nlp import drake_ipopt, infeasibility, ipopt
+from drake_exo.nlp import infeasibility, ipopt
 from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
@@ -545,7 +545,7 @@ class PhaseProblem(ABC):
         infeasibility.check(problem, guess, free)
         prepared = time.perf_counter() - start
         if solver.solver == "drake":
-            solution = drake_ipopt.solve(
+            solution = ipopt.solve_with_drake(
                 self.program,
                 problem.expand(problem.restrict(guess)),
                 options,

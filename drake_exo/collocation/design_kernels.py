@@ -39,8 +39,10 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
 
     The curvature of the cuffs' part: where they move, forces and moment arms
     change together, and without it a design creeps for hundreds of
-    iterations. And the weight of links whose joints move; that their inertia
-    moves, too, is left out.
+    iterations. And the weight of links whose joints move. That their inertia
+    moves, too, is left out: in a rise of 1.5 s that is 0.16 N m a centimetre
+    at most, where weight is 1 N m; the forecast on the device as it is built
+    has all of it.
     """
 
     def __init__(

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import (
     MarkerData,
@@ -29,7 +30,6 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.segments import HumanParameters
-from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 from drake_exo.virtual_laboratory.simulation import RATE_HZ
 
 MAT_RATE_HZ = 50.0

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from program_derivatives import check_derivatives
 
-from drake_exo.calibration.design import (
-    DesignProblem,
-    design_of,
-    design_variables,
+from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_result import (
     device_work,
     largest_forces,
     norm_of,
     works,
 )
+from drake_exo.calibration.design_variables import design_of, design_variables
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
     CuffFreedom,

@@ -10,10 +10,9 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.files import c3d as c3d_files
-from drake_exo.files.c3d import decode, read_c3d
+from drake_exo.files.c3d import PlateDesign, decode, read_c3d, write_c3d
 from drake_exo.files.opensim import read_trc
 from drake_exo.files.tables import MarkerData, PlateRecording
-from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 # x of the plate along -y of the laboratory, z down.
 CORNERS = np.array(

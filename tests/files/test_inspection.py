@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_exo.cli import main
+from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.inspection import inspect, text_of
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import (
@@ -12,7 +13,6 @@ from drake_exo.files.tables import (
     Table,
     write_csv_table,
 )
-from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 TIME = np.arange(200) / 100.0
 

@@ -7,7 +7,7 @@ import numpy as np
 from small_osim import small_osim
 from sound_files import written
 
-from drake_exo.files.c3d import read_c3d
+from drake_exo.files.c3d import PlateDesign, read_c3d, write_c3d
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -30,7 +30,6 @@ from drake_exo.measurement.settings import Filter, Scan
 from drake_exo.model.assembly import Person
 from drake_exo.model.osim_person import read_person
 from drake_exo.soles.mesh import brick
-from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 _JOINTS = ("exo_ankle", "exo_knee", "exo_hip")
 

@@ -7,10 +7,10 @@ import pytest
 from seated_recording import write_seated
 
 from drake_exo.cli import main
+from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.opensim import read_plates, read_trc
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.segments import scale_human
-from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 pytestmark = pytest.mark.slow
 

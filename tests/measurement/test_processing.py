@@ -13,6 +13,7 @@ from synthetic_recording import (
 )
 
 from drake_exo.errors import InputError
+from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -27,7 +28,6 @@ from drake_exo.measurement.settings import Scaling
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
-from drake_exo.virtual_laboratory.c3d_writing import PlateDesign, write_c3d
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_programs import Circle, valleys
 
-from drake_exo.nlp import drake_ipopt, ipopt
+from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
 from drake_exo.nlp.sparse import SparseProgram
 
@@ -32,7 +32,7 @@ def test_drakes_own_solver_reaches_the_same_optimum():
     ours = ipopt.solve(
         SparseProgram(program), np.zeros(6), SolverOptions(tolerance=1e-9)
     )
-    theirs = drake_ipopt.solve(
+    theirs = ipopt.solve_with_drake(
         program, np.zeros(6), SolverOptions(tolerance=1e-9)
     )
     assert ours.success

@@ -1,0 +1,183 @@
+"""What a design found: its wearers' trials, and what they feel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_exo.calibration.design_variables import design_of
+from drake_exo.calibration.problem import (
+    PhaseProblem,
+)
+from drake_exo.calibration.settings import (
+    DesignSettings,
+)
+from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import (
+    CuffDesign,
+    Design,
+)
+from drake_exo.measurement.trial import Trial
+from drake_exo.nlp.ipopt import Solution
+from drake_exo.nlp.sensitivity import Optimum
+
+if TYPE_CHECKING:
+    from drake_exo.calibration.design import DesignProblem
+
+
+@dataclass(frozen=True)
+class WearerResult:
+    """What a design makes of one wearer's movements.
+
+    Attributes:
+        problem: the wearer's part of the program.
+        solution: of the whole program.
+        contact: with the design's cuffs.
+        trials: the solution of each movement, named as measured.
+    """
+
+    problem: PhaseProblem
+    solution: Solution
+    contact: ContactModel
+    trials: list[Trial]
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """What a design found.
+
+    Attributes:
+        problem: that was solved.
+        solution: state of the solve.
+        values: name -> value of each design variable (straps as compliance).
+        wearers: name -> its trials on the design.
+    """
+
+    problem: DesignProblem
+    solution: Solution
+    values: dict[str, float]
+    wearers: dict[str, WearerResult]
+
+    @property
+    def design(self) -> Design:
+        """What is to be built.
+
+        Raises:
+            SealedSolutionError: the solve failed.
+        """
+        self.solution.check()
+        return design_of(self.values)
+
+    @property
+    def norm_n(self) -> float:
+        """The norm of all cuffs' forces that was minimised [N]."""
+        trials = [t for found in self.wearers.values() for t in found.trials]
+        return norm_of(trials, self.problem.settings, design_of(self.values))
+
+    def slopes(self) -> dict[str, float]:
+        """Derivative of the optimum by each design variable that is held.
+
+        Of the whole cost; held are those whose bounds are equal, or that sit
+        at a bound.
+        """
+        problem = self.problem
+        program = problem.compiled
+        y = program.restrict(self.solution.raw_values())
+        index = {
+            n: int(problem.program.indices(np.array([v]))[0])
+            for n, v in problem.variables.items()
+        }
+        fixed = {v.name: index[v.name] for v in problem.design if not v.free}
+        free = [i for n, i in index.items() if n not in fixed]
+        border = program.unknowns.column_of(np.array(sorted(free), int))
+        optimum = Optimum(program, y, border)
+        slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
+        return dict(zip(fixed, map(float, slopes), strict=True))
+
+
+def norm_of(
+    trials: Sequence[Trial],
+    settings: DesignSettings,
+    design: Design | None = None,
+) -> float:
+    """The norm that is minimised, of all cuffs' forces in some trials [N].
+
+    Each over the cuff's area against today's, if a design changes it.
+    """
+    cuffs = {} if design is None else design.cuffs
+    total, duration = 0.0, 0.0
+    for trial in trials:
+        for cuff, force in trial.cuffs.items():
+            square = force.normal**2
+            square = square + settings.shear_weight * force.tangential**2
+            square = square / cuffs.get(cuff, CuffDesign()).area ** 2
+            total += np.trapezoid(
+                square ** (settings.exponent / 2), trial.times
+            )
+            duration += trial.duration
+    return float((total / duration) ** (1.0 / settings.exponent))
+
+
+def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:
+    """Wearer -> cuff -> largest force (3,) over its trials [N, N, N m]."""
+    return {
+        name: {
+            cuff: peaks(found.trials, cuff) for cuff in found.problem.bushings
+        }
+        for name, found in result.wearers.items()
+    }
+
+
+def largest_deflections(
+    result: DesignResult,
+) -> dict[str, dict[str, np.ndarray]]:
+    """Wearer -> cuff -> largest deflection (3,) [m, m, rad]."""
+    return {
+        name: {
+            cuff: kinematics.largest(
+                found.trials, found.contact.bushings[cuff].origin
+            )
+            for cuff, kinematics in found.problem.bushings.items()
+        }
+        for name, found in result.wearers.items()
+    }
+
+
+def peaks(trials: Sequence[Trial], cuff: str) -> np.ndarray:
+    """Largest tangential, normal force and moment (3,) over trials."""
+    return np.max(
+        [np.abs(t.cuffs[cuff].components).max(axis=0) for t in trials], axis=0
+    )
+
+
+def largest_moments(result: DesignResult) -> dict[str, np.ndarray]:
+    """Wearer -> largest moment of each of its joints over trials [N m]."""
+    return {
+        name: np.max(
+            [
+                np.abs(t.moments[:, ~t.coordinates.is_device_joint]).max(axis=0)
+                for t in found.trials
+            ],
+            axis=0,
+        )
+        for name, found in result.wearers.items()
+    }
+
+
+def works(result: DesignResult) -> dict[str, float]:
+    """Wearer -> work of the device over its movements of today [J]."""
+    return {
+        name: found.problem.work(result.values)
+        for name, found in result.wearers.items()
+    }
+
+
+def device_work(trial: Trial) -> float:
+    """Work of the device's joints over a trial [J], by the trapezoid rule."""
+    names = trial.coordinates
+    torque = trial.moments[:, names.is_device_joint]
+    power = np.sum(torque * trial.v[:, names.device_columns], axis=1)
+    return float(np.trapezoid(power, trial.times))

@@ -1,0 +1,209 @@
+"""What a design may change, and the design that values of it make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_exo.calibration.settings import (
+    DesignSettings,
+    JointFreedom,
+)
+from drake_exo.calibration.wearers import (
+    Wearer,
+)
+from drake_exo.contact.strap import (
+    STRAPS,
+    Assistance,
+    CuffDesign,
+    Design,
+    JointDesign,
+    links_above,
+    movable,
+)
+from drake_exo.model.planar_tree import DEVICE
+from drake_exo.model.plant import Model
+
+# A cuff stays this far from the joints at its limb's ends.
+_FROM_JOINT_M = 0.05
+# Typical compliance of a strap.
+_STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
+# A joint drives if its torque reaches this share of the largest.
+_DRIVEN = 0.05
+# Where the device's half of a cuff goes alone: forwards, up.
+PRELOADS = ("preload_across_m", "preload_along_m")
+OFFSETS = ("across_m", "along_m")
+# What the name of a factor on a joint's torque begins with.
+FACTOR, _DEG = "factor_at_", "_deg"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A design variable.
+
+    Attributes:
+        name: such as "thigh.along_m" or "exo_knee.factor".
+        unit: of its values.
+        lower, upper: bounds; equal ones hold it.
+        today: value that changes nothing.
+        size: typical one.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    today: float
+    size: float
+
+    @property
+    def free(self) -> bool:
+        """Whether it may change."""
+        return self.lower < self.upper
+
+    @property
+    def is_strap(self) -> bool:
+        """Whether it is the compliance of a strap."""
+        return self.name.partition(".")[2] in STRAPS.values()
+
+    def at_bound(self, value: float) -> bool:
+        """Whether a value sits at a bound, within 0.5 % of the range.
+
+        No strap can be stiffer than stiff: that is no bound.
+        """
+        margin = 5e-3 * (self.upper - self.lower)
+        below = value <= self.lower + margin and not self.is_strap
+        return self.free and (below or value >= self.upper - margin)
+
+
+def design_variables(
+    wearers: Sequence[Wearer], settings: DesignSettings
+) -> list[Variable]:
+    """All of them, those of each cuff, then factors on the device's torques.
+
+    Straps are varied as compliance [m/N]: 0 for one that adds nothing.
+    """
+    found = []
+    model = wearers[0].model
+    for cuff in model.cuffs:
+        freedom = settings.freedom(cuff)
+        lower, upper = _along(cuff, wearers, freedom.along_m)
+        found += [
+            Variable(f"{cuff}.across_m", "m", *freedom.across_m, 0.0, 0.01),
+            Variable(f"{cuff}.along_m", "m", lower, upper, 0.0, 0.01),
+        ]
+        found += [
+            Variable(f"{cuff}.{w}", "m", *getattr(freedom, w), 0.0, 0.005)
+            for w in PRELOADS
+        ]
+        found.append(Variable(f"{cuff}.area", "1", *freedom.area, 1.0, 0.1))
+        for strap in STRAPS.values():
+            rotates = strap.endswith("rad")
+            softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m
+            unit = "rad/(N m)" if rotates else "m/N"
+            size = _STRAP_SIZE[unit]
+            most = 0.0 if softest is None else 1.0 / softest
+            found.append(
+                Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size)
+            )
+    for joint in movable(model):
+        free = settings.joints.get(joint, JointFreedom())
+        found += [
+            Variable(f"{joint}.{w}", "m", *getattr(free, w), 0.0, 0.005)
+            for w in OFFSETS
+        ]
+    for joint in _driven(wearers):
+        for place in _factors_at(joint, wearers, settings):
+            name = f"{joint}.{FACTOR}{place}"
+            found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
+    return found
+
+
+def _driven(wearers: Sequence[Wearer]) -> list[str]:
+    """Joints of the device with more than friction to offer."""
+    joints = wearers[0].model.coordinates.device
+    most = np.max(
+        [
+            [np.abs(t.moment(joint)).max() for joint in joints]
+            for w in wearers
+            for t in w.trials
+        ],
+        axis=0,
+    )
+    return [
+        joint
+        for joint, moment in zip(joints, most, strict=True)
+        if moment > _DRIVEN * most.max()
+    ]
+
+
+def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
+    """Where a joint's factors are, as their names end."""
+    if settings.assistance_over == "angle":
+        angles = _angles(joint, wearers, settings.points)
+        return [f"{angle:g}{_DEG}" for angle in angles]
+    return [f"{k + 1}_of_{settings.points}" for k in range(settings.points)]
+
+
+def _angles(joint: str, wearers, count: int) -> np.ndarray:
+    """Whole degrees (k,) over the range that a joint moves in."""
+    seen = [t.coordinate(joint) for w in wearers for t in w.trials]
+    lower, upper = (
+        float(np.rad2deg(f([f(x) for x in seen]))) for f in (min, max)
+    )
+    points = np.round(np.linspace(lower, upper, count))
+    return np.unique(points) if count > 1 else np.zeros(1)
+
+
+def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
+    """How far a cuff may go along the limb of every wearer [m]."""
+    lower, upper = wanted
+    for wearer in wearers:
+        segment = wearer.model.tree.cuffs[cuff][0]
+        part = getattr(wearer.model.human, segment, None)
+        length = np.inf if part is None else part.length_m
+        place = wearer.contact.bushings[cuff].origin_z
+        lower = max(lower, min(_FROM_JOINT_M - place, 0.0))
+        upper = min(upper, max(length - _FROM_JOINT_M - place, 0.0))
+    return lower, upper
+
+
+def joints_below(model: Model, cuff: str) -> list[str]:
+    """Joints that move a cuff's link if they are moved themselves."""
+    _, link = model.tree.cuffs[cuff]
+    return [j for j in movable(model) if link in links_above(model, j)]
+
+
+def design_of(values: Mapping[str, float]) -> Design:
+    """The design that values of all variables make."""
+    cuffs: dict[str, dict] = {}
+    joints: dict[str, dict] = {}
+    factors: dict[str, dict[float, float]] = {}
+    for name, value in values.items():
+        group, _, what = name.partition(".")
+        value = float(value)
+        if what.startswith(FACTOR):
+            factors.setdefault(group, {})[what.removeprefix(FACTOR)] = value
+        elif group.startswith(DEVICE):
+            joints.setdefault(group, {})[what] = value
+        elif what.startswith("strap"):
+            strap = 1.0 / value if value > 0.0 else None
+            cuffs.setdefault(group, {})[what] = strap
+        else:
+            cuffs.setdefault(group, {})[what] = value
+    return Design(
+        {cuff: CuffDesign(**v) for cuff, v in cuffs.items()},
+        {joint: assistance_of(v) for joint, v in factors.items()},
+        {joint: JointDesign(**v) for joint, v in joints.items()},
+    )
+
+
+def assistance_of(factors: Mapping[str, float]) -> Assistance:
+    """Of one joint, by where its factors are."""
+    values = tuple(factors.values())
+    angles = [n.removesuffix(_DEG) for n in factors if n.endswith(_DEG)]
+    if angles:
+        return Assistance(tuple(map(float, angles)), values)
+    return Assistance((), values, "movement")
