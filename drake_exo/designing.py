@@ -44,6 +44,7 @@ from drake_exo.contact.bushing import (
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     PLACES,
+    RELEASES,
     STIFF,
     STRAPS,
     Design,
@@ -718,7 +719,7 @@ def movements(
 # What is designed -> what its variables' names begin with.
 _KINDS = {
     "places": (*PLACES.values(), "area"),
-    "straps": tuple(STRAPS.values()),
+    "straps": (*STRAPS.values(), *RELEASES),
     "assistance": ("factor",),
 }
 

@@ -63,6 +63,7 @@ from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
 from drake_exo.contact.strap import (
     BY_AREA,
+    RELEASES,
     STRAPS,
     CuffDesign,
     Design,
@@ -196,7 +197,7 @@ class _Wearing(PhaseProblem):
         for variable, p in zip(variables, parameters, strict=True):
             prog.SetVariableScaling(variable, max(abs(p.nominal), 0.01))
         design = self._of_cuff(
-            group, ("across_m", "along_m", *STRAPS.values(), "area")
+            group, ("across_m", "along_m", *STRAPS.values(), "area", *RELEASES)
         )
         self.program.add_constraints(
             f"{self.wearer.name} {group} as designed",

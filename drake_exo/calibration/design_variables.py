@@ -15,6 +15,7 @@ from drake_exo.calibration.wearers import (
     Wearer,
 )
 from drake_exo.contact.strap import (
+    RELEASES,
     STRAPS,
     Assistance,
     CuffDesign,
@@ -71,11 +72,18 @@ class Variable:
     def at_bound(self, value: float) -> bool:
         """Whether a value sits at a bound, within 0.5 % of the range.
 
-        No strap can be stiffer than stiff: that is no bound.
+        No strap can be stiffer than stiff, no slide less than none or more
+        than free: those are no bounds.
         """
         margin = 5e-3 * (self.upper - self.lower)
-        below = value <= self.lower + margin and not self.is_strap
-        return self.free and (below or value >= self.upper - margin)
+        released = self.name.partition(".")[2] in RELEASES
+        below = value <= self.lower + margin and not (
+            self.is_strap or (released and self.lower == 0.0)
+        )
+        above = value >= self.upper - margin and not (
+            released and self.upper == 1.0
+        )
+        return self.free and (below or above)
 
 
 def design_variables(
@@ -99,6 +107,10 @@ def design_variables(
             for w in PRELOADS
         ]
         found.append(Variable(f"{cuff}.area", "1", *freedom.area, 1.0, 0.1))
+        found += [
+            Variable(f"{cuff}.{w}", "1", *getattr(freedom, w), 0.0, 0.1)
+            for w in RELEASES
+        ]
         for strap in STRAPS.values():
             rotates = strap.endswith("rad")
             softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m

@@ -22,7 +22,12 @@ from drake_exo.contact.parameters import (
     GroundContact,
     check_range,
 )
-from drake_exo.contact.strap import PLACES, SOFTEST_N_M, SOFTEST_NM_RAD
+from drake_exo.contact.strap import (
+    PLACES,
+    RELEASES,
+    SOFTEST_N_M,
+    SOFTEST_NM_RAD,
+)
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.model.assembly import without_side
 from drake_exo.nlp.ipopt import SolverOptions
@@ -595,6 +600,9 @@ class PredictionSettings:
     solver: Solver = Solver()
 
 
+_SHARE = {"unit": "1", "minimum": 0.0, "maximum": 1.0}
+
+
 def _positive(default: float | None, unit: str):
     return field(default=default, metadata={"unit": unit, "above": 0.0})
 
@@ -614,6 +622,10 @@ class CuffFreedom:
         area_m2: of skin that bears its force today.
         area: least and most of it, as a share of that; tissue under a larger
             cuff is stiffer in proportion.
+        slide: least and most share of the spring along the limb that a
+            passive slide in the cuff takes away, 1 for one that moves freely;
+            its travel counts as migration.
+        hinge: likewise of the spring in rotation, by a passive hinge.
 
     >>> CuffFreedom(along_m=(-0.02, 0.05)).across_m
     (0.0, 0.0)
@@ -642,9 +654,11 @@ class CuffFreedom:
     area: tuple[float, float] = field(
         default=(1.0, 1.0), metadata={"unit": "1", "above": 0.0}
     )
+    slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
+    hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
 
     def __post_init__(self):
-        _check_today(self, (*PLACES.values(), "area"))
+        _check_today(self, (*PLACES.values(), "area", *RELEASES))
 
 
 @dataclass(frozen=True)

@@ -133,6 +133,13 @@ def check_wearers(wearers: Sequence[Wearer]) -> None:
                 f"{wearers[0].name} {', '.join(first.cuffs)}; design for "
                 "wearers of one device"
             )
+        for cuff, bushing in wearer.contact.bushings.items():
+            if min(bushing.stiffness) <= 0.0:
+                raise InputError(
+                    f"{wearer.name}: a spring of the {cuff} cuff has no "
+                    "stiffness, so nothing is known of the tissue under it; "
+                    "design from a calibration without a slide or hinge there"
+                )
         for trial in wearer.trials:
             if trial.moments is None:
                 raise InputError(

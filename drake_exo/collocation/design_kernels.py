@@ -120,10 +120,11 @@ class CuffKernel:
     """Ties a wearer's cuff to a design, 0 where it is as designed.
 
     Inputs: origin (2) and stiffness (3) of the cuff, then place x, z of the
-    design [m], compliance of its straps (3) [m/N, m/N, rad/(N m)] and its
-    area against today's. Outputs: origin - own origin - place, stiffness
-    (own compliance/area^n + that of the strap) - 1. Data: (1, 5) own origin
-    and own compliance.
+    design [m], compliance of its straps (3) [m/N, m/N, rad/(N m)], its area
+    against today's, and the shares of the springs along the limb and in
+    rotation that are taken away (2). Outputs: origin - own origin - place,
+    stiffness (own compliance/area^n + that of the strap) - 1 + that share.
+    Data: (1, 5) own origin and own compliance.
 
     Args:
         powers: (3,) n of each stiffness.
@@ -131,49 +132,48 @@ class CuffKernel:
 
     def __init__(self, powers):
         self._powers = np.array(powers, float)
-        pattern = np.zeros((5, 11), bool)
+        pattern = np.zeros((5, 13), bool)
         pattern[np.arange(5), np.arange(5)] = True
         pattern[np.arange(5), 5 + np.arange(5)] = True
-        pattern[2:, -1] = True
+        pattern[2:, 10] = True
+        pattern[[2, 4], [11, 12]] = True
         self.sparsity = pattern
 
     def _split(self, x):
-        return np.split(x, [2, 5, 7, 10], axis=1)
+        return np.split(x, [2, 5, 7, 10, 11], axis=1)
 
     def evaluate(self, x, data):
         """See Kernel."""
-        origin, stiffness, place, strap, area = self._split(x)
+        origin, stiffness, place, strap, area, released = self._split(x)
         tissue = data[:, 2:] * area**-self._powers
-        return np.hstack(
-            [
-                (origin - data[:, :2] - place) / PLACE_UNIT,
-                stiffness * (tissue + strap) - 1.0,
-            ]
-        )
+        held = stiffness * (tissue + strap) - 1.0
+        held[:, [0, 2]] += released
+        return np.hstack([(origin - data[:, :2] - place) / PLACE_UNIT, held])
 
     def jacobian(self, x, data):
         """See Kernel."""
-        J = np.zeros((len(x), 5, 11))
+        J = np.zeros((len(x), 5, 13))
         i, k = np.arange(2), np.arange(2, 5)
-        _, stiffness, _, strap, area = self._split(x)
+        _, stiffness, _, strap, area, _ = self._split(x)
         tissue = data[:, 2:] * area**-self._powers
         J[:, i, i] = 1.0 / PLACE_UNIT
         J[:, i, 5 + i] = -1.0 / PLACE_UNIT
         J[:, k, k] = tissue + strap
         J[:, k, 5 + k] = stiffness
-        J[:, k, -1] = -stiffness * self._powers * tissue / area
+        J[:, k, 10] = -stiffness * self._powers * tissue / area
+        J[:, [2, 4], [11, 12]] = 1.0
         return J
 
     def curvature(self, x, weights, data):
         """See Kernel."""
-        H = np.zeros((len(x), 11, 11))
+        H = np.zeros((len(x), 13, 13))
         k, n = np.arange(2, 5), self._powers
-        _, stiffness, _, _, area = self._split(x)
+        _, stiffness, _, _, area, _ = self._split(x)
         tissue = data[:, 2:] * area**-n
         H[:, k, 5 + k] = H[:, 5 + k, k] = weights[:, k]
-        H[:, k, -1] = H[:, -1, k] = -weights[:, k] * n * tissue / area
+        H[:, k, 10] = H[:, 10, k] = -weights[:, k] * n * tissue / area
         bend = weights[:, k] * stiffness * n * (n + 1.0) * tissue / area**2
-        H[:, -1, -1] = bend.sum(axis=1)
+        H[:, 10, 10] = bend.sum(axis=1)
         return H
 
 

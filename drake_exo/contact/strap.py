@@ -31,6 +31,7 @@ SOFTEST_NM_RAD = 5.0
 # From here on, a strap adds next to nothing to what tissue gives.
 STIFF = {"N/m": 5e5, "N m/rad": 5e3}
 _STRAP = {"unit": "N/m", "minimum": SOFTEST_N_M}
+_SHARE = {"unit": "1", "minimum": 0.0, "maximum": 1.0}
 # A cuff's stiffness -> the strap that is in series with it.
 STRAPS = {
     "tangential_stiffness": "strap_tangential_n_m",
@@ -45,6 +46,8 @@ _BY_AREA = {
     "rotational_stiffness": 2,
 }
 BY_AREA = tuple(_BY_AREA.values())
+# What takes a spring away -> which.
+RELEASES = {"slide": "tangential_stiffness", "hinge": "rotational_stiffness"}
 # What is moved -> by how much.
 PLACES = {
     "origin_x": "across_m",
@@ -63,6 +66,9 @@ class CuffDesign:
         preload_along_m, preload_across_m: how far the device's half alone is
             shifted, so that the cuff presses where both were aligned.
         area: of skin against today's; tissue under it is springs side by side.
+        slide, hinge: share of the spring along the limb, and of that in
+            rotation, which a passive slide or hinge takes away: 1 for one
+            that moves freely.
         strap_tangential_n_m, strap_normal_n_m, strap_rotational_nm_rad:
             strap put in series; null for one that adds nothing.
 
@@ -70,6 +76,8 @@ class CuffDesign:
     >>> built = soft.built(BushingParameters(origin_z=0.25))
     >>> built.origin_z, built.normal_stiffness
     (0.3, 2500.0)
+    >>> CuffDesign(hinge=1.0).built(BushingParameters()).rotational_stiffness
+    0.0
     """
 
     along_m: float = field(default=0.0, metadata={"unit": "m"})
@@ -77,6 +85,8 @@ class CuffDesign:
     preload_along_m: float = field(default=0.0, metadata={"unit": "m"})
     preload_across_m: float = field(default=0.0, metadata={"unit": "m"})
     area: float = field(default=1.0, metadata={"unit": "1", "above": 0.0})
+    slide: float = field(default=0.0, metadata=_SHARE)
+    hinge: float = field(default=0.0, metadata=_SHARE)
     strap_tangential_n_m: float | None = field(default=None, metadata=_STRAP)
     strap_normal_n_m: float | None = field(default=None, metadata=_STRAP)
     strap_rotational_nm_rad: float | None = field(
@@ -87,13 +97,21 @@ class CuffDesign:
         """The cuff with this strap, at this place."""
         moved = {k: getattr(cuff, k) + getattr(self, PLACES[k]) for k in PLACES}
         stiffness = {
-            k: in_series(
+            k: self.held(k)
+            * in_series(
                 self.area ** _BY_AREA[k] * getattr(cuff, k),
                 getattr(self, strap),
             )
             for k, strap in STRAPS.items()
         }
         return replace(cuff, **moved, **stiffness)
+
+    def held(self, stiffness: str) -> float:
+        """Share of a spring that no slide or hinge takes away, by its name."""
+        shares = [
+            getattr(self, k) for k, v in RELEASES.items() if v == stiffness
+        ]
+        return 1.0 - sum(shares)
 
 
 @dataclass(frozen=True)
@@ -281,8 +299,8 @@ class Design:
         """The contact with these cuffs, as sure as it was before.
 
         What is not known of the tissue is known no better where a cuff
-        moves: a stiffness a k in series with a strap has the derivative
-        (k_built/k)^2/a by k.
+        moves: the share s of a stiffness a k in series with a strap has the
+        derivative (k_built/k)^2/(s a) by k.
         """
         built = replace(contact, bushings=self.bushings(contact.bushings))
         known = contact.posterior
@@ -296,8 +314,11 @@ class Design:
                 continue
             cuff, _, what = name.partition(".")
             if what in _BY_AREA:
-                area = self.cuffs.get(cuff, CuffDesign()).area
-                slope[i] = (new[name] / old[name]) ** 2 / area ** _BY_AREA[what]
+                own = self.cuffs.get(cuff, CuffDesign())
+                share = own.held(what) * own.area ** _BY_AREA[what]
+                slope[i] = (
+                    (new[name] / old[name]) ** 2 / share if share else 0.0
+                )
             values[i] += new[name] - old[name]
         covariance = np.outer(slope, slope) * known.covariance
         return replace(

@@ -507,7 +507,12 @@ def _told(cuff: str, design: CuffDesign) -> str:
         )
         if value is not None and value < STIFF[unit]
     ]
-    said = [*words, *straps] or ["as today"]
+    released = [
+        what if share > 0.995 else f"{what} that takes {100 * share:.0f} %"
+        for what, share in (("slide", design.slide), ("hinge", design.hinge))
+        if share >= 5e-3
+    ]
+    said = [*words, *straps, *released] or ["as today"]
     return f"{cuff}: " + "\n    ".join(said)
 
 

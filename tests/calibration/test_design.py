@@ -34,7 +34,7 @@ from drake_exo.calibration.wearers import (
 )
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
-from drake_exo.contact.strap import Assistance, Design, JointDesign
+from drake_exo.contact.strap import Assistance, CuffDesign, Design, JointDesign
 from drake_exo.errors import InputError
 from drake_exo.model.description import fit_exoskeleton
 
@@ -53,6 +53,8 @@ EVERYTHING = replace(
             preload_across_m=_CM,
             preload_along_m=_CM,
             area=(0.8, 1.2),
+            slide=(0.0, 1.0),
+            hinge=(0.0, 1.0),
         ),
     ),
     joints=dict.fromkeys(("exo_knee", "exo_hip"), JointFreedom(_CM, _CM)),
@@ -172,6 +174,8 @@ def test_the_forecast_is_what_the_design_promised(found, in_device, driven):
         ("thigh.preload_across_m", 2e-3, 2e-4),
         ("shank.preload_along_m", -2e-3, 2e-4),
         ("pelvis.area", 1.1, 1e-2),
+        ("thigh.slide", 0.2, 1e-2),
+        ("thigh.hinge", 0.5, 1e-2),
         ("exo_knee.across_m", 2e-3, 2e-4),
         ("exo_hip.along_m", -2e-3, 2e-4),
         ("exo_knee.factor_at_2_of_4", 1.05, 5e-3),
@@ -291,6 +295,28 @@ def test_pressure_keeps_its_limit(wearer, today):
     after = largest_forces(result)["somebody"]
     pressures = [0.1 * after[c][1] / result.design.cuffs[c].area for c in after]
     assert max(pressures) <= most * 1.001
+
+
+def test_hinges_in_cuffs_bear_less_moment(wearer, today):
+    """A fifth of today's; dampers of a hinge bear some of it."""
+    limits = replace(SETTINGS.limits, moment_factor=0.2)
+    hinged = CuffFreedom(hinge=(0.0, 1.0), strap_nm_rad=None)
+    cuffs = dict.fromkeys(wearer.model.cuffs, hinged)
+    settings = replace(SETTINGS, cuffs=cuffs, limits=limits)
+    before = largest_forces(today)["somebody"]
+    result = DesignProblem([wearer], settings, today=today).solve()
+    assert result.solution.success
+    for cuff, force in largest_forces(result)["somebody"].items():
+        assert force[2] <= 0.2 * before[cuff][2] * (1.0 + 1e-4)
+        own = result.design.cuffs[cuff]
+        assert own.hinge > 0.5 and own.strap_rotational_nm_rad is None
+        built = own.built(wearer.contact.bushings[cuff])
+        share = built.rotational_stiffness / (
+            wearer.contact.bushings[cuff].rotational_stiffness
+        )
+        assert share == pytest.approx(1.0 - own.hinge)
+    free = result.problem.design
+    assert not [v for v in free if v.name.endswith("hinge") and v.at_bound(1.0)]
 
 
 def test_more_freedom_is_never_worse(wearer, today, found):
@@ -454,6 +480,9 @@ def test_wearers_that_do_not_fit_are_refused(wearer):
         DesignProblem([])
     (own,) = wearer.trials
     passive = replace(wearer, trials=(replace(own, moments=None),))
+    free = Design({"thigh": CuffDesign(slide=1.0)}).contact(wearer.contact)
+    with pytest.raises(InputError, match="thigh cuff has no stiffness"):
+        DesignProblem([replace(wearer, contact=free)])
     with pytest.raises(InputError, match="torques are not known"):
         DesignProblem([passive])
 

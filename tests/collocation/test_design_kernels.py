@@ -30,8 +30,8 @@ def cases(rng, tree):
     bushing = BushingKinematics(tree, "thigh", moving=[(1, 0.6 - 0.8j)])
     cuff = np.array([0.02, 0.25, 3000.0, 5000.0, 60.0])
     own = np.array([0.0, 0.24, 1 / 4e3, 1 / 6e3, 1 / 70.0])
-    strap = np.array([0.02, 0.01, 8e-5, 3e-5, 2e-3, 1.2])
-    share = rng.uniform(0.9, 1.1, (N, 11))
+    strap = np.array([0.02, 0.01, 8e-5, 3e-5, 2e-3, 1.2, 0.3, 0.8])
+    share = rng.uniform(0.9, 1.1, (N, 13))
     return {
         "cuff": (
             CuffKernel((1, 1, 2)),
@@ -139,7 +139,10 @@ def test_a_cuff_in_series_satisfies_its_kernel():
     own, strap = np.array([4000.0, 6000.0, 70.0]), np.array([2e3, 9e3, 30.0])
     tissue = own * [1.5, 1.5, 1.5**2]
     together = 1.0 / (1.0 / tissue + 1.0 / strap)
-    x = np.r_[0.03, 0.29, together, 0.03, 0.04, 1.0 / strap, 1.5][None]
+    together *= [0.4, 1.0, 0.0]  # a slide that is held a little, a hinge
+    released = [0.6, 1.0]
+    x = np.r_[0.03, 0.29, together, 0.03, 0.04, 1.0 / strap, 1.5, released]
+    x = x[None]
     data = np.r_[0.0, 0.25, 1.0 / own][None]
     excess = CuffKernel((1, 1, 2)).evaluate(x, data)
     np.testing.assert_allclose(excess, 0.0, atol=1e-12)

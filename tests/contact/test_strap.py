@@ -159,6 +159,27 @@ def test_area_makes_tissue_stiffer_and_known_likewise(contact):
     assert sd[1] == pytest.approx(1.5**2 * 0.1 * middle[1])
 
 
+def test_a_slide_takes_its_share_of_the_spring_away(contact):
+    """And of what is not known of it; a free one leaves nothing of both."""
+    name = "thigh.tangential_stiffness"
+    middle = contact.values()[name]
+    known = Posterior((name,), np.array([middle]), np.array([[100.0]]))
+    sure = replace(contact, posterior=known)
+    strap = {"strap_tangential_n_m": 2000.0}
+    half, free = (
+        Design({"thigh": CuffDesign(slide=s, **strap)}).contact(sure)
+        for s in (0.5, 1.0)
+    )
+    whole = in_series(middle, 2000.0)
+    assert half.values()[name] == pytest.approx(0.5 * whole)
+    sd = np.sqrt(half.posterior.covariance.item())
+    assert sd == pytest.approx(10.0 * 0.5 * (whole / middle) ** 2)
+    assert free.values()[name] == 0.0
+    assert free.posterior.covariance.item() == 0.0
+    thigh, own = free.bushings["thigh"], contact.bushings["thigh"]
+    assert thigh.rotational_stiffness == own.rotational_stiffness
+
+
 def test_joints_and_cuffs_move_in_the_file_that_is_built(nominal):
     model = nominal("coupled")
     design = Design(
