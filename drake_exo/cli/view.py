@@ -139,7 +139,9 @@ class _Silent(SimpleHTTPRequestHandler):
 
 def _serve(folder: Path, open_browser: bool) -> None:
     """Serve the page until Ctrl-C."""
-    # A Meshcat must end in the thread that made it, not in one that serves.
+    # A Meshcat must end in the thread that made it, not in one that serves;
+    # Drake keeps its Diagram and builder in a cycle that only this ends
+    # (internal::ref_cycle, RobotLocomotion/drake 22068).
     gc.collect()
     handler = partial(_Silent, directory=str(folder))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:

@@ -1,4 +1,4 @@
-"""What a laboratory's file holds, for every format that is read."""
+"""What a file of ours or a laboratory's holds, for every format read."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,8 +8,10 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
+from drake_exo.files.mesh import read_cells
 from drake_exo.files.opensim import has_plates, plates_of, read_table, read_trc
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
+from drake_exo.files.osim import read_osim
 from drake_exo.files.pressure import (
     PressureRecording,
     read_novel_asc,
@@ -26,6 +28,7 @@ from drake_exo.files.tables import (
 
 _TOLD = 6  # gaps that a line lists
 _LOADED_N = 20.0
+_MESHES = (".stl", ".obj", ".ply", ".vtk", ".msh")
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ def inspect(path: str | Path) -> tuple[Section, ...]:
     """What a file holds: markers with gaps, plates with load, channels.
 
     Args:
-        path: .c3d, .trc, .mot, .sto, .csv (table, Motive's, pressure) or .asc.
+        path: .c3d, .trc, .mot, .sto, .csv (table, Motive's, pressure) or .asc;
+            a mesh (.stl, .obj, .ply, .vtk, .msh) or a model (.osim).
 
     Raises:
         InputError: another format, or the file cannot be read.
@@ -53,7 +57,7 @@ def inspect(path: str | Path) -> tuple[Section, ...]:
     >>> inspect("walk.avi")
     Traceback (most recent call last):
     drake_exo.errors.InputError: walk.avi: is of no format that is read; give \
-one of .c3d, .trc, .mot, .sto, .csv, .asc
+one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, .ply, .vtk, .msh
     """
     readers: dict[str, Callable[[Path], list[Section]]] = {
         ".c3d": _of_c3d,
@@ -62,6 +66,8 @@ one of .c3d, .trc, .mot, .sto, .csv, .asc
         ".sto": _of_table,
         ".csv": _of_csv,
         ".asc": lambda p: [_pressure(read_novel_asc(p))],
+        ".osim": _of_model,
+        **dict.fromkeys(_MESHES, _of_mesh),
     }
     kind = Path(path).suffix.lower()
     if kind not in readers:
@@ -113,6 +119,39 @@ def _of_csv(path: Path) -> list[Section]:
         whole = {"cells": (1, len(cells) - 1)}
         return [_pressure(read_pressure_csv(path, whole))]
     return [_channels(read_csv_table(path), "in SI units, angles in radians")]
+
+
+def _of_mesh(path: Path) -> list[Section]:
+    lines = []
+    for kind in ("triangle", "tetra"):
+        nodes, cells = read_cells(path, kind, "export it again")
+        if len(cells):
+            low, high = (f(nodes[cells], axis=(0, 1)) for f in (np.min, np.max))
+            size = " by ".join(f"{x:.4g}" for x in high - low)
+            kinds = {"triangle": "triangles", "tetra": "tetrahedra"}
+            lines.append(f"{len(cells)} {kinds[kind]}, {size}")
+    if not lines:
+        raise InputError(
+            f"{path}: holds neither triangles nor tetrahedra; export them"
+        )
+    return [Section("mesh, lengths in the file's unit", tuple(lines))]
+
+
+def _of_model(path: Path) -> list[Section]:
+    model = read_osim(path)
+    bodies = [f"{n}: {b.mass_kg:.4g} kg" for n, b in model.bodies.items()]
+    joints = [
+        f"{j.name}: {j.kind}, {j.parent} to {j.child}"
+        + "".join(f", {name}" for name in j.coordinates)
+        for j in model.joints
+    ]
+    markers = [f"{n}: on {body}" for n, (body, _) in model.markers.items()]
+    mass = sum(body.mass_kg for body in model.bodies.values())
+    return [
+        Section(f"{len(bodies)} bodies, {mass:.4g} kg", tuple(bodies)),
+        Section(f"{len(joints)} joints", tuple(joints)),
+        Section(f"{len(markers)} markers", tuple(markers)),
+    ]
 
 
 def _span(time: np.ndarray) -> str:

@@ -1,5 +1,8 @@
 """What `drake-exo inspect` says of each format, and of a bad file."""
 
+from xml.etree import ElementTree
+
+import meshio
 import numpy as np
 import pytest
 
@@ -96,6 +99,21 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     assert "cells: 3 cells, up to 19.9 kPa, 1 of them pressed" in found
 
 
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "vtk"])
+def test_meshes_by_their_size(tmp_path, ending):
+    """A tetrahedron of 30 by 20 by 10, as its faces or as itself."""
+    points = np.array([[1, 1, 1], [31, 1, 1], [1, 21, 1], [1, 1, 11.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    cells = [("triangle", faces)]
+    if ending == "vtk":
+        cells.append(("tetra", np.array([[0, 1, 2, 3]])))
+    path = tmp_path / f"a.{ending}"
+    meshio.Mesh(points, cells).write(path)
+    found = text(path)
+    assert "4 triangles, 30 by 20 by 10" in found
+    assert ("1 tetrahedra, 30 by 20 by 10" in found) == (ending == "vtk")
+
+
 def test_real_files_of_every_kind(data_root):
     for name, words in (
         ("boxlifting_squat/SquatLifting_Markers.csv", "BODY:RANK: around"),
@@ -103,11 +121,20 @@ def test_real_files_of_every_kind(data_root):
         ("c3d/opensim_walking5.c3d", "2 force plates"),
     ):
         assert words in text(data_root / name)
+    path = data_root / "opensim_gait10dof/subject01.osim"
+    masses = [float(x.text) for x in ElementTree.parse(path).iter("mass")]
+    found = text(path)
+    assert f"12 bodies, {sum(masses):.4g} kg" in found
+    assert "hip_r: PinJoint, pelvis to femur_r, hip_flexion_r" in found
+    assert "39 markers" in found
     asc = next((data_root / "novel_asc").glob("*.asc"))
     assert "99 cells" in text(asc)
 
 
-@pytest.mark.parametrize("ending", ["c3d", "trc", "mot", "csv", "asc", "avi"])
+@pytest.mark.parametrize(
+    "ending",
+    ["c3d", "trc", "mot", "csv", "asc", "osim", "stl", "obj", "vtk", "avi"],
+)
 def test_a_bad_file_is_one_sentence(tmp_path, capsys, ending):
     path = tmp_path / f"a.{ending}"
     path.write_bytes(b"nothing of the kind\n")
