@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from test_kernels import _check, _states
 
 from drake_exo.collocation.initial_guess import settle_rolling
@@ -125,3 +126,35 @@ def test_a_rolling_foot_bears_what_was_measured():
     np.testing.assert_allclose(speed, slipping, atol=0.005)
     # Rolling moves the ankle, which was drawn as standing.
     assert np.abs(q[:, 0] - foot[:, 0]).max() < 0.06
+
+
+def test_a_foot_turns_towards_where_its_load_was_measured():
+    """Nearer to the measured centre of pressure than as it was seen."""
+    kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
+    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
+    foot, ground = rolling()
+    q, _ = settle_rolling(kernel, spheres, places, TIMES, foot, ground)
+    turned = np.flatnonzero(np.abs(q[:, 2] - foot[:, 2]) > 0.02)
+    turned = turned[(turned >= STANCE.start) & (turned < STANCE.stop)]
+    assert len(turned) > 5
+
+    def cop(at):
+        """Ahead of the ankle [m], at rest."""
+        wrench = law(kernel, at[None], np.zeros((1, 3)))[0]
+        return -wrench[2] / wrench[1] - at[0]
+
+    def seen(k):
+        """With the load at the pitch that was measured."""
+
+        def missing(z):
+            at = np.r_[0.0, z, foot[k, 2]]
+            return law(kernel, at[None], np.zeros((1, 3)))[0, 1] - ground[k, 1]
+
+        return np.r_[0.0, brentq(missing, 0.0, 0.2), foot[k, 2]]
+
+    measured = -ground[turned, 2] / ground[turned, 1] - foot[turned, 0]
+    off = np.abs([cop(q[k]) for k in turned] - measured)
+    before = np.abs([cop(seen(k)) for k in turned] - measured)
+    # The turn is smoothed over time, so that not all of it is there.
+    assert off.mean() < 0.75 * before.mean()

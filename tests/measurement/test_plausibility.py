@@ -221,9 +221,13 @@ def test_a_mass_that_plates_do_not_show(folder):
     assert "the plates bear 70 kg" in text and "mass_kg says 84 kg" in text
 
 
-def test_forces_in_pounds(folder):
-    forces(folder, lambda _, x: x / 4.448, r"ground_force_\d_(v|m).")
-    assert "forces look like lbf" in said(folder, "newton")
+@pytest.mark.parametrize(
+    ("newtons", "unit"), [(4.448, "lbf"), (9.81, "kgf"), (10.0, "daN")]
+)
+def test_forces_in_another_unit(folder, newtons, unit):
+    forces(folder, lambda _, x: x / newtons, r"ground_force_\d_(v|m).")
+    text = said(folder, "newton")
+    assert "forces look like" in text and unit in text
 
 
 def test_forces_that_end_in_the_middle_of_the_rise(folder):
