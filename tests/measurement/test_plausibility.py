@@ -197,6 +197,39 @@ def test_encoders_of_another_trial_of_the_study(folder):
     assert "fit the movement of trial rise2" in text
 
 
+def test_files_exchanged_between_nearly_the_same_movements(folder):
+    """What soft cuffs hide in each trial alone, both together tell."""
+    another_trial(folder)
+    middle = read_trc(folder / "sts.trc").time.mean()
+    for file, read, write in (
+        ("b.trc", read_trc, write_trc),
+        ("b.mot", read_table, write_table),
+        ("other.csv", read_csv_table, written_in_degrees),
+    ):
+        data = read(folder / file)
+        slower = middle + 1.06 * (data.time + 0.4 - middle)
+        data = replace(data, time=slower)
+        if file == "b.trc":
+            data = replace(data, rate_hz=data.rate_hz / 1.06)
+        write(folder / file, data)
+    # Cuffs that take a fifth of the movement, in both alike.
+    for file in ("exo.csv", "other.csv"):
+        table = read_csv_table(folder / file)
+        table = replace(table, values=0.8 * table.values)
+        written_in_degrees(folder / file, table)
+    assert "encoder_swap" not in failing(folder)
+    edit(folder, "encoders: exo.csv", "encoders: swap")
+    edit(folder, "encoders: other.csv", "encoders: exo.csv")
+    edit(folder, "encoders: swap", "encoders: other.csv")
+    found = failing(folder)
+    assert "encoder_file" not in found
+    assert "this trial and rise2 fit" in found["encoder_swap"][0]
+
+
+def written_in_degrees(path, table):
+    write_csv_table(path, table, ["deg"] * len(table.names))
+
+
 def test_two_trials_with_the_same_encoders(folder):
     another_trial(folder, own="exo.csv")
     text = said(folder, "encoder_file")

@@ -11,6 +11,7 @@ from small_osim import small_osim
 from drake_exo.errors import InputError
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.osim_person import read_person
 from drake_exo.model.plant import Model
@@ -170,6 +171,15 @@ def test_segments_are_the_bodies_between_joints(small):
     assert human.thigh.length_m == pytest.approx(np.hypot(0.004, 0.40))
     assert human.shank.length_m == pytest.approx(np.hypot(0.002, 0.42))
     assert human.ball_m == pytest.approx((-0.05 + 0.18, -0.045 - 0.002))
+    # Cuffs sit at the usual share of segments that have another length.
+    usual = scale_human(person.osim.mass_kg, 1.75)
+    for name in ("shank", "thigh"):
+        own, other = (
+            getattr(h, f"{name}_cuff_m")[1] / getattr(h, name).length_m
+            for h in (human, usual)
+        )
+        assert own == pytest.approx(other)
+        assert getattr(usual, name).length_m != getattr(human, name).length_m
     assert human.toes.com_m == pytest.approx((0.035, 0.006))
     # The thigh leans; its centre of mass is seen along it.
     lean = np.exp(-1j * np.angle((0.004 + 0.40j) / 1j))

@@ -21,6 +21,7 @@ LARGEST_MISMATCH = 0.35  # of the joints' speed, at the best lag of clocks
 LARGEST_EXCHANGED = 1.1
 # So much better may encoders fit the movement of another trial.
 LARGEST_RATIO = 1.5
+LARGEST_SWAPPED = 1.15  # and two files the movements of each other
 _REACH_S = 0.06
 LARGEST_FROZEN_DEG = 5.0
 _MOVES_DEG = 10.0  # a joint that moves less says little
@@ -177,16 +178,18 @@ def _mismatch(e: Evidence) -> Check:
 def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Whether encoders belong to the trial that names them."""
     known = [e for e in evidence if e.recording.angles is not None]
-    for e in known:
-        others = [o for o in known if o.files.markers != e.files.markers]
+    # Of each movement with each file.
+    fits = np.array([[misfit(e, o, _REACH_S) for o in known] for e in known])
+    for i, e in enumerate(known):
+        others = [
+            j for j, o in enumerate(known) if o.files.markers != e.files.markers
+        ]
         if not others:
             continue
-        same = [o for o in others if _equal(e, o)]
-        name = same[0].trial.name if same else ""
-        own = misfit(e, e, _REACH_S)
-        fits = {o.trial.name: misfit(o, e, _REACH_S) for o in others}
-        best = min(fits, key=fits.get)
-        ratio = own / max(fits[best], 1e-9) if np.isfinite(own) else 0.0
+        same = [j for j in others if _equal(e, known[j])]
+        name = known[same[0]].trial.name if same else ""
+        best = min(others, key=lambda j, i=i: fits[j, i])
+        ratio = _ratio(fits[i, i], fits[best, i])
         yield e.check(
             "encoder_file",
             ratio,
@@ -196,10 +199,35 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
             f"holds the same angles as the file of trial {name}; one of the "
             "two is another trial's"
             if same
-            else f"its angles fit the movement of trial {best} {ratio:.1f} "
-            "times better; it is another trial's file",
+            else f"its angles fit the movement of trial "
+            f"{known[best].trial.name} {ratio:.1f} times better; it is "
+            "another trial's file",
             not same and ratio <= LARGEST_RATIO,
         )
+        # What cuffs make of all movements alike is in both and cancels.
+        swapped = {
+            j: _ratio(
+                np.hypot(fits[i, i], fits[j, j]),
+                np.hypot(fits[i, j], fits[j, i]),
+            )
+            for j in others
+        }
+        other = max(swapped, key=swapped.get)
+        yield e.check(
+            "encoder_swap",
+            swapped[other],
+            LARGEST_SWAPPED,
+            "",
+            e.files.encoders,
+            f"this trial and {known[other].trial.name} fit "
+            f"{swapped[other]:.2f} times better with each other's encoders; "
+            "the two files look exchanged",
+        )
+
+
+def _ratio(own: float, other: float) -> float:
+    """How much better another file fits; 0 where nothing can be said."""
+    return float(own / max(other, 1e-9)) if np.isfinite(own) else 0.0
 
 
 def _equal(e: Evidence, other: Evidence) -> bool:
