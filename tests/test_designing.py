@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from page_reader import player_data
+from unmarked import unmarked
 
 import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem
@@ -22,6 +23,7 @@ from drake_exo.contact.strap import Design, read_design
 from drake_exo.designing import Peak, front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.files.verdict import Check, Verdict
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.figures import forces_figure
 
@@ -64,6 +66,17 @@ def test_a_design_holds_and_tells_what_it_buys(found):
     parts = found.parts
     assert set(parts) > {"nothing", "all"}
     assert min(parts.values()) == parts["all"]
+
+
+@pytest.mark.slow
+def test_the_mark_is_on_everything_that_is_written(
+    found, tmp_path, monkeypatch
+):
+    off = Verdict((Check("audit", False, 2.0, 1.0, "N", "rise1"),))
+    monkeypatch.setattr(type(found), "verdict", lambda *_: off)
+    found.write(tmp_path)
+    assert unmarked(tmp_path) == []
+    assert list(tmp_path.glob("*.png")) and list(tmp_path.glob("*.txt"))
 
 
 @pytest.mark.slow

@@ -37,10 +37,10 @@ def _is_marked(path, is_table) -> bool:
         if path.name != "summary.json":
             return True
         return verdict["verdict"].upper() in _WORDS
-    if kind == ".png":
+    if kind == ".png" and path.read_bytes()[:4] == b"\x89PNG":
         with Image.open(path) as picture:
             return picture.text.get("Description", "").startswith(_WORDS)
-    text = path.read_text("utf-8")
+    text = path.read_text("utf-8")  # of figures that were not drawn, too
     if kind in (".sto", ".mot"):
         text = text.splitlines()[0]
     return any(word in text for word in _WORDS)

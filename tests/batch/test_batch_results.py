@@ -5,10 +5,12 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from unmarked import unmarked
 
 from drake_exo.batch import figures, results
 from drake_exo.batch.figures import (
@@ -276,6 +278,16 @@ def test_a_panel_holds_differences_over_means():
         drawn, [bias, bias - 1.96 * sd, bias + 1.96 * sd]
     )
     assert ax.get_ylabel() == "predicted - measured [N]"
+
+
+def test_figures_of_what_does_not_hold_are_marked(tmp_path):
+    rows = [_row(s, "1", "rmsd.grf_n.vertical", 5.0) for s in "ab"]
+    sound = [replace(row, verdict="holds") for row in rows]
+    off = replace(rows[0], verdict="does not hold: audit", folder="a/predict")
+    draw_figures(tmp_path, sound)
+    assert unmarked(tmp_path) == ["over_subjects.png"]
+    draw_figures(tmp_path, [off, *sound])
+    assert unmarked(tmp_path) == []
 
 
 def test_bars_are_means_over_subjects():

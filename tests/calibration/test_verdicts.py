@@ -123,6 +123,8 @@ def test_a_calibration_of_another_is_refused(
     assert summary["accepted"] == ["provenance"]
     text = (tmp_path / "c1" / "rise4_coordinates.sto").read_text("utf-8")
     assert "DOES NOT HOLD: provenance.subject" in text.splitlines()[0]
+    undrawn_ones = {p.name for p in (tmp_path / "c1").glob("*.png")}
+    assert set(unmarked(tmp_path / "c1")) == undrawn_ones != set()
 
 
 @pytest.mark.parametrize("refined", [1, 2])

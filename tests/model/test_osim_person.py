@@ -11,10 +11,10 @@ from small_osim import small_osim
 from drake_exo.errors import InputError
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.model.anthropometry import scale_human
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.osim_person import read_person
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import scale_human
 
 
 def pinned(path, folder):
