@@ -21,7 +21,7 @@ LARGEST_MISMATCH = 0.35  # of the joints' speed, at the best lag of clocks
 LARGEST_EXCHANGED = 1.1
 # So much better may encoders fit the movement of another trial.
 LARGEST_RATIO = 1.5
-LARGEST_SWAPPED = 1.15  # and two files the movements of each other
+LARGEST_SWAPPED = 1.25  # and two files the movements of each other
 _REACH_S = 0.06
 LARGEST_FROZEN_DEG = 5.0
 _MOVES_DEG = 10.0  # a joint that moves less says little
