@@ -18,7 +18,7 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
 from drake_exo.calibration.checks import phase_checks
-from drake_exo.calibration.clocks import Clock, Timing, clocks, left, timed
+from drake_exo.calibration.clocks import Clock, Timing, clocks_of, left
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
@@ -398,7 +398,7 @@ class Calibration:
         """Lags of encoders and mats that Phase B found; none of Phase A."""
         if self.phase == "foot-ground":
             return []
-        return clocks(self.result.problem.trials, self._known)
+        return clocks_of(self.result.problem.trials, self._known)
 
     @property
     def trials(self) -> list[Trial]:
@@ -713,7 +713,7 @@ def find_clocks(
         if result is not None and result.solution.was_stopped:
             raise KeyboardInterrupt
         if result is not None and result.success:
-            found += timed(result)
+            found += clocks_of([trial], posterior(result))
     return found
 
 
@@ -783,7 +783,7 @@ def predict(
         if timing is not None and timing.solution.was_stopped:
             return _prediction(timing)
         if timing is not None and timing.success:
-            clocks = timed(timing)
+            clocks = clocks_of([trial], posterior(timing))
     own = tuple(c for c in clocks if c.trial == trial.name)
     scaled = known.scaled(scale_interaction)
     if scaled.posterior is not None:

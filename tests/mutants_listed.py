@@ -157,7 +157,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("return QUANTILE_95 * self.sd_s", "return self.sd_s"),
         ("float(lag + late)", "float(late)"),
         ("c.lag_s - lags[c.system]", "c.lag_s"),
-        ("known.covariance + more", "known.covariance"),
+        ("covariance[j, j] += more**2", "covariance[j, j] += more"),
     ],
     "drake_exo/calibration/error_model.py": [
         ("moments[:, :, k] = self._moments(at, q, v, a, k)", "pass"),

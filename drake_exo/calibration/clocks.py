@@ -9,23 +9,23 @@ that is to be predicted follow likewise, with cuffs that are known.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drake_exo.calibration.error_model import CLOCKS, ErrorModel
 from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.problem import PhaseProblem, PhaseResult
+from drake_exo.calibration.problem import PhaseProblem
 from drake_exo.calibration.settings import InteractionSettings
-from drake_exo.calibration.uncertainty import QUANTILE_95, posterior
+from drake_exo.calibration.uncertainty import DISCREPANCY, QUANTILE_95
 from drake_exo.contact.parameters import ContactModel, Posterior
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
-from drake_exo.nlp.sensitivity import Optimum
 
 # A clock is known if 95 % of what it may be is within this [s]: a device that
 # turns by 100 degrees a second is then known to a degree.
 LARGEST_DOUBT_S = 0.01
+_ORIGIN_M = 1e-3  # by which a cuff sits elsewhere from trial to trial
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Clock:
         }
 
 
-def clocks(trials: Iterable[Trial], known: Posterior) -> list[Clock]:
+def clocks_of(trials: Iterable[Trial], known: Posterior) -> list[Clock]:
     """Clocks of recorded trials, as far as they were estimated.
 
     Args:
@@ -104,7 +104,10 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
 
 
 class Timing(InteractionCalibration):
-    """Movement and forces as measured, on cuffs that are known.
+    """Phase B of one more trial: what is known comes before its own data.
+
+    Its cuffs are as calibrated, give or take what a calibration left open and
+    what no bushing tells: a cuff that bears more is stiffer, or slips.
 
     Args:
         model: subject and device.
@@ -122,29 +125,47 @@ class Timing(InteractionCalibration):
         *,
         refined: Mapping[str, int] | None = None,
     ):
+        values = contact.values()
+        parameters = [
+            replace(p, nominal=values[p.name], prior_sd=None) if p.free else p
+            for p in settings.parameters(model.cuffs)
+        ]
         errors = ErrorModel(model, trials, settings.errors, contact.posterior)
         PhaseProblem.__init__(
-            self, model, trials, contact, [], settings, errors, refined
+            self, model, trials, contact, parameters, settings, errors, refined
         )
 
+    def _add_errors(self) -> np.ndarray | None:
+        """As usual, with one prior of parameters and errors together."""
+        unknowns = self.errors.unknowns
+        if not unknowns:
+            return None
+        prog = self.program.prog
+        variables = np.array(
+            [prog.NewContinuousVariables(1, u.name)[0] for u in unknowns]
+        )
+        for variable, unknown in zip(variables, unknowns, strict=True):
+            prog.SetVariableScaling(variable, unknown.sd)
+        names, mean, covariance = self._prior()
+        cuffs = self.variables_of(names[: len(names) - len(unknowns)])
+        prog.AddQuadraticErrorCost(
+            0.5 * np.linalg.inv(covariance), mean, np.r_[cuffs, variables]
+        )
+        return variables
 
-def timed(result: PhaseResult) -> list[Clock]:
-    """Clocks that a Timing tells.
-
-    What is not known of the cuffs is not known of the clocks either.
-    """
-    problem = result.problem
-    known, before = posterior(result), problem.contact.posterior
-    cuffs = [n for n in before.names if n in problem.contact.values()]
-    program, place = problem.compiled, problem.program.indices
-    errors = place(problem.error_variables)
-    optimum = Optimum(
-        program,
-        program.restrict(result.values),
-        program.unknowns.column_of(errors),
-    )
-    moved = optimum.by_fixed(place(problem.variables_of(cuffs)))
-    moved = (program.unknowns.matrix @ moved)[errors]
-    more = moved @ before.of(cuffs)[1] @ moved.T
-    known = Posterior(known.names, known.values, known.covariance + more)
-    return clocks(problem.trials, known)
+    def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+        """Names (m,), mean (m,), covariance (m, m): parameters, then errors."""
+        known = self.contact.posterior
+        free = [p for p in self.parameters if p.free]
+        names = [p.name for p in free] + self.errors.names
+        mean, covariance = np.zeros(len(names)), np.zeros((len(names),) * 2)
+        k = len(free)
+        mean[k:], covariance[k:, k:] = self.errors.prior()
+        mean[:k] = [p.nominal for p in free]
+        i = [j for j, name in enumerate(names) if name in known.names]
+        _, covariance[np.ix_(i, i)] = known.of([names[j] for j in i])
+        for j, p in enumerate(free):
+            stiff = p.name.endswith(("_stiffness", ".slip"))
+            more = DISCREPANCY * p.nominal if stiff else _ORIGIN_M
+            covariance[j, j] += more**2
+        return names, mean, covariance

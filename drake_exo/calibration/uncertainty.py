@@ -429,7 +429,7 @@ def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
 
 
 # Cuffs stiffen and slip: no bushing tells a force better than to this share.
-_DISCREPANCY = 0.12
+DISCREPANCY = 0.12
 
 
 @dataclass(frozen=True)
@@ -546,7 +546,7 @@ def bands(result: PhaseResult) -> Bands | None:
     cuffs, mats = {}, {}
     for cuff, variables in movement.cuffs.items():
         force = trial.cuffs[cuff].components
-        sd = np.hypot(spread(variables), _DISCREPANCY * force)
+        sd = np.hypot(spread(variables), DISCREPANCY * force)
         cuffs[cuff] = QUANTILE_95 * sd
         if cuff in problem.trials[0].cuffs:
             mats[cuff] = QUANTILE_95 * _of_mats(

@@ -7,13 +7,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.checks import clock_checks
-from drake_exo.calibration.clocks import Clock, Timing, clocks, left, timed
+from drake_exo.calibration.clocks import Clock, Timing, clocks_of, left
 from drake_exo.calibration.error_model import (
     NO_ERRORS,
     ErrorModel,
     ErrorSizes,
 )
-from drake_exo.calibration.uncertainty import QUANTILE_95, posterior
+from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.parameters import Posterior
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.report.tables import clocks_table
@@ -56,7 +56,7 @@ def known_of(trial, encoders, pressure, sd=0.004):
 
 def test_a_clock_is_what_was_taken_out_and_what_was_left(in_device):
     trial = recorded(in_device.trials[0], pressure=0.05)
-    found = clocks([trial], known_of(trial, 0.03, -0.02))
+    found = clocks_of([trial], known_of(trial, 0.03, -0.02))
     assert [c.system for c in found] == ["encoders", "pressure"]
     assert [c.lag_s for c in found] == pytest.approx([0.03, 0.03])
     assert [c.sd_s for c in found] == pytest.approx([0.004, 0.012])
@@ -67,7 +67,7 @@ def test_a_clock_is_what_was_taken_out_and_what_was_left(in_device):
     np.testing.assert_allclose(again.values, [0.03, -0.02])
     np.testing.assert_allclose(again.covariance, np.diag([16e-6, 144e-6]))
     # Of a trial that was not recorded nothing is told.
-    assert clocks(in_device.trials, known_of(trial, 0.03, -0.02)) == []
+    assert clocks_of(in_device.trials, known_of(trial, 0.03, -0.02)) == []
     assert left(in_device.trials[0], []).names == ()
 
 
@@ -185,38 +185,47 @@ def test_a_trial_to_predict_is_timed_with_known_cuffs(studied):
     assert find_clocks(study, [trial], cuffs.result.contact) == []
 
 
-@pytest.mark.slow
-def test_what_is_not_known_of_cuffs_is_not_known_of_clocks(studied):
-    """By another solve with a stiffness moved by a little."""
-    study, cuffs = studied
-    trial, contact = study.trials()[2], cuffs.contact
-    solver = replace(study.interaction.solver, tolerance=1e-9)
-    settings = replace(study.interaction, solver=solver)
-
-    def solve(contact):
-        return Timing(study.model, [trial], contact, settings).solve()
-
-    result, known = solve(contact), contact.posterior
-    name = "pelvis.rotational_stiffness"
-    i, value = known.names.index(name), contact.values()[name]
-    covariance = np.zeros_like(known.covariance)
-    covariance[i, i] = (0.05 * value) ** 2
-    sd = [c.sd_s for c in timed(result)]
-    sure = replace(known, covariance=np.zeros_like(covariance))
-    only = replace(known, covariance=covariance)
-    for chosen, expected in ((sure, 0.0), (only, None)):
-        result.problem.contact = replace(contact, posterior=chosen)
-        found = np.array([c.sd_s for c in timed(result)])
-        own = posterior(result).part(result.problem.errors.names[-2:])
-        more = np.sqrt(np.maximum(found**2 - np.diag(own.covariance), 0.0))
-        if expected is None:
-            moved = solve(contact.with_values({name: 1.02 * value}))
-            place = result.problem.program.indices
-            index = place(result.problem.error_variables[-2:])
-            change = moved.values[index] - result.values[index]
-            np.testing.assert_allclose(
-                more, np.abs(change) * 0.05 / 0.02, rtol=0.1, atol=1e-6
-            )
-        else:
-            np.testing.assert_allclose(more, expected, atol=1e-9)
-    assert sd[0] > 0.0
+def test_what_is_known_comes_before_a_trials_own_data(in_device):
+    """One prior of parameters and errors, and what no bushing tells."""
+    contact = in_device.contact
+    values, trial = contact.values(), recorded(in_device.trials[0])
+    names = ("thigh.origin_x", "thigh.normal_stiffness", "skin.thigh.knee")
+    known = Posterior(
+        names,
+        np.array([values[names[0]], values[names[1]], 0.02]),
+        np.array([[1e-4, 0.2, 1e-5], [0.2, 9e4, 0.3], [1e-5, 0.3, 4e-4]]),
+    )
+    problem = Timing(
+        in_device.model,
+        [trial],
+        replace(contact, posterior=known),
+        in_device.settings(errors=ErrorSizes()),
+    )
+    all_names, mean, covariance = problem._prior()
+    i = [all_names.index(name) for name in names]
+    np.testing.assert_allclose(mean[i], known.values)
+    expected = known.covariance.copy()
+    expected[0, 0] += 1e-3**2
+    expected[1, 1] += (0.12 * values[names[1]]) ** 2
+    np.testing.assert_allclose(covariance[np.ix_(i, i)], expected)
+    k = all_names.index(f"{trial.name}.encoder_clock")
+    assert mean[k] == 0.0 and covariance[k, k] == pytest.approx(0.03**2)
+    # The cost of what is known, at another place.
+    x = problem.guess()
+    place = problem.program.indices
+    free = [p.name for p in problem.parameters if p.free]
+    assert all_names == free + problem.errors.names
+    index = place(np.r_[problem.variables_of(free), problem.error_variables])
+    program = problem.program.prog
+    costs = [
+        c
+        for c in program.quadratic_costs()
+        if c.variables().shape == (len(all_names),)
+    ]
+    (cost,) = costs
+    rng = np.random.default_rng(0)
+    off = np.sqrt(np.diag(covariance)) * rng.normal(size=len(mean))
+    x[index] = mean + off
+    found = cost.evaluator().Eval(x[place(cost.variables())])[0]
+    expected = 0.5 * off @ np.linalg.solve(covariance, off)
+    assert found == pytest.approx(expected, rel=1e-6)
