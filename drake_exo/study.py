@@ -18,7 +18,13 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration import scores
 from drake_exo.calibration.checks import phase_checks
-from drake_exo.calibration.clocks import Clock, Timing, clocks_of, left
+from drake_exo.calibration.clocks import (
+    Clock,
+    Timing,
+    clocks_of,
+    left,
+    retimed,
+)
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import (
     InteractionCalibration,
@@ -713,7 +719,7 @@ def find_clocks(
         if result is not None and result.solution.was_stopped:
             raise KeyboardInterrupt
         if result is not None and result.success:
-            found += clocks_of([trial], posterior(result))
+            found += clocks_of(result.problem.trials, posterior(result))
     return found
 
 
@@ -730,8 +736,16 @@ def _timing(
     solver = study.interaction.solver
     half = replace(solver, nodes_per_second=0.5 * solver.nodes_per_second)
     settings = replace(study.interaction, solver=half)
-    problem = Timing(study.model, [trial], contact, settings)
-    return problem.solve(on_iterate=SolveWatch(f"time {trial.name}"))
+    result = None
+    for _ in range(2):  # signals shift to first order
+        problem = Timing(study.model, [trial], contact, settings)
+        watch = SolveWatch(f"time {trial.name}")
+        result = problem.solve(on_iterate=watch, near=result)
+        if not result.success:
+            break
+        found = clocks_of([trial], posterior(result))
+        trial = retimed(trial, found)
+    return result
 
 
 def predict(
@@ -783,8 +797,9 @@ def predict(
         if timing is not None and timing.solution.was_stopped:
             return _prediction(timing)
         if timing is not None and timing.success:
-            clocks = clocks_of([trial], posterior(timing))
+            clocks = clocks_of(timing.problem.trials, posterior(timing))
     own = tuple(c for c in clocks if c.trial == trial.name)
+    trial = retimed(trial, own)
     scaled = known.scaled(scale_interaction)
     if scaled.posterior is not None:
         both = scaled.posterior.beside(left(trial, own))

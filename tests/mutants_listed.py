@@ -158,6 +158,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("float(lag + late)", "float(late)"),
         ("c.lag_s - lags[c.system]", "c.lag_s"),
         ("covariance[j, j] += more**2", "covariance[j, j] += more"),
+        ("(trial.times + late)", "(trial.times - late)"),
     ],
     "drake_exo/calibration/error_model.py": [
         ("moments[:, :, k] = self._moments(at, q, v, a, k)", "pass"),

@@ -12,8 +12,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.error_model import CLOCKS, ErrorModel
+from drake_exo.calibration.error_model import (
+    CLOCKS,
+    ErrorModel,
+    shared_moments,
+)
 from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.problem import PhaseProblem
 from drake_exo.calibration.settings import InteractionSettings
@@ -103,6 +108,33 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
     )
 
 
+def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
+    """A recorded trial with its encoders on the clock that was found.
+
+    The error model shifts signals to first order, which a torque that sets in
+    within a tenth of a second does not follow by tens of milliseconds.
+    """
+    lags = {c.system: c.lag_s for c in own if c.system == "encoders"}
+    if not lags:
+        return trial
+    taken_out = trial.provenance["delays_s"]
+    late = lags["encoders"] - taken_out["encoders"]
+    names, device = trial.coordinates, trial.coordinates.device_columns
+
+    def shown(x: np.ndarray) -> np.ndarray:
+        return CubicSpline(trial.times, x)(trial.times + late)
+
+    motion = {k: getattr(trial, k).copy() for k in ("q", "v", "a")}
+    for x in motion.values():
+        x[:, device] = shown(x[:, device])
+    moments = trial.moments
+    if trial.friction is None and moments is not None:
+        exo = moments[:, names.is_device_joint]
+        moments = moments + shared_moments(names, shown(exo) - exo)
+    said = trial.provenance | {"delays_s": taken_out | lags}
+    return replace(trial, **motion, moments=moments, provenance=said)
+
+
 class Timing(InteractionCalibration):
     """Phase B of one more trial: what is known comes before its own data.
 
@@ -126,9 +158,11 @@ class Timing(InteractionCalibration):
         refined: Mapping[str, int] | None = None,
     ):
         values = contact.values()
+        # A single trial may not slip at all.
         parameters = [
-            replace(p, nominal=values[p.name], prior_sd=None) if p.free else p
+            replace(p, nominal=values[p.name], prior_sd=None)
             for p in settings.parameters(model.cuffs)
+            if p.free and not p.name.endswith(".slip")
         ]
         errors = ErrorModel(model, trials, settings.errors, contact.posterior)
         PhaseProblem.__init__(
@@ -156,7 +190,7 @@ class Timing(InteractionCalibration):
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
         """Names (m,), mean (m,), covariance (m, m): parameters, then errors."""
         known = self.contact.posterior
-        free = [p for p in self.parameters if p.free]
+        free = self.parameters
         names = [p.name for p in free] + self.errors.names
         mean, covariance = np.zeros(len(names)), np.zeros((len(names),) * 2)
         k = len(free)
@@ -165,7 +199,7 @@ class Timing(InteractionCalibration):
         i = [j for j, name in enumerate(names) if name in known.names]
         _, covariance[np.ix_(i, i)] = known.of([names[j] for j in i])
         for j, p in enumerate(free):
-            stiff = p.name.endswith(("_stiffness", ".slip"))
+            stiff = p.name.endswith("_stiffness")
             more = DISCREPANCY * p.nominal if stiff else _ORIGIN_M
             covariance[j, j] += more**2
         return names, mean, covariance

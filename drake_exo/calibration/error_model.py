@@ -18,6 +18,7 @@ from drake_exo.measurement.inverse_dynamics import (
     inverse_dynamics,
 )
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 
 _DIFFERENCE = 1e-4  # of an unknown, relative to 1 rad/rad
@@ -194,7 +195,9 @@ class ErrorModel:
                 q[:, names.index(rest[0]), k] = 1.0
             elif kind == "friction":
                 if at.friction is not None:
-                    moments[:, :, k] = self._exo_moments(at.friction, rest[0])
+                    moments[:, :, k] = shared_moments(
+                        names, at.friction, rest[0]
+                    )
             elif kind == "mat":
                 cuff, what = rest
                 if cuff in normal:
@@ -205,27 +208,13 @@ class ErrorModel:
                 v[:, device, k] = -at.a[:, device]
                 if at.friction is None and at.moments is not None:
                     exo = at.moments[:, names.is_device_joint]
-                    moments[:, :, k] = self._exo_moments(
-                        -np.gradient(exo, at.times, axis=0)
+                    moments[:, :, k] = shared_moments(
+                        names, -np.gradient(exo, at.times, axis=0)
                     )
             else:
                 for cuff, force in at.cuffs.items():
                     normal[cuff][:, k] = -np.gradient(force.normal, at.times)
         return Effects(q, v, moments, normal)
-
-    def _exo_moments(self, change, joint: str | None = None) -> np.ndarray:
-        """Change (n, n_joints) by one of the device's moments (n, joints).
-
-        What the device bears more the human bears less.
-        """
-        names = self._model.coordinates
-        found = np.zeros((len(change), names.num_joints))
-        human = ~names.is_device_joint
-        for i, device in enumerate(names.device):
-            if joint in (None, device):
-                found[:, names.joint(device)] += change[:, i]
-                found[:, human] -= np.outer(change[:, i], names.turned_by[i])
-        return found
 
     def _moments(self, at: Trial, q, v, a, k) -> np.ndarray:
         """Change (n, n_joints) of the human's moments by skin that slides."""
@@ -253,6 +242,27 @@ def _is_given(trial: Trial, system: str) -> bool:
     said = trial.provenance
     left = said.get("clocks", {})
     return system in said.get("delays_s", {}) and system not in left
+
+
+def shared_moments(
+    names: Coordinates, change: np.ndarray, joint: str | None = None
+) -> np.ndarray:
+    """Change (n, n_joints) by one of the device's moments (n, joints).
+
+    What the device bears more the human bears less.
+
+    Args:
+        names: of the coordinates.
+        change: of the device's moments [N m].
+        joint: of the device, if it is one alone.
+    """
+    found = np.zeros((len(change), names.num_joints))
+    human = ~names.is_device_joint
+    for i, device in enumerate(names.device):
+        if joint in (None, device):
+            found[:, names.joint(device)] += change[:, i]
+            found[:, human] -= np.outer(change[:, i], names.turned_by[i])
+    return found
 
 
 def _squared(f, rate, acceleration):

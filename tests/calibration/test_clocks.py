@@ -7,7 +7,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.checks import clock_checks
-from drake_exo.calibration.clocks import Clock, Timing, clocks_of, left
+from drake_exo.calibration.clocks import (
+    Clock,
+    Timing,
+    clocks_of,
+    left,
+    retimed,
+)
 from drake_exo.calibration.error_model import (
     NO_ERRORS,
     ErrorModel,
@@ -69,6 +75,37 @@ def test_a_clock_is_what_was_taken_out_and_what_was_left(in_device):
     # Of a trial that was not recorded nothing is told.
     assert clocks_of(in_device.trials, known_of(trial, 0.03, -0.02)) == []
     assert left(in_device.trials[0], []).names == ()
+
+
+def test_a_trial_goes_on_the_clock_that_was_found(in_device):
+    """By other splines; a torque that sets in is where it was."""
+    trial = in_device.trials[0]
+    names, t = trial.coordinates, trial.times
+    moments, exo = trial.moments.copy(), trial.coordinates.is_device_joint
+    moments[:, exo] = np.outer(np.tanh((t - 0.7) / 0.1), [1.0, -20.0, 12.0])
+    true = replace(trial, moments=moments, friction=None)
+    shown = late(true, encoders=0.03)
+    spline = CubicSpline(t, moments[:, exo])
+    shown.moments[:, exo] = spline(np.clip(t - 0.03, t[0], None))
+    change = shown.moments[:, exo] - moments[:, exo]
+    for column, device in zip(change.T, names.device, strict=True):
+        shown.moments[:, names.joint(names.follows(device))] -= column
+    shown = recorded(shown, encoders=0.01)
+    found = retimed(shown, [Clock(trial.name, "encoders", 0.04, 0.004)])
+    inside = (t > 0.1) & (t < t[-1] - 0.1)
+    device = names.device_columns
+    for part in ("q", "v", "a"):
+        own, expected = (getattr(x, part)[inside] for x in (found, true))
+        size = np.abs(expected[:, device]).max()
+        np.testing.assert_allclose(own, expected, atol=0.01 * size)
+    np.testing.assert_allclose(found.moments[inside], moments[inside], atol=0.3)
+    off = np.abs(shown.moments - moments)[inside].max()
+    assert off > 3.0  # before
+    assert found.provenance["delays_s"]["encoders"] == 0.04
+    assert found.provenance["delays_s"]["pressure"] == 0.0
+    assert retimed(shown, []) is shown
+    mats = [Clock(trial.name, "pressure", 0.04, 0.004)]
+    assert retimed(shown, mats) is shown
 
 
 def test_a_clock_is_sure_if_it_is_known_to_ten_milliseconds():
@@ -176,7 +213,9 @@ def test_a_trial_to_predict_is_timed_with_known_cuffs(studied):
     problem = predicted.result.problem
     k = problem.errors.names.index(f"{trial.name}.encoder_clock")
     mean, covariance = problem.errors.prior()
-    assert mean[k] == pytest.approx(own[0].lag_s)
+    (used,) = problem.trials
+    assert used.provenance["delays_s"]["encoders"] == own[0].lag_s
+    assert mean[k] == 0.0
     assert covariance[k, k] == pytest.approx(own[0].sd_s ** 2)
     given = [Clock(trial.name, "encoders", 0.01, 1e-4)]
     other = predict(study, trial, cuffs, clocks=given)
@@ -213,7 +252,8 @@ def test_what_is_known_comes_before_a_trials_own_data(in_device):
     # The cost of what is known, at another place.
     x = problem.guess()
     place = problem.program.indices
-    free = [p.name for p in problem.parameters if p.free]
+    free = [p.name for p in problem.parameters]
+    assert not any(name.endswith("slip") for name in free)
     assert all_names == free + problem.errors.names
     index = place(np.r_[problem.variables_of(free), problem.error_variables])
     program = problem.program.prog
