@@ -472,6 +472,13 @@ class _Wearing(PhaseProblem):
         if self._total is not None:
             x[self.program.indices(self._total)] = self.work(values)
 
+    def _under_segments(self, at: Trial) -> np.ndarray:
+        """Ground reaction (n, 3 k), a foot's on the first of its segments."""
+        found = {body: np.zeros((len(at.times), 3)) for body in self.soles}
+        for side, bodies in self.feet.items():
+            found[bodies[0]] = at.soles[side].array
+        return np.hstack(list(found.values()))
+
     def _fill_trial(
         self, x, movement, trial: Trial, contact, design: Design
     ) -> None:
@@ -493,7 +500,7 @@ class _Wearing(PhaseProblem):
             movement,
             (at.q, at.v, at.a),
             at.moments,
-            at.ground.array,
+            self._under_segments(at),
             cuffs,
         )
 

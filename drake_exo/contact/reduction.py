@@ -329,7 +329,9 @@ def reduce_sole(
     """
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     unknowns = spheres * len(columns) + 1
-    if (2 if planar else 3) * len(samples.force) < unknowns:
+    known = len(samples.force)
+    known += (1 if planar else 2) * np.count_nonzero(samples.loaded)
+    if known < unknowns:
         raise InputError(
             f"{len(samples.force)} samples do not tell {unknowns} unknowns of "
             f"{spheres} spheres; take fewer spheres or a longer step"
@@ -408,7 +410,7 @@ def _reduction(samples, planar, best, found, columns, scale) -> Reduction:
     information = best.jac.T @ best.jac
     covariance = np.linalg.pinv(information) * 2 * best.cost / spare
     half = np.zeros((len(stiffness), 4))
-    sd = np.sqrt(np.diag(covariance))[1:]
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))[1:]
     half[:, columns] = sd.reshape(len(stiffness), -1)
     return Reduction(
         samples,

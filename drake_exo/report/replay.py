@@ -163,6 +163,7 @@ _SECONDS_PER_FRAME = 0.02
 _BESIDE_M = (1.35, 0.0, 0.0)
 _CHAIR = "/chair"
 _SPHERES = "/spheres"
+_AWAY_M = -10.0
 _GHOST = Rgba(0.30, 0.55, 0.95, 0.35)
 _ACROSS_M = {"left": 0.1, "right": -0.1, "both": 0.0}
 _FEET_Y_M = (_ACROSS_M["left"], _ACROSS_M["right"])
@@ -530,7 +531,8 @@ def show_trial(meshcat: Meshcat, model: Model, trial: Trial) -> None:
         scene.set_pose(q, t)
         scene.diagram.ForcedPublish(scene.context)
         for path, place in cops.items():
-            at_rest = RigidTransform(np.nan_to_num(place[i]))
+            # Where a foot bears nothing, its disc is out of sight.
+            at_rest = RigidTransform(np.nan_to_num(place[i], nan=_AWAY_M))
             meshcat.SetTransform(path, at_rest, t)
     meshcat.StopRecording()
     meshcat.PublishRecording()

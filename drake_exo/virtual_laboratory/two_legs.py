@@ -60,6 +60,7 @@ from drake_exo.virtual_laboratory.truth import (
     STANDING_COP_M,
     TRUTH,
     Truth,
+    checked,
     drawn_cuffs,
     five_spheres,
     other_masses,
@@ -124,7 +125,8 @@ def write_movements(
         description: YAML file that says what a study's `model` does.
         movement: a name in MOVEMENTS.
         seed: same seed, same bytes.
-        disturbances: names of `ACTING` that act; others are left out.
+        disturbances: that act, of those in `ACTING`; the virtual laboratory's
+            others are left out.
         trials: how many.
         left_share: of the ground's force that the left leg bears.
         files: "c3d" or "opensim".
@@ -134,7 +136,8 @@ def write_movements(
 
     Raises:
         InputError: a description that cannot be, or is not of two legs with
-            rigid feet; an unknown movement, a share that tips the body over.
+            rigid feet; an unknown movement or disturbance, a share that tips
+            the body over.
     """
     folder = Path(folder)
     if movement not in MOVEMENTS:
@@ -148,7 +151,7 @@ def write_movements(
         )
     if trials < 1 or seed < 0:
         raise InputError("give at least one trial, and a seed from 0 on")
-    active = frozenset(disturbances) & frozenset(ACTING)
+    active = checked(disturbances) & frozenset(ACTING)
     subject = draw(Path(description), seed, active)
     _copy_device(Path(description), subject, folder)
     (folder / "truth").mkdir(parents=True, exist_ok=True)

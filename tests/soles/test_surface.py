@@ -135,6 +135,20 @@ def test_a_shoe_is_meshed(shoe):
 
 
 @pytest.mark.slow
+def test_an_element_that_is_in_the_way_holds_its_own_nodes_back_alone():
+    """Of a fine mesh all but a few nodes of the skin lie on the surface."""
+    surface = Surface(shoe_surface(), "shoe")
+    mesh = sole_from_surface(surface, 6000)
+    flat = surface.corners[(np.abs(surface.corners[:, :, 2]) < 1e-12).all(1)]
+    top = flat.reshape(-1, 3)
+    middle = 0.5 * (top.min(axis=0) + top.max(axis=0))
+    skin = mesh.nodes[np.unique(mesh.boundary_faces)] + middle
+    away = np.linalg.norm(_nearest(surface.corners, skin, 1e-3) - skin, axis=1)
+    assert np.mean(away > 1e-5) < 0.01
+    assert away.max() < 2e-4
+
+
+@pytest.mark.slow
 def test_a_top_that_is_not_flat_is_asked_for_and_taken():
     corners = shoe_surface(60, 10)
     corners[..., 2] += 4 * corners[..., 1] ** 2  # a cup for the foot

@@ -5,10 +5,21 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import drake_exo as dx
+from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_result import works
+from drake_exo.calibration.error_model import NO_ERRORS
+from drake_exo.calibration.settings import (
+    DesignSettings,
+    PredictionSettings,
+    Solver,
+)
+from drake_exo.calibration.wearers import OwnMovement, Wearer
 from drake_exo.cli import main
+from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
 from drake_exo.virtual_laboratory.two_legs import (
     _SQUAT,
     ACTING,
@@ -141,6 +152,7 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
         (alone, {"left_share": 0.95}, "give 0.1 to 0.9"),
         (alone, {"movement": "walk"}, "has rise and squat"),
         (alone, {"trials": 0}, "at least one trial"),
+        (alone, {"disturbances": ["gremlins"]}, "called 'gremlins'"),
         (tmp_path / "none.yaml", {}, "cannot be read"),
     ):
         with pytest.raises(InputError, match=words):
@@ -153,3 +165,46 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
     ):
         assert main(["lab", "--out", out, *options]) == 2
         assert words in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_cuffs_on_two_legs_are_designed(worn):
+    """A squat in which the device helps: less is felt, at the same work."""
+    subject = draw(worn, 3, frozenset())
+    plan = both_legs(subject, subject.planner.squat(_SQUAT), 0.5)
+    model, rigid = subject.model, subject.model.rigid.tree.coordinates
+    names = subject.model.coordinates
+    used = np.flatnonzero((plan.times > 0.5) & (plan.times < 2.0))
+    own = [n if n in rigid.names else names.follows(n) for n in names.names]
+    columns = rigid.columns(own)
+    accelerations = np.gradient(plan.v, plan.times, axis=0)
+    q, v, a = (x[used][:, columns] for x in (plan.q, plan.v, accelerations))
+    times, ground = plan.times[used] - plan.times[used[0]], plan.ground[used]
+    moments = np.zeros((len(times), len(names.joints)))
+    helped = -5.0 * np.sin(np.pi * times / times[-1]) ** 2
+    moments[:, names.is_device_joint] = helped[:, None]
+    for joint in rigid.joints:
+        torque = plan.torque[used, rigid.joint(joint)]
+        moments[:, names.joint(joint)] = torque
+    half = PlanarWrench.of(0.5 * ground)
+    squat = Trial(
+        *("squat", names, times, q, v, a, PlanarWrench.of(ground)),
+        source="simulated",
+        feet={"left": half, "right": half},
+        moments=moments,
+    )
+    solver = Solver(20.0, tolerance=1e-5)
+    phase = PredictionSettings(solver=solver, guess="data", errors=NO_ERRORS)
+    contact = nominal_contact(model)
+    moved = OwnMovement(model, [squat], contact, phase).solve()
+    assert moved.success
+    wearer = Wearer("somebody", model, contact, tuple(moved.trials))
+    settings = DesignSettings(points=1, solver=solver)
+    today = DesignProblem([wearer], settings, held=True).solve()
+    found = DesignProblem([wearer], settings, today=today).solve()
+    assert today.solution.success and found.solution.success
+    # What is filled from one solution is nearly the other.
+    assert today.solution.iterations < 6
+    assert found.norm_n < 0.8 * today.norm_n
+    work = [works(r)["somebody"] for r in (today, found)]
+    assert work[1] == pytest.approx(work[0], rel=0.006)
