@@ -269,7 +269,7 @@ _PITCH_RAD = 0.1  # that the settled foot may turn from the measured one
 _SMOOTH_S = 0.02  # of that turn
 _FADE_S = 0.1  # of offsets, while the foot is in the air
 _CLEAR_M = 0.005  # of a foot that bears nothing
-_CLEAR_M, _PITCHES = 0.3, 20
+_HIGHEST_M, _PITCHES = 0.3, 20  # of a foot that is lowered; bisections
 
 
 def settle_rolling(
@@ -332,7 +332,7 @@ def _heights(kernel, spheres, places, pitch, force):
     """Height (n,) of the foot that gives a force, and forces (n, m)."""
     _, up = _reach(places, pitch)
     below = spheres[:, _RADIUS] - up
-    height, depths = sunk(kernel, spheres, below, force, _CLEAR_M)
+    height, depths = sunk(kernel, spheres, below, force, _HIGHEST_M)
     return height, static_force(kernel, spheres, depths)
 
 

@@ -158,3 +158,16 @@ def test_a_foot_turns_towards_where_its_load_was_measured():
     before = np.abs([cop(seen(k)) for k in turned] - measured)
     # The turn is smoothed over time, so that not all of it is there.
     assert off.mean() < 0.75 * before.mean()
+
+
+def test_a_foot_in_the_air_is_just_clear_of_the_ground():
+    kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
+    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
+    foot = np.zeros((len(TIMES), 3))
+    foot[:, 1] = np.linspace(0.05, 0.15, len(TIMES))  # soles at 0.092
+    q, _ = settle_rolling(
+        kernel, spheres, places, TIMES, foot, np.zeros((len(TIMES), 3))
+    )
+    np.testing.assert_allclose(q[:, 1], np.maximum(foot[:, 1], 0.097))
+    np.testing.assert_array_equal(q[:, [0, 2]], foot[:, [0, 2]])
