@@ -38,6 +38,13 @@ def test_a_study_runs_its_cases_side_by_side(tmp_path, capsys):
     rows = json.loads((out / "summary.json").read_text("utf-8"))["cases"]
     assert [row["name"] for row in rows] == ["1-Ref", "2-Rot"]
     assert not list(out.rglob("optimize.log"))[1:]
+    # Two iterations find no optimum, and that is told.
+    for name in ("1-Ref", "2-Rot"):
+        (note,) = (
+            c for c in verdict.checks if (c.name, c.where) == ("optimum", name)
+        )
+        assert not note.holds and note.level == "note"
+        assert "before it was optimal" in note.sentence
     # One of three has failed, another is made to: what shows all says so.
     off = Check("plausibility.strain", False, 0.8, 0.6)
     path = out / "1-Ref" / "summary.json"

@@ -288,6 +288,16 @@ class Design:
             for what, value, limit, unit, sign in held
             if limit is not None
         ]  # fmt: skip
+        if self.optima:
+            last = self.optima[-1]
+            checks.append(
+                Check(
+                    "optimum", bool(last.optimal), where=name, sentence=""
+                    if last.optimal else f"the search ended before it was "
+                    f"optimal ({last.status}); go on with --resume or more "
+                    "--iterations", level="note",
+                )
+            )  # fmt: skip
         if finer is not None:
             change = finer["change"]
             holds = bool(abs(change) <= _FINER)
