@@ -27,8 +27,7 @@ def run_mmg(
     """Nodes (n, 3) and tetrahedra (e, 4) that Mmg makes of a body.
 
     Args:
-        body: Its `nodes` (n, 3) and `tets` (e, 4), and one of
-            `triangles` (t, 3): of the surface, which is kept;
+        body: Its `nodes` (n, 3) and `tets` (e, 4), and either
             `level` (n,): cells are cut where it is zero;
             `size` (n,) [m]: of the new elements' edges, with `gradation`,
             the largest ratio of neighbouring ones.

@@ -25,8 +25,6 @@ if __name__ == "__main__":
     body = np.load(io.BytesIO(sys.stdin.buffer.read()))
     mesh = MmgMesh3D()
     counts = {"vertices": len(body["nodes"]), "tetrahedra": len(body["tets"])}
-    if "triangles" in body:
-        counts["triangles"] = len(body["triangles"])
     mesh.set_mesh_size(**counts)
     mesh.set_vertices(body["nodes"], None)
     mesh.set_tetrahedra(body["tets"].astype(np.int32), None)
@@ -37,17 +35,13 @@ if __name__ == "__main__":
                 body["level"][:, None],
                 hmax=1.3 * step, hmin=0.5 * step, hausd=0.1 * step, verbose=-1,
             )  # fmt: skip
-        elif "size" in body:
+        else:
             mesh.set_field("metric", body["size"][:, None])
             typical = float(np.median(body["size"]))
             mesh.remesh(
                 hgrad=float(body["gradation"]), hausd=0.1 * typical,
                 verbose=-1,
             )  # fmt: skip
-        else:
-            triangles = body["triangles"].astype(np.int32)
-            mesh.set_triangles(triangles, None)
-            mesh.remesh(nosurf=1, optim=1, verbose=-1)
     except Exception as error:  # whatever Mmg makes of it
         sys.exit(f"Mmg: {error}")
     whole = io.BytesIO()

@@ -445,7 +445,6 @@ class OptimizeBlock:
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
     roughness: float = not_negative("", 1.0)
     tolerance: float = positive("", 1e-4)
-    remeshes: int = field(default=3, metadata={"minimum": 0})
     starts: int = field(default=3, metadata={"minimum": 1})
     stages: tuple[Stage, ...] | None = None
     shape: ShapeBlock = ShapeBlock()

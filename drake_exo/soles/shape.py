@@ -133,13 +133,3 @@ def _basis_matrix(angle: np.ndarray, intervals: int) -> np.ndarray:
     )
     inside = np.clip(angle, knots[0], knots[-1])
     return BSpline.design_matrix(inside, t, _DEGREE).toarray()
-
-
-def pull_back(
-    nodes: np.ndarray, spline: SphericalSpline, p: np.ndarray
-) -> np.ndarray:
-    """Undeformed places X = X'/s of deformed nodes X' (n, 3) [m].
-
-    s depends on the direction alone; the origin stays where it is.
-    """
-    return nodes / spline.stretch(nodes, p)[:, None]

@@ -25,9 +25,6 @@ def _sole_checkpoint(path):
         multipliers=np.zeros(4),
         barrier=1e-3,
         curvature=np.eye(9),
-        mesh=brick((0.2, 0.1, 0.03), (1, 1, 1)),
-        meshed_at=np.ones(9),
-        remeshed=({"stage": 1, "iteration": 2},),
     ).write(path.parent)
 
 

@@ -20,8 +20,8 @@ from drake_exo.soles.optimize.limits import Limits, StrainNorm, soft_minimum
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
 from drake_exo.soles.optimize.problem import (
     ShapeProblem,
+    bends,
     sample_weights,
-    second_differences,
     thinned,
 )
 from drake_exo.soles.optimize.search import settle
@@ -474,10 +474,26 @@ def test_soft_minimum_is_below_and_its_shares_add_up():
     assert share.sum() == pytest.approx(1.0)
 
 
-def test_roughness_of_a_constant_scale_vanishes():
-    D, d0 = second_differences(SphericalSpline((5, 5)))
-    bend = D @ np.ones(SphericalSpline((5, 5)).count) + d0
-    assert np.abs(bend).max() < 1e-14
+def test_bends_of_a_surface_are_what_its_elements_do_not_resolve():
+    mesh = brick((0.24, 0.12, 0.03), (12, 6, 2))
+    rows = bends(mesh)
+    # The rim of the fixed top has no row.
+    assert rows.shape == (len(mesh.bare), len(mesh.nodes))
+    assert np.abs(rows @ np.ones(len(mesh.nodes))).max() < 1e-14
+    x, y, z = mesh.nodes[mesh.bare].T
+    flat = (np.abs(x) < 0.11) & (np.abs(y) < 0.05) & (z < -0.029)
+    assert flat.sum() == 11 * 5
+    linear = mesh.nodes @ [1.0, -2.0, 0.5]
+    assert np.abs((rows @ linear)[flat]).max() < 1e-15
+    # Of a wave h²/4 of its curvature with four neighbours, 3 h²/8 with eight;
+    # a zigzag counts most.
+    waves = np.cos(mesh.nodes[:, 0] * 5.0)
+    curved = -25.0 * waves[mesh.bare] * 0.02**2
+    share = (rows @ waves)[flat] / curved[flat]
+    near = np.abs(share[:, None] - [1 / 4, 3 / 8]).min(axis=1)
+    assert near.max() < 1e-3
+    zigzag = np.cos(np.pi * mesh.nodes[:, 0] / 0.02)
+    assert np.abs((rows @ zigzag)[flat]).min() > 0.99
 
 
 @pytest.mark.parametrize("refining", [True, False])

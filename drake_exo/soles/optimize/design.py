@@ -75,7 +75,6 @@ class Design:
         first: The initial shape likewise.
         optima: Outcome of every stage.
         stages_seconds: What each took.
-        remeshed: When elements were made anew, see `remeshing.record`.
         starts: Cost and violation that every start of the first stage has
             led to.
         seconds: What all of it took.
@@ -89,7 +88,6 @@ class Design:
     first: Step
     optima: list[Optimum]
     stages_seconds: list[float]
-    remeshed: tuple[dict, ...] = ()
     starts: tuple[dict, ...] = ()
     seconds: float = 0.0
     gait: dict | None = None
@@ -154,7 +152,6 @@ class Design:
             "ratio_tr": now["c_tr"] / first.c_tr,
             "ratio_rot": now["c_rot"] / first.c_rot,
             "optimal": bool(last and last.optimal),
-            "remeshed": self.remeshed,
             "starts": self.starts,
             "spread": self.spread,
             "active": self.active(),
@@ -301,15 +298,15 @@ class Design:
         if finer is not None:
             change = finer["change"]
             holds = bool(abs(change) <= _FINER)
-            worn = bool(np.isnan(change))
+            inverted = bool(np.isnan(change))
             checks.append(
                 Check(
-                    "plausibility.mesh", holds, None if worn else change,
+                    "plausibility.mesh", holds, None if inverted else change,
                     _FINER, "", name,
-                    "" if holds else "the design turns elements of a finer "
-                    "mesh over: its elements are worn out" if worn else
+                    "" if holds else "the design turns elements of a mesh "
+                    "of twice as many over" if inverted else
                     "c on a mesh of twice the elements differs by so much: "
-                    "the elements are too coarse, or worn out",
+                    "they are too coarse for the design",
                     "note",
                 )
             )  # fmt: skip
@@ -455,9 +452,7 @@ def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
         optima[-1].optimal = False
         optima[-1].cost, optima[-1].violation = cost_and_violation(problem, p)
     first = Step.by_exact_law(setup, problem.first.sole, problem.law.penalty)
-    return Design(
-        setup, problem, p, step, first, optima, seconds, at.remeshed, at.starts
-    )
+    return Design(setup, problem, p, step, first, optima, seconds, at.starts)
 
 
 def _at_least_twice(divisions) -> tuple[int, int, int]:

@@ -12,7 +12,6 @@ from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
 from drake_exo.soles.mesh import TetMesh, read_mesh
 from drake_exo.soles.optimize.optimizer import WarmStart
-from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.shape import SphericalSpline
@@ -32,10 +31,6 @@ class Checkpoint:
         multipliers: Of the constraints there.
         barrier: IPOPT's μ to go on with.
         curvature: Learnt Hessian (P, P).
-        mesh, meshed_at: Where the elements were made anew, the undeformed
-            sole and the design at which; else None. At the beginning of a
-            stage they are of the stage before.
-        remeshed: What summary.json says of it, one after the other.
         starts: Cost and violation that the first stage's starts have led to.
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
@@ -48,9 +43,6 @@ class Checkpoint:
     multipliers: np.ndarray | None = None
     barrier: float | None = None
     curvature: np.ndarray | None = None
-    mesh: TetMesh | None = None
-    meshed_at: np.ndarray | None = None
-    remeshed: tuple[dict, ...] = ()
     starts: tuple[dict, ...] = ()
     begun: tuple["Checkpoint | None", ...] = ()
 
@@ -62,33 +54,18 @@ class Checkpoint:
             and self.iteration >= 0
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
         )
-        if self.mesh is not None:
-            sound = (
-                sound
-                and len(self.meshed_at) == len(self.p)
-                and (np.abs(self.meshed_at) < _LARGEST).all()
-                and (np.abs(self.mesh.nodes) < _LARGEST).all()
-                and is_whole(self.mesh)
-            )
-        counted = all(
-            isinstance(row[key], int)
-            for row in self.remeshed
-            for key in ("stage", "iteration")
-        )
-        if not (sound and counted):
+        if not sound:
             raise ValueError("not a checkpoint")
 
     @classmethod
     def of(
-        cls, stage, iteration, best, hessian_approximation, problem, before
+        cls, stage, iteration, best, hessian_approximation, before
     ) -> "Checkpoint":
         """Of a running stage; `before` is where it stood earlier."""
-        mesh = None if problem.meshed_at is None else problem.mesh
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
-            hessian_approximation.matrix, mesh, problem.meshed_at,
-            before.remeshed, before.starts,
+            hessian_approximation.matrix, before.starts,
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -118,12 +95,6 @@ class Checkpoint:
                 "the same case and --limits"
             )
 
-    def on_its_mesh(self, problem: ShapeProblem) -> ShapeProblem:
-        """The stage's problem on the elements the run had made anew."""
-        if self.mesh is None:
-            return problem
-        return problem.with_mesh(self.mesh, self.meshed_at)
-
     def write(self, folder: Path) -> None:
         """Write checkpoint.json, whole or not at all."""
         lower = np.tril_indices(len(self.p))
@@ -137,15 +108,6 @@ class Checkpoint:
                 "multipliers": self.multipliers,
                 "barrier": self.barrier,
                 "curvature": self.curvature[lower],
-                "mesh": None
-                if self.mesh is None
-                else {
-                    "nodes_m": self.mesh.nodes,
-                    "tets": self.mesh.tets,
-                    "glued": self.mesh.fixed,
-                    "coefficients": self.meshed_at,
-                },
-                "remeshed": self.remeshed,
                 "starts": self.starts,
             },
         )
@@ -187,25 +149,12 @@ def read_checkpoint(path: Path) -> Checkpoint:
             _optional(data["multipliers"], np.array),
             _optional(data["barrier"], float),
             B + np.tril(B, -1).T,
-            *_mesh(data.get("mesh")),
-            tuple(data.get("remeshed") or ()),
             tuple(data.get("starts") or ()),
         )
         found.check()
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{file}: not a checkpoint; {remedy}") from None
     return found
-
-
-def _mesh(data) -> tuple[TetMesh | None, np.ndarray | None]:
-    if data is None:
-        return None, None
-    mesh = TetMesh(
-        np.array(data["nodes_m"], dtype=float).reshape(-1, 3),
-        np.array(data["tets"], dtype=np.int64).reshape(-1, 4),
-        np.array(data["glued"], dtype=np.int64).reshape(-1),
-    )
-    return mesh, np.array(data["coefficients"], dtype=float)
 
 
 def is_whole(mesh: TetMesh) -> bool:

@@ -232,7 +232,6 @@ class _Callbacks:
         self.problem, self.curvature, self.best = (problem, curvature, best)
         self.say = say
         self.stopped = self.stalled = False
-        self.ended = ""  # why it was told to
         # Cost, violation, error, iteration, rejections at the last change.
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self.at = AcceptedDesigns(problem, best).at
@@ -294,8 +293,7 @@ class _Callbacks:
         self.best.trace.append((iteration, cost, inf_pr, inf_du))
         self.best.error, self._barrier = inf_du, barrier
         if self.say is not None:
-            said = self.say(iteration, self.best)
-            self.ended = said if isinstance(said, str) else ""
+            self.say(iteration, self.best)
         rejected, mark = self.problem.evaluations - iteration, self._mark
         changed = abs(cost - mark[0]) >= _PROGRESS * abs(cost)
         changed = changed or abs(inf_pr - mark[1]) > _PROGRESS
@@ -304,7 +302,7 @@ class _Callbacks:
         self.stalled = (
             iteration - mark[3] > _PATIENCE or rejected - mark[4] > _REJECTED
         )
-        return not (self.stopped or self.stalled or self.ended)
+        return not (self.stopped or self.stalled)
 
 
 def _furthest(problem, p) -> float:
@@ -340,8 +338,7 @@ def minimise(
         bounds: Lower and upper bound of every coefficient.
         iterations: IPOPT iterations.
         tolerance: IPOPT's scaled optimality error.
-        on_iterate: Called with the iteration and the best so far; a text
-            ends the run, as its status.
+        on_iterate: Called with the iteration and the best so far.
         refining: p0 is good already: rejected trials shorten the steps that
             follow.
         hessian_approximation: Curvature known already; learns more.
@@ -379,7 +376,6 @@ def minimise(
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     if calls.stalled:
         best.status = "no more progress"
-    best.status = calls.ended or best.status
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
     conclude(problem, best, p, bounds, calls.at)

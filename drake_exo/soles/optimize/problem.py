@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_matrix, diags, identity
 
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
@@ -42,7 +43,8 @@ from drake_exo.soles.step.simulation import (
 _ELEMENT_SHARPNESS = 200.0
 _WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
 _ROUGHEST = 20.0  # how much farther the roughest change is, in `metric`
-_LEAST_VOLUME = 0.06  # of an element's own volume at rest
+_LEAST_QUALITY = 0.2  # of an element's own at rest
+_BEND = 0.1  # difference of a node from its neighbours that counts one
 
 
 @dataclass
@@ -59,15 +61,13 @@ class ShapeProblem:
         start: Just before contact.
         weight: w.
         limits: Constraints.
-        regularization_weight: Factor of the mean squared second difference
-            of the coefficients.
+        regularization_weight: Factor of the mean squared `bends` of the
+            surface over 0.1.
         fraction: Heel strike's part of the samples.
         samples: How many samples to simulate.
         of: Of several loads the mean of c over the initial shape's, or the
             worst.
         branch: History of the last accepted design.
-        meshed_at: Design (P,) whose deformed mesh was made anew; None for a
-            mesh of the undeformed sole. The element floor is relative to it.
         first: The initial shape, for the scales; by default simulated on
             the mesh.
     """
@@ -86,7 +86,6 @@ class ShapeProblem:
     samples: int | None = None
     of: Literal["mean", "worst"] = "mean"
     branch: StepHistory | None = None
-    meshed_at: np.ndarray | None = None
     first: Evaluation | None = None
     evaluations: int = 0
     failures: int = 0
@@ -102,29 +101,18 @@ class ShapeProblem:
         self.counts = by_rot
         share = self.load.shares[self.thinned.phase]
         self.by_tr, self.by_rot = share * by_tr, share * by_rot
-        self._bends = second_differences(self.spline)
+        bend = bends(self.mesh) / _BEND
+        self._bends = bend @ self.M, bend @ self.s0
         self.surface = SurfaceLimits(
             self.limits, self.mesh, (self.M != 0).any(axis=1)
         )
-        self._rest = self.mesh.volumes
-        if self.meshed_at is not None:
-            self._rest = self.deformed(self.meshed_at).volumes
+        self._rest = self.mesh.quality()
         if self.first is None:
             self.first = self.evaluate(np.ones(self.spline.count))
         if self.first is None:
             raise RuntimeError("the initial shape cannot be simulated")
         self.scales = np.abs(self._costs(self.first))
         self.limited = active_limits(self.limits, self.first, self.by_rot)
-
-    def with_mesh(self, mesh: TetMesh, p: np.ndarray) -> "ShapeProblem":
-        """The problem on another mesh of the same undeformed sole.
-
-        Scales and limits stay; the element floor is relative to the mesh
-        deformed by p.
-        """
-        other = replace(self, mesh=mesh, meshed_at=p, branch=None, _cache={})
-        other.limited = self.limited
-        return other
 
     def add_rotation_floor(self, least: float) -> None:
         """Limit c_rot from below [N·m/rad]."""
@@ -137,10 +125,6 @@ class ShapeProblem:
     def deformed(self, p: np.ndarray) -> TetMesh:
         """The mesh of a design; elements may be inverted."""
         return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
-
-    def margin(self, p: np.ndarray) -> float:
-        """How far the least volume ratio is above its floor."""
-        return self._elements(self.deformed(p))[0]
 
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""
@@ -312,25 +296,30 @@ class ShapeProblem:
         """Sobolev's H² metric of shapes, (P, P): smooth changes are near.
 
         A search that measures its first steps by it bends before it wrinkles,
-        and finds smoother optima with less worn elements.
+        and finds smoother optima.
         """
         bends = self._bends[0].T @ self._bends[0]
         largest = np.linalg.eigvalsh(bends)[-1]
         return np.eye(len(bends)) + _ROUGHEST * bends / largest
 
     def _elements(self, mesh: TetMesh) -> tuple[float, np.ndarray]:
-        """Least volume ratio of the elements above its floor; ∂/∂nodes.
+        """Least quality of the elements above its floor; ∂/∂nodes.
 
         The continuous map never inverts; discretised, an element does once
-        s varies within it. The search stays away from there.
+        s varies within it. A design stays one that its elements resolve.
         """
-        rest = self._rest
+        quality = mesh.quality()
         value, share = soft_minimum(
-            mesh.volumes / rest - _LEAST_VOLUME, _ELEMENT_SHARPNESS
+            quality / self._rest - _LEAST_QUALITY, _ELEMENT_SHARPNESS
         )
+        share = share * quality / self._rest
+        # ∂ log V^(2/3) − ∂ log Σ l², over the six edges of each.
+        x = mesh.nodes[mesh.tets]
+        apart = 4 * (x - x.mean(axis=1, keepdims=True))
+        l2 = 4 * (x**2).sum(axis=(1, 2)) - (x.sum(axis=1) ** 2).sum(axis=1)
+        local = 2 / 3 * mesh.gradients - 2 * apart / l2[:, None, None]
         out = np.zeros_like(mesh.nodes)
-        local = (share * mesh.volumes / rest)[:, None, None] * mesh.gradients
-        scatter(out, mesh.tets, local)
+        scatter(out, mesh.tets, share[:, None, None] * local)
         return value, out
 
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
@@ -381,21 +370,20 @@ def _evenly(first: int, last: int, number: int):
     )
 
 
-def second_differences(spline: SphericalSpline):
-    """Matrix and offset of the coefficients' second differences."""
-    n_theta, n_phi = (n + 2 for n in spline.intervals)
-    index = np.arange(n_theta * n_phi).reshape(n_theta, n_phi)
-    triples = np.concatenate(
-        [
-            np.stack([index[:-2], index[1:-1], index[2:]], -1).reshape(-1, 3),
-            np.stack([index[:, :-2], index[:, 1:-1], index[:, 2:]], -1).reshape(
-                -1, 3
-            ),
-        ]
-    )
-    D = np.zeros((len(triples), index.size))
-    row = np.arange(len(triples))
-    D[row, triples[:, 0]] = D[row, triples[:, 2]] = 1.0
-    D[row, triples[:, 1]] = -2.0
-    T, p0 = spline.free_map()
-    return D @ T, D @ p0
+def bends(mesh: TetMesh) -> csr_matrix:
+    """At bare nodes a field's mean over the neighbours less its own value.
+
+    h²/4 to 3 h²/8 of its Laplacian on the surface, h the elements' size: what
+    the elements do not resolve counts, whatever the spline could.
+
+    Returns:
+        (k, n); nodes at the rim of the fixed surface have no row.
+    """
+    faces = mesh.contact_faces
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, 1:], faces[:, [2, 0]]])
+    n, both = len(mesh.nodes), np.concatenate([edges, edges[:, ::-1]])
+    near = csr_matrix((np.ones(len(both)), both.T), shape=(n, n))
+    near.data[:] = 1.0  # an edge is met once from either side
+    inside = np.setdiff1d(np.unique(faces), mesh.fixed)
+    mean = diags(1.0 / near.sum(axis=1).A1[inside]) @ near[inside]
+    return mean - identity(n, format="csr")[inside]

@@ -2,9 +2,8 @@
 
 The first stage is searched from several starts, the brick and smooth bends of
 it, and the best goes on. Stages go from few to all samples, and the smoothing
-layer comes down; each starts from the best design of the one before. A stage
-whose elements are worn out goes on with new ones. Ctrl-C leaves the best so
-far on disk.
+layer comes down; each starts from the best design of the one before. Ctrl-C
+leaves the best so far on disk.
 """
 
 import shutil
@@ -32,20 +31,11 @@ from drake_exo.soles.optimize.optimizer import (
     minimise,
 )
 from drake_exo.soles.optimize.problem import ShapeProblem
-from drake_exo.soles.optimize.remeshing import (
-    RemeshError,
-    is_worn,
-    record,
-    with_new_elements,
-)
 from drake_exo.soles.settings import Settings, Setup, Stage
 from drake_exo.soles.step.results import Step
 from drake_exo.soles.walking_pattern import Gait
 
 _CHECKPOINT_EVERY = 3  # iterations
-_LEAST_ROUND = 5  # iterations before elements are made anew
-_WORN_OUT = "elements worn out"
-_BARRIER = 1e-4  # IPOPT's μ on new elements
 _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
 _ROUNDS, _GAIT_ITERATIONS = 2, 20  # of a walk and its sole in turns
 _KEPT = 1e-3  # of a limit
@@ -153,7 +143,7 @@ def optimise(
         at = run.at
         _keep(at, out)
     if problem is None:
-        problem = at.on_its_mesh(stage_problem(setup, stages[-1]))
+        problem = stage_problem(setup, stages[-1])
     design = verified(setup, problem, at, optima, seconds)
     pattern = setup.settings.load and setup.settings.load.pattern
     if pattern and pattern.free:
@@ -361,95 +351,8 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say):
     began, block = time.perf_counter(), setup.settings.optimize
     problem = stage_problem(setup, block.stages[number])
     at.check_fits(problem)
-    problem, at = _on_mesh(problem, setup, number, at)
-    best, approximation, problem, at = _run_rounds(
-        problem, block, number, at, out, say
-    )
-    best.latest = (best.p, best.multipliers, WarmStart.barrier)
-    following = min(number + 1, len(block.stages) - 1)
-    at = Checkpoint.of(following, 0, best, approximation, problem, at)
-    return _Run(best, time.perf_counter() - began, at), problem
-
-
-def _on_mesh(problem, setup: Setup, number, at: Checkpoint):
-    """The stage's problem on the elements it goes on with: its own brick's.
-
-    Those that were made anew stay until a stage has another brick.
-    """
-    stages = setup.settings.optimize.stages
-    same = stages[number].divisions == stages[max(number - 1, 0)].divisions
-    if at.iteration > 0 or same:
-        return at.on_its_mesh(problem), at
-    return problem, replace(at, mesh=None, meshed_at=None)
-
-
-def _run_rounds(problem, block, number, at: Checkpoint, out, say):
-    """One stage, on new elements whenever a design has worn them out.
-
-    Returns:
-        Its optimum, the approximated Hessian, the last problem and where it
-        stands.
-    """
-    trace, simulations = [], 0
-    rounds = block.remeshes - sum(
-        row["stage"] == number + 1 and row["iteration"] > 0
-        for row in at.remeshed
-    )
-    while True:
-        best, approximation = _search(
-            problem, block, number, at, out, say, rounds > 0
-        )
-        done = at.iteration + (best.trace[-1][0] if best.trace else 0)
-        trace += [(at.iteration + row[0], *row[1:]) for row in best.trace]
-        simulations += best.simulations
-        worn = rounds > 0 and is_worn(problem, best.p)
-        if not worn or done >= block.stages[number].iterations:
-            best.trace, best.simulations = trace, simulations
-            return best, approximation, problem, at
-        try:
-            new = with_new_elements(problem, best.p)
-        except RemeshError as error:
-            say(f"stage {number + 1}: no new elements: {error}")
-            best.status = f"{_WORN_OUT}; {error}"
-            best.trace, best.simulations = trace, simulations
-            return best, approximation, problem, at
-        row = record(number + 1, done, problem, new, best.p)
-        say(_remeshed_line(row))
-        rounds, rows = rounds - 1, (*at.remeshed, row)
-        best.latest = (best.p, _without_floor(best.multipliers), _BARRIER)
-        at = replace(at, remeshed=rows)
-        at = Checkpoint.of(number, done, best, approximation, new, at)
-        _keep(at, out)
-        # As after an interruption: a resumed run goes the same way.
-        problem = at.on_its_mesh(new)
-
-
-def _without_floor(multipliers: np.ndarray) -> np.ndarray:
-    """That of the element floor (after the volume's) is none on new ones."""
-    out = multipliers.copy()
-    out[1] = 0.0
-    return out
-
-
-def _remeshed_line(row: dict) -> str:
-    before, after = row["before"], row["after"]
-    tr = [x["c_tr"] or np.nan for x in (before, after)]
-    return (
-        f"stage {row['stage']}, iteration {row['iteration']}: elements made "
-        f"anew, {row['tets']} tets, least quality "
-        f"{before['least_quality']:.2f} -> {after['least_quality']:.2f}, "
-        f"c_tr {tr[0]:.3g} -> {tr[1]:.3g}"
-    )
-
-
-def _search(problem, block, number, at: Checkpoint, out: Path, say, remeshable):
-    """One stage from where it stands; its optimum and Hessian.
-
-    Where elements can be made anew it ends once they are worn out.
-    """
-    stage, bounds = block.stages[number], tuple(block.bounds)
+    bounds = tuple(block.bounds)
     approximation = QuasiNewton(problem.metric, at.curvature)
-    begin = settle(problem, at.latest)
 
     def note(iteration, best):
         cost, violation, error = best.trace[-1][1:]
@@ -461,25 +364,19 @@ def _search(problem, block, number, at: Checkpoint, out: Path, say, remeshable):
         )
         if iteration and iteration % _CHECKPOINT_EVERY == 0:
             done = at.iteration + iteration
-            _keep(
-                Checkpoint.of(number, done, best, approximation, problem, at),
-                out,
-            )
-        if (
-            remeshable
-            and iteration >= _LEAST_ROUND
-            and is_worn(problem, best.p)
-        ):
-            return _WORN_OUT
-        return None
+            _keep(Checkpoint.of(number, done, best, approximation, at), out)
 
-    left = max(stage.iterations - at.iteration, 0)
+    left = max(block.stages[number].iterations - at.iteration, 0)
     best = minimise(
-        problem, begin, bounds, left, block.tolerance, note,
-        refining=number > 0, hessian_approximation=approximation,
+        problem, settle(problem, at.latest), bounds, left, block.tolerance,
+        note, refining=number > 0, hessian_approximation=approximation,
         warm=at.warm_start(bounds),
     )  # fmt: skip
-    return best, approximation
+    best.trace = [(at.iteration + row[0], *row[1:]) for row in best.trace]
+    best.latest = (best.p, best.multipliers, WarmStart.barrier)
+    following = min(number + 1, len(block.stages) - 1)
+    at = Checkpoint.of(following, 0, best, approximation, at)
+    return _Run(best, time.perf_counter() - began, at), problem
 
 
 def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
