@@ -60,7 +60,8 @@ class QuasiNewton:
         self.matrix += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / sBs
 
 
-FEASIBLE = 1e-4
+# Of a scaled limit; a design is checked to be within a per cent of each.
+FEASIBLE = 5e-3
 # A stage ends after so many iterations, or rejected simulations, that changed
 # cost and violation by less and did not bring the optimality error, once below
 # 1, down by a factor.
@@ -134,7 +135,7 @@ class Optimum:
 
     Attributes:
         p: IPOPT's last design where it met its tolerance, else the best
-            feasible one met (least cost with violation below 1e-4), or the
+            feasible one met (least cost, violation up to `FEASIBLE`), or the
             least infeasible where none was feasible.
         cost: Its scaled cost.
         status: IPOPT's return code in words.
