@@ -29,7 +29,7 @@ _PLACES = {
         "InteractionSettings",
         "PredictionSettings",
     ],
-    "contact.controllers": ["AssistController"],
+    "contact.systems": ["AssistController"],
     "contact.diagram": ["build_diagram", "build_simulator"],
     "contact.parameters": ["ContactModel", "nominal_contact"],
     "contact.strap": ["read_design"],

@@ -364,7 +364,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("for x in 1e-3 * p", "for x in p"),
         ("middle = np.hypot(0.5 * normal, tension)", "middle = tension"),
     ],
-    "drake_exo/virtual_laboratory/control.py": [
+    "drake_exo/virtual_laboratory/plan.py": [
         (
             "return -np.array(self.viscous) * rates - dry",
             "return -np.array(self.viscous) * rates",

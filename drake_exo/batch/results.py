@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from drake_exo.batch.file import Task
 from drake_exo.batch.run import Batch
-from drake_exo.batch.tasks import Task
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json, write_json
 

@@ -1,25 +1,332 @@
-"""A batch from its file to its tables; what is done is not done again."""
+"""A batch from its file to its tables; what is done is not done again.
+
+A worker runs a task's command and keeps its results whole. A command writes
+into a draft below DIR/.drafts. Once it has ended, the draft becomes the task's
+folder in one step, with task.json, which says how it ended, and timing.json,
+which alone holds times, the host, and what was printed.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import importlib
+import json
+import os
 import shutil
+import socket
+import tempfile
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
-from drake_exo.batch.file import BatchFile, check_key, file_class, read_batch
-from drake_exo.batch.jobs import BatchProgress, Ended, Job, Pool, run_jobs
-from drake_exo.batch.tasks import Task, is_sole, tasks_of
-from drake_exo.batch.work import (
-    DRAFTS,
-    Outcome,
-    log_of,
-    outcome,
-    read_outcome,
+from drake_exo.batch.file import (
+    LAB,
+    BatchFile,
+    Task,
+    changed_text,
+    check_key,
+    file_class,
+    is_sole,
+    read_batch,
+    tasks_of,
 )
-from drake_exo.errors import InputError
-from drake_exo.files.output import write_json
+from drake_exo.batch.jobs import BatchProgress, Ended, Job, Pool, run_jobs
+from drake_exo.errors import InputError, first_line
+from drake_exo.files.output import MANIFEST, write_json
+
+TASK, TIMING = "task.json", "timing.json"
+DRAFTS = ".drafts"
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+# Where a run that was killed can go on, and end as it would have.
+_CHECKPOINTS = {"sole optimize": "checkpoint.json"}
+_WORDS = {0: "holds", 1: "not solved", 2: "failed", 3: "does not hold"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a task ended, as task.json holds it.
+
+    Attributes:
+        key: of the task, see `tasks`.
+        code: exit code of its command; None where it did not come to an end.
+        verdict: "holds", "does not hold", "not solved" or "failed".
+        sentence: why, where it does not hold.
+        task: what was run: entry, variant, step, options, changes.
+    """
+
+    key: str
+    code: int | None
+    verdict: str
+    sentence: str = ""
+    task: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether other tasks can build on it."""
+        return self.code in (0, 3)
+
+
+def read_outcome(folder: Path) -> Outcome | None:
+    """What task.json says; None where there is none that is whole."""
+    try:
+        return Outcome(**json.loads((folder / TASK).read_text("utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def outcome(
+    task: Task, code: int | None, sentence: str = "", verdict: str = ""
+) -> Outcome:
+    """Of a task that ended; the verdict goes by the code where none is given.
+
+    Accepted, a result ends with 0 and does not hold.
+    """
+    told = {
+        "entry": task.entry,
+        "variant": task.variant,
+        "step": task.step,
+        "options": list(task.options),
+        "changes": task.changes,
+    }
+    word = verdict or _WORDS.get(code, "failed")
+    return Outcome(task.key, code, word, sentence, told)
+
+
+def log_of(task: Task, out: Path) -> Path:
+    """Where what it prints goes while it runs."""
+    return out / DRAFTS / f"{_mark(task)}.log"
+
+
+def _mark(task: Task) -> str:
+    """Of a task's drafts; two with the same contents have each its own."""
+    return sha256(f"{task.name} {task.key}".encode()).hexdigest()[:16]
+
+
+def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
+    """Run one task; called in a worker.
+
+    Args:
+        task: fields of a `Task`.
+        out: folder of the batch.
+        parse: "module:name" of what turns a command into its arguments.
+        near: folder of the batch file, which sentences leave out.
+
+    Returns:
+        The verdict, of a task whose results others can build on.
+
+    Raises:
+        InputError: it failed, or was not solved; task.json says so, too.
+            Without task.json where the disk is full: it is begun again.
+    """
+    task, out = Task(**task), Path(out)
+    drafts = out / DRAFTS
+    drafts.mkdir(parents=True, exist_ok=True)
+    earlier = sorted(drafts.glob(f"{_mark(task)}-*"))
+    draft = Path(tempfile.mkdtemp(prefix=f"{_mark(task)}-", dir=drafts))
+    results, log = draft / "out", log_of(task, out)
+    start = time.perf_counter()
+    with _printing_to(log):
+        try:
+            code, sentence = _run(task, out, draft, earlier, parse)
+        except Exception:
+            if _CHECKPOINTS.get(task.step) is None:
+                shutil.rmtree(draft, ignore_errors=True)
+            raise
+    sentence = _without(sentence, draft, out, Path(near))
+    found = outcome(task, code, sentence, _verdict(results, code))
+    results.mkdir(exist_ok=True)
+    timing = _take_times(results)
+    timing |= {
+        "seconds": time.perf_counter() - start,
+        "host": socket.gethostname(),
+        "log": log.read_text("utf-8", "replace").splitlines(),
+    }
+    for changed in draft.glob("*.yaml"):
+        os.replace(changed, results / changed.name)
+    write_json(results / TIMING, timing)
+    write_json(results / TASK, found)
+    _place(results, out / task.name, draft)
+    for old in (*earlier, draft):
+        shutil.rmtree(old, ignore_errors=True)
+    log.unlink(missing_ok=True)
+    if not found.is_solved:
+        raise InputError(found.sentence)
+    return found.verdict
+
+
+def _run(task, out, draft, earlier, parse) -> tuple[int, str]:
+    """Exit code, and the sentence that goes with it."""
+    module, _, name = parse.partition(":")
+    parse_command = getattr(importlib.import_module(module), name)
+    try:
+        args = parse_command(_command(task, out, draft, earlier))
+        code = args.run(args) or 0
+    except InputError as error:
+        _raise_if_full(error)
+        return 2, str(error)
+    except SystemExit:
+        # Of the parser, which has said why.
+        said = _last_line(log_of(task, out)).removeprefix("drake-exo: ")
+        return 2, f"options of {task.step}: {said}"
+    except OSError as error:
+        _raise_if_full(error)
+        raise
+    return code, _why(draft / "out", code, log_of(task, out))
+
+
+def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
+    """The arguments of `drake-exo`."""
+    to = ["--out", str(draft / "out")]
+    if task.step == LAB:
+        return [LAB, *task.options, "--jobs", "1", *to]
+    source, root = task.source, task.root
+    if source is None:
+        source = out / task.needs[LAB] / "study.yaml"
+    if root is None:
+        root = source.parent
+    if task.changes:
+        cls = file_class(task.step.startswith("sole"))
+        text = changed_text(source, cls, task.changes)
+        source = draft / source.name
+        source.write_text(text, encoding="utf-8")
+    command = [*task.step.split(), str(source), "--data-root", str(root)]
+    if "calibrate" in task.needs:
+        command += ["--calibration", str(out / task.needs["calibrate"])]
+    checkpoint = _CHECKPOINTS.get(task.step)
+    if checkpoint is not None:
+        left = [d for d in earlier if (d / "out" / checkpoint).is_file()]
+        if left:
+            newest = max(left, key=lambda d: (d / "out").stat().st_mtime)
+            command += ["--resume", str(newest / "out")]
+    return [*command, *task.options, *to]
+
+
+def _summary(results: Path) -> dict:
+    """What the command says of its results; nothing where it says none."""
+    for name in ("summary.json", "quality.json"):
+        try:
+            found = json.loads((results / name).read_text("utf-8"))
+        except (OSError, ValueError):
+            continue
+        if isinstance(found, dict):
+            return found
+    return {}
+
+
+def _verdict(results: Path, code: int) -> str:
+    """The command's own word, "" where it says none."""
+    word = _summary(results).get("verdict") if code != 2 else None
+    return word if isinstance(word, str) else ""
+
+
+def _why(results: Path, code: int, log: Path) -> str:
+    """What is wrong with results, in a sentence; "" where nothing is."""
+    for check in _summary(results).get("checks", []):
+        if check["level"] == "fail" and not check["holds"]:
+            parts = (check["name"], check["where"], check["sentence"])
+            return first_line(": ".join(part for part in parts if part))
+    if code == 0:
+        return ""
+    said = [line for line in _lines(log) if line.startswith("not solved")]
+    return first_line(said[0]) if said else _last_line(log)
+
+
+def _raise_if_full(error: BaseException) -> None:
+    """Raise a sentence of its own where the disk is full."""
+    cause = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _NO_ROOM:
+            raise InputError(
+                f"its results cannot be written ({cause.strerror}); make "
+                "room and run the batch again"
+            ) from error
+        cause = cause.__cause__ or cause.__context__
+
+
+@contextlib.contextmanager
+def _printing_to(log: Path):
+    """Send what Python and compiled code print to a file."""
+    kept = [os.dup(1), os.dup(2)]
+    with log.open("a", encoding="utf-8", buffering=1) as file:
+        file.truncate(0)
+        for fd in (1, 2):
+            os.dup2(file.fileno(), fd)
+        try:
+            with (
+                contextlib.redirect_stdout(file),
+                contextlib.redirect_stderr(file),
+            ):
+                yield
+        finally:
+            for fd, old in zip((1, 2), kept, strict=True):
+                os.dup2(old, fd)
+                os.close(old)
+
+
+def _lines(log: Path) -> list[str]:
+    return log.read_text("utf-8", "replace").splitlines()
+
+
+def _last_line(log: Path) -> str:
+    lines = [line.strip() for line in _lines(log) if line.strip()]
+    return first_line(lines[-1]) if lines else "it said nothing"
+
+
+def _without(sentence: str, draft: Path, *folders: Path) -> str:
+    """A sentence whose paths start from the batch."""
+    for folder in (draft, *folders):
+        sentence = sentence.replace(f"{folder}{os.sep}", "")
+    return sentence
+
+
+def _take_times(results: Path) -> dict[str, Any]:
+    """Move every time out of the JSON files of a folder."""
+    found = {}
+    for path in sorted(results.rglob("*.json")):
+        try:
+            tree = json.loads(path.read_text("utf-8"))
+        except ValueError:
+            continue
+        times: dict[str, Any] = {}
+        rest = _without_times(tree, "", times)
+        if times:
+            found[path.relative_to(results).as_posix()] = times
+            write_json(path, rest)
+    return {"files": found}
+
+
+def _without_times(tree, place: str, times: dict[str, Any]):
+    """The tree without its times, which go to `times` by dotted key."""
+    if isinstance(tree, dict):
+        rest = {}
+        for key, value in tree.items():
+            where = f"{place}.{key}" if place else key
+            if key == "seconds" or key.endswith("_seconds"):
+                times[where] = value
+            else:
+                rest[key] = _without_times(value, where, times)
+        return rest
+    if isinstance(tree, list):
+        return [
+            _without_times(value, f"{place}.{k}", times)
+            for k, value in enumerate(tree)
+        ]
+    return tree
+
+
+def _place(results: Path, target: Path, draft: Path) -> None:
+    """Put results in the place of earlier ones, whole."""
+    (results / MANIFEST).unlink(missing_ok=True)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if target.exists():
+        os.replace(target, draft / "old")
+    os.replace(results, target)
+
 
 _MARK = "tasks.json"
 
@@ -156,7 +463,7 @@ def _job(task: Task, out: Path, parse: str, near: Path) -> Job:
     }
     return Job(
         task.name,
-        "drake_exo.batch.work:run_task",
+        "drake_exo.batch.run:run_task",
         arguments,
         tuple(task.needs.values()),
         str(log_of(task, out)),

@@ -19,9 +19,8 @@ from drake_exo.collocation.kernels import (
     WRENCH_UNITS,
 )
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
-from drake_exo.contact.controllers import TrackingController
 from drake_exo.contact.diagram import build_diagram, build_simulator
-from drake_exo.contact.systems import Chair
+from drake_exo.contact.systems import Chair, TrackingController
 from drake_exo.files.verdict import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial

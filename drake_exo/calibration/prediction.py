@@ -24,7 +24,7 @@ from drake_exo.calibration.problem import (
 )
 from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.collocation.initial_guess import straight_line
-from drake_exo.collocation.loads import ControllerKernel
+from drake_exo.collocation.kernels import ControllerKernel
 from drake_exo.collocation.trial_program import (
     Tracking,
     TrialProgram,

@@ -18,11 +18,11 @@ from drake_exo.collocation.bushing_kernels import (
     EnergyKernel,
 )
 from drake_exo.collocation.kernels import (
+    AppliedWrench,
     BodyWrench,
     FootGroundKernel,
     PoseKernel,
 )
-from drake_exo.collocation.loads import AppliedWrench
 from drake_exo.collocation.trial_program import (
     Tracking,
     TrialProgram,

@@ -18,11 +18,12 @@ from drake_exo.collocation.bushing_kernels import (
 from drake_exo.collocation.kernels import (
     MOMENT_UNIT,
     WRENCH_UNITS,
+    AppliedWrench,
     DynamicsKernel,
     FootGroundKernel,
+    LoadedDynamicsKernel,
     PoseKernel,
 )
-from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
 from drake_exo.collocation.transcription import (
     FEWEST,
     TRANSCRIPTIONS,

@@ -1,8 +1,15 @@
-"""LeafSystems of the contacts, for a Drake diagram.
+"""LeafSystems of the contacts and of joints' controllers, for a diagram.
 
 Foot and ground, human and device, and the chair's measured wrench. A planar
 pose is (x, z, angle), a planar motion (v_x, v_z, rate): x forward, z up,
 angle toes-up positive (counter-clockwise seen from the right, about world −y).
+
+Of the controllers one tracks and one assists, an example to start from: an
+assist controller for predictions is a LeafSystem without state, with the input
+exoskeleton_state (angles, then rates of the device's joints) and the output
+exoskeleton_torques [N m], defined with TemplateSystem so that it converts to
+AutoDiffXd. `drake-exo predict --controller MODULE:NAME` puts it into the
+program itself.
 """
 
 import functools
@@ -44,7 +51,7 @@ from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
 )
-from drake_exo.contact.scalars import arctan2
+from drake_exo.contact.scalars import arctan2, sin
 from drake_exo.errors import InputError, check_fields
 
 
@@ -634,3 +641,103 @@ def Chair_(T):
 
 
 Chair = Chair_[None]
+
+
+class TrackingController(LeafSystem):
+    """Feed-forward torques plus proportional-derivative feedback.
+
+    Input state (q, v); output joint_torques, one for each hinge [N m].
+
+    Args:
+        times: (n,) [s].
+        q, v: (n, nq) reference.
+        torque: (n, n_joints) feed-forward [N m]; hinges are the last
+            coordinates.
+        stiffness: of the feedback [N m/rad].
+        damping: of the feedback [N m s/rad].
+
+    >>> still = np.zeros((2, 6))
+    >>> controller = TrackingController([0.0, 1.0], still, still, still[:, 3:])
+    >>> controller.GetOutputPort("joint_torques").size()
+    3
+    """
+
+    def __init__(self, times, q, v, torque, stiffness=500.0, damping=30.0):
+        super().__init__()
+        self.set_name("tracking_controller")
+        nq, n_joints = q.shape[1], torque.shape[1]
+        hinges = slice(nq - n_joints, nq)
+        # The torque at rest in the origin; what feedback takes off it.
+        at_zero = torque + stiffness * q[:, hinges] + damping * v[:, hinges]
+        self._at_zero = CubicSpline(times, at_zero)
+        self._feedback = np.zeros((n_joints, 2 * nq))
+        self._feedback[:, hinges] = stiffness * np.eye(n_joints)
+        rates = slice(2 * nq - n_joints, 2 * nq)
+        self._feedback[:, rates] = damping * np.eye(n_joints)
+        self.DeclareVectorInputPort("state", 2 * nq)
+        self.DeclareVectorOutputPort("joint_torques", n_joints, self._calc)
+
+    def _calc(self, context, output):
+        state = self.GetInputPort("state").Eval(context)
+        torque = self._at_zero(context.get_time()) - self._feedback @ state
+        output.SetFromVector(torque)
+
+
+@TemplateSystem.define("AssistController_")
+def AssistController_(T):
+    """See `AssistController`."""
+
+    class Impl(LeafSystem_[T]):
+        """Gravity-like support at knee and hip that fades as they extend.
+
+        torque = -support sin(angle) - damping rate, at knee and hip; flexion is
+        positive, so support extends.
+
+        Args of the constructor:
+            knee_nm, hip_nm: support at a right angle, both legs [N m].
+            damping: [N m s/rad].
+
+        Input exoskeleton_state (6): ankle, knee, hip [rad], then rates [rad/s].
+        Output exoskeleton_torques (3): ankle, knee, hip [N m].
+
+        >>> controller = AssistController(knee_nm=20.0)
+        >>> context = controller.CreateDefaultContext()
+        >>> bent = [0.0, 1.5708, 0.0, 0.0, 0.0, 0.0]
+        >>> port = controller.GetInputPort("exoskeleton_state")
+        >>> port.FixValue(context, bent) and None
+        >>> port = controller.GetOutputPort("exoskeleton_torques")
+        >>> port.Eval(context).round(2) + 0.0
+        array([  0., -20.,   0.])
+        """
+
+        def _construct(
+            self,
+            knee_nm: float = 15.0,
+            hip_nm: float = 15.0,
+            damping: float = 0.5,
+            converter=None,
+        ):
+            LeafSystem_[T].__init__(self, converter=converter)
+            self.set_name("assist_controller")
+            self._support = knee_nm, hip_nm
+            self._damping = damping
+            self.DeclareVectorInputPort("exoskeleton_state", 6)
+            self.DeclareVectorOutputPort("exoskeleton_torques", 3, self._calc)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(
+                self, *other._support, other._damping, converter=converter
+            )
+
+        def _calc(self, context, output):
+            state = self.GetInputPort("exoskeleton_state").Eval(context)
+            output.SetAtIndex(0, T(0.0))
+            for joint, support in zip((1, 2), self._support, strict=True):
+                torque = -support * sin(state[joint])
+                torque = torque - self._damping * state[3 + joint]
+                output.SetAtIndex(joint, torque)
+
+    return Impl
+
+
+AssistController = AssistController_[None]

@@ -36,6 +36,7 @@ from drake_exo.measurement.filters import (
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
+    wrenches,
 )
 from drake_exo.measurement.kinematics import (
     MarkerModel,
@@ -45,7 +46,6 @@ from drake_exo.measurement.kinematics import (
     residual_rms,
     solve_poses,
 )
-from drake_exo.measurement.loads import wrenches
 from drake_exo.measurement.mats import MatForce, read_mat_forces
 from drake_exo.measurement.recording import (
     FootForces,

@@ -14,11 +14,6 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.virtual_laboratory.control import (
-    DeviceController,
-    SubjectController,
-    controller,
-)
 from drake_exo.virtual_laboratory.forces import (
     Cuffs,
     Seat,
@@ -29,7 +24,12 @@ from drake_exo.virtual_laboratory.forces import (
     ground_wrench,
     interaction,
 )
-from drake_exo.virtual_laboratory.plan import Reference
+from drake_exo.virtual_laboratory.plan import (
+    DeviceController,
+    Reference,
+    SubjectController,
+    controller,
+)
 from drake_exo.virtual_laboratory.truth import Truth
 
 RATE_HZ = 1000.0

@@ -28,8 +28,8 @@ from drake_exo.model.segments import (
     ExoskeletonParameters,
     HumanParameters,
 )
-from drake_exo.virtual_laboratory.control import Friction
 from drake_exo.virtual_laboratory.forces import Cuff, levelled
+from drake_exo.virtual_laboratory.plan import Friction
 
 # How far truth may lie from what a calibration begins with.
 KINDS = ("wide", "near")

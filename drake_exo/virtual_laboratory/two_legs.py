@@ -34,7 +34,6 @@ from drake_exo.virtual_laboratory.campaign import (
     laboratory_section,
     vary,
 )
-from drake_exo.virtual_laboratory.control import Friction
 from drake_exo.virtual_laboratory.forces import levelled, resting_foot
 from drake_exo.virtual_laboratory.instruments import (
     MARKER_RATE_HZ,
@@ -48,6 +47,7 @@ from drake_exo.virtual_laboratory.instruments import (
     study_markers,
 )
 from drake_exo.virtual_laboratory.plan import (
+    Friction,
     Planner,
     Posture,
     Reference,

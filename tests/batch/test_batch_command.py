@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from small_step import stage, write_case, write_step
 
-from drake_exo.batch.work import TIMING
+from drake_exo.batch.run import TIMING
 from drake_exo.cli import main
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,14 @@ from pathlib import Path
 import pytest
 import yaml
 
-from drake_exo.batch.file import BatchFile, changed_text, check_key, entries
-from drake_exo.batch.tasks import SOLE_KEYS, tasks_of
+from drake_exo.batch.file import (
+    SOLE_KEYS,
+    BatchFile,
+    changed_text,
+    check_key,
+    entries,
+    tasks_of,
+)
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.soles.settings import Settings

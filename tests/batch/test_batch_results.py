@@ -19,6 +19,7 @@ from drake_exo.batch.figures import (
     draw_figures,
     limits_of_agreement,
 )
+from drake_exo.batch.file import Task
 from drake_exo.batch.results import (
     COLUMNS,
     Row,
@@ -30,9 +31,7 @@ from drake_exo.batch.results import (
     write_results,
     write_table,
 )
-from drake_exo.batch.run import Batch
-from drake_exo.batch.tasks import Task
-from drake_exo.batch.work import outcome
+from drake_exo.batch.run import Batch, outcome
 from drake_exo.files.output import write_json
 
 SUMMARY = {

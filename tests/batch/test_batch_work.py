@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from drake_exo.batch import work
-from drake_exo.batch.tasks import Task
-from drake_exo.batch.work import TASK, TIMING, read_outcome, run_task
+from drake_exo.batch import run
+from drake_exo.batch.file import Task
+from drake_exo.batch.run import TASK, TIMING, read_outcome, run_task
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 
@@ -177,4 +177,4 @@ def test_sentences_of_the_parser(tmp_path):
     found = read_outcome(tmp_path / "bert" / "check")
     assert found.code == 2
     assert found.sentence.startswith("options of check: error: unrecognized")
-    assert work.TASK in {p.name for p in (tmp_path / "bert/check").iterdir()}
+    assert run.TASK in {p.name for p in (tmp_path / "bert/check").iterdir()}

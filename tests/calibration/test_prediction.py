@@ -8,7 +8,7 @@ import pytest
 from drake_exo.calibration.scores import rms, rmsd
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.cli.predict import load_controller
-from drake_exo.contact.controllers import AssistController
+from drake_exo.contact.systems import AssistController
 from drake_exo.errors import InputError
 from drake_exo.nlp.ipopt import SealedSolutionError
 

@@ -15,15 +15,18 @@ from drake_exo.collocation.design_kernels import (
     DesignDynamicsKernel,
     MovedWeight,
 )
-from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
-from drake_exo.collocation.loads import ControllerKernel
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    ControllerKernel,
+    DynamicsKernel,
+)
 from drake_exo.contact.bushing import (
     BushingKinematics,
     bushing_deflection,
     bushing_energy,
     bushing_wrench,
 )
-from drake_exo.contact.controllers import AssistController, TrackingController
+from drake_exo.contact.systems import AssistController, TrackingController
 from drake_exo.errors import InputError
 
 N = 7

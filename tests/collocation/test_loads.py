@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
 
-from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
-from drake_exo.collocation.loads import AppliedWrench, LoadedDynamicsKernel
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    AppliedWrench,
+    DynamicsKernel,
+    LoadedDynamicsKernel,
+)
 from drake_exo.measurement.inverse_dynamics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 

@@ -5,7 +5,7 @@ import pytest
 from pydrake.systems.framework import BasicVector, LeafSystem
 
 from drake_exo.cli.predict import load_controller
-from drake_exo.collocation.loads import ControllerKernel
+from drake_exo.collocation.kernels import ControllerKernel
 from drake_exo.errors import InputError
 
 _MODULE = """

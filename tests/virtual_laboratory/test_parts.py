@@ -15,12 +15,6 @@ from drake_exo.contact.parameters import (
 from drake_exo.measurement.mats import cell_directions
 from drake_exo.measurement.settings import Mat, Scan
 from drake_exo.model.plant import nominal_model
-from drake_exo.virtual_laboratory.control import (
-    DeviceController,
-    Friction,
-    SubjectController,
-    controller,
-)
 from drake_exo.virtual_laboratory.forces import (
     Cuff,
     Cuffs,
@@ -44,7 +38,14 @@ from drake_exo.virtual_laboratory.instruments import (
     study_markers,
     write_scans,
 )
-from drake_exo.virtual_laboratory.plan import Planner, RisePlan
+from drake_exo.virtual_laboratory.plan import (
+    DeviceController,
+    Friction,
+    Planner,
+    RisePlan,
+    SubjectController,
+    controller,
+)
 from drake_exo.virtual_laboratory.simulation import equilibrium
 from drake_exo.virtual_laboratory.truth import (
     STANDING_COP_M,

@@ -12,11 +12,6 @@ from drake_exo.files.output import read_json
 from drake_exo.model.plant import nominal_model
 from drake_exo.model.segments import CONTACT_RADIUS_M, SEGMENTS
 from drake_exo.virtual_laboratory import campaign, truth
-from drake_exo.virtual_laboratory.control import (
-    DeviceController,
-    Friction,
-    SubjectController,
-)
 from drake_exo.virtual_laboratory.forces import (
     Cuff,
     SeatParameters,
@@ -24,7 +19,14 @@ from drake_exo.virtual_laboratory.forces import (
     seat_wrench,
 )
 from drake_exo.virtual_laboratory.instruments import Faults, Laboratory
-from drake_exo.virtual_laboratory.plan import Posture, Reference, RisePlan
+from drake_exo.virtual_laboratory.plan import (
+    DeviceController,
+    Friction,
+    Posture,
+    Reference,
+    RisePlan,
+    SubjectController,
+)
 from drake_exo.virtual_laboratory.truth import (
     STANDING_COP_M,
     TRUTH,

@@ -9,7 +9,7 @@ from drake_exo.cli import main
 from drake_exo.contact.strap import Assistance, CuffDesign, Design
 from drake_exo.errors import InputError
 from drake_exo.virtual_laboratory.campaign import read_about
-from drake_exo.virtual_laboratory.control import DeviceController
+from drake_exo.virtual_laboratory.plan import DeviceController
 from drake_exo.virtual_laboratory.truth import TRUTH, draw_truth, wearing
 
 DESIGN = Design(
