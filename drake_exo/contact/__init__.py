@@ -9,10 +9,14 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
     __name__,
     {
         "bushing": ["BushingParameters", "bushing_deflection", "bushing_force"],
-        "controllers": ["AssistController", "TrackingController"],
         "hunt_crossley": ["paper_stiffness", "sphere_force"],
         "parameters": ["ContactSphere", "GroundContact"],
         "reduction": ["SoleLaw"],
-        "systems": ["FootGroundContact", "HumanExoskeletonBushings"],
+        "systems": [
+            "AssistController",
+            "FootGroundContact",
+            "HumanExoskeletonBushings",
+            "TrackingController",
+        ],
     },
 )
