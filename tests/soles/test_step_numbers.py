@@ -9,6 +9,7 @@ import pytest
 from small_step import write_case, write_step
 
 from drake_exo.soles.case import Case
+from drake_exo.soles.loads import Load, constant
 from drake_exo.soles.step import results, stiffness
 from drake_exo.soles.step.results import Step
 
@@ -77,6 +78,16 @@ def test_stiffness_of_known_matrices():
 )
 def test_heel_strike_is_the_first_part(samples, fraction, count):
     assert stiffness.heel_strike_count(samples, fraction) == count
+
+
+def test_several_steps_weigh_by_their_shares():
+    """One of 20 samples that counts once, one of 30 that counts thrice."""
+    first, second = (constant((0.0, 0.0, 400.0), (0, 0), n) for n in (20, 30))
+    load = Load.one_after_another([first, second], [1.0, 3.0])
+    by_tr, by_rot = stiffness.sample_weights(load)
+    np.testing.assert_allclose(by_rot, [0.25] * 20 + [0.75] * 30)
+    strike = [0.25] * 2 + [0.0] * 18 + [0.75] * 3 + [0.0] * 27
+    np.testing.assert_allclose(by_tr, strike)
 
 
 def by_hand(K: np.ndarray) -> tuple[float, float]:
