@@ -20,6 +20,7 @@ HERE = Path(__file__).parent
 # Script -> options of the small size.
 QUICK = {
     "phase_a.py": ("--only", "3x50"),
+    "legs.py": ("--grids", "50"),
     "phases.py": ("--nodes-per-second", "50"),
     "random_starts.py": ("--starts", "4", "--nodes-per-second", "25"),
     "interval_coverage.py": ("--seeds", "4", "--nodes-per-second", "25"),
@@ -33,6 +34,7 @@ QUICK = {
     "sole_interruptions.py": ("--divisions", *"642", "--samples", "8"),
 }
 WITH_DATA = (
+    "legs.py",
     *("sole.py", "sole_starts.py", "sole_interruptions.py"),
     "sole_memory.py",
 )

@@ -297,6 +297,9 @@ class PhaseProblem(ABC):
             self._terms(movement, at, effects), self.error_variables
         )
         movement.add_jerk_cost(self.jerk)
+        if self.refined.get(movement.name, 1) > 1:
+            # From the start it would lead a step to other optima.
+            movement.damp()
         return movement
 
     @abstractmethod

@@ -230,7 +230,7 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
         jerk = problem.program.indices(movement.grid.jerk)
         weight = movement.jerk_weight / movement.jerk_sigma**2
         g[jerk] += weight * x[jerk]
-        variables, factors = movement.alternating()
+        variables, factors = movement.damped
         index = problem.program.indices(variables)
         missed = movement.grid.step * (x[index] @ factors)
         np.add.at(g, index, missed[:, None] * factors)

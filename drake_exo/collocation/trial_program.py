@@ -60,6 +60,8 @@ class TrialProgram:
         dynamics: kernel of the equations of motion; its inputs are q, v, a,
             torque, ground and, with bushings, their forces and origins.
         tracked: terms of the cost.
+        damped: variables (m, k) and their weights (k,) in m accelerations, in
+            units of ALTERNATING, see `damp`.
 
     Args:
         program: to add to.
@@ -129,6 +131,7 @@ class TrialProgram:
             kernel = LoadedDynamicsKernel(kernel, chair)
         self.dynamics = kernel
         self.tracked: list[Tracking] = []
+        self.damped = self.grid.jerk[:0, :1], np.ones(1)
         program.add_constraints(
             f"{name} dynamics",
             kernel,
@@ -298,10 +301,7 @@ class TrialProgram:
                 cost.evaluator().set_description(f"{self.name} cost[{t}]")
 
     def add_jerk_cost(self, sigma) -> None:
-        """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof.
-
-        And of what `alternating` tells.
-        """
+        """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
         Q = np.diag(1.0 / self.jerk_sigma**2)
@@ -311,27 +311,24 @@ class TrialProgram:
             self.program.prog.AddQuadraticCost(
                 weight * Q, zero, row, is_convex=True
             )
-        variables, factors = self.alternating()
+
+    def damp(self) -> None:
+        """Add 1/2 integral of what alternates between nodes as cost.
+
+        Of a root in the air: no torque takes what the equations of motion then
+        miss between the nodes. A root on the ground is held by its contact.
+        """
+        if self.tree.root in self.grounds:
+            return
+        variables, factors = self.grid.alternating()
+        variables = variables[:, self.coordinates.root_columns]
+        variables = variables.reshape(-1, len(factors))
+        factors = factors / ALTERNATING
+        self.damped = variables, factors
         Q = self.grid.step * np.outer(factors, factors)
         zero = np.zeros(len(factors))
         for row in variables:
             self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
-
-    def alternating(self) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations of a root in the air that alternate between nodes.
-
-        No torque takes what the equations of motion then miss between the
-        nodes. A root on the ground is held by its contact.
-
-        Returns:
-            variables (m, k) and their weights (k,) in m accelerations, in
-            units of ALTERNATING.
-        """
-        variables, factors = self.grid.alternating()
-        if self.tree.root in self.grounds:
-            variables = variables[:0]
-        variables = variables[:, self.coordinates.root_columns]
-        return variables.reshape(-1, len(factors)), factors / ALTERNATING
 
     @property
     def jerk_weight(self) -> float:
