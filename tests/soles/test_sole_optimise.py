@@ -1,6 +1,7 @@
 """The command `sole optimize` and the five cases."""
 
 import json
+import multiprocessing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from small_step import optimize, stage, write_case, write_step
 
+from drake_exo.errors import InputError
 from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.mesh import brick, read_mesh
@@ -123,6 +125,19 @@ def test_interrupted_three_times_the_optimum_is_the_same(
     )
 
 
+def test_a_start_whose_process_is_killed_is_told(folder, tmp_path):
+    _write_case(tmp_path / "case.yaml", 3, 1e-3, 400, starts=2)
+    case = Case.read(tmp_path / "case.yaml", folder)
+
+    def kill(line):
+        for child in multiprocessing.active_children():
+            if child.name.startswith("SpawnProcess"):
+                child.kill()
+
+    with pytest.raises(InputError, match="process of a start was killed"):
+        case.optimize(tmp_path, kill, at_once=2)
+
+
 def test_of_several_starts_the_best_goes_on(folder, tmp_path, monkeypatch):
     _write_case(tmp_path / "case.yaml", 3, 1e-3, 4, roughness=10.0, starts=3)
     case = Case.read(tmp_path / "case.yaml", folder)
@@ -214,7 +229,7 @@ def test_elements_stay_above_their_floor(folder):
     spline = SphericalSpline(tuple(design["intervals"]))
     p = np.array(design["coefficients"])
     shaped = mesh.with_nodes(spline.deform(mesh.nodes, p))
-    assert (shaped.quality() / mesh.quality()).min() > 0.2
+    assert (shaped.quality() / mesh.quality()).min() > 0.35
 
 
 def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):

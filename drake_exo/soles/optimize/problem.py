@@ -43,7 +43,7 @@ from drake_exo.soles.step.simulation import (
 _ELEMENT_SHARPNESS = 200.0
 _WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
 _ROUGHEST = 20.0  # how much farther the roughest change is, in `metric`
-_LEAST_QUALITY = 0.2  # of an element's own at rest
+_LEAST_QUALITY = 0.35  # of an element's own at rest
 _BEND = 0.1  # difference of a node from its neighbours that counts one
 
 

@@ -10,6 +10,8 @@ import shutil
 import signal
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -277,28 +279,37 @@ def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
         context = get_context("spawn")
         with (
             context.Manager() as manager,
-            context.Pool(min(at_once, count), _leave_interrupts) as pool,
+            # Interrupted, workers end at once: their checkpoints are on disk.
+            ProcessPoolExecutor(
+                min(at_once, count),
+                context,
+                signal.signal,
+                (signal.SIGINT, signal.SIG_DFL),
+            ) as pool,
         ):
             lines = manager.Queue()
             waiting = [
-                pool.apply_async(_from_start, (*call, lines.put))
-                for call in calls
+                pool.submit(_from_start, *call, lines.put) for call in calls
             ]
-            while not all(run.ready() for run in waiting):
-                try:
-                    say(lines.get(timeout=0.2))
-                except Empty:
-                    continue
-            runs = [run.get() for run in waiting]
+            try:
+                while not all(run.done() for run in waiting):
+                    try:
+                        say(lines.get(timeout=0.2))
+                    except Empty:
+                        continue
+                runs = [run.result() for run in waiting]
+            except BrokenProcessPool:
+                raise InputError(
+                    "optimize.starts: the process of a start was killed, for "
+                    "want of memory perhaps; go on with --resume and --jobs 1"
+                ) from None
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     if out is not None and count > 1:
         for k in range(count):
             shutil.rmtree(start_folder(out, k), ignore_errors=True)
     return runs
-
-
-def _leave_interrupts() -> None:
-    """Ctrl-C ends the parent, and that the pool."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _from_start(setup: Setup, start: int, at, out, say) -> _Run:
