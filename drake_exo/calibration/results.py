@@ -315,8 +315,8 @@ class StoredCalibration:
         return self._check(
             "calibration",
             made_of.verdict == HOLDS,
-            f"the calibration itself: {made_of.verdict}: "
-            f"{', '.join(made_of.failed)}",
+            f"the calibration itself: {made_of.verdict} "
+            f"({', '.join(made_of.failed)})",
         )
 
     def _check(self, name, holds, sentence, level="fail") -> Check:
