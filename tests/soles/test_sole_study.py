@@ -105,7 +105,8 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path):
     # Far above its own optimum so few elements make the search erratic.
     (point,) = pareto.pareto_front(case, (0.4,), stages=tiny)
     assert point["violation"] < 1e-3
-    assert point["ratio_rot"] > 0.4
+    # By the exact law, to the per cent that a limit is checked to.
+    assert point["ratio_rot"] > 0.99 * 0.4
     assert point["ratio_tr"] < 0.6
     assert point["failed_steps"] == 0
     assert "0.400" in paper.front_table([point])
