@@ -715,24 +715,24 @@ def find_clocks(
     """
     found = []
     for trial in trials:
-        result = _timing(study, trial, contact_of(contact))
+        result, own = _timing(study, trial, contact_of(contact))
         if result is not None and result.solution.was_stopped:
             raise KeyboardInterrupt
-        if result is not None and result.success:
-            found += clocks_of(result.problem.trials, posterior(result))
+        found += own
     return found
 
 
 def _timing(
     study: Study, trial: Trial, contact: ContactModel
-) -> PhaseResult | None:
-    """The trial with cuffs that are known; None where that tells nothing.
+) -> tuple[PhaseResult | None, list[Clock]]:
+    """The trial with cuffs that are known, and its clocks.
 
-    Clocks need no grid as fine as forces do.
+    No result where that tells nothing, no clocks where it is not solved. They
+    need no grid as fine as forces do.
     """
     lags = trial.provenance.get("delays_s", {})
     if contact.posterior is None or "encoders" not in lags:
-        return None
+        return None, []
     solver = study.interaction.solver
     half = replace(solver, nodes_per_second=0.5 * solver.nodes_per_second)
     settings = replace(study.interaction, solver=half)
@@ -742,10 +742,10 @@ def _timing(
         watch = SolveWatch(f"time {trial.name}")
         result = problem.solve(on_iterate=watch, near=result)
         if not result.success:
-            break
+            return result, []
         found = clocks_of([trial], posterior(result))
         trial = retimed(trial, found)
-    return result
+    return result, found
 
 
 def predict(
@@ -793,11 +793,9 @@ def predict(
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
     known = contact_of(contact)
     if clocks is None:
-        clocks, timing = [], _timing(study, trial, known)
+        timing, clocks = _timing(study, trial, known)
         if timing is not None and timing.solution.was_stopped:
             return _prediction(timing)
-        if timing is not None and timing.success:
-            clocks = clocks_of(timing.problem.trials, posterior(timing))
     own = tuple(c for c in clocks if c.trial == trial.name)
     trial = retimed(trial, own)
     scaled = known.scaled(scale_interaction)

@@ -66,30 +66,14 @@ def clock_checks(
     for trial in trials:
         said = trial.provenance.get("clocks", {})
         for system in trial.provenance.get("delays_s", {}):
-            where = f"{trial.name}, {system}"
-            clock = known.get((trial.name, system))
+            clock, doubt = known.get((trial.name, system)), (None, None, "")
             if clock is not None:
-                made.append(
-                    Check(
-                        "clocks",
-                        clock.sure,
-                        1e3 * clock.half_width_s,
-                        1e3 * LARGEST_DOUBT_S,
-                        "ms",
-                        where,
-                        "" if clock.sure else clock.sentence,
-                        level="note",
-                    )
-                )
+                sure, text = clock.sure, clock.sentence
+                doubt = 1e3 * clock.half_width_s, 1e3 * LARGEST_DOUBT_S, "ms"
             elif system in said:
-                sure = not said[system].endswith("unsure")
-                made.append(
-                    Check(
-                        "clocks",
-                        sure,
-                        where=where,
-                        sentence="" if sure else said[system],
-                        level="note",
-                    )
-                )
+                sure, text = not said[system].endswith("unsure"), said[system]
+            else:
+                continue
+            where, text = f"{trial.name}, {system}", "" if sure else text
+            made.append(Check("clocks", sure, *doubt, where, text, "note"))
     return made

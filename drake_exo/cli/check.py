@@ -60,8 +60,8 @@ def _write(
 ) -> None:
     from drake_exo.report.figures import quality_figure
 
-    text = f"{text_of(quality)}\n{verdict.text(color=False)}\n"
-    write_text(out / "quality.txt", text.rstrip(), verdict.mark)
+    text = f"{text_of(quality)}\n{verdict.text(color=False)}"
+    write_text(out / "quality.txt", text, verdict.mark)
     write_json(
         out / "quality.json",
         {

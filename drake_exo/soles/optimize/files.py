@@ -10,7 +10,7 @@ from drake_exo.files import schema
 from drake_exo.files.output import read_json, write_json
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
-from drake_exo.soles.mesh import TetMesh, read_mesh
+from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.settings import Settings, Setup, StartBlock
@@ -155,14 +155,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{file}: not a checkpoint; {remedy}") from None
     return found
-
-
-def is_whole(mesh: TetMesh) -> bool:
-    """Whether its elements and fixed nodes are of nodes that it has."""
-    return all(
-        x.size > 0 and x.min() >= 0 and x.max() < len(mesh.nodes)
-        for x in (mesh.tets, mesh.fixed)
-    )
 
 
 def _optional(value, convert):
