@@ -34,8 +34,8 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         with prepare_output_folder(args.out, args.force) as out:
             (out / "compared.txt").write_text(text + "\n", encoding="utf-8")
+            mark = joined_mark(found.marks())
             for name, figure in found.figures().items():
-                mark = joined_mark(found.marks())
                 save_figure(out / f"{name}.png", figure, mark)
     print(text)
     if args.out is not None:

@@ -102,12 +102,18 @@ def law(kernel, q, v):
     return kernel.evaluate(x, None) * [100.0, 100.0, 10.0]
 
 
-def test_a_rolling_foot_bears_what_was_measured():
+def settled():
+    """The kernel; a foot and its load as measured; as it is settled."""
     kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
     spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
     places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
     foot, ground = rolling()
     q, v = settle_rolling(kernel, spheres, places, TIMES, foot, ground)
+    return kernel, foot, ground, q, v
+
+
+def test_a_rolling_foot_bears_what_was_measured():
+    kernel, foot, ground, q, v = settled()
     still = law(kernel, q, 0.0 * v)
     # At rest; what sinking dissipates is left to the solver.
     off = np.abs(still[:, 1] - ground[:, 1])[STANCE]
@@ -130,11 +136,7 @@ def test_a_rolling_foot_bears_what_was_measured():
 
 def test_a_foot_turns_towards_where_its_load_was_measured():
     """Nearer to the measured centre of pressure than as it was seen."""
-    kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
-    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
-    places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
-    foot, ground = rolling()
-    q, _ = settle_rolling(kernel, spheres, places, TIMES, foot, ground)
+    kernel, foot, ground, q, _ = settled()
     turned = np.flatnonzero(np.abs(q[:, 2] - foot[:, 2]) > 0.02)
     turned = turned[(turned >= STANCE.start) & (turned < STANCE.stop)]
     assert len(turned) > 5
