@@ -13,7 +13,6 @@ import io
 from pathlib import Path
 
 from drake_exo.batch.jobs import beside
-from drake_exo.calibration.clocks import Clock
 from drake_exo.cli.calibrate import write_interaction
 from drake_exo.cli.lab import PROCESSES
 from drake_exo.cli.predict import write_predictions
@@ -23,7 +22,7 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import OutputFolder, prepare_output_folder
 from drake_exo.files.verdict import FAILS_CODE, Check
 from drake_exo.report.gathering import gather
-from drake_exo.study import Study, find_clocks, read_study
+from drake_exo.study import Study, read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign
 
 _SEED = 1
@@ -71,8 +70,6 @@ def _steps(out: Path) -> int:
             return code
         contact, made_of = study.calibrated(folder, ["all"])
         checks = [*study.gate("prediction"), *made_of]
-    # Of the recordings, whatever cuffs a prediction takes.
-    clocks = find_clocks(study, study.trials("prediction"), contact)
     # Both only read what was calibrated: a core for each.
     stiff = prepare_output_folder(out / "prediction_stiff")
     with (
@@ -83,14 +80,11 @@ def _steps(out: Path) -> int:
             contact=contact,
             out=folder,
             checks=checks,
-            clocks=clocks,
         ) as stiff_ones,
     ):
         title = "Phase C1: predict six movements from their end states"
         with part("prediction", title) as folder:
-            predicted = write_predictions(
-                study, contact, folder, checks=checks, clocks=clocks
-            )
+            predicted = write_predictions(study, contact, folder, checks=checks)
         if predicted not in (0, FAILS_CODE):
             stiff_ones.stop()
             return predicted
@@ -108,17 +102,12 @@ def _steps(out: Path) -> int:
 
 
 def predict_stiff(
-    study: Study,
-    contact: ContactModel,
-    out: Path,
-    checks: list[Check],
-    clocks: list[Clock],
+    study: Study, contact: ContactModel, out: Path, checks: list[Check]
 ) -> tuple[int, str]:
     """Phase C2 into a folder; its exit code, and what it says."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         code = write_predictions(
-            study, contact, out, scale_interaction=1.4, checks=checks,
-            clocks=clocks,
-        )  # fmt: skip
+            study, contact, out, scale_interaction=1.4, checks=checks
+        )
     return code, said.getvalue()
