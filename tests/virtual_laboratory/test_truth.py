@@ -416,7 +416,8 @@ def test_the_study_tells_what_a_laboratory_knows(tmp_path):
     noise = {p: study[p]["noise"] for p in ("foot_ground", "interaction")}
     assert noise["foot_ground"]["force_n"] == 3.0
     assert noise["interaction"]["exo_angle_deg"] == 0.1
-    assert study["prediction"]["noise"]["energy_j"] == 0.1
+    for phase in ("interaction", "prediction"):
+        assert study[phase]["noise"]["energy_j"] == 1.0
     assert study["foot_ground"]["solver"] == {"nodes_per_second": 100.0}
     _, plain = written_study(tmp_path, [], "opensim")
     assert plain["laboratory"] == {}
