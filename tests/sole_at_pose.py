@@ -12,7 +12,7 @@ def contact_at_pose(solver: ContactSolver, R, O, reference, guess=None):  # noqa
         solver: Semismooth Newton or Gauss–Seidel; friction 0 is allowed.
         R: Orientation (3, 3).
         O: Place of the sole frame's origin, world [m].
-        reference: Tangential references Q_t (m, 2) [m].
+        reference: Places at the sample before (m, 3) [m].
         guess: Forces to start from (m, 3), default none.
 
     Returns:

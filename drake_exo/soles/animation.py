@@ -22,6 +22,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import check_arrays, read_arrays, read_json
 from drake_exo.files.verdict import stored_mark
 from drake_exo.player import Arrow, Clip, Page, Surface, write_page
+from drake_exo.soles.contact.ground import ARRAYS, FLAT, Ground
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.step.simulation import FIRST_HISTORY, HISTORY
 
@@ -33,7 +34,7 @@ with warnings.catch_warnings():  # its server uses a deprecated part of zmq
 _MAX_FRAMES = 110
 _MAP = "turbo"
 _METRES_PER_NEWTON = 2e-4
-_GRID_M = 0.05
+_GRID_M, _FINE_M = 0.05, 0.01  # between lines; where ground is not flat
 _LARGEST = 1e30
 # What `simulation.write_history` writes: N samples, c contact nodes.
 _HISTORY = {
@@ -47,6 +48,7 @@ _HISTORY = {
     "nodes_L": ("n", 3),
     "tets:int": ("e", 4),
 }
+_GROUND = dict(zip(ARRAYS, (("a",), ("b",), ("a", "b")), strict=True))
 _AGAIN = "run the command that wrote it again"
 _PAGE = """<!DOCTYPE html>
 <html>
@@ -79,6 +81,7 @@ class SoleMotion:
         places: of the contact nodes, world [m], (N, m, 3).
         force: of the ground on them, world [N], (N, m, 3).
         mark: of a result that does not hold.
+        ground: that it stands on.
     """
 
     title: str
@@ -90,10 +93,15 @@ class SoleMotion:
     places: np.ndarray
     force: np.ndarray
     mark: str = ""
+    ground: Ground = FLAT
 
     @staticmethod
     def of(
-        title: str, mesh: TetMesh, times: np.ndarray, history
+        title: str,
+        mesh: TetMesh,
+        times: np.ndarray,
+        history,
+        ground: Ground = FLAT,
     ) -> SoleMotion | None:
         """The converged samples of a `StepHistory`; None if there are none."""
         good = history.converged
@@ -101,7 +109,7 @@ class SoleMotion:
             return None
         parts = (times, history.O, history.R, history.P, history.F)
         times, *rest = (part[good] for part in parts)
-        return SoleMotion(title, "", times, mesh, *rest)
+        return SoleMotion(title, "", times, mesh, *rest, ground=ground)
 
     @staticmethod
     def read(path: Path, title: str, group: str = "") -> SoleMotion | None:
@@ -111,7 +119,8 @@ class SoleMotion:
             InputError: it is missing or damaged.
         """
         data = read_arrays(path, _AGAIN)
-        check_arrays(path, data, _HISTORY, _AGAIN)
+        wanted = _HISTORY | (_GROUND if ARRAYS[0] in data else {})
+        check_arrays(path, data, wanted, _AGAIN)
         good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
         if good.sum() < 2:
             return None
@@ -131,7 +140,8 @@ class SoleMotion:
         if len(fixed) + len(touching) != len(surface):
             raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
         mesh = TetMesh(bare.nodes, bare.tets, fixed)
-        return SoleMotion(title, group, times, mesh, *rest)
+        ground = Ground.of_arrays(data)
+        return SoleMotion(title, group, times, mesh, *rest, ground=ground)
 
     @property
     def surface(self) -> np.ndarray:
@@ -168,7 +178,7 @@ class SoleMotion:
         vertical = self.force[:, :, 2]
         total = vertical.sum(axis=1, keepdims=True)
         p = (self.places[:, :, :2] * vertical[:, :, None]).sum(axis=1) / total
-        return np.column_stack([p, np.zeros(len(p))])
+        return np.column_stack([p, self.ground.height(p)])
 
     def thinned(self, most: int) -> SoleMotion:
         """At most that many samples, first and last among them."""
@@ -193,7 +203,7 @@ def write_animation(
     # The corners at heel strike would leave the rest of a step dark.
     top = max(float(np.quantile(p[p > 0], 0.99)) for p in pressures)
     box = _Box.of(motions)
-    scene = list(_stage(box))
+    scene = list(_stage(box, motions[0].ground))
     clips = []
     for number, (motion, pressure) in enumerate(
         zip(motions, pressures, strict=True)
@@ -336,26 +346,44 @@ def _mesh(path: str, shape, look, kind=geometry.Mesh):
     return commands.SetObject(thing, path=ScenePath(tuple(path.split("/"))))
 
 
-def _stage(box: _Box) -> Iterator:
+def _stage(box: _Box, ground: Ground) -> Iterator:
     """Ground with a grid, ZMP, background."""
     low = np.floor((box.low[:2] - np.array([0.05, 0.08])) / _GRID_M) * _GRID_M
     high = np.ceil((box.high[:2] + np.array([0.05, 0.05])) / _GRID_M) * _GRID_M
     low[1] += np.floor(box.mirror[1, 3] / _GRID_M) * _GRID_M
-    (x0, y0), (x1, y1) = low, high
-    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    coarse = [
+        np.arange(a, b + 1e-9, _GRID_M) for a, b in zip(low, high, strict=True)
+    ]
+    every = round(_GRID_M / _FINE_M)
+    fine = coarse if ground.is_flat else [
+        np.linspace(v[0], v[-1], every * (len(v) - 1) + 1) for v in coarse
+    ]  # fmt: skip
+
+    def lying(x, y, under: float) -> np.ndarray:
+        places = np.column_stack([x, y])
+        return np.column_stack([places, ground.height(places) - under])
+
+    x, y = np.meshgrid(*fine, indexing="ij")
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (
+        part.ravel()
+        for part in (corner[:-1, :-1], corner[1:, :-1],
+                     corner[1:, 1:], corner[:-1, 1:])
+    )  # fmt: skip
     yield _mesh(
         "ground/slab",
         geometry.TriangularMeshGeometry(
-            np.column_stack([corners, np.full(4, -8e-4)]),
-            np.array([[0, 1, 2], [0, 2, 3]]),
+            lying(x.ravel(), y.ravel(), 8e-4),
+            np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]),
         ),
         geometry.MeshLambertMaterial(color=0xDCDDE0, side=2),
     )
-    lines = [[[x, y0], [x, y1]] for x in np.arange(x0, x1 + 1e-9, _GRID_M)] + [
-        [[x0, y], [x1, y]] for y in np.arange(y0, y1 + 1e-9, _GRID_M)
-    ]
-    points = np.array(lines).reshape(-1, 2)
-    points = np.column_stack([points, np.full(len(points), -6e-4)])
+    along = [np.repeat(v, 2)[1:-1] for v in fine]
+    lines = [lying(np.full(len(along[1]), x), along[1], 6e-4)
+             for x in coarse[0]] + [
+        lying(along[0], np.full(len(along[0]), y), 6e-4) for y in coarse[1]
+    ]  # fmt: skip
+    points = np.concatenate(lines)
     yield _mesh(
         "ground/grid",
         geometry.PointsGeometry(points.T.astype(np.float32)),

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.tables import missing_column, number_rows, read_text
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.rotations import rotation_z
 
@@ -191,12 +192,13 @@ class Load:
             **joined,
         )
 
-    def target(self, q: int, reference) -> Target:
+    def target(self, q: int, reference, ground: Ground = FLAT) -> Target:
         """What a simulation must reach at sample q.
 
         Args:
             q: Counted from 0.
-            reference: Tangential references (m, 2), or a `Start`.
+            reference: Places at the sample before (m, 3), or a `Start`.
+            ground: That the ZMP is on.
         """
         return Target(
             self.force[q],
@@ -204,6 +206,7 @@ class Load:
             reference,
             0.0 if self.free_moment is None else float(self.free_moment[q]),
             self.rotation[q] if self.is_measured[q] else None,
+            float(ground.height(self.zmp[q : q + 1])[0]),
         )
 
     @property
@@ -213,22 +216,23 @@ class Load:
             return np.zeros(len(self.times), dtype=bool)
         return np.isfinite(self.rotation).all(axis=(1, 2))
 
-    def check_friction(self, friction: float) -> None:
+    def check_friction(self, friction: float, up) -> None:
         """Refuse a force that no sole can carry without slipping away.
 
         Args:
             friction: Coulomb's coefficient μ.
+            up: Normal of the ground on the whole, (3,).
 
         Raises:
             InputError: Names the first sample beyond the cone.
         """
-        asked = self.friction_used
+        asked = self.friction_used(up)
         beyond = asked >= friction
         if beyond.any():
             q = int(np.argmax(beyond))
             raise InputError(
                 f"{self.name}: the force at {self.times[q]:g} s asks for a "
-                f"friction of {asked[q]:.3f} (horizontal over vertical; "
+                f"friction of {asked[q]:.3f} (along over across the ground; "
                 f"{beyond.sum()} of {len(beyond)} samples), and "
                 f"contact.friction is {friction:g}: the sole slips away; "
                 "leave these samples out (least_force_n, start_s, end_s, from, "
@@ -259,10 +263,11 @@ class Load:
         """Largest |F| [N]."""
         return float(np.linalg.norm(self.force, axis=1).max())
 
-    @property
-    def friction_used(self) -> np.ndarray:
-        """Horizontal over vertical force, (N,)."""
-        return np.hypot(*self.force.T[:2]) / self.force[:, 2]
+    def friction_used(self, up) -> np.ndarray:
+        """Force along over force across a ground of normal `up`, (N,)."""
+        across = self.force @ up
+        along = np.linalg.norm(self.force - np.outer(across, up), axis=1)
+        return np.where(across > 0, along / across, np.inf)
 
     def check_inside(self, places: np.ndarray) -> None:
         """Refuse a ZMP outside the sole's outline.

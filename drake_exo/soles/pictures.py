@@ -21,6 +21,7 @@ from matplotlib.tri import Triangulation
 from scipy.spatial import ConvexHull
 
 from drake_exo.files.verdict import save_figure
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.shape import SphericalSpline
@@ -189,14 +190,24 @@ def save(figure: Figure, path: Path, mark: str = "") -> None:
 
 
 @style()
-def load_figure(load: Load, mesh: TetMesh) -> Figure:
-    """ZMP on the sole's outline, and force over time (Figs. 6 and 7)."""
+def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
+    """ZMP on the sole's outline, and force over time (Figs. 6 and 7).
+
+    With the contours of a ground that is not flat.
+    """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
     outline = mesh.nodes[mesh.contact][:, :2]
     ring = ConvexHull(outline).vertices
     ring = np.append(ring, ring[0])
     left.fill(*(1e3 * outline[ring].T), color="0.93", zorder=0)
     left.plot(*(1e3 * outline[ring].T), color="0.5", lw=1)
+    if not ground.is_flat:
+        beside = 1.1 * np.stack([outline.min(axis=0), outline.max(axis=0)]).T
+        heights = left.contour(
+            1e3 * ground.x, 1e3 * ground.y, 1e3 * ground.z.T, 8, cmap="copper"
+        )
+        left.clabel(heights, fmt="%g mm", fontsize=7)
+        left.set(**dict(zip(("xlim", "ylim"), 1e3 * beside, strict=True)))
     points = left.scatter(
         *(1e3 * load.zmp.T), c=load.times, s=9, cmap="viridis", zorder=3
     )

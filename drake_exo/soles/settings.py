@@ -14,6 +14,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.soles import loads
+from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
@@ -350,6 +351,18 @@ class ContactBlock:
 
 
 @dataclass(frozen=True)
+class GroundBlock:
+    """Uneven ground: heights of a grid in the sole's world frame."""
+
+    heights: str
+
+    def read(self, root: Path) -> Ground:
+        """Read the CSV file; its path is relative to `root`."""
+        path = root / self.heights
+        return Ground.of_table(loads.read_columns(path, COLUMNS), str(path))
+
+
+@dataclass(frozen=True)
 class StartBlock:
     """How the sole is held just before the first contact."""
 
@@ -478,6 +491,7 @@ class Settings:
     cost: CostBlock = CostBlock()
     optimize: OptimizeBlock = OptimizeBlock()
     loads: tuple[LoadBlock, ...] = ()
+    ground: GroundBlock | None = None
 
     def __post_init__(self):
         if (self.load is None) == (not self.loads):
@@ -531,7 +545,7 @@ class Settings:
         surface = read_surface(path, block.unit)
         return sole_from_surface(surface, block.tets, block.top_m, origin)
 
-    def start_pose(self, mesh: TetMesh) -> Start:
+    def start_pose(self, mesh: TetMesh, ground: Ground = FLAT) -> Start:
         """How the sole is held; by default at its lowest back edge.
 
         The default point is the middle of the lower back edge of the
@@ -542,9 +556,10 @@ class Settings:
         if point is None:
             low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
             point = (low[0], 0.5 * (low[1] + high[1]), low[2])
-        place = self.start.point_in_world_m or point[:2]
+        place = np.array(self.start.point_in_world_m or point[:2])
+        height = ground.height(place[None])[0]
         return Start(
-            np.array(point), np.array([*place, 0.0]), self.start.yaw_rad
+            np.array(point), np.array([*place, height]), self.start.yaw_rad
         )
 
 
@@ -557,12 +572,14 @@ class Setup:
         load: Force and ZMP of every sample.
         mesh: Of the sole; the initial shape of an optimisation.
         start: How the sole is held just before the first contact.
+        ground: What it stands on.
     """
 
     settings: Settings
     load: Load
     mesh: TetMesh
     start: Start
+    ground: Ground = FLAT
 
     @classmethod
     def open(
@@ -586,8 +603,11 @@ class Setup:
         """
         root = Path(data_root)
         mesh = settings.read_mesh(root, mesh_file)
-        start = settings.start_pose(mesh)
-        level = start.reference(np.eye(3), mesh.nodes[mesh.contact])
+        ground = settings.ground.read(root) if settings.ground else FLAT
+        start = settings.start_pose(mesh, ground)
+        level = _level(mesh, start)
+        ground.check_below(level, "ground.heights")
+        up = ground.normal(level)
         width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
         friction, found = settings.contact.friction, []
         for block in settings.all_loads:
@@ -596,18 +616,42 @@ class Setup:
                 turned = load.rotation @ rotation_z(start.yaw)
                 load = replace(load, rotation=turned)
             load.check_inside(level)
-            load.check_friction(friction)
+            load.check_friction(friction, up)
             found.append(load.bearable(friction, width))
         weights = [block.weight for block in settings.all_loads]
         load = Load.one_after_another(found, weights)
         if not settings.loads:
             (load,) = found
-        return cls(settings, load, mesh, start)
+        return cls(settings, load, mesh, start, ground)
 
     @property
     def name(self) -> str:
         """Of the case."""
         return self.settings.name
+
+    @property
+    def level(self) -> np.ndarray:
+        """Nodes that may touch as the sole is set down level [m], (m, 2)."""
+        return self.start.places(np.eye(3), self.mesh.nodes[self.mesh.contact])[
+            :, :2
+        ]
+
+    @property
+    def up(self) -> np.ndarray:
+        """Normal of the ground below it on the whole, (3,)."""
+        return self.ground.normal(self.level)
+
+    @property
+    def friction_used(self) -> float:
+        """Largest force along over across that ground."""
+        return float(self.load.friction_used(self.up).max())
+
+    @property
+    def ground_told(self) -> dict:
+        """What summary.json says of a ground that is not flat."""
+        if self.ground.is_flat:
+            return {}
+        return {"ground": self.ground.summary(self.level)}
 
     def sole(self, mesh: TetMesh | None = None) -> Sole:
         """Mesh, by default the case's, and material as finite elements."""
@@ -660,3 +704,7 @@ class Setup:
         block = replace(self.settings.optimize, **changes)
         settings = replace(self.settings, optimize=block)
         return replace(self, settings=settings)
+
+
+def _level(mesh: TetMesh, start: Start) -> np.ndarray:
+    return start.places(np.eye(3), mesh.nodes[mesh.contact])[:, :2]

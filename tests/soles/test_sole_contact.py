@@ -151,7 +151,7 @@ def test_stiffness_matches_finite_differences(sole, history):
     checked = 0
     for q in (3, 10, 15):
         Z = np.array([*zmp[q], 0.0])
-        reference = history.P[q - 1][:, :2]
+        reference = history.P[q - 1]
         K, same = np.zeros((6, 6)), True
         for k in range(6):
             h = 1e-8 if k < 3 else 1e-7
@@ -196,7 +196,7 @@ def test_springs_stick_and_slip_as_in_closed_form():
     lP = lP.reshape(-1, 3)
     solver = ContactSolver(C, lP, ContactLaw(mu, 1.5e4), tolerance=1e-14)
     depth, limit = 1e-3, mu * k_n * 1e-3
-    reference, stretch, F = lP[:, :2].copy(), 0.0, None
+    reference, stretch, F = lP.copy(), 0.0, None
     place = 0.0
     for target in (3e-4, 9e-4, 1.4e-3, 1.0e-3, -5e-4):
         stretch = np.clip(stretch + target - place, -limit / k_t, limit / k_t)
@@ -211,13 +211,13 @@ def test_springs_stick_and_slip_as_in_closed_form():
         )
         F = state.F
         P = solver.deformed(F, np.eye(3)) + O
-        reference = P[:, :2]
+        reference = P
 
 
 def test_elastic_block_slides_at_the_friction_limit(sole):
     law = ContactLaw(0.5, sole.penalty)
     solver = ContactSolver(sole.compliance, sole.positions, law)
-    reference = sole.positions[:, :2]
+    reference = sole.positions
     F = None
     for push in (1e-4, 5e-4, 2e-3, 5e-3, 1e-2):
         O = np.array([push, 0.0, 0.03 - 5e-4])  # noqa: E741
@@ -232,7 +232,7 @@ def test_both_methods_agree_without_friction(sole):
     law = ContactLaw(0.0, sole.penalty)
     pose = exp_rotation(np.array([0.02, -0.01, 0.0]))
     O = np.array([0.0, 0.0, 0.0305])  # noqa: E741
-    reference = sole.positions[:, :2]
+    reference = sole.positions
     states = []
     for kind in (ContactSolver, GaussSeidelSolver):
         solver = kind(sole.compliance, sole.positions, law)
@@ -259,7 +259,7 @@ def test_contact_patch_is_uniform(element, nu):
         pad.compliance, pad.positions, ContactLaw(0.0, pad.penalty)
     )
     O = np.array([0.0, 0.0, height - depth])  # noqa: E741
-    state, report = contact_at_pose(solver, np.eye(3), O, pad.positions[:, :2])
+    state, report = contact_at_pose(solver, np.eye(3), O, pad.positions)
     assert report.converged
     area = _bottom_area(pad)
     x = pad.positions
@@ -346,7 +346,7 @@ def test_a_start_that_is_no_number_does_not_converge(sole, of, fixed_pose):
     m = len(sole.positions)
     state = State(np.zeros((m, 3)), np.array([0.0, 0.0, 0.03]), np.eye(3))
     getattr(state, of)[...] = np.nan
-    target = Target(np.array([0.0, 0.0, 10.0]), np.zeros(2), np.zeros((m, 2)))
+    target = Target(np.array([0.0, 0.0, 10.0]), np.zeros(2), np.zeros((m, 3)))
     _, report = solver.solve(state, target, fixed_pose)
     assert not report.converged
 

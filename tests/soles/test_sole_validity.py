@@ -230,7 +230,9 @@ def test_a_lost_sample_is_named_by_its_time():
 
 def test_friction_used_is_that_of_the_steepest_sample():
     load = constant((30.0, 40.0, 100.0), (0.0, 0.0), 3)
-    np.testing.assert_allclose(load.friction_used, 0.5)
+    np.testing.assert_allclose(
+        load.friction_used(np.array([0.0, 0.0, 1.0])), 0.5
+    )
 
 
 def test_undercut_is_the_part_that_faces_upwards():

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.sparse import bsr_matrix
 from scipy.sparse.linalg import splu
 
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     Convergence,
@@ -62,6 +63,7 @@ class FiniteStrainSolver:
         law: The contact law.
         tolerance: On the largest unbalanced nodal force over |F_des|.
         max_iterations: Newton steps before giving up.
+        ground: What it stands on.
     """
 
     def __init__(
@@ -70,8 +72,9 @@ class FiniteStrainSolver:
         law: ContactLaw,
         tolerance: float = 1e-9,
         max_iterations: int = 25,
+        ground: Ground = FLAT,
     ):
-        self.body, self.law = body, law
+        self.body, self.law, self.ground = body, law, ground
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self.nodes = body.mesh.contact
         self.rest = body.mesh.nodes[self.nodes]
@@ -90,9 +93,7 @@ class FiniteStrainSolver:
         state = replace(state)
         state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
-        Q = self._reference(target, state.R)
-        tau = state.F - self.law.penalty * (self.places(state) - Q)
-        point = self._evaluate(tau, state, target, scale)
+        point = self._evaluate(self._tau(state, target), state, target, scale)
         history = []
         message = f"no convergence in {self.max_iterations} Newton steps"
         for iteration in range(self.max_iterations + 1):
@@ -120,29 +121,32 @@ class FiniteStrainSolver:
         self, state: FiniteState, target: Target
     ) -> np.ndarray:
         """K_c (6, 6) about the ZMP at a solution, references frozen."""
-        Q = self._reference(target, state.R)
-        tau = state.F - self.law.penalty * (self.places(state) - Q)
-        frozen = Target(target.force, target.zmp, Q[:, :2])
-        point = self._evaluate(tau, state, frozen, 1.0)
+        before = target.places_before(state.R, self.rest)
+        frozen = replace(target, reference=before)
+        point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
         return self._linearise(point, frozen).wrench_response()
 
-    def _reference(self, target, R) -> np.ndarray:
-        """Q with zero height, (m, 3)."""
-        Q_t = target.references(R, self.rest)
-        return np.column_stack([Q_t, np.zeros(len(Q_t))])
+    def _planes(self, target, R):
+        """What the contact nodes meet, see `Ground.planes`."""
+        return self.ground.planes(target.places_before(R, self.rest))
+
+    def _tau(self, state, target) -> np.ndarray:
+        Q, _ = self._planes(target, state.R)
+        return state.F - self.law.penalty * (self.places(state) - Q)
 
     def _evaluate(self, tau, guess, target, scale) -> "_Point":
         """Residuals with forces and contact places that follow from τ."""
         O, R = guess.O, guess.R  # noqa: E741
-        F = project(tau, self.law)
-        P = self._reference(target, R) + (F - tau) / self.law.penalty
+        Q, axes = self._planes(target, R)
+        F = np.einsum("kij,kj->ki", axes, tau)
+        F = np.einsum("kji,kj->ki", axes, project(F, self.law))
+        P = Q + (F - tau) / self.law.penalty
         u = guess.u.copy()
         u[self.nodes] = (P - O) @ R - self.rest
         internal = self.body.internal_force(u)
         balance = internal[self.body.free]
         balance[self._blocks] -= F @ R
-        arm = P.copy()
-        arm[:, :2] -= target.zmp
+        arm = P - target.point
         wrench = np.concatenate([F.sum(axis=0), np.cross(arm, F).sum(axis=0)])
         wrench = target.missed(wrench)
         merit = np.inf
@@ -153,11 +157,12 @@ class FiniteStrainSolver:
                 float(np.abs(wrench[3:]).max()) / MOMENT_SCALE,
             )
         state = FiniteState(F, u, O, R)
-        return _Point(state, tau, arm, balance, wrench, merit / scale)
+        return _Point(state, tau, axes, arm, balance, wrench, merit / scale)
 
     def _linearise(self, point, target) -> "_Linearisation":
-        dQ = target.reference_turn(point.state.R, self.rest)
-        return _Linearisation(self, point, dQ)
+        # That planes turn with the foot, too, Newton's steps do without.
+        turn = target.turn(self.ground, point.state.R, self.rest)
+        return _Linearisation(self, point, turn and turn.places)
 
     def _line_search(self, point, step, target, scale):
         du, zeta, dp = step
@@ -166,7 +171,7 @@ class FiniteStrainSolver:
             _MAX_TURN / max(np.linalg.norm(dp[3:]), 1e-300),
             _MAX_SHIFT / max(np.linalg.norm(dp[:3]), 1e-300),
         )
-        Z = np.array([*target.zmp, 0.0])
+        Z = target.point
         old, best = point.state, None
         for _ in range(_HALVINGS + 1):
             turn = exp_rotation(size * dp[3:])
@@ -190,6 +195,7 @@ class _Point:
 
     state: FiniteState
     tau: np.ndarray
+    axes: np.ndarray
     arm: np.ndarray
     balance: np.ndarray
     wrench: np.ndarray
@@ -202,8 +208,10 @@ class _Linearisation:
     def __init__(self, solver: FiniteStrainSolver, point: _Point, dQ):
         self.solver, self.point = solver, point
         self.R, self.dQ = point.state.R, dQ
-        _, D = project_with_derivative(point.tau, solver.law)
-        self.D = self.R.T @ D @ self.R
+        tau = np.einsum("kij,kj->ki", point.axes, point.tau)
+        turn = point.axes @ self.R
+        _, D = project_with_derivative(tau, solver.law)
+        self.D = turn.transpose(0, 2, 1) @ D @ turn
         K = solver.body.tangent(point.state.u)
         r = solver.law.penalty
         count = len(solver.body.free)

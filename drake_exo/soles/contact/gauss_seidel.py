@@ -9,6 +9,7 @@ faithful reference; `contact.ContactSolver` is the default.
 import numpy as np
 
 from drake_exo.soles.compiled import njit
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     ContactSolver,
@@ -31,7 +32,7 @@ class GaussSeidelSolver(ContactSolver):
     """Drop-in for `ContactSolver` by nested iterations.
 
     Args:
-        C, lP, law: As for `ContactSolver`; the law must be exact.
+        C, lP, law, ground: As for `ContactSolver`; the law must be exact.
         sweep_tolerance: ε1, relative change of the forces in one sweep.
     """
 
@@ -41,10 +42,11 @@ class GaussSeidelSolver(ContactSolver):
         lP,
         law,
         sweep_tolerance: float = 1e-10,
+        ground: Ground = FLAT,
     ):
         if law.epsilon > 0 or law.kappa > 0:
             raise ValueError("Gauss–Seidel solves the exact law alone")
-        super().__init__(C, lP, law, max_iterations=60)
+        super().__init__(C, lP, law, max_iterations=60, ground=ground)
         self.sweep_tolerance = sweep_tolerance
         self.sweeps = 0
 
@@ -93,15 +95,17 @@ class GaussSeidelSolver(ContactSolver):
         """Algorithm 3 at the state's pose; updates its forces."""
         R = state.R
         m = len(self.lP)
-        C = self.C.reshape(m, 3, m, 3)
-        W = np.einsum("ab,ibjc,dc->iajd", R, C, R, optimize=True)
+        Q, axes = self.ground.planes(target.places_before(R, self.lP))
+        C, B = self.C.reshape(m, 3, m, 3), axes @ R
+        W = np.einsum("iab,ibjc,jdc->iajd", B, C, B, optimize=True)
         W = np.ascontiguousarray(W.reshape(3 * m, 3 * m))
-        delta = self.deformed(state.F, R) + state.O
-        delta[:, :2] -= target.references(R, self.lP)
+        delta = self.deformed(state.F, R) + state.O - Q
+        F, delta = (np.einsum("iab,ib->ia", axes, x) for x in (state.F, delta))
         budget = _MAX_SWEEPS - self.sweeps
         change, used = _gauss_seidel(
-            W, state.F, delta, self.law.friction, tolerance, budget
+            W, F, delta, self.law.friction, tolerance, budget
         )
+        state.F = np.einsum("iba,ib->ia", axes, F)
         self.sweeps += used
         return change
 
@@ -109,7 +113,7 @@ class GaussSeidelSolver(ContactSolver):
         """Newton step (24) of the pose; forces follow in the next sweeps."""
         lin = self._linearisation(point, target)
         dF, _, J = lin.pose_response(
-            target.reference_turn(state.R, self.lP[lin.nodes])
+            target.turn(self.ground, state.R, self.lP[lin.nodes])
         )
         dp, at = np.zeros(6), target.asked
         dp[at] = np.linalg.solve(J[np.ix_(at, at)], -point.wrench[at])
@@ -118,10 +122,11 @@ class GaussSeidelSolver(ContactSolver):
             0.15 / max(np.linalg.norm(dp[3:]), 1e-300),
             0.01 / max(np.linalg.norm(dp[:3]), 1e-300),
         )
-        new = move(state, np.zeros_like(state.F), step * dp, target.zmp)
+        new = move(state, np.zeros_like(state.F), step * dp, target.point)
         # Forces predicted by the same linearisation start the next sweeps.
         new.F[lin.nodes] += step * (dF @ dp)
-        new.F[new.F[:, 2] < 0] = 0.0
+        normal = (point.axes[:, 2] * new.F).sum(axis=1)
+        new.F[normal < 0] = 0.0
         state.F, state.O, state.R = new.F, new.O, new.R
 
 

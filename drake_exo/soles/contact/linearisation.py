@@ -9,6 +9,8 @@ change the set of touching nodes by a few, S is bordered or deflated (O(n²) a
 node) instead of being factorised anew.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf, dpotri
 
@@ -20,7 +22,7 @@ from drake_exo.soles.contact.node_law import (
     project_with_derivative,
 )
 from drake_exo.soles.elasticity.cholesky import mirrored, node_dofs
-from drake_exo.soles.rotations import multiply
+from drake_exo.soles.rotations import hat, multiply
 
 # Borderings accumulate rounding: start afresh after so many.
 _UPDATES_BEFORE_REFRESH = 80
@@ -140,6 +142,19 @@ def blocks(A, rows, columns):
     return out
 
 
+@dataclass(frozen=True)
+class Turn:
+    """How the planes that nodes meet follow the foot's turn, (k, 3, 3) each.
+
+    Attributes:
+        places: Derivative of the nodes' references on them [m/rad].
+        axes: Of the planes' own turns.
+    """
+
+    places: np.ndarray
+    axes: np.ndarray
+
+
 class Linearisation:
     """Derivatives of node law and wrench at one state, active nodes only.
 
@@ -149,18 +164,21 @@ class Linearisation:
         R: Foot orientation.
         arm: P_i − Z_des of the active nodes, world [m], (k, 3).
         F: Their forces, world [N], (k, 3).
-        tau: Their τ = F − r δ, world [N], (k, 3).
+        tau: Their τ = F − r δ, in the planes' axes [N], (k, 3).
+        axes: Of the planes that they meet, rows, (k, 3, 3).
     """
 
-    def __init__(self, active: ActiveSet, law: ContactLaw, R, arm, F, tau):
+    def __init__(
+        self, active: ActiveSet, law: ContactLaw, R, arm, F, tau, axes
+    ):
         self.nodes, self.S = active.nodes, active.S
         self.R, self.arm, self.F = R, arm, F
-        self.law, self.tau = law, tau
+        self.law, self.tau, self.axes = law, tau, axes
         self.r = law.penalty
         self.loose = np.flatnonzero(~firmly_sticking(tau, law))
         self._g = node_dofs(self.loose)
         self.D, M = _law_matrix(
-            self.S, self.loose, tau, R, law.penalty,
+            self.S, self.loose, tau, axes, R, law.penalty,
             law.friction, law.epsilon, law.kappa,
         )  # fmt: skip
         self._lu = None
@@ -171,7 +189,7 @@ class Linearisation:
             self._lu = factor, pivots
         self._S_g = blocks(self.S, np.arange(len(self.nodes)), self.loose)
 
-    def _respond(self, T: np.ndarray, known: np.ndarray, phi_g=None):
+    def _respond(self, T, known, phi_g=None, turned=None):
         """Solve dF = S dδ + S rhs, the sole frame throughout.
 
         Args:
@@ -179,6 +197,7 @@ class Linearisation:
             known: These dδ, zero elsewhere, (3k, c); filled.
             phi_g: Law residual of the loose nodes, (3g,), in the first
                 column.
+            turned: Likewise for the turn, (3g, 3), in the last ones.
 
         Returns:
             dF and dδ, (3k, c) each.
@@ -188,40 +207,58 @@ class Linearisation:
         rhs = _loose_rhs(self.D, T, self.loose)
         if phi_g is not None:
             rhs[:, 0] -= phi_g
+        if turned is not None:
+            rhs[:, -3:] -= turned
         x = dgetrs(*self._lu, rhs)[0]
         known[self._g] = x
         return T + self._S_g @ x, known
 
-    def pose_response(self, dQ: np.ndarray | None = None):
+    def pose_response(self, turn: Turn | None = None):
         """What unit pose increments (dzO, dω) change.
 
         Args:
-            dQ: Derivative of the references by the turn, if they have one.
+            turn: Of the planes that nodes meet, if they do.
 
         Returns:
             dF and dδ (k, 3, 6), [dF; dΓ] about the ZMP (6, 6).
         """
-        dF, dP = self._pose_response(dQ)
+        dF, dP = self._pose_response(turn)
         world = [self._to_world(x) for x in (dF, dP)]
-        return *world, self._pose_wrench(dF, dP, dQ)
+        return *world, self._pose_wrench(dF, dP, turn)
 
-    def _pose_response(self, dQ=None):
-        T = self._S_times(self._against_pose(dQ))
-        return self._respond(T, np.zeros_like(T))
+    def _pose_response(self, turn=None):
+        T = self._S_times(self._against_pose(turn))
+        return self._respond(T, np.zeros_like(T), turned=self._law_turned(turn))
 
-    def _pose_wrench(self, dF, dP, dQ=None) -> np.ndarray:
+    def _law_turned(self, turn) -> np.ndarray | None:
+        """Of the loose nodes' law residual by planes that turn, (3g, 3).
+
+        T of a plane turned by α changes by α × T − D (α × τ).
+        """
+        if turn is None:
+            return None
+        at, R = self.loose, self.R
+        by = hat(self.F[at]) - R @ self.D @ R.T @ hat(self.tau_world[at])
+        return (R.T @ by @ turn.axes[at]).reshape(-1, 3)
+
+    @property
+    def tau_world(self) -> np.ndarray:
+        """τ in the world's axes [N], (k, 3)."""
+        return np.einsum("kji,kj->ki", self.axes, self.tau)
+
+    def _pose_wrench(self, dF, dP, turn=None) -> np.ndarray:
         """[dF; dΓ] of what columns change that end with `_against_pose`'s."""
-        if dQ is not None:
-            dP[:, -3:] += self._to_sole(dQ)
+        if turn is not None:
+            dP[:, -3:] += self._to_sole(turn.places)
         return _wrench_change(self.R, self.arm, self.F, dF, dP)
 
-    def _against_pose(self, dQ) -> np.ndarray:
+    def _against_pose(self, turn) -> np.ndarray:
         """−D_p but for its part in F, (3k, 6)."""
         shift = np.tile(-self.R.T, (len(self.nodes), 1))
-        turn = _turned_hats(self.R, self.arm)
-        if dQ is not None:
-            turn += self._to_sole(dQ)
-        return np.concatenate((shift, turn), axis=1)
+        turned = _turned_hats(self.R, self.arm)
+        if turn is not None:
+            turned += self._to_sole(turn.places)
+        return np.concatenate((shift, turned), axis=1)
 
     def _S_times(self, columns: np.ndarray) -> np.ndarray:
         """S times columns that end with those of `_against_pose`, whole.
@@ -251,25 +288,25 @@ class Linearisation:
         offset[self._g] = 0.0
         return offset, local[self._g, 0]
 
-    def solve(self, phi, wrench, asked, dQ=None):
+    def solve(self, phi, wrench, asked, turn=None):
         """Newton step for law residual phi (k, 3) and wrench residual (6,).
 
         Args:
             phi, wrench: The residuals.
             asked: Components of wrench and pose that are solved for.
-            dQ: Derivative of the references by the turn, if they have one.
+            turn: Of the planes that nodes meet, if they do.
 
         Returns:
             dF (k, 3) world, dp = (dzO, dω) (6,).
         """
         offset, phi_g = self._offset(phi)
-        pose = self._against_pose(dQ)
+        pose = self._against_pose(turn)
         # One product with S, one solution for offset and pose together.
         T = self._S_times(np.concatenate((offset, pose), axis=1))
         known = np.zeros_like(T)
         known[:, :1] = offset
-        dF, dP = self._respond(T, known, phi_g)
-        G = self._pose_wrench(dF, dP, dQ)
+        dF, dP = self._respond(T, known, phi_g, self._law_turned(turn))
+        G = self._pose_wrench(dF, dP, turn)
         dp, at = np.zeros(6), np.ix_(asked, asked)
         dp[asked] = np.linalg.solve(G[:, 1:][at], -(wrench + G[:, 0])[asked])
         step = dF[:, 0] + dF[:, 1:] @ dp
@@ -313,26 +350,31 @@ class Linearisation:
         """
         out = np.zeros(d_tau.shape)
         if len(self.loose):
-            tau = self.tau[self.loose] + 1e-30j * d_tau[:, self.loose]
+            axes = self.axes[self.loose]
+            d_tau, z = (
+                np.einsum("kij,ckj->cki", axes, x[:, self.loose])
+                for x in (d_tau, z)
+            )
+            tau = self.tau[self.loose] + 1e-30j * d_tau
             _, D = project_with_derivative(tau.reshape(-1, 3), self.law)
             change = D.imag.reshape(*tau.shape, 3) / 1e-30
-            out[:, self.loose] = np.einsum(
-                "ckij,cki->ckj", change, z[:, self.loose]
-            )
+            out[:, self.loose] = np.einsum("ckij,cki,kjl->ckl", change, z, axes)
         return out
 
 
 @njit()
-def _law_matrix(S, loose, tau, R, r, mu, epsilon, kappa):
+def _law_matrix(S, loose, tau, axes, R, r, mu, epsilon, kappa):
     """D of the loose nodes, sole frame (g, 3, 3), and (I − D) S_gg + r D."""
     g = len(loose)
     D = np.empty((g, 3, 3))
     M = np.empty((3 * g, 3 * g)).T  # columns lie together, as LAPACK's do
-    T, world, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    T, plain, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    turn = np.empty((3, 3))
     for a in range(g):
-        project_node(tau[loose[a]], mu, epsilon, kappa, T, world)
-        multiply(world, R, half)
-        multiply(R.T, half, D[a])
+        project_node(tau[loose[a]], mu, epsilon, kappa, T, plain)
+        multiply(axes[loose[a]], R, turn)
+        multiply(plain, turn, half)
+        multiply(turn.T, half, D[a])
     for b in range(g):
         for j in range(3):
             column = 3 * loose[b] + j

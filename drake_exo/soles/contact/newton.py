@@ -11,7 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_exo.soles.compiled import njit
-from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation
+from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.linearisation import (
+    ActiveSet,
+    Linearisation,
+    Turn,
+)
 from drake_exo.soles.contact.node_law import ContactLaw, project_node
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.rotations import (
@@ -56,35 +61,38 @@ def deformed(C, lP, R, F):
 
 
 @njit()
-def residual(P, F, Q_t, zmp, r, mu, epsilon, kappa):
+def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
     """Residuals of the node law and of the wrench at places P.
 
     Args:
         P: World places [m], (m, 3).
         F: World forces [N], (m, 3).
-        Q_t: Tangential references [m], (m, 2).
-        zmp: Desired ZMP on the ground [m], (2,).
+        Q: References on the ground's planes [m], (m, 3).
+        axes: Of these planes, rows, the normal last, (m, 3, 3).
+        zmp: Desired ZMP on the ground [m], (3,).
         r: Penalty [N/m].
         mu, epsilon, kappa: The contact law's, see `node_law`.
 
     Returns:
-        τ = F − r δ and φ = F − T(τ) (m, 3) [N], arms P − ZMP (m, 3) [m],
-        force and moment about the ZMP (6,), largest |φ|.
+        τ = F − r δ in the planes' axes and φ = F − T(τ) (m, 3) [N], arms
+        P − ZMP (m, 3) [m], force and moment about the ZMP (6,), largest |φ|.
     """
     m = len(P)
     tau, phi, arm = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
     wrench, largest = np.zeros(6), 0.0
-    T, D = np.empty(3), np.empty((3, 3))
+    T, D, x = np.empty(3), np.empty((3, 3)), np.empty(3)
     for i in range(m):
-        tau[i, 0] = F[i, 0] - r * (P[i, 0] - Q_t[i, 0])
-        tau[i, 1] = F[i, 1] - r * (P[i, 1] - Q_t[i, 1])
-        tau[i, 2] = F[i, 2] - r * P[i, 2]
+        A = axes[i]
+        for j in range(3):
+            x[j] = F[i, j] - r * (P[i, j] - Q[i, j])
+            arm[i, j] = P[i, j] - zmp[j]
+        for j in range(3):
+            tau[i, j] = A[j, 0] * x[0] + A[j, 1] * x[1] + A[j, 2] * x[2]
         project_node(tau[i], mu, epsilon, kappa, T, D)
-        arm[i, 0], arm[i, 1] = P[i, 0] - zmp[0], P[i, 1] - zmp[1]
-        arm[i, 2] = P[i, 2]
         for j in range(3):
             k, h = (j + 1) % 3, (j + 2) % 3
-            phi[i, j] = F[i, j] - T[j]
+            held = A[0, j] * T[0] + A[1, j] * T[1] + A[2, j] * T[2]
+            phi[i, j] = F[i, j] - held
             size = abs(phi[i, j])
             if size > largest or size != size:  # once NaN, always NaN
                 largest = size
@@ -108,7 +116,7 @@ class Start:
 
     Attributes:
         point_L: Fixed point l_a of the sole, sole frame [m].
-        point_W: Its place O_a before contact, world [m] (z is not used).
+        point_W: Its place O_a before contact, on the ground, world [m].
         yaw: Yaw ψ_ini [rad] before contact.
     """
 
@@ -116,19 +124,19 @@ class Start:
     point_W: np.ndarray  # noqa: N815
     yaw: float = 0.0
 
-    def reference(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
-        """Tangential references Q_t of the first step, (m, 2)."""
-        R_ini = R @ rotation_z(self.yaw - yaw_of(R))
-        return (self.point_W + (lP - self.point_L) @ R_ini.T)[:, :2]
+    def orientation(self, R: np.ndarray) -> np.ndarray:
+        """R_ini: that of the sole, with the yaw before contact."""
+        return R @ rotation_z(self.yaw - yaw_of(R))
 
-    def reference_derivative(self, R, lP) -> np.ndarray:
-        """dQ/dω with a zero normal row, (m, 3, 3)."""
-        R_ini = R @ rotation_z(self.yaw - yaw_of(R))
+    def places(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
+        """Of nodes before contact, world [m], (m, 3)."""
+        return self.point_W + (lP - self.point_L) @ self.orientation(R).T
+
+    def places_by_turn(self, R, lP) -> np.ndarray:
+        """Their derivative by the turn, (m, 3, 3)."""
         gamma = np.array([0.0, R[1, 2], R[2, 2]]) / (1 - R[0, 2] ** 2)
         M = np.eye(3) - np.outer(R[:, 2], gamma)
-        dQ = -hat((lP - self.point_L) @ R_ini.T) @ M
-        dQ[:, 2] = 0.0
-        return dQ
+        return -hat((lP - self.point_L) @ self.orientation(R).T) @ M
 
 
 @dataclass
@@ -150,11 +158,13 @@ class Target:
 
     Attributes:
         force: [N], (3,).
-        zmp: On the ground [m], (2,).
-        reference: Q_t (m, 2), or a Start for the first step.
+        zmp: [m], (2,).
+        reference: Places at the sample before (m, 3), or a Start for the
+            first step.
         moment: About the vertical through the ZMP [N·m].
         rotation: Orientation (3, 3); where it is given, the force alone is
             reached.
+        height: Of the ground at the ZMP [m].
     """
 
     force: np.ndarray
@@ -162,23 +172,31 @@ class Target:
     reference: "np.ndarray | Start"
     moment: float = 0.0
     rotation: np.ndarray | None = None
+    height: float = 0.0
+
+    @property
+    def point(self) -> np.ndarray:
+        """The ZMP on the ground, world [m], (3,)."""
+        return np.array([*self.zmp, self.height])
 
     @property
     def asked(self) -> np.ndarray:
         """Components of the wrench that are asked for, and of the pose."""
         return _WHOLE if self.rotation is None else _SHIFT
 
-    def references(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
-        """Tangential references of nodes at rest positions lP, (m, 2)."""
+    def places_before(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
+        """Of nodes at rest positions lP, world [m], (m, 3)."""
         if isinstance(self.reference, Start):
-            return self.reference.reference(R, lP)
+            return self.reference.places(R, lP)
         return self.reference
 
-    def reference_turn(self, R, lP) -> np.ndarray | None:
-        """Their derivative by the turn (m, 3, 3), if they have one."""
-        if isinstance(self.reference, Start):
-            return self.reference.reference_derivative(R, lP)
-        return None
+    def turn(self, ground: Ground, R, lP) -> Turn | None:
+        """How the planes that nodes meet follow the turn, if they do."""
+        if not isinstance(self.reference, Start):
+            return None
+        P = self.reference.places(R, lP)
+        by_turn = self.reference.places_by_turn(R, lP)
+        return Turn(*(x @ by_turn for x in ground.plane_derivatives(P)))
 
     def partway(self, before: "Target", part: float) -> "Target":
         """A part of the way from `before` to here, at this reference."""
@@ -192,6 +210,7 @@ class Target:
             self.reference,
             before.moment + part * (self.moment - before.moment),
             rotation,
+            before.height + part * (self.height - before.height),
         )
 
     def missed(self, wrench: np.ndarray) -> np.ndarray:
@@ -205,7 +224,7 @@ class Target:
         """Place and orientation turned about the ZMP as is asked for."""
         if self.rotation is None:
             return O, R
-        Z = np.array([*self.zmp, 0.0])
+        Z = self.point
         return Z + self.rotation @ R.T @ (O - Z), self.rotation
 
 
@@ -230,6 +249,7 @@ class ContactSolver:
         law: The contact law.
         tolerance: On the scaled residual's largest entry.
         max_iterations: Newton steps before giving up.
+        ground: What it stands on.
     """
 
     def __init__(
@@ -239,8 +259,9 @@ class ContactSolver:
         law: ContactLaw,
         tolerance: float = 1e-11,
         max_iterations: int = 20,
+        ground: Ground = FLAT,
     ):
-        self.C, self.lP, self.law = C, lP, law
+        self.C, self.lP, self.law, self.ground = C, lP, law, ground
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self.active = ActiveSet(C)
 
@@ -312,9 +333,9 @@ class ContactSolver:
         F, law = state.F, self.law
         if P is None:
             P = self.deformed(F, state.R) + state.O
-        Q_t = target.references(state.R, self.lP)
+        Q, axes = self.ground.planes(target.places_before(state.R, self.lP))
         tau, phi, arm, wrench, largest = residual(
-            P, F, Q_t, target.zmp,
+            P, F, Q, axes, target.point,
             law.penalty, law.friction, law.epsilon, law.kappa,
         )  # fmt: skip
         merit = largest / scale
@@ -326,7 +347,7 @@ class ContactSolver:
             off[3:] /= MOMENT_SCALE
             merit = float(np.maximum(merit, off.max() / scale))  # NaN stays
         active = tau[:, 2] > -law.epsilon
-        return _Point(state, P, arm, tau, phi, wrench, active, merit)
+        return _Point(state, P, axes, arm, tau, phi, wrench, active, merit)
 
     def _linearisation(self, point, target) -> Linearisation:
         if not point.active.any():
@@ -340,6 +361,7 @@ class ContactSolver:
             point.arm[nodes],
             point.state.F[nodes],
             point.tau[nodes],
+            point.axes[nodes],
         )
 
     def _direction(self, point, target, fixed_pose):
@@ -360,8 +382,8 @@ class ContactSolver:
         if fixed_pose:
             dF[lin.nodes] = lin.solve_forces(phi)
             return dF, np.zeros(6)
-        dQ = target.reference_turn(state.R, self.lP[lin.nodes])
-        dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, dQ)
+        turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
+        dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)
         if not np.isfinite(dp).all():
             raise np.linalg.LinAlgError
         return dF, dp
@@ -374,7 +396,7 @@ class ContactSolver:
         )
         best = None
         for _ in range(_HALVINGS + 1):
-            trial = move(point.state, step * dF, step * dp, target.zmp)
+            trial = move(point.state, step * dF, step * dp, target.point)
             new = self._evaluate(trial, target, fixed_pose, scale)
             if best is None or new.merit < best.merit:
                 best = new
@@ -398,6 +420,7 @@ class _Point:
 
     state: State
     P: np.ndarray
+    axes: np.ndarray
     arm: np.ndarray
     tau: np.ndarray
     phi: np.ndarray
@@ -406,9 +429,8 @@ class _Point:
     merit: float
 
 
-def move(state: State, dF, dp, zmp) -> State:
+def move(state: State, dF, dp, Z) -> State:
     """State after force increments and a pose increment (dzO, dω) about Z."""
-    Z = np.array([zmp[0], zmp[1], 0.0])
     turn = exp_rotation(dp[3:])
     O = Z + turn @ (state.O - Z) + dp[:3]  # noqa: E741
     return State(state.F + dF, O, turn @ state.R)

@@ -70,7 +70,7 @@ def smooth_plus(x, width):
 
 
 def project(tau: np.ndarray, law: ContactLaw) -> np.ndarray:
-    """T(τ) at nodes, (k, 3) -> (k, 3)."""
+    """T(τ) at nodes, in the axes of their planes, (k, 3) -> (k, 3)."""
     return project_with_derivative(tau, law)[0]
 
 

@@ -12,7 +12,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.shape_gradient import compliance_gradients
 from drake_exo.soles.loads import Load
-from drake_exo.soles.rotations import cross, rotation_z, yaw_of
+from drake_exo.soles.rotations import cross
 from drake_exo.soles.step.simulation import StepHistory
 
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
@@ -34,7 +34,7 @@ class Sensitivity:
     Attributes:
         lP: By the rest positions of the contact nodes, (m, 3).
         left, right: Columns with ∂/∂C = Σ left rightᵀ, lists of (3m,).
-        mu: By the tangential places of the sample before, (m, 3).
+        mu: By the places of the sample before, (m, 3).
         load: By force and ZMP of every sample, (N, 5).
     """
 
@@ -186,9 +186,8 @@ def _reversed(sole, solver, load, start, history, functionals):
         ]
         if not live:
             continue
-        held = q in load.begins
-        reference = start if held else history.P[q - 1][:, :2]
-        target = load.target(q, reference)
+        reference = start if q in load.begins else history.P[q - 1]
+        target = load.target(q, reference, solver.ground)
         step = _Step(solver, history, q, target)
         step.reverse(*zip(*live, strict=True))
     return sums
@@ -203,17 +202,21 @@ class _Step:
         self.lin = solver.linearise(state, target, history.P[q])
         self.nodes = self.lin.nodes
         self.dF, self.dP, self.G = self.lin.pose_response()
-        self.first = isinstance(target.reference, Start)
-        self.dQ = target.reference_turn(state.R, solver.lP[self.nodes])
-        if self.dQ is not None:
-            self.G = self.lin.pose_response(self.dQ)[2]
+        rest, ground = solver.lP[self.nodes], solver.ground
+        self.turn = target.turn(ground, state.R, rest)
+        if self.turn is not None:
+            self.G = self.lin.pose_response(self.turn)[2]
+        before = target.places_before(state.R, solver.lP)[self.nodes]
+        self.planes = ground.plane_derivatives(before)
+        self.rise = ground.slope(target.point[None])[0]
         self.Y = history.P[q] - state.O
 
     def reverse(self, sums: list[Sensitivity], terms: list[list]) -> None:
         """Add this sample's share; leaves every mu for the one before."""
         R, F = self.state.R, self.lin.F
         c, k, m = len(sums), len(self.nodes), len(self.solver.lP)
-        bP, bF, bQ = np.zeros((3, c, k, 3))
+        # bA: by the turns of the planes that the nodes meet.
+        bP, bF, bQ, bA = np.zeros((4, c, k, 3))
         b_w = np.zeros((c, 3))
         of_stiffness = []
         for i, own in enumerate(terms):
@@ -227,9 +230,9 @@ class _Step:
                 else:
                     of_stiffness.append((i, term))
         if of_stiffness:
-            self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, b_w)
-        if self.first:
-            b_w += np.einsum("kij,cki->cj", self.dQ, bQ)
+            self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, bA, b_w)
+        if self.turn is not None:
+            b_w += self._by_turn(bQ, bA)
         # Reverse P = O + R (lP + C Rᵀ F), with what the next sample asks.
         bP_all = np.array([total.mu for total in sums])
         bP_all[:, self.nodes] += bP
@@ -244,34 +247,47 @@ class _Step:
         lift = lift.reshape(c, -1, 3)[:, self.nodes - a] @ R.T
         bF += lift
         b_w -= cross(F, lift).sum(axis=1)
-        y, l_w = self._adjoint(bF, b_O, b_w)
+        y, turned, l_w = self._adjoint(bF, b_O, b_w)
         l_f, l_m = l_w[:, :3], l_w[:, 3:]
         # The wrench about Z is Σ F − F_d and Σ (P − Z) × F.
         about = cross(F.sum(axis=0)[None], l_m)
         for i, total in enumerate(sums):
-            total.load[self.q] -= [*l_f[i], *about[i, :2]]
+            total.load[self.q] -= [*l_f[i], *self._on_ground(about[i])]
         by[:, self.nodes] += (y + cross(F, l_m[:, None])) @ R
-        bQ -= y
-        bQ[:, :, 2] = 0.0
+        moved, turns = self.planes
+        before = (bQ - y)[:, :, None] @ moved + (bA + turned)[
+            :, :, None
+        ] @ turns
+        before = before[:, :, 0]
         f = self.state.F @ R
         for i, total in enumerate(sums):
             total.lP += by[i]
             total.add(by[i], f)
             total.mu = np.zeros((m, 3))
-            if self.first:
-                # Q_t = t (O_a + R_ini (lP − l_a)).
-                slope = _reference_by_position(self.target.reference, R)
-                total.lP[self.nodes] += bQ[i] @ slope
-            else:
-                total.mu[self.nodes] = bQ[i]
+            if self.turn is None:
+                total.mu[self.nodes] = before[i]
+            else:  # O_a + R_ini (lP − l_a)
+                R_ini = self.target.reference.orientation(R)
+                total.lP[self.nodes] += before[i] @ R_ini
 
-    def _stiffness_terms(self, sums, terms, bP, bF, bQ, b_w) -> None:
+    def _by_turn(self, by_places, by_axes) -> np.ndarray:
+        """Through references and axes of planes that turn with the foot."""
+        return np.einsum("kij,cki->cj", self.turn.places, by_places) + (
+            np.einsum("kij,cki->cj", self.turn.axes, by_axes)
+        )
+
+    def _on_ground(self, by_point: np.ndarray) -> np.ndarray:
+        """By the ZMP, which stays on the ground, from (3,) to (2,)."""
+        return by_point[:2] + by_point[2] * self.rise
+
+    def _stiffness_terms(self, sums, terms, bP, bF, bQ, bA, b_w) -> None:
         """Add direct derivatives of α uᵀ K_c v.
 
         Args:
             sums: Of the functionals.
             terms: Pairs of functional and term.
-            bP, bF, bQ: By places, forces and references, (c, k, 3) each.
+            bP, bF, bQ, bA: By places, forces, references and the turns of
+                their planes, (c, k, 3) each.
             b_w: By the turn, (c, 3).
         """
         lin, R, F, arm = self.lin, self.state.R, self.lin.F, self.lin.arm
@@ -284,7 +300,10 @@ class _Step:
         plain = u_f - cross(arm, u_m)
         z, y, e = lin.solve_transposed(lin.times_S(plain) + cross(F, u_m))
         r = lin.r
-        p = lin.second_order(dF - r * dP, z)
+        d_tau = dF - r * dP
+        p = lin.second_order(d_tau, z)
+        tau = lin.tau_world
+        by_axes = cross(dF, z) - cross(d_tau, y) / r - cross(tau, p)
         gg = dF - cross(turn, F)
         R_du = dP - shift - cross(turn, arm)
         b_dP = cross(F, u_m) - y
@@ -297,9 +316,11 @@ class _Step:
         for i, (functional, _) in enumerate(terms):
             bP[functional] += by_P[i]
             # The arm is P − Z.
-            sums[functional].load[self.q, 3:] -= by_arm[i].sum(axis=0)[:2]
+            by_point = self._on_ground(by_arm[i].sum(axis=0))
+            sums[functional].load[self.q, 3:] -= by_point
             bF[functional] += by_F[i]
             bQ[functional] += r * p[i]
+            bA[functional] += by_axes[i]
             b_w[functional] += by_turn[i]
             left, right = np.zeros((2, len(self.solver.lP), 3))
             left[self.nodes], right[self.nodes] = b_dP[i] @ R, gg[i] @ R
@@ -309,28 +330,24 @@ class _Step:
         """Solve the transposed Newton system for all functionals.
 
         Returns:
-            Bᵀ λ (c, k, 3) and l_w (c, 6).
+            Bᵀ λ (c, k, 3), by the turns of the planes (c, k, 3), l_w (c, 6).
         """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
-        Z = np.array([*self.target.zmp, 0.0])
+        tau, Z = lin.tau_world / lin.r, self.target.point
         shifted = cross((self.state.O - Z)[None], b_O)
         b_p = np.concatenate([b_O, b_w + shifted], axis=1)
         Sb0 = -lin.times_S(bF)
-        _, y0, e0 = lin.solve_transposed(Sb0)
+        z0, y0, e0 = lin.solve_transposed(Sb0)
         W_y0 = -bF - e0
         turned = cross(arm, y0) - cross(F, W_y0)
         J_pT = np.concatenate([y0.sum(axis=1), turned.sum(axis=1)], axis=1)
-        if self.dQ is not None:
-            J_pT[:, 3:] -= np.einsum("kij,cki->cj", self.dQ, y0)
+        if self.turn is not None:
+            J_pT[:, 3:] += self._by_turn(-y0, cross(tau, y0) - cross(F, z0))
         asked, l_w = self.target.asked, np.zeros((len(b_p), 6))
         G = self.G[np.ix_(asked, asked)]
         l_w[:, asked] = np.linalg.solve(G.T, -(b_p + J_pT)[:, asked].T).T
         l_f, l_m = l_w[:, None, :3], l_w[:, None, 3:]
         plain = l_f - cross(arm, l_m)
         Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
-        return lin.solve_transposed(Sb)[1], l_w
-
-
-def _reference_by_position(start: Start, R) -> np.ndarray:
-    """Matrix A with bar(lP) = bar(Q) A: R_ini itself."""
-    return R @ rotation_z(start.yaw - yaw_of(R))
+        z, y, _ = lin.solve_transposed(Sb)
+        return y, cross(tau, y) - cross(F, z), l_w

@@ -156,6 +156,7 @@ class Design:
             "spread": self.spread,
             "active": self.active(),
             "gait": self.gait,
+            **self.setup.ground_told,
         }
         if last is not None:
             row |= {
@@ -352,8 +353,9 @@ class Design:
             write_vtk(folder / mesh, step.sole.mesh)
             write_csv(folder / table, step.table())
             write_history(
-                folder / history, step.sole.mesh, step.times, step.history
-            )
+                folder / history, step.sole.mesh, step.times, step.history,
+                self.setup.ground,
+            )  # fmt: skip
         write_csv(folder / "history.csv", self.history)
         self._draw(folder, verdict.mark)
         row["finite_strain"] = self._compare_strains(folder, say, verdict.mark)

@@ -7,7 +7,8 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.output import read_json, write_json
+from drake_exo.files.output import read_arrays, read_json, write_json
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
 from drake_exo.soles.mesh import read_mesh
@@ -15,6 +16,7 @@ from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step.simulation import HISTORY
 
 _FILE = "checkpoint.json"
 _LARGEST = 1e30
@@ -284,7 +286,11 @@ def read_design(folder: Path) -> StoredDesign:
             )
     settings = Settings.read(folder / CASE)
     mesh = read_mesh(folder / MESH, (0.0, 0.0, 0.0))
-    load, start = read_csv(folder / STEPS), settings.start_pose(mesh)
+    load, ground = read_csv(folder / STEPS), FLAT
+    if settings.ground is not None:
+        kept = read_arrays(folder / HISTORY, "optimise the sole again")
+        ground = Ground.of_arrays(kept)
+    start = settings.start_pose(mesh, ground)
     held = [block.pose == "measured" for block in settings.all_loads]
     if any(held):
         table = read_columns(folder / STEPS)
@@ -292,7 +298,7 @@ def read_design(folder: Path) -> StoredDesign:
         R = rotations_xyz(np.deg2rad(angles).T)
         R[~np.array(held)[load.phase]] = np.nan
         load = replace(load, rotation=R)
-    return StoredDesign(folder, Setup(settings, load, mesh, start))
+    return StoredDesign(folder, Setup(settings, load, mesh, start, ground))
 
 
 def read_summary(folder: Path) -> dict:

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Element, Material, Sole
@@ -70,6 +71,7 @@ class ShapeProblem:
         branch: History of the last accepted design.
         first: The initial shape, for the scales; by default simulated on
             the mesh.
+        ground: That it walks on.
     """
 
     mesh: TetMesh
@@ -87,6 +89,7 @@ class ShapeProblem:
     of: Literal["mean", "worst"] = "mean"
     branch: StepHistory | None = None
     first: Evaluation | None = None
+    ground: Ground = FLAT
     evaluations: int = 0
     failures: int = 0
     _cache: dict = field(default_factory=dict)
@@ -143,7 +146,9 @@ class ShapeProblem:
         sole = self._sole.with_nodes(stretch[:, None] * self.mesh.nodes)
         if stretch.min() <= 0 or sole.mesh.volumes.min() <= 0:
             return None
-        solver = ContactSolver.of(sole, self.law, tolerance=1e-12)
+        solver = ContactSolver.of(
+            sole, self.law, tolerance=1e-12, ground=self.ground
+        )
         history = simulate(
             solver,
             self.thinned,
@@ -153,7 +158,7 @@ class ShapeProblem:
         )
         if history.failed_steps:
             return None
-        if touches_elsewhere(sole, self.law, history):
+        if touches_elsewhere(sole, self.law, history, self.ground):
             # From here on all bare nodes may touch, in every design.
             self.mesh, self.branch = self.mesh.touching_everywhere(), None
             self._sole = replace(self._sole, mesh=self.mesh)

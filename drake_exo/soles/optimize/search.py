@@ -97,6 +97,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
         settings.cost.heel_strike_fraction,
         stage.samples,
         of=settings.cost.of,
+        ground=setup.ground,
     )
 
 

@@ -13,6 +13,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import read_arrays, write_json
 from drake_exo.files.verdict import SOLVED, Check, Verdict
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
@@ -68,7 +69,7 @@ def step_checks(step) -> tuple[Check, ...]:
         checks.append(_zmp_check(step, name))
     if not measured.all():
         checks += _pose_checks(step, name, step.converged & ~measured)
-    used = float(step.setup.load.friction_used.max())
+    used = step.setup.friction_used
     limit = _NEAR_SLIP * step.law.friction
     checks.append(
         _note(
@@ -206,13 +207,11 @@ class Step:
         kind = kinds[setup.settings.contact.method]
 
         def simulated(sole):
-            return simulate(
-                kind.of(sole, law), setup.load, setup.start,
-                progress=progress,
-            )  # fmt: skip
+            solver = kind.of(sole, law, ground=setup.ground)
+            return simulate(solver, setup.load, setup.start, progress=progress)
 
         history = simulated(sole)
-        if touches_elsewhere(sole, law, history):
+        if touches_elsewhere(sole, law, history, setup.ground):
             sole = replace(sole, mesh=sole.mesh.touching_everywhere())
             history = simulated(sole)
         return cls(setup, sole, law, history)
@@ -233,10 +232,13 @@ class Step:
 
         NaN where nothing touches.
         """
-        up = self.history.F[:, :, 2]
+        F, P = self.history.F, self.history.P
+        above = (
+            P[:, :, 2] - self.setup.ground.height(self.setup.load.zmp)[:, None]
+        )
+        moved = P[:, :, :2] * F[:, :, 2:] - above[:, :, None] * F[:, :, :2]
         with np.errstate(invalid="ignore"):
-            share = up / up.sum(axis=1, keepdims=True)
-        return np.einsum("qm,qmi->qi", share, self.history.P[:, :, :2])
+            return moved.sum(axis=1) / F[:, :, 2].sum(axis=1)[:, None]
 
     @property
     def zmp_error(self) -> float:
@@ -398,6 +400,7 @@ class Step:
             self.setup.start,
             self.sole.positions,
             self.setup.load.begins,
+            self.setup.ground,
         )
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
@@ -483,7 +486,8 @@ class Step:
             "tilt_max_deg": float(self.tilt_deg.max()),
             "max_strain": self.largest_strain,
             "zmp_error_rms_m": self.zmp_error,
-            "friction_used": float(self.setup.load.friction_used.max()),
+            "friction_used": self.setup.friction_used,
+            **self.setup.ground_told,
             "newton_iterations_mean": float(np.mean(iterations)),
             "newton_iterations_max": int(np.max(iterations)),
         }
@@ -522,7 +526,9 @@ class Step:
         name = self.setup.name
         steps = {name: self} | beside
         motions = [
-            SoleMotion.of(label, s.sole.mesh, s.times, s.history)
+            SoleMotion.of(
+                label, s.sole.mesh, s.times, s.history, s.setup.ground
+            )
             for label, s in steps.items()
         ]
         if motions[0] is not None:
@@ -549,7 +555,7 @@ class Step:
         peak = np.nan_to_num(self.pressure).max(axis=0)
         drawn = {
             "drawing": pictures.drawing_figure(mesh, self.setup.name, peak),
-            "load": pictures.load_figure(load, mesh),
+            "load": pictures.load_figure(load, mesh, self.setup.ground),
             "stiffness": self.plot(label, **beside),
             "pose": pictures.pose_figure(self.table()),
             "pressure": pictures.pressure_figure(
@@ -586,8 +592,9 @@ class Step:
             }
         write_csv(folder / "steps.csv", self.table())
         write_history(
-            folder / HISTORY, self.sole.mesh, self.times, self.history
-        )
+            folder / HISTORY, self.sole.mesh, self.times, self.history,
+            self.setup.ground,
+        )  # fmt: skip
         tables = time.perf_counter()
         self.draw(folder, verdict.mark)
         numbers |= self.seconds | (seconds or {})
@@ -635,6 +642,7 @@ def complementarity(
     start: Start,
     lP: np.ndarray,
     begins: Sequence[int] = (0,),
+    ground: Ground = FLAT,
 ) -> float:
     """Largest violation of Signorini's and Coulomb's laws, normalised.
 
@@ -649,11 +657,11 @@ def complementarity(
             before = None
         F, P, R = history.F[q], history.P[q], history.R[q]
         scale = np.linalg.norm(F.sum(axis=0))
-        Q = start.reference(R, lP) if before is None else before[:, :2]
-        Q = history.between.get(q, Q)
-        f = F / scale
-        gap = P[:, 2] * law.penalty / scale
-        slip = (P[:, :2] - Q) * law.penalty / scale
+        start_or_before = start.places(R, lP) if before is None else before
+        Q, axes = ground.planes(history.between.get(q, start_or_before))
+        f = np.einsum("kij,kj->ki", axes, F) / scale
+        apart = np.einsum("kij,kj->ki", axes, P - Q) * law.penalty / scale
+        gap, slip = apart[:, 2], apart[:, :2]
         size = np.linalg.norm(f[:, :2], axis=1)
         margin = law.friction * f[:, 2] - size
         speed = np.linalg.norm(slip, axis=1)
@@ -698,6 +706,11 @@ def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
         ) from None
     if not len(up):
         raise InputError(f"{folder / HISTORY}: no sample converged; {remedy}")
+    if not Ground.of_arrays(data).is_flat:
+        raise InputError(
+            f"{folder / HISTORY}: the sole stood on uneven ground; simulate "
+            "it without the key ground"
+        )
     force = up.sum(axis=1)
     cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
     size = np.array([*np.ptp(nodes[:, :2], axis=0), -nodes[:, 2].min()])

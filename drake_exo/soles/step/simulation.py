@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
@@ -40,18 +41,19 @@ _PATIENCE = 3  # times the Newton steps of a neighbouring design
 HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"
 
 
-def candidate_poses(
-    lP: np.ndarray, zmp, start: Start, rotation: np.ndarray | None = None
-) -> list[State]:
+def candidate_poses(lP: np.ndarray, target: Target, ground) -> list[State]:
     """Poses that lay the rest shape flat on a hull facet, best first.
 
     Where an orientation is asked for, that alone. Facets whose support holds
     the ZMP come first, by tilt; then the others, by the distance of the ZMP
     from the support.
     """
+    start, rotation = target.reference, target.rotation
     if rotation is not None:
         O = start.point_W - rotation @ start.point_L  # noqa: E741
-        O[2] = -(lP @ rotation.T)[:, 2].min()
+        O[2] = 0.0
+        P = lP @ rotation.T + O
+        O[2] = -(P[:, 2] - ground.height(P)).min()
         return [State(np.zeros_like(lP), O, rotation)]
     # With the foot above: a flat surface alone has no hull.
     points = np.vstack([lP, np.zeros(3)])
@@ -59,10 +61,10 @@ def candidate_poses(
     normals, which = np.unique(
         np.round(hull.equations[:, :3], 6), axis=0, return_inverse=True
     )
-    down = np.array([0.0, 0.0, -1.0])
+    down = -ground.normal(start.places(np.eye(3), lP))
     ranked = []
     for index, normal in enumerate(normals):
-        tilt = np.arccos(np.clip(normal @ down, -1.0, 1.0))
+        tilt = np.arccos(np.clip(-normal[2], -1.0, 1.0))
         if tilt > _MAX_TILT:
             continue
         R = rotation_between(normal, down)
@@ -70,8 +72,8 @@ def candidate_poses(
         corners = np.unique(hull.simplices[which.ravel() == index])
         O = start.point_W - R @ start.point_L  # noqa: E741
         placed = points[corners] @ R.T + O
-        O[2] -= placed[:, 2].mean()
-        outside = _distance(placed[:, :2], np.asarray(zmp))
+        O[2] -= (placed[:, 2] - ground.height(placed)).mean()
+        outside = _distance(placed[:, :2], target.zmp)
         state = State(np.zeros_like(lP), O, R)
         ranked.append((outside > 0, outside if outside > 0 else tilt, state))
     ranked.sort(key=lambda item: item[:2])
@@ -134,9 +136,7 @@ def _follow_design(solver, target, near, press):
 
 def _cold_start(solver, target, press, patience):
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
-    candidates = candidate_poses(
-        solver.lP, target.zmp, target.reference, target.rotation
-    )
+    candidates = candidate_poses(solver.lP, target, solver.ground)
     total, smoother = 0, _smoother(solver.law)
     # Where the law itself is as smooth, they would fail alike.
     ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
@@ -288,18 +288,18 @@ def refine_time(
 
     Returns:
         The last state that was found; its report: how many parts it took or
-        up to which part of the way it got; the references it has there.
+        up to which part of the way it got; the places before it there.
     """
     done, part, parts, total = 0.0, 0.5, 0, 0
-    references = places[:, :2]
+    references = places
     while done < 1.0 and part >= _LEAST_PART:
         ahead = min(done + part, 1.0)
-        end = replace(target, reference=places[:, :2])
+        end = replace(target, reference=places)
         here, aim = (end.partway(before, t) for t in (done, ahead))
         trial, report = follow_load(solver, state, here, aim)
         total += report.iterations
         if report.converged:
-            state, done, references = trial, ahead, places[:, :2]
+            state, done, references = trial, ahead, places
             places = solver.deformed(state.F, state.R) + state.O
             part, parts = 2.0 * part, parts + 1
         else:
@@ -327,7 +327,7 @@ class StepHistory:
         P: Places of the contact nodes, world [m], (N, m, 3).
         K_c: Cartesian stiffness about the ZMP, (N, 6, 6).
         reports: Convergence of every sample.
-        between: Tangential references (m, 2) of samples to which others in
+        between: Places (m, 3) just before samples to which others in
             between have led.
     """
 
@@ -364,7 +364,7 @@ class StepHistory:
 
 
 def touches_elsewhere(
-    sole: Sole, law: ContactLaw, history: StepHistory
+    sole: Sole, law: ContactLaw, history: StepHistory, ground: Ground = FLAT
 ) -> bool:
     """Whether a bare node that was not to touch gets to the ground."""
     others = np.setdiff1d(sole.mesh.bare, sole.mesh.contact)
@@ -372,16 +372,21 @@ def touches_elsewhere(
     for first in range(0, len(good), _TOGETHER):
         q = good[first : first + _TOGETHER]
         u = sole.displacement(history.F[q] @ history.R[q])
-        up = history.R[q, 2, :, None]
-        height = (sole.mesh.nodes[others] + u[:, others]) @ up
-        height += history.O[q, 2, None, None]
-        if height.min(initial=np.inf) < law.layer:
+        P = sole.mesh.nodes[others] + u[:, others]
+        P = P @ history.R[q].transpose(0, 2, 1) + history.O[q, None]
+        P = P.reshape(-1, 3)
+        if (P[:, 2] - ground.height(P)).min(initial=np.inf) < law.layer:
             return True
     return False
 
 
-def write_history(path: Path, mesh: TetMesh, times, history) -> None:
-    """Write forces, poses, places and stiffness over time as NPZ."""
+def write_history(
+    path: Path, mesh: TetMesh, times, history, ground=FLAT
+) -> None:
+    """Write forces, poses, places and stiffness over time as NPZ.
+
+    Beside them the heights of a ground that is not flat.
+    """
     np.savez_compressed(
         path,
         times=times,
@@ -393,6 +398,7 @@ def write_history(path: Path, mesh: TetMesh, times, history) -> None:
         contact_nodes=mesh.contact,
         nodes_L=mesh.nodes,
         tets=mesh.tets,
+        **ground.arrays(),
     )
 
 
@@ -436,8 +442,8 @@ def simulate(
     for q in range(steps):
         if q in load.begins:
             good = None
-        reference = start if good is None else good[2][:, :2]
-        target = load.target(q, reference)
+        reference = start if good is None else good[2]
+        target = load.target(q, reference, solver.ground)
         if near is not None:
             left += _PATIENCE * (10 + near.reports[q].iterations)
         if good is None:
@@ -447,7 +453,7 @@ def simulate(
                 solver, target, largest_force or part.largest_force, first, left
             )
         else:
-            before = load.target(good[0], reference)
+            before = load.target(good[0], reference, solver.ground)
             guess = _alike(near, good[0], q, good[1]) if near else None
             state, report = follow_load(solver, good[1], before, target, guess)
             if not (report.converged or stop_at_failure):

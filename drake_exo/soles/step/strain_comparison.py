@@ -12,6 +12,7 @@ from drake_exo.soles.contact.finite_strain import (
     FiniteState,
     FiniteStrainSolver,
 )
+from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
@@ -68,6 +69,7 @@ def follow(
     start: Start,
     entry: State | None = None,
     progress: Callable[[int, int], None] | None = None,
+    ground: Ground = FLAT,
 ) -> FiniteHistory:
     """Follow force and ZMP sample by sample, with the contact's history.
 
@@ -83,22 +85,25 @@ def follow(
         start: How the sole is held just before contact.
         entry: Small-strain solution of the first sample, if known.
         progress: Called with samples done and samples in all.
+        ground: What it stands on.
     """
-    solver = FiniteStrainSolver(NeoHookeanBody(sole.mesh, sole.material), law)
+    body = NeoHookeanBody(sole.mesh, sole.material)
+    solver = FiniteStrainSolver(body, law, ground=ground)
     count = len(load.times)
     history = FiniteHistory(K_c=np.full((count, 6, 6), np.nan))
     for q in range(count):
         if q in load.begins:
-            target, largest = load.target(q, start), load.largest_force
+            target = load.target(q, start, ground)
+            largest = load.largest_force
             if q:
                 entry = None
             state, report, reached = _enter(
                 sole, solver, target, largest, entry
             )
         else:
-            reference = solver.places(state)[:, :2]
-            target = load.target(q, reference)
-            before = load.target(q - 1, reference)
+            reference = solver.places(state)
+            target = load.target(q, reference, ground)
+            before = load.target(q - 1, reference, ground)
             state, report, reached = lead(solver, state, before, target)
         history.states.append(state)
         history.reports.append(report)
@@ -121,7 +126,7 @@ def _leave_out(history: FiniteHistory, count: int) -> None:
 
 def _enter(sole, solver, target: Target, largest: float, known: State | None):
     """First sample: small strain at a part of the load, then all of it."""
-    small = ContactSolver.of(sole, solver.law)
+    small = ContactSolver.of(sole, solver.law, ground=solver.ground)
     best = None
     for part in _ENTRIES:
         aim = replace(
@@ -196,7 +201,7 @@ def compare_strains(
     count = len(strike.times)
     law = ContactLaw(setup.settings.contact.friction, sole.penalty)
     small = simulate(
-        ContactSolver.of(sole, law),
+        ContactSolver.of(sole, law, ground=setup.ground),
         strike,
         start,
         largest_force=load.largest_force,
@@ -207,7 +212,7 @@ def compare_strains(
         if say is not None:
             say(f"finite strain, {done} of {count} samples")
 
-    finite = follow(sole, law, strike, start, entry, progress)
+    finite = follow(sole, law, strike, start, entry, progress, setup.ground)
     return {
         "heel_strike_samples": count,
         "converged_samples": int(finite.converged.sum()),

@@ -1,0 +1,185 @@
+"""The ground under a sole: flat, or heights of a grid.
+
+Heights are interpolated by a bicubic spline, whose slope and curvature are
+continuous. During a sample every node meets the plane that touches the ground
+below its place at the sample before: exact for a slope and for nodes that
+stick, off by half the curvature times the square of a slip for others.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from drake_exo.errors import InputError
+from drake_exo.soles.rotations import hat
+
+COLUMNS = ("x_m", "y_m", "z_m")
+ARRAYS = ("ground_x", "ground_y", "ground_z")
+_LEAST = 4  # grid lines along an axis, for cubic pieces
+_STEEPEST = 1.0  # 45°
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Heights over a grid; without any, the plane z = 0.
+
+    Attributes:
+        x, y: Increasing grid lines [m], (a,) and (b,).
+        z: Heights [m], (a, b).
+    """
+
+    x: np.ndarray = None
+    y: np.ndarray = None
+    z: np.ndarray = None
+
+    @classmethod
+    def of_table(cls, table: dict[str, np.ndarray], name: str) -> "Ground":
+        """Of columns `COLUMNS`, one row for every point of the grid.
+
+        Raises:
+            InputError: The points are no grid, too few, or too steep.
+        """
+        x, y, z = (table[key] for key in COLUMNS)
+        (lines_x, i), (lines_y, j) = (
+            np.unique(np.round(v, 9), return_inverse=True) for v in (x, y)
+        )
+        count = len(lines_x), len(lines_y)
+        heights = np.full(count, np.nan)
+        heights[i, j] = z
+        if len(z) != heights.size or np.isnan(heights).any():
+            raise InputError(
+                f"{name}: {len(z)} points are no grid of {count[0]} x "
+                f"{count[1]}; give one row for every x with every y"
+            )
+        if min(count) < _LEAST:
+            raise InputError(
+                f"{name}: a grid of {count[0]} x {count[1]} points is too "
+                f"small; give at least {_LEAST} x {_LEAST}"
+            )
+        slopes = np.hypot(*np.gradient(heights, lines_x, lines_y))
+        if slopes.max() > _STEEPEST:
+            a, b = np.unravel_index(slopes.argmax(), count)
+            raise InputError(
+                f"{name}: near x {lines_x[a]:g} m, y {lines_y[b]:g} m the "
+                f"ground is as steep as {slopes.max():.3g}, and a sole stands "
+                "on none beyond 1 (45°); heights are in metres"
+            )
+        return cls(lines_x, lines_y, heights)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is the plane z = 0."""
+        return self.z is None
+
+    @cached_property
+    def _spline(self) -> RectBivariateSpline:
+        return RectBivariateSpline(self.x, self.y, self.z)
+
+    def _at(self, P: np.ndarray, dx: int = 0, dy: int = 0) -> np.ndarray:
+        """Height or a derivative below places (k, 2 or 3); (k,)."""
+        return self._spline.ev(P[:, 0], P[:, 1], dx=dx, dy=dy)
+
+    def height(self, P: np.ndarray) -> np.ndarray:
+        """Below places (k, 2) or (k, 3) [m], (k,) [m]."""
+        return np.zeros(len(P)) if self.is_flat else self._at(P)
+
+    def slope(self, P: np.ndarray) -> np.ndarray:
+        """∂h/∂x and ∂h/∂y below places, (k, 2)."""
+        if self.is_flat:
+            return np.zeros((len(P), 2))
+        return np.stack([self._at(P, 1, 0), self._at(P, 0, 1)], axis=1)
+
+    def check_below(self, places: np.ndarray, name: str) -> None:
+        """Refuse a grid that does not reach below all places (k, 2) [m].
+
+        Raises:
+            InputError: Says what is asked for.
+        """
+        if self.is_flat:
+            return
+        low, high = places.min(axis=0), places.max(axis=0)
+        here = np.array([[self.x[0], self.y[0]], [self.x[-1], self.y[-1]]])
+        if (low < here[0]).any() or (high > here[1]).any():
+            raise InputError(
+                f"{name}: the grid spans x {here[0, 0]:g} to {here[1, 0]:g} m "
+                f"and y {here[0, 1]:g} to {here[1, 1]:g} m, and the sole "
+                f"stands on x {low[0]:g} to {high[0]:g} m and y {low[1]:g} to "
+                f"{high[1]:g} m; give heights below all of it, in its frame"
+            )
+
+    def normal(self, P: np.ndarray) -> np.ndarray:
+        """Of the plane that fits the ground below places on the whole, (3,)."""
+        n = np.append(-self.slope(P).mean(axis=0), 1.0)
+        return n / np.linalg.norm(n)
+
+    def planes(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What touches the ground below places.
+
+        Args:
+            P: World [m], (m, 3).
+
+        Returns:
+            The places put onto these planes [m], (m, 3); the planes' axes as
+            rows, two along them and the normal, (m, 3, 3).
+        """
+        if self.is_flat:
+            return P * [1.0, 1.0, 0.0], np.tile(np.eye(3), (len(P), 1, 1))
+        hx, hy = self.slope(P).T
+        zero, one = np.zeros_like(hx), np.ones_like(hx)
+        n = np.stack([-hx, -hy, one], axis=1)
+        along = np.stack([one, zero, hx], axis=1)
+        n, along = (
+            v / np.linalg.norm(v, axis=1, keepdims=True) for v in (n, along)
+        )
+        gap = (P[:, 2] - self.height(P)) * n[:, 2]
+        axes = np.stack([along, np.cross(n, along), n], axis=1)
+        return P - gap[:, None] * n, axes
+
+    def plane_derivatives(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By the places, of what `planes` returns, (m, 3, 3) each.
+
+        Returns:
+            Of the places on the planes; of the planes' turns [rad/m].
+        """
+        level = np.tile(np.diag([1.0, 1.0, 0.0]), (len(P), 1, 1))
+        if self.is_flat:
+            return level, np.zeros_like(level)
+        _, axes = self.planes(P)
+        n = axes[:, 2]
+        xx, xy, yy = (self._at(P, *d) for d in ((2, 0), (1, 1), (0, 2)))
+        by = np.zeros_like(level)  # of (−∂h/∂x, −∂h/∂y, 1)
+        by[:, 0, 0], by[:, 0, 1] = -xx, -xy
+        by[:, 1, 0], by[:, 1, 1] = -xy, -yy
+        across = np.eye(3) - n[:, :, None] * n[:, None, :]
+        by_n = n[:, 2, None, None] * across @ by
+        above = P[:, 2] - self.height(P)
+        moved = across - above[:, None, None] * (
+            n[:, :, None] * by_n[:, 2:] + n[:, 2, None, None] * by_n
+        )
+        return moved, hat(n) @ by_n
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """As they are kept in history.npz; nothing of a flat one."""
+        if self.is_flat:
+            return {}
+        return dict(zip(ARRAYS, (self.x, self.y, self.z), strict=True))
+
+    @classmethod
+    def of_arrays(cls, kept) -> "Ground":
+        """What `arrays` gave, among others."""
+        if ARRAYS[0] not in kept:
+            return FLAT
+        return cls(*(kept[name] for name in ARRAYS))
+
+    def summary(self, P: np.ndarray) -> dict[str, float]:
+        """What summary.json says of the ground below places (k, 2)."""
+        h, slope = self.height(P), np.hypot(*self.slope(P).T)
+        return {
+            "relief_m": float(np.ptp(h)),
+            "steepest_deg": float(np.rad2deg(np.arctan(slope.max()))),
+        }
+
+
+FLAT = Ground()
