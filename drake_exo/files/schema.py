@@ -309,6 +309,28 @@ class _Reader:
         )
 
 
+def positive(unit: str, default=None) -> Any:
+    """A field of settings above 0."""
+    meta = {"unit": unit, "above": 0.0}
+    return dataclasses.field(default=default, metadata=meta)
+
+
+def not_negative(unit: str, default: float) -> Any:
+    """A field of settings of at least 0."""
+    meta = {"unit": unit, "minimum": 0.0}
+    return dataclasses.field(default=default, metadata=meta)
+
+
+def exactly_one(block, names) -> None:
+    """Refuse a block with none or several of the keys `names`."""
+    given = [n for n in names if getattr(block, n) is not None]
+    if len(given) != 1:
+        raise InputError(
+            f"give exactly one of {', '.join(names)}, not "
+            f"{' and '.join(given) or 'none'}"
+        )
+
+
 def _key(field: dataclasses.Field) -> str:
     """Its name in the file; Python's reserved words are not for fields."""
     return field.metadata.get("key", field.name)

@@ -23,6 +23,7 @@ from drake_exo.files.verdict import (
     write_text,
 )
 from drake_exo.soles.case import Case
+from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
@@ -32,12 +33,9 @@ from drake_exo.soles.settings import (
     Brick,
     ContactBlock,
     CostBlock,
-    LoadBlock,
     MaterialBlock,
     MeshBlock,
-    OneFoot,
     OptimizeBlock,
-    Pattern,
     Settings,
     Stage,
     StartBlock,

@@ -1,8 +1,8 @@
 """Loads: desired force and ZMP of one foot over one contact phase.
 
-All readers return a `Load` in the sole's world frame: x forward, y left,
-z up, the ground at z = 0, the origin below the sole frame's origin as the
-foot is set down.
+In the sole's world frame: x forward, y left, z up, the origin below the sole
+frame's origin as the foot is set down. `load_blocks.py` says where they come
+from.
 """
 
 from dataclasses import dataclass, replace
@@ -11,8 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
-from drake_exo.files.opensim import read_table
-from drake_exo.files.tables import missing_column, number_rows, read_text
+from drake_exo.files.tables import number_rows, read_text
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.rotations import rotation_z
@@ -235,9 +234,8 @@ class Load:
                 f"friction of {asked[q]:.3f} (along over across the ground; "
                 f"{beyond.sum()} of {len(beyond)} samples), and "
                 f"contact.friction is {friction:g}: the sole slips away; "
-                "leave these samples out (least_force_n, start_s, end_s, from, "
-                "to), or "
-                "give a larger contact.friction"
+                "leave these samples out (least_force_n, from, to), or give a "
+                "larger contact.friction"
             )
 
     def bearable(self, friction: float, width: float) -> "Load":
@@ -313,23 +311,6 @@ def _joined(parts, counts, fill) -> np.ndarray | None:
     )
 
 
-def constant(force, zmp, samples: int = 1, period: float = 0.005) -> Load:
-    """The same force [N] and ZMP [m] at every sample."""
-    return Load(
-        np.arange(samples) * period,
-        np.tile(np.asarray(force, float), (samples, 1)),
-        np.tile(np.asarray(zmp, float), (samples, 1)),
-        "constant load",
-    )
-
-
-def read_one_foot(path, skip_first: int = 10, skip_last: int = 11) -> Load:
-    """The soft-sole authors' file: t, ZMP xy, CoM xy, force xyz."""
-    table = _numbers(path, _lines(path)[1:], 2, 8)
-    table = table[skip_first : len(table) - skip_last]
-    return Load(table[:, 0], table[:, 5:8], table[:, 1:3], str(path))
-
-
 CSV_COLUMNS = ("time_s", "force_x_n", "force_y_n", "force_z_n",
                "zmp_x_m", "zmp_y_m")  # fmt: skip
 
@@ -359,186 +340,6 @@ def read_csv(path) -> Load:
     )
 
 
-def read_force_plate(
-    path,
-    prefix: str,
-    start_s: float,
-    end_s: float,
-    least_force_n: float = 20.0,
-) -> Load:
-    """One plate of an OpenSim `.mot` file (x forward, y up, z right).
-
-    Args:
-        path: File with columns `<prefix>_vx`, `_px`, `_my` and so on.
-        prefix: Such as "ground_force_2".
-        start_s: Window's first time [s].
-        end_s: Window's last time [s].
-        least_force_n: Samples below are left out at both ends [N].
-    """
-    names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in "vpm"]
-    table = _opensim_columns(path, [n for row in names for n in row])
-    time = table["time"]
-    rows = (time >= start_s - 1e-9) & (time <= end_s + 1e-9)
-
-    def turned(columns):  # (x, y up, z right) -> (x, y left, z up)
-        x, y, z = (table[name][rows] for name in columns)
-        return np.stack([x, -z, y], axis=1)
-
-    F, P, M = map(turned, names)
-    loaded = np.flatnonzero(F[:, 2] >= least_force_n)
-    if len(loaded) == 0:
-        raise InputError(
-            f"{path}: {prefix} carries less than {least_force_n:g} N from "
-            f"{start_s:g} to {end_s:g} s; choose another window"
-        )
-    keep = slice(loaded[0], loaded[-1] + 1)
-    return Load(
-        time[rows][keep], F[keep], P[keep, :2], f"{path} {prefix}", M[keep, 2]
-    )
-
-
-def read_playback(
-    path,
-    foot: str,
-    step: int,
-    mass_kg: float,
-    period_s: float = 0.005,
-    gravity: float = 9.81,
-    ankle_to_centre=(0.015, 0.011),
-    least_force_n: float = 20.0,
-) -> Load:
-    """One stance of an HRP-4 playback file (37 columns, no times).
-
-    The force is m (a + g); in double support it is shared by the ZMP's
-    progress between its places at both ends (`share_double_support`).
-
-    Args:
-        path: Playback file.
-        foot: "left" or "right".
-        step: Which stance of that foot, counted from 0.
-        mass_kg: The robot's mass.
-        period_s: Time between rows.
-        gravity: [m/s²].
-        ankle_to_centre: Sole's centre from the ankle: forward, and outward
-            (away from the other foot) [m].
-        least_force_n: Samples below are left out at both ends [N].
-    """
-    table = _numbers(path, _lines(path), 1, 37)
-    phase = np.round(table[:, 0]).astype(int)
-    mine = {"left": 1, "right": 2}[foot]
-    runs = stances(phase, mine)
-    if not 0 <= step < len(runs):
-        raise InputError(
-            f"{path}: the {foot} foot has {len(runs)} stances; step {step} "
-            "does not exist (counted from 0)"
-        )
-    first, last = runs[step]
-    total = mass_kg * (table[:, 10:13] + [0.0, 0.0, gravity])
-    share, zmp = share_double_support(table[:, 1:3], phase, mine)
-    rows = np.arange(first, last)
-    rows = rows[share[rows] * total[rows, 2] >= least_force_n]
-    column = 13 if foot == "left" else 22
-    middle = rows[phase[rows] == mine]
-    ankle = table[middle[len(middle) // 2], column : column + 2]
-    outward = ankle_to_centre[1] * (1 if foot == "left" else -1)
-    load = Load(
-        rows * period_s,
-        share[rows, None] * total[rows],
-        zmp[rows],
-        f"{path} {foot} step {step}",
-    )
-    return load.placed(ankle + np.array([ankle_to_centre[0], outward]), 0.0)
-
-
-# Ground reaction of a planar prediction: time, forward, up, CoP forward.
-STO_COLUMNS = ("time", "ground_force_vx", "ground_force_vy", "ground_force_px")
-PREDICTION_COLUMNS = ("time_s", "grf_x_n", "grf_z_n", "cop_x_m")
-
-
-def read_prediction(
-    path, share: float = 0.5, least_force_n: float = 20.0
-) -> Load:
-    """A planar prediction of the exoskeleton half, in the sagittal plane.
-
-    `drake-exo predict` and `calibrate` write `NAME_ground_reaction.sto`
-    (x forward, y up; `STO_COLUMNS`); a CSV file whose header names
-    `PREDICTION_COLUMNS` in any order among others will do as well. Both hold
-    the ground reaction of both feet and its centre of pressure.
-
-    Args:
-        path: .sto or .csv file.
-        share: Part of the force on this foot.
-        least_force_n: Samples with less on this foot are left out at both
-            ends [N].
-    """
-    if str(path).lower().endswith(".csv"):
-        columns = PREDICTION_COLUMNS
-        table = read_columns(path, columns)
-    else:
-        columns = STO_COLUMNS
-        table = _opensim_columns(path, columns[1:])
-    t, fx, fz, x = (table[name] for name in columns)
-    loaded = np.flatnonzero(share * fz >= least_force_n)
-    if len(loaded) == 0:
-        raise InputError(
-            f"{path}: a foot never carries {least_force_n:g} N; check the "
-            "file, share and least_force_n"
-        )
-    keep = slice(loaded[0], loaded[-1] + 1)
-    zero = np.zeros_like(t)
-    force = share * np.stack([fx, zero, fz], axis=1)
-    return Load(
-        t[keep], force[keep], np.stack([x, zero], axis=1)[keep], str(path)
-    )
-
-
-def stances(phase: np.ndarray, mine: int) -> list[tuple[int, int]]:
-    """Row ranges around single supports `mine`, double supports included.
-
-    Only stances between two double supports that others' single supports
-    bound are whole; standing at either end of the file is left out.
-    """
-    change = np.flatnonzero(np.diff(phase)) + 1
-    edges = np.concatenate([[0], change, [len(phase)]])
-    runs = []
-    for k in range(1, len(edges) - 2):
-        before, after = k - 2, k + 2
-        if phase[edges[k]] == mine and before >= 0 and after < len(edges) - 1:
-            runs.append((int(edges[k - 1]), int(edges[k + 2])))
-    return runs
-
-
-def share_double_support(zmp, phase, mine):
-    """Share of the force on one foot and its own ZMP, row by row.
-
-    In each double support the total ZMP Z goes from A, under the foot that
-    unloads, to B, under the one that loads. With α the progress of Z along
-    AB and ρ = Z − (1 − α) A − α B, the feet take (1 − α) at A + ρ and α at
-    B + ρ: force and ZMP are continuous and add up to the total.
-
-    Returns:
-        share (n,), ZMP under this foot (n, 2).
-    """
-    n = len(zmp)
-    share = (phase == mine).astype(float)
-    own = zmp.copy()
-    change = np.flatnonzero(np.diff(phase)) + 1
-    edges = np.concatenate([[0], change, [n]])
-    for k in range(1, len(edges) - 2):
-        rows = slice(edges[k], edges[k + 1])
-        if phase[edges[k]] != 0:
-            continue
-        A, B = zmp[edges[k] - 1], zmp[edges[k + 1]]
-        AB = B - A
-        alpha = np.clip((zmp[rows] - A) @ AB / (AB @ AB), 0.0, 1.0)
-        rho = zmp[rows] - A - alpha[:, None] * AB
-        if phase[edges[k] - 1] == mine:
-            share[rows], own[rows] = 1 - alpha, A + rho
-        elif phase[edges[k + 1]] == mine:
-            share[rows], own[rows] = alpha, B + rho
-    return share, own
-
-
 def read_columns(path, needed=()) -> dict[str, np.ndarray]:
     """Columns of a CSV file by the names in its first line, (N,) each.
 
@@ -549,7 +350,7 @@ def read_columns(path, needed=()) -> dict[str, np.ndarray]:
     Raises:
         InputError: It cannot be read, a name is missing, or a row is damaged.
     """
-    head, *lines = _lines(path) or [""]
+    head, *lines = text_lines(path) or [""]
     names = [name.strip() for name in head.split(",")]
     missing = [name for name in needed if name not in names]
     if missing:
@@ -559,25 +360,16 @@ def read_columns(path, needed=()) -> dict[str, np.ndarray]:
         )
     if not lines and not needed:
         return {name: np.zeros(0) for name in names}
-    table = _numbers(path, lines, 2, len(names), ",")
+    table = numbers_of(path, lines, 2, len(names), ",")
     return dict(zip(names, table.T, strict=True))
 
 
-def _opensim_columns(path, needed) -> dict[str, np.ndarray]:
-    """Time and the columns `needed` of an OpenSim .mot or .sto file."""
-    table = read_table(path)
-    for name in needed:
-        if name not in table.names:
-            raise missing_column(str(path), name, table.names)
-    found = dict(zip(table.names, table.values.T, strict=True))
-    return {"time": table.time, **found}
-
-
-def _lines(path) -> list[str]:
+def text_lines(path) -> list[str]:
+    """Lines of a text file of a load."""
     return read_text(path, "check the path and --data-root").splitlines()
 
 
-def _numbers(path, lines, first: int, columns: int, separator=None):
+def numbers_of(path, lines, first: int, columns: int, separator=None):
     """Numbers of the lines from number `first` on, empty ones left out."""
     rows = (
         (number, line.split(separator))

@@ -4,23 +4,28 @@ A dataclass for each block of keys; docs/soles.md explains them all. Paths are
 relative to --data-root where given, else to the case file's folder.
 """
 
-from collections.abc import Callable
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.soles import loads
+from drake_exo.files.schema import exactly_one, not_negative, positive
 from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
-from drake_exo.soles.loads import Load
+from drake_exo.soles.load_blocks import (
+    LoadBlock,
+    StepReader,
+    Vector2,
+    Vector3,
+)
+from drake_exo.soles.loads import Load, read_columns
 from drake_exo.soles.mesh import TetMesh, brick, read_mesh
-from drake_exo.soles.rotations import rotation_z, without_yaw
+from drake_exo.soles.rotations import rotation_z
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.surface import (
     SUFFIXES,
@@ -28,262 +33,6 @@ from drake_exo.soles.surface import (
     read_surface,
     sole_from_surface,
 )
-from drake_exo.soles.walking_pattern import Gait, Robot, plan
-
-Vector3 = tuple[float, float, float]
-Vector2 = tuple[float, float]
-
-
-def positive(unit: str, default=None):
-    """A field above 0."""
-    meta = {"unit": unit, "above": 0.0}
-    return field(default=default, metadata=meta)
-
-
-def not_negative(unit: str, default: float):
-    """A field of at least 0."""
-    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
-
-
-def exactly_one(block, names) -> None:
-    """Refuse a block with none or several of the keys `names`."""
-    given = [n for n in names if getattr(block, n) is not None]
-    if len(given) != 1:
-        raise InputError(
-            f"give exactly one of {', '.join(names)}, not "
-            f"{' and '.join(given) or 'none'}"
-        )
-
-
-@dataclass(frozen=True)
-class OneFoot:
-    """The soft-sole authors' file of one foot."""
-
-    file: str
-    origin_m: Vector2
-    skip_first: int = 10
-    skip_last: int = 11
-
-
-@dataclass(frozen=True)
-class Csv:
-    """A plain CSV of force and ZMP."""
-
-    file: str
-    origin_m: Vector2 = (0.0, 0.0)
-    yaw_rad: float = 0.0
-
-
-@dataclass(frozen=True)
-class ForcePlate:
-    """One foot's force plate in an OpenSim .mot file."""
-
-    file: str
-    prefix: str
-    start_s: float
-    end_s: float
-    origin_m: Vector2
-    yaw_rad: float = 0.0
-    least_force_n: float = positive("N", 20.0)
-
-
-@dataclass(frozen=True)
-class Playback:
-    """One stance of an HRP-4 playback file."""
-
-    file: str
-    foot: Literal["left", "right"]
-    step: int
-    mass_kg: float = positive("kg", 43.0)
-    period_s: float = positive("s", 0.005)
-    gravity_m_per_s2: float = positive("m/s²", 9.81)
-    ankle_to_centre_m: Vector2 = (0.015, 0.011)
-    least_force_n: float = positive("N", 20.0)
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Ground reaction of a prediction of the exoskeleton half, both feet."""
-
-    file: str
-    origin_m: Vector2
-    share: float = field(
-        default=0.5, metadata={"above": 0.0, "maximum": 1.0}
-    )  # fmt: skip
-    least_force_n: float = positive("N", 20.0)
-
-
-@dataclass(frozen=True)
-class Constant:
-    """The same force and ZMP at every sample."""
-
-    force_n: Vector3
-    zmp_m: Vector2
-    samples: int = field(default=1, metadata={"minimum": 1})
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Own walking pattern; the defaults are the authors' 80 kg robot's.
-
-    The ZMP bounds leave 15 mm to the sole's edges.
-    """
-
-    mass_kg: float = positive("kg", 80.0)
-    com_height_m: float = positive("m", 0.8085)
-    step_length_m: float = positive("m", 0.2633)
-    step_width_m: float = positive("m", 0.162)
-    step_time_s: float = positive("s", 1.0)
-    double_support_s: float = positive("s", 0.195)
-    back_m: float = -0.1
-    front_m: float = 0.1
-    inner_m: float = 0.05
-    outer_m: float = -0.05
-    ankle_m: Vector2 = (-0.017, 0.011)
-    torque_weight: float = not_negative("", 0.6)
-    gravity_m_per_s2: float = positive("m/s²", 9.81)
-    period_s: float = positive("s", 0.005)
-    least_share: float = field(
-        default=0.13, metadata={"above": 0.0, "below": 1.0}
-    )
-    free: tuple[
-        Literal["step_length", "step_time", "double_support", "zmp"], ...
-    ] = ()
-
-    def gait(self, friction: float) -> Gait:
-        """The walk, and what of it may change."""
-        *numbers, period, least, free = astuple(self)
-        return Gait(Robot(*numbers), free, friction, period, least)
-
-    def load(self) -> Load:
-        """Plan the step; the right foot's load."""
-        *numbers, period, least, _ = astuple(self)
-        return plan(Robot(*numbers)).foot_load(period, least)
-
-
-class Recorded(Protocol):
-    """A step of a recording, seen from the foot; see `measurement.steps`."""
-
-    name: str
-    times: np.ndarray
-    force: np.ndarray
-    cop: np.ndarray
-    free_moment: np.ndarray
-    rotation: np.ndarray
-
-
-# Reads a step: the study's path, trial, foot, start, end, number, force [N].
-StepReader = Callable[..., Recorded]
-_KINDS = (
-    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
-    "constant", "recording",
-)  # fmt: skip
-_OF_RECORDING = (
-    "trial", "foot", "begin", "end", "step", "least_force_n", "shift_m",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class LoadBlock:
-    """Where force and ZMP come from: exactly one kind.
-
-    `recording` is a study file; the keys behind it say which of its steps.
-    """
-
-    pattern: Pattern | None = None
-    one_foot: OneFoot | None = None
-    csv: Csv | None = None
-    force_plate: ForcePlate | None = None
-    playback: Playback | None = None
-    prediction: Prediction | None = None
-    constant: Constant | None = None
-    recording: str | None = None
-    trial: str | None = None
-    foot: Literal["left", "right"] | None = None
-    begin: float | Literal["heel_strike"] = field(
-        default="heel_strike", metadata={"key": "from", "unit": "s"}
-    )
-    end: float | Literal["toe_off"] = field(
-        default="toe_off", metadata={"key": "to", "unit": "s"}
-    )
-    step: int = field(default=0, metadata={"minimum": 0})
-    least_force_n: float = positive("N", 20.0)
-    shift_m: Vector2 = (0.0, 0.0)
-    pose: Literal["free", "measured"] = "free"
-    straight: bool = False
-    weight: float = positive("", 1.0)
-
-    def __post_init__(self):
-        exactly_one(self, _KINDS)
-        if self.recording is None:
-            given = [
-                f.metadata.get("key", f.name)
-                for f in fields(self)
-                if f.name in (*_OF_RECORDING, "pose")
-                and getattr(self, f.name) != f.default
-            ]
-            if given:
-                raise InputError(f"{given[0]} belongs to a recording")
-        elif self.trial is None or self.foot is None:
-            raise InputError("a recording takes trial and foot; give both")
-        elif self.straight and self.pose == "measured":
-            raise InputError("straight and pose: measured exclude each other")
-
-    def load(self, root: Path, read_step: StepReader | None = None) -> Load:
-        """Read the load; files are relative to `root`.
-
-        Args:
-            root: The folder.
-            read_step: For a recording.
-        """
-        load = self._read(root, read_step)
-        return load.straight() if self.straight else load
-
-    def _recorded(self, read_step: StepReader | None) -> Load:
-        if read_step is None:
-            raise InputError(
-                f"{self.recording}: a recording is read with the laboratory's "
-                "readers; give read_step (the command drake-exo sole does)"
-            )
-        step = read_step(
-            self.recording, self.trial, self.foot, self.begin, self.end,
-            self.step, self.least_force_n,
-        )  # fmt: skip
-        rotation = None
-        if self.pose == "measured":
-            # Yaw is left as the foot was set down: a sole that sticks would
-            # answer the markers' noise by moments that no ground bears.
-            rotation = without_yaw(step.rotation)
-        load = Load(
-            step.times, step.force, step.cop, step.name, step.free_moment,
-            rotation,
-        )  # fmt: skip
-        return load.placed(self.shift_m, 0.0)
-
-    def _read(self, root: Path, read_step: StepReader | None) -> Load:
-        if self.recording is not None:
-            return self._recorded(read_step)
-        if self.pattern is not None:
-            return self.pattern.load()
-        if (c := self.one_foot) is not None:
-            load = loads.read_one_foot(root / c.file, c.skip_first, c.skip_last)
-            return load.placed(c.origin_m, 0.0)
-        if (c := self.csv) is not None:
-            return loads.read_csv(root / c.file).placed(c.origin_m, c.yaw_rad)
-        if (c := self.force_plate) is not None:
-            load = loads.read_force_plate(
-                root / c.file, c.prefix, c.start_s, c.end_s, c.least_force_n
-            )
-            return load.placed(c.origin_m, c.yaw_rad)
-        if (c := self.playback) is not None:
-            file, *numbers = astuple(c)
-            return loads.read_playback(root / file, *numbers)
-        if (c := self.prediction) is not None:
-            load = loads.read_prediction(
-                root / c.file, c.share, c.least_force_n
-            )
-            return load.placed(c.origin_m, 0.0)
-        return loads.constant(*astuple(self.constant))
 
 
 @dataclass(frozen=True)
@@ -359,7 +108,7 @@ class GroundBlock:
     def read(self, root: Path) -> Ground:
         """Read the CSV file; its path is relative to `root`."""
         path = root / self.heights
-        return Ground.of_table(loads.read_columns(path, COLUMNS), str(path))
+        return Ground.of_table(read_columns(path, COLUMNS), str(path))
 
 
 @dataclass(frozen=True)

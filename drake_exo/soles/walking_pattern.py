@@ -21,6 +21,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import null_space
 
 from drake_exo.errors import InputError
+from drake_exo.files.schema import not_negative, positive
 from drake_exo.soles.loads import Load
 
 _DEGREE, _PIECES, _GRID = 5, 16, 161
@@ -31,44 +32,40 @@ _HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot's walk.
+    """A robot's walk; the defaults are the authors' 80 kg robot's.
 
     Attributes:
-        mass: [kg].
-        com_height: [m].
-        step_length: Between consecutive footprints [m].
-        step_width: Between the middles of the soles [m].
-        step_time: One step, double support included [s].
-        double_support: Its double support [s].
-        back, front: ZMP bounds of single support along the sole [m].
-        inner: Largest y towards the other foot in single support [m].
-        outer: Smallest y [m].
-        ankle: Place of the ankle in the sole frame [m].
+        step_length_m: Between consecutive footprints.
+        step_width_m: Between the middles of the soles.
+        step_time_s: One step, double support included.
+        back_m, front_m: ZMP bounds of single support along the sole.
+        inner_m: Largest y towards the other foot in single support.
+        outer_m: Smallest y.
+        ankle_m: Place of the ankle in the sole frame.
         torque_weight: Factor w of the ankle torque in the energy.
-        gravity: [m/s²].
     """
 
-    mass: float
-    com_height: float
-    step_length: float
-    step_width: float
-    step_time: float
-    double_support: float
-    back: float
-    front: float
-    inner: float
-    outer: float
-    ankle: tuple[float, float] = (-0.017, 0.011)
-    torque_weight: float = 0.6
-    gravity: float = 9.81
+    mass_kg: float = positive("kg", 80.0)
+    com_height_m: float = positive("m", 0.8085)
+    step_length_m: float = positive("m", 0.2633)
+    step_width_m: float = positive("m", 0.162)
+    step_time_s: float = positive("s", 1.0)
+    double_support_s: float = positive("s", 0.195)
+    back_m: float = -0.1
+    front_m: float = 0.1
+    inner_m: float = 0.05
+    outer_m: float = -0.05
+    ankle_m: tuple[float, float] = (-0.017, 0.011)
+    torque_weight: float = not_negative("", 0.6)
+    gravity_m_per_s2: float = positive("m/s²", 9.81)
 
     def __post_init__(self):
-        if not 0 < self.double_support < self.step_time:
+        if not 0 < self.double_support_s < self.step_time_s:
             raise InputError(
                 "pattern: double_support_s must be above 0 and below "
                 "step_time_s"
             )
-        if not (self.back < self.front and self.outer < self.inner):
+        if not (self.back_m < self.front_m and self.outer_m < self.inner_m):
             raise InputError(
                 "pattern: back_m must be below front_m and outer_m below "
                 "inner_m"
@@ -91,7 +88,7 @@ class Pattern:
 
     def at(self, spline: BSpline, t: np.ndarray) -> np.ndarray:
         """A spline carried on over the following mirrored step, (n, 2)."""
-        T = self.robot.step_time
+        T = self.robot.step_time_s
         late = t > T
         out = spline(np.where(late, t - T, t))
         out[late] = _mirrored(out[late], self.robot)
@@ -111,18 +108,18 @@ class Pattern:
             like: Whose samples are taken, at the same parts of both supports.
         """
         robot = self.robot
-        T, D = robot.step_time, robot.double_support
+        T, D = robot.step_time_s, robot.double_support_s
         other = like or robot
-        ends = np.cumsum([0.0, other.double_support,
-                          other.step_time - other.double_support,
-                          other.double_support])  # fmt: skip
+        ends = np.cumsum([0.0, other.double_support_s,
+                          other.step_time_s - other.double_support_s,
+                          other.double_support_s])  # fmt: skip
         t = np.arange(0.0, ends[-1] + 1e-9, period)
         t = np.interp(t, ends, [0.0, D, T, T + D])
         z, acceleration = self.at(self.zmp, t), self._acceleration(t)
         share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))
         own = self._own_zmp(t, z)
-        total = robot.mass * np.concatenate(
-            [acceleration, np.full((len(t), 1), robot.gravity)], axis=1
+        total = robot.mass_kg * np.concatenate(
+            [acceleration, np.full((len(t), 1), robot.gravity_m_per_s2)], axis=1
         )
         keep = share >= least
         return Load(
@@ -131,7 +128,7 @@ class Pattern:
         )  # fmt: skip
 
     def _acceleration(self, t):
-        T = self.robot.step_time
+        T = self.robot.step_time_s
         late = t > T
         out = self.com(np.where(late, t - T, t), 2)
         out[late, 1] *= -1
@@ -143,7 +140,7 @@ class Pattern:
         The feet keep to parabolas a(t) and b(t) that continue their
         single-support ZMP; what is left of the total, ρ, goes to both.
         """
-        T, D = self.robot.step_time, self.robot.double_support
+        T, D = self.robot.step_time_s, self.robot.double_support_s
         own = z.copy()
         for first in (True, False):
             rows = t <= D if first else t >= T
@@ -159,7 +156,7 @@ class Pattern:
 
     def _lines(self, s):
         """Unloading foot's and landing foot's ZMP at s since landing."""
-        D = self.robot.double_support
+        D = self.robot.double_support_s
         z = self.zmp
         a, b = _progress(np.asarray(s), D)
         return z(0.0) + a * z(0.0, 1), z(D) + b * z(D, 1)
@@ -185,7 +182,7 @@ def _progress(s: np.ndarray, D: float):
 def _mirrored(points, robot: Robot):
     """One step on: ahead by the step length, mirrored about the path."""
     return np.stack(
-        [points[:, 0] + robot.step_length, robot.step_width - points[:, 1]],
+        [points[:, 0] + robot.step_length_m, robot.step_width_m - points[:, 1]],
         axis=1,
     )
 
@@ -196,8 +193,8 @@ def plan(robot: Robot) -> Pattern:
     Raises:
         InputError: No ZMP inside the bounds carries such a step.
     """
-    T, D = robot.step_time, robot.double_support
-    omega2 = robot.gravity / robot.com_height
+    T, D = robot.step_time_s, robot.double_support_s
+    omega2 = robot.gravity_m_per_s2 / robot.com_height_m
     knots = np.concatenate(
         [np.zeros(_DEGREE), np.linspace(0, T, _PIECES + 1),
          np.full(_DEGREE, T)]
@@ -213,14 +210,14 @@ def plan(robot: Robot) -> Pattern:
     coefficients = []
     for k, (sign, shift, low, high) in enumerate(
         (
-            (1.0, robot.step_length, robot.back, robot.front),
-            (-1.0, robot.step_width, robot.outer, robot.inner),
+            (1.0, robot.step_length_m, robot.back_m, robot.front_m),
+            (-1.0, robot.step_width_m, robot.outer_m, robot.inner_m),
         )
     ):
         # One ankle's torque m g (z − a) times its share, over h as a force.
         A = np.concatenate([basis(t, 2), torque * own, hold, speed])
         b = np.zeros(len(A))
-        b[len(t) : len(t) + len(own)] = torque * share * robot.ankle[k]
+        b[len(t) : len(t) + len(own)] = torque * share * robot.ankle_m[k]
         cycle, ahead = _cycle(basis, T, sign, shift)
         coefficients.append(
             _least_squares(A, b, cycle, ahead, inside, low, high)
@@ -351,10 +348,10 @@ def _as_spline(knots, c: BSpline, omega2: float) -> BSpline:
 
 # How far a walk's numbers may go, as factors.
 _REACH = {
-    "step_length": (0.75, 1.25),
-    "step_time": (0.75, 1.25),
-    "double_support": (0.5, 2.0),
-    "torque_weight": (0.25, 4.0),
+    "step_length": ("step_length_m", 0.75, 1.25),
+    "step_time": ("step_time_s", 0.75, 1.25),
+    "double_support": ("double_support_s", 0.5, 2.0),
+    "torque_weight": ("torque_weight", 0.25, 4.0),
 }
 _AIM = {"aim_x": 0.04, "aim_y": 0.02}  # [m], to both sides of the ankle
 _MORE = 1.1  # of the CoM's acceleration and sway than in the case's own walk
@@ -388,7 +385,7 @@ class Gait:
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Name -> lowest and highest value."""
         own, found = self.numbers(self.robot), {}
-        for name, (low, high) in _REACH.items():
+        for name, (_, low, high) in _REACH.items():
             if name in self.free or (
                 name == "torque_weight" and "zmp" in self.free
             ):
@@ -401,8 +398,8 @@ class Gait:
     @staticmethod
     def numbers(robot: Robot) -> dict[str, float]:
         """Those that may be free, by name."""
-        own = {name: getattr(robot, name) for name in _REACH}
-        return own | dict(zip(_AIM, robot.ankle, strict=True))
+        own = {name: getattr(robot, key) for name, (key, *_) in _REACH.items()}
+        return own | dict(zip(_AIM, robot.ankle_m, strict=True))
 
     @property
     def start(self) -> np.ndarray:
@@ -424,7 +421,8 @@ class Gait:
         }
         own = self.numbers(self.robot) | values
         ankle = own.pop("aim_x"), own.pop("aim_y")
-        return replace(self.robot, ankle=ankle, **own)
+        named = {_REACH[name][0]: value for name, value in own.items()}
+        return replace(self.robot, ankle_m=ankle, **named)
 
     def load(self, x: np.ndarray) -> Load:
         """Of the right foot."""
@@ -470,9 +468,9 @@ class Gait:
 def _measures(pattern: Pattern):
     """Speed; |c̈| and the CoM's place off its path's middle in time."""
     robot = pattern.robot
-    t = np.linspace(0, robot.step_time, 41)
+    t = np.linspace(0, robot.step_time_s, 41)
     return (
-        robot.step_length / robot.step_time,
+        robot.step_length_m / robot.step_time_s,
         np.linalg.norm(pattern.com(t, 2), axis=1),
-        pattern.com(t)[:, 1] - robot.step_width / 2,
+        pattern.com(t)[:, 1] - robot.step_width_m / 2,
     )

@@ -1,16 +1,19 @@
 """Sound meshes, loads and checkpoints of soles, and the readers of each."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import meshio
 import numpy as np
-from laboratory_readers import plates_table
 from sound_files import written
 
-from drake_exo.files.opensim import write_table
 from drake_exo.soles import loads
 from drake_exo.soles.animation import SoleMotion
+from drake_exo.soles.load_blocks import (
+    PREDICTION_COLUMNS,
+    OneFoot,
+    Playback,
+    Prediction,
+)
 from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.step.simulation import write_history
@@ -68,10 +71,6 @@ def soles() -> dict:
     playback = numbers((60, 37))
     phases = np.repeat([0, 2, 0, 1, 0, 2, 0, 1, 0, 2, 0], 6)[:60]
     playback[:, 0] = phases
-    plates = plates_table()
-    plates.values[:, [1, 7]] += 300.0
-    moments = [n.replace("torque_1_", "force_1_m") for n in plates.names]
-    plates = replace(plates, names=tuple(moments))
     found = {
         f"mesh {name}": (file, kind, meshed(file, **options), read_mesh)
         for name, file, kind, options in (
@@ -107,7 +106,7 @@ def soles() -> dict:
             "a.txt",
             "text",
             text(timed(8), "t zx zy cx cy fx fy fz\n"),
-            lambda p: loads.read_one_foot(p, 2, 2),
+            lambda p: OneFoot(p, (0.0, 0.0), 2, 2).load(p.parent),
         ),
         "load csv": (
             "a.csv",
@@ -115,26 +114,20 @@ def soles() -> dict:
             text(timed(6), ",".join(loads.CSV_COLUMNS) + "\n", ","),
             loads.read_csv,
         ),
-        "load force plate": (
-            "a.mot",
-            "text",
-            written(lambda p: write_table(p, plates)),
-            lambda p: loads.read_force_plate(p, "ground_force_1", 0.0, 0.2),
-        ),
         "load playback": (
             "a.txt",
             "text",
             text(playback),
-            lambda p: loads.read_playback(p, "left", 0, 43.0),
+            lambda p: Playback(p, "left", 0, 43.0).load(p.parent),
         ),
         "load prediction": (
             "a.csv",
             "text",
             text(
                 timed(4) * [1.0, 1.0, 100.0, 1.0],
-                ",".join(loads.PREDICTION_COLUMNS) + "\n",
+                ",".join(PREDICTION_COLUMNS) + "\n",
                 ",",
             ),
-            loads.read_prediction,
+            lambda p: Prediction(p, (0.0, 0.0)).load(p.parent),
         ),
     }

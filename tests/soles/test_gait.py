@@ -8,9 +8,9 @@ from undrawn import undrawn
 
 from drake_exo import cli
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.load_blocks import Pattern
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.search import GaitProblem, stage_problem
-from drake_exo.soles.settings import Pattern
 
 FREE = ("step_length", "step_time", "double_support", "zmp")
 _LOAD = EXAMPLE[EXAMPLE.index("load:") : EXAMPLE.index("optimize:")]
@@ -43,10 +43,10 @@ def test_samples_stay_at_the_same_parts_of_both_supports(gait):
     robot, load = gait.at(x), gait.load(x)
     own = Pattern().load()
     assert len(load.times) == len(own.times)
-    early = own.times < gait.robot.double_support
+    early = own.times < gait.robot.double_support_s
     np.testing.assert_allclose(
-        load.times[early] / robot.double_support,
-        own.times[early] / gait.robot.double_support,
+        load.times[early] / robot.double_support_s,
+        own.times[early] / gait.robot.double_support_s,
     )
     np.testing.assert_allclose(
         load.force[early, 2], own.force[early, 2], rtol=1e-9
@@ -65,8 +65,8 @@ def test_limits_are_those_of_the_robot(gait):
     np.testing.assert_allclose(
         gait.limits(x)[-len(slip) :], 0.9 - slip, atol=1e-12
     )
-    assert (load.zmp[:, 0] >= robot.back - 1e-6).all()
-    assert (load.zmp[:, 0] <= robot.front + 1e-6).all()
+    assert (load.zmp[:, 0] >= robot.back_m - 1e-6).all()
+    assert (load.zmp[:, 0] <= robot.front_m + 1e-6).all()
 
 
 @pytest.mark.slow

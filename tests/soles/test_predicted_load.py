@@ -11,7 +11,7 @@ from drake_exo.errors import InputError
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.coordinates import Coordinates
-from drake_exo.soles import loads
+from drake_exo.soles.load_blocks import Prediction
 
 CASE = """
 name: rise
@@ -47,8 +47,12 @@ def folder(tmp_path):
     return tmp_path
 
 
+def _read(folder, name, **more):
+    return Prediction(name, (0.0, 0.0), **more).load(folder)
+
+
 def test_half_the_ground_reaction_bears_on_one_foot(folder):
-    load = loads.read_prediction(folder / "rise_ground_reaction.sto")
+    load = _read(folder, "rise_ground_reaction.sto")
     assert len(load.times) == COUNT - 3  # below 20 N on one foot left out
     np.testing.assert_allclose(load.force[0], [15.0, 0.0, 300.0], rtol=1e-6)
     np.testing.assert_allclose(
@@ -72,19 +76,17 @@ def test_a_sole_is_simulated_under_a_prediction(folder):
         F, P = history["force_W"], history["place_W"]
     np.testing.assert_allclose(F.sum(axis=1)[0], [15.0, 0.0, 300.0], atol=1e-6)
     centre = (F[:, :, 2] * P[:, :, 0]).sum(axis=1) / F[:, :, 2].sum(axis=1)
-    load = loads.read_prediction(
-        folder / "rise_ground_reaction.sto", least_force_n=50.0
-    )
+    load = _read(folder, "rise_ground_reaction.sto", least_force_n=50.0)
     np.testing.assert_allclose(centre, load.zmp[:, 0] - 0.07, atol=1e-7)
 
 
 def test_a_plain_csv_says_the_same(folder):
-    load = loads.read_prediction(folder / "rise_ground_reaction.sto")
+    load = _read(folder, "rise_ground_reaction.sto")
     rows = ["cop_x_m,time_s,grf_z_n,grf_x_n"]
     for t, F, z in zip(load.times, load.force, load.zmp, strict=True):
         rows.append(f"{z[0]:.12g},{t:.12g},{2 * F[2]:.12g},{2 * F[0]:.12g}")
     (folder / "rise.csv").write_text("\n".join(rows))
-    other = loads.read_prediction(folder / "rise.csv")
+    other = _read(folder, "rise.csv")
     np.testing.assert_allclose(other.force, load.force, rtol=1e-9)
     np.testing.assert_allclose(other.zmp, load.zmp, rtol=1e-9)
 
@@ -100,11 +102,9 @@ def test_a_plain_csv_says_the_same(folder):
 def test_other_tables_are_refused(tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=words):
-        loads.read_prediction(tmp_path / name)
+        _read(tmp_path, name)
 
 
 def test_an_unloaded_foot_is_refused(folder):
     with pytest.raises(InputError, match="never carries 900"):
-        loads.read_prediction(
-            folder / "rise_ground_reaction.sto", least_force_n=900.0
-        )
+        _read(folder, "rise_ground_reaction.sto", least_force_n=900.0)

@@ -12,9 +12,10 @@ from drake_exo.files.verdict import Check, Verdict
 from drake_exo.papers import de_magistris as paper
 from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case
+from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.optimize import pareto
 from drake_exo.soles.optimize.files import find_designs, read_summary
-from drake_exo.soles.settings import LoadBlock, Pattern, Stage
+from drake_exo.soles.settings import Stage
 
 
 @pytest.mark.slow

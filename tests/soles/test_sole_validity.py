@@ -13,7 +13,7 @@ from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Material, Sole
-from drake_exo.soles.loads import constant
+from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.mesh import brick, read_mesh, write_vtk
 from drake_exo.soles.optimize.optimizer import Optimum, cost_and_violation
 from drake_exo.soles.shape import SphericalSpline
@@ -229,7 +229,7 @@ def test_a_lost_sample_is_named_by_its_time():
 
 
 def test_friction_used_is_that_of_the_steepest_sample():
-    load = constant((30.0, 40.0, 100.0), (0.0, 0.0), 3)
+    load = Constant((30.0, 40.0, 100.0), (0.0, 0.0), 3).load()
     np.testing.assert_allclose(
         load.friction_used(np.array([0.0, 0.0, 1.0])), 0.5
     )

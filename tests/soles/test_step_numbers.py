@@ -9,7 +9,8 @@ import pytest
 from small_step import write_case, write_step
 
 from drake_exo.soles.case import Case
-from drake_exo.soles.loads import Load, constant
+from drake_exo.soles.load_blocks import Constant
+from drake_exo.soles.loads import Load
 from drake_exo.soles.step import results, stiffness
 from drake_exo.soles.step.results import Step
 
@@ -82,7 +83,9 @@ def test_heel_strike_is_the_first_part(samples, fraction, count):
 
 def test_several_steps_weigh_by_their_shares():
     """One of 20 samples that counts once, one of 30 that counts thrice."""
-    first, second = (constant((0.0, 0.0, 400.0), (0, 0), n) for n in (20, 30))
+    first, second = (
+        Constant((0.0, 0.0, 400.0), (0, 0), n).load() for n in (20, 30)
+    )
     load = Load.one_after_another([first, second], [1.0, 3.0])
     by_tr, by_rot = stiffness.sample_weights(load)
     np.testing.assert_allclose(by_rot, [0.25] * 20 + [0.75] * 30)

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
-from drake_exo.soles import loads
-from drake_exo.soles.settings import Pattern as PatternBlock
+from drake_exo.soles.load_blocks import OneFoot, Playback
+from drake_exo.soles.load_blocks import Pattern as PatternBlock
 from drake_exo.soles.walking_pattern import (
     Robot,
     _least_squares,
@@ -86,7 +86,7 @@ def test_a_foot_comes_to_rest_and_another_sets_off(pattern):
     Both go on with the speed of single support; sums of both feet do not tell,
     they are right with any paths.
     """
-    h, D = 1e-6, ROBOT.double_support
+    h, D = 1e-6, ROBOT.double_support_s
     a, b = pattern._lines(np.array([0.0, h, D - h, D]))
     z = pattern.zmp
     np.testing.assert_allclose(a[0], z(0.0), atol=1e-12)
@@ -135,7 +135,7 @@ def test_loads_share_goes_over_twice_differentiably():
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("back", 0.12), ("outer", 0.06), ("double_support", 1.2)],
+    [("back_m", 0.12), ("outer_m", 0.06), ("double_support_s", 1.2)],
 )
 def test_contradictory_walk_is_refused(key, value):
     with pytest.raises(InputError, match="pattern"):
@@ -180,7 +180,7 @@ def test_each_foot_keeps_inside_its_bounds(pattern):
 def test_tight_bounds_hold_the_zmp():
     free = plan(ROBOT).zmp(np.linspace(0.195, 1.0, 100))
     bound = 0.6 * np.abs(free[:, 0]).max()
-    held = plan(replace(ROBOT, back=-bound, front=bound))
+    held = plan(replace(ROBOT, back_m=-bound, front_m=bound))
     z = held.zmp(np.linspace(0.195, 1.0, 161))
     assert np.abs(z[:, 0]).max() == pytest.approx(bound, rel=0.02)
 
@@ -197,9 +197,8 @@ def test_straight_goes_from_heel_to_toe(pattern):
 def test_authors_step_is_met(data_root):
     """ZMP within 5 mm RMS and vertical force within 3 %."""
     path = data_root / "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
-    theirs = loads.read_one_foot(path).placed(
-        [1.274728354176543, -0.056000000000611], 0.0
-    )
+    origin = (1.274728354176543, -0.056000000000611)
+    theirs = OneFoot(path, origin).load(data_root)
     ours = PatternBlock(least_share=0.01).load()
     # The file starts as the foot lands, 5.81 s; rows before 5.86 are cut.
     t = theirs.times - 5.81
@@ -224,7 +223,7 @@ def test_a_cycle_of_the_playback_is_met(data_root):
     landing, period = 1283, 0.005  # right foot's, one step is 240 rows
     robot = Robot(
         43.0, 0.781739, 0.0525, 0.2301, 1.2, 0.4, -0.098, 0.098, 0.05, -0.05,
-        ankle=(-0.015, 0.011),
+        ankle_m=(-0.015, 0.011),
     )  # fmt: skip
     pattern = plan(robot)
     # The total ZMP from landing to lift-off, in the right sole's frame.
@@ -234,7 +233,8 @@ def test_a_cycle_of_the_playback_is_met(data_root):
     error = pattern.at(pattern.zmp, t) - total
     assert np.sqrt((error**2).sum(axis=1).mean()) < 5e-3
     # One foot's, as the double supports are shared in a simulation.
-    theirs = loads.read_playback(path, "right", 2, 43.0, least_force_n=5.0)
+    block = Playback(path, "right", 2, 43.0, least_force_n=5.0)
+    theirs = block.load(data_root)
     ours = pattern.foot_load(least=0.005)
     when = theirs.times - landing * period
     own = np.stack(

@@ -1,0 +1,372 @@
+"""What a case says of its load: files, a walking pattern, a recording.
+
+Every block gives a `Load` of the files that it names, relative to a folder.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_table
+from drake_exo.files.schema import exactly_one, positive
+from drake_exo.files.tables import missing_column
+from drake_exo.soles.loads import (
+    Load,
+    numbers_of,
+    read_columns,
+    read_csv,
+    text_lines,
+)
+from drake_exo.soles.rotations import without_yaw
+from drake_exo.soles.walking_pattern import Gait, Robot, plan
+
+Vector3 = tuple[float, float, float]
+Vector2 = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class OneFoot:
+    """The soft-sole authors' file of one foot: t, ZMP xy, CoM xy, force xyz."""
+
+    file: str
+    origin_m: Vector2
+    skip_first: int = 10
+    skip_last: int = 11
+
+    def load(self, root: Path) -> Load:
+        """Read it."""
+        path = root / self.file
+        table = numbers_of(path, text_lines(path)[1:], 2, 8)
+        table = table[self.skip_first : len(table) - self.skip_last]
+        t, zmp, force = table[:, 0], table[:, 1:3], table[:, 5:8]
+        return Load(t, force, zmp, str(path)).placed(self.origin_m, 0.0)
+
+
+@dataclass(frozen=True)
+class Csv:
+    """A plain CSV of force and ZMP."""
+
+    file: str
+    origin_m: Vector2 = (0.0, 0.0)
+    yaw_rad: float = 0.0
+
+    def load(self, root: Path) -> Load:
+        """Read it."""
+        return read_csv(root / self.file).placed(self.origin_m, self.yaw_rad)
+
+
+@dataclass(frozen=True)
+class Playback:
+    """One stance of an HRP-4 playback file (37 columns, no times).
+
+    The force is m (a + g); in double support it is shared by the ZMP's
+    progress between its places at both ends (`share_double_support`).
+
+    Attributes:
+        file: Relative to the case's folder.
+        foot: Left or right.
+        step: Which stance of that foot, counted from 0.
+        mass_kg: The robot's mass.
+        period_s: Time between rows.
+        gravity_m_per_s2: g.
+        ankle_to_centre_m: Sole's centre from the ankle: forward, and outward
+            (away from the other foot).
+        least_force_n: Samples below are left out at both ends.
+    """
+
+    file: str
+    foot: Literal["left", "right"]
+    step: int
+    mass_kg: float = positive("kg", 43.0)
+    period_s: float = positive("s", 0.005)
+    gravity_m_per_s2: float = positive("m/s²", 9.81)
+    ankle_to_centre_m: Vector2 = (0.015, 0.011)
+    least_force_n: float = positive("N", 20.0)
+
+    def load(self, root: Path) -> Load:
+        """Read it."""
+        path = root / self.file
+        table = numbers_of(path, text_lines(path), 1, 37)
+        phase = np.round(table[:, 0]).astype(int)
+        mine = {"left": 1, "right": 2}[self.foot]
+        runs = stances(phase, mine)
+        if not 0 <= self.step < len(runs):
+            raise InputError(
+                f"{path}: the {self.foot} foot has {len(runs)} stances; step "
+                f"{self.step} does not exist (counted from 0)"
+            )
+        first, last = runs[self.step]
+        weight = [0.0, 0.0, self.gravity_m_per_s2]
+        total = self.mass_kg * (table[:, 10:13] + weight)
+        share, zmp = share_double_support(table[:, 1:3], phase, mine)
+        rows = np.arange(first, last)
+        rows = rows[share[rows] * total[rows, 2] >= self.least_force_n]
+        column = 13 if self.foot == "left" else 22
+        middle = rows[phase[rows] == mine]
+        ankle = table[middle[len(middle) // 2], column : column + 2]
+        outward = self.ankle_to_centre_m[1] * (1 if mine == 1 else -1)
+        load = Load(
+            rows * self.period_s,
+            share[rows, None] * total[rows],
+            zmp[rows],
+            f"{path} {self.foot} step {self.step}",
+        )
+        return load.placed(
+            ankle + np.array([self.ankle_to_centre_m[0], outward]), 0.0
+        )
+
+
+def stances(phase: np.ndarray, mine: int) -> list[tuple[int, int]]:
+    """Row ranges around single supports `mine`, double supports included.
+
+    Only stances between two double supports that others' single supports
+    bound are whole; standing at either end of the file is left out.
+    """
+    change = np.flatnonzero(np.diff(phase)) + 1
+    edges = np.concatenate([[0], change, [len(phase)]])
+    runs = []
+    for k in range(1, len(edges) - 2):
+        before, after = k - 2, k + 2
+        if phase[edges[k]] == mine and before >= 0 and after < len(edges) - 1:
+            runs.append((int(edges[k - 1]), int(edges[k + 2])))
+    return runs
+
+
+def share_double_support(zmp, phase, mine):
+    """Share of the force on one foot and its own ZMP, row by row.
+
+    In each double support the total ZMP Z goes from A, under the foot that
+    unloads, to B, under the one that loads. With α the progress of Z along
+    AB and ρ = Z − (1 − α) A − α B, the feet take (1 − α) at A + ρ and α at
+    B + ρ: force and ZMP are continuous and add up to the total.
+
+    Returns:
+        share (n,), ZMP under this foot (n, 2).
+    """
+    n = len(zmp)
+    share = (phase == mine).astype(float)
+    own = zmp.copy()
+    change = np.flatnonzero(np.diff(phase)) + 1
+    edges = np.concatenate([[0], change, [n]])
+    for k in range(1, len(edges) - 2):
+        rows = slice(edges[k], edges[k + 1])
+        if phase[edges[k]] != 0:
+            continue
+        A, B = zmp[edges[k] - 1], zmp[edges[k + 1]]
+        AB = B - A
+        alpha = np.clip((zmp[rows] - A) @ AB / (AB @ AB), 0.0, 1.0)
+        rho = zmp[rows] - A - alpha[:, None] * AB
+        if phase[edges[k] - 1] == mine:
+            share[rows], own[rows] = 1 - alpha, A + rho
+        elif phase[edges[k + 1]] == mine:
+            share[rows], own[rows] = alpha, B + rho
+    return share, own
+
+
+# Ground reaction of a planar prediction: time, forward, up, CoP forward.
+STO_COLUMNS = ("time", "ground_force_vx", "ground_force_vy", "ground_force_px")
+PREDICTION_COLUMNS = ("time_s", "grf_x_n", "grf_z_n", "cop_x_m")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A planar prediction of the exoskeleton half, in the sagittal plane.
+
+    `drake-exo predict` and `calibrate` write `NAME_ground_reaction.sto`
+    (x forward, y up; `STO_COLUMNS`); a CSV file whose header names
+    `PREDICTION_COLUMNS` in any order among others will do as well. Both hold
+    the ground reaction of both feet and its centre of pressure.
+
+    Attributes:
+        file: Relative to the case's folder.
+        origin_m: Sole's centre in the laboratory.
+        share: Part of the force on this foot.
+        least_force_n: Samples with less on this foot are left out at both
+            ends.
+    """
+
+    file: str
+    origin_m: Vector2
+    share: float = field(
+        default=0.5, metadata={"above": 0.0, "maximum": 1.0}
+    )  # fmt: skip
+    least_force_n: float = positive("N", 20.0)
+
+    def load(self, root: Path) -> Load:
+        """Read it."""
+        path = root / self.file
+        if path.suffix.lower() == ".csv":
+            columns = PREDICTION_COLUMNS
+            table = read_columns(path, columns)
+        else:
+            columns = STO_COLUMNS
+            table = _opensim_columns(path, columns[1:])
+        t, fx, fz, x = (table[name] for name in columns)
+        loaded = np.flatnonzero(self.share * fz >= self.least_force_n)
+        if len(loaded) == 0:
+            raise InputError(
+                f"{path}: a foot never carries {self.least_force_n:g} N; "
+                "check the file, share and least_force_n"
+            )
+        keep = slice(loaded[0], loaded[-1] + 1)
+        zero = np.zeros_like(t)
+        force = self.share * np.stack([fx, zero, fz], axis=1)
+        zmp = np.stack([x, zero], axis=1)
+        load = Load(t[keep], force[keep], zmp[keep], str(path))
+        return load.placed(self.origin_m, 0.0)
+
+
+def _opensim_columns(path, needed) -> dict[str, np.ndarray]:
+    """Time and the columns `needed` of an OpenSim .mot or .sto file."""
+    table = read_table(path)
+    for name in needed:
+        if name not in table.names:
+            raise missing_column(str(path), name, table.names)
+    found = dict(zip(table.names, table.values.T, strict=True))
+    return {"time": table.time, **found}
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same force and ZMP at every sample, 5 ms apart."""
+
+    force_n: Vector3
+    zmp_m: Vector2
+    samples: int = field(default=1, metadata={"minimum": 1})
+
+    def load(self, root: Path | None = None) -> Load:
+        """As a load."""
+        return Load(
+            0.005 * np.arange(self.samples),
+            np.tile(np.array(self.force_n, float), (self.samples, 1)),
+            np.tile(np.array(self.zmp_m, float), (self.samples, 1)),
+            "constant load",
+        )
+
+
+@dataclass(frozen=True)
+class Pattern(Robot):
+    """Own walking pattern; the defaults are the authors' 80 kg robot's.
+
+    The ZMP bounds leave 15 mm to the sole's edges.
+    """
+
+    period_s: float = positive("s", 0.005)
+    least_share: float = field(
+        default=0.13, metadata={"above": 0.0, "below": 1.0}
+    )
+    free: tuple[
+        Literal["step_length", "step_time", "double_support", "zmp"], ...
+    ] = ()
+
+    def gait(self, friction: float) -> Gait:
+        """The walk, and what of it may change."""
+        return Gait(self, self.free, friction, self.period_s, self.least_share)
+
+    def load(self, root: Path | None = None) -> Load:
+        """Plan the step; the right foot's load."""
+        return plan(self).foot_load(self.period_s, self.least_share)
+
+
+class Recorded(Protocol):
+    """A step of a recording, seen from the foot; see `measurement.steps`."""
+
+    name: str
+    times: np.ndarray
+    force: np.ndarray
+    cop: np.ndarray
+    free_moment: np.ndarray
+    rotation: np.ndarray
+
+
+# Reads a step: the study's path, trial, foot, start, end, number, force [N].
+StepReader = Callable[..., Recorded]
+_FILES = ("pattern", "one_foot", "csv", "playback", "prediction", "constant")
+_OF_RECORDING = (
+    "trial", "foot", "begin", "end", "step", "least_force_n", "shift_m",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoadBlock:
+    """Where force and ZMP come from: exactly one kind.
+
+    `recording` is a study file; the keys behind it say which of its steps.
+    """
+
+    pattern: Pattern | None = None
+    one_foot: OneFoot | None = None
+    csv: Csv | None = None
+    playback: Playback | None = None
+    prediction: Prediction | None = None
+    constant: Constant | None = None
+    recording: str | None = None
+    trial: str | None = None
+    foot: Literal["left", "right"] | None = None
+    begin: float | Literal["heel_strike"] = field(
+        default="heel_strike", metadata={"key": "from", "unit": "s"}
+    )
+    end: float | Literal["toe_off"] = field(
+        default="toe_off", metadata={"key": "to", "unit": "s"}
+    )
+    step: int = field(default=0, metadata={"minimum": 0})
+    least_force_n: float = positive("N", 20.0)
+    shift_m: Vector2 = (0.0, 0.0)
+    pose: Literal["free", "measured"] = "free"
+    straight: bool = False
+    weight: float = positive("", 1.0)
+
+    def __post_init__(self):
+        exactly_one(self, (*_FILES, "recording"))
+        if self.recording is None:
+            given = [
+                f.metadata.get("key", f.name)
+                for f in fields(self)
+                if f.name in (*_OF_RECORDING, "pose")
+                and getattr(self, f.name) != f.default
+            ]
+            if given:
+                raise InputError(f"{given[0]} belongs to a recording")
+        elif self.trial is None or self.foot is None:
+            raise InputError("a recording takes trial and foot; give both")
+        elif self.straight and self.pose == "measured":
+            raise InputError("straight and pose: measured exclude each other")
+
+    def load(self, root: Path, read_step: StepReader | None = None) -> Load:
+        """Read the load; files are relative to `root`.
+
+        Args:
+            root: The folder.
+            read_step: For a recording.
+        """
+        if self.recording is not None:
+            load = self._recorded(read_step)
+        else:
+            block = next(filter(None, (getattr(self, n) for n in _FILES)))
+            load = block.load(root)
+        return load.straight() if self.straight else load
+
+    def _recorded(self, read_step: StepReader | None) -> Load:
+        if read_step is None:
+            raise InputError(
+                f"{self.recording}: a recording is read with the laboratory's "
+                "readers; give read_step (the command drake-exo sole does)"
+            )
+        step = read_step(
+            self.recording, self.trial, self.foot, self.begin, self.end,
+            self.step, self.least_force_n,
+        )  # fmt: skip
+        rotation = None
+        if self.pose == "measured":
+            # Yaw is left as the foot was set down: a sole that sticks would
+            # answer the markers' noise by moments that no ground bears.
+            rotation = without_yaw(step.rotation)
+        load = Load(
+            step.times, step.force, step.cop, step.name, step.free_moment,
+            rotation,
+        )  # fmt: skip
+        return load.placed(self.shift_m, 0.0)
