@@ -443,14 +443,14 @@ class InteractionNoise(TrackingNoise):
         energy_j: typical contact energy of a component; what is minimised is
             the square of the energy over this.
 
-    >>> mats = InteractionNoise(normal_force_n=1.0)
+    >>> mats = InteractionNoise(normal_force_n=0.5)
     >>> InteractionSettings(noise=mats).noise.normal_force_n
-    1.0
+    0.5
     """
 
     moment_nm: float = _sigma(5.0, "N m")
     exo_moment_nm: float = _sigma(1.0, "N m")
-    normal_force_n: float = _sigma(2.0, "N")
+    normal_force_n: float = _sigma(1.0, "N")
     energy_j: float = _sigma(1.0, "J")
 
 
