@@ -4,7 +4,7 @@ A job is a call of a module's function in another process. What runs it is a
 `Pool`: `Processes` of this machine, which outlive one that is killed, or a
 Dask cluster (`cluster.Cluster`). Here is which job may begin, what a failure
 means for those that need it, progress; and one function called many times
-(`run_calls`), or once beside something else (`beside`).
+(`run_calls`), or beside something else (`second_process`).
 """
 
 from __future__ import annotations
@@ -515,10 +515,10 @@ def run_calls(
 
 
 class Beside:
-    """A call that another process makes meanwhile.
+    """A call that a second process makes meanwhile.
 
     Args:
-        pool: of one process.
+        pool: of that process.
         job: the call.
     """
 
@@ -551,16 +551,22 @@ class Beside:
 
 
 @contextmanager
-def beside(function: Callable, **arguments) -> Iterator[Beside]:
-    """A call that another process makes meanwhile; left, it is ended.
+def second_process() -> Iterator[Callable[..., Beside]]:
+    """Another process, which makes one call after the other.
 
-    Args:
-        function: of a module; what it prints is lost.
-        arguments: of the call; they are pickled.
+    What a call prints is lost. Left, the process is ended.
+
+    Returns:
+        Function of a module's function and its arguments by name, which are
+        pickled; it begins the call.
     """
-    job = Job(function.__name__, _name(function), arguments)
     with Processes(1) as pool:
-        yield Beside(pool, job)
+
+        def begin(function: Callable, **arguments) -> Beside:
+            job = Job(function.__name__, _name(function), arguments)
+            return Beside(pool, job)
+
+        yield begin
 
 
 def _name(function: Callable) -> str:

@@ -10,9 +10,11 @@ the paper's figures, and writes a page that replays every movement.
 import argparse
 import contextlib
 import io
+from collections.abc import Callable
 from pathlib import Path
 
-from drake_exo.batch.jobs import beside
+from drake_exo.batch.jobs import Beside, second_process
+from drake_exo.calibration.clocks import Clock
 from drake_exo.cli.calibrate import write_interaction
 from drake_exo.cli.lab import PROCESSES
 from drake_exo.cli.predict import write_predictions
@@ -22,7 +24,7 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import OutputFolder, prepare_output_folder
 from drake_exo.files.verdict import FAILS_CODE, Check
 from drake_exo.report.gathering import gather
-from drake_exo.study import Study, read_study
+from drake_exo.study import Study, find_clocks, read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign
 
 _SEED = 1
@@ -70,30 +72,27 @@ def _steps(out: Path) -> int:
             return code
         contact, made_of = study.calibrated(folder, ["all"])
         checks = [*study.gate("prediction"), *made_of]
-    # Both only read what was calibrated: a core for each.
-    stiff = prepare_output_folder(out / "prediction_stiff")
-    with (
-        stiff as folder,
-        beside(
-            predict_stiff,
-            study=study.alone(study.trials("prediction")),
-            contact=contact,
-            out=folder,
-            checks=checks,
-        ) as stiff_ones,
-    ):
-        title = "Phase C1: predict six movements from their end states"
-        with part("prediction", title) as folder:
-            predicted = write_predictions(study, contact, folder, checks=checks)
-        if predicted not in (0, FAILS_CODE):
-            stiff_ones.stop()
-            return predicted
-        print("== Phase C2: again with cuffs 1.4 times as stiff", flush=True)
-        stiffer, said = stiff_ones.value()
-        print(said, end="", flush=True)
-        if stiffer not in (0, FAILS_CODE):
-            return stiffer
-        code = max(code, predicted, stiffer)
+    with second_process() as beside:
+        clocks = _timed(study, contact, beside)
+        # Both only read what was calibrated: a core for each.
+        how = {"contact": contact, "checks": checks, "clocks": clocks}
+        predicted = study.alone(study.trials("prediction"))
+        with prepare_output_folder(out / "prediction_stiff") as folder:
+            stiff = beside(predict_stiff, study=predicted, out=folder, **how)
+            title = "Phase C1: predict six movements from their end states"
+            with part("prediction", title) as folder:
+                soft = write_predictions(study, out=folder, **how)
+            if soft not in (0, FAILS_CODE):
+                stiff.stop()
+                return soft
+            print(
+                "== Phase C2: again with cuffs 1.4 times as stiff", flush=True
+            )
+            stiffer, said = stiff.value()
+            print(said, end="", flush=True)
+            if stiffer not in (0, FAILS_CODE):
+                return stiffer
+        code = max(code, soft, stiffer)
     with part("report", "report") as folder:
         write_report(folder, gather(out))
     print("== replay", flush=True)
@@ -101,13 +100,34 @@ def _steps(out: Path) -> int:
     return code
 
 
+def _timed(
+    study: Study, contact: ContactModel, beside: Callable[..., Beside]
+) -> list[Clock]:
+    """Clocks of the recordings, whatever cuffs a prediction takes."""
+    trials = study.trials("prediction")
+    half, other = trials[::2], trials[1::2]
+    those = beside(
+        find_clocks, study=study.alone(other), trials=other, contact=contact
+    )
+    return [*find_clocks(study, half, contact), *those.value()]
+
+
 def predict_stiff(
-    study: Study, contact: ContactModel, out: Path, checks: list[Check]
+    study: Study,
+    contact: ContactModel,
+    out: Path,
+    checks: list[Check],
+    clocks: list[Clock],
 ) -> tuple[int, str]:
     """Phase C2 into a folder; its exit code, and what it says."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         code = write_predictions(
-            study, contact, out, scale_interaction=1.4, checks=checks
+            study,
+            contact,
+            out,
+            scale_interaction=1.4,
+            checks=checks,
+            clocks=clocks,
         )
     return code, said.getvalue()

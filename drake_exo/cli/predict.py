@@ -178,7 +178,6 @@ def write_predictions(
     how = {
         "scale_interaction": scale_interaction,
         "controller": controller,
-        "clocks": clocks,
     }
     found: list[Prediction] = []
     baseline: list[Prediction | None] = []
@@ -187,7 +186,13 @@ def write_predictions(
         folder = out / f"unfinished_{trial.name}"
         folder.mkdir(exist_ok=True)
         prediction = predict(
-            study, trial, contact, folder=folder, resume=resume, **how
+            study,
+            trial,
+            contact,
+            folder=folder,
+            resume=resume,
+            clocks=clocks,
+            **how,
         )
         found.append(prediction)
         beside, audited = None, []
@@ -195,7 +200,10 @@ def write_predictions(
             folder.rmdir()
             audited = [prediction.audit()]
             if study.model.cuffs:
-                beside = predict(study, trial, usual, near=prediction, **how)
+                # Nominal cuffs do not tell a clock.
+                beside = predict(
+                    study, trial, usual, near=prediction, clocks=(), **how
+                )
                 stopped = beside.solution.was_stopped
         else:
             print(trial.name, end=": ")

@@ -8,7 +8,7 @@ import time
 import example_jobs
 import pytest
 
-from drake_exo.batch.jobs import beside, run_calls
+from drake_exo.batch.jobs import run_calls, second_process
 from drake_exo.errors import InputError
 
 pytestmark = pytest.mark.slow
@@ -52,37 +52,32 @@ def test_from_a_script(tmp_path, how):
     assert done.stdout.strip() == "[0, 1, 4, 9, 16]", done.stderr
 
 
-def test_a_call_beside_is_waited_for():
-    with beside(example_jobs.sleep, seconds=0.2) as waited:
-        assert waited.value() == 0.2
+def test_calls_beside_are_waited_for():
+    with second_process() as beside:
+        assert beside(example_jobs.sleep, seconds=0.2).value() == 0.2
+        assert beside(example_jobs.add, a=1, b=2).value() == 3
 
 
 def test_a_call_beside_fails_as_it_would_here():
-    with (
-        beside(example_jobs.refuse) as waited,
-        pytest.raises(InputError, match=r"a\.yaml: wrong"),
-    ):
-        waited.value()
-    with (
-        beside(example_jobs.add, a=1, b="x") as waited,
-        pytest.raises(RuntimeError, match="TypeError"),
-    ):
-        waited.value()
+    with second_process() as beside:
+        with pytest.raises(InputError, match=r"a\.yaml: wrong"):
+            beside(example_jobs.refuse).value()
+        with pytest.raises(RuntimeError, match="TypeError"):
+            beside(example_jobs.add, a=1, b="x").value()
 
 
 def test_a_call_beside_ends_with_its_context():
     start = time.monotonic()
-    with (
-        pytest.raises(KeyboardInterrupt),
-        beside(example_jobs.sleep, seconds=60),
-    ):
+    with pytest.raises(KeyboardInterrupt), second_process() as beside:
+        beside(example_jobs.sleep, seconds=60)
         raise KeyboardInterrupt
     assert time.monotonic() - start < 30.0
 
 
 def test_a_call_beside_is_told_to_stop_and_leaves_what_it_has(tmp_path):
     path = tmp_path / "left.txt"
-    with beside(example_jobs.interrupted, path=path) as call:
+    with second_process() as beside:
+        call = beside(example_jobs.interrupted, path=path)
         while not path.exists():
             time.sleep(0.05)
         call.stop()
