@@ -175,13 +175,14 @@ class Optimum:
         problem, y, size = self._problem, self._y, len(self.free)
         unit = problem.unknowns.scale[variables]
 
+        multipliers = np.zeros(problem.num_constraints)
+        multipliers[self.held] = self.multipliers
+
         def conditions(variable: int, step: float) -> np.ndarray:
-            problem.move_fixed(variable, step)
-            A = _jacobian(problem, y)[self.held]
-            slope = problem.gradient(y) + A.T @ self.multipliers
-            value = problem.constraints(y)[self.held]
-            problem.move_fixed(variable, -step)
-            return np.concatenate([slope[self.free], value])
+            slope, value = problem.moved_conditions(
+                y, multipliers, variable, step
+            )
+            return np.concatenate([slope[self.free], value[self.held]])
 
         change = np.empty((size + len(self.held), len(variables)))
         for k, variable in enumerate(variables):

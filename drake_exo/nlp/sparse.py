@@ -256,6 +256,42 @@ class SparseProgram:
 
         return self._timed("jacobian", y, compute)
 
+    def moved_conditions(
+        self, y: np.ndarray, multipliers: np.ndarray, variable: int, step: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Slope of the Lagrangian (ny,) and g if a fixed variable moves.
+
+        Only what the variable enters is there, all else is left at zero: for
+        differences by it.
+
+        Args:
+            y: unknowns, which stay.
+            multipliers: of all rows of g.
+            variable: fixed program variable, moved by `step`.
+        """
+        x = self.expand(y)
+        x[variable] += step
+        slope = self.unknowns.matrix.T @ (self._Q @ x)
+        value = np.zeros(self.num_constraints)
+        parts = [(b, None) for b in (*self.residual_blocks, *self._costs)]
+        for b, place in (*parts, *self.rows.numbered_blocks()):
+            if not (b.batch.indices == variable).any():
+                continue
+            found = b.values(x)
+            weights = found if place is None else multipliers[place]
+            if place is not None:
+                value[place] = found.ravel()
+            elif b in self._costs:
+                weights = np.ones_like(found)
+            accumulate(
+                slope,
+                b,
+                np.einsum(
+                    "no,now->nw", weights.reshape(found.shape), b.jacobian(x)
+                ),
+            )
+        return slope, value
+
     def hessian(self, y, multipliers, factor) -> np.ndarray:
         """Nonzeros of the Lagrangian's Hessian (lower triangle).
 
