@@ -12,6 +12,7 @@ inside, the diagram converts to no other scalar type.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
@@ -196,8 +197,9 @@ def JointTorques_(T):
             output.SetZero()
             port = self.GetInputPort("joint_torques")
             if port.HasValue(context):
-                for i, torque in enumerate(port.Eval(context)):
-                    output.SetAtIndex(3 + i, torque)
+                torques = port.Eval(context)
+                pushed = np.zeros(3, torques.dtype)
+                output.SetFromVector(np.concatenate([pushed, torques]))
 
     return Impl
 

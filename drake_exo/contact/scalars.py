@@ -45,6 +45,8 @@ _PLAIN = frozenset((float, int, complex, str, bool, type(None), np.float64))
 
 
 def _any_object(values) -> bool:
+    if _PLAIN.issuperset(map(type, values)):  # one look in C at most of them
+        return False
     for value in values:
         if type(value) not in _PLAIN and _holds_object(value):
             return True

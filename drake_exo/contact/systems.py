@@ -73,6 +73,20 @@ def declare_force_output(system: LeafSystem, T, calc) -> None:
     )
 
 
+def _produced(calc) -> ValueProducer:
+    """Of a Python object that `calc` computes."""
+    return ValueProducer(
+        allocate=lambda: AbstractValue.Make(object()), calc=calc
+    )
+
+
+def _declare_values(system: LeafSystem, calc):
+    """A cache entry that follows from the context's parameters alone."""
+    return system.DeclareCacheEntry(
+        "values", _produced(calc), {system.all_parameters_ticket()}
+    )
+
+
 class BodyState(NamedTuple):
     """Pose and motion of a body in the plane, scalars."""
 
@@ -253,13 +267,10 @@ class _FootGroundContact:
         declare_body_inputs(self, T)
         for values in (*parameters.spheres.values(), parameters.constants):
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+        self._values = _declare_values(self, self._calc_values)
         # Forces and what a controller sees of them are evaluated once.
         self._wrenches = self.DeclareCacheEntry(
-            "wrenches",
-            ValueProducer(
-                allocate=lambda: AbstractValue.Make(object()),
-                calc=self._calc_wrenches,
-            ),
+            "wrenches", _produced(self._calc_wrenches)
         )
         declare_force_output(self, T, self._calc_spatial_forces)
         self.DeclareVectorOutputPort(
@@ -313,10 +324,13 @@ class _FootGroundContact:
     def _constants(self, vector) -> Constants:
         return type(self._parameters.constants)(*vector)
 
+    def _calc_values(self, context, output):
+        *spheres, constants = self._vectors(context)
+        output.set_value((spheres, self._constants(constants)))
+
     def _calc_wrenches(self, context, output):
         (foot,) = read_bodies(self, context, [self._body])
-        *spheres, constants = self._vectors(context)
-        constants = self._constants(constants)
+        spheres, constants = self._values.Eval(context)
         wrenches = [
             foot_contact(self._parameters.law, *foot, sphere, constants)
             for sphere in spheres
@@ -412,6 +426,7 @@ class _Bushings:
         declare_body_inputs(self, T)
         for values in parameters.values():
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+        self._values = _declare_values(self, self._calc_values)
         declare_force_output(self, T, self._calc_spatial_forces)
         size = len(COMPONENTS) * len(parameters)
         for name, calc in (
@@ -450,11 +465,14 @@ class _Bushings:
                 np.array(astuple(parameters[name]))
             )
 
+    def _calc_values(self, context, output):
+        output.set_value(list(self.parameters(context).values()))
+
     def _evaluate(self, context) -> Iterator[tuple]:
         """Of each bushing links, their planar poses, parameters, d and F."""
         bodies = [body for pair in self._pairs.values() for body in pair]
         states = iter(read_bodies(self, context, bodies))
-        known = self.parameters(context).values()
+        known = self._values.Eval(context)
         for links, own in zip(
             zip(states, states, strict=True), known, strict=True
         ):
