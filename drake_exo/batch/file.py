@@ -431,7 +431,7 @@ def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:
 # The keys of a case file; every other is a study's.
 SOLE_KEYS = (
     *("name", "mesh", "material", "load", "loads"),
-    *("contact", "start", "cost", "optimize"),
+    *("ground", "contact", "start", "cost", "optimize"),
 )
 
 
