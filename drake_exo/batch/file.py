@@ -428,16 +428,16 @@ def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:
     return list(found.values())
 
 
-# The keys of a case file; every other is a study's.
+# The keys of a case file; every other is a study's, which also has a `ground`.
 SOLE_KEYS = (
     *("name", "mesh", "material", "load", "loads"),
-    *("ground", "contact", "start", "cost", "optimize"),
+    *("ground.heights", "contact", "start", "cost", "optimize"),
 )
 
 
 def is_sole(key: str) -> bool:
     """Whether a dotted key is of a case file, not of a study."""
-    return key.partition(".")[0] in SOLE_KEYS
+    return any(f"{key}.".startswith(f"{own}.") for own in SOLE_KEYS)
 
 
 def _laboratory(batch: BatchFile, entry: Entry) -> Task:
