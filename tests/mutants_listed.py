@@ -130,7 +130,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "d_cop = -(J[:, 2] + cop * J[:, 1]) / load",
             "d_cop = -J[:, 2] / load",
         ),
-        ("_DISCREPANCY = 0.12", "_DISCREPANCY = 0.24"),
+        ("DISCREPANCY = 0.12", "DISCREPANCY = 0.24"),
         ("np.abs(off) <= width", "np.abs(off) >= width"),
         ("at, names = measured.sample(found.times)", "at, names = measured"),
         (
@@ -149,7 +149,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("gain = term.weights / term.sigma[:, k]", "gain = term.weights"),
         ("cuffs[cuff] = QUANTILE_95 * sd", "cuffs[cuff] = sd"),
         (
-            "np.hypot(spread(variables), _DISCREPANCY * force)",
+            "np.hypot(spread(variables), DISCREPANCY * force)",
             "spread(variables)",
         ),
     ],

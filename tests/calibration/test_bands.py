@@ -31,6 +31,7 @@ from drake_exo.calibration.uncertainty import (
     noise_basis,
     posterior,
 )
+from drake_exo.collocation.trial_program import Tracking
 
 DEGREES = 180.0 / np.pi
 
@@ -112,6 +113,67 @@ def test_noise_for_about_a_second_is_orthonormal():
     np.testing.assert_array_equal(crossings, [0, 1, 2, 3])
 
 
+def test_noise_of_signals_reaches_parameters():
+    """Two parameters, by sums over nodes: a force, and angles with speeds."""
+    n, rng = 11, np.random.default_rng(3)
+    times = np.linspace(0.0, 1.0, n)
+    weights = rng.uniform(0.5, 2.0, n)
+    places = np.arange(3 * n).reshape(3, n, 1)  # force, angle, speed
+    force, angle, speed = (
+        Tracking(places[k], np.zeros((n, 1)), sigma, role=role)
+        for k, (sigma, role) in enumerate(
+            ((4.0, "measured"), (0.5, "position"), (3.0, "velocity"))
+        )
+    )
+    size = rng.uniform(1.0, 2.0, n)
+    size[3] = np.inf  # not tracked there
+    force.sigma = size[:, None]
+    free = Tracking(places[0], np.zeros((n, 1)), 1.0, role="regulariser")
+    grid = SimpleNamespace(times=times, quadrature=weights)
+    movement = SimpleNamespace(grid=grid, tracked=[force, free, speed, angle])
+    by_x = rng.normal(size=(2, 3 * n))
+    scale = rng.uniform(1.0, 2.0, 3 * n)
+    rows = np.full(3 * n, -1)
+    rows[places[1, 0, 0]], rows[places[2, -1, 0]] = 1, 0  # given ends
+    by_bounds = rng.normal(size=(2, 2))
+    program = SimpleNamespace(
+        program=SimpleNamespace(indices=lambda v: v),
+        rows=SimpleNamespace(row_of=lambda v: rows[v]),
+        unknowns=SimpleNamespace(scale=scale),
+    )
+    found = list(
+        module._noise(
+            movement,
+            program,
+            SimpleNamespace(by_bounds=by_bounds),
+            by_x,
+            6.0,
+            4,
+        )
+    )
+    values, slopes = noise_basis(times, 6.0, 4)
+    of_force = sum(
+        -weights[i] / size[i] * np.outer(by_x[:, i], values[i])
+        for i in range(n)
+        if i != 3
+    )
+    of_angles = 0.5 * sum(
+        -weights[i]
+        * (
+            np.outer(by_x[:, n + i], values[i]) / 0.5**2
+            + np.outer(by_x[:, 2 * n + i], slopes[i]) / 3.0**2
+        )
+        for i in range(n)
+    )
+    of_angles += 0.5 * (
+        np.outer(by_bounds[:, 1], values[0]) / scale[n]
+        + np.outer(by_bounds[:, 0], slopes[-1]) / scale[3 * n - 1]
+    )
+    assert len(found) == 2
+    np.testing.assert_allclose(found[0], of_force)
+    np.testing.assert_allclose(found[1], of_angles)
+
+
 def test_a_root_of_a_covariance():
     full = np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 9.0]])
     root = module._root(full)  # singular
@@ -180,7 +242,6 @@ def test_a_posterior_is_the_inverse_of_the_curvature(coarse):
     assert (sd[len(free) :] < 1.001 * prior).all()
 
 
-@pytest.mark.slow
 def test_bands_by_dense_algebra(in_device, coarse):
     """Every part that is not known, through the optimum's dense conditions."""
     known = posterior(coarse)

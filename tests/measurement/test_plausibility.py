@@ -23,6 +23,7 @@ from drake_exo.files.opensim import (
     write_trc,
 )
 from drake_exo.files.tables import read_csv_table, write_csv_table
+from drake_exo.measurement.plausibility import wearer
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
 
@@ -224,6 +225,87 @@ def test_files_exchanged_between_nearly_the_same_movements(folder):
     found = failing(folder)
     assert "encoder_file" not in found
     assert "this trial and rise2 fit" in found["encoder_swap"][0]
+
+
+def warped(folder, file, late_s):
+    """Encoders of a movement that begins early and ends late."""
+    table = read_csv_table(folder / file)
+    middle = table.time[np.argmax(np.abs(np.gradient(table.values[:, 2])))]
+    time = table.time + late_s * np.tanh((table.time - middle) / 0.3)
+    values = np.column_stack(
+        [np.interp(table.time, time, x) for x in table.values.T]
+    )
+    written_in_degrees(folder / file, replace(table, values=values))
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.1])
+def test_encoders_of_a_trial_that_is_not_in_the_study(folder, late_s):
+    """A little slower than its movement: no other check sees it."""
+    another_trial(folder)
+    warped(folder, "other.csv", late_s)
+    found = failing(folder)
+    assert set(found) == ({"encoder_stranger"} if late_s else set())
+    if found:  # of two trials either may be the one
+        first, second = found["encoder_stranger"]
+        assert first.startswith("rise1: exo.csv: the device moves")
+        assert "in rise2, or of the two that one's" in first
+        assert second.startswith("rise2: other.csv: the device moves")
+        assert "of a trial that is not in the study" in second
+
+
+def test_a_third_trial_tells_whose_encoders_are_wrong(folder):
+    another_trial(folder)
+    text = (folder / "study.yaml").read_text()
+    start = text.index("- name: rise2")
+    entry = text[start : text.index("device:")]
+    shutil.copy(folder / "other.csv", folder / "third.csv")
+    for ending in ("trc", "mot"):
+        shutil.copy(folder / f"b.{ending}", folder / f"c.{ending}")
+    entry = entry.replace("rise2", "rise3").replace("other", "third")
+    entry = entry.replace("b.trc", "c.trc").replace("b.mot", "c.mot")
+    (folder / "study.yaml").write_text(
+        text.replace("device:", f"{entry}device:")
+    )
+    table = read_csv_table(folder / "third.csv")
+    table = replace(table, values=table.values - 0.002)
+    written_in_degrees(folder / "third.csv", table)
+    assert failing(folder) == {}
+    warped(folder, "other.csv", 0.1)
+    (sentence,) = failing(folder)["encoder_stranger"]
+    assert sentence.startswith("rise2: other.csv")
+    assert "otherwise than in every other trial" in sentence
+
+
+def test_a_driven_trial_is_not_compared_with_a_passive_one(folder):
+    another_trial(folder)
+    warped(folder, "other.csv", 0.1)
+    edit(
+        folder,
+        "encoders: exo.csv",
+        "encoders: exo.csv\n  exo_moments: moments.csv",
+    )
+    assert "encoder_stranger" not in failing(folder)
+
+
+def test_what_a_wearer_explains_costs_little():
+    """Least squares with priors, by its definition."""
+    rng = np.random.default_rng(2)
+    first, second = (
+        wearer._Difference(
+            rng.normal(size=(12, 3)),
+            rng.normal(size=12),
+            rng.normal(size=12),
+            12.0,
+        )
+        for _ in range(2)
+    )
+    A = np.zeros((24, 5))
+    A[:12, :3], A[12:, :3] = first.by, second.by
+    A[:12, 3], A[12:, 4] = first.by_clock, second.by_clock
+    y = np.r_[first.found, second.found]
+    rows = np.vstack([A, np.eye(5)])
+    cost = np.linalg.lstsq(rows, np.r_[y, np.zeros(5)], rcond=None)[1]
+    assert wearer._cost(first, second) == pytest.approx(cost[0])
 
 
 def written_in_degrees(path, table):

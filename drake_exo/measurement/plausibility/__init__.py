@@ -15,6 +15,7 @@ from drake_exo.measurement.plausibility.device import (
 )
 from drake_exo.measurement.plausibility.evidence import Evidence
 from drake_exo.measurement.plausibility.plates import plate_checks
+from drake_exo.measurement.plausibility.wearer import wearer_checks
 from drake_exo.measurement.settings import Standing
 from drake_exo.measurement.subject import SubjectModel
 
@@ -36,7 +37,7 @@ def plausibility(
     checks = [*standing_checks(subject, standing)]
     for e in evidence:
         checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
-    return (*checks, *between_trials(evidence))
+    return (*checks, *between_trials(evidence), *wearer_checks(evidence))
 
 
 def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):

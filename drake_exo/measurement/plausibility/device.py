@@ -139,31 +139,37 @@ def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
         )
 
 
-def misfit(e: Evidence, encoders: Evidence, reach_s: float) -> float:
+def misfit(
+    e: Evidence, encoders: Evidence, reach_s: float
+) -> tuple[float, float]:
     """Share of a person's speed that some encoders do not follow.
 
     Of all joints that move far; at the best lag of the clocks within
     `reach_s`. Infinite where the encoders do not cover the movement, or
     nothing moves far.
+
+    Returns:
+        The share, and that lag [s].
     """
     moving = np.ptp(np.rad2deg(e.expected(e.body[0])), axis=0) > _FAR_DEG
     if not moving.any():
-        return np.inf
+        return np.inf, 0.0
     time, v = e.trial.start_s + e.trial.times, e.expected(e.body[1])[:, moving]
     angles = encoders.recording.angles
     rates = np.gradient(angles.values[:, moving], angles.time, axis=0)
-    best = np.inf
+    best = np.inf, 0.0
     for lag in np.arange(-reach_s, reach_s + 1e-9, _STEP_S):
         t = time + lag
         if t[0] < angles.time[0] - 0.1 or t[-1] > angles.time[-1] + 0.1:
             continue
         d = np.column_stack([np.interp(t, angles.time, x) for x in rates.T])
-        best = min(best, float(np.linalg.norm(d - v) / np.linalg.norm(v)))
+        share = float(np.linalg.norm(d - v) / np.linalg.norm(v))
+        best = min(best, (share, float(lag)))
     return best
 
 
 def _mismatch(e: Evidence) -> Check:
-    found = misfit(e, e, _REACH_S)
+    found, _ = misfit(e, e, _REACH_S)
     return e.check(
         "encoder_motion",
         100.0 * found,
@@ -179,7 +185,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Whether encoders belong to the trial that names them."""
     known = [e for e in evidence if e.recording.angles is not None]
     # Of each movement with each file.
-    fits = np.array([[misfit(e, o, _REACH_S) for o in known] for e in known])
+    fits = np.array([[misfit(e, o, _REACH_S)[0] for o in known] for e in known])
     for i, e in enumerate(known):
         others = [
             j for j, o in enumerate(known) if o.files.markers != e.files.markers
