@@ -15,6 +15,9 @@ TESTS = {
         "tests/calibration/test_identifiability.py",
     ],
     "drake_exo/calibration/clocks.py": ["tests/calibration/test_clocks.py"],
+    "drake_exo/calibration/error_model.py": [
+        "tests/calibration/test_error_model.py"
+    ],
     "drake_exo/calibration/results.py": [
         "tests/calibration/test_results.py",
         "tests/calibration/test_bands.py",
