@@ -330,7 +330,10 @@ MISTAKES: dict[Callable[[Plant], None], tuple[str, ...]] = {
     encoder_offsets: ("encoder_offset",),
     encoder_columns: ("encoder_joints",),
     encoder_file: ("encoder_file",),
-    encoder_files: ("encoder_file", "encoder_swap", "encoder_motion"),
+    encoder_files: (
+        *("encoder_file", "encoder_swap", "encoder_motion"),
+        "encoder_stranger",
+    ),
     encoder_stranger: ("encoder_stranger", "encoder_motion"),
     cop_unit: ("cop_unit",),
     plates_exchanged: ("plate_sides",),

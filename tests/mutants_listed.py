@@ -30,6 +30,9 @@ TESTS = {
     ],
     "drake_exo/cli/": ["tests/test_cli.py", "tests/test_view.py"],
     "drake_exo/collocation/": ["tests/collocation", *_CALIBRATION],
+    "drake_exo/collocation/trial_program.py": [
+        "tests/collocation/test_trial_program.py"
+    ],
     "drake_exo/contact/": ["tests/contact", *_CALIBRATION],
     "drake_exo/files/": ["tests/files", "tests/measurement"],
     "drake_exo/measurement/": ["tests/measurement"],
