@@ -18,7 +18,7 @@ from drake_exo.files.verdict import Check
 from drake_exo.measurement.plausibility.device import misfit
 from drake_exo.measurement.plausibility.evidence import Evidence
 
-LARGEST_DISAGREEMENT = 0.4  # for each independent sample
+LARGEST_DISAGREEMENT = 0.45  # for each independent sample
 _REACH_S = 0.06
 _DEG = np.pi / 180.0
 # Standard deviations of what the difference of angles depends on.
