@@ -7,7 +7,9 @@ import os
 import pytest
 
 from drake_exo import cli
+from drake_exo.cli import lab
 from drake_exo.errors import InputError, reason
+from drake_exo.virtual_laboratory.truth import DISTURBANCES
 
 
 def ending(error, **arguments):
@@ -67,3 +69,28 @@ def test_reasons_are_short():
     assert reason(KeyError()) == "KeyError"
     assert len(reason(ValueError("x" * 1000))) < 130
     assert "\x1b" not in reason(ValueError("a\x1b[31mb"))
+
+
+@pytest.mark.parametrize(
+    ("without", "left"),
+    [
+        ([], list(DISTURBANCES)),
+        (["all"], ["variation"]),
+        (["all", "variation"], []),
+        (["gaps"], [d for d in DISTURBANCES if d != "gaps"]),
+    ],
+)
+def test_what_the_laboratory_is_to_leave_out(
+    without, left, monkeypatch, tmp_path
+):
+    asked = []
+
+    def write(folder, seed, active, trials, **options):
+        asked.append(active)
+        return folder / "study.yaml"
+
+    monkeypatch.setattr(lab, "write_campaign", write)
+    options = ["--without", *without] if without else []
+    out = str(tmp_path / "out")
+    assert cli.main(["lab", "--seed", "1", "--out", out, *options]) == 0
+    assert asked == [left]

@@ -138,6 +138,21 @@ def test_doubled_height_doubles_lengths_and_quadruples_inertias():
         assert b.inertia_kg_m2 == pytest.approx(4 * a.inertia_kg_m2)
 
 
+def test_spheres_lie_under_heel_and_toes():
+    """Ankle at 0; the heel's back is 22 % of the foot behind it."""
+    human = scale_human(70.0, 1.75)
+    length = human.foot.length_m
+    back, front = -0.22 * length, 0.78 * length
+    for (x, z), low, high in (
+        (human.heel_m, back, 0.0),
+        (human.toe_m, 0.5 * length, front),
+    ):
+        assert low < x < high
+        assert -human.ankle_height_m < z < 0.0
+    assert human.heel_m[0] == pytest.approx(-0.173 * length)
+    assert human.toe_m[0] == pytest.approx(0.636 * length)
+
+
 @pytest.mark.parametrize("sex", SEXES)
 def test_mean_subject_has_plausible_joint_heights(sex):
     human = scale_human(70.0, MEAN_HEIGHT_MM[sex] / 1000, sex)

@@ -9,6 +9,7 @@ from drake_exo.report.contact_figures import (
     ContactCurves,
     draw_friction,
     draw_normal_force,
+    measures,
 )
 
 FILES = {
@@ -70,6 +71,16 @@ def test_figure_9_peaks_at_one_and_is_flat_from_three():
     assert np.max(mu) == pytest.approx(0.9)
     np.testing.assert_allclose(mu[ratio >= 3.0], 0.6, rtol=1e-12)
     assert mu[0] == 0.0
+
+
+def test_slope_out_of_contact_is_that_of_the_curve():
+    figure = draw_normal_force(ContactCurves())
+    (inset,) = figure.axes[0].child_axes
+    zoom, small = inset.get_lines()[0].get_data()
+    slope = np.diff(small).min() / (1e-3 * (zoom[1] - zoom[0]))
+    told = measures(ContactCurves())
+    assert told["slope_out_of_contact_n_per_m"] == pytest.approx(slope, rel=0.1)
+    assert told["force_out_of_contact_n"] == pytest.approx(small.max())
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import pytest
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import scale_human
+from drake_exo.report import scene
 from drake_exo.report.scene import (
     HALFWAY_DEG,
     STANDING_DEG,
@@ -70,3 +71,14 @@ def test_page_is_small_and_repeats_itself(tmp_path):
 def test_pose_of_another_plant_is_refused():
     with pytest.raises(ValueError, match="6 positions"):
         Scene(nominal_model("rigid")).set_pose(np.zeros(9))
+
+
+def test_a_stool_stands_on_the_floor_under_its_seat():
+    parts = scene._stool(0.45)
+    seat, place, _ = parts.pop("seat")
+    under = place[2] - 0.5 * seat.height()
+    assert under + seat.height() == pytest.approx(0.45)
+    assert len({tuple(p[:2]) for _, p, _ in parts.values()}) == 4
+    for leg, (_, _, z), _ in parts.values():
+        assert z - 0.5 * leg.length() == pytest.approx(0.0)
+        assert z + 0.5 * leg.length() == pytest.approx(under)

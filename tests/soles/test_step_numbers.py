@@ -3,12 +3,14 @@
 import csv
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_step import write_case, write_step
 
 from drake_exo.soles.case import Case
+from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import Load
 from drake_exo.soles.step import results, stiffness
@@ -227,6 +229,29 @@ def test_laws_that_are_broken_are_told_by_how_much(step):
     sheared[q, node, :2] = [2.0 * up, 0.0]
     new = np.linalg.norm(sheared[q].sum(axis=0))
     assert complementarity(step, F=sheared) >= 0.99 * up / new
+
+
+@pytest.mark.parametrize(
+    ("direction", "violated"), [(180.0, 0.0), (90.0, 1.0), (0.0, 2.0)]
+)
+def test_slip_that_is_not_against_the_force(direction, violated):
+    """One node on the edge of its cone, slipping to where it likes."""
+    law = ContactLaw(0.5, 1000.0)
+    F = np.array([[1.0, 0.0, 2.0]])
+    scale = np.sqrt(5.0)
+    angle = np.deg2rad(direction)
+    slip = 1e-3 * np.array([np.cos(angle), np.sin(angle)])
+    history = SimpleNamespace(
+        converged=np.array([True, True]),
+        F=np.array([F, F]),
+        P=np.array([np.zeros((1, 3)), [[*slip, 0.0]]]),
+        R=np.tile(np.eye(3), (2, 1, 1)),
+        between={},
+    )
+    start = SimpleNamespace(reference=lambda R, lP: lP[:, :2])
+    found = results.complementarity(history, law, start, np.zeros((1, 3)))
+    # |f| (|s| + s along f), both over |F| of the sample.
+    assert found == pytest.approx(violated / scale**2, abs=1e-12)
 
 
 def test_files_hold_the_table_and_the_summary(step, tmp_path, monkeypatch):
