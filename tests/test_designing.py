@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,7 +21,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.cli import main
 from drake_exo.contact.strap import Design, read_design
-from drake_exo.designing import Peak, front
+from drake_exo.designing import Designed, Peak, front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.verdict import Check, Verdict
@@ -157,6 +158,22 @@ def test_a_design_is_replayed_beside_the_device_of_today(found, tmp_path):
         place = np.add(cuff.origin, cuff.preload[:2])
         at = tree.point_positions(moved.trial.q[:1], "exo_thigh", place)[0]
         assert rows[0, [0, 2]] == pytest.approx(at, abs=1e-4)
+
+
+def test_what_is_an_extrapolation_is_named_once_in_order():
+    """Cuffs that soften, and what has a variable far from today's."""
+    told = SimpleNamespace(
+        peaks={"pelvis": None, "thigh": None, "shank": None},
+        design=SimpleNamespace(joints={"knee": None, "hip": None}),
+        softened=lambda: ["shank"],
+        variables=lambda: [
+            {"name": "shank.along", "extrapolated": True},
+            {"name": "hip.gain", "extrapolated": True},
+            {"name": "thigh.across", "extrapolated": False},
+            {"name": "pelvis.along", "extrapolated": True},
+        ],
+    )
+    assert Designed.beyond(told) == ["pelvis", "shank", "hip"]
 
 
 @pytest.mark.slow

@@ -528,3 +528,14 @@ def test_a_plates_point_is_the_centre_of_pressure():
     plate = plate_recording(1, light, "left")
     np.testing.assert_allclose(plate.point, [[0.06, 0.0, -0.09]])
     np.testing.assert_allclose(plate.torque, [[0.0, 0.0, 0.9]])
+
+
+def test_scanned_surfaces_lie_where_their_segment_does():
+    q = np.linspace(0.1, 0.9, len(NAMES))
+    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.0], [0.0, 0.3, 0.4]])
+    for segment in ("shank", "thigh", "pelvis"):
+        found = instruments._placed(TREE, q, segment)(points)
+        for p, (x, y, z) in zip(points, found, strict=True):
+            (expected,) = TREE.point_positions(q[None], segment, (p[0], p[2]))
+            np.testing.assert_allclose((x, z), expected)
+            assert y == p[1]
