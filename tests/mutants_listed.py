@@ -438,9 +438,12 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             '"tilt_max_deg": float(self.tilt_deg.max())',
             '"tilt_max_deg": float(self.tilt_deg.min())',
         ),
-        ("up / up.sum(axis=1, keepdims=True)", "up"),
+        (
+            "moved.sum(axis=1) / F[:, :, 2].sum(axis=1)[:, None]",
+            "moved.sum(axis=1)",
+        ),
         ("margin.min() > 0)", "margin.max() > 0)"),
-        ("gap = P[:, 2] * law.penalty / scale", "gap = P[:, 2] / scale"),
+        ("P - Q) * law.penalty / scale", "P - Q) / scale"),
         ("margin = law.friction * f[:, 2] - size", "margin = f[:, 2] - size"),
         (
             "c_tr - self.setup.settings.cost.weight * c_rot",
@@ -477,14 +480,14 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("t[keep], (share[:, None] * total)[keep]", "t[keep], total[keep]"),
         ("out[late, 1] *= -1", "pass"),
         ("return s**3 * (10 - 15 * s + 6 * s**2)", "return s**2 * (3 - 2 * s)"),
-        ("robot.step_width - points[:, 1]", "points[:, 1]"),
+        ("robot.step_width_m - points[:, 1]", "points[:, 1]"),
         (
             "own[rows] = line + z[rows] - (1 - share) * a - share * b",
             "own[rows] = z[rows]",
         ),
         (
-            "omega2 = robot.gravity / robot.com_height",
-            "omega2 = robot.com_height / robot.gravity",
+            "omega2 = robot.gravity_m_per_s2 / robot.com_height_m",
+            "omega2 = robot.com_height_m / robot.gravity_m_per_s2",
         ),
         ("a = s - s**2 / (2 * D)", "a = s - s**2 / D"),
     ],

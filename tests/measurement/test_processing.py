@@ -157,6 +157,10 @@ def test_window_instead_of_a_rise(made, loaded):
     files = replace(study.trials[0], rise=None, start_s=2.0, end_s=3.0)
     (trial,) = load_trials(study, folder, subject, (files,))
     assert time_of(trial)[[0, -1]] == pytest.approx([2.0, 3.0])
+    # A frame's time and a study's are not rounded alike.
+    files = replace(files, start_s=2.0 + 1e-12, end_s=3.0 - 1e-12)
+    (same,) = load_trials(study, folder, subject, (files,))
+    np.testing.assert_array_equal(time_of(same), time_of(trial))
     files = replace(study.trials[0], rise=1, end_s=3.0)
     (trial,) = load_trials(study, folder, subject, (files,))
     assert time_of(trial)[-1] == pytest.approx(3.0)

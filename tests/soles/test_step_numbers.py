@@ -248,7 +248,7 @@ def test_slip_that_is_not_against_the_force(direction, violated):
         R=np.tile(np.eye(3), (2, 1, 1)),
         between={},
     )
-    start = SimpleNamespace(reference=lambda R, lP: lP[:, :2])
+    start = SimpleNamespace(places=lambda R, lP: lP)
     found = results.complementarity(history, law, start, np.zeros((1, 3)))
     # |f| (|s| + s along f), both over |F| of the sample.
     assert found == pytest.approx(violated / scale**2, abs=1e-12)
