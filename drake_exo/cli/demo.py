@@ -65,29 +65,33 @@ def _steps(out: Path) -> int:
     with part("laboratory", title) as folder:
         study = read_study(write_campaign(folder, _SEED, processes=PROCESSES))
     title = "Phases A and B: calibrate from three movements"
-    with part("calibration", title) as folder:
-        checks = study.gate("calibration")
-        code = write_interaction(study, folder, checks=checks)
-        if code not in (0, FAILS_CODE):
-            return code
-        contact, made_of = study.calibrated(folder, ["all"])
-        checks = [*study.gate("prediction"), *made_of]
     with second_process() as beside:
-        clocks = _timed(study, contact, beside)
+        ahead = beside(to_predict, study=study)
+        with part("calibration", title) as folder:
+            checks = study.gate("calibration")
+            code = write_interaction(study, folder, checks=checks)
+            if code not in (0, FAILS_CODE):
+                return code
+            contact, made_of = study.calibrated(folder, ["all"])
+            predicted, checks = ahead.value()
+        clocks = _timed(predicted, contact, beside)
         # Both only read what was calibrated: a core for each.
-        how = {"contact": contact, "checks": checks, "clocks": clocks}
-        predicted = study.alone(study.trials("prediction"))
+        how = {
+            "study": predicted,
+            "contact": contact,
+            "checks": [*checks, *made_of],
+            "clocks": clocks,
+        }
         with prepare_output_folder(out / "prediction_stiff") as folder:
-            stiff = beside(predict_stiff, study=predicted, out=folder, **how)
+            stiff = beside(predict_stiff, out=folder, **how)
             title = "Phase C1: predict six movements from their end states"
             with part("prediction", title) as folder:
-                soft = write_predictions(study, out=folder, **how)
+                soft = write_predictions(out=folder, **how)
             if soft not in (0, FAILS_CODE):
                 stiff.stop()
                 return soft
-            print(
-                "== Phase C2: again with cuffs 1.4 times as stiff", flush=True
-            )
+            title = "Phase C2: again with cuffs 1.4 times as stiff"
+            print(f"== {title}", flush=True)
             stiffer, said = stiff.value()
             print(said, end="", flush=True)
             if stiffer not in (0, FAILS_CODE):
@@ -98,6 +102,12 @@ def _steps(out: Path) -> int:
     print("== replay", flush=True)
     write_view(out, out / REPLAY)
     return code
+
+
+def to_predict(study: Study) -> tuple[Study, list[Check]]:
+    """The study with its trials for prediction alone, and their checks."""
+    checks = list(study.gate("prediction"))
+    return study.alone(study.trials("prediction")), checks
 
 
 def _timed(
