@@ -54,7 +54,10 @@ def run(script: str, quick: bool, data_root: Path) -> dict:
     row = {"seconds": time.perf_counter() - start, "code": done.returncode}
     if done.returncode:
         return row | {"error": done.stderr.strip().splitlines()[-1:]}
-    return row | {"says": json.loads(done.stdout)}
+    try:
+        return row | {"says": json.loads(done.stdout)}
+    except ValueError:
+        return row | {"code": 1, "error": ["what it says is no JSON"]}
 
 
 def main() -> None:

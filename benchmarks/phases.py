@@ -10,6 +10,7 @@ random starts how many of N reach the best objective within 1e-4 of it.
 import argparse
 import json
 import resource
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -81,7 +82,7 @@ def random_starts(made: RisesInDevice, count: int) -> dict:
     )
     problem = made.calibration(settings, measured(made))
     objectives, iterations = [problem.solve().solution.objective], []
-    with Progress("random starts", total=count) as progress:
+    with Progress("random starts", count, stream=sys.stderr) as progress:
         for k, values in enumerate(
             random_values(problem.parameters, count, seed=0)
         ):

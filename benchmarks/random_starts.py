@@ -152,8 +152,9 @@ def told(rows: list[dict], allowed: float | None = None) -> list[dict]:
     near = np.abs(found[:, None] - found) <= allowed
     most = found[np.argmax(near.sum(axis=1))]
     for row in rows:
-        row["same"] = row["success"] and abs(row["objective"] - most) <= allowed
-        row["better"] = row["success"] and row["objective"] < most - allowed
+        off = row["objective"] - most
+        row["same"] = bool(row["success"] and abs(off) <= allowed)
+        row["better"] = bool(row["success"] and off < -allowed)
     return rows
 
 

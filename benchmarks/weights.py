@@ -10,6 +10,7 @@ measured, and parameters, move.
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -56,7 +57,7 @@ def sweep(factors: list[float]) -> list[dict]:
             scaled = {n: factor * v for n, v in own.items() if v is not None}
             cases.append((group, factor, replace(INSTRUMENT_NOISE, **scaled)))
     rows, base, half = [], None, None
-    progress = Progress("weights", total=len(cases))
+    progress = Progress("weights", total=len(cases), stream=sys.stderr)
     for k, (group, factor, noise) in enumerate(cases):
         settings = made.settings(noise=noise)
         result = made.calibration(settings, trials).solve()
