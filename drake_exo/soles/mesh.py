@@ -329,8 +329,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
 
 def write_stl(path: Path | str, mesh: TetMesh) -> None:
     """Write the closed surface as binary STL in millimetres (for printing)."""
-    corners = mesh.nodes[mesh.boundary_faces]
-    write_triangles(path, corners, "sole surface, millimetres")
+    write_triangles(path, mesh.nodes[mesh.boundary_faces])
 
 
 def write_vtk(path: Path | str, mesh: TetMesh) -> None:
@@ -338,18 +337,11 @@ def write_vtk(path: Path | str, mesh: TetMesh) -> None:
     meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
 
 
-def write_triangles(path: Path | str, corners: np.ndarray, what: str) -> None:
+def write_triangles(path: Path | str, corners: np.ndarray) -> None:
     """Write outward triangles (f, 3, 3) [m] as binary STL in millimetres."""
-    faces = 1e3 * corners
-    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    record = np.zeros(
-        len(faces), dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]
-    )
-    record["n"], record["v"] = normal, faces
-    count = np.uint32(len(faces)).tobytes()
-    header = what.encode().ljust(80)
-    Path(path).write_bytes(header + count + record.tobytes())
+    cells = np.arange(3 * len(corners)).reshape(-1, 3)
+    mesh = meshio.Mesh(1e3 * corners.reshape(-1, 3), [("triangle", cells)])
+    mesh.write(path, "stl", binary=True)
 
 
 def is_watertight(corners: np.ndarray) -> bool:
@@ -417,8 +409,7 @@ def write_mould(path: Path | str, mesh: TetMesh, wall: float = WALL) -> bool:
     """
     if not has_star_outline(mesh):
         return False
-    triangles = mould_triangles(mesh, wall)
-    write_triangles(path, triangles, "mould of a sole, millimetres")
+    write_triangles(path, mould_triangles(mesh, wall))
     return True
 
 

@@ -90,12 +90,9 @@ class MaterialBlock:
 
 @dataclass(frozen=True)
 class ContactBlock:
-    """Contact law and solver."""
+    """Contact and its solver."""
 
     friction: float = not_negative("", 0.8)
-    law: Literal["exact", "smoothed"] = "exact"
-    layer_m: float = not_negative("m", 1e-5)
-    kappa: float = not_negative("", 0.1)
     method: Literal["newton", "gauss_seidel"] = "newton"
 
 
@@ -413,14 +410,7 @@ class Setup:
 
     def law(self, sole: Sole) -> ContactLaw:
         """The contact law with the sole's own scale r."""
-        block = self.settings.contact
-        smooth = block.law == "smoothed"
-        return ContactLaw(
-            block.friction,
-            sole.penalty,
-            block.layer_m if smooth else 0.0,
-            block.kappa if smooth else 0.0,
-        )
+        return ContactLaw(self.settings.contact.friction, sole.penalty)
 
     def without_limits(self) -> "Setup":
         """The paper's own problem: stability, tilt and strain are free."""

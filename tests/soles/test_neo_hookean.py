@@ -41,6 +41,12 @@ def _tangent_error(body, u) -> float:
     return np.abs(ours - step[body.free].ravel()).max() / np.abs(ours).max()
 
 
+def _cauchy_stress(F, material):
+    """σ = P Fᵀ / J."""
+    P = neo_hookean.first_stress(F, material)
+    return P @ np.swapaxes(F, -1, -2) / np.linalg.det(F)[..., None, None]
+
+
 def test_tangent_is_the_derivative_of_the_forces(body):
     assert _tangent_error(body, _bumpy(body)) < 1e-13
 
@@ -95,8 +101,8 @@ def test_forces_turn_with_the_body(body):
         turned, plain @ R.T, atol=1e-12 * np.abs(plain).max()
     )
     F = body.deformation_gradient(u)
-    sigma = neo_hookean.cauchy_stress(F, MATERIAL)
-    seen = neo_hookean.cauchy_stress(R @ F, MATERIAL)
+    sigma = _cauchy_stress(F, MATERIAL)
+    seen = _cauchy_stress(R @ F, MATERIAL)
     np.testing.assert_allclose(seen, R @ sigma @ R.T, atol=1e-3)
 
 

@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 from pathlib import Path
-from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -15,14 +14,12 @@ from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import brick, read_mesh
-from drake_exo.soles.optimize.design import verified
 from drake_exo.soles.optimize.files import read_checkpoint
-from drake_exo.soles.optimize.optimizer import Optimum, minimise
+from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Settings
 from drake_exo.soles.shape import SphericalSpline
-from drake_exo.soles.step.results import Step
 
 pytestmark = pytest.mark.slow
 
@@ -196,32 +193,6 @@ def test_multipliers_and_complementarity_are_those_of_an_optimum(
     # IPOPT's sign: constraints at least 0 have multipliers at most 0.
     assert (best.multipliers <= 1e-9).all()
     assert best.multipliers.min() < -1e-3
-
-
-@pytest.mark.parametrize(("failing", "which"), [(0, 0), (1, 1), (3, 0)])
-def test_a_design_the_exact_law_cannot_carry_gives_way(
-    folder, tmp_path, monkeypatch, failing, which
-):
-    case = _smooth_case(folder, tmp_path)
-    problem = stage_problem(case, case.settings.optimize.stages[0])
-    designs = [np.full(problem.spline.count, x) for x in (0.9, 0.91, 0.92)]
-    volumes = [problem.deformed(p).volume for p in designs]
-
-    def step(setup, sole, _):
-        failed = sole.mesh.volume in volumes[:failing]
-        return SimpleNamespace(failed_steps=int(failed))
-
-    monkeypatch.setattr(Step, "by_exact_law", step)
-    last = Optimum(
-        designs[0], status="optimal", optimal=True, former=designs[:0:-1]
-    )
-    at = SimpleNamespace(p=designs[0], starts=())
-    found = verified(case, problem, at, [last], [])
-    np.testing.assert_array_equal(found.coefficients, designs[which])
-    assert ("earlier" in last.status) == (which > 0)
-    assert last.optimal == (which == 0)
-    if which:
-        assert last.cost == problem.cost(designs[which])
 
 
 def test_elements_stay_above_their_floor(folder):

@@ -46,7 +46,7 @@ def test_pressure_is_force_over_a_nodes_area(step):
     sides = 2.0 * (0.23 + 0.13) * 0.03
     assert area.sum() == pytest.approx(0.23 * 0.13 + 0.25 * sides)
     for q in (0, 5):
-        expected = step.node_forces[q, :, 2] / area
+        expected = step.history.F[q, :, 2] / area
         np.testing.assert_allclose(step.pressure[q], expected)
     carried = (step.pressure * area).sum(axis=1)
     np.testing.assert_allclose(carried, step.setup.load.force[:, 2], rtol=1e-6)
@@ -169,7 +169,7 @@ def test_summary_is_in_the_unit_of_its_name(step):
     strains = []
     for q in range(11):
         # Forces in the sole's own axes.
-        f_L = np.einsum("ji,mj->mi", step.rotation[q], step.node_forces[q])
+        f_L = np.einsum("ji,mj->mi", step.rotation[q], step.history.F[q])
         eps = step.sole.strain(step.sole.displacement(f_L))
         strains.append(np.abs(np.linalg.eigvalsh(eps)).max())
     assert told["max_strain"] == pytest.approx(max(strains))

@@ -168,7 +168,7 @@ def test_an_stl_is_simulated_by_one_command(tmp_path):
     case = EXAMPLE[: EXAMPLE.index("optimize")]
     (tmp_path / "case.yaml").write_text(case)
     path = tmp_path / "shoe.stl"
-    write_triangles(path, shoe_surface(), "shoe")
+    write_triangles(path, shoe_surface())
     out = tmp_path / "out"
     code = cli.main(
         ["sole", "simulate", str(tmp_path / "case.yaml"), "--mesh", str(path),

@@ -25,6 +25,8 @@ from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     Convergence,
     Target,
+    capped,
+    line_search,
 )
 from drake_exo.soles.contact.node_law import (
     ContactLaw,
@@ -166,27 +168,20 @@ class FiniteStrainSolver:
 
     def _line_search(self, point, step, target, scale):
         du, zeta, dp = step
-        size = min(
-            1.0,
-            _MAX_TURN / max(np.linalg.norm(dp[3:]), 1e-300),
-            _MAX_SHIFT / max(np.linalg.norm(dp[:3]), 1e-300),
-        )
-        Z = target.point
-        old, best = point.state, None
-        for _ in range(_HALVINGS + 1):
+        Z, old = target.point, point.state
+        d_tau = self.law.penalty * zeta @ old.R.T
+
+        def trial(size):
             turn = exp_rotation(size * dp[3:])
             u = old.u.copy()
             u[self.body.free] += size * du
             O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
             guess = FiniteState(old.F, u, O, turn @ old.R)
-            d_tau = self.law.penalty * zeta @ old.R.T
-            new = self._evaluate(point.tau + size * d_tau, guess, target, scale)
-            if best is None or new.merit < best.merit:
-                best = new
-            if new.merit < point.merit:
-                break
-            size *= 0.5
-        return best
+            tau = point.tau + size * d_tau
+            return self._evaluate(tau, guess, target, scale)
+
+        step = capped(dp, _MAX_TURN, _MAX_SHIFT)
+        return line_search(point, trial, step, _HALVINGS)
 
 
 @dataclass

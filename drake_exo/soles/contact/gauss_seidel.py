@@ -16,6 +16,7 @@ from drake_exo.soles.contact.newton import (
     Convergence,
     State,
     Target,
+    capped,
     move,
 )
 from drake_exo.soles.contact.node_law import project_node
@@ -117,11 +118,7 @@ class GaussSeidelSolver(ContactSolver):
         )
         dp, at = np.zeros(6), target.asked
         dp[at] = np.linalg.solve(J[np.ix_(at, at)], -point.wrench[at])
-        step = min(
-            1.0,
-            0.15 / max(np.linalg.norm(dp[3:]), 1e-300),
-            0.01 / max(np.linalg.norm(dp[:3]), 1e-300),
-        )
+        step = capped(dp, 0.15, 0.01)
         new = move(state, np.zeros_like(state.F), step * dp, target.point)
         # Forces predicted by the same linearisation start the next sweeps.
         new.F[lin.nodes] += step * (dF @ dp)

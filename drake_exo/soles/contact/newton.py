@@ -390,20 +390,42 @@ class ContactSolver:
 
     def _line_search(self, point, direction, target, fixed_pose, scale):
         dF, dp = direction
-        turn, shift = np.linalg.norm(dp[3:]), np.linalg.norm(dp[:3])
-        step = min(
-            1.0, _MAX_TURN / max(turn, 1e-300), _MAX_SHIFT / max(shift, 1e-300)
-        )
-        best = None
-        for _ in range(_HALVINGS + 1):
-            trial = move(point.state, step * dF, step * dp, target.point)
-            new = self._evaluate(trial, target, fixed_pose, scale)
-            if best is None or new.merit < best.merit:
-                best = new
-            if new.merit < point.merit:
-                break
-            step *= 0.5
-        return best
+
+        def trial(step):
+            there = move(point.state, step * dF, step * dp, target.point)
+            return self._evaluate(there, target, fixed_pose, scale)
+
+        step = capped(dp, _MAX_TURN, _MAX_SHIFT)
+        return line_search(point, trial, step, _HALVINGS)
+
+
+def capped(dp: np.ndarray, turn: float, shift: float) -> float:
+    """Part of a pose increment (6,) that stays within caps [rad, m]."""
+    return min(
+        1.0,
+        turn / max(np.linalg.norm(dp[3:]), 1e-300),
+        shift / max(np.linalg.norm(dp[:3]), 1e-300),
+    )
+
+
+def line_search(point, trial, step: float, halvings: int):
+    """The first point of less merit, halving the step; else the best met.
+
+    Args:
+        point: Where it begins; points have a `merit`.
+        trial: Gives the point that a step leads to.
+        step: The first one's length.
+        halvings: How often it may be halved.
+    """
+    best = None
+    for _ in range(halvings + 1):
+        new = trial(step)
+        if best is None or new.merit < best.merit:
+            best = new
+        if new.merit < point.merit:
+            break
+        step *= 0.5
+    return best
 
 
 def _goes_in_circles(merits: list[float]) -> bool:

@@ -37,12 +37,6 @@ def first_stress(F: np.ndarray, material: Material) -> np.ndarray:
     return shear * (F - inverse) + lam * log_J * inverse
 
 
-def cauchy_stress(F: np.ndarray, material: Material) -> np.ndarray:
-    """σ = P Fᵀ / J [Pa], (..., 3, 3)."""
-    P = first_stress(F, material)
-    return P @ np.swapaxes(F, -1, -2) / np.linalg.det(F)[..., None, None]
-
-
 class NeoHookeanBody:
     """Internal forces and tangent of a meshed sole fixed at its top.
 

@@ -33,7 +33,6 @@ from drake_exo.soles.optimize.files import (
 from drake_exo.soles.optimize.optimizer import (
     FEASIBLE,
     Optimum,
-    cost_and_violation,
 )
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import Setup
@@ -46,7 +45,6 @@ from drake_exo.soles.step.simulation import (
 )
 from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 
-_FORMER = 5  # earlier designs to fall back on
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on twice the elements
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
@@ -411,35 +409,8 @@ class Design:
         return found
 
 
-def by_exact_law(
-    setup: Setup, problem: ShapeProblem, p: np.ndarray, former
-) -> tuple[np.ndarray, Step]:
-    """A design by the exact law; where that fails, one of the last before.
-
-    Args:
-        setup: Sole and step.
-        problem: Whose mesh it is.
-        p: The design.
-        former: Those before it, the last one last.
-
-    Returns:
-        p and its step, or those of the last former design without failed
-        samples.
-    """
-
-    def verify(p):
-        sole = setup.sole(problem.deformed(p))
-        return p, Step.by_exact_law(setup, sole, problem.law.penalty)
-
-    last = verify(p)
-    if last[1].failed_steps == 0:
-        return last
-    others = map(verify, former[: -_FORMER - 1 : -1])
-    return next((x for x in others if x[1].failed_steps == 0), last)
-
-
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
-    """The design where a search stands, see `by_exact_law`.
+    """The design where a search stands, by the exact law.
 
     Args:
         setup: Sole and step.
@@ -447,14 +418,11 @@ def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
         at: The last checkpoint.
         optima, seconds: Of every stage.
     """
-    former = optima[-1].former if optima else []
-    p, step = by_exact_law(setup, problem, at.p, former)
-    if p is not at.p:
-        optima[-1].status += ", an earlier design by the exact law"
-        optima[-1].optimal = False
-        optima[-1].cost, optima[-1].violation = cost_and_violation(problem, p)
-    first = Step.by_exact_law(setup, problem.first.sole, problem.law.penalty)
-    return Design(setup, problem, p, step, first, optima, seconds, at.starts)
+    step, first = (
+        Step.by_exact_law(setup, sole, problem.law.penalty)
+        for sole in (setup.sole(problem.deformed(at.p)), problem.first.sole)
+    )
+    return Design(setup, problem, at.p, step, first, optima, seconds, at.starts)
 
 
 def _at_least_twice(divisions) -> tuple[int, int, int]:

@@ -86,16 +86,15 @@ def step_checks(step) -> tuple[Check, ...]:
             "opens upwards does not let go of the sole",
         )
     )  # fmt: skip
-    if step.law.layer == step.law.kappa == 0:
-        worst = step.complementarity()
-        holds = worst <= _COMPLEMENTARITY
-        checks.append(
-            Check(
-                "contact", holds, worst, _COMPLEMENTARITY, "", name,
-                "" if holds else "forces do not obey Signorini's and "
-                "Coulomb's laws: the simulation went wrong",
-            )
-        )  # fmt: skip
+    worst = step.complementarity()
+    holds = worst <= _COMPLEMENTARITY
+    checks.append(
+        Check(
+            "contact", holds, worst, _COMPLEMENTARITY, "", name,
+            "" if holds else "forces do not obey Signorini's and Coulomb's "
+            "laws: the simulation went wrong",
+        )
+    )  # fmt: skip
     return tuple(checks)
 
 
@@ -270,18 +269,8 @@ class Step:
         return tilt_deg(self.history.R)
 
     @property
-    def node_forces(self) -> np.ndarray:
-        """Of the ground on the m nodes that may touch [N], (N, m, 3)."""
-        return self.history.F
-
-    @property
-    def node_places(self) -> np.ndarray:
-        """Of these nodes [m], (N, m, 3)."""
-        return self.history.P
-
-    @property
     def pressure(self) -> np.ndarray:
-        """At these nodes, over their area at rest [Pa], (N, m)."""
+        """At the m nodes that may touch, over their area [Pa], (N, m)."""
         return self.history.F[:, :, 2] / self.sole.mesh.contact_areas
 
     @property
