@@ -54,4 +54,4 @@ def shoe_surface(along: int = 90, across: int = 14) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    write_triangles(sys.argv[1], shoe_surface(), "a shoe's sole, millimetres")
+    write_triangles(sys.argv[1], shoe_surface())

@@ -10,6 +10,7 @@ node) instead of being factorised anew.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf, dpotri
@@ -312,9 +313,20 @@ class Linearisation:
         step = dF[:, 0] + dF[:, 1:] @ dp
         return step.reshape(-1, 3) @ self.R.T, dp
 
+    @cached_property
     def cartesian_stiffness(self) -> np.ndarray:
         """K_c (6, 6): [dF; dΓ_Z] = K_c [dzO; dω], references frozen."""
-        return self._pose_wrench(*self._pose_response())
+        return self.frozen_response[2]
+
+    @cached_property
+    def frozen_response(self):
+        """`pose_response` where the references stay."""
+        return self.pose_response()
+
+    def kept(self) -> "Linearisation":
+        """Itself, for as long as it is needed: the active set goes on."""
+        self.S, self.nodes = self.S.copy(), self.nodes.copy()
+        return self
 
     def solve_transposed(self, Sb: np.ndarray):
         """Solve J_Fᵀ z = b for b given as S b.

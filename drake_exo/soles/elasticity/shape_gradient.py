@@ -19,7 +19,7 @@ from drake_exo.soles.elasticity.linear import (
 _NEGLIGIBLE = 1e-7
 
 
-def compliance_gradients(sole: Sole, terms: list) -> np.ndarray:
+def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
     """Derivatives of tr(C̄ᵀ C) with C̄ = left rightᵀ by the nodes, (f, n, 3).
 
     C is symmetric: the eigenvectors of C̄'s symmetric part are all the fields
@@ -28,12 +28,26 @@ def compliance_gradients(sole: Sole, terms: list) -> np.ndarray:
     Args:
         sole: The condensed sole.
         terms: Pairs of left and right, (3m, c) each, one for each C̄.
+        held: For each further fields and factors as of `energy_gradient`,
+            whose derivative is added, or None.
     """
-    return _gradients(sole, [_fields(sole, *term) for term in terms])
+    forces, factors = zip(
+        *(_forces(sole, *term) for term in terms), strict=True
+    )
+    ends = np.cumsum([f.shape[1] for f in forces])
+    fields = np.split(sole.carry(np.hstack(forces)), ends[:-1], axis=1)
+    both = list(zip(fields, factors, strict=True))
+    for k, more in enumerate(held):
+        if more is not None:
+            both[k] = tuple(
+                np.concatenate(x, axis=-1)
+                for x in zip(both[k], more, strict=True)
+            )
+    return _gradients(sole, both)
 
 
-def _fields(sole: Sole, left: np.ndarray, right: np.ndarray):
-    """Free displacements and factors, see `energy_gradient`."""
+def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
+    """At the contact dofs (3m, k) and factors (k,): those that C̄ takes."""
     dofs = np.flatnonzero(left.any(axis=1) | right.any(axis=1))
     left, right = left[dofs], right[dofs]
     if 2 * left.shape[1] < len(dofs):
@@ -47,7 +61,7 @@ def _fields(sole: Sole, left: np.ndarray, right: np.ndarray):
     vectors = vectors[:, kept] if basis is None else basis @ vectors[:, kept]
     forces = np.zeros((3 * len(sole.mesh.contact), kept.sum()))
     forces[dofs] = vectors
-    return sole.carry(forces), values[kept]
+    return forces, values[kept]
 
 
 def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

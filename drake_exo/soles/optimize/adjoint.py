@@ -145,6 +145,7 @@ def shape_gradients(
     start: Start,
     history: StepHistory,
     functionals: list[list[list[Term]]],
+    held: list | None = None,
 ) -> np.ndarray:
     """Derivative of each functional by all node positions, (f, n, 3).
 
@@ -154,10 +155,13 @@ def shape_gradients(
         load, start: What it was asked for, and how it was held.
         history: Its result, all samples converged.
         functionals: For each functional and sample a list of terms.
+        held: For each, or None, what `compliance_gradients` adds.
     """
     sums = _reversed(sole, solver, load, start, history, functionals)
     out = compliance_gradients(
-        sole, [(np.array(x.left).T, np.array(x.right).T) for x in sums]
+        sole,
+        [(np.array(x.left).T, np.array(x.right).T) for x in sums],
+        held or [None] * len(sums),
     )
     for X, total in zip(out, sums, strict=True):
         X[sole.mesh.contact] += total.lP
@@ -199,9 +203,12 @@ class _Step:
     def __init__(self, solver, history: StepHistory, q: int, target: Target):
         self.solver, self.target, self.q = solver, target, q
         self.state = state = history.state(q)
-        self.lin = solver.linearise(state, target, history.P[q])
+        self.lin = (
+            history.linear[q] if history.linear
+            else solver.linearise(state, target, history.P[q])
+        )  # fmt: skip
         self.nodes = self.lin.nodes
-        self.dF, self.dP, self.G = self.lin.pose_response()
+        self.dF, self.dP, self.G = self.lin.frozen_response
         rest, ground = solver.lP[self.nodes], solver.ground
         self.turn = target.turn(ground, state.R, rest)
         if self.turn is not None:

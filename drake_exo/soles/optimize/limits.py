@@ -19,7 +19,7 @@ import numpy as np
 from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity.linear import Sole, gradient_operators
-from drake_exo.soles.elasticity.shape_gradient import energy_gradient, pairs
+from drake_exo.soles.elasticity.shape_gradient import pairs
 from drake_exo.soles.mesh import TetMesh, scatter
 from drake_exo.soles.optimize.adjoint import (
     ForceTerm,
@@ -36,6 +36,31 @@ ORDER = 64  # p
 _BATCH = 32  # samples at a time
 # Strains (Frobenius) below this part of a principal one add less than 1e-13.
 _FAINT = 0.5
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """What the adjoint needs of a limit.
+
+    Attributes:
+        terms: For every sample, see `adjoint`.
+        by_nodes: Direct derivative by the nodes, (n, 3) or 0.
+        fields: Fields and factors of a further part of it, see
+            `energy_gradient`.
+    """
+
+    terms: list[list]
+    by_nodes: np.ndarray | float = 0.0
+    fields: tuple[np.ndarray, np.ndarray] | None = None
+
+    def times(self, factor: float) -> "Derivative":
+        """Of a multiple of the limit; its terms are forces'."""
+        w, factors = self.fields
+        return Derivative(
+            [[term.times(factor) for term in row] for row in self.terms],
+            factor * self.by_nodes,
+            (w, factor * factors),
+        )
 
 
 @dataclass
@@ -89,12 +114,8 @@ class StrainNorm:
         self._q, self._e = q[keep], e[keep]
         self._H, self._eps = H[keep], eps[keep]
 
-    def derivatives(self) -> tuple[list[list[ForceTerm]], np.ndarray]:
-        """By the nodal forces and, at fixed forces, by the node positions.
-
-        Returns:
-            Terms for every sample, ∂Φ/∂X (n, 3).
-        """
+    def derivatives(self) -> "Derivative":
+        """By the nodal forces and, at fixed forces, by the node positions."""
         sole, mesh = self.sole, self.sole.mesh
         by_nodes = np.zeros_like(mesh.nodes)
         if sole.element == "linear":
@@ -114,11 +135,10 @@ class StrainNorm:
         free = sole.free
         u = self._u[kept][:, free].reshape(len(kept), -1).T
         v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
-        by_nodes += energy_gradient(sole, *pairs(v, u))
         terms = [[] for _ in self._u]
         for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
             terms[q].append(ForceTerm(column.reshape(-1, 3)))
-        return terms, by_nodes
+        return Derivative(terms, by_nodes, pairs(v, u))
 
     def _elements_around(self, by_nodes: np.ndarray):
         """Samples, elements, their H and ∂Φ/∂ε, of the nodes that count.
@@ -236,13 +256,12 @@ class StabilityLimit:
         """Scaled excess, soft minimum over samples."""
         return soft_minimum(self._excess(e)[0])[0]
 
-    def derivative(self, e: Evaluation):
-        """Terms for the adjoint, direct derivative by the nodes."""
+    def derivative(self, e: Evaluation) -> Derivative:
+        """What the adjoint needs."""
         y, slope = self._excess(e)
         share = slope * soft_minimum(y)[1] / self.scale
-        return stability_terms(
-            e.history.K_c, share, stiffness.STABILITY_LENGTH
-        ), 0.0
+        K, length = e.history.K_c, stiffness.STABILITY_LENGTH
+        return Derivative(stability_terms(K, share, length))
 
 
 @dataclass(frozen=True)
@@ -260,10 +279,10 @@ class TiltLimit:
         """Scaled difference of cosines, soft minimum over samples."""
         return self._excess(e)[0]
 
-    def derivative(self, e: Evaluation):
-        """Terms for the adjoint, direct derivative by the nodes."""
+    def derivative(self, e: Evaluation) -> Derivative:
+        """What the adjoint needs."""
         share = self._excess(e)[1] / _TILT_SCALE
-        return tilt_terms(e.history.R, share), 0.0
+        return Derivative(tilt_terms(e.history.R, share))
 
 
 @dataclass(frozen=True)
@@ -277,12 +296,9 @@ class StrainLimit:
         """1 − Φ / limit."""
         return 1.0 - e.strain.value / self.largest
 
-    def derivative(self, e: Evaluation):
-        """Terms for the adjoint, direct derivative by the nodes."""
-        terms, by_nodes = e.strain.derivatives()
-        scale = -1.0 / self.largest
-        terms = [[term.times(scale) for term in row] for row in terms]
-        return terms, scale * by_nodes
+    def derivative(self, e: Evaluation) -> Derivative:
+        """What the adjoint needs."""
+        return e.strain.derivatives().times(-1.0 / self.largest)
 
 
 @dataclass(frozen=True)
@@ -297,10 +313,10 @@ class RotationLimit:
         """c_rot / limit − 1."""
         return e.c_rot / self.least - 1.0
 
-    def derivative(self, e: Evaluation):
-        """Terms for the adjoint, direct derivative by the nodes."""
-        K = e.history.K_c
-        return singular_terms(K, np.zeros(len(K)), self.by_rot / self.least), 0
+    def derivative(self, e: Evaluation) -> Derivative:
+        """What the adjoint needs."""
+        K, factors = e.history.K_c, self.by_rot / self.least
+        return Derivative(singular_terms(K, np.zeros(len(K)), factors))
 
 
 def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):

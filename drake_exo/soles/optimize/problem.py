@@ -26,6 +26,7 @@ from drake_exo.soles.optimize.adjoint import (
     singular_terms,
 )
 from drake_exo.soles.optimize.limits import (
+    Derivative,
     Evaluation,
     Limits,
     RotationLimit,
@@ -155,6 +156,7 @@ class ShapeProblem:
             self.start,
             stop_at_failure=True,
             near=self.branch,
+            keep=True,
         )
         if history.failed_steps:
             return None
@@ -225,7 +227,7 @@ class ShapeProblem:
 
     def accept(self, p: np.ndarray) -> None:
         """Take a design as accepted: later ones stay on its branch."""
-        self.branch = self.evaluate(p).history
+        self.branch = replace(self.evaluate(p).history, linear=[])
 
     def leave_branch(self) -> None:
         """The next design may stand on any."""
@@ -241,7 +243,7 @@ class ShapeProblem:
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
         parts = [
-            (self._cost_terms(e), 0.0),
+            Derivative(self._cost_terms(e)),
             *(limit.derivative(e) for limit in self.limited),
         ]
         X = shape_gradients(
@@ -250,11 +252,12 @@ class ShapeProblem:
             self.thinned,
             self.start,
             e.history,
-            [terms for terms, _ in parts],
+            [part.terms for part in parts],
+            [part.fields for part in parts],
         )
         rows = [
-            self.by_coefficients(x + direct)
-            for x, (_, direct) in zip(X, parts, strict=True)
+            self.by_coefficients(x + part.by_nodes)
+            for x, part in zip(X, parts, strict=True)
         ]
         volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
         elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
@@ -273,7 +276,7 @@ class ShapeProblem:
         """
         e = self.evaluate(p)
         parts = [self._cost_terms(e)]
-        parts += [limit.derivative(e)[0] for limit in self.limited]
+        parts += [limit.derivative(e).terms for limit in self.limited]
         return load_gradients(
             e.sole, e.solver, self.thinned, self.start, e.history, parts
         )

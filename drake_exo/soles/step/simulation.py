@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.linearisation import Linearisation
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
@@ -329,6 +330,7 @@ class StepHistory:
         reports: Convergence of every sample.
         between: Places (m, 3) just before samples to which others in
             between have led.
+        linear: Linearisation of every sample, where they are kept.
     """
 
     F: np.ndarray
@@ -338,6 +340,7 @@ class StepHistory:
     K_c: np.ndarray
     reports: list[Convergence] = field(default_factory=list)
     between: dict[int, np.ndarray] = field(default_factory=dict)
+    linear: list[Linearisation] = field(default_factory=list)
 
     @property
     def converged(self) -> np.ndarray:
@@ -410,6 +413,7 @@ def simulate(
     stop_at_failure: bool = False,
     near: StepHistory | None = None,
     largest_force: float | None = None,
+    keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> StepHistory:
     """Follow the desired force and ZMP sample by sample.
@@ -427,6 +431,7 @@ def simulate(
             one's. None: any branch will do.
         largest_force: Largest |F| of the phase [N], by which the first
             contact is found; of the samples given where None.
+        keep: Keep every sample's linearisation, for derivatives.
         progress: Called with samples done and samples in all.
     """
     steps, m = len(load.times), len(solver.lP)
@@ -477,7 +482,9 @@ def simulate(
         history.reports.append(report)
         if report.converged:
             lin = solver.linearise(state, target, history.P[q])
-            history.K_c[q] = lin.cartesian_stiffness()
+            history.K_c[q] = lin.cartesian_stiffness
+            if keep:
+                history.linear.append(lin.kept())
             good = (q, state, history.P[q])
         elif stop_at_failure:
             rest = Convergence(False, 0, np.inf, "left out after a failure")
