@@ -17,12 +17,7 @@ from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
-from drake_exo.soles.load_blocks import (
-    LoadBlock,
-    StepReader,
-    Vector2,
-    Vector3,
-)
+from drake_exo.soles.load_blocks import LoadBlock, StepReader, Vector2, Vector3
 from drake_exo.soles.loads import Load, read_columns
 from drake_exo.soles.mesh import TetMesh, brick, read_mesh
 from drake_exo.soles.rotations import rotation_z
@@ -142,10 +137,7 @@ class Stage:
 
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start.
-STAGES = (
-    Stage(_FINE, 24, 3e-4, 0.2, 30),
-    Stage(_FINE, 24, 1e-4, 0.2, 50),
-)
+STAGES = (Stage(_FINE, 24, 3e-4, 0.2, 30), Stage(_FINE, 24, 1e-4, 0.2, 50))
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 

@@ -38,12 +38,7 @@ class GaussSeidelSolver(ContactSolver):
     """
 
     def __init__(
-        self,
-        C,
-        lP,
-        law,
-        sweep_tolerance: float = 1e-10,
-        ground: Ground = FLAT,
+        self, C, lP, law, sweep_tolerance: float = 1e-10, ground: Ground = FLAT
     ):
         if law.epsilon > 0 or law.kappa > 0:
             raise ValueError("Gauss–Seidel solves the exact law alone")

@@ -30,10 +30,7 @@ from drake_exo.soles.optimize.files import (
     Checkpoint,
     write_case,
 )
-from drake_exo.soles.optimize.optimizer import (
-    FEASIBLE,
-    Optimum,
-)
+from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.shape import SphericalSpline

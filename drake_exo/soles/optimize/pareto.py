@@ -11,10 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from drake_exo.errors import InputError
-from drake_exo.soles.optimize.optimizer import (
-    QuasiNewton,
-    minimise,
-)
+from drake_exo.soles.optimize.optimizer import QuasiNewton, minimise
 from drake_exo.soles.optimize.search import (
     first_design,
     stage_mesh,

@@ -284,9 +284,7 @@ class ShapeProblem:
     def _cost_terms(self, e: Evaluation):
         by_c = self._combined(e)[1][self.thinned.phase]
         return singular_terms(
-            e.history.K_c,
-            self.by_tr * by_c,
-            -self.weight * self.by_rot * by_c,
+            e.history.K_c, self.by_tr * by_c, -self.weight * self.by_rot * by_c
         )
 
     def regularization(self, p: np.ndarray):
