@@ -100,7 +100,7 @@ def gradient(load):
 
         def forward(s=sole, w=law):
             solver = ContactSolver(s.compliance, s.positions, w)
-            return solver, run(s, w, load, slice(None), solver)
+            return solver, run(s, w, load, slice(None), solver, keep=True)
 
         (solver, history), there = timed(forward)
         n = len(load.times)

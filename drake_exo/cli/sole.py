@@ -19,7 +19,7 @@ from drake_exo.files.output import (
     prepare_output_folder,
     write_json,
 )
-from drake_exo.files.verdict import Check, Verdict, stored
+from drake_exo.files.verdict import SOLVED, Check, Verdict, stored
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles.optimize.files import (
     SUMMARY,
@@ -49,12 +49,8 @@ def add_parser(subparsers) -> None:
     add_accept(parser)
     parser = job("optimize", _optimize, "find the best shape for a case")
     _add_case(parser)
-    parser.add_argument(
-        "--resume",
-        type=Path,
-        metavar="DIR",
-        help="go on from the checkpoint in this folder of an earlier run",
-    )
+    resumed = "go on from the checkpoint in this folder of an earlier run"
+    parser.add_argument("--resume", type=Path, metavar="DIR", help=resumed)
     _add_limits(parser, ("all", "none"))
     _add_iterations(parser)
     add_accept(parser)
@@ -66,39 +62,25 @@ def add_parser(subparsers) -> None:
     _add_limits(parser, ("all", "none", "both"))
     _add_iterations(parser)
     add_accept(parser)
-    parser.add_argument(
-        "--front",
-        action="store_true",
-        help="also the front of c_tr against c_rot, coarse",
-    )
+    front = "also the front of c_tr against c_rot, coarse"
+    parser.add_argument("--front", action="store_true", help=front)
     _add_jobs(parser, "cases at a time")
     _add_files(parser)
     _add_out(parser, required=True, help="folder for the results")
     parser = job("front", _front, "front of c_tr against c_rot")
     _add_case(parser)
     _add_limits(parser, ("all", "none"))
-    parser = job(
-        "strain",
-        _strain,
-        "heel strike of designs in finite strain, beside small strain",
-    )
-    _add_source(
-        parser, "folder of 'sole optimize' or 'sole study', or a case file"
-    )
+    strain = "heel strike of designs in finite strain, beside small strain"
+    parser = job("strain", _strain, strain)
+    folders = "folder of 'sole optimize' or 'sole study'"
+    _add_source(parser, f"{folders}, or a case file")
     _add_files(parser)
-    parser = job(
-        "report", _report, "draw the pictures of a study or a design again"
-    )
-    _add_source(parser, "folder of 'sole optimize' or 'sole study'")
-    parser = job(
-        "reduce", _reduce, "spheres of a smooth law that are nearest to a sole"
-    )
-    parser.add_argument(
-        "source",
-        type=Path,
-        metavar="DIR",
-        help="folder of 'sole simulate' or 'sole optimize'",
-    )
+    again = "draw the pictures of a study or a design again"
+    _add_source(job("report", _report, again), folders)
+    spheres = "spheres of a smooth law that are nearest to a sole"
+    parser = job("reduce", _reduce, spheres)
+    simulated = "folder of 'sole simulate' or 'sole optimize'"
+    parser.add_argument("source", type=Path, metavar="DIR", help=simulated)
     parser.add_argument(
         "--spheres", type=_count, default=4, help="how many (default: 4)"
     )
@@ -275,20 +257,14 @@ def _front(args) -> int:
     with prepare_output_folder(args.out, args.force) as out:
         say = _progress(f"{case.name}, front").update
         points = soles.pareto_front(case, paper.FLOORS, say)
-        verdict = Verdict(
-            tuple(
-                Check(
-                    "solved",
-                    not p["failed_steps"],
-                    p["failed_steps"],
-                    0,
-                    "samples",
-                    f"floor {p['floor']:.3f}",
-                    "samples that cannot be simulated",
-                )
-                for p in points
+        checks = [
+            Check(
+                SOLVED, not p["failed_steps"], p["failed_steps"], 0, "samples",
+                f"floor {p['floor']:.3f}", "samples that cannot be simulated",
             )
-        )
+            for p in points
+        ]  # fmt: skip
+        verdict = Verdict(tuple(checks))
         summary = {"name": case.name, "front": points} | verdict.summary()
         write_json(out / SUMMARY, summary)
         paper.draw_front(out, {"front": points}, mark=verdict.mark)
@@ -308,10 +284,8 @@ def _strain(args) -> int:
             raise InputError("sole strain: give --out with a case file")
     with _out_or_source(args, strains.TABLE) as out:
         found = {
-            setup.name: soles.compare_strains(
-                setup, _progress(setup.name).update
-            )
-            for setup in setups
+            s.name: soles.compare_strains(s, _progress(s.name).update)
+            for s in setups
         }
         print(strains.write_table(out, found))
         _note(out, found)
