@@ -192,33 +192,6 @@ class Optimum:
         self.cost, self.violation = cost_and_violation(problem, self.p)
 
 
-class AcceptedDesigns:
-    """Designs whose derivatives a solver asks for, each computed once.
-
-    Args:
-        problem: What is minimised; it stays on their branch.
-        best: Keeps the best of them.
-        on_new: Called with each.
-    """
-
-    def __init__(self, problem: ShapeProblem, best: Optimum, on_new=None):
-        self.problem, self.best, self.on_new = problem, best, on_new
-        self._point, self._derivatives = None, None
-
-    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of cost (without regularization) and constraints."""
-        key = p.tobytes()
-        if key != self._point:
-            self._derivatives = self.problem.derivatives(p)
-            self._point = key
-            self.problem.accept(p)
-            found = cost_and_violation(self.problem, p)
-            self.best.consider(p, *found)
-            if self.on_new is not None:
-                self.on_new(p, *found)
-        return self._derivatives
-
-
 class _Callbacks:
     """What IPOPT calls; derivatives are asked for at accepted points only."""
 
@@ -230,16 +203,28 @@ class _Callbacks:
         say,
         refining=False,
     ):
-        self.problem, self.curvature, self.best = (problem, curvature, best)
+        self.problem, self.curvature, self.best = problem, curvature, best
         self.say = say
         self.stopped = self.stalled = False
         # Cost, violation, error, iteration, rejections at the last change.
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
-        self.at = AcceptedDesigns(problem, best).at
+        self._point, self._derivatives = None, None
         self._barrier = _OPTIONS["mu_init"]
         self._lower = np.tril_indices(problem.spline.count)
         # What the curvature is multiplied by, and simulations before that.
         self._refining, self._caution, self._before = refining, 1.0, None
+
+    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of cost (without regularization) and constraints.
+
+        Each point's once; it is an accepted one, whose branch is kept.
+        """
+        if p.tobytes() != self._point:
+            self._derivatives = self.problem.derivatives(p)
+            self._point = p.tobytes()
+            self.problem.accept(p)
+            self.best.consider(p, *cost_and_violation(self.problem, p))
+        return self._derivatives
 
     def guarded(self, function):
         """Ctrl-C must not surface inside IPOPT's C++: stop at the next
@@ -379,7 +364,11 @@ def minimise(
         best.status = "no more progress"
     best.optimal = status == 0
     best.multipliers, best.at_bounds = multipliers, (low, high)
-    conclude(problem, best, p, bounds, calls.at)
+    if problem.evaluate(p) is not None:
+        _verify(problem, best, p, bounds, *calls.at(p))
+    # What comes next may be on any branch.
+    problem.leave_branch()
+    best.fall_back(problem)
     best.simulations = problem.evaluations - before
     return best
 
@@ -408,27 +397,9 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
     )
 
 
-def conclude(problem, best, p, bounds, derivatives) -> None:
-    """Verify the solver's last point; what comes next may be on any branch.
-
-    Args:
-        problem: The problem.
-        best: With multipliers and at_bounds; gets error and complementarity,
-            and p itself where it is optimal.
-        p: The last point.
-        bounds: Of every coefficient.
-        derivatives: Gives gradient, without regularization, and Jacobian at p.
-    """
-    if problem.evaluate(p) is not None:
-        _verify(problem, best, p, bounds, derivatives)
-    problem.leave_branch()
-    best.fall_back(problem)
-
-
-def _verify(problem, best, p, bounds, derivatives) -> None:
-    """Optimality at p, by IPOPT's own formula, (5)."""
+def _verify(problem, best, p, bounds, gradient, jacobian) -> None:
+    """Optimality at the last point p, by IPOPT's own formula, (5)."""
     low, high = best.at_bounds
-    gradient, jacobian = derivatives(p)
     gradient = gradient + problem.regularization(p)[1]
     values, lam = problem.constraints(p), best.multipliers
     dual = gradient + jacobian.T @ lam - low + high
