@@ -64,28 +64,12 @@ def step_checks(step) -> tuple[Check, ...]:
             "fail" if beyond_reason else "note",
         )
     )  # fmt: skip
-    measured = step.setup.load.is_measured
-    if measured.any():
-        checks.append(_zmp_check(step, name))
-    if not measured.all():
-        checks += _pose_checks(step, name, step.converged & ~measured)
-    used = step.setup.friction_used
-    limit = _NEAR_SLIP * step.law.friction
-    checks.append(
-        _note(
-            "plausibility.friction", used <= limit, used, limit, "", name,
-            "the sole is about to slip away as a whole",
-        )
-    )  # fmt: skip
-    undercut = step.sole.mesh.undercut
-    checks.append(
-        _note(
-            "plausibility.undercut", undercut <= _UNDERCUT, undercut,
-            _UNDERCUT, "", name,
-            "so much of the bare surface faces upwards: a rigid mould that "
-            "opens upwards does not let go of the sole",
-        )
-    )  # fmt: skip
+    for what, holds, value, limit, unit, sentence in _notes(step):
+        said = "" if holds else sentence
+        checks.append(
+            Check(f"plausibility.{what}", bool(holds), value, limit, unit,
+                  name, said, "note")
+        )  # fmt: skip
     worst = step.complementarity()
     holds = worst <= _COMPLEMENTARITY
     checks.append(
@@ -98,40 +82,42 @@ def step_checks(step) -> tuple[Check, ...]:
     return tuple(checks)
 
 
-def _pose_checks(step, name, free) -> list[Check]:
-    """Of samples (N,) whose pose follows from the load."""
-    if not free.any():
-        return []
-    tilt = float(step.tilt_deg[free].max())
-    margin = float(np.nanmin(step.stability[free]))
-    loose = int(np.sum(step.stability[free] <= 0))
-    return [
-        _note(
-            "plausibility.tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°", name,
+def _notes(step):
+    """What a foot's user ought to know: name, whether it holds, value, ..."""
+    measured = step.setup.load.is_measured
+    if measured.any():
+        error = step.zmp_error
+        yield (
+            "zmp", error <= _ZMP_ERROR, error, _ZMP_ERROR, "m",
+            "the pose that markers tell leads to another centre of pressure: "
+            "a tenth of a degree matters on a flat sole; take pose: free for "
+            "its stiffness there",
+        )  # fmt: skip
+    free = step.converged & ~measured  # their pose follows from the load
+    if free.any():
+        tilt = float(step.tilt_deg[free].max())
+        yield (
+            "tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°",
             "the foot leans far over: a small push may tip it",
-        ),
-        _note(
-            "plausibility.stability", margin > 0, margin, 0.0, "N/m", name,
+        )  # fmt: skip
+        margin = float(np.nanmin(step.stability[free]))
+        loose = int(np.sum(step.stability[free] <= 0))
+        yield (
+            "stability", margin > 0, margin, 0.0, "N/m",
             f"{loose} samples are not shown to be stable: under a force that "
             "stays as it is the foot may tip there",
-        ),
-    ]  # fmt: skip
-
-
-def _zmp_check(step, name) -> Check:
-    """Of a prescribed pose: whether the load's ZMP comes out."""
-    return _note(
-        "plausibility.zmp", step.zmp_error <= _ZMP_ERROR, step.zmp_error,
-        _ZMP_ERROR, "m", name,
-        "the pose that markers tell leads to another centre of pressure: a "
-        "tenth of a degree matters on a flat sole; take pose: free for its "
-        "stiffness there",
+        )  # fmt: skip
+    used, limit = step.setup.friction_used, _NEAR_SLIP * step.law.friction
+    yield (
+        "friction", used <= limit, used, limit, "",
+        "the sole is about to slip away as a whole",
     )  # fmt: skip
-
-
-def _note(name, holds, value, limit, unit, where, sentence) -> Check:
-    said = "" if holds else sentence
-    return Check(name, bool(holds), value, limit, unit, where, said, "note")
+    undercut = step.sole.mesh.undercut
+    yield (
+        "undercut", undercut <= _UNDERCUT, undercut, _UNDERCUT, "",
+        "so much of the bare surface faces upwards: a rigid mould that opens "
+        "upwards does not let go of the sole",
+    )  # fmt: skip
 
 
 def _solved(step) -> Check:
