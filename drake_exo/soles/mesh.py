@@ -83,9 +83,8 @@ class TetMesh:
         Others get to the ground only where a sole rolls far or bulges; see
         `touching_everywhere`.
         """
-        x = self.nodes[self.contact_faces]
-        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        down = area[:, 2] < -_UPWARDS * np.linalg.norm(area, axis=1)
+        area, size = self.areas(self.contact_faces)
+        down = area[:, 2] < -_UPWARDS * size
         return np.setdiff1d(self.contact_faces[down], self.fixed)
 
     def touching_everywhere(self) -> "TetMesh":
@@ -103,16 +102,20 @@ class TetMesh:
     @cached_property
     def contact_areas(self) -> np.ndarray:
         """Rest area around each node that may touch [m²], (m,)."""
-        x = self.nodes[self.contact_faces]
-        area = 0.5 * np.linalg.norm(
-            np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1
-        )
-        total = np.bincount(
-            self.contact_faces.ravel(),
-            np.repeat(area / 3, 3),
-            minlength=len(self.nodes),
-        )
+        _, twice = self.areas(self.contact_faces)
+        part = np.repeat(0.5 * twice / 3, 3)
+        faces = self.contact_faces.ravel()
+        total = np.bincount(faces, part, minlength=len(self.nodes))
         return total[self.contact]
+
+    def areas(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vectors (f, 3) along the normals of triangles, their lengths (f,).
+
+        These are twice the areas [m²].
+        """
+        x = self.nodes[faces]
+        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        return area, np.linalg.norm(area, axis=1)
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -139,9 +142,7 @@ class TetMesh:
 
         A mould that opens upwards does not let go of it.
         """
-        x = self.nodes[self.contact_faces]
-        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        size = np.linalg.norm(area, axis=1)
+        area, size = self.areas(self.contact_faces)
         up = area[:, 2] > _UPWARDS * size
         return float(size[up].sum() / size.sum())
 

@@ -421,9 +421,7 @@ class SurfaceLimits:
 
 def _normals(mesh: TetMesh, faces: np.ndarray):
     """Outward normals (f, 3), their upward part (f,), 2 × area (f,)."""
-    x = mesh.nodes[faces]
-    area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    size = np.linalg.norm(area, axis=1)
+    area, size = mesh.areas(faces)
     normal = area / size[:, None]
     return normal, normal[:, 2], size
 
