@@ -125,7 +125,8 @@ def _row(cls, field, hint, meaning: str, found) -> str:
     if not meaning and not _tells_itself(field.name):
         raise ValueError(f"{cls.__name__}.{field.name}: say what it means")
     cells = [
-        f"`{field.name}`", _value(hint, found), _unit(cls, field, hint),
+        f"`{field.metadata.get('key', field.name)}`", _value(hint, found),
+        _unit(cls, field, hint),
         _default(field), meaning,
     ]  # fmt: skip
     return "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"

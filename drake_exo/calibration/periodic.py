@@ -46,7 +46,7 @@ class PeriodicStep(PredictionProblem):
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
         grid, names = movement.grid, movement.coordinates
         x, *_ = names.root_columns
-        mirrored = _mirrored(names)
+        other = mirrored(names)
         speed = self.settings.speed_m_s
         if speed is None:
             speed = (at.q[-1, x] - at.q[0, x]) / at.duration
@@ -61,7 +61,7 @@ class PeriodicStep(PredictionProblem):
         ):
             self.program.add_constraints(
                 f"{movement.name} mirrored {what}",
-                AffineKernel(np.hstack([np.eye(len(names)), -mirrored])[rows]),
+                AffineKernel(np.hstack([np.eye(len(names)), -other])[rows]),
                 np.hstack([values[-1], values[0]])[None],
                 gain,
                 gain,
@@ -95,7 +95,7 @@ class PeriodicStep(PredictionProblem):
         return movement
 
 
-def _mirrored(names: Coordinates) -> np.ndarray:
+def mirrored(names: Coordinates) -> np.ndarray:
     """Matrix (nq, nq) that exchanges left and right.
 
     Raises:

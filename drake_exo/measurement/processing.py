@@ -278,7 +278,7 @@ def process(
     )
     forces = read_feet(files, laboratory, low_pass_filter, root)
     time = common_time(markers, forces, low_pass_filter)
-    motion = _follow(files.name, markers, gaps, time, subject, settings)
+    motion = _follow(markers, gaps, time, subject, settings)
     applied = wrenches(
         files, settings, root, model.rigid.tree, time, motion.q, recorded
     )
@@ -350,7 +350,6 @@ def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
 
 
 def _follow(
-    name: str,
     markers: MarkerData,
     gaps: Gaps,
     time: np.ndarray,
@@ -364,7 +363,9 @@ def _follow(
     inside = slice(first, first + len(time))
     points = frame.points(markers.of(model.names))[inside]
     hidden = gaps.hidden(model.names)[inside]
-    with Progress(f"inverse kinematics of {name}") as progress:
+    with Progress(
+        f"inverse kinematics of {Path(markers.source).name}"
+    ) as progress:
         poses = solve_poses(model, points, markers.source, progress, hidden)
     ankles = ankle_paths(model, poses)
     q = coordinates(subject.model, model, poses)

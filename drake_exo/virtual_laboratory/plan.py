@@ -346,6 +346,8 @@ class SubjectController(LeafSystem):
         names: coordinates of the coupled model.
         reference: the plan; its ends are held before and after.
         help_expected: (n, k) torques that the device is trusted with.
+        held: what is held against the plan, rows of the body's coordinates;
+            by default one for each joint.
     """
 
     def __init__(
@@ -353,10 +355,11 @@ class SubjectController(LeafSystem):
         names: Coordinates,
         reference: Reference,
         help_expected: np.ndarray,
+        held: np.ndarray | None = None,
     ):
         super().__init__()
         self._body, self._nq = names.body_columns, len(names)
-        self._held = held = _held(names)
+        self._held = held = _held(names) if held is None else held
         joints = [name.split("_")[0] for name in names.human]
         legs = joints.count("ankle")
         self._stiffness, self._damping = (
@@ -378,10 +381,23 @@ class SubjectController(LeafSystem):
         # Looked up ten thousand times: a table is quicker than the spline.
         self._table = CubicSpline(reference.times, plan)(times)
         self.DeclareVectorInputPort("state", 2 * self._nq)
-        self.DeclareVectorOutputPort("torques", len(held), self._calc)
+        self.DeclareVectorOutputPort("torques", len(joints), self._calc)
 
-    def torques(self, time, q, v) -> np.ndarray:
-        """Torques (..., k) at times (...) and states (..., nq)."""
+    def torques(self, time, q, v, loads=None) -> np.ndarray:
+        """Torques (..., k) at times (...) and states (..., nq).
+
+        Both feet stand: what either bears (..., 2) changes nothing.
+        """
+        error, rate, torque = self.off(time, q, v)
+        return torque + self._stiffness * error + self._damping * rate
+
+    def off(self, time, q, v) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What is held and its rate lack of the plan, and the plan's torques.
+
+        Args:
+            time: (...).
+            q, v: (..., nq).
+        """
         # Not np.clip: of a single number it takes ten times as long.
         at = np.minimum(np.maximum(time / self._step, 0.0), self._last + 1.0)
         i = np.minimum(at.astype(int), self._last)
@@ -390,8 +406,7 @@ class SubjectController(LeafSystem):
         k = len(self._held)
         error = plan[..., :k] - q[..., self._body] @ self._held.T
         rate = plan[..., k : 2 * k] - v[..., self._body] @ self._held.T
-        torque = plan[..., 2 * k :] + self._stiffness * error
-        return torque + self._damping * rate
+        return error, rate, plan[..., 2 * k :]
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
@@ -499,17 +514,19 @@ def controller(subject: SubjectController, device: DeviceController) -> Diagram:
     builder = DiagramBuilder()
     sizes = [s.GetOutputPort("torques").size() for s in (subject, device)]
     joined = builder.AddSystem(Multiplexer(sizes))
+    exported = set()
     for i, system in enumerate((subject, device)):
         builder.AddSystem(system)
         builder.Connect(
             system.GetOutputPort("torques"), joined.get_input_port(i)
         )
-    builder.ExportInput(subject.GetInputPort("state"), "state")
-    builder.ConnectInput("state", device.GetInputPort("state"))
-    if device.HasInputPort("ground_reaction"):
-        builder.ExportInput(
-            device.GetInputPort("ground_reaction"), "ground_reaction"
-        )
+        for k in range(system.num_input_ports()):
+            port = system.get_input_port(k)
+            if port.get_name() in exported:
+                builder.ConnectInput(port.get_name(), port)
+            else:
+                builder.ExportInput(port, port.get_name())
+                exported.add(port.get_name())
     builder.ExportOutput(joined.get_output_port(), "joint_torques")
     diagram = builder.Build()
     diagram.set_name("subject_and_device")

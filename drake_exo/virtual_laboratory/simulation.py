@@ -11,6 +11,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from drake_exo.contact.diagram import build_diagram, build_simulator
 from drake_exo.contact.parameters import ContactModel
+from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import PlanarTree
@@ -37,6 +38,7 @@ PASSIVE = (0.0, 0.0, 0.0)
 _SETTLE_S = 0.4
 _ACCURACY = 1e-3
 _STEP_S = 0.05
+_ASTRAY_M = 0.1  # of a pelvis that still walks as it means to
 
 
 def simulate(
@@ -48,6 +50,8 @@ def simulate(
     span: tuple[float, float] = (0.0, 1.0),
     progress: Progress | None = None,
     done: int | None = None,
+    *,
+    walker: SubjectController | None = None,
 ) -> Trial:
     """Let the subject follow its plan; what really happened, at 1000 Hz.
 
@@ -61,8 +65,14 @@ def simulate(
         span: begin and end of the movement, as the exoskeleton takes it [s].
         progress: told of every step.
         done: movements simulated before.
+        walker: follows the plan, in motion from the start; by default the
+            subject settles first and stands on both feet.
+
+    Raises:
+        InputError: who walks, stumbles.
     """
     subject, device = _controllers(truth, reference, help_share, span)
+    subject = walker or subject
     built = build_diagram(
         truth.model,
         ContactModel(truth.contact),
@@ -72,15 +82,28 @@ def simulate(
     simulator = build_simulator(built, accuracy=_ACCURACY)
     simulator.get_mutable_integrator().set_maximum_step_size(_STEP_S)
     context = simulator.get_mutable_context()
-    context.SetTime(-_SETTLE_S)
+    names, plant_context = truth.model.coordinates, built.plant_context(context)
     if truth.model.assembly.human.sides:  # settles on its feet by itself
-        q = truth.model.coordinates.aligned(reference.q[:1])[0]
+        q = names.aligned(reference.q[:1])[0]
     else:
         q = equilibrium(truth, seat, reference.q[0])
-    built.plant.SetPositions(built.plant_context(context), q)
+    built.plant.SetPositions(plant_context, q)
+    if walker is None:
+        context.SetTime(-_SETTLE_S)
+    else:
+        v = names.aligned(reference.v[:1])[0]
+        built.plant.SetVelocities(plant_context, v)
     end = float(reference.times[-1])
 
     def tell(time: float) -> None:
+        if walker is not None:
+            state = built.plant.GetPositionsAndVelocities(plant_context)
+            off, *_ = walker.off(np.float64(time), *np.split(state, 2))
+            if np.hypot(*off[:2]) > _ASTRAY_M:
+                raise InputError(
+                    f"{name}: the walker stumbles after {time:.1f} s; give "
+                    "another seed, or a lighter device"
+                )
         if progress:
             progress.update(f"{name}, {time:.2f} of {end:.2f} s", done)
 
@@ -182,10 +205,11 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     stood = {f: ground_wrench(tree, truth.contact, q, v, f) for f in feet(tree)}
     ground = sum(list(stood.values())[1:], next(iter(stood.values())))
     subject, device = controllers
+    loads = np.column_stack([wrench.force_z for wrench in stood.values()])
     exo = names.device_columns
     torque = np.hstack(
         [
-            subject.torques(times, q, v),
+            subject.torques(times, q, v, loads),
             device.torques(times, q[:, exo], v[:, exo], ground.force_z),
         ]
     )

@@ -1,8 +1,9 @@
-"""A person of two legs, in a device of the user's own, who rises or squats.
+"""A person of two legs, in a device of the user's own: rise, squat, walk.
 
-What both legs do is planned for one that stands for both. Each leg then bears
-its share of the ground's force all the time, and its torques are what that
-asks for. There are no mats, and the device does not help.
+What both legs do in a rise or squat is planned for one that stands for both.
+Each leg then bears its share of the ground's force all the time, and its
+torques are what that asks for; a walk is planned as such. There are no mats,
+and the device does not help.
 """
 
 import shutil
@@ -68,8 +69,14 @@ from drake_exo.virtual_laboratory.truth import (
     two_spheres,
     write_parameters,
 )
+from drake_exo.virtual_laboratory.walking import (
+    WalkingController,
+    WalkPlan,
+    plan_walk,
+    vary_walk,
+)
 
-MOVEMENTS = ("rise", "squat")
+MOVEMENTS = ("rise", "squat", "walk")
 # What acts of the disturbances: those of mats and of a wide truth do not.
 ACTING = tuple(
     name
@@ -143,7 +150,12 @@ def write_movements(
     if movement not in MOVEMENTS:
         raise InputError(
             f"movement is {movement!r}; the virtual laboratory has "
-            f"{' and '.join(MOVEMENTS)}"
+            f"{', '.join(MOVEMENTS)}"
+        )
+    if movement == "walk" and left_share != 0.5:
+        raise InputError(
+            "left_share is of those who stand on both feet; leave it out for "
+            "a walk"
         )
     if not 0.1 <= left_share <= 0.9:
         raise InputError(
@@ -182,7 +194,7 @@ def write_movements(
     path.write_text(
         f"# A virtual subject of two legs: {movement}.\n"
         + yaml.dump(
-            _study(subject, laboratory, entries),
+            _study(subject, laboratory, movement, entries),
             sort_keys=False,
             default_flow_style=None,
             width=78,
@@ -326,18 +338,12 @@ def _record(
     tell: Progress,
 ) -> dict:
     """Simulate a trial, write its files; what the study says of it."""
-    name, key = f"{movement}_{number + 1}", [seed, 23, number]
-    plan = _RISE if movement == "rise" else _SQUAT
+    name = f"{movement}_{number + 1}"
+    chance = None
     if "variation" in laboratory.disturbances:
-        plan = vary(plan, np.random.default_rng(key))
-    planner, seat = subject.planner, None
-    if movement == "rise":
-        seat = planner.seat(plan)
-        motion = planner.rise(plan, seat)
-    else:
-        plan = replace(plan, seated=plan.standing)
-        motion = planner.squat(plan)
-    happened = _happens(name, subject, motion, seat, share, tell, number)
+        chance = np.random.default_rng([seed, 23, number])
+    act = _walks if movement == "walk" else _stands
+    happened, window = act(subject, name, share, chance, tell, number)
     rng = np.random.default_rng([seed, 24, number])
     laboratory.record_motion(happened, rng)
     used = {"markers": "", **laboratory.motion_files(name)}
@@ -350,19 +356,59 @@ def _record(
         truth_table(happened, step),
         f"{name}: what truly happened",
     )
-    end = plan.duration - plan.stand_s + _QUIET_S
-    begin = plan.quiet_s - _QUIET_S
-    if seat is not None:
-        begin = after_chair(happened)
-    start, end = np.round(np.array([begin, end]) * MARKER_RATE_HZ)
     return {
         "name": name,
         **used,
         "plates": {side: PLATES[side] for side in SIDES},
         **_empty(laboratory),
+        **window,
+    }
+
+
+def _stands(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
+    """A rise or squat, and the part of it that is used."""
+    planner, seat = subject.planner, None
+    rises = name.startswith("rise")
+    plan = _RISE if rises else _SQUAT
+    if chance is not None:
+        plan = vary(plan, chance)
+    if rises:
+        seat = planner.seat(plan)
+        motion = planner.rise(plan, seat)
+    else:
+        plan = replace(plan, seated=plan.standing)
+        motion = planner.squat(plan)
+    happened = _happens(name, subject, motion, seat, share, tell, number)
+    end = plan.duration - plan.stand_s + _QUIET_S
+    begin = plan.quiet_s - _QUIET_S
+    if seat is not None:
+        begin = after_chair(happened)
+    start, end = np.round(np.array([begin, end]) * MARKER_RATE_HZ)
+    return happened, {
         "start_s": float(start / MARKER_RATE_HZ),
         "end_s": float(end / MARKER_RATE_HZ),
     }
+
+
+def _walks(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
+    """A walk, of which a cycle is used; legs share as they like."""
+    truth, plan = subject.truth, WalkPlan()
+    if chance is not None:
+        plan = vary_walk(plan, chance)
+    rigid = truth.model.rigid
+    motion = plan_walk(rigid, truth.contact, plan, name)
+    names, weight = subject.model.coordinates, rigid.tree.weight
+    happened = simulate(
+        name,
+        truth,
+        motion,
+        None,
+        (0.0,) * len(names.device),
+        progress=tell,
+        done=number,
+        walker=WalkingController(names, motion, weight),
+    )
+    return happened, {"from": "toe_off right 1", "to": "toe_off right 2"}
 
 
 def _empty(laboratory: Laboratory) -> dict:
@@ -371,8 +417,14 @@ def _empty(laboratory: Laboratory) -> dict:
     return {"empty_plates": laboratory.motion_files(EMPTY)["forces"]}
 
 
-def _study(subject: TwoLegs, laboratory: Laboratory, entries) -> dict:
-    human = subject.truth.human
+def _study(
+    subject: TwoLegs, laboratory: Laboratory, movement: str, entries
+) -> dict:
+    human, model = subject.truth.human, subject.files
+    walks = movement == "walk"
+    if walks:  # three spheres let a foot roll
+        spheres = ["heel", "ball", "toe"]
+        model = model | {"ground": {f"foot_{s}": spheres for s in SIDES}}
     study = {
         "subject": {
             "name": "virtual_subject",
@@ -380,9 +432,9 @@ def _study(subject: TwoLegs, laboratory: Laboratory, entries) -> dict:
             "height_m": round(human.height_m, 4),
             "sex": "male",
         },
-        "model": subject.files,
+        "model": model,
         "gravity_m_s2": subject.model.gravity_m_s2,
-        "filter": {"cutoff_hz": 6.0, "order": 4},
+        "filter": {"cutoff_hz": 10.0 if walks else 6.0, "order": 4},
         "laboratory": laboratory_section(
             laboratory.files, laboratory.disturbances
         ),
@@ -395,7 +447,7 @@ def _study(subject: TwoLegs, laboratory: Laboratory, entries) -> dict:
         "scaling": {"lengths": "markers", "trunk_com": "table"},
         "markers": study_markers(),
         "trials": entries,
-        "foot_ground": foot_ground_section(legs=2),
+        "foot_ground": _rolling() if walks else foot_ground_section(legs=2),
     }
     if subject.model.coordinates.device:
         study["device"] = {
@@ -414,6 +466,24 @@ def _study(subject: TwoLegs, laboratory: Laboratory, entries) -> dict:
             }
         }
     return study
+
+
+def _rolling() -> dict:
+    """Settings of the first phase for feet that roll; see a study's keys.
+
+    Shapes of those for feet that stand; steps are jerkier, and a sphere may be
+    anywhere between its neighbours.
+    """
+    section = foot_ground_section(legs=2)
+    ball = section["heel"] | {"x_m": {"below": 0.08, "above": 0.04}}
+    noise = section["noise"] | {"velocity_deg_s": 8.0, "jerk": 300.0}
+    return section | {
+        "constants": {"transition_velocity": 0.2},
+        "spheres": {"ball": ball},
+        "prior_weight": 10.0,
+        "noise": noise,
+        "end_tolerance": {"x_m": 0.01, "z_m": 0.01, "pitch_deg": 5.0},
+    }
 
 
 def _copy_device(description: Path, subject: TwoLegs, folder: Path) -> None:
