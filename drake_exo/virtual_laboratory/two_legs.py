@@ -225,19 +225,19 @@ def draw(path: Path, seed: int, active: frozenset[str]) -> TwoLegs:
         )
     rng, person = np.random.default_rng([seed, 20]), nominal_human()
     alone = Model("human", person)
+    worn = with_text(assembly, path.parent)
     two = two_spheres(nominal_contact(alone).ground, rng)
     five = five_spheres(person, rng)
     masses = other_masses(person, rng)
     soles = levelled(
         alone.tree,
         (five if "contact" in active else two).checked(),
-        alone.tree.weight,
+        Model(worn, person).tree.weight,
         STANDING_COP_M,
         person.ankle_height_m,
     )
     if "segments" in active:
         alone = replace(alone, human=masses)
-    worn = with_text(assembly, path.parent)
     places = {name: (s.x, s.z) for name, s in soles.spheres.items()}
     ground = {f"foot_{side}": places for side in SIDES}
     model = Model(replace(worn, ground=ground), alone.human)
@@ -274,13 +274,15 @@ def both_legs(subject: TwoLegs, plan: Reference, share: float) -> Reference:
     """
     planner, tree = subject.planner, subject.model.rigid.tree
     one, names = planner.tree, tree.coordinates
+    # The plan is of a person without the device.
+    heavier = tree.weight / one.weight
     shares = dict(zip(SIDES, (share, 1.0 - share), strict=True))
     q = np.zeros((len(plan.q), len(names)))
     q[:, :2] = one.point_positions(plan.q, "pelvis", (0.0, 0.0))
     q[:, 2] = one.body_angles(plan.q, "pelvis")
     for side, part in shares.items():
         # Soles give way to what they bear: legs are of unequal length.
-        load, at = part * plan.ground[:, 1], plan.ground
+        load, at = part * heavier * plan.ground[:, 1], plan.ground
         cop = -at[:, 2].sum() / at[:, 1].sum()
         foot = resting_foot(one, subject.truth.contact, load, cop)
         bent = _bent(subject.truth.human, q, foot)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from drake_exo.calibration.periodic import PeriodicStep, mirrored
+from drake_exo.calibration.problem import ground_terms
 from drake_exo.calibration.settings import (
     InteractionNoise,
     PredictionSettings,
@@ -52,7 +53,9 @@ _SUNK_M = 0.005
 _NODES_PER_SECOND = 100.0
 # How near the search stays to all that.
 _NEAR_DEG = 6.0
-_NOISE = InteractionNoise(torque_nm=20.0, jerk=1000.0)
+_NOISE = InteractionNoise(
+    force_n=100.0, cop_m=0.03, torque_nm=20.0, jerk=1000.0
+)
 _STRONGEST_NM = 300.0
 _CLEARANCE_M = 0.03
 # Soles that the search can follow; those that are simulated stick.
@@ -66,12 +69,14 @@ class WalkPlan:
     Attributes:
         speed_m_s: of the pelvis.
         step_s: time of one step, half a cycle.
-        steps: simulated; the first one settles device and soles.
+        steps: in full; the first one settles device and soles.
+        after_s: of another one.
     """
 
     speed_m_s: float = 1.2
     step_s: float = 0.55
-    steps: int = 4
+    steps: int = 3
+    after_s: float = 0.25
 
 
 def vary_walk(plan: WalkPlan, rng: np.random.Generator) -> WalkPlan:
@@ -104,7 +109,7 @@ def plan_walk(
         clearance_m=_CLEARANCE_M,
         torque_limit_nm=_STRONGEST_NM,
         noise=_NOISE,
-        solver=Solver(_NODES_PER_SECOND, hessian="exact"),
+        solver=Solver(_NODES_PER_SECOND),
     )
     near = template(model.tree, soles, plan)
     problem = _Step(model, [near], contact, settings)
@@ -114,7 +119,7 @@ def plan_walk(
             f"{title}: no step of {plan.speed_m_s:.2f} m/s was found for this "
             "person and device; give another seed, or a lighter device"
         )
-    return repeated(result.trials[0], plan.steps)
+    return repeated(result.trials[0], plan.steps, plan.after_s)
 
 
 class _Step(PeriodicStep):
@@ -130,6 +135,7 @@ class _Step(PeriodicStep):
                 at.q[:, columns],
                 np.deg2rad(_NEAR_DEG),
             ),
+            *ground_terms(movement, at, self.settings.noise),
             minimised(movement.torque, self.settings.noise.torque_nm),
         ]
 
@@ -203,12 +209,13 @@ def _borne(tree: PlanarTree, q, side: str, cycle) -> PlanarWrench:
     return PlanarWrench(np.column_stack([force_x, force_z]), -point * force_z)
 
 
-def repeated(step: Trial, count: int) -> Reference:
+def repeated(step: Trial, count: int, after_s: float = 0.0) -> Reference:
     """A step, then its mirror image, and so on.
 
     Args:
         step: that ends as it began with left and right exchanged.
         count: of steps.
+        after_s: of another one, at the end.
     """
     names, other = step.coordinates, mirrored(step.coordinates)
     joints = names.joint_columns
@@ -218,7 +225,7 @@ def repeated(step: Trial, count: int) -> Reference:
     ahead = np.zeros(len(names))
     ahead[names.index(names.root[0])] = q[-1, 0] - q[0, 0]
     parts = []
-    for k in range(count):
+    for k in range(count + 1):
         rows = slice(int(k > 0), None)
         parts.append(
             [x[rows] for x in (step.times + k * step.duration, q, v, torque)]
@@ -226,7 +233,10 @@ def repeated(step: Trial, count: int) -> Reference:
         )
         q = q @ other.T + ahead
         v, torque = v @ other.T, torque @ of_joints.T
-    times, q, v, torque, ground = map(np.concatenate, zip(*parts, strict=True))
+    until = count * step.duration + after_s
+    joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    rows = joined[0] <= until + 1e-9
+    times, q, v, torque, ground = (part[rows] for part in joined)
     return Reference(times, q, v, torque, ground, np.zeros_like(ground))
 
 

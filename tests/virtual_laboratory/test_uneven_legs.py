@@ -20,6 +20,7 @@ from drake_exo.errors import InputError
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
+from drake_exo.virtual_laboratory.forces import ground_wrench
 from drake_exo.virtual_laboratory.two_legs import (
     _SQUAT,
     ACTING,
@@ -27,51 +28,6 @@ from drake_exo.virtual_laboratory.two_legs import (
     draw,
     write_movements,
 )
-
-_LINK = """<link name="{}"><inertial><origin xyz="0 0 {}"/>
-<mass value="{}"/><inertia ixx="0.03" iyy="0.03" izz="0.03" ixy="0" ixz="0"
-iyz="0"/></inertial></link>"""
-_JOINT = """<joint name="{}" type="revolute"><parent link="{}"/>
-<child link="{}"/><origin xyz="0 0 {}"/><axis xyz="0 {} 0"/>
-<limit lower="-3" upper="3" effort="100" velocity="10"/></joint>"""
-_CUFFS = "".join(
-    f"  {part}_{side}: {{human: {part}_{side}, device: {part}_bar_{side}}}\n"
-    for side in ("left", "right")
-    for part in ("thigh", "shank")
-)
-
-
-def device():
-    """A belt with a thigh and a shank bar on either side, as URDF."""
-    parts = [_LINK.format("belt", 0.05, 4.0)]
-    for side in ("left", "right"):
-        thigh, shank = f"thigh_bar_{side}", f"shank_bar_{side}"
-        parts += [
-            _LINK.format(thigh, -0.2, 1.8),
-            _LINK.format(shank, -0.15, 1.0),
-            _JOINT.format(f"{side}_hip", "belt", thigh, 0.0, -1),
-            _JOINT.format(f"{side}_knee", thigh, shank, -0.42, 1),
-        ]
-    return f'<robot name="hip_and_knee">{"".join(parts)}</robot>'
-
-
-@pytest.fixture
-def alone(tmp_path):
-    path = tmp_path / "alone.yaml"
-    path.write_text("human: {legs: two}\n")
-    return path
-
-
-@pytest.fixture
-def worn(tmp_path):
-    (tmp_path / "hip_and_knee.urdf").write_text(device())
-    path = tmp_path / "worn.yaml"
-    path.write_text(
-        "human: {legs: two}\n"
-        "device: {file: hip_and_knee.urdf, weld: {belt: pelvis}}\n"
-        f"cuffs:\n{_CUFFS}"
-    )
-    return path
 
 
 @pytest.mark.slow
@@ -102,6 +58,12 @@ def test_a_plan_of_two_legs_obeys_newton(worn):
     np.testing.assert_allclose([left[0], right[0]], 0.0, atol=1e-9)
     assert (left[1] < right[1] - 1e-4).all()
     assert np.abs(left[1] - right[1]).max() < 0.01
+    # And both so deep that they bear the device, too.
+    rest = np.zeros_like(found.q[:1])
+    for foot, wrench in loads.items():
+        contact = subject.truth.contact
+        borne = ground_wrench(tree, contact, found.q[:1], rest, foot)
+        np.testing.assert_allclose(borne.force_z, wrench.force_z[:1], rtol=2e-3)
 
 
 @pytest.mark.slow

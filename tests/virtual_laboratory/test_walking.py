@@ -1,0 +1,180 @@
+"""Walks: what is meant, how a body is held up, and what comes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_exo.calibration.periodic import PeriodicStep, mirrored
+from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.contact.parameters import ContactModel, nominal_contact
+from drake_exo.errors import InputError
+from drake_exo.virtual_laboratory import simulation, walking
+from drake_exo.virtual_laboratory.two_legs import draw
+from drake_exo.virtual_laboratory.walking import (
+    WalkingController,
+    WalkPlan,
+    repeated,
+    template,
+    vary_walk,
+)
+
+PLAN = WalkPlan()
+
+
+@pytest.fixture
+def subject(alone):
+    return draw(alone, 0, frozenset())
+
+
+@pytest.fixture
+def step(subject):
+    model = subject.model
+    return template(model.tree, subject.truth.contact, PLAN)
+
+
+def test_a_template_is_a_step(subject, step):
+    """Feet change over, on the ground, and bear the body in turn."""
+    tree, names = subject.model.tree, step.coordinates
+    other = mirrored(names)
+    ahead = np.zeros(len(names))
+    ahead[0] = PLAN.speed_m_s * PLAN.step_s
+    off = step.q[-1] - other @ step.q[0] - ahead
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    weight = tree.weight
+    assert step.ground.force_z.mean() == pytest.approx(weight, rel=0.15)
+    left, right = (step.feet[side].force_z for side in ("left", "right"))
+    assert left[0] == right[-1] == 0.0
+    np.testing.assert_allclose(left[-1], right[0], atol=1.0)
+    knee = np.rad2deg(step.coordinate("knee_left"))
+    assert 55.0 < knee.max() < 70.0
+    # The foot that bears stays, while the body passes over it.
+    ankle = tree.point_positions(step.q, "foot_right", (0.0, 0.0))[:, 0]
+    bears = step.times < 0.6 * PLAN.step_s
+    assert np.ptp(ankle[bears]) < 0.3 * np.ptp(step.q[bears, 0])
+
+
+def test_steps_follow_each_other(subject, step):
+    """Mirrored, further on, and the ground's force under them."""
+    moments = np.ones((len(step.times), len(step.coordinates.joints)))
+    moments[:, :3] = np.linspace(0.0, 3.0, len(moments))[:, None]
+    found = repeated(replace(step, moments=moments), 3)
+    longer = repeated(replace(step, moments=moments), 2, step.duration)
+    np.testing.assert_allclose(longer.q, found.q)
+    n, T = len(step.times) - 1, step.duration
+    assert found.times[-1] == pytest.approx(3 * T)
+    assert (np.diff(found.times) > 0.0).all()
+    far = PLAN.speed_m_s * T
+    names = step.coordinates
+    for rows, swapped in ((n, True), (2 * n, False)):
+        knee = "knee_right" if swapped else "knee_left"
+        np.testing.assert_allclose(
+            found.q[rows : rows + n, names.index("knee_left")][1:],
+            step.coordinate(knee)[1:n],
+            atol=1e-12,
+        )
+        at = found.ground[rows + 5]
+        own = step.ground.array[5]
+        steps = rows / n
+        np.testing.assert_allclose(at[:2], own[:2])
+        cop = -at[2] / at[1] + own[2] / own[1]
+        assert cop == pytest.approx(steps * far)
+        torque = found.torque[rows + 5]
+        first, last = torque[:3], torque[3:]
+        first, last = (last, first) if swapped else (first, last)
+        np.testing.assert_allclose(first, moments[5, :3])
+        np.testing.assert_allclose(last, 1.0)
+
+
+def test_a_leg_that_bears_holds_the_body(subject, step):
+    """Torques do work towards the plan; a leg that swings minds itself."""
+    model, names = subject.model, subject.model.coordinates
+    zero = np.zeros((len(step.times), len(names.joints)))
+    walk = repeated(replace(step, moments=zero), 1)
+    weight = model.tree.weight
+    controller = WalkingController(names, walk, weight)
+    i = 20
+    t = walk.times[i]
+    q, v = (np.array(controller.off(t, 0.0 * walk.q[i], walk.q[i])[k])
+            for k in (0, 1))  # fmt: skip
+    q, v = q, walk.v[i]
+    on_right = np.array([0.0, weight])
+    at_rest = controller.torques(t, q, v, on_right)
+    np.testing.assert_allclose(at_rest, 0.0, atol=1e-9)
+
+    def torques(**moved):
+        off = q.copy()
+        for name, by in moved.items():
+            off[names.index(name)] += by
+        found = controller.torques(t, off, v, on_right)
+        return dict(zip(names.human, found, strict=True))
+
+    # The pelvis lags: the standing ankle brings it along, no other joint.
+    behind = torques(pelvis_x=-0.01)
+    assert behind["ankle_right"] > 1.0
+    assert np.count_nonzero(np.abs(list(behind.values())) > 1e-9) == 1
+    # The trunk leans too far back: the standing hip pulls it forward.
+    back = torques(pelvis_pitch=0.01)
+    assert back["hip_right"] > 1.0
+    assert back["hip_left"] == pytest.approx(0.0, abs=1e-9)
+    # A swinging joint resists its own error alone.
+    off = torques(hip_left=0.01)
+    assert off["hip_left"] == pytest.approx(-6.0)
+    assert np.count_nonzero(np.abs(list(off.values())) > 1e-9) == 1
+
+
+def test_walks_differ(step):
+    rng = np.random.default_rng(0)
+    plans = [vary_walk(PLAN, rng) for _ in range(50)]
+    speeds = [p.speed_m_s for p in plans]
+    assert 1.1 < min(speeds) < 1.15 < 1.25 < max(speeds) < 1.3
+    assert np.ptp([p.step_s for p in plans]) > 0.03
+
+
+def test_who_stumbles_is_told(subject, step):
+    """A body that is not where it means to be is not recorded."""
+    zero = np.zeros((len(step.times), len(step.coordinates.joints)))
+    walk = repeated(replace(step, moments=zero), 1)
+    elsewhere = replace(walk, q=walk.q + np.eye(9)[0] * 0.11)
+    names, weight = subject.model.coordinates, subject.model.tree.weight
+    walker = WalkingController(names, elsewhere, weight)
+    with pytest.raises(InputError, match="walk: the walker stumbles after 0"):
+        simulation.simulate("walk", subject.truth, walk, walker=walker)
+
+
+@pytest.mark.slow
+def test_a_step_repeats_itself_in_a_device(worn):
+    """Periodic ends of person and device, cuffs between them."""
+    subject = draw(worn, 0, frozenset())
+    model, names = subject.model, subject.model.coordinates
+    soles = replace(subject.truth.contact, constants=walking._SMOOTH)
+    near = template(model.rigid.tree, soles, PLAN)
+    q, v, a = (names.aligned(x) for x in (near.q, near.v, near.a))
+    near = replace(near, coordinates=names, q=q, v=v, a=a)
+    settings = PredictionSettings(
+        ends="periodic",
+        speed_m_s=PLAN.speed_m_s,
+        torque_limit_nm=300.0,
+        noise=walking._NOISE,
+        solver=Solver(25.0),
+    )
+    contact = ContactModel(soles, nominal_contact(model).bushings)
+    result = PeriodicStep(model, [near], contact, settings).solve()
+    assert result.success
+    (found,), other = result.trials, mirrored(names)
+    ahead = np.zeros(len(names))
+    ahead[0] = PLAN.speed_m_s * PLAN.step_s
+    assert other[names.index("left_hip"), names.index("right_hip")] == 1.0
+    np.testing.assert_allclose(
+        found.q[-1], other @ found.q[0] + ahead, atol=1e-4
+    )
+    np.testing.assert_allclose(found.v[-1], other @ found.v[0], atol=1e-3)
+    for joint in names.device:
+        off = found.coordinate(joint) - found.coordinate(names.follows(joint))
+        assert np.abs(off).max() < np.deg2rad(20.0)
+    ends = [found.cuffs[f"thigh_{side}"].normal for side in ("left", "right")]
+    assert ends[0][-1] == pytest.approx(ends[1][0], abs=0.5)
+    assert np.abs(ends[0]).max() > 5.0  # the device is carried along
+    # What the ground gives over the step is the weight of both.
+    lifted = np.trapezoid(found.ground.force_z, found.times) / found.duration
+    assert lifted == pytest.approx(model.tree.weight, rel=0.05)
