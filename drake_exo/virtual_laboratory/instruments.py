@@ -667,6 +667,7 @@ class Laboratory:
         offsets: plate -> F_x, F_z, M_y of the empty plate.
         disturbances: names of those that act.
         faults: of a wide truth.
+        walkway_m: by which the feet's plates go on forward.
     """
 
     folder: Path
@@ -677,6 +678,7 @@ class Laboratory:
     offsets: dict[str, np.ndarray]
     disturbances: frozenset[str]
     faults: Faults
+    walkway_m: float = 0.0
 
     def motion_files(self, name: str) -> dict[str, str]:
         """Names of the files of markers and forces."""
@@ -763,7 +765,7 @@ class Laboratory:
             self.folder / paths["markers"],
             MarkerData(time, names, _z_up(positions), MARKER_RATE_HZ),
             [_resized(plate, count) for plate in plates],
-            [_design(place) for place in PLATES],
+            [_design(place, self.walkway_m) for place in PLATES],
             _PER_FRAME,
         )
 
@@ -847,10 +849,12 @@ def _resized(plate: PlateRecording, count: int) -> PlateRecording:
     return PlateRecording(plate.number, *parts)
 
 
-def _design(place: str) -> PlateDesign:
+def _design(place: str, walkway_m: float = 0.0) -> PlateDesign:
     """Where a plate lies: forward right, back right, back left, ..."""
     x, right = _MIDDLE[place]
     half_x, half_y = _HALF_SIZE.get(place, _CHAIR_HALF_SIZE)
+    if place in _HALF_SIZE:
+        x, half_x = x + 0.5 * walkway_m, half_x + 0.5 * walkway_m
     corners = [
         (x + a * half_x, -(right + b * half_y), 0.0)
         for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))

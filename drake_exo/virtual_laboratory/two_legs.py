@@ -70,6 +70,7 @@ from drake_exo.virtual_laboratory.truth import (
     write_parameters,
 )
 from drake_exo.virtual_laboratory.walking import (
+    WALKWAY_M,
     WalkingController,
     WalkPlan,
     plan_walk,
@@ -181,6 +182,7 @@ def write_movements(
         {place: empty_plate_levels(rng) for place in PLATES},
         active,
         Faults(encoder_offset_rad=(0.0,)),
+        WALKWAY_M if movement == "walk" else 0.0,
     )
     with Progress("virtual laboratory", trials, interval_seconds=2.0) as tell:
         _stand(subject, laboratory, seed, tell)

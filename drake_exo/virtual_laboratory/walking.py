@@ -50,6 +50,7 @@ _FORCE_Z = (
 _FORCE_X = ((0.0, 0.04, 0.12, 0.32, 0.52, 0.62), (0, -0.08, -0.18, 0, 0.2, 0))
 _POINT_M = ((0.0, 0.15, 0.48, 0.62), (-0.03, 0.04, 0.14, 0.18))
 _SUNK_M = 0.005
+WALKWAY_M = 3.0  # further than any walk goes
 _NODES_PER_SECOND = 100.0
 # How near the search stays to all that.
 _NEAR_DEG = 6.0

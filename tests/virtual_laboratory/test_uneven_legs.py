@@ -112,7 +112,8 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
     for path, options, words in (
         (one, {}, "simulates two legs"),
         (alone, {"left_share": 0.95}, "give 0.1 to 0.9"),
-        (alone, {"movement": "walk"}, "has rise and squat"),
+        (alone, {"movement": "jump"}, "has rise, squat, walk"),
+        (alone, {"movement": "walk", "left_share": 0.6}, "leave it out for"),
         (alone, {"trials": 0}, "at least one trial"),
         (alone, {"disturbances": ["gremlins"]}, "called 'gremlins'"),
         (tmp_path / "none.yaml", {}, "cannot be read"),

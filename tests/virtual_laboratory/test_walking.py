@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import drake_exo as dx
 from drake_exo.calibration.periodic import PeriodicStep, mirrored
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.contact.parameters import ContactModel, nominal_contact
 from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_table
 from drake_exo.virtual_laboratory import simulation, walking
-from drake_exo.virtual_laboratory.two_legs import draw
+from drake_exo.virtual_laboratory.two_legs import draw, write_movements
 from drake_exo.virtual_laboratory.walking import (
     WalkingController,
     WalkPlan,
@@ -178,3 +180,36 @@ def test_a_step_repeats_itself_in_a_device(worn):
     # What the ground gives over the step is the weight of both.
     lifted = np.trapezoid(found.ground.force_z, found.times) / found.duration
     assert lifted == pytest.approx(model.tree.weight, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_walk_is_recorded(alone, tmp_path):
+    """A cycle on plates, as truth has it; what is read obeys Newton."""
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    study = dx.read_study(write_movements(folder, alone, "walk", 1, [], 1))
+    (trial,) = study.trials()
+    table = read_table(folder / "truth" / "walk_1.sto")
+    at = trial.start_s + trial.times
+
+    def true(name):
+        column = table.values[:, table.names.index(name)]
+        return np.interp(at, table.time, column)
+
+    for side, foot in trial.feet.items():
+        off = foot.force_z - true(f"{side}_force_z")
+        assert np.sqrt(np.mean(off**2)) < 40.0  # a heel strikes within 20 ms
+        assert (foot.force_z < 5.0).mean() == pytest.approx(0.38, abs=0.05)
+        for joint, within in (("hip", 2.0), ("knee", 2.0), ("ankle", 3.0)):
+            name = f"{joint}_{side}"
+            off = np.rad2deg(trial.coordinate(name) - true(name))
+            assert np.sqrt(np.mean(off**2)) < within
+    # A cycle ends as it begins: the ground gave the weight, and no push.
+    weight = study.model.tree.weight
+    mean = np.trapezoid(trial.ground.force, trial.times, axis=0)
+    mean /= trial.duration * weight
+    np.testing.assert_allclose(mean, [0.0, 1.0], atol=0.02)
+    far = np.ptp(trial.coordinate("pelvis_x"))
+    assert far == pytest.approx(PLAN.speed_m_s * trial.duration, rel=0.1)
+    assert 0.9 < trial.duration < 1.3
+    assert all(check.holds for check in study.plausibility())
