@@ -487,6 +487,7 @@ def _rolling() -> dict:
         "prior_weight": 10.0,
         "noise": noise,
         "end_tolerance": {"x_m": 0.01, "z_m": 0.01, "pitch_deg": 5.0},
+        "solver": {"nodes_per_second": 200.0},  # toes leave within milliseconds
     }
 
 
