@@ -288,16 +288,18 @@ class WalkingController(SubjectController):
         error, rate, torque = self.off(time, q, v)
         off = np.concatenate([error, rate], axis=-1)
         low, high = _BEARS
-        s = np.clip((loads / self._weight - low) / (high - low), 0.0, 1.0)
+        s = (loads / self._weight - low) / (high - low)
+        s = np.minimum(np.maximum(s, 0.0), 1.0)
         bears = (s * s * (3.0 - 2.0 * s))[..., self._foot]
         swing, stance = off @ self._swing.T, off @ self._stance.T
         return torque + swing + bears * (stance - swing)
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
-        time = np.float64(context.get_time())
+        time, nq = np.float64(context.get_time()), self._nq
         loads = np.array([port.Eval(context)[1] for port in self._ports])
-        output.SetFromVector(self.torques(time, *np.split(state, 2), loads))
+        found = self.torques(time, state[:nq], state[nq:], loads)
+        output.SetFromVector(found)
 
 
 def _gains(names: Coordinates) -> tuple[np.ndarray, np.ndarray]:
