@@ -27,7 +27,7 @@ QUICK = {
     "seeds.py": ("--seeds", "1,2"),
     "weights.py": ("--factors", "4"),
     "plausibility.py": ("--seeds", "1", "--truth", "near", "--mistakes"),
-    "scale.py": ("--tasks", "5", "--workers", "1", "4"),
+    "scale.py": ("--tasks", "5", "--workers", "1", "16"),
     "sole.py": (),
     "sole_starts.py": ("--starts", "2"),
     "sole_memory.py": ("--most", "6000"),

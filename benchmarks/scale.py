@@ -76,6 +76,8 @@ def measure(workers: int, tasks: int, seconds: float) -> dict:
             **quiet,
         )
         while not (file.is_file() and file.stat().st_size):
+            if scheduler.poll() is not None:
+                sys.exit("no scheduler: pip install 'drake_exo[batch]'")
             time.sleep(0.1)
         address = json.loads(file.read_text())["address"]
         crowd = subprocess.Popen(
