@@ -20,6 +20,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress
+from drake_exo.measurement.events import contacts
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
@@ -89,6 +90,7 @@ _VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
 # Knees stay bent: a straight leg cannot give way to the other one.
 _STANDING = Posture(shank=9.0, knee=14.0, trunk=2.0)
 _BOTTOM = Posture(shank=24.0, knee=85.0, trunk=36.0)
+_AFTER_TOE_OFF_S = 0.05
 _QUIET_S = 0.1  # of standing before and after a squat that is used
 _RISE = RisePlan(standing=_STANDING)
 _SQUAT = RisePlan(_STANDING, _BOTTOM, _STANDING, lean_s=1.4, rise_s=1.4)
@@ -412,7 +414,11 @@ def _walks(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
         done=number,
         walker=WalkingController(names, motion, weight),
     )
-    return happened, {"from": "toe_off right 1", "to": "toe_off right 2"}
+    # In the air, where a filter smears nothing in, and a cycle later.
+    borne = happened.feet["right"].force_z
+    left = [c.end_s for c in contacts(happened.times, borne) if c.ends]
+    start, end = (round(t + _AFTER_TOE_OFF_S, 2) for t in left[:2])
+    return happened, {"start_s": start, "end_s": end}
 
 
 def _empty(laboratory: Laboratory) -> dict:
