@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from drake_exo.files.opensim import (
 )
 from drake_exo.files.tables import read_csv_table, write_csv_table
 from drake_exo.measurement.plausibility import wearer
+from drake_exo.measurement.plausibility.evidence import Evidence
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
 
@@ -306,6 +308,75 @@ def test_what_a_wearer_explains_costs_little():
     rows = np.vstack([A, np.eye(5)])
     cost = np.linalg.lstsq(rows, np.r_[y, np.zeros(5)], rcond=None)[1]
     assert wearer._cost(first, second) == pytest.approx(cost[0])
+
+
+def test_what_two_trials_cost_beyond_each_alone(monkeypatch):
+    rng = np.random.default_rng(4)
+    made = {
+        lag: wearer._Difference(
+            rng.normal(size=(12, 3)), rng.normal(size=12),
+            rng.normal(size=12), count,
+        )
+        for lag, count in ((0.01, 4.0), (0.02, 6.0))
+    }  # fmt: skip
+    trials = [
+        SimpleNamespace(
+            lag=lag,
+            files=SimpleNamespace(markers=f"{lag}.trc"),
+            recording=SimpleNamespace(moments=None),
+        )
+        for lag in (*made, 0.03)
+    ]
+
+    def misfit(e, other, reach_s):
+        return (0.1 if e.lag in made else np.inf), e.lag
+
+    monkeypatch.setattr(wearer, "misfit", misfit)
+    monkeypatch.setattr(
+        wearer._Difference, "of", staticmethod(lambda e, lag: made[lag])
+    )
+    found = wearer.disagreement(trials)
+    first, second = made.values()
+    more = wearer._cost(first, second)
+    more -= wearer._cost(first) + wearer._cost(second)
+    expected = np.full((3, 3), np.nan)
+    expected[0, 1] = expected[1, 0] = more / 10.0
+    np.testing.assert_allclose(found, expected)
+
+
+def test_what_the_difference_of_device_and_person_depends_on(folder):
+    """Each size by itself; noise is half a degree in 0.1 s."""
+    study = read_study(folder / "study.yaml")
+    (trial,) = study.trials()
+    recording = study.recordings.used(study.file.trials[0])
+    e = Evidence(study.file.trials[0], trial, recording, study.subject)
+    found = wearer._Difference.of(e, 0.02)
+    n, joints = len(trial.times), 3
+    d, v, a = recording.angles.motion(trial.start_s + trial.times + 0.02)
+    human = trial.q[:, 3:6]  # the foot, then the person
+    step = trial.times[1]
+    scale = np.sqrt(step / 0.1) / np.deg2rad(0.5)
+    assert found.count == pytest.approx(joints * trial.duration / 0.1)
+
+    def close(own, expected):
+        size = scale * np.abs(expected).max()
+        np.testing.assert_allclose(own, scale * expected, atol=1e-6 * size)
+
+    close(found.found, (d - human).T.ravel())
+    close(found.by_clock, 0.03 * v.T.ravel())
+    sizes = found.by.reshape(joints, n, joints, -1)
+    pitch = trial.q[:, [2]] - np.cumsum(d * [1.0, -1.0, 1.0], axis=1)
+    parts = np.hstack([
+        np.full((n, 1), np.deg2rad(2.0)), 0.03 * human, 0.015 * human**2,
+        np.deg2rad(2.0) * np.sin(pitch), np.deg2rad(0.05) * a,
+        np.deg2rad(1.0) * np.tanh(v / 0.05),
+    ])  # fmt: skip
+    for j in range(joints):
+        for k in range(joints):
+            if j == k:
+                close(sizes[j, :, k], parts)
+            else:  # each joint has sizes of its own
+                assert not sizes[j, :, k].any()
 
 
 def written_in_degrees(path, table):

@@ -1,6 +1,7 @@
 """Starts under light loads, time refined, and what a simulation tells."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,11 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Material, Sole
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.mesh import brick, read_mesh, write_vtk
-from drake_exo.soles.optimize.optimizer import Optimum, cost_and_violation
+from drake_exo.soles.optimize.optimizer import (
+    Optimum,
+    _Callbacks,
+    cost_and_violation,
+)
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import simulate
 
@@ -266,3 +271,21 @@ def test_a_design_is_told_where_a_finer_mesh_disagrees():
     assert "turns elements" in list(words.values())[-1][1]
     outside = {c.name for c in design.verdict().checks if not c.holds}
     assert "bounds.volume" not in outside
+
+
+def test_slopes_of_cost_and_constraints_are_told_apart():
+    """What IPOPT is handed: the gradient with roughness, rows one by one."""
+    problem = SimpleNamespace(
+        spline=SphericalSpline((2, 2)),
+        regularization=lambda p: (0.5, 3.0 * p, None),
+        constraints=lambda p: p[:1] ** 2,
+    )
+    calls = _Callbacks(problem, None, None, None)
+    calls.at = lambda p: (10.0 * p, np.array([[1.0, 2.0], [3.0, 4.0]]))
+    p, gradient, value, rows = np.ones(2), np.ones(2), np.ones(1), np.ones(4)
+    calls.gradient(2.0 * p, gradient)
+    calls.constraints(2.0 * p, value)
+    calls.jacobian(2.0 * p, rows)
+    np.testing.assert_array_equal(gradient, [26.0, 26.0])
+    np.testing.assert_array_equal(value, [4.0])
+    np.testing.assert_array_equal(rows, [1.0, 2.0, 3.0, 4.0])

@@ -112,6 +112,37 @@ def test_a_steps_costs_are_those_of_its_stiffness(step):
     assert step.c_tr == pytest.approx(tr[:count].sum())
     assert step.c_rot == pytest.approx(rot.sum(), rel=1e-6)
     assert step.c == pytest.approx(step.c_tr - cost.weight * step.c_rot)
+    settings = replace(step.setup.settings, cost=replace(cost, weight=7.0))
+    other = replace(step, setup=replace(step.setup, settings=settings))
+    assert other.c == pytest.approx(step.c_tr - 7.0 * step.c_rot)
+
+
+def test_figures_of_each_contact_phase_are_its_own():
+    """Costs as if it were alone, means over its samples."""
+    first, second = (
+        Constant((0.0, 0.0, 400.0), (0, 0), n).load() for n in (20, 30)
+    )
+    load = Load.one_after_another([first, second], [1.0, 3.0])
+    cost = SimpleNamespace(weight=5.0, heel_strike_fraction=0.1)
+    told = SimpleNamespace(
+        setup=SimpleNamespace(load=load, settings=SimpleNamespace(cost=cost)),
+        times=load.times,
+        converged=np.arange(50) != 33,
+        _sums=lambda rows: (6.0, 9.0) if rows[0] else (12.0, 45.0),
+    )
+    one, two = Step.loads(told)
+    assert (one["c_tr"], one["c_rot"]) == (24.0, 36.0)  # a quarter of all
+    assert (two["c_tr"], two["c_rot"]) == (16.0, 60.0)
+    assert (one["c"], two["c"]) == (24.0 - 180.0, 16.0 - 300.0)
+    assert (one["c_tr_mean_n_per_m"], two["c_tr_mean_n_per_m"]) == (
+        pytest.approx(24.0 / 2),
+        pytest.approx(16.0 / 3),
+    )
+    means = [x["c_rot_mean_nm_per_rad"] for x in (one, two)]
+    assert means == pytest.approx([36.0 / 20, 60.0 / 30])
+    assert [x["steps"] for x in (one, two)] == [20, 30]
+    assert [x["failed_steps"] for x in (one, two)] == [0, 1]
+    assert two["begins_s"] == load.times[20]
 
 
 def test_table_columns_are_in_the_unit_of_their_name(step):

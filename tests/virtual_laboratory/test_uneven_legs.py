@@ -20,6 +20,8 @@ from drake_exo.errors import InputError
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import nominal_model
+from drake_exo.virtual_laboratory import plan
 from drake_exo.virtual_laboratory.forces import ground_wrench
 from drake_exo.virtual_laboratory.two_legs import (
     _SQUAT,
@@ -30,12 +32,27 @@ from drake_exo.virtual_laboratory.two_legs import (
 )
 
 
+def test_an_ankle_holds_the_shank_against_the_vertical(alone):
+    """However the pelvis, or the foot, stands."""
+    two = draw(alone, 3, frozenset()).model.rigid.tree
+    for tree, sides in ((nominal_model("human").tree, [""]),
+                        (two, ["_left", "_right"])):  # fmt: skip
+        names = tree.coordinates
+        q = np.linspace(0.1, 0.9, len(names)) ** 2
+        held = dict(zip(names.human, plan._held(names) @ q, strict=True))
+        for side in sides:
+            (turn,) = tree.body_angles(q[None], f"shank{side}")
+            assert held[f"ankle{side}"] == pytest.approx(-turn)
+            knee = q[names.index(f"knee{side}")]
+            assert held[f"knee{side}"] == knee
+
+
 @pytest.mark.slow
 def test_a_plan_of_two_legs_obeys_newton(worn):
     """Feet where soles sink to, each leg bearing its share."""
     subject, share = draw(worn, 3, frozenset(ACTING)), 0.7
-    plan = subject.planner.squat(_SQUAT)
-    found = both_legs(subject, plan, share)
+    squat = subject.planner.squat(_SQUAT)
+    found = both_legs(subject, squat, share)
     tree = subject.model.rigid.tree
     names = tree.coordinates
     path = make_interp_spline(found.times, found.q, k=5)
