@@ -55,7 +55,8 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
     places = []
 
     def step(*arguments, **options):
-        places.extend(a for a in arguments if isinstance(a, Path))
+        given = (*arguments, *options.values())
+        places.extend(a for a in given if isinstance(a, Path))
         return 0
 
     class Passed:
@@ -68,11 +69,15 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
         def calibrated(self, folder, accepted):
             return None, []
 
-        alone = trials
+        def alone(self, trials):
+            return self
 
     @contextlib.contextmanager
-    def beside(function, **arguments):
-        yield SimpleNamespace(value=lambda: function(**arguments))
+    def second_process():
+        def begin(function, **arguments):
+            return SimpleNamespace(value=lambda: function(**arguments))
+
+        yield begin
 
     for name in (
         *("write_campaign", "write_interaction"),
@@ -80,7 +85,8 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
     ):
         monkeypatch.setattr(demo, name, step)
     monkeypatch.setattr(demo, "read_study", lambda *_: Passed())
-    monkeypatch.setattr(demo, "beside", beside)
+    monkeypatch.setattr(demo, "second_process", second_process)
+    monkeypatch.setattr(demo, "find_clocks", lambda *_, **__: [])
     assert demo.run(argparse.Namespace(out=out, force=True)) == 0
     growing = Path(f"{out}.partial")
     written = ("laboratory", "calibration", "prediction", "prediction_stiff")

@@ -67,7 +67,7 @@ def test_hertz_contact_radius_and_peak_pressure():
     approach = A**2 / R
     for _ in range(6):  # secant steps: F^(2/3) is linear in the approach
         O = np.array([0.0, 0.0, -lP[:, 2].min() - approach])  # noqa: E741
-        state, report = contact_at_pose(solver, np.eye(3), O, lP[:, :2], F)
+        state, report = contact_at_pose(solver, np.eye(3), O, lP, F)
         assert report.converged, report.message
         F = state.F
         depths.append(approach)
