@@ -60,6 +60,58 @@ class Csv:
 
 
 @dataclass(frozen=True)
+class ForcePlate:
+    """One plate of an OpenSim `.mot` file (x forward, y up, z right).
+
+    Attributes:
+        file: Relative to the case's folder, with columns `<prefix>_vx`,
+            `_px`, `_my` and so on.
+        prefix: Such as "ground_force_2".
+        start_s, end_s: Window.
+        origin_m, yaw_rad: Of the sole's frame in the laboratory.
+        least_force_n: Samples below are left out at both ends.
+    """
+
+    file: str
+    prefix: str
+    start_s: float
+    end_s: float
+    origin_m: Vector2
+    yaw_rad: float = 0.0
+    least_force_n: float = positive("N", 20.0)
+
+    def load(self, root: Path) -> Load:
+        """Read it."""
+        path, prefix = root / self.file, self.prefix
+        names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in "vpm"]
+        table = _opensim_columns(path, [n for row in names for n in row])
+        time = table["time"]
+        rows = (time >= self.start_s - 1e-9) & (time <= self.end_s + 1e-9)
+
+        def turned(columns):  # (x, y up, z right) -> (x, y left, z up)
+            x, y, z = (table[name][rows] for name in columns)
+            return np.stack([x, -z, y], axis=1)
+
+        F, P, M = map(turned, names)
+        loaded = np.flatnonzero(F[:, 2] >= self.least_force_n)
+        if len(loaded) == 0:
+            raise InputError(
+                f"{path}: {prefix} carries less than {self.least_force_n:g} N "
+                f"from {self.start_s:g} to {self.end_s:g} s; choose another "
+                "window"
+            )
+        keep = slice(loaded[0], loaded[-1] + 1)
+        load = Load(
+            time[rows][keep],
+            F[keep],
+            P[keep, :2],
+            f"{path} {prefix}",
+            M[keep, 2],
+        )
+        return load.placed(self.origin_m, self.yaw_rad)
+
+
+@dataclass(frozen=True)
 class Playback:
     """One stance of an HRP-4 playback file (37 columns, no times).
 
@@ -285,7 +337,10 @@ class Recorded(Protocol):
 
 # Reads a step: the study's path, trial, foot, start, end, number, force [N].
 StepReader = Callable[..., Recorded]
-_FILES = ("pattern", "one_foot", "csv", "playback", "prediction", "constant")
+_FILES = (
+    "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
+    "constant",
+)  # fmt: skip
 _OF_RECORDING = (
     "trial", "foot", "begin", "end", "step", "least_force_n", "shift_m",
 )  # fmt: skip
@@ -301,6 +356,7 @@ class LoadBlock:
     pattern: Pattern | None = None
     one_foot: OneFoot | None = None
     csv: Csv | None = None
+    force_plate: ForcePlate | None = None
     playback: Playback | None = None
     prediction: Prediction | None = None
     constant: Constant | None = None

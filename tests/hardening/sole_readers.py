@@ -1,15 +1,19 @@
 """Sound meshes, loads and checkpoints of soles, and the readers of each."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import meshio
 import numpy as np
+from laboratory_readers import plates_table
 from sound_files import written
 
+from drake_exo.files.opensim import write_table
 from drake_exo.soles import loads
 from drake_exo.soles.animation import SoleMotion
 from drake_exo.soles.load_blocks import (
     PREDICTION_COLUMNS,
+    ForcePlate,
     OneFoot,
     Playback,
     Prediction,
@@ -71,6 +75,10 @@ def soles() -> dict:
     playback = numbers((60, 37))
     phases = np.repeat([0, 2, 0, 1, 0, 2, 0, 1, 0, 2, 0], 6)[:60]
     playback[:, 0] = phases
+    plates = plates_table()
+    plates.values[:, [1, 7]] += 300.0
+    moments = [n.replace("torque_1_", "force_1_m") for n in plates.names]
+    plates = replace(plates, names=tuple(moments))
     found = {
         f"mesh {name}": (file, kind, meshed(file, **options), read_mesh)
         for name, file, kind, options in (
@@ -113,6 +121,14 @@ def soles() -> dict:
             "text",
             text(timed(6), ",".join(loads.CSV_COLUMNS) + "\n", ","),
             loads.read_csv,
+        ),
+        "load force plate": (
+            "a.mot",
+            "text",
+            written(lambda p: write_table(p, plates)),
+            lambda p: ForcePlate(
+                p, "ground_force_1", 0.0, 0.2, (0.0, 0.0)
+            ).load(p.parent),
         ),
         "load playback": (
             "a.txt",

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from drake_exo import cli
+from drake_exo.errors import InputError
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import (
     Constant,
+    ForcePlate,
     Playback,
     share_double_support,
 )
@@ -158,6 +160,19 @@ def test_authors_step(data_root, name, c_tr, c_rot):
     assert step.failed_steps == 0
     assert step.c_tr == pytest.approx(c_tr, rel=5e-3)
     assert step.c_rot == pytest.approx(c_rot, rel=5e-3)
+
+
+def test_force_plate_is_turned_upright(data_root):
+    cases = Path(__file__).parents[1] / "cases"
+    load = Case.read(cases / "opencap_walking.yaml", data_root).load
+    assert (load.force[:, 2] > 0).all()
+    assert np.ptp(load.zmp[:, 0]) == pytest.approx(0.268, abs=0.03)
+    other = ForcePlate(
+        "opencap_subject4/ID/walking1_grf.mot",
+        *("ground_force_7", 0.54, 1.21, (0.0, 0.0)),
+    )
+    with pytest.raises(InputError, match="ground_force_7"):
+        other.load(data_root)
 
 
 def test_playback_shares_double_support_continuously(data_root):
