@@ -137,7 +137,7 @@ class Stage:
 
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start.
-STAGES = (Stage(_FINE, 24, 3e-4, 0.2, 30), Stage(_FINE, 24, 1e-4, 0.2, 50))
+STAGES = (Stage(_FINE, 24, 3e-4, 0.2, 30), Stage(_FINE, 24, 1e-4, 0.2, 75))
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 
