@@ -8,11 +8,12 @@ what it does to a signal is correlated as it is in truth.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from drake_exo.contact.parameters import Posterior
+from drake_exo.files.schema import not_negative
 from drake_exo.measurement.inverse_dynamics import (
     from_the_ground_up,
     inverse_dynamics,
@@ -24,10 +25,6 @@ from drake_exo.model.plant import Model
 _DIFFERENCE = 1e-4  # of an unknown, relative to 1 rad/rad
 # System of a trial -> what its clock is called among the unknowns.
 CLOCKS = {"encoders": "encoder_clock", "pressure": "mat_clock"}
-
-
-def _sd(default: float, unit: str):
-    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
 
 
 @dataclass(frozen=True)
@@ -53,14 +50,14 @@ class ErrorSizes:
     2.0
     """
 
-    skin: float = _sd(0.03, "rad/rad")
-    skin_bend: float = _sd(0.015, "rad/rad^2")
-    encoder_offset_deg: float = _sd(2.0, "deg")
-    mat_share: float = _sd(0.05, "1")
-    mat_offset_n: float = _sd(3.0, "N")
-    friction: float = _sd(0.4, "1")
-    encoder_clock_s: float = _sd(0.03, "s")
-    mat_clock_s: float = _sd(0.03, "s")
+    skin: float = not_negative("rad/rad", 0.03)
+    skin_bend: float = not_negative("rad/rad^2", 0.015)
+    encoder_offset_deg: float = not_negative("deg", 2.0)
+    mat_share: float = not_negative("1", 0.05)
+    mat_offset_n: float = not_negative("N", 3.0)
+    friction: float = not_negative("1", 0.4)
+    encoder_clock_s: float = not_negative("s", 0.03)
+    mat_clock_s: float = not_negative("s", 0.03)
 
 
 # Of instruments that are perfect but for noise.

@@ -29,6 +29,7 @@ from drake_exo.contact.strap import (
     SOFTEST_NM_RAD,
 )
 from drake_exo.errors import InputError, check_bounds
+from drake_exo.files.schema import not_negative, positive
 from drake_exo.model.assembly import without_side
 from drake_exo.nlp.ipopt import SolverOptions
 
@@ -118,10 +119,6 @@ class SphereSettings:
     radius_m: Range = Range(0.032, 0.01, 0.06, free=False)
 
 
-def _sigma(default: float | None, unit: str):
-    return field(default=default, metadata={"unit": unit, "above": 0.0})
-
-
 @dataclass(frozen=True)
 class TrackingNoise:
     """Standard deviation of each signal's measurement; weights are 1/s^2.
@@ -144,20 +141,20 @@ class TrackingNoise:
     0.001
     """
 
-    angle_deg: float = _sigma(0.5, "deg")
-    velocity_deg_s: float = _sigma(4.0, "deg/s")
-    exo_angle_deg: float = _sigma(0.1, "deg")
-    exo_velocity_deg_s: float = _sigma(1.0, "deg/s")
-    foot_m: float = _sigma(0.005, "m")
-    foot_pitch_deg: float = _sigma(1.0, "deg")
-    foot_velocity_m_s: float = _sigma(0.03, "m/s")
-    foot_pitch_rate_deg_s: float = _sigma(5.0, "deg/s")
-    pelvis_m: float = _sigma(0.01, "m")
-    pelvis_velocity_m_s: float = _sigma(0.05, "m/s")
-    force_n: float = _sigma(5.0, "N")
-    cop_m: float = _sigma(0.001, "m")
-    torque_nm: float = _sigma(5000.0, "N m")
-    jerk: float | None = _sigma(None, "rad/s^3")
+    angle_deg: float = positive("deg", 0.5)
+    velocity_deg_s: float = positive("deg/s", 4.0)
+    exo_angle_deg: float = positive("deg", 0.1)
+    exo_velocity_deg_s: float = positive("deg/s", 1.0)
+    foot_m: float = positive("m", 0.005)
+    foot_pitch_deg: float = positive("deg", 1.0)
+    foot_velocity_m_s: float = positive("m/s", 0.03)
+    foot_pitch_rate_deg_s: float = positive("deg/s", 5.0)
+    pelvis_m: float = positive("m", 0.01)
+    pelvis_velocity_m_s: float = positive("m/s", 0.05)
+    force_n: float = positive("N", 5.0)
+    cop_m: float = positive("m", 0.001)
+    torque_nm: float = positive("N m", 5000.0)
+    jerk: float | None = positive("rad/s^3", None)
 
 
 @dataclass(frozen=True)
@@ -173,9 +170,9 @@ class EndTolerance:
     0.005
     """
 
-    x_m: float = _sigma(0.01, "m")
-    z_m: float = _sigma(0.005, "m")
-    pitch_deg: float = _sigma(2.0, "deg")
+    x_m: float = positive("m", 0.01)
+    z_m: float = positive("m", 0.005)
+    pitch_deg: float = positive("deg", 2.0)
     velocity_m_s: float | None = None
     pitch_rate_deg_s: float | None = None
 
@@ -188,8 +185,8 @@ class PredictionEnds(EndTolerance):
     0.05
     """
 
-    velocity_m_s: float | None = _sigma(0.05, "m/s")
-    pitch_rate_deg_s: float | None = _sigma(10.0, "deg/s")
+    velocity_m_s: float | None = positive("m/s", 0.05)
+    pitch_rate_deg_s: float | None = positive("deg/s", 10.0)
 
 
 @dataclass(frozen=True)
@@ -383,10 +380,6 @@ def _sphere(name, settings, place, law):
     ]
 
 
-def _damping(default: float, unit: str):
-    return field(default=default, metadata={"unit": unit, "minimum": 0.0})
-
-
 @dataclass(frozen=True)
 class BushingSettings:
     """One human-exoskeleton bushing.
@@ -409,9 +402,9 @@ class BushingSettings:
     normal_n_m: Range = Range(5000.0, 100.0, 50000.0)
     rotational_nm_rad: Range = Range(50.0, 1.0, 500.0)
     slip_n: Range | None = Range(30.0, 5.0, 300.0)
-    tangential_damping: float = _damping(10.0, "N s/m")
-    normal_damping: float = _damping(10.0, "N s/m")
-    rotational_damping: float = _damping(0.1, "N m s/rad")
+    tangential_damping: float = not_negative("N s/m", 10.0)
+    normal_damping: float = not_negative("N s/m", 10.0)
+    rotational_damping: float = not_negative("N m s/rad", 0.1)
 
     def __post_init__(self):
         if self.slip_n is not None and self.slip_n.lower <= 0.0:
@@ -448,10 +441,10 @@ class InteractionNoise(TrackingNoise):
     0.5
     """
 
-    moment_nm: float = _sigma(5.0, "N m")
-    exo_moment_nm: float = _sigma(1.0, "N m")
-    normal_force_n: float = _sigma(1.0, "N")
-    energy_j: float = _sigma(1.0, "J")
+    moment_nm: float = positive("N m", 5.0)
+    exo_moment_nm: float = positive("N m", 1.0)
+    normal_force_n: float = positive("N", 1.0)
+    energy_j: float = positive("J", 1.0)
 
 
 @dataclass(frozen=True)
@@ -481,7 +474,7 @@ class InteractionSettings:
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: EndTolerance = EndTolerance()
     stiffness_factor: float = field(default=2.0, metadata={"above": 1.0})
-    origin_sd_m: float = _sigma(0.015, "m")
+    origin_sd_m: float = positive("m", 0.015)
     prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
@@ -511,7 +504,7 @@ class InteractionSettings:
         factor = width and width * log(self.stiffness_factor)
         origin = width and width * self.origin_sd_m
 
-        def positive(what, unit, middle, lower, upper, free):
+        def log_normal(what, unit, middle, lower, upper, free):
             return ContactParameter(
                 f"{name}.{what}",
                 unit,
@@ -525,12 +518,12 @@ class InteractionSettings:
 
         def stiffness(what, unit, r):
             bounds = (r.nominal, r.lower, r.upper, r.free)
-            return positive(f"{what}_stiffness", unit, *bounds)
+            return log_normal(f"{what}_stiffness", unit, *bounds)
 
         slip = ContactParameter.fixed(f"{name}.slip", "1/N", 0.0)
         if (r := settings.slip_n) is not None:
             bounds = (1.0 / f for f in (r.nominal, r.upper, r.lower))
-            slip = positive("slip", "1/N", *bounds, r.free)
+            slip = log_normal("slip", "1/N", *bounds, r.free)
 
         x, z = settings.origin_x_m, settings.origin_z_m
         return [
@@ -603,10 +596,6 @@ class PredictionSettings:
 _SHARE = {"unit": "1", "minimum": 0.0, "maximum": 1.0}
 
 
-def _positive(default: float | None, unit: str):
-    return field(default=default, metadata={"unit": unit, "above": 0.0})
-
-
 @dataclass(frozen=True)
 class CuffFreedom:
     """What may change of one cuff.
@@ -650,7 +639,7 @@ class CuffFreedom:
         default=SOFTEST_NM_RAD,
         metadata={"unit": "N m/rad", "minimum": SOFTEST_NM_RAD},
     )
-    area_m2: float = _positive(0.01, "m^2")
+    area_m2: float = positive("m^2", 0.01)
     area: tuple[float, float] = field(
         default=(1.0, 1.0), metadata={"unit": "1", "above": 0.0}
     )
@@ -717,15 +706,15 @@ class DesignLimits:
     10.0
     """
 
-    normal_n: float | None = _positive(None, "N")
-    shear_n: float | None = _positive(None, "N")
-    pressure_kpa: float | None = _positive(None, "kPa")
-    migration_mm: float | None = _positive(10.0, "mm")
-    moment_nm: float | None = _positive(None, "N m")
-    moment_factor: float | None = _positive(1.0, "1")
-    shear_factor: float | None = _positive(None, "1")
-    effort_factor: float | None = _positive(1.05, "1")
-    support: float | None = _positive(0.005, "1")
+    normal_n: float | None = positive("N", None)
+    shear_n: float | None = positive("N", None)
+    pressure_kpa: float | None = positive("kPa", None)
+    migration_mm: float | None = positive("mm", 10.0)
+    moment_nm: float | None = positive("N m", None)
+    moment_factor: float | None = positive("1", 1.0)
+    shear_factor: float | None = positive("1", None)
+    effort_factor: float | None = positive("1", 1.05)
+    support: float | None = positive("1", 0.005)
 
 
 @dataclass(frozen=True)
@@ -815,11 +804,11 @@ class DesignSettings:
     objective: Literal["peak", "mean"] = "peak"
     order: float = field(default=8.0, metadata={"minimum": 4.0})
     shear_weight: float = field(default=0.25, metadata={"minimum": 0.0})
-    weight: float = _positive(2.0, "1")
+    weight: float = positive("1", 2.0)
     response: Literal["own", "free"] = "own"
-    own_angle_deg: float = _positive(0.02, "deg")
-    effort_nm: float = _positive(2000.0, "N m")
-    jerk: float | None = _positive(None, "rad/s^3")
+    own_angle_deg: float = positive("deg", 0.02)
+    effort_nm: float = positive("N m", 2000.0)
+    jerk: float | None = positive("rad/s^3", None)
     draws: int = field(default=0, metadata={"minimum": 0})
     seed: int = field(default=0, metadata={"minimum": 0})
     population: Population | None = None

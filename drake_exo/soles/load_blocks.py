@@ -93,14 +93,12 @@ class ForcePlate:
             return np.stack([x, -z, y], axis=1)
 
         F, P, M = map(turned, names)
-        loaded = np.flatnonzero(F[:, 2] >= self.least_force_n)
-        if len(loaded) == 0:
-            raise InputError(
-                f"{path}: {prefix} carries less than {self.least_force_n:g} N "
-                f"from {self.start_s:g} to {self.end_s:g} s; choose another "
-                "window"
-            )
-        keep = slice(loaded[0], loaded[-1] + 1)
+        keep = _loaded(
+            F[:, 2], self.least_force_n,
+            f"{path}: {prefix} carries less than {self.least_force_n:g} N "
+            f"from {self.start_s:g} to {self.end_s:g} s; choose another "
+            "window",
+        )  # fmt: skip
         load = Load(
             time[rows][keep],
             F[keep],
@@ -258,18 +256,24 @@ class Prediction:
             columns = STO_COLUMNS
             table = _opensim_columns(path, columns[1:])
         t, fx, fz, x = (table[name] for name in columns)
-        loaded = np.flatnonzero(self.share * fz >= self.least_force_n)
-        if len(loaded) == 0:
-            raise InputError(
-                f"{path}: a foot never carries {self.least_force_n:g} N; "
-                "check the file, share and least_force_n"
-            )
-        keep = slice(loaded[0], loaded[-1] + 1)
+        keep = _loaded(
+            self.share * fz, self.least_force_n,
+            f"{path}: a foot never carries {self.least_force_n:g} N; "
+            "check the file, share and least_force_n",
+        )  # fmt: skip
         zero = np.zeros_like(t)
         force = self.share * np.stack([fx, zero, fz], axis=1)
         zmp = np.stack([x, zero], axis=1)
         load = Load(t[keep], force[keep], zmp[keep], str(path))
         return load.placed(self.origin_m, 0.0)
+
+
+def _loaded(force: np.ndarray, least_n: float, refusal: str) -> slice:
+    """From the first sample that bears so much to the last one."""
+    loaded = np.flatnonzero(force >= least_n)
+    if len(loaded) == 0:
+        raise InputError(refusal)
+    return slice(loaded[0], loaded[-1] + 1)
 
 
 def _opensim_columns(path, needed) -> dict[str, np.ndarray]:

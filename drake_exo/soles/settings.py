@@ -370,9 +370,7 @@ class Setup:
     @property
     def level(self) -> np.ndarray:
         """Nodes that may touch as the sole is set down level [m], (m, 2)."""
-        return self.start.places(np.eye(3), self.mesh.nodes[self.mesh.contact])[
-            :, :2
-        ]
+        return _level(self.mesh, self.start)
 
     @property
     def up(self) -> np.ndarray:

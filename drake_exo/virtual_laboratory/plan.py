@@ -434,6 +434,13 @@ def _held(names: Coordinates) -> np.ndarray:
     return np.array(held)
 
 
+def comes_in(share, low: float, high: float):
+    """From 0 at a share of the weight of `low` to 1 at `high`, smoothly."""
+    s = (share - low) / (high - low)
+    s = np.minimum(np.maximum(s, 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
 class DeviceController(LeafSystem):
     """The exoskeleton's joints: friction, and help against gravity.
 
@@ -488,10 +495,7 @@ class DeviceController(LeafSystem):
         q[:, joints] = angles
         rest = np.zeros_like(q)
         gravity = self._tree.inverse_dynamics(q, rest, rest)[:, joints]
-        low, high = _ENGAGED
-        s = (load / self._weight - low) / (high - low)
-        s = np.minimum(np.maximum(s, 0.0), 1.0)
-        engaged = s * s * (3.0 - 2.0 * s)
+        engaged = comes_in(load / self._weight, *_ENGAGED)
         start, end = self._span
         share = (times - start) / (end - start)
         factors = self._design.factors(self._joints, angles, share)

@@ -29,7 +29,11 @@ from drake_exo.model.assembly import SIDES
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
-from drake_exo.virtual_laboratory.plan import Reference, SubjectController
+from drake_exo.virtual_laboratory.plan import (
+    Reference,
+    SubjectController,
+    comes_in,
+)
 
 # Angles of an adult who walks at an ordinary speed, from one heel strike on,
 # every tenth of the cycle [deg]; toe-off is at 62 % of it. After Winter, The
@@ -287,10 +291,7 @@ class WalkingController(SubjectController):
         """
         error, rate, torque = self.off(time, q, v)
         off = np.concatenate([error, rate], axis=-1)
-        low, high = _BEARS
-        s = (loads / self._weight - low) / (high - low)
-        s = np.minimum(np.maximum(s, 0.0), 1.0)
-        bears = (s * s * (3.0 - 2.0 * s))[..., self._foot]
+        bears = comes_in(loads / self._weight, *_BEARS)[..., self._foot]
         swing, stance = off @ self._swing.T, off @ self._stance.T
         return torque + swing + bears * (stance - swing)
 
