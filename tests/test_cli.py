@@ -3,6 +3,8 @@
 import argparse
 import errno
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -94,3 +96,22 @@ def test_what_the_laboratory_is_to_leave_out(
     out = str(tmp_path / "out")
     assert cli.main(["lab", "--seed", "1", "--out", out, *options]) == 0
     assert asked == [left]
+
+
+def test_sums_do_not_depend_on_how_many_cores_there_are():
+    """One thread, said before numpy loads its BLAS, unless a user says else."""
+    said = (
+        "import os, sys, drake_exo.cli; assert 'numpy' not in sys.modules;"
+        "print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    for given, seen in ({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3"):
+        env = os.environ.copy()
+        env.pop("OPENBLAS_NUM_THREADS", None)
+        done = subprocess.run(
+            [sys.executable, "-c", said],
+            env=env | given,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.strip() == seen

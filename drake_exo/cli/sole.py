@@ -1,13 +1,8 @@
 """The command `drake-exo sole`: simulate and optimise compliant soles."""
 
-import os
 import time
 from argparse import ArgumentTypeError
 from pathlib import Path
-
-# Before numpy loads its BLAS: matrices here are small, and two threads are
-# slower than one wherever the cores have other work.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from drake_exo import soles
 from drake_exo.cli.options import add_accept
