@@ -569,7 +569,7 @@ def _ends(axis, sole, view) -> None:
 def _legend(figure, norm, size) -> None:
     """Colour bar, scale bar and what is dashed."""
     wide, total = size
-    bar = figure.add_axes([0.06, 0.42 / total, 0.3, 0.11 / total])
+    bar = figure.add_axes([0.06, 0.45 / total, 0.3, 0.11 / total])
     figure.colorbar(
         ScalarMappable(norm, _COLOURS),
         cax=bar,

@@ -88,8 +88,51 @@ def test_a_load_is_drawn_in_millimetres_and_newtons(mesh):
     (ring,) = left.patches
     corners = ring.get_xy()
     np.testing.assert_allclose(np.abs(corners), [[100.0, 50.0]] * 5)
+    np.testing.assert_allclose(left.lines[0].get_xydata(), corners)
     for k, line in enumerate(right.lines[:3]):
         np.testing.assert_allclose(line.get_data(), (t, force[:, k]))
+
+
+def test_stiffness_of_each_sole_has_room():
+    """Kilonewtons a metre since contact; columns as wide for two as for six."""
+    t = np.array([0.3, 0.4, 0.6])
+    tr, rot = np.array([4e4, 9e4, 7e4]), np.array([30.0, 80.0, 50.0])
+    curves = {"initial": (t, tr, rot), "optimised": (t, 2 * tr, 3 * rot)}
+    for count in (1, 2, 6):
+        figure = pictures.stiffness_figure(
+            {f"sole {k}": curves for k in range(count)}, strike=2
+        )
+        above, below = figure.axes[:count], figure.axes[count:]
+        assert figure.get_figwidth() / count >= 2.7
+        for axis, values in ((above[-1], 1e-3 * tr), (below[-1], rot)):
+            first, second = axis.lines
+            by = 2 if axis is above[-1] else 3
+            np.testing.assert_allclose(first.get_data(), (t - 0.3, values))
+            np.testing.assert_allclose(
+                second.get_data(), (t - 0.3, by * values)
+            )
+
+
+def test_the_key_of_all_soles_lies_below_them(mesh):
+    """On the same scale: its 50 mm are those of the soles."""
+    change = np.linspace(-1.0, 2.0, len(mesh.nodes))
+    sole = pictures.DrawnSole("sole", "said of it", mesh, mesh, change)
+    figure = pictures.soles_figure([sole, sole])
+    Figure.draw_without_rendering(figure)
+    *soles, bar, key = figure.axes
+    lowest = min(axis.get_window_extent().y0 for axis in soles)
+    for axis in (bar, key):
+        assert axis.get_tightbbox().y1 < lowest
+        assert axis.get_tightbbox().y0 > 0
+
+    def inches(axis, ends):
+        at = axis.transData.transform([[x, 0.0] for x in ends])
+        return np.ptp(at[:, 0]) / figure.dpi
+
+    ends = key.lines[0].get_xdata()
+    assert np.ptp(ends) == 50.0
+    for axis in soles:
+        assert inches(axis, (0.0, 50.0)) == pytest.approx(inches(key, ends))
 
 
 def test_dimensions_of_a_drawing_are_the_mesh_s():

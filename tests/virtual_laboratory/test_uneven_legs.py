@@ -21,7 +21,7 @@ from drake_exo.measurement.inverse_dynamics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import nominal_model
-from drake_exo.virtual_laboratory import plan
+from drake_exo.virtual_laboratory import plan, two_legs
 from drake_exo.virtual_laboratory.forces import ground_wrench
 from drake_exo.virtual_laboratory.two_legs import (
     _SQUAT,
@@ -45,6 +45,25 @@ def test_an_ankle_holds_the_shank_against_the_vertical(alone):
             assert held[f"ankle{side}"] == pytest.approx(-turn)
             knee = q[names.index(f"knee{side}")]
             assert held[f"knee{side}"] == knee
+
+
+def test_legs_reach_from_the_pelvis_to_the_foot(alone):
+    """However both stand, bent at the knee."""
+    subject = draw(alone, 3, frozenset())
+    tree = subject.model.rigid.tree
+    names = tree.coordinates
+    root = np.array([[0.1, 0.8, 0.0], [-0.2, 0.6, 0.3], [0.0, 0.7, -0.4]])
+    foot = np.array([[0.0, 0.08, 0.0], [0.1, 0.07, -0.2], [-0.1, 0.1, 0.1]])
+    q = np.zeros((3, len(names)))
+    q[:, :3] = root
+    bent = two_legs._bent(subject.truth.human, root, foot)
+    for joint, angle in zip(("hip", "knee", "ankle"), bent, strict=True):
+        q[:, names.index(f"{joint}_left")] = angle
+    assert (bent[1] > 0.1).all()
+    at = tree.point_positions(q, "foot_left", (0.0, 0.0))
+    np.testing.assert_allclose(at, foot[:, :2], atol=1e-9)
+    turn = tree.body_angles(q, "foot_left")
+    np.testing.assert_allclose(turn, foot[:, 2], atol=1e-9)
 
 
 @pytest.mark.slow
