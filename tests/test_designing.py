@@ -176,6 +176,24 @@ def test_what_is_an_extrapolation_is_named_once_in_order():
     assert Designed.beyond(told) == ["pelvis", "shank", "hip"]
 
 
+def test_cuffs_that_deflect_further_than_today_are_named():
+    """By more than a part in a thousand, in either direction."""
+
+    def row(cuff, deflection, migration):
+        after = {"deflection_mm": deflection, "migration_mm": migration}
+        before = {"deflection_mm": 8.0, "migration_mm": 5.0}
+        return {"cuff": cuff, "before": before, "after": after}
+
+    told = SimpleNamespace(
+        felt=lambda: [
+            row("pelvis", 8.004, 5.004),
+            row("thigh", 8.02, 4.0),
+            row("shank", 7.0, 5.02),
+        ]
+    )
+    assert Designed.softened(told) == ["thigh", "shank"]
+
+
 @pytest.mark.slow
 def test_what_lies_beyond_calibration_is_marked(found):
     rows = found.variables()

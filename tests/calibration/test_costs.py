@@ -6,6 +6,7 @@ simulated cuffs, which are other code.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from drake_exo.calibration.error_model import NO_ERRORS, ErrorSizes
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.interaction import InteractionCalibration
 from drake_exo.calibration.prediction import PredictionProblem
-from drake_exo.calibration.problem import foot_turn
+from drake_exo.calibration.problem import foot_turn, torque_terms
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     InteractionNoise,
@@ -23,6 +24,9 @@ from drake_exo.calibration.settings import (
     Solver,
     TrackingNoise,
 )
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.virtual_laboratory.forces import Cuff, interaction
 
 DEGREE = np.pi / 180.0
@@ -182,6 +186,36 @@ def test_joint_moments_are_tracked(request, phase):
     cost = request.getfixturevalue(phase)
     for k in range(6):
         tracked(cost, cost.movement.torque[:, k], SIGMA_M[k], 2.0 * SIGMA_M[k])
+
+
+def test_moments_of_a_leg_are_known_the_better_the_less_it_bears():
+    """Within 0.1 s of load; never better than to 3 %; none of toes."""
+    joints = ("hip", "knee", "ankle", "toes")
+    hinges = [f"{j}_{side}" for side in ("left", "right") for j in joints]
+    names = Coordinates(("pelvis_x", "pelvis_z", "pelvis_pitch", *hinges))
+    times = np.linspace(0.0, 1.0, 21)
+    q, weight = np.zeros((21, len(names))), np.full(21, 700.0)
+    left = np.where(times < 0.5, 0.25, 0.0) * weight
+    wrenches = [
+        PlanarWrench(np.column_stack([0.0 * f, f]), 0.1 * f)
+        for f in (weight, left, weight - left)
+    ]
+    feet = dict(zip(("left", "right"), wrenches[1:], strict=True))
+    at = Trial(
+        *("walk", names, times, q, q, q, wrenches[0]),
+        feet=feet,
+        moments=q[:, 3:],
+    )
+    movement = SimpleNamespace(coordinates=names, torque=q[:, 3:])
+    (term,) = torque_terms(movement, at, InteractionNoise(moment_nm=8.0))
+    early, late = times < 0.54, times > 0.56
+    for k, joint in enumerate(joints[:3]):
+        own, other = term.sigma[:, k], term.sigma[:, 4 + k]
+        np.testing.assert_allclose(own[early], 0.25 * 8.0, err_msg=joint)
+        np.testing.assert_allclose(own[late], 0.03 * 8.0)
+        np.testing.assert_allclose(other[times < 0.39], 0.75 * 8.0)
+        np.testing.assert_allclose(other[times > 0.41], 8.0)
+    assert np.isinf(term.sigma[:, [3, 7]]).all()
 
 
 def test_normal_forces_are_tracked_where_mats_are(phase_b, phase_c, trial):

@@ -11,6 +11,7 @@ from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.load_blocks import Pattern
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.search import GaitProblem, stage_problem
+from drake_exo.soles.walking_pattern import plan
 
 FREE = ("step_length", "step_time", "double_support", "zmp")
 _LOAD = EXAMPLE[EXAMPLE.index("load:") : EXAMPLE.index("optimize:")]
@@ -67,6 +68,29 @@ def test_limits_are_those_of_the_robot(gait):
     )
     assert (load.zmp[:, 0] >= robot.back_m - 1e-6).all()
     assert (load.zmp[:, 0] <= robot.front_m + 1e-6).all()
+
+
+def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):
+    """By a tenth: acceleration, of the inverted pendulum, and sway."""
+    x = gait.start + 0.1
+
+    def shaken(robot):
+        found, times = plan(robot), np.linspace(0, robot.step_time_s, 41)
+        com, zmp = found.at(found.com, times), found.at(found.zmp, times)
+        omega2 = robot.gravity_m_per_s2 / robot.com_height_m
+        size = omega2 * np.hypot(*(com - zmp).T)
+        return size, np.abs(com[:, 1] - 0.5 * robot.step_width_m)
+
+    shares = [
+        mine / own.max()
+        for mine, own in zip(
+            shaken(gait.at(x)), shaken(gait.robot), strict=True
+        )
+    ]
+    assert shares[0].max() != pytest.approx(shares[1].max(), rel=0.01)
+    np.testing.assert_allclose(
+        gait.limits(x)[1:83], 1.1 - np.concatenate(shares), atol=1e-6
+    )
 
 
 @pytest.mark.slow

@@ -54,6 +54,13 @@ def test_a_template_is_a_step(subject, step):
     ankle = tree.point_positions(step.q, "foot_right", (0.0, 0.0))[:, 0]
     bears = step.times < 0.6 * PLAN.step_s
     assert np.ptp(ankle[bears]) < 0.3 * np.ptp(step.q[bears, 0])
+    # Its pressure rolls forward under the sole, heel to toe.
+    right = step.feet["right"]
+    under = (right.cop_x - ankle)[right.force_z > 1.0]
+    spheres = subject.truth.contact.spheres.values()
+    assert min(s.x - s.radius for s in spheres) < under.min()
+    assert max(s.x + s.radius for s in spheres) > under.max()
+    assert (np.diff(under) > 0.0).all()
 
 
 def test_steps_follow_each_other(subject, step):
