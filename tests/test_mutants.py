@@ -98,6 +98,7 @@ def small(tmp_path, monkeypatch):
     return tmp_path / "checkout" / file
 
 
+@pytest.mark.slow
 def test_an_error_is_killed_and_a_changed_remark_survives(small, tmp_path):
     """In a copy; the working tree stays as it is."""
     source = small.read_bytes()

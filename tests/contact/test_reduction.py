@@ -70,6 +70,7 @@ def test_smoothing_of_a_centimetre_is_the_law_s_own():
     assert softened(0.5).hertz_smoothing == 600.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planar", [True, False])
 def test_spheres_are_found_again(planar):
     found = reduce_sole(_truth(planar), 3, planar)
@@ -143,6 +144,7 @@ def _law(**changes):
     return replace(law, **changes)
 
 
+@pytest.mark.slow
 def test_what_is_written_is_read(tmp_path):
     law = reduce_sole(_truth(), 3).law()
     path = tmp_path / "law.yaml"

@@ -200,6 +200,7 @@ def test_encoders_of_another_trial_of_the_study(folder):
     assert "fit the movement of trial rise2" in text
 
 
+@pytest.mark.slow
 def test_files_exchanged_between_nearly_the_same_movements(folder):
     """What soft cuffs hide in each trial alone, both together tell."""
     another_trial(folder)
@@ -255,6 +256,7 @@ def test_encoders_of_a_trial_that_is_not_in_the_study(folder, late_s):
         assert "of a trial that is not in the study" in second
 
 
+@pytest.mark.slow
 def test_a_third_trial_tells_whose_encoders_are_wrong(folder):
     another_trial(folder)
     text = (folder / "study.yaml").read_text()

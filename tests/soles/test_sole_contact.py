@@ -328,6 +328,7 @@ def test_authors_outputs_are_reproduced(data_root, name, weight):
     )
 
 
+@pytest.mark.slow
 def test_an_impossible_load_says_why(sole):
     """Sideways force beyond friction: refused step by step, with a reason."""
     law = ContactLaw(0.3, sole.penalty)

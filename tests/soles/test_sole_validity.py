@@ -221,6 +221,7 @@ def test_beyond_small_strain_is_told_and_beyond_reason_refused():
     assert strains[1.5e4].level == "fail"
 
 
+@pytest.mark.slow
 def test_a_lost_sample_is_named_by_its_time():
     case = _case("zmp_m: [0.02, 0.01]", "zmp_m: [0.1149, -0.0649]")
     case = case.from_text(

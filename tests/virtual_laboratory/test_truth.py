@@ -217,6 +217,7 @@ def test_masses_are_shared_out_in_another_way(drawn):
         assert made.human.mass_kg == pytest.approx(usual.mass_kg)
 
 
+@pytest.mark.slow
 def test_a_body_of_other_lengths(drawn):
     usual = MODEL.human
     truths = drawn("wide", "body")
