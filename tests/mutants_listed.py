@@ -376,10 +376,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "return -np.array(self.viscous) * rates",
         ),
         ("np.tanh(rates / self.speed)", "np.tanh(rates)"),
-        ("torque + self._damping * rate", "torque - self._damping * rate"),
+        ("* error + self._damping * rate", "* error - self._damping * rate"),
         (
-            "(load / self._weight - low) / (high - low)",
-            "(load / self._weight - low)",
+            "s = (share - low) / (high - low)",
+            "s = share - low",
         ),
         ("held.append(rows[name] - pitch)", "held.append(rows[name] + pitch)"),
         (

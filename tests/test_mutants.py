@@ -57,6 +57,7 @@ def test_drawn_errors_are_many_repeatable_and_python():
 
 def test_the_list_is_long_and_says_what_fits_no_more(monkeypatch):
     assert sum(map(len, LISTED.values())) >= 100
+    assert mutants.listed([])[1] == []
     file = "drake_exo/errors.py"
     monkeypatch.setitem(LISTED, file, [("import no such thing", ""), ("e", "")])
     found, wrong = mutants.listed([file])
