@@ -58,6 +58,9 @@ def test_prints_and_writes_the_report(folder, capsys):
     (trial,) = json.loads((out / "quality.json").read_text())["trials"]
     assert trial["name"] == "rise1" and trial["warnings"] == []
     assert max(trial["residual_n"]) < 10.0
+    drawn = Trial.load(out / "rise1")
+    assert trial["start_s"] == drawn.start_s
+    assert trial["end_s"] == pytest.approx(drawn.start_s + drawn.times[-1])
     assert trial["marker_rms_all_m"] < 1e-3
     assert (out / "rise1.png").read_bytes().startswith(b"\x89PNG")
     assert Trial.load(out / "rise1").chair is not None

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from drake_exo.measurement.events import find_rises
+from drake_exo.measurement.events import find_rises, until_seat_off
+from drake_exo.measurement.sagittal import PlanarWrench
 
 TIME = np.arange(600) / 100.0
 WEIGHT = 600.0
@@ -50,6 +51,18 @@ def test_a_squat_starts_at_its_lowest_point():
     (found,) = find(hip, np.zeros(600), np.full(600, WEIGHT))
     assert found.seat_off_s == pytest.approx(3.0, abs=0.02)
     assert not found.had_chair
+
+
+def test_the_chair_bears_until_a_twentieth_of_the_weight_is_left():
+    """Then it fades within 50 ms."""
+    load = np.interp(TIME, [1.0, 2.0], [0.5 * WEIGHT, 0.0])
+    force = np.column_stack([0.1 * load, load])
+    found = until_seat_off(TIME, PlanarWrench(force, -0.2 * load), WEIGHT)
+    off = 1.0 + 0.9
+    before, after = off - 1e-9 > TIME, off + 0.06 < TIME
+    np.testing.assert_allclose(found.force[before], force[before])
+    np.testing.assert_allclose(found.moment[before], -0.2 * load[before])
+    assert not found.array[after].any()
 
 
 def test_sitting_down_is_no_rise(rise):

@@ -418,6 +418,12 @@ def test_forces_in_another_unit(folder, newtons, unit):
     assert "forces look like" in text and unit in text
 
 
+def test_standing_in_another_unit(folder):
+    names = r"ground_force_\d_(v|m)."
+    forces(folder, lambda _, x: x / 4.448, names, "static.mot")
+    assert "forces look like lbf: export newtons" in said(folder, "mass")
+
+
 def test_forces_that_end_in_the_middle_of_the_rise(folder):
     table = read_table(folder / "sts.mot")
     rows = table.time <= 1.9

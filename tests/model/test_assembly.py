@@ -305,6 +305,11 @@ def test_foot_and_toes_are_the_foot():
     foot, toes = foot_and_toes(human)
     assert foot.mass_kg + toes.mass_kg == pytest.approx(human.foot.mass_kg)
     assert foot.inertia_kg_m2 > 0.0
+    # A rod from the ball to the tip, about its middle.
+    length = 2.0 * toes.com_m[0]
+    assert toes.length_m == pytest.approx(length)
+    rod = toes.mass_kg * length**2 / 12.0
+    assert toes.inertia_kg_m2 == pytest.approx(rod)
     stiff, hinged = (
         Model(Assembly(Person("one", toes)), human).tree
         for toes in ("rigid", "hinged")

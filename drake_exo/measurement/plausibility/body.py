@@ -42,14 +42,18 @@ def standing_checks(
     measured, stated = said.get("standing_mass_kg"), said["stated_mass_kg"]
     if measured is not None and stated is not None:
         off = measured / stated - 1.0
+        # A unit is told by all that plates bear, the device too.
+        device = subject.model.tree.mass - subject.mass_kg
+        borne = (measured + device) / (stated + device)
+        beyond = "beyond the device " if device > 0.5 else ""
         yield _of_standing(
             "mass",
             100.0 * abs(off),
             100.0 * LARGEST_MASS_ERROR,
             "%",
-            f"{standing.forces}: the plates bear {measured:.3g} kg in "
+            f"{standing.forces}: the plates bear {measured:.3g} kg {beyond}in "
             f"standing, subject.mass_kg says {stated:.3g} kg; "
-            + (_unit_of(1.0 + off) or "correct the mass or standing.plates"),
+            + (_unit_of(borne) or "correct the mass or standing.plates"),
         )
     joints = subject.model.coordinates.human
     angles = dict(zip(joints, said["standing_angles_deg"][1:], strict=True))
