@@ -15,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.calibration.attachment import Hold, hold
 from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_cuffs import Tried, fewer
 from drake_exo.calibration.design_result import (
     DesignResult,
     device_work,
@@ -47,6 +49,7 @@ from drake_exo.contact.strap import (
     RELEASES,
     STIFF,
     STRAPS,
+    TODAY,
     Design,
     device_sdf,
     write_design,
@@ -72,6 +75,7 @@ _DIFFER = 2.0
 # Share that a forecast may be off the norm that the design promised.
 _KEPT = 0.1
 _BOLD = 1e-3  # of a change that is one
+_REMOVED = ".removed"
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,7 @@ class Peak:
     Attributes:
         measured_before: by mats; None where there were none.
         model_before, model_after: of the model, on the cuffs of today and on
-            the design.
+            the design; 0 of a cuff that is left out.
         forecast_after: of what mats would show on the design: the model's
             times what mats and model differ by today.
         forecast_low, forecast_high: ends of its band of 95 %.
@@ -125,6 +129,8 @@ class Designed:
             the same in a forecast.
         measured: wearer -> its trials on the design, once it was built.
         inputs: checks of the studies and calibrations that it is made of.
+        tried: designs with removable cuffs left out in turn, the one with
+            every cuff first; empty where none is removable.
     """
 
     settings: DesignSettings
@@ -137,6 +143,7 @@ class Designed:
         default_factory=dict, repr=False
     )
     inputs: tuple[Check, ...] = ()
+    tried: tuple[Tried, ...] = ()
 
     @property
     def solution(self) -> Solution:
@@ -247,6 +254,21 @@ class Designed:
                 strap = getattr(self.design.cuffs[cuff], what)
                 row |= {"strap": strap, "strap_unit": _strap_unit(v)}
             rows.append(row)
+        for cuff in self.peaks:
+            if self.settings.freedom(cuff).removable:
+                rows.append(
+                    {
+                        "name": f"{cuff}{_REMOVED}",
+                        "unit": "1",
+                        "today": 0.0,
+                        "value": float(cuff in self.design.removed),
+                        "lower": 0.0,
+                        "upper": 1.0,
+                        "at_bound": False,
+                        "slope_today": None,
+                        "extrapolated": False,
+                    }
+                )
         return rows
 
     def _is_extrapolated(self, v: Variable, value: float) -> bool:
@@ -258,6 +280,9 @@ class Designed:
         for cuff in self.peaks:
             row: dict = {"cuff": cuff}
             for what, moved in (("before", self.before), ("after", self.after)):
+                if what == "after" and cuff in self.design.removed:
+                    row[what] = dict.fromkeys(row["before"], 0.0)
+                    continue
                 area = self.settings.freedom(cuff).area_m2
                 if what == "after":
                     area *= self.design.cuffs[cuff].area
@@ -359,6 +384,19 @@ class Designed:
                 "more freedom or wider limits",
             )
         )
+        held = self._hold()
+        found.append(
+            Check(
+                "design.attached",
+                held.stiffness > 0.0,
+                held.stiffness,
+                0.0,
+                "N m/rad",
+                held.joint,
+                "the device hangs loose: its weight pushes it off by more "
+                "than its cuffs hold it; leave less to slides and hinges",
+            )
+        )
         for cuff, peak in self.peaks.items():
             value = peak.measured_after
             if value is None:
@@ -431,6 +469,20 @@ class Designed:
             )
         return tuple(found)
 
+    def _hold(self) -> Hold:
+        """By how much the built cuffs hold the device in the forecast."""
+        design = self.design
+        found = [
+            hold(
+                design.model(w.model),
+                design.contact(w.contact),
+                [m.trial for m in self.after[w.name]],
+            )
+            for w in self.found.problem.wearers
+            if w.name in self.after
+        ]
+        return min(found)
+
     def softened(self) -> list[str]:
         """Cuffs that deflect further than in any trial of today."""
         return [
@@ -485,6 +537,7 @@ class Designed:
             "wearers_n": self.wearers(),
             "variables": self.variables(),
             "parts": self.parts,
+            "tried": [asdict(t) for t in self.tried],
             "extrapolated": bool(self.beyond()),
         }
 
@@ -542,6 +595,25 @@ class Designed:
                     [[k, v] for k, v in self.parts.items()],
                 )
             )
+        if self.tried:
+            rows = [
+                [
+                    " and ".join(t.without) or "none",
+                    t.norm_n,
+                    t.cost,
+                    "chosen"
+                    if set(t.without) == set(self.design.removed)
+                    else "",
+                ]
+                for t in self.tried
+            ]
+            header = ["cuffs left out", "norm of forces [N]", "cost", ""]
+            reasons = [
+                f"without {' and '.join(t.without)}: {t.why_not}"
+                for t in self.tried
+                if t.why_not
+            ]
+            parts.append("\n".join([format_table(header, rows, 3), *reasons]))
         if beyond:
             parts.append("* beyond what was calibrated: an extrapolation")
         return "\n\n".join(parts)
@@ -569,6 +641,8 @@ class Designed:
             wearer, moved = self.first
             write_inputs(folder, wearer.model, [m.measured for m in moved])
             write_contact(folder, self.design.contact(wearer.contact))
+            (folder / TODAY).mkdir(exist_ok=True)
+            write_contact(folder / TODAY, wearer.contact)
             text = device_sdf(wearer.model, self.design)
             if text is not None:
                 (folder / "device.sdf").write_text(text, encoding="utf-8")
@@ -647,11 +721,12 @@ def design(
     found = problem.solve(on_iterate=SolveWatch("design"))
     if not found.solution.success:
         return Designed(settings, today, found, before, before)
+    found, tried = fewer(found, SolveWatch)
     after = {
         name: movements(own, contact_of(contact), settings, found.design)
         for name, own, contact in zip(names, studies, contacts, strict=True)
     }
-    made = Designed(settings, today, found, before, after)
+    made = Designed(settings, today, found, before, after, tried=tuple(tried))
     if parts:
         made = replace(made, parts=_parts(made))
     return made
@@ -739,6 +814,16 @@ def _parts(made: Designed) -> dict[str, float]:
         ).solve(on_iterate=SolveWatch(f"{kind} alone"))
         if alone.solution.success:
             reached[f"{kind} alone"] = alone.norm_n
+    if problem.without:
+        alone = DesignProblem(
+            problem.wearers,
+            made.settings,
+            held=True,
+            today=made.today,
+            without=problem.without,
+        ).solve(on_iterate=SolveWatch("fewer cuffs alone"))
+        if alone.solution.success:
+            reached["fewer cuffs alone"] = alone.norm_n
     return reached | {"all": made.found.norm_n}
 
 
@@ -764,7 +849,11 @@ def front(
             assistance=(min(low, low * share), max(high, high * share)),
         )
         found = DesignProblem(
-            problem.wearers, wide, today=made.today, support=share
+            problem.wearers,
+            wide,
+            today=made.today,
+            support=share,
+            without=problem.without,
         ).solve(on_iterate=SolveWatch(f"support x {share:g}"))
         if found.solution.was_stopped:
             break
@@ -774,7 +863,7 @@ def front(
                 "work_j": sum(works(found)[name] for name in made.before),
                 "norm_n": found.norm_n,
                 "success": found.solution.success,
-                "design": asdict(design_of(found.values)),
+                "design": asdict(design_of(found.values, problem.without)),
             }
         )
     return [row for row in rows if row["success"]]
@@ -786,12 +875,15 @@ def _label(trial: Trial, who: str) -> str:
 
 
 def _largest(trial: Trial, cuff: str) -> float:
+    """Of a trial's forces; 0 where the cuff is left out."""
+    if cuff not in trial.cuffs:
+        return 0.0
     return float(np.abs(trial.cuffs[cuff].normal).max())
 
 
 def _half_width(moved: Moved, cuff: str) -> float:
     """Of the band at the largest force; 0 where there is none."""
-    if moved.bands is None:
+    if moved.bands is None or cuff not in moved.trial.cuffs:
         return 0.0
     at = int(np.argmax(np.abs(moved.trial.cuffs[cuff].normal)))
     if cuff in moved.bands.mats:
@@ -812,6 +904,8 @@ def _strap_unit(v: Variable) -> str:
 
 
 def _told(row: dict) -> str:
+    if row["name"].endswith(_REMOVED):
+        return "left out" if row["value"] else "kept"
     if "strap" in row:
         strap, unit = row["strap"], row["strap_unit"]
         if strap is None or strap > STIFF[unit]:

@@ -26,6 +26,7 @@ from drake_exo.calibration.design_result import (
 )
 from drake_exo.calibration.design_variables import (
     FACTOR,
+    LEAST_GAIN,
     OFFSETS,
     PRELOADS,
     Variable,
@@ -49,6 +50,7 @@ from drake_exo.calibration.settings import (
 from drake_exo.calibration.wearers import (
     Wearer,
     check_wearers,
+    less,
 )
 from drake_exo.collocation.design_kernels import (
     AssistanceKernel,
@@ -77,8 +79,6 @@ from drake_exo.nlp.sparse import SparseProgram
 
 # Jerk in a design, against what is typical.
 _LOOSE = 10.0
-# Cost of a change by its typical size: what buys nothing is not changed.
-_LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
 # Places of a cuff that every design has, see BushingKinematics.
@@ -516,17 +516,19 @@ class DesignProblem:
         today: the solution with nothing changed, which some limits are
             relative to; without it there are no limits.
         support: share of today's work that the device is to do.
+        without: cuffs that are left out.
 
     Attributes:
         program: `program.prog` is a MathematicalProgram that may be added to
             before `solve`.
+        wearers, settings, today, support, without: as given.
         design: the design variables.
         variables: name -> decision variable.
         parts: one for each wearer.
 
     Raises:
-        InputError: there are no wearers, they wear different devices, or
-            trials know no device torques.
+        InputError: there are no wearers, they wear different devices, trials
+            know no device torques, or nothing is left to hold the device.
     """
 
     def __init__(
@@ -537,14 +539,19 @@ class DesignProblem:
         held: Mapping[str, float] | bool = False,
         today: DesignResult | None = None,
         support: float = 1.0,
+        without: Sequence[str] = (),
     ):
         start = time.perf_counter()
         self.wearers = list(wearers)
+        self.today, self.support = today, support
         self.settings = settings = settings or DesignSettings()
-        check_wearers(self.wearers)
+        check_wearers(self.wearers, settings)
+        self.without = tuple(without)
+        fewer = Design(dict.fromkeys(without, CuffDesign(removed=True)))
+        wearing = [less(w, fewer) for w in self.wearers]
         self.program = BatchedProgram()
         self.design = [
-            _held(v, held) for v in design_variables(self.wearers, settings)
+            _held(v, held) for v in design_variables(wearing, settings)
         ]
         self.variables = {v.name: self._variable(v) for v in self.design}
         cuffs = len(self.wearers[0].model.cuffs)
@@ -559,8 +566,7 @@ class DesignProblem:
             support,
             None if today is None else largest_moments(today),
         )
-        self.parts = [_Wearing(w, posed, self.program) for w in self.wearers]
-        self._today = today
+        self.parts = [_Wearing(w, posed, self.program) for w in wearing]
         self.build_seconds = time.perf_counter() - start
 
     def _variable(self, v: Variable):
@@ -570,7 +576,7 @@ class DesignProblem:
         prog.AddBoundingBoxConstraint(v.lower, v.upper, variable)
         if v.free:
             prog.AddQuadraticCost(
-                0.5 * _LEAST_GAIN * ((variable - v.today) / v.size) ** 2
+                0.5 * LEAST_GAIN * ((variable - v.today) / v.size) ** 2
             )
         return variable
 
@@ -607,8 +613,8 @@ class DesignProblem:
             x[self.program.indices(np.array([self.variables[name]]))] = value
         for part in self.parts:
             name, trials = part.wearer.name, part.trials
-            if self._today is not None:
-                trials = self._today.wearers[name].trials
+            if self.today is not None:
+                trials = self.today.wearers[name].trials
             part.fill(x, chosen, trials)
         return x
 
@@ -640,7 +646,7 @@ class DesignProblem:
         solution.active_bounds = [
             v.name for v in self.design if v.at_bound(values[v.name])
         ]
-        design = design_of(values)
+        design = design_of(values, self.without)
         wearers = {}
         for part in self.parts:
             trials = [

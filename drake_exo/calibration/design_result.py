@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_exo.calibration.design_variables import design_of
+from drake_exo.calibration.design_variables import LEAST_GAIN, design_of
 from drake_exo.calibration.problem import (
     PhaseProblem,
 )
@@ -69,13 +69,31 @@ class DesignResult:
             SealedSolutionError: the solve failed.
         """
         self.solution.check()
-        return design_of(self.values)
+        return self._design
+
+    @property
+    def _design(self) -> Design:
+        return design_of(self.values, self.problem.without)
+
+    @property
+    def cost(self) -> float:
+        """What is minimised, but for what it costs to change anything.
+
+        So that designs of several numbers of variables compare.
+        """
+        changes = [
+            (self.values[v.name] - v.today) / v.size
+            for v in self.problem.design
+            if v.free
+        ]
+        own = 0.5 * LEAST_GAIN * sum(change**2 for change in changes)
+        return self.solution.objective - own
 
     @property
     def norm_n(self) -> float:
         """The norm of all cuffs' forces that was minimised [N]."""
         trials = [t for found in self.wearers.values() for t in found.trials]
-        return norm_of(trials, self.problem.settings, design_of(self.values))
+        return norm_of(trials, self.problem.settings, self._design)
 
     def slopes(self) -> dict[str, float]:
         """Derivative of the optimum by each design variable that is held.
@@ -105,11 +123,14 @@ def norm_of(
 ) -> float:
     """The norm that is minimised, of all cuffs' forces in some trials [N].
 
-    Each over the cuff's area against today's, if a design changes it.
+    Each over the cuff's area against today's, if a design changes it; one that
+    is left out counts as one without force.
     """
     cuffs = {} if design is None else design.cuffs
+    removed = () if design is None else design.removed
     total, duration = 0.0, 0.0
     for trial in trials:
+        duration += len(removed) * trial.duration
         for cuff, force in trial.cuffs.items():
             square = force.normal**2
             square = square + settings.shear_weight * force.tangential**2

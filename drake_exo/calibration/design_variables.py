@@ -33,6 +33,8 @@ _FROM_JOINT_M = 0.05
 _STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
 # A joint drives if its torque reaches this share of the largest.
 _DRIVEN = 0.05
+# Cost of a change by its typical size: what buys nothing is not changed.
+LEAST_GAIN = 1e-3
 # Where the device's half of a cuff goes alone: forwards, up.
 PRELOADS = ("preload_across_m", "preload_along_m")
 OFFSETS = ("across_m", "along_m")
@@ -188,9 +190,16 @@ def joints_below(model: Model, cuff: str) -> list[str]:
     return [j for j in movable(model) if link in links_above(model, j)]
 
 
-def design_of(values: Mapping[str, float]) -> Design:
-    """The design that values of all variables make."""
-    cuffs: dict[str, dict] = {}
+def design_of(
+    values: Mapping[str, float], without: Sequence[str] = ()
+) -> Design:
+    """The design that values of all variables make.
+
+    Args:
+        values: by name.
+        without: cuffs that are left out.
+    """
+    cuffs: dict[str, dict] = {cuff: {"removed": True} for cuff in without}
     joints: dict[str, dict] = {}
     factors: dict[str, dict[float, float]] = {}
     for name, value in values.items():

@@ -615,6 +615,7 @@ class CuffFreedom:
             passive slide in the cuff takes away, 1 for one that moves freely;
             its travel counts as migration.
         hinge: likewise of the spring in rotation, by a passive hinge.
+        removable: whether a design may leave the cuff out.
 
     >>> CuffFreedom(along_m=(-0.02, 0.05)).across_m
     (0.0, 0.0)
@@ -645,6 +646,7 @@ class CuffFreedom:
     )
     slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
+    removable: bool = False
 
     def __post_init__(self):
         _check_today(self, (*PLACES.values(), "area", *RELEASES))

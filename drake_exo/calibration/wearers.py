@@ -23,7 +23,11 @@ from drake_exo.calibration.problem import (
     kinematic_terms,
     torque_terms,
 )
-from drake_exo.calibration.settings import Population, PredictionSettings
+from drake_exo.calibration.settings import (
+    DesignSettings,
+    Population,
+    PredictionSettings,
+)
 from drake_exo.collocation.kernels import BodyWrench
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design
@@ -82,8 +86,9 @@ def assisted(trial: Trial, design: Design) -> Trial:
     """A trial with the device's torques times a design's factors.
 
     A factor over the movement is over the whole trial. What the device bears
-    more the person bears less.
+    more the person bears less. Cuffs that are left out are not in it.
     """
+    trial = _without(trial, design.removed)
     if trial.moments is None or not design.assistance:
         return trial
     names, moments = trial.coordinates, trial.moments.copy()
@@ -117,7 +122,30 @@ class Wearer:
     is_drawn: bool = False
 
 
-def check_wearers(wearers: Sequence[Wearer]) -> None:
+def _without(trial: Trial, removed: Sequence[str]) -> Trial:
+    left = {c: force for c, force in trial.cuffs.items() if c not in removed}
+    return replace(trial, cuffs=left)
+
+
+def less(wearer: Wearer, design: Design) -> Wearer:
+    """A wearer of today, without the cuffs that a design leaves out.
+
+    Raises:
+        InputError: nothing is left to hold the device.
+    """
+    design.check(wearer.model)
+    removed = design.removed
+    if not removed:
+        return wearer
+    return replace(
+        wearer,
+        model=design.model(wearer.model),
+        contact=design.contact(wearer.contact),
+        trials=tuple(_without(t, removed) for t in wearer.trials),
+    )
+
+
+def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
     """Refuse wearers that no design can be made for.
 
     Raises:
@@ -126,6 +154,12 @@ def check_wearers(wearers: Sequence[Wearer]) -> None:
     if not wearers:
         raise InputError("there are no wearers; give at least one calibration")
     first = wearers[0].model
+    for cuff in settings.cuffs:
+        if cuff not in first.cuffs:
+            raise InputError(
+                f"design.cuffs.{cuff}: the model has no such cuff; it has "
+                f"{', '.join(first.cuffs) or 'none'}"
+            )
     for wearer in wearers:
         if list(wearer.model.cuffs) != list(first.cuffs):
             raise InputError(

@@ -19,11 +19,17 @@ from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.model.description import body_width, exoskeleton_sdf, hinged
+from drake_exo.model.description import (
+    body_width,
+    exoskeleton_sdf,
+    hinged,
+    without_cuffs,
+)
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 
 DESIGN = "design.yaml"
+TODAY = "today"  # folder there of the contact that it changes
 EXTRAPOLATED = "EXTRAPOLATED beyond what was calibrated"
 # What a strap may be at its softest; below, cuffs are no cuffs any more.
 SOFTEST_N_M = 1000.0
@@ -62,6 +68,7 @@ class CuffDesign:
     """One cuff, against the one that was calibrated.
 
     Attributes:
+        removed: whether it is left out; then all else is void.
         along_m, across_m: how far it moves up the limb, and forwards.
         preload_along_m, preload_across_m: how far the device's half alone is
             shifted, so that the cuff presses where both were aligned.
@@ -80,6 +87,7 @@ class CuffDesign:
     0.0
     """
 
+    removed: bool = False
     along_m: float = field(default=0.0, metadata={"unit": "m"})
     across_m: float = field(default=0.0, metadata={"unit": "m"})
     preload_along_m: float = field(default=0.0, metadata={"unit": "m"})
@@ -231,11 +239,17 @@ class Design:
         ]
         return np.stack(columns, axis=-1)
 
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """Cuffs that are left out."""
+        return tuple(n for n, cuff in self.cuffs.items() if cuff.removed)
+
     def check(self, model: Model) -> None:
-        """Refuse a design of another device.
+        """Refuse a design of another device, or one that holds nothing.
 
         Raises:
-            InputError: it names a cuff or joint that the model has not.
+            InputError: it names a cuff or joint that the model has not, or
+                leaves out every cuff beyond some joint of the device.
         """
         for what, own, known in (
             ("cuffs", self.cuffs, model.cuffs),
@@ -248,17 +262,31 @@ class Design:
                         f"{DESIGN}: {what}.{name}: the model has none; it has "
                         f"{', '.join(known) or 'none'}"
                     )
+        for joint in model.coordinates.device if self.removed else ():
+            beyond = links_above(model, joint)
+            cuffs = {c for c, (_, k) in model.tree.cuffs.items() if k in beyond}
+            if cuffs <= set(self.removed):
+                raise InputError(
+                    f"{DESIGN}: without the cuff {' and '.join(sorted(cuffs))} "
+                    f"nothing holds the device beyond {joint}, which would "
+                    "turn freely; keep one of its cuffs"
+                )
 
     def model(self, model: Model) -> Model:
         """The model with the device's cuffs and joints where they are built.
 
-        A device from a file of its own stays as that file says.
+        A device from a file of its own stays as that file says, but for cuffs
+        that are left out.
         """
+        if self.removed:
+            model = replace(model, kind=model.assembly.opened(self.removed))
         device = model.exoskeleton
         if device is None or not model.assembly.is_fitted:
             return model
         moved = {}
         for name, cuff in self.cuffs.items():
+            if cuff.removed:
+                continue
             segment = model.assembly.cuffs[name].human
             x, z = device.cuff_m(segment)
             moved[f"{segment}_cuff_m"] = (
@@ -278,22 +306,8 @@ class Design:
         return {
             name: self.cuffs[name].built(cuff) if name in self.cuffs else cuff
             for name, cuff in cuffs.items()
+            if name not in self.removed
         }
-
-    def undone(self, contact: ContactModel) -> ContactModel:
-        """The contact with its cuffs back where they were, springs as built."""
-        back = {
-            name: replace(
-                cuff,
-                **{
-                    k: getattr(cuff, k)
-                    - getattr(self.cuffs.get(name, CuffDesign()), PLACES[k])
-                    for k in PLACES
-                },
-            )
-            for name, cuff in contact.bushings.items()
-        }
-        return replace(contact, bushings=back)
 
     def contact(self, contact: ContactModel) -> ContactModel:
         """The contact with these cuffs, as sure as it was before.
@@ -306,6 +320,9 @@ class Design:
         known = contact.posterior
         if known is None:
             return built
+        known = known.part(
+            [n for n in known.names if n.partition(".")[0] not in self.removed]
+        )
         old, new = contact.values(), built.values()
         slope = np.ones(len(known.names))
         values = known.values.copy()
@@ -358,7 +375,7 @@ def weight_above(model: Model, joint: str) -> float:
 
 
 def device_sdf(model: Model, design: Design) -> str | None:
-    """SDF of the fitted device with its cuffs and joints moved.
+    """SDF of the fitted device with its cuffs and joints moved, or removed.
 
     Returns:
         None of a device from a file of its own, or of none: where its cuffs
@@ -372,7 +389,9 @@ def device_sdf(model: Model, design: Design) -> str | None:
     if model.exoskeleton is None or not model.assembly.is_fitted:
         return None
     device = design.model(model).exoskeleton
-    return hinged(exoskeleton_sdf(device, body_width(model.human)))
+    text = hinged(exoskeleton_sdf(device, body_width(model.human)))
+    segments = [model.assembly.cuffs[c].human for c in design.removed]
+    return without_cuffs(text, segments)
 
 
 def in_series(stiffness: float, strap: float | None) -> float:

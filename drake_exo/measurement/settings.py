@@ -616,7 +616,7 @@ class RecordingSettings:
                         f"trial {trial.name}: loads: the person has no segment "
                         f"{load.body!r}; it has {', '.join(segments)}"
                     )
-        cuffs = self.assembly.cuffs
+        cuffs = self.assembly.closed
         for name, mat in self.mats.items():
             if self.assembly.device and mat.segment not in cuffs:
                 raise InputError(

@@ -6,7 +6,8 @@ the spheres that touch the ground. No numbers of the subject, and no pydrake
 here.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -162,11 +163,14 @@ class CuffLinks:
         device: link of the device.
         at_m: place (x, z) in the segment; that of the subject's cuff of the
             segment if left out.
+        open: not closed, so that it bears nothing; that the link belongs to
+            the segment still says how the device is worn.
     """
 
     human: str
     device: str
     at_m: Point | None = field(default=None, metadata={"unit": "m"})
+    open: bool = False
 
 
 @dataclass(frozen=True)
@@ -228,6 +232,16 @@ class Assembly:
             own = named if isinstance(named, dict) else dict.fromkeys(named)
             found[body] = dict(own)
         return found
+
+    @property
+    def closed(self) -> tuple[str, ...]:
+        """Cuffs that bear something."""
+        return tuple(n for n, cuff in self.cuffs.items() if not cuff.open)
+
+    def opened(self, names: Iterable[str]) -> "Assembly":
+        """The same with cuffs that are left out."""
+        found = {n: replace(self.cuffs[n], open=True) for n in names}
+        return replace(self, cuffs=self.cuffs | found)
 
     @property
     def is_fitted(self) -> bool:

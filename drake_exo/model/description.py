@@ -14,6 +14,7 @@ weigh and balance as the foot did.
 import copy
 import importlib.resources
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import sqrt
@@ -397,6 +398,21 @@ def hinged(text: str) -> str:
             ET.SubElement(joint, tag).text = text
         xyz = ET.SubElement(ET.SubElement(joint, "axis"), "xyz")
         xyz.text = f"0 {axis} 0"
+    return _text(model)
+
+
+def without_cuffs(text: str, segments: Sequence[str]) -> str:
+    """The shipped device's file without its cuffs on some segments."""
+    model = ET.fromstring(text)
+    for segment in segments:
+        link = _link(model, f"exo_{segment}")
+        for visual in link.findall("visual"):
+            if visual.get("name").endswith(_CUFF_VISUALS[segment]):
+                link.remove(visual)
+        top = _child(model, "model")
+        for frame in top.findall("frame"):
+            if frame.get("name") == f"exo_{segment}_cuff":
+                top.remove(frame)
     return _text(model)
 
 

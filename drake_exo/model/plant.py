@@ -149,7 +149,7 @@ class Model:
             cuffs={
                 cuff: links
                 for cuff, links in tree.cuffs.items()
-                if cuff in self.assembly.cuffs
+                if cuff in self.assembly.closed
             },
         )
         if device is None or self.assembly.is_fitted:

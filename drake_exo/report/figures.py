@@ -406,7 +406,9 @@ def forces_figure(designed) -> Figure:
                 axis = axes[row, column]
                 _draw(axis, cuff, before, after, built.get(name, {}))
                 if column == 0:
-                    axis.set_ylabel(f"{cuff} [N]")
+                    out = cuff in designed.design.removed
+                    end = ",\nleft out" if out else ""
+                    axis.set_ylabel(f"{cuff} [N]{end}")
             axes[0, column].set_title(before.trial.name, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
         # Not every trial has mats of every cuff.
@@ -436,6 +438,7 @@ def device_figure(designed) -> Figure:
     """
     wearer, moved = designed.first
     trial, tree = moved[0].trial, wearer.model.tree
+    old = wearer.contact.bushings
     new = designed.design.contact(wearer.contact).bushings
     told = {c: _told(c, d) for c, d in designed.design.cuffs.items()}
     with matplotlib.rc_context(STYLE):
@@ -450,12 +453,12 @@ def device_figure(designed) -> Figure:
                 _draw_link(axis, wearer.model, q, parent, child)
             _draw_ends(axis, wearer.model, q)
             for cuff, (link, _) in tree.cuffs.items():
-                old, at = (
+                was, at = (
                     tree.point_positions(q, link, np.array(b.origin))[0]
-                    for b in (wearer.contact.bushings[cuff], new[cuff])
+                    for b in (old[cuff], new.get(cuff, old[cuff]))
                 )
-                axis.plot(*old, "o", mfc="none", mec=_BEFORE, ms=9)
-                axis.plot(*at, "o", color=_AFTER, ms=6)
+                axis.plot(*was, "o", mfc="none", mec=_BEFORE, ms=9)
+                axis.plot(*at, "o" if cuff in new else "x", color=_AFTER, ms=6)
                 if row == 0:
                     continue
                 axis.annotate(
@@ -475,13 +478,16 @@ def device_figure(designed) -> Figure:
         for marker, face, edge, label in (
             ("o", "none", _BEFORE, "cuff today"),
             ("o", _AFTER, _AFTER, "cuff as designed"),
+            ("x", _AFTER, _AFTER, "cuff left out"),
         ):
+            if marker == "x" and not designed.design.removed:
+                continue
             axes[0].plot(
                 [], [], marker, mfc=face, mec=edge, label=label, ls="none"
             )
         axes[0].plot([], [], color=_PERSON, lw=5, label="person")
         axes[0].plot([], [], color=_LINKS, lw=1.5, label="device")
-        figure.legend(fontsize=7, loc="outside lower center", ncols=4)
+        figure.legend(fontsize=7, loc="outside lower center", ncols=5)
         _head(figure, designed)
     return figure
 
@@ -496,6 +502,8 @@ def _head(figure: Figure, designed) -> None:
 
 def _told(cuff: str, design: CuffDesign) -> str:
     """What is to be built of a cuff, in a few words."""
+    if design.removed:
+        return f"{cuff}: left out"
     words = [
         f"{1e3 * abs(size):.0f} mm {up if size > 0.0 else down}"
         for size, up, down in (
@@ -579,9 +587,10 @@ def _draw(axis, cuff: str, before, after, built) -> None:
         (after, _AFTER, "design"),
     ):
         trial = moved.trial
-        force = trial.cuffs[cuff].normal
-        axis.plot(trial.times, force, color=color, lw=1.4, label=label)
-    if after.bands is not None:
+        if cuff in trial.cuffs:
+            force = trial.cuffs[cuff].normal
+            axis.plot(trial.times, force, color=color, lw=1.4, label=label)
+    if after.bands is not None and cuff in after.trial.cuffs:
         width = after.bands.cuffs[cuff][:, NORMAL]
         force = after.trial.cuffs[cuff].normal
         axis.fill_between(

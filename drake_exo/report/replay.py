@@ -22,7 +22,7 @@ from drake_exo.calibration.results import (
 )
 from drake_exo.contact.bushing import ROTATION, bushing_wrench
 from drake_exo.contact.parameters import ContactModel, ContactSphere
-from drake_exo.contact.strap import EXTRAPOLATED, read_design
+from drake_exo.contact.strap import EXTRAPOLATED, TODAY, read_design
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json
 from drake_exo.files.verdict import stored_mark
@@ -238,7 +238,7 @@ def _replay_design(folder: Path, path: Path) -> None:
     model, design = read_model(folder), read_design(folder)
     after = read_calibration(folder).contact
     drawn = DrawnModel(design.model(model), after)
-    today = DrawnModel(model, design.undone(after))
+    today = DrawnModel(model, read_calibration(folder / TODAY).contact)
     mark = stored_mark(summary)
     if summary.get("extrapolated"):
         mark = ". ".join(filter(None, (mark, EXTRAPOLATED)))

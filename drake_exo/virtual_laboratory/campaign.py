@@ -20,7 +20,6 @@ from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
 from drake_exo.virtual_laboratory.instruments import (
-    CONFIGURATIONS,
     LARGEST_LAG_S,
     MARKER_RATE_HZ,
     PLATES,
@@ -29,6 +28,7 @@ from drake_exo.virtual_laboratory.instruments import (
     Laboratory,
     draw_faults,
     empty_plate_levels,
+    mats_on,
     marker_set,
     record_pressure,
     slides,
@@ -117,7 +117,7 @@ def write_study(
             "height_m": round(truth.human.height_m, 4),
             "sex": "male",
         },
-        "model": "coupled",
+        "model": _model(truth),
         "gravity_m_s2": truth.model.gravity_m_s2,
         "filter": {"cutoff_hz": 6.0, "order": 4},
         "laboratory": laboratory_section(laboratory.files, active),
@@ -141,6 +141,18 @@ def write_study(
         "# A virtual subject in the exoskeleton stands up.\n" + text,
         encoding="utf-8",
     )
+
+
+def _model(truth: Truth) -> str | dict:
+    """What the study says of it: of cuffs that are left out, each cuff."""
+    if isinstance(truth.model.kind, str):
+        return truth.model.kind
+    known = truth.model.assembly
+    cuffs = {
+        name: {k: v for k, v in vars(cuff).items() if v}
+        for name, cuff in known.cuffs.items()
+    }
+    return {"device": {"weld": dict(known.device.weld)}, "cuffs": cuffs}
 
 
 def laboratory_section(files: str, active: frozenset[str]) -> dict:
@@ -180,7 +192,7 @@ def _device(truth: Truth, found: tuple[float, ...]) -> dict:
 
 
 def _trial(laboratory: Laboratory, entry: Entry) -> dict:
-    mats = [mat.name for mat in CONFIGURATIONS[entry.configuration]]
+    mats = mats_on(laboratory.tree.cuffs, entry.configuration)
     trial = {
         "name": entry.name,
         "use": entry.use,
@@ -188,7 +200,11 @@ def _trial(laboratory: Laboratory, entry: Entry) -> dict:
         "plates": dict(PLATES),
         **_empty_plates(laboratory),
         "encoders": laboratory.device_file(entry.name, "encoders"),
-        "pressure": [{"file": f"{entry.name}.asc", "mats": mats}],
+        "pressure": [
+            {"file": f"{entry.name}.asc", "mats": [mat.name for mat in mats]}
+        ]
+        if mats
+        else [],
         "start_s": entry.start_s,
         "end_s": entry.end_s,
     }
@@ -472,6 +488,12 @@ class Campaign:
         self.active = active
         self.kind = kind
         self.truth: Truth = draw_truth(self._rng(0), active, kind)
+        # Faults are those of the laboratory, whatever is built.
+        faults = (
+            Faults()
+            if kind == "near"
+            else draw_faults(self._rng(5), active, self.truth.cuffs)
+        )
         if design is not None:
             self.truth = wearing(self.truth, design)
         model = self.truth.model
@@ -485,9 +507,7 @@ class Campaign:
             slides(markers, rng),
             {place: empty_plate_levels(rng) for place in PLATES},
             active,
-            Faults()
-            if kind == "near"
-            else draw_faults(self._rng(5), active, self.truth.cuffs),
+            faults,
         )
 
     def _rng(self, *key: int) -> np.random.Generator:

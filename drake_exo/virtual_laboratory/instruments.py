@@ -11,7 +11,7 @@ pressure at rest. The resultant along the segment's x is the cuff's normal
 force.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -87,6 +87,13 @@ CONFIGURATIONS = {
 }
 
 
+def mats_on(
+    cuffs: Collection[str], configuration: str
+) -> tuple[MatDesign, ...]:
+    """Mats of a configuration, in cuffs that are there."""
+    return tuple(m for m in CONFIGURATIONS[configuration] if m.segment in cuffs)
+
+
 def record_pressure(
     path: Path,
     movement: Trial,
@@ -98,6 +105,8 @@ def record_pressure(
     seen: Mapping[str, float] | None = None,
 ) -> None:
     """Write a recording of the mats as Novel's software exports it.
+
+    Nothing where there is no cuff with mats.
 
     Args:
         path: the .asc file.
@@ -111,7 +120,9 @@ def record_pressure(
     """
     seen = seen or {}
     time = np.arange(1.0 / MAT_RATE_HZ, movement.times[-1], 1.0 / MAT_RATE_HZ)
-    mats = CONFIGURATIONS[configuration]
+    mats = mats_on(movement.cuffs, configuration)
+    if not mats:
+        return
     readings = []
     for mat in mats:
         force = movement.cuff(mat.segment).normal
@@ -204,7 +215,9 @@ def write_scans(
         _write_surface(
             folder / f"scan_{segment}.obj", *_SECTION[segment], length, to_world
         )
-    for mat in (m for mats in CONFIGURATIONS.values() for m in mats):
+    for mat in (
+        m for name in CONFIGURATIONS for m in mats_on(tree.cuffs, name)
+    ):
         to_world = _placed(tree, q, mat.segment)
         rows, columns = np.indices((mat.rows, mat.columns)).reshape(2, -1) + 1
         centres = 1e3 * to_world(cells(mat, human)[0])

@@ -210,6 +210,7 @@ def wearing(truth: Truth, design: Design) -> Truth:
     cuffs = {
         name: replace(cuff, bushing=built[name])
         for name, cuff in truth.cuffs.items()
+        if name in built
     }
     model = design.model(truth.model)
     return replace(truth, model=model, cuffs=cuffs, design=design)
