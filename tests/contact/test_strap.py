@@ -1,5 +1,6 @@
 """Cuffs as they are to be built: series of tissue and strap, places, files."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from drake_exo.contact.strap import (
     CuffDesign,
     Design,
     JointDesign,
+    device_sdf,
     in_series,
     read_design,
     splines,
@@ -230,3 +232,60 @@ def test_a_spline_over_the_movement():
     for angles, over in (((1.0,), "movement"), ((), "angle")):
         with pytest.raises(InputError):
             Assistance(angles, (1.0,), over)
+
+
+LESS = Design({"shank": CuffDesign(removed=True, along_m=0.02)})
+
+
+def test_a_cuff_that_is_left_out_is_not_there(nominal, contact):
+    """Nor is what was known of it; what is known of others stays."""
+    names = ("shank.normal_stiffness", "thigh.normal_stiffness", "heel.x")
+    values = contact.values()
+    middle = np.array([values[n] for n in names])
+    spread = np.array([[9.0, 3.0, 1.0], [3.0, 4.0, 0.5], [1.0, 0.5, 2.0]])
+    sure = replace(contact, posterior=Posterior(names, middle, spread))
+    built = LESS.contact(sure)
+    assert set(built.bushings) == {"thigh", "pelvis"}
+    assert built.bushings["thigh"] == contact.bushings["thigh"]
+    assert built.posterior.names == names[1:]
+    np.testing.assert_array_equal(built.posterior.covariance, spread[1:, 1:])
+    model = nominal("coupled")
+    worn = LESS.model(model)
+    assert list(worn.cuffs) == ["thigh", "pelvis"]
+    assert worn.exoskeleton == model.exoskeleton
+    # How the device is worn stays, so that a rigid one is what it was.
+    q = np.array([[0.1, 0.9, 0.05, 0.2, 0.9, 0.7]])
+    rest = np.zeros_like(q)
+    np.testing.assert_allclose(
+        worn.rigid.tree.inverse_dynamics(q, rest, rest),
+        model.rigid.tree.inverse_dynamics(q, rest, rest),
+        atol=1e-9,
+    )
+
+
+def test_the_file_that_is_built_has_no_cuff_there(nominal):
+    own, text = (device_sdf(nominal("coupled"), d) for d in (Design(), LESS))
+    for name in ("exo_shank_cuff", "_calf_strap", "_shin_guard"):
+        assert name in own and name not in text
+    assert "exo_thigh_cuff" in text and "_thigh_strap" in text
+    joints = re.compile('joint name="([a-z_]*)"')
+    assert joints.findall(text) == joints.findall(own)
+
+
+@pytest.mark.parametrize(
+    ("removed", "joint"),
+    [(("pelvis",), "exo_hip"), (("shank", "thigh", "pelvis"), "exo_")],
+)
+def test_a_device_that_nothing_holds_is_refused(nominal, removed, joint):
+    none = Design(dict.fromkeys(removed, CuffDesign(removed=True)))
+    with pytest.raises(InputError, match=f"pelvis.*beyond {joint}"):
+        none.check(nominal("coupled"))
+    LESS.check(nominal("coupled"))
+
+
+def test_files_say_which_cuff_is_left_out(tmp_path):
+    write_design(tmp_path, LESS)
+    assert read_design(tmp_path) == LESS
+    (tmp_path / "design.yaml").write_text("cuffs: {shank: {removed: 1}}")
+    with pytest.raises(InputError, match="removed"):
+        read_design(tmp_path)
