@@ -598,18 +598,16 @@ class Designed:
         if self.tried:
             rows = [
                 [
-                    " and ".join(t.without) or "none",
+                    t.name,
                     t.norm_n,
                     t.cost,
-                    "chosen"
-                    if set(t.without) == set(self.design.removed)
-                    else "",
+                    "chosen" if t.design == self.design else "",
                 ]
                 for t in self.tried
             ]
             header = ["cuffs left out", "norm of forces [N]", "cost", ""]
             reasons = [
-                f"without {' and '.join(t.without)}: {t.why_not}"
+                f"without {t.name}: {t.why_not}"
                 for t in self.tried
                 if t.why_not
             ]
@@ -635,6 +633,10 @@ class Designed:
         verdict = self.verdict(accepted)
         if self.success:
             write_design(folder, self.design)
+            for t in self.tried:
+                if t.design is not None and t.design != self.design:
+                    name = f"design_without_{'_'.join(t.without) or 'none'}"
+                    write_design(folder, t.design, f"{name}.yaml")
             write_text(folder / "design.txt", self.table(), verdict.mark)
             for name, draw in DESIGN_FIGURES.items():
                 save_figure(folder / name, draw(self), verdict.mark)

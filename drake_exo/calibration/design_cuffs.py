@@ -22,13 +22,20 @@ class Tried:
         cost: what is minimised, see `DesignResult.cost`; None where there is
             no such design.
         norm_n: of all cuffs' forces [N]; likewise.
+        design: likewise.
         why_not: in a sentence; empty where there is one.
     """
 
     without: tuple[str, ...]
     cost: float | None
     norm_n: float | None
+    design: Design | None = None
     why_not: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its cuffs that are left out."""
+        return " and ".join(self.without) or "none"
 
 
 def fewer(
@@ -54,7 +61,7 @@ def fewer(
         for c in found.problem.wearers[0].model.cuffs
         if settings.freedom(c).removable
     ]
-    tried = [Tried((), found.cost, found.norm_n)] if removable else []
+    tried = [_told(found)] if removable else []
     best = found
     while True:
         rivals = []
@@ -84,7 +91,7 @@ def _attempt(
     except InputError as error:
         loose = str(error)
     if loose:
-        return Tried(without, None, None, loose), None
+        return Tried(without, None, None, why_not=loose), None
     rival = DesignProblem(
         problem.wearers,
         problem.settings,
@@ -94,8 +101,12 @@ def _attempt(
     ).solve(on_iterate=watch(f"without {', '.join(without)}"))
     if not rival.solution.success:
         why = f"{rival.solution.status}: {rival.solution.explain()}"
-        return Tried(without, None, None, why), rival
-    return Tried(without, rival.cost, rival.norm_n), rival
+        return Tried(without, None, None, why_not=why), rival
+    return _told(rival), rival
+
+
+def _told(found: DesignResult) -> Tried:
+    return Tried(found.problem.without, found.cost, found.norm_n, found.design)
 
 
 def looseness(problem: DesignProblem, without: tuple[str, ...]) -> str:

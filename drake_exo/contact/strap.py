@@ -420,10 +420,12 @@ def read_design(folder: str | Path) -> Design:
     return schema.load(path / DESIGN if path.is_dir() else path, Design)
 
 
-def write_design(folder: str | Path, design: Design) -> None:
+def write_design(
+    folder: str | Path, design: Design, name: str = DESIGN
+) -> None:
     """Write what `read_design` reads."""
     text = schema.dump_text(design)
-    (Path(folder) / DESIGN).write_text(
+    (Path(folder) / name).write_text(
         "# What is to be built; predict --design and lab --design read it.\n"
         + text,
         encoding="utf-8",

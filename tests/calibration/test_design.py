@@ -7,6 +7,7 @@ import pytest
 from program_derivatives import check_derivatives
 
 from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import (
     device_work,
     largest_forces,
@@ -126,6 +127,80 @@ def test_today_is_the_own_movement(today, wearer):
         np.testing.assert_allclose(
             again.cuffs[cuff].normal, force.normal, atol=1.0
         )
+
+
+def test_a_cuff_that_is_left_out_is_one_without_springs(
+    wearer, in_device, driven, today
+):
+    """In the own movement, and in the program of a design."""
+    contact = in_device.contact
+    none = dict.fromkeys(
+        (
+            f"{what}_{kind}"
+            for what in ("tangential", "normal", "rotational")
+            for kind in ("stiffness", "damping")
+        ),
+        0.0,
+    )
+    bushings = dict(contact.bushings)
+    bushings["thigh"] = replace(bushings["thigh"], **none)
+    slack = moved(in_device, driven, replace(contact, bushings=bushings))
+    less = Design({"thigh": CuffDesign(removed=True)})
+    gone = moved(
+        replace(in_device, model=less.model(in_device.model)),
+        assisted(driven, less),
+        less.contact(contact),
+    )
+    without = ("thigh",)
+    posed = DesignProblem([wearer], SETTINGS, held=True, without=without)
+    found = posed.solve()
+    assert found.solution.success
+    (held,) = found.wearers["somebody"].trials
+    assert "thigh" not in gone.cuffs and "thigh" not in held.cuffs
+    assert np.abs(slack.cuffs["thigh"].components).max() < 1e-6
+    for cuff in ("shank", "pelvis"):
+        expected = slack.cuffs[cuff].normal
+        np.testing.assert_allclose(gone.cuffs[cuff].normal, expected, atol=0.02)
+        np.testing.assert_allclose(held.cuffs[cuff].normal, expected, atol=1.0)
+    assert found.design.removed == without
+    # Without the thigh's cuff others bear more: not what today is.
+    (was,) = today.wearers["somebody"].trials
+    change = gone.cuffs["shank"].normal - was.cuffs["shank"].normal
+    assert np.abs(change).max() > 5.0
+    # The norm has as many terms as with every cuff.
+    alone = norm_of([held], SETTINGS)
+    share = (2.0 / 3.0) ** (1.0 / SETTINGS.exponent)
+    assert found.norm_n == pytest.approx(share * alone)
+
+
+def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
+    """Each in turn; what holds the hip alone cannot go."""
+    loose = DesignLimits(
+        migration_mm=None, moment_factor=None, effort_factor=None
+    )
+    settings = replace(
+        SETTINGS,
+        limits=loose,
+        cuffs=dict.fromkeys(
+            ("thigh", "pelvis"), CuffFreedom(along_m=_CM, removable=True)
+        ),
+    )
+    whole = DesignProblem([wearer], settings, today=today).solve()
+    assert whole.solution.success
+    best, tried = fewer(whole, lambda what: None)
+    told = {t.without: t for t in tried}
+    assert "nothing holds the device beyond exo_hip" in (
+        told["pelvis",].why_not
+    )
+    least = min((t for t in tried if t.cost is not None), key=lambda t: t.cost)
+    assert set(best.problem.without) == set(least.without)
+    assert best.cost == least.cost
+    assert told["thigh",].cost is not None
+    with pytest.raises(InputError, match="turn freely"):
+        DesignProblem([wearer], settings, without=("pelvis",))
+    unknown = replace(settings, cuffs={"tigh": CuffFreedom(removable=True)})
+    with pytest.raises(InputError, match=r"design\.cuffs\.tigh"):
+        DesignProblem([wearer], unknown)
 
 
 def test_derivatives_of_the_program(wearer, today):
