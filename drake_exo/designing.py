@@ -15,16 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.calibration.attachment import Hold, hold
 from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_cuffs import Tried, fewer
+from drake_exo.calibration.design_cuffs import Hold, Tried, fewer, hold
 from drake_exo.calibration.design_result import (
     DesignResult,
     device_work,
     norm_of,
     works,
 )
-from drake_exo.calibration.design_variables import Variable, design_of
+from drake_exo.calibration.design_variables import (
+    GAINS,
+    Variable,
+    design_of,
+)
 from drake_exo.calibration.interaction import check_has_cuffs
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.settings import DesignSettings, PredictionSettings
@@ -600,18 +603,17 @@ class Designed:
                 [
                     t.name,
                     t.norm_n,
-                    t.cost,
                     "chosen" if t.design == self.design else "",
                 ]
                 for t in self.tried
             ]
-            header = ["cuffs left out", "norm of forces [N]", "cost", ""]
+            header = ["cuffs left out", "norm of forces [N]", ""]
             reasons = [
                 f"without {t.name}: {t.why_not}"
                 for t in self.tried
                 if t.why_not
             ]
-            parts.append("\n".join([format_table(header, rows, 3), *reasons]))
+            parts.append("\n".join([format_table(header, rows), *reasons]))
         if beyond:
             parts.append("* beyond what was calibrated: an extrapolation")
         return "\n\n".join(parts)
@@ -797,7 +799,7 @@ def movements(
 _KINDS = {
     "places": (*PLACES.values(), "area"),
     "straps": (*STRAPS.values(), *RELEASES),
-    "assistance": ("factor",),
+    "assistance": ("factor", *GAINS),
 }
 
 
@@ -915,7 +917,8 @@ def _told(row: dict) -> str:
         return f"{rounded(strap)} {unit}"
     if row["unit"] == "m":
         return f"{1e3 * row['value']:+.1f} mm"
-    return f"{row['value']:.3f}"
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    return f"{row['value']:.3f}{unit}"
 
 
 def _failed(solution: Solution) -> str:

@@ -25,14 +25,13 @@ from drake_exo.calibration.design_result import (
     norm_of,
 )
 from drake_exo.calibration.design_variables import (
-    FACTOR,
-    LEAST_GAIN,
     OFFSETS,
     PRELOADS,
     Variable,
     assistance_of,
     design_of,
     design_variables,
+    is_assistance,
     joints_below,
 )
 from drake_exo.calibration.problem import (
@@ -79,6 +78,8 @@ from drake_exo.nlp.sparse import SparseProgram
 
 # Jerk in a design, against what is typical.
 _LOOSE = 10.0
+# Cost of a change by its typical size: what buys nothing is not changed.
+_LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
 # Places of a cuff that every design has, see BushingKinematics.
@@ -92,6 +93,7 @@ class _Posed:
     Attributes:
         settings: of the design.
         variables: name -> decision variable of the design.
+        unchanged: name -> value of today.
         scale: force that the norm is taken of [N].
         weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
         today: wearer -> cuff -> largest force (3,) of today; None while that
@@ -103,6 +105,7 @@ class _Posed:
 
     settings: DesignSettings
     variables: Mapping[str, object]
+    unchanged: Mapping[str, float]
     scale: float
     weights_s: float
     today: Mapping[str, Mapping[str, np.ndarray]] | None
@@ -248,24 +251,30 @@ class _Wearing(PhaseProblem):
         return movement
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
-        """The device's torques are those of today times factors."""
+        """The device's torques, by those of today and the design."""
         names, posed = movement.coordinates, self._posed
         device = names.is_device_joint
         torque, today = movement.torque[:, device], at.moments[:, device]
         for i, joint in enumerate(names.device):
-            first = f"{joint}.{FACTOR}"
-            own = [n for n in posed.variables if n.startswith(first)]
+            own = [
+                n
+                for n in posed.variables
+                if n.startswith(f"{joint}.") and is_assistance(n)
+            ]
             if not own:
                 self._count_work(movement, joint, at, {})
                 movement.bound(torque[:, i], today[:, i], today[:, i])
                 continue
             factors = np.array([posed.variables[n] for n in own])
-            known = assistance_of({n.partition(FACTOR)[2]: 1.0 for n in own})
-            weights = known.weights(
-                at.coordinate(joint), at.times / at.duration
+            known = assistance_of({n.partition(".")[2]: 1.0 for n in own})
+            parts = known.parts(
+                today[:, i],
+                at.coordinate(joint),
+                at.v[:, names.index(joint)],
+                at.times / at.duration,
             )
             self._count_work(
-                movement, joint, at, dict(zip(own, weights.T, strict=True))
+                movement, joint, at, dict(zip(own, parts.T, strict=True))
             )
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
@@ -276,7 +285,7 @@ class _Wearing(PhaseProblem):
                         np.broadcast_to(factors, (len(torque), len(own))),
                     ]
                 ),
-                data=(today[:, [i]] * weights)[:, None],
+                data=parts[:, None],
             )
 
     def _add_forces(self, movement: TrialProgram) -> None:
@@ -397,18 +406,17 @@ class _Wearing(PhaseProblem):
         )
 
     def _count_work(self, movement: TrialProgram, joint: str, at: Trial, by):
-        """Work of a joint's torques over the movement of today, by factor.
+        """Work of a joint's torques over the movement of today, by variable.
 
         Softer cuffs let the device go further, which is no support: a device
         that is built does not follow. So its movement of today counts.
         """
         names = movement.coordinates
-        rate = at.v[:, names.index(joint)]
-        work = movement.grid.quadrature * at.moment(joint) * rate
-        for name, weights in by.items():
-            self._work[name] = self._work.get(name, 0.0) + float(work @ weights)
+        way = movement.grid.quadrature * at.v[:, names.index(joint)]
+        for name, torque in by.items():
+            self._work[name] = self._work.get(name, 0.0) + float(way @ torque)
         if not by:
-            self._undriven += float(work.sum())
+            self._undriven += float(way @ at.moment(joint))
 
     def work(self, values: Mapping[str, float]) -> float:
         """Of the device over all trials [J], see `_count_work`.
@@ -435,7 +443,7 @@ class _Wearing(PhaseProblem):
             [-self._undriven],
             np.concatenate([factors, self._total]),
         ).evaluator().set_description(name)
-        today = self.work(dict.fromkeys(self._work, 1.0))
+        today = self.work(posed.unchanged)
         wanted, slack = posed.support * today, abs(today) * limit
         prog.AddBoundingBoxConstraint(
             [wanted - slack], [wanted + slack], self._total
@@ -559,6 +567,7 @@ class DesignProblem:
         posed = _Posed(
             settings,
             self.variables,
+            {v.name: v.today for v in self.design},
             max(norm_of(own, settings), _LEAST_SCALE_N),
             cuffs * sum(t.duration for t in own),
             None if today is None else largest_forces(today),
@@ -576,7 +585,7 @@ class DesignProblem:
         prog.AddBoundingBoxConstraint(v.lower, v.upper, variable)
         if v.free:
             prog.AddQuadraticCost(
-                0.5 * LEAST_GAIN * ((variable - v.today) / v.size) ** 2
+                0.5 * _LEAST_GAIN * ((variable - v.today) / v.size) ** 2
             )
         return variable
 

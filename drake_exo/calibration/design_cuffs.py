@@ -1,16 +1,88 @@
-"""How many cuffs: a design with each removable one left out in turn."""
+"""How many cuffs a device needs, and whether they hold it.
 
-from collections.abc import Callable
+A design is made with each removable cuff left out in turn. With the person
+held still, the springs of those that are left and gravity give the device's
+joints a potential energy. Where its curvature is negative for some combination
+of them, the device is pushed further off by its own weight: it hangs loose,
+however well a movement on it solves.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from drake_exo.calibration.attachment import hold
+import numpy as np
+
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import DesignResult
-from drake_exo.calibration.design_variables import LEAST_GAIN
 from drake_exo.calibration.wearers import less
+from drake_exo.contact.bushing import BushingKinematics
+from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.errors import InputError
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Iterate
+
+_STEP_RAD = 1e-5
+
+
+class Hold(NamedTuple):
+    """How well a device is held.
+
+    Attributes:
+        stiffness: least curvature of the energy by the device's joints, of
+            unit length together, over all postures [N m/rad].
+        joint: that turns most where it is least.
+    """
+
+    stiffness: float
+    joint: str
+
+
+def hold(model: Model, contact: ContactModel, trials: Sequence[Trial]) -> Hold:
+    """Least stiffness that holds the device on a person who keeps still.
+
+    Args:
+        model: subject and device.
+        contact: its bushings are the cuffs.
+        trials: whose postures are looked at.
+    """
+    tree, names = model.tree, model.coordinates
+    device = names.device_columns
+    cuffs = [
+        (BushingKinematics(tree, cuff, b.preload), b)
+        for cuff, b in contact.bushings.items()
+    ]
+
+    def slope(q: np.ndarray) -> np.ndarray:
+        """Of the energy by the device's joints (n, m) at q (n, nq)."""
+        rest = np.zeros_like(q)
+        found = tree.inverse_dynamics(q, rest, rest)
+        for kinematics, bushing in cuffs:
+            places = np.broadcast_to(bushing.origin, (len(q), 2))
+            terms = kinematics.terms(q, places)
+            d = kinematics.deflection(q, terms)
+            found += np.einsum(
+                "nc,ncq->nq",
+                kinematics.force(d, bushing),
+                kinematics.deflection_jacobian(terms),
+            )
+        return found[:, device]
+
+    q = np.concatenate([t.q for t in trials])
+    curvature = np.empty((len(q), len(device), len(device)))
+    for i, column in enumerate(device):
+        step = np.zeros(q.shape[1])
+        step[column] = _STEP_RAD
+        change = slope(q + step) - slope(q - step)
+        curvature[:, :, i] = change / (2.0 * _STEP_RAD)
+    # A cuff that slips has forces without a potential.
+    curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
+    least, modes = np.linalg.eigh(curvature)
+    worst = int(np.argmin(least[:, 0]))
+    joint = names.device[int(np.argmax(np.abs(modes[worst, :, 0])))]
+    return Hold(float(least[worst, 0]), joint)
 
 
 @dataclass(frozen=True)
@@ -19,15 +91,12 @@ class Tried:
 
     Attributes:
         without: the cuffs.
-        cost: what is minimised, see `DesignResult.cost`; None where there is
-            no such design.
-        norm_n: of all cuffs' forces [N]; likewise.
+        norm_n: of all cuffs' forces [N]; None where there is no such design.
         design: likewise.
         why_not: in a sentence; empty where there is one.
     """
 
     without: tuple[str, ...]
-    cost: float | None
     norm_n: float | None
     design: Design | None = None
     why_not: str = ""
@@ -46,7 +115,9 @@ def fewer(
 
     Of a design, each cuff that may be removed is left out in turn and all
     else is designed again under all limits; the best of them takes its place
-    if its cost is less, and so on.
+    if the norm of the forces is less, and so on. The cost is not compared: how
+    far a movement is off the person's own by parts of 0.02 degrees would
+    decide.
 
     Args:
         found: with every cuff, solved.
@@ -73,10 +144,10 @@ def fewer(
             if rival is not None and rival.solution.was_stopped:
                 return best, tried
             tried.append(told)
-            if told.cost is not None:
+            if rival is not None and rival.solution.success:
                 rivals.append(rival)
-        least = min(rivals, key=lambda r: r.cost, default=best)
-        if not least.cost < best.cost - LEAST_GAIN:
+        least = min(rivals, key=lambda r: r.norm_n, default=best)
+        if not least.norm_n < best.norm_n:
             return best, tried
         best = least
 
@@ -91,7 +162,7 @@ def _attempt(
     except InputError as error:
         loose = str(error)
     if loose:
-        return Tried(without, None, None, why_not=loose), None
+        return Tried(without, None, why_not=loose), None
     rival = DesignProblem(
         problem.wearers,
         problem.settings,
@@ -101,12 +172,12 @@ def _attempt(
     ).solve(on_iterate=watch(f"without {', '.join(without)}"))
     if not rival.solution.success:
         why = f"{rival.solution.status}: {rival.solution.explain()}"
-        return Tried(without, None, None, why_not=why), rival
+        return Tried(without, None, why_not=why), rival
     return _told(rival), rival
 
 
 def _told(found: DesignResult) -> Tried:
-    return Tried(found.problem.without, found.cost, found.norm_n, found.design)
+    return Tried(found.problem.without, found.norm_n, found.design)
 
 
 def looseness(problem: DesignProblem, without: tuple[str, ...]) -> str:

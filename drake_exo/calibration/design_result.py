@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_exo.calibration.design_variables import LEAST_GAIN, design_of
+from drake_exo.calibration.design_variables import design_of
 from drake_exo.calibration.problem import (
     PhaseProblem,
 )
@@ -74,20 +74,6 @@ class DesignResult:
     @property
     def _design(self) -> Design:
         return design_of(self.values, self.problem.without)
-
-    @property
-    def cost(self) -> float:
-        """What is minimised, but for what it costs to change anything.
-
-        So that designs of several numbers of variables compare.
-        """
-        changes = [
-            (self.values[v.name] - v.today) / v.size
-            for v in self.problem.design
-            if v.free
-        ]
-        own = 0.5 * LEAST_GAIN * sum(change**2 for change in changes)
-        return self.solution.objective - own
 
     @property
     def norm_n(self) -> float:

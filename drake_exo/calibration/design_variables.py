@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -14,10 +14,10 @@ from drake_exo.calibration.settings import (
 from drake_exo.calibration.wearers import (
     Wearer,
 )
+from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.strap import (
     RELEASES,
     STRAPS,
-    Assistance,
     CuffDesign,
     Design,
     JointDesign,
@@ -33,13 +33,18 @@ _FROM_JOINT_M = 0.05
 _STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
 # A joint drives if its torque reaches this share of the largest.
 _DRIVEN = 0.05
-# Cost of a change by its typical size: what buys nothing is not changed.
-LEAST_GAIN = 1e-3
 # Where the device's half of a cuff goes alone: forwards, up.
 PRELOADS = ("preload_across_m", "preload_along_m")
 OFFSETS = ("across_m", "along_m")
 # What the name of a factor on a joint's torque begins with.
 FACTOR, _DEG = "factor_at_", "_deg"
+# Gain of a joint's controller -> typical size.
+GAINS = {
+    "support": 0.1,
+    "constant_nm": 1.0,
+    "stiffness_nm_rad": 2.0,
+    "damping_nm_s_rad": 0.5,
+}
 
 
 @dataclass(frozen=True)
@@ -74,14 +79,14 @@ class Variable:
     def at_bound(self, value: float) -> bool:
         """Whether a value sits at a bound, within 0.5 % of the range.
 
-        No strap can be stiffer than stiff, no slide less than none or more
-        than free: those are no bounds.
+        No strap can be stiffer than stiff, no slide, spring or damper less
+        than none, no slide more than free: those are no bounds.
         """
         margin = 5e-3 * (self.upper - self.lower)
-        released = self.name.partition(".")[2] in RELEASES
-        below = value <= self.lower + margin and not (
-            self.is_strap or (released and self.lower == 0.0)
-        )
+        what = self.name.partition(".")[2]
+        released = what in RELEASES
+        absent = self.lower == self.today == 0.0 and (released or what in GAINS)
+        below = value <= self.lower + margin and not (self.is_strap or absent)
         above = value >= self.upper - margin and not (
             released and self.upper == 1.0
         )
@@ -129,10 +134,33 @@ def design_variables(
             for w in OFFSETS
         ]
     for joint in _driven(wearers):
+        if settings.assistance_over == "gains":
+            found += _gains(joint, settings)
+            continue
         for place in _factors_at(joint, wearers, settings):
             name = f"{joint}.{FACTOR}{place}"
             found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
     return found
+
+
+def _gains(joint: str, settings: DesignSettings) -> list[Variable]:
+    free = settings.gains
+    bounds = {
+        "support": settings.assistance,
+        "constant_nm": free.constant_nm,
+        "stiffness_nm_rad": (0.0, free.stiffness_nm_rad),
+        "damping_nm_s_rad": (0.0, free.damping_nm_s_rad),
+    }
+    return [
+        Variable(
+            f"{joint}.{f.name}",
+            f.metadata["unit"],
+            *bounds[f.name],
+            f.default,
+            GAINS[f.name],
+        )
+        for f in fields(Gains)
+    ]
 
 
 def _driven(wearers: Sequence[Wearer]) -> list[str]:
@@ -205,8 +233,8 @@ def design_of(
     for name, value in values.items():
         group, _, what = name.partition(".")
         value = float(value)
-        if what.startswith(FACTOR):
-            factors.setdefault(group, {})[what.removeprefix(FACTOR)] = value
+        if is_assistance(name):
+            factors.setdefault(group, {})[what] = value
         elif group.startswith(DEVICE):
             joints.setdefault(group, {})[what] = value
         elif what.startswith("strap"):
@@ -214,17 +242,28 @@ def design_of(
             cuffs.setdefault(group, {})[what] = strap
         else:
             cuffs.setdefault(group, {})[what] = value
+    given = {joint: assistance_of(v) for joint, v in factors.items()}
     return Design(
         {cuff: CuffDesign(**v) for cuff, v in cuffs.items()},
-        {joint: assistance_of(v) for joint, v in factors.items()},
+        {j: a for j, a in given.items() if isinstance(a, Assistance)},
         {joint: JointDesign(**v) for joint, v in joints.items()},
+        {j: a for j, a in given.items() if isinstance(a, Gains)},
     )
 
 
-def assistance_of(factors: Mapping[str, float]) -> Assistance:
-    """Of one joint, by where its factors are."""
+def is_assistance(name: str) -> bool:
+    """Whether a variable is of what a joint of the device gives."""
+    what = name.partition(".")[2]
+    return what.startswith(FACTOR) or what in GAINS
+
+
+def assistance_of(factors: Mapping[str, float]) -> Assistance | Gains:
+    """Of one joint, by what its variables' names end with."""
+    if set(factors) <= set(GAINS):
+        return Gains(**factors)
     values = tuple(factors.values())
-    angles = [n.removesuffix(_DEG) for n in factors if n.endswith(_DEG)]
+    places = [n.removeprefix(FACTOR) for n in factors]
+    angles = [n.removesuffix(_DEG) for n in places if n.endswith(_DEG)]
     if angles:
         return Assistance(tuple(map(float, angles)), values)
     return Assistance((), values, "movement")

@@ -675,6 +675,33 @@ class JointFreedom:
         _check_today(self, ("along_m", "across_m"))
 
 
+@dataclass(frozen=True)
+class GainFreedom:
+    """How far the gains of a joint's controller may go.
+
+    Attributes:
+        constant_nm: lowest and highest torque that is always there.
+        stiffness_nm_rad: stiffest spring towards the joint's zero.
+        damping_nm_s_rad: most damping.
+
+    >>> GainFreedom(stiffness_nm_rad=0.0).damping_nm_s_rad
+    5.0
+    """
+
+    constant_nm: tuple[float, float] = field(
+        default=(-10.0, 10.0), metadata={"unit": "N m"}
+    )
+    stiffness_nm_rad: float = field(
+        default=20.0, metadata={"unit": "N m/rad", "minimum": 0.0}
+    )
+    damping_nm_s_rad: float = field(
+        default=5.0, metadata={"unit": "N m s/rad", "minimum": 0.0}
+    )
+
+    def __post_init__(self):
+        _check_today(self, ("constant_nm",))
+
+
 def _check_today(freedom, names) -> None:
     """Refuse bounds that leave out what is today."""
     for what in names:
@@ -791,7 +818,10 @@ class DesignSettings:
             exo_hip, by name; where they are if none is named.
         assistance: lowest and highest factor on the device's torques.
         assistance_over: what they depend on: the "angle" of their joint, or
-            how much of the "movement"'s time is over.
+            how much of the "movement"'s time is over; or "gains": one factor
+            throughout, and a constant, a spring and a damper of each joint's
+            controller.
+        gains: how far those may go.
         points: factors of each joint: at that many angles, or that many
             coefficients of a cubic spline over the movement; 1 for one
             throughout.
@@ -819,7 +849,8 @@ class DesignSettings:
     assistance: tuple[float, float] = field(
         default=(0.7, 1.3), metadata={"above": 0.0}
     )
-    assistance_over: Literal["angle", "movement"] = "angle"
+    assistance_over: Literal["angle", "movement", "gains"] = "angle"
+    gains: GainFreedom = GainFreedom()
     points: int = field(default=4, metadata={"minimum": 1})
     limits: DesignLimits = DesignLimits()
     solver: Solver = field(

@@ -83,20 +83,24 @@ class OwnMovement(PhaseProblem):
 
 
 def assisted(trial: Trial, design: Design) -> Trial:
-    """A trial with the device's torques times a design's factors.
+    """A trial with the device's torques as a design has them.
 
-    A factor over the movement is over the whole trial. What the device bears
+    At the angles and rates of the trial, whatever other cuffs make of them. A
+    factor over the movement is over the whole trial. What the device bears
     more the person bears less. Cuffs that are left out are not in it.
     """
     trial = _without(trial, design.removed)
-    if trial.moments is None or not design.assistance:
+    if trial.moments is None or not design.given:
         return trial
     names, moments = trial.coordinates, trial.moments.copy()
-    angles = trial.q[:, names.device_columns]
+    device = names.device_columns
     share = trial.times / trial.duration
-    factors = design.factors(names.device, angles, share)
+    today = moments[:, names.is_device_joint]
+    torques = design.torques(
+        names.device, today, trial.q[:, device], trial.v[:, device], share
+    )
     for i, joint in enumerate(names.device):
-        more = (factors[:, i] - 1.0) * trial.moment(joint)
+        more = torques[:, i] - today[:, i]
         moments[:, names.joint(joint)] += more
         moments[:, names.joint(names.follows(joint))] -= more
     return replace(trial, moments=moments)

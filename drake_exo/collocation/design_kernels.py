@@ -178,11 +178,10 @@ class CuffKernel:
 
 
 class AssistanceKernel:
-    """Device torque minus a factor times the torque of today.
+    """Device torque minus what a design makes of it.
 
-    The factor is a sum of k design variables. Inputs: torques (m) [N m],
-    the variables of the joints (m k). Data: (n, m, k) torque of today times
-    the weight of each variable.
+    That is linear in k design variables of each joint. Inputs: torques (m)
+    [N m], the variables of the joints (m k). Data: (n, m, k) torque by each.
 
     Args:
         num_joints, num_points: m and k.

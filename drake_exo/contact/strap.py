@@ -10,11 +10,10 @@ cuff, and nothing is promised that tissue would have to give.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
@@ -136,82 +135,13 @@ class JointDesign:
 
 
 @dataclass(frozen=True)
-class Assistance:
-    """Factor on the torque of one joint of the device.
-
-    Attributes:
-        factor: at each angle, linear between them and constant beyond; or,
-            over the movement, coefficients of a cubic spline (B-splines on
-            even knots, clamped).
-        angle_deg: of the joint, increasing; empty over the movement.
-        over: what the factor depends on: the joint's "angle", or how much of
-            the "movement"'s time is over.
-
-    >>> Assistance((0.0, 60.0), (1.2, 0.9)).factors(np.deg2rad([30.0]), 0.5)
-    array([1.05])
-    >>> spline = Assistance((), (1.0, 1.0, 2.0, 1.0, 1.0), "movement")
-    >>> spline.factors(np.zeros(2), np.array([0.0, 0.5])).round(3)
-    array([1. , 1.5])
-    """
-
-    angle_deg: tuple[float, ...] = field(
-        default=(0.0,), metadata={"unit": "deg"}
-    )
-    factor: tuple[float, ...] = field(default=(1.0,), metadata={"minimum": 0.0})
-    over: Literal["angle", "movement"] = "angle"
-
-    def __post_init__(self):
-        if self.over == "movement":
-            if self.angle_deg or not self.factor:
-                raise InputError(
-                    "over the movement there are factors alone; leave "
-                    "angle_deg empty"
-                )
-            return
-        if not self.angle_deg or len(self.angle_deg) != len(self.factor):
-            raise InputError(
-                f"{len(self.factor)} factors at {len(self.angle_deg)} angles; "
-                "give one at each"
-            )
-        if (np.diff(self.angle_deg) <= 0.0).any():
-            raise InputError("angle_deg does not increase; put it in order")
-
-    def factors(self, angle: np.ndarray, share) -> np.ndarray:
-        """Factors (...) at angles (...) [rad], shares (...) of the movement."""
-        return self.weights(angle, share) @ np.array(self.factor)
-
-    def weights(self, angle: np.ndarray, share) -> np.ndarray:
-        """Of each factor there, (..., k)."""
-        if self.over == "movement":
-            return splines(len(self.factor), share)
-        return hats(self.angle_deg, angle)
-
-
-def hats(angle_deg, angle: np.ndarray) -> np.ndarray:
-    """Weights (..., k) of values at k angles [deg], at angles (...) [rad]."""
-    points = np.deg2rad(angle_deg)
-    return np.stack(
-        [np.interp(angle, points, row) for row in np.eye(len(points))], axis=-1
-    )
-
-
-def splines(count: int, share) -> np.ndarray:
-    """Weights (..., count) of a spline's coefficients, at shares (...)."""
-    degree = min(3, count - 1)
-    inner = np.linspace(0.0, 1.0, count - degree + 1)
-    knots = np.pad(inner, degree, mode="edge")
-    share = np.clip(np.asarray(share, float), 0.0, 1.0)
-    found = BSpline.design_matrix(share.ravel(), knots, degree).toarray()
-    return found.reshape(*share.shape, count)
-
-
-@dataclass(frozen=True)
 class Design:
     """What a design changes, as `design.yaml` holds it.
 
     Attributes:
         cuffs: those that change, by name.
         assistance: joint of the device -> factor on its torque.
+        gains: joint of the device -> of its controller, instead.
         joints: of the shipped device that are moved: exo_knee, exo_hip.
 
     >>> Design().cuffs
@@ -221,20 +151,39 @@ class Design:
     cuffs: dict[str, CuffDesign] = field(default_factory=dict)
     assistance: dict[str, Assistance] = field(default_factory=dict)
     joints: dict[str, JointDesign] = field(default_factory=dict)
+    gains: dict[str, Gains] = field(default_factory=dict)
 
-    def factors(self, joints, angles: np.ndarray, share) -> np.ndarray:
-        """Factors on the torques of joints of the device.
+    def __post_init__(self):
+        for joint in self.gains:
+            if joint in self.assistance:
+                raise InputError(
+                    f"{joint} has assistance and gains; keep one of them"
+                )
+
+    @property
+    def given(self) -> dict[str, Assistance | Gains]:
+        """Joint -> what its torque is, of those that it says something of."""
+        return {**self.assistance, **self.gains}
+
+    def torques(
+        self, joints, today: np.ndarray, angles, rates, share
+    ) -> np.ndarray:
+        """Torques (..., m) of joints of the device [N m].
 
         Args:
             joints: (m,) names.
-            angles: (..., m) of them [rad].
+            today: (..., m) what they would give without the design [N m].
+            angles: (..., m) [rad].
+            rates: (..., m) [rad/s].
             share: (...) of the movement's time that is over.
         """
-        if not self.assistance:
-            return np.ones_like(angles)
+        if not self.given:
+            return today
         none = Assistance()
         columns = [
-            self.assistance.get(joint, none).factors(angles[..., i], share)
+            self.given.get(joint, none).torque(
+                today[..., i], angles[..., i], rates[..., i], share
+            )
             for i, joint in enumerate(joints)
         ]
         return np.stack(columns, axis=-1)
@@ -255,6 +204,7 @@ class Design:
             ("cuffs", self.cuffs, model.cuffs),
             ("joints", self.joints, movable(model)),
             ("assistance", self.assistance, model.coordinates.device),
+            ("gains", self.gains, model.coordinates.device),
         ):
             for name in own:
                 if name not in known:

@@ -533,7 +533,7 @@ class Campaign:
             "disturbances": self.active,
             "faults": self.laboratory.faults,
         }
-        if self.truth.design.cuffs or self.truth.design.assistance:
+        if self.truth.design != Design():
             about["design"] = self.truth.design
         write_parameters(truth, self.truth, about)
         return write_scans(

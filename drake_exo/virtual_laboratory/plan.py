@@ -456,7 +456,7 @@ class DeviceController(LeafSystem):
         share: of the gravity torque at each of its joints; only a device
             of ankle, knee and hip helps.
         friction: of the joints.
-        design: factors on the help.
+        design: what it makes of the help.
         span: begin and end of what a factor over the movement is over [s].
     """
 
@@ -484,9 +484,10 @@ class DeviceController(LeafSystem):
 
     def torques(self, times, angles, rates, load) -> np.ndarray:
         """Torques (N, 3) at times, angles and rates (N, 3), F_z (N,) [N]."""
-        return self.help(times, angles, load) + self._friction.torques(rates)
+        drive = self.help(times, angles, rates, load)
+        return drive + self._friction.torques(rates)
 
-    def help(self, times, angles, load) -> np.ndarray:
+    def help(self, times, angles, rates, load) -> np.ndarray:
         """What the drives give, without friction."""
         if not self._share.any():
             return np.zeros_like(angles)
@@ -498,8 +499,10 @@ class DeviceController(LeafSystem):
         engaged = comes_in(load / self._weight, *_ENGAGED)
         start, end = self._span
         share = (times - start) / (end - start)
-        factors = self._design.factors(self._joints, angles, share)
-        return engaged[:, None] * self._share * factors * gravity
+        drive = self._design.torques(
+            self._joints, self._share * gravity, angles, rates, share
+        )
+        return engaged[:, None] * drive
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)

@@ -116,8 +116,12 @@ def _controllers(truth: Truth, reference: Reference, help_share, span):
         truth.model, help_share, truth.friction, truth.design, span
     )
     names = truth.model.rigid.coordinates
-    angles = reference.q[:, names.joint_columns]
-    help_expected = device.help(reference.times, angles, reference.ground[:, 1])
+    angles, rates = (
+        x[:, names.joint_columns] for x in (reference.q, reference.v)
+    )
+    help_expected = device.help(
+        reference.times, angles, rates, reference.ground[:, 1]
+    )
     names = truth.model.coordinates
     return SubjectController(names, reference, help_expected), device
 

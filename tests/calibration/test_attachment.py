@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.calibration.attachment import hold
+from drake_exo.calibration.design_cuffs import hold
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design

@@ -6,18 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_exo.contact.assistance import Assistance, Gains, splines
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import (
     SOFTEST_N_M,
-    Assistance,
     CuffDesign,
     Design,
     JointDesign,
     device_sdf,
     in_series,
     read_design,
-    splines,
     write_design,
 )
 from drake_exo.errors import InputError
@@ -37,6 +36,7 @@ MOVED = Design(
         "exo_ankle": Assistance((), (1.1, 0.9, 1.0), "movement"),
     },
     {"exo_hip": JointDesign(0.01, -0.02)},
+    {"exo_hip": Gains(0.9, 1.5, 4.0, 0.2)},
 )
 
 
@@ -115,6 +115,9 @@ def test_files_hold_designs(tmp_path):
         ),
         ("assistance: {exo_knee: {angle_deg: [1, 3], factor: [1]}}", "each"),
         ("assistance: {exo_knee: {angle_deg: [1], factor: [-1]}}", "factor"),
+        ("gains: {exo_knee: {stiffness_nm_rad: -1}}", "stiffness_nm_rad"),
+        ("gains: {exo_knee: {support: 1, spring: 2}}", "spring"),
+        ("gains: {exo_knee: {}}\nassistance: {exo_knee: {}}", "keep one"),
     ],
 )
 def test_a_wrong_file_is_one_sentence(tmp_path, text, said):
@@ -135,6 +138,7 @@ def test_a_design_of_another_device_is_refused(nominal):
     for what, design in (
         ("assistance", Design(assistance={"exo_toe": Assistance()})),
         ("joints", Design(joints={"exo_toe": JointDesign()})),
+        ("gains", Design(gains={"exo_toe": Gains()})),
     ):
         with pytest.raises(InputError, match=rf"{what}\.exo_toe"):
             design.check(nominal("coupled"))
@@ -207,9 +211,12 @@ def test_joints_and_cuffs_move_in_the_file_that_is_built(nominal):
 
 def test_factors_are_linear_between_angles_and_constant_beyond():
     angles = np.deg2rad([[-30.0, 0.0], [50.0, 0.0], [70.0, 5.0], [120.0, 1.0]])
-    found = MOVED.factors(["exo_knee", "exo_hip"], angles, 0.5)
+    today, rates = np.ones_like(angles), np.zeros_like(angles)
+    joints = ["exo_knee", "exo_hip"]
+    found = MOVED.torques(joints, today, angles, rates, 0.5)
     np.testing.assert_allclose(found[:, 0], [1.2, 1.0, 0.9, 0.8])
-    np.testing.assert_array_equal(found[:, 1], 1.0)
+    # The hip's are gains.
+    np.testing.assert_allclose(found[:, 1], 2.4 - 4.0 * angles[:, 1])
 
 
 def test_a_spline_over_the_movement():
@@ -225,7 +232,7 @@ def test_a_spline_over_the_movement():
     np.testing.assert_allclose(weights[inside] @ fit, wanted[inside])
     # Before and after, what it begins and ends with.
     assist = Assistance((), tuple(fit), "movement")
-    found = assist.factors(np.zeros(400), share)
+    found = assist.torque(np.ones(400), np.zeros(400), 0.0, share)
     np.testing.assert_allclose(found[share < 0.0], 1.0)
     np.testing.assert_allclose(found[share > 1.0], 1.0)
     assert splines(1, 0.3) == pytest.approx(1.0)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from drake_exo.cli import main
-from drake_exo.contact.strap import Assistance, CuffDesign, Design
+from drake_exo.contact.assistance import Assistance
+from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.errors import InputError
 from drake_exo.virtual_laboratory.campaign import read_about
 from drake_exo.virtual_laboratory.plan import DeviceController
@@ -46,12 +47,10 @@ def test_help_follows_the_factors_and_friction_does_not(truth):
         DeviceController(truth.model, share, truth.friction, design)
         for design in (None, DESIGN)
     )
-    at = np.zeros(2), angles
+    at = np.zeros(2), angles, rates
     ratio = built.help(*at, load)[:, 1:] / own.help(*at, load)[:, 1:]
     np.testing.assert_allclose(ratio, [[1.0, 1.0], [0.4, 1.0]])
-    friction = [
-        d.torques(*at, rates, load) - d.help(*at, load) for d in (own, built)
-    ]
+    friction = [d.torques(*at, load) - d.help(*at, load) for d in (own, built)]
     np.testing.assert_allclose(*friction)
 
 
@@ -60,12 +59,14 @@ def test_help_follows_a_spline_over_the_movement(truth):
     spline = Assistance((), (1.2, 1.0, 0.9, 0.8), "movement")
     share, times = (0.1, 0.2, 0.2), np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     angles = np.tile(np.deg2rad([10.0, 60.0, 30.0]), (5, 1))
-    load = np.full(5, truth.model.tree.weight)
+    load, rest = np.full(5, truth.model.tree.weight), np.zeros((5, 3))
     own, built = (
         DeviceController(truth.model, share, truth.friction, design, (2.0, 4.0))
         for design in (None, Design(assistance={"exo_hip": spline}))
     )
-    ratio = built.help(times, angles, load) / own.help(times, angles, load)
+    ratio = built.help(times, angles, rest, load) / own.help(
+        times, angles, rest, load
+    )
     # Four coefficients: a Bezier curve.
     middle = (1.2 + 3.0 * 1.0 + 3.0 * 0.9 + 0.8) / 8.0
     np.testing.assert_allclose(ratio[:, 2], [1.2, 1.2, middle, 0.8, 0.8])
