@@ -14,7 +14,11 @@ from drake_exo.calibration.design_result import (
     norm_of,
     works,
 )
-from drake_exo.calibration.design_variables import design_of, design_variables
+from drake_exo.calibration.design_variables import (
+    GAINS,
+    design_of,
+    design_variables,
+)
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
     CuffFreedom,
@@ -255,6 +259,7 @@ def test_the_forecast_is_what_the_design_promised(found, in_device, driven):
         ("exo_knee.across_m", 2e-3, 2e-4),
         ("exo_hip.along_m", -2e-3, 2e-4),
         ("exo_knee.factor_at_2_of_4", 1.05, 5e-3),
+        ("exo_hip.stiffness_nm_rad", 2.0, 0.1),
     ],
 )
 def test_slope_is_that_of_problems_solved_again(
@@ -262,6 +267,7 @@ def test_slope_is_that_of_problems_solved_again(
 ):
     """Gradient of the optimum by a variable, to 1 %."""
     over = "movement" if "_of_" in name else "angle"
+    over = "gains" if name.partition(".")[2] in GAINS else over
     free = replace(
         SETTINGS,
         assistance_over=over,
@@ -309,6 +315,37 @@ def test_torques_over_the_movement_keep_the_support(wearer, today):
         spline.torque(expected, None, None, share),
         atol=0.05,
     )
+
+
+def test_gains_of_a_controller_keep_the_support(
+    wearer, today, in_device, driven
+):
+    """Less is felt at the same work; and the forecast agrees."""
+    settings = replace(SETTINGS, assistance_over="gains")
+    result = DesignProblem([wearer], settings, today=today).solve()
+    assert result.solution.success
+    assert result.norm_n < 0.9 * today.norm_n
+    work = [works(r)["somebody"] for r in (today, result)]
+    assert work[1] == pytest.approx(work[0], rel=0.006)
+    assert not result.design.assistance
+    gains = result.design.gains
+    assert set(gains) == set(_DRIVE_NM)
+    (found,) = result.wearers["somebody"].trials
+    own = wearer.trials[0].sample(found.times)
+    for joint, own_gains in gains.items():
+        angle, rate = own.coordinate(joint), own.velocity(joint)
+        expected = (
+            own_gains.support * own.moment(joint)
+            + own_gains.constant_nm
+            - own_gains.stiffness_nm_rad * angle
+            - own_gains.damping_nm_s_rad * rate
+        )
+        np.testing.assert_allclose(found.moment(joint), expected, atol=0.05)
+    design = result.design
+    again = moved(
+        in_device, assisted(driven, design), design.contact(in_device.contact)
+    )
+    assert norm_of([again], SETTINGS) == pytest.approx(result.norm_n, rel=0.07)
 
 
 def test_moved_joints_are_those_of_the_model_that_is_built(wearer):

@@ -5,13 +5,24 @@ import json
 import numpy as np
 import pytest
 
+import drake_exo as dx
 from drake_exo.cli import main
-from drake_exo.contact.assistance import Assistance
+from drake_exo.contact.assistance import Assistance, GainController, Gains
 from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.errors import InputError
-from drake_exo.virtual_laboratory.campaign import read_about
+from drake_exo.virtual_laboratory.campaign import (
+    Campaign,
+    Repetition,
+    read_about,
+    write_study,
+)
 from drake_exo.virtual_laboratory.plan import DeviceController
-from drake_exo.virtual_laboratory.truth import TRUTH, draw_truth, wearing
+from drake_exo.virtual_laboratory.truth import (
+    TRUTH,
+    WIDE,
+    draw_truth,
+    wearing,
+)
 
 DESIGN = Design(
     {"thigh": CuffDesign(along_m=0.05, strap_normal_n_m=3000.0)},
@@ -71,6 +82,75 @@ def test_help_follows_a_spline_over_the_movement(truth):
     middle = (1.2 + 3.0 * 1.0 + 3.0 * 0.9 + 0.8) / 8.0
     np.testing.assert_allclose(ratio[:, 2], [1.2, 1.2, middle, 0.8, 0.8])
     np.testing.assert_allclose(ratio[:, :2], 1.0)
+
+
+def test_the_device_follows_gains_as_their_system_does(truth):
+    """While the feet are loaded; passive, there is nothing to change."""
+    gains = {
+        "exo_knee": Gains(0.7, 2.0, 5.0, 0.3),
+        "exo_hip": Gains(1.2, -1.0, 0.0, 0.8),
+    }
+    design, joints = Design(gains=gains), truth.model.coordinates.device
+    share = (0.1, 0.2, 0.2)
+    own, built, passive = (
+        DeviceController(truth.model, s, truth.friction, d)
+        for s, d in ((share, None), (share, design), ((0.0,) * 3, design))
+    )
+    rng = np.random.default_rng(4)
+    angles, rates = rng.uniform(0.1, 1.5, (2, 6, 3))
+    load = np.full(6, truth.model.tree.weight)
+    at = np.zeros(6), angles, rates, load
+    found, today = built.help(*at), own.help(*at)
+    system = GainController([gains.get(j, Gains()) for j in joints])
+    context = system.CreateDefaultContext()
+    for i in range(6):
+        for port, values in (
+            ("exoskeleton_state", np.r_[angles[i], rates[i]]),
+            ("today_torques", today[i]),
+        ):
+            system.GetInputPort(port).FixValue(context, values)
+        expected = system.GetOutputPort("exoskeleton_torques").Eval(context)
+        np.testing.assert_allclose(found[i], expected)
+    unloaded = built.help(*at[:3], 0.0 * load)
+    np.testing.assert_array_equal(unloaded, 0.0)
+    np.testing.assert_array_equal(passive.help(*at), 0.0)
+
+
+FEWER = Design({"shank": CuffDesign(removed=True)})
+
+
+def test_who_wears_fewer_cuffs_is_the_same_subject(truth):
+    worn = wearing(truth, FEWER)
+    assert set(worn.cuffs) == {"thigh", "pelvis"} == set(worn.model.tree.cuffs)
+    assert worn.cuffs["thigh"] == truth.cuffs["thigh"]
+    assert (worn.human, worn.exoskeleton) == (truth.human, truth.exoskeleton)
+    with pytest.raises(InputError, match="turn freely"):
+        wearing(truth, Design({"pelvis": CuffDesign(removed=True)}))
+
+
+@pytest.mark.slow
+def test_a_campaign_without_a_cuff_has_no_mats_of_it(tmp_path):
+    """The same subject and faults; a study that knows what is there."""
+    (tmp_path / "truth").mkdir()
+    given = tmp_path, 3, frozenset(TRUTH | WIDE), "c3d", "wide"
+    own, job = Campaign(*given), Campaign(*given, FEWER)
+    assert job.laboratory.faults == own.laboratory.faults
+    assert set(own.laboratory.faults.mat_share) == {"shank", "thigh", "pelvis"}
+    mats = job.prepare()
+    assert set(mats) == {
+        f"{part}_{face}"
+        for part in ("thigh", "pelvis")
+        for face in ("front", "back")
+    }
+    assert not list(tmp_path.glob("*shank*"))
+    entry = job.record(Repetition("assisted", "legs", 3))
+    path = tmp_path / "study.yaml"
+    write_study(path, job.truth, job.laboratory, mats, [entry])
+    study = dx.read_study(path)
+    assert set(study.model.cuffs) == {"thigh", "pelvis"}
+    (trial,) = study.trials()
+    assert set(trial.cuffs) == {"thigh"}
+    assert np.abs(trial.cuffs["thigh"].normal).max() > 5.0
 
 
 def test_a_design_of_another_device_is_refused(truth):
