@@ -41,6 +41,7 @@ __all__ = [
     "EndTolerance",
     "ErrorSizes",
     "FootGroundSettings",
+    "GainFreedom",
     "InteractionNoise",
     "InteractionSettings",
     "JointFreedom",
