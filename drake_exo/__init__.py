@@ -29,7 +29,6 @@ _PLACES = {
         "InteractionSettings",
         "PredictionSettings",
     ],
-    "contact.assistance": ["GainController", "Gains"],
     "contact.systems": ["AssistController"],
     "contact.diagram": ["build_diagram", "build_simulator"],
     "contact.parameters": ["ContactModel", "nominal_contact"],

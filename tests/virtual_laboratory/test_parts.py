@@ -194,7 +194,10 @@ def test_controllers_join_to_six_torques():
     friction = Friction((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))
     device = DeviceController(truth.model, (0.0, 0.5, 0.5), friction)
     expected = device.help(
-        reference.times, reference.q[:, 3:], reference.ground[:, 1]
+        reference.times,
+        reference.q[:, 3:],
+        reference.v[:, 3:],
+        reference.ground[:, 1],
     )
     subject = SubjectController(truth.model.coordinates, reference, expected)
     both = controller(subject, device)
