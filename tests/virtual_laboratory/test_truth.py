@@ -483,7 +483,7 @@ def test_the_device_helps_as_the_feet_are_loaded():
     plant.SetPositions(context, q[0])
     gravity = -plant.CalcGravityGeneralizedForces(context)[3:]
     expected = np.outer([0.0, 0.5, 1.0, 1.0], share * gravity)
-    found = device.help(np.zeros(4), angles, load)
+    found = device.help(np.zeros(4), angles, 0.0 * angles, load)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
