@@ -19,7 +19,10 @@ from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import Hold, Tried, fewer, hold
 from drake_exo.calibration.design_result import (
     DesignResult,
+    Norm,
+    WearerResult,
     device_work,
+    joint_norm,
     norm_of,
     works,
 )
@@ -102,6 +105,8 @@ class Peak:
 
     Attributes:
         measured_before: by mats; None where there were none.
+        today: what the forecast is compared with: measured_before, but where
+            the model differs from it by more than a factor of 2.
         model_before, model_after: of the model, on the cuffs of today and on
             the design; 0 of a cuff that is left out.
         forecast_after: of what mats would show on the design: the model's
@@ -111,6 +116,7 @@ class Peak:
     """
 
     measured_before: float | None
+    today: float
     model_before: float
     model_after: float
     forecast_after: float
@@ -178,29 +184,37 @@ class Designed:
         return {cuff: self._peak(cuff) for cuff in first[0].trial.cuffs}
 
     def _peak(self, cuff: str) -> Peak:
+        differ = {w.name: w.differ for w in self.found.problem.wearers}
+        ratio = np.array(
+            [
+                differ[name].get(cuff, 1.0)
+                for name, moved in self.before.items()
+                for _ in moved
+            ]
+        )
         before = [m for moved in self.before.values() for m in moved]
         after = [m for moved in self.after.values() for m in moved]
         seen = [k for k, m in enumerate(before) if cuff in m.measured.cuffs]
         chosen = seen or list(range(len(before)))
-        peak = {
-            what: np.mean([_largest(moved[k].trial, cuff) for k in chosen])
-            for what, moved in (("before", before), ("after", after))
-        }
-        width = np.mean([_half_width(after[k], cuff) for k in chosen])
+        ratio = ratio[chosen]
+        was, now = (
+            np.array([_largest(moved[k].trial, cuff) for k in chosen])
+            for moved in (before, after)
+        )
+        half = np.array([_half_width(after[k], cuff) for k in chosen])
         built = [
             t for ts in self.measured.values() for t in ts if cuff in t.cuffs
         ]
-        measured = _mean([_largest(before[k].measured, cuff) for k in seen])
-        ratio = 1.0 if measured is None else measured / peak["before"]
-        ratio = float(np.clip(ratio, 1.0 / _DIFFER, _DIFFER))
-        forecast, width = ratio * peak["after"], max(ratio, 1.0) * width
+        forecast = float(np.mean(ratio * now))
+        width = float(np.mean(np.maximum(ratio, 1.0) * half))
         return Peak(
-            measured,
-            float(peak["before"]),
-            float(peak["after"]),
-            float(forecast),
-            float(max(forecast - width, 0.0)),
-            float(forecast + width),
+            _mean([_largest(before[k].measured, cuff) for k in seen]),
+            float(np.mean(ratio * was)),
+            float(np.mean(was)),
+            float(np.mean(now)),
+            forecast,
+            max(forecast - width, 0.0),
+            forecast + width,
             _mean([_largest(t, cuff) for t in built]),
         )
 
@@ -314,10 +328,8 @@ class Designed:
         design = self.design
         return {
             name: {
-                "before": norm_of(today.trials, self.settings),
-                "after": norm_of(
-                    self.found.wearers[name].trials, self.settings, design
-                ),
+                "before": self._norm(today).newton,
+                "after": self._norm(self.found.wearers[name], design).newton,
             }
             for name, today in self.today.wearers.items()
         }
@@ -372,16 +384,16 @@ class Designed:
                 "the design promised: lower design.own_angle_deg or weight",
             )
         )
-        largest = {
-            what: max(getattr(p, f"model_{what}") for p in self.peaks.values())
-            for what in ("before", "after")
-        }
+        largest, today = (
+            max(getattr(p, what) for p in self.peaks.values())
+            for what in ("forecast_after", "today")
+        )
         found.append(
             Check(
                 "design.better",
-                largest["after"] < largest["before"],
-                largest["after"],
-                largest["before"],
+                largest < today,
+                largest,
+                today,
                 "N",
                 sentence="the largest force does not fall: give the design "
                 "more freedom or wider limits",
@@ -502,12 +514,23 @@ class Designed:
 
         Of the calibrated wearers alone.
         """
-        forecast = [m.trial for ms in self.after.values() for m in ms]
-        own = [t for n in self.after for t in self.found.wearers[n].trials]
+        wearers = [self.found.wearers[name] for name in self.after]
+        forecast = [
+            replace(own, trials=[m.trial for m in moved])
+            for own, moved in zip(wearers, self.after.values(), strict=True)
+        ]
         ratio = np.divide(
-            *(norm_of(t, self.settings, self.design) for t in (forecast, own))
+            *(
+                joint_norm(self._norm(w, self.design) for w in these)
+                for these in (forecast, wearers)
+            )
         )
         return ratio * self.found.norm_n
+
+    def _norm(self, worn: WearerResult, design: Design | None = None) -> Norm:
+        """Of the forces in some trials of a wearer."""
+        differ = worn.problem.wearer.differ
+        return norm_of(worn.trials, self.settings, design, differ)
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
         """All checks."""
@@ -712,7 +735,11 @@ def design(
         before[name] = movements(own, contact, settings)
         wearers.append(
             Wearer(
-                name, own.model, contact, tuple(m.trial for m in before[name])
+                name,
+                own.model,
+                contact,
+                tuple(m.trial for m in before[name]),
+                differ=differences(before[name]),
             )
         )
     everybody = [w for own in wearers for w in _wearers(own, settings)]
@@ -734,6 +761,28 @@ def design(
     if parts:
         made = replace(made, parts=_parts(made))
     return made
+
+
+def differences(moved: Sequence[Moved]) -> dict[str, float]:
+    """Cuff -> what mats show of its largest force over what the model has.
+
+    At most a factor of 2; of cuffs that were measured. What is designed is what
+    is felt, so both objective and forecast are of forces times these.
+
+    Args:
+        moved: of one wearer, on the cuffs of today.
+    """
+    found = {}
+    for cuff in moved[0].trial.cuffs:
+        seen = [m for m in moved if cuff in m.measured.cuffs]
+        if seen:
+            by_mats, model = (
+                np.mean([_largest(getattr(m, what), cuff) for m in seen])
+                for what in ("measured", "trial")
+            )
+            ratio = np.clip(by_mats / model, 1.0 / _DIFFER, _DIFFER)
+            found[cuff] = float(ratio)
+    return found
 
 
 def _wearers(own: Wearer, settings: DesignSettings) -> list[Wearer]:

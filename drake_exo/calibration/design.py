@@ -19,6 +19,7 @@ import numpy as np
 from drake_exo.calibration.design_result import (
     DesignResult,
     WearerResult,
+    joint_norm,
     largest_deflections,
     largest_forces,
     largest_moments,
@@ -289,15 +290,17 @@ class _Wearing(PhaseProblem):
             )
 
     def _add_forces(self, movement: TrialProgram) -> None:
-        """The norm of the cuffs' forces as a cost."""
+        """The norm of the cuffs' forces, as mats would show them, as a cost."""
         posed = self._posed
         settings = posed.settings
-        kernel = ForceNormKernel(
-            settings.exponent, posed.scale, settings.shear_weight
-        )
         share = movement.grid.quadrature / posed.weights_s
         used = share > 0.0
         for cuff, force in movement.cuffs.items():
+            kernel = ForceNormKernel(
+                settings.exponent,
+                posed.scale / self.wearer.differ.get(cuff, 1.0),
+                settings.shear_weight,
+            )
             felt = force[used][:, [TANGENTIAL, NORMAL]]
             area = np.broadcast_to(
                 self._of_cuff(cuff, ["area"]), (len(felt), 1)
@@ -563,13 +566,16 @@ class DesignProblem:
         ]
         self.variables = {v.name: self._variable(v) for v in self.design}
         cuffs = len(self.wearers[0].model.cuffs)
-        own = [t for w in self.wearers for t in w.trials]
+        own = [
+            norm_of(w.trials, settings, differ=w.differ) for w in self.wearers
+        ]
+        durations = [t.duration for w in self.wearers for t in w.trials]
         posed = _Posed(
             settings,
             self.variables,
             {v.name: v.today for v in self.design},
-            max(norm_of(own, settings), _LEAST_SCALE_N),
-            cuffs * sum(t.duration for t in own),
+            max(joint_norm(own), _LEAST_SCALE_N),
+            cuffs * sum(durations),
             None if today is None else largest_forces(today),
             None if today is None else largest_deflections(today),
             support,

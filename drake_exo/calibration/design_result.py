@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import reduce
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -78,8 +79,15 @@ class DesignResult:
     @property
     def norm_n(self) -> float:
         """The norm of all cuffs' forces that was minimised [N]."""
-        trials = [t for found in self.wearers.values() for t in found.trials]
-        return norm_of(trials, self.problem.settings, self._design)
+        return joint_norm(
+            norm_of(
+                found.trials,
+                self.problem.settings,
+                self._design,
+                found.problem.wearer.differ,
+            )
+            for found in self.wearers.values()
+        )
 
     def slopes(self) -> dict[str, float]:
         """Derivative of the optimum by each design variable that is held.
@@ -102,30 +110,69 @@ class DesignResult:
         return dict(zip(fixed, map(float, slopes), strict=True))
 
 
+class Norm(NamedTuple):
+    """The norm that is minimised, of all cuffs' forces in some trials.
+
+    Attributes:
+        total: integral of the forces to the order of the norm [N^p s].
+        duration: over time and cuffs [s].
+        order: p.
+    """
+
+    total: float
+    duration: float
+    order: float
+
+    @property
+    def newton(self) -> float:
+        """The norm [N]."""
+        return float((self.total / self.duration) ** (1.0 / self.order))
+
+    def with_more(self, other: Norm) -> Norm:
+        """Of these trials and others."""
+        return Norm(
+            self.total + other.total,
+            self.duration + other.duration,
+            self.order,
+        )
+
+
 def norm_of(
     trials: Sequence[Trial],
     settings: DesignSettings,
     design: Design | None = None,
-) -> float:
-    """The norm that is minimised, of all cuffs' forces in some trials [N].
+    differ: Mapping[str, float] | None = None,
+) -> Norm:
+    """The norm of one wearer's trials.
 
-    Each over the cuff's area against today's, if a design changes it; one that
-    is left out counts as one without force.
+    Each force over the cuff's area against today's, if a design changes it,
+    and as mats would show it; one that is left out counts as one without
+    force.
+
+    Args:
+        trials: solved.
+        settings: of the design.
+        design: of the trials; nothing changed by default.
+        differ: see Wearer.
     """
     cuffs = {} if design is None else design.cuffs
     removed = () if design is None else design.removed
-    total, duration = 0.0, 0.0
+    p, total, duration = settings.exponent, 0.0, 0.0
     for trial in trials:
         duration += len(removed) * trial.duration
         for cuff, force in trial.cuffs.items():
             square = force.normal**2
             square = square + settings.shear_weight * force.tangential**2
-            square = square / cuffs.get(cuff, CuffDesign()).area ** 2
-            total += np.trapezoid(
-                square ** (settings.exponent / 2), trial.times
-            )
+            share = (differ or {}).get(cuff, 1.0)
+            square *= (share / cuffs.get(cuff, CuffDesign()).area) ** 2
+            total += float(np.trapezoid(square ** (p / 2), trial.times))
             duration += trial.duration
-    return float((total / duration) ** (1.0 / settings.exponent))
+    return Norm(total, duration, p)
+
+
+def joint_norm(norms: Iterable[Norm]) -> float:
+    """Of several wearers together [N]."""
+    return reduce(Norm.with_more, norms).newton
 
 
 def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:

@@ -10,8 +10,8 @@ Besides those who were calibrated, wearers are drawn from what a calibration
 left open, or have bodies of other sizes.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -117,6 +117,8 @@ class Wearer:
         trials: own movements on them, solved (`OwnMovement`).
         is_drawn: whether drawn from a posterior: then a limit that is not
             kept today need not be kept.
+        differ: cuff -> what mats show of its force today over what the model
+            has; 1 where nothing measured it.
     """
 
     name: str
@@ -124,6 +126,7 @@ class Wearer:
     contact: ContactModel
     trials: tuple[Trial, ...]
     is_drawn: bool = False
+    differ: Mapping[str, float] = field(default_factory=dict)
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:
