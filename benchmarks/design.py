@@ -17,7 +17,7 @@ import numpy as np
 
 import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem, Wearer, drawn
-from drake_exo.designing import movements
+from drake_exo.designing import differences, movements
 from drake_exo.report.tables import format_table
 
 # Movements -> trials, wearers.
@@ -47,7 +47,11 @@ def main() -> None:
     settings = study.design
     moved = movements(study, contact, settings)
     wearer = Wearer(
-        study.name, study.model, contact, tuple(m.trial for m in moved)
+        study.name,
+        study.model,
+        contact,
+        tuple(m.trial for m in moved),
+        differ=differences(moved),
     )
     rows = []
     for size, (trials, count) in SIZES.items():
