@@ -40,7 +40,6 @@ GROUPS = {
     "joint moments": ("moment_nm", "exo_moment_nm"),
     "mats": ("normal_force_n",),
     "contact energy": ("energy_j",),
-    "jerk": ("jerk",),
 }
 
 
@@ -53,8 +52,7 @@ def sweep(factors: list[float]) -> list[dict]:
     for group, names in GROUPS.items():
         for factor in factors:
             own = {n: getattr(INSTRUMENT_NOISE, n) for n in names}
-            # What is taken from the trials has no size to scale.
-            scaled = {n: factor * v for n, v in own.items() if v is not None}
+            scaled = {n: factor * v for n, v in own.items()}
             cases.append((group, factor, replace(INSTRUMENT_NOISE, **scaled)))
     rows, base, half = [], None, None
     progress = Progress("weights", total=len(cases), stream=sys.stderr)
