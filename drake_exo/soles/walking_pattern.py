@@ -68,7 +68,8 @@ class Robot:
         if not (self.back_m < self.front_m and self.outer_m < self.inner_m):
             raise InputError(
                 "pattern: back_m must be below front_m and outer_m below "
-                "inner_m"
+                "inner_m: places in the sole's frame, -0.1 and 0.1 along it, "
+                "-0.05 and 0.05 across by default"
             )
 
 
