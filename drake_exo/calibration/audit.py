@@ -122,17 +122,18 @@ def audit(result: PhaseResult, index: int = 0) -> Audit:
         - force.components[:, :ROTATION]
         for cuff, force in found.cuffs.items()
     ]
-    grf = rms(simulated.ground.force - found.ground.force)
-    angles = rms(np.rad2deg(simulated.q - found.q)[:, joints])
+    times = found.times
+    grf = rms(simulated.ground.force - found.ground.force, times)
+    angles = rms(np.rad2deg(simulated.q - found.q)[:, joints], times)
     return Audit(
         found.name,
         float(force.max()),
         float(moment.max()),
         (float(grf[0]), float(grf[1])),
         float(angles.max()),
-        float(rms(np.hstack(off)).max()) if off else None,
+        float(rms(np.hstack(off), times).max()) if off else None,
         len(force),
-        float(rms(simulated.moments - found.moments).max()),
+        float(rms(simulated.moments - found.moments, times).max()),
     )
 
 

@@ -20,7 +20,7 @@ from drake_exo.calibration.error_model import (
     shared_moments,
 )
 from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.problem import PhaseProblem
+from drake_exo.calibration.problem import Parts, PhaseProblem
 from drake_exo.calibration.settings import InteractionSettings
 from drake_exo.calibration.uncertainty import DISCREPANCY, QUANTILE_95
 from drake_exo.contact.parameters import ContactModel, Posterior
@@ -155,7 +155,7 @@ class Timing(InteractionCalibration):
         contact: ContactModel,
         settings: InteractionSettings,
         *,
-        refined: Mapping[str, int] | None = None,
+        refined: Mapping[str, Parts] | None = None,
     ):
         values = contact.values()
         # A single trial may not slip at all.

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from drake_exo.calibration.problem import (
+    Parts,
     PhaseProblem,
     PhaseResult,
     ground_terms,
@@ -56,7 +57,7 @@ class FootGroundCalibration(PhaseProblem):
         parameters: list[ContactParameter] | None = None,
         *,
         ground: GroundContact | None = None,
-        refined: Mapping[str, int] | None = None,
+        refined: Mapping[str, Parts] | None = None,
     ):
         settings = settings or FootGroundSettings()
         if ground is None:

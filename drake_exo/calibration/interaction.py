@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.problem import (
+    Parts,
     PhaseProblem,
     ground_terms,
     kinematic_terms,
@@ -54,7 +55,7 @@ class InteractionCalibration(PhaseProblem):
         contact: ContactModel,
         settings: InteractionSettings | None = None,
         *,
-        refined: Mapping[str, int] | None = None,
+        refined: Mapping[str, Parts] | None = None,
     ):
         check_has_cuffs(model)
         settings = settings or InteractionSettings()

@@ -17,6 +17,7 @@ from pydrake.systems.framework import System
 from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.interaction import EVERY
 from drake_exo.calibration.problem import (
+    Parts,
     PhaseProblem,
     ground_terms,
     kinematic_terms,
@@ -75,7 +76,7 @@ class PredictionProblem(PhaseProblem):
         settings: PredictionSettings | None = None,
         *,
         controller: System | None = None,
-        refined: Mapping[str, int] | None = None,
+        refined: Mapping[str, Parts] | None = None,
     ):
         settings = settings or PredictionSettings(ends=self.ends)
         if settings.ends != self.ends:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from drake_exo.calibration.error_model import Effects, ErrorModel
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
@@ -41,6 +41,7 @@ from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
 
+Parts = np.ndarray | int
 _NUM_ORIGIN = sum(name.startswith("origin") for name in CALIBRATED)
 # Bounds that no sound end state reaches: rates within what that is a second
 # [rad, rad/s].
@@ -116,8 +117,9 @@ class PhaseProblem(ABC):
         parameters: of the contact that are calibrated; the others are known.
         settings: of the phase, with solver and noise.
         errors: what goes wrong in measurement, if anything.
-        refined: trial -> how many times as fine its grid is as the solver's
-            settings say; 1 where there is none.
+        refined: trial -> into how many parts each interval of the grid that
+            the solver's settings say is split, or one number for all; of
+            these trials what alternates is damped.
         program: to add to; a new one by default.
 
     Attributes:
@@ -139,7 +141,7 @@ class PhaseProblem(ABC):
         parameters: list[ContactParameter],
         settings,
         errors: ErrorModel | None = None,
-        refined: Mapping[str, int] | None = None,
+        refined: Mapping[str, Parts] | None = None,
         program: BatchedProgram | None = None,
     ):
         start = time.perf_counter()
@@ -297,7 +299,7 @@ class PhaseProblem(ABC):
             self._terms(movement, at, effects), self.error_variables
         )
         movement.add_jerk_cost(self.jerk)
-        if self.refined.get(movement.name, 1) > 1:
+        if movement.name in self.refined:
             # From the start it would lead a step to other optima.
             movement.damp()
         return movement
@@ -333,7 +335,7 @@ class PhaseProblem(ABC):
             trial.name,
             self.tree,
             trial.duration,
-            self.refined.get(trial.name, 1) * solver.nodes_per_second,
+            solver.nodes_per_second,
             solver.transcription,
             {
                 cuff: (bushing, self.places(cuff))
@@ -342,6 +344,7 @@ class PhaseProblem(ABC):
             _borne(self.tree, trial),
             self.soles,
             self.coupled,
+            self.refined.get(trial.name, 1),
         )
         for body, spheres in self.soles.items():
             variables = [self._variables[name] for name in spheres]
@@ -410,7 +413,11 @@ class PhaseProblem(ABC):
         return x
 
     def guess_from(self, found: PhaseResult) -> np.ndarray:
-        """Program variables near a solution on another grid, or like it."""
+        """Program variables near a solution on another grid, or like it.
+
+        Motion follows the polynomials of its grid: a finer one that has all of
+        its nodes starts at the very same motion.
+        """
         x = np.zeros(self.program.prog.num_vars())
         # Parameters and errors come before all movements, in both programs.
         shared = [*self._variables.values()]
@@ -418,15 +425,25 @@ class PhaseProblem(ABC):
             shared.append(self.error_variables)
         index = self.program.indices(np.concatenate(shared))
         x[index] = found.values[index]
-        for movement, solved, ground in zip(
-            self.movements, found.trials, found.grounds, strict=True
+        for movement, before, solved, ground in zip(
+            self.movements,
+            found.problem.movements,
+            found.trials,
+            found.grounds,
+            strict=True,
         ):
-            times = movement.grid.times
-            at = solved.sample(times)
+            times, jerk = movement.grid.times, solved.jerk
+            at, nodes = solved.sample(times), solved.times
+            motion = before.grid.at(
+                times, nodes, solved.q, solved.v, solved.a, jerk
+            )
+            own = movement.grid.jerk
+            known = make_interp_spline(nodes[-len(jerk) :], jerk, k=1)
+            x[self.program.indices(own)] = known(times[-len(own) :])
             self._fill(
                 x,
                 movement,
-                (at.q, at.v, at.a),
+                motion,
                 at.moments,
                 CubicSpline(solved.times, ground)(times),
                 {cuff: at.cuffs[cuff].components for cuff in movement.cuffs},

@@ -7,9 +7,23 @@ from drake_exo.measurement.trial import Trial
 _PHASE_SAMPLES = 101
 
 
-def rms(values: np.ndarray) -> np.ndarray:
-    """Root mean square over time, ignoring NaN; (n, m) to (m,)."""
-    return np.sqrt(np.nanmean(np.square(values), axis=0))
+def rms(values: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
+    """Root mean square over time, ignoring NaN.
+
+    Args:
+        values: (n, m), or (n,).
+        times: (n,) of them: a value counts as long as it stands for, so that
+            places where a grid is fine do not count more; even if None.
+
+    Returns:
+        (m,), or a number; NaN where there is nothing.
+    """
+    steps = np.ones(len(values) - 1) if times is None else np.diff(times)
+    lengths = np.r_[steps[0], 0.5 * (steps[:-1] + steps[1:]), steps[-1]]
+    known = ~np.isnan(values)
+    square = np.where(known, values, 0.0) ** 2
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(lengths @ square / (lengths @ known))
 
 
 def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
@@ -29,23 +43,24 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
         otherwise.
     """
     at, names = measured.sample(found.times), found.coordinates
-    d_q, d_v = rms(found.q - at.q), rms(found.v - at.v)
+    times = found.times
+    d_q, d_v = rms(found.q - at.q, times), rms(found.v - at.v, times)
     grf, cop = {}, {}
     for side, measured_wrench in at.soles.items():
         wrench = found.soles[side]
-        d_ground = rms(wrench.force - measured_wrench.force)
+        d_ground = rms(wrench.force - measured_wrench.force, times)
         off = (wrench.cop_x - measured_wrench.cop_x)[:, None]
         end = "" if side == "both" else f" {side}"
         grf |= _by_name((f"horizontal{end}", f"vertical{end}"), d_ground)
-        cop[side] = float(1e3 * rms(off)[0])
+        cop[side] = float(1e3 * rms(off, times)[0])
     x, z, pitch = d_q[names.root_columns]
     moments, interaction = {}, {}
     if at.moments is not None and loads:
-        moments = _by_name(names.joints, rms(found.moments - at.moments))
+        moments = _by_name(names.joints, rms(found.moments - at.moments, times))
     for cuff, force in at.cuffs.items():
         if cuff in found.cuffs:
             off = found.cuffs[cuff].normal - force.normal
-            interaction[cuff] = float(rms(off))
+            interaction[cuff] = float(rms(off, times))
     return {
         "trial": found.name,
         "angles_deg": _of_joints(names, d_q),

@@ -13,13 +13,14 @@ from drake_exo.calibration.audit import (
     MOMENT_TOLERANCE,
     between_nodes,
 )
-from drake_exo.calibration.problem import PhaseProblem, PhaseResult
+from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress, read_arrays
 from drake_exo.nlp.ipopt import Iterate, Solution
 
 CHECKPOINT = "checkpoint.npz"
-REFINEMENTS = 2
+REFINEMENTS = 4
+_AT_ONCE = 4.0  # parts of an interval
 _CHECKPOINT_SECONDS = 2.0
 
 
@@ -62,7 +63,7 @@ class SolveWatch:
 
 
 def solve(
-    pose: Callable[[Mapping[str, int]], PhaseProblem],
+    pose: Callable[[Mapping[str, Parts]], PhaseProblem],
     title: str,
     folder: str | Path | None = None,
     resume: bool = False,
@@ -70,11 +71,13 @@ def solve(
 ) -> PhaseResult:
     """Solve with progress, on a grid on which the audit holds.
 
-    A trial whose laws or equations of motion do not hold between its nodes
-    gets a grid twice as fine, started from the solution, `REFINEMENTS` times
-    at most; what then does not hold, the audit says. Its whole grid, because
-    a step that changes within a trial sets off an oscillation from node to
-    node that a quartic spline does not damp.
+    Where a trial's laws or equations of motion do not hold between its nodes,
+    as while a foot comes down or lifts, it gets a finer grid, started from the
+    solution, `REFINEMENTS` times at most; what then does not hold, the audit
+    says. What alternates from node to node is damped before, on the same grid
+    (`TrialProgram.damp`): it would fail everywhere. From interval to interval
+    lengths change by a factor of two at most, since what a step that changes
+    sets off is the smaller the smoother it changes.
 
     Args:
         pose: makes the phase with grids as fine as it is told, see
@@ -96,14 +99,14 @@ def solve(
     """
     problem = pose(near.problem.refined if near else {})
     result = _solve_first(problem, title, folder, resume, near)
-    for _ in range(REFINEMENTS):
+    for _ in range(1 + REFINEMENTS):
         refined = finer(result) if result.success else None
         if not refined:
             break
-        names = ", ".join(refined)
-        again = pose(refined).solve(
-            on_iterate=SolveWatch(f"{title}, finer grid for {names}"),
-            near=result,
+        problem = pose(refined)
+        nodes = sum(len(m.grid.times) for m in problem.movements)
+        again = problem.solve(
+            on_iterate=SolveWatch(f"{title}, {nodes} nodes"), near=result
         )
         _add_up(again.solution, result.solution)
         if again.solution.was_stopped:
@@ -123,15 +126,49 @@ def _add_up(solution: Solution, before: Solution) -> None:
         solution.seconds[part] = solution.seconds.get(part, 0.0) + seconds
 
 
-def finer(result: PhaseResult) -> dict[str, int]:
-    """How fine each trial's grid is to be; empty where the audit holds."""
-    refined, fails = dict(result.problem.refined), False
-    for i, trial in enumerate(result.problem.trials):
+def finer(result: PhaseResult) -> dict[str, np.ndarray]:
+    """Into how many parts intervals are to be split, see `PhaseProblem`.
+
+    Those that miss more than the audit allows, and their neighbours, since
+    what sets them off moves as it is followed.
+
+    Returns:
+        Of every trial; empty where the audit holds. All 1 for what is damped
+        first.
+    """
+    problem, found, fails = result.problem, {}, False
+    undamped = not problem.refined and any(
+        movement.may_alternate for movement in problem.movements
+    )
+    for i, (trial, movement) in enumerate(
+        zip(problem.trials, problem.movements, strict=True)
+    ):
         force, moment = between_nodes(result, i)
-        if force.max() > FORCE_TOLERANCE or moment.max() > MOMENT_TOLERANCE:
-            refined[trial.name] = 2 * refined.get(trial.name, 1)
-            fails = True
-    return refined if fails else {}
+        missed = np.maximum(force / FORCE_TOLERANCE, moment / MOMENT_TOLERANCE)
+        fails |= bool(missed.max() > 1.0)
+        parts = movement.grid.parts
+        found[trial.name] = parts if undamped else split(parts, missed)
+    return found if fails else {}
+
+
+def split(parts: np.ndarray, missed: np.ndarray) -> np.ndarray:
+    """Finer parts (m,) of m intervals where too much is missed.
+
+    Args:
+        parts: (m,) that each has now.
+        missed: (parts.sum(),) by these, in units of what is allowed.
+    """
+    starts = np.r_[0, np.cumsum(parts)[:-1]]
+    worst = np.maximum.reduceat(missed, starts)
+    # What is halved misses half at least.
+    halvings = np.ceil(np.log2(np.clip(worst, 1.0, _AT_ONCE)))
+    new = np.where(worst > 1.0, parts * 2.0**halvings, 1.0)
+    beside = np.pad(new, 1, constant_values=1.0)
+    wanted = np.max([parts, new, beside[:-2], beside[2:]], axis=0)
+    for near in (wanted, wanted[::-1]):  # in place, from either end
+        for k in range(1, len(near)):
+            near[k] = max(near[k], 0.5 * near[k - 1])
+    return wanted.astype(int)
 
 
 def _solve_first(

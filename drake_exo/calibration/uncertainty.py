@@ -228,11 +228,11 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
     g = np.zeros(len(x))
     for movement in problem.movements:
         jerk = problem.program.indices(movement.grid.jerk)
-        weight = movement.jerk_weight / movement.jerk_sigma**2
-        g[jerk] += weight * x[jerk]
-        variables, factors = movement.damped
+        weights = movement.grid.jerk_weights[:, None]
+        g[jerk] += weights / movement.jerk_sigma**2 * x[jerk]
+        variables, factors, times = movement.damped
         index = problem.program.indices(variables)
-        missed = movement.grid.step * (x[index] @ factors)
+        missed = times * np.sum(x[index] * factors, axis=1)
         np.add.at(g, index, missed[:, None] * factors)
         weights = movement.grid.quadrature[:, None]
         for term in movement.tracked:
@@ -412,7 +412,10 @@ def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
             problem.model, problem.trials, problem.settings, parameters
         ).solve()
         errors = [
-            rms(t.ground.force_z - trial.sample(t.times).ground.force_z)
+            rms(
+                t.ground.force_z - trial.sample(t.times).ground.force_z,
+                t.times,
+            )
             for t, trial in zip(found.trials, problem.trials, strict=True)
         ]
         yield {

@@ -82,7 +82,7 @@ def add_parser(subparsers) -> None:
         "--model",
         metavar="FILE",
         help="what a study's 'model' says, of two legs: simulate that person "
-        "and device, passive and without mats, instead",
+        "and device, passive, instead",
     )
     parser.add_argument(
         "--movement",

@@ -33,9 +33,20 @@ class Transcription(ABC):
     Attributes:
         times: (n,) node times from 0 to duration [s].
         quadrature: (n,) weights of an integral over time [s].
+        parts: see below.
+        mesh: (m + 1,) ends of the mesh intervals [s].
         q, v, a: (n, n_dof) decision variables.
         jerk: (n_controls, n_dof) decision variables; one row for each node,
             but for a grid whose first node is not a collocation point.
+
+    Args:
+        program: to add to.
+        name: of the trajectory.
+        num_dof: coordinates.
+        duration: [s].
+        num_intervals: of even length, `FEWEST` at least.
+        parts: (num_intervals,) into how many mesh intervals each of these is
+            split, or one number for all.
     """
 
     times: np.ndarray
@@ -45,13 +56,19 @@ class Transcription(ABC):
     a: np.ndarray
     jerk: np.ndarray
 
-    def __init__(self, program, name, num_dof, duration, num_intervals):
+    def __init__(
+        self, program, name, num_dof, duration, num_intervals, parts=1
+    ):
         if num_intervals < FEWEST:
             raise ValueError(f"{name}: {num_intervals} intervals")
         self.name = name
         self.num_dof = num_dof
-        self.num_intervals = num_intervals
-        self.step = duration / num_intervals
+        self.parts = np.broadcast_to(parts, num_intervals)
+        starts = [
+            k + np.arange(count) / count for k, count in enumerate(self.parts)
+        ]
+        even = duration / num_intervals
+        self.mesh = even * np.concatenate([*starts, [num_intervals]])
         self._add_to(program)
         for array, size in zip(self._arrays(), _SIZES, strict=True):
             for variable in array.ravel():
@@ -60,23 +77,37 @@ class Transcription(ABC):
     def _arrays(self):
         return self.q, self.v, self.a, self.jerk
 
-    def alternating(self) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def num_intervals(self) -> int:
+        """Of the mesh."""
+        return len(self.mesh) - 1
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Lengths (m,) of the mesh intervals [s]."""
+        return np.diff(self.mesh)
+
+    @property
+    @abstractmethod
+    def jerk_weights(self) -> np.ndarray:
+        """Of each row of jerk in an integral over time [s]."""
+
+    def alternating(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Accelerations midway between nodes that no node tells of.
 
         Returns:
-            variables (m, n_dof, k) and their weights (k,) in m accelerations
-            of each coordinate; none where the nodes determine what is between
-            them.
+            variables (m, n_dof, k), their weights (m, k) in m accelerations
+            of each coordinate, and the time (m,) that each stands for [s];
+            none where the nodes determine what is between them.
         """
-        return self.jerk[:0, :, None], np.ones(1)
+        return self.jerk[:0, :, None], np.ones((0, 1)), np.ones(0)
 
     @abstractmethod
     def _add_to(self, program: BatchedProgram) -> None:
         """Add variables and collocation constraints."""
 
-    @staticmethod
-    @abstractmethod
-    def between(fraction, times, q, v, a, jerk):
+    @classmethod
+    def between(cls, fraction, times, q, v, a, jerk):
         """State at one place in each mesh interval of a solution.
 
         Args:
@@ -86,6 +117,35 @@ class Transcription(ABC):
         Returns:
             times (m,), q, v, a (m, n_dof) in each of m intervals.
         """
+        mesh = cls._mesh(times)
+        when = mesh[:-1] + fraction * np.diff(mesh)
+        return when, *cls.at(when, times, q, v, a, jerk)
+
+    @classmethod
+    @abstractmethod
+    def at(cls, when, times, q, v, a, jerk):
+        """State of a solution at any times, by the grid's polynomials.
+
+        Args:
+            when: (m,) [s].
+            times, q, v, a, jerk: values at the nodes.
+
+        Returns:
+            q, v, a (m, n_dof).
+        """
+
+    @staticmethod
+    @abstractmethod
+    def _mesh(times):
+        """Ends of the mesh intervals among the nodes."""
+
+    @classmethod
+    def _intervals(cls, when, times):
+        """Of times (m,): number, start and length of the mesh interval."""
+        mesh = cls._mesh(times)
+        k = np.searchsorted(mesh, when, side="right") - 1
+        k = np.clip(k, 0, len(mesh) - 2)
+        return k, mesh[k], mesh[k + 1] - mesh[k]
 
     @abstractmethod
     def _scalar_basis(self) -> tuple[sp.csr_array, np.ndarray]:
@@ -119,9 +179,9 @@ class HermiteSimpson(Transcription):
 
     def _add_to(self, program):
         n_dof, n = self.num_dof, self.num_intervals + 1
-        self.times = self.step * np.arange(n)
-        self.quadrature = np.full(n, self.step)
-        self.quadrature[[0, -1]] *= 0.5
+        steps = self.steps
+        self.times = self.mesh
+        self.quadrature = 0.5 * (np.r_[steps, 0.0] + np.r_[0.0, steps])
         prog = program.prog
         before = len(prog.generic_constraints())
         system = _integrator(n_dof)
@@ -129,10 +189,13 @@ class HermiteSimpson(Transcription):
             system,
             system.CreateDefaultContext(),
             n,
-            self.step,
-            self.step,
+            steps.min(),
+            steps.max(),
             prog=prog,
         )
+        for i, step in enumerate(steps):
+            time_step = collocation.time_step(i)
+            prog.AddBoundingBoxConstraint(step, step, time_step)
         # Its constraints point to contexts that it owns, and to the system.
         program.keep_alive((system, collocation))
         states = np.stack([collocation.state(i) for i in range(n)])
@@ -142,11 +205,24 @@ class HermiteSimpson(Transcription):
         # Every trial's constraints carry the same names otherwise.
         for i, binding in enumerate(bindings):
             binding.evaluator().set_description(f"{self.name} collocation[{i}]")
-        kernel = AffineKernel(_constant_jacobian(bindings[0], self.step))
-        zero = np.zeros((len(bindings), 3 * n_dof))
-        program.register(
-            f"{self.name} collocation", kernel, bindings, zero, zero
-        )
+        for step, which in _by_length(steps):
+            some = [bindings[i] for i in which]
+            zero = np.zeros((len(some), 3 * n_dof))
+            program.register(
+                f"{self.name} collocation",
+                AffineKernel(_constant_jacobian(some[0], step)),
+                some,
+                zero,
+                zero,
+            )
+
+    @property
+    def jerk_weights(self):
+        """See Transcription; ends count as other nodes do."""
+        steps = self.steps
+        beside = 0.5 * (steps[:-1] + steps[1:])
+        weights = np.r_[steps[0], beside, steps[-1]]
+        return weights * (steps.sum() / weights.sum())
 
     def alternating(self):
         """See Transcription.
@@ -156,41 +232,57 @@ class HermiteSimpson(Transcription):
         difference is not, and what sets it off, such as a force with a
         corner, is never damped. Midway it is this much.
         """
-        j = self.jerk
+        j, before, after = self.jerk, self.steps[:-1], self.steps[1:]
         variables = np.stack([j[:-2], j[1:-1], j[2:]], axis=2)
-        return variables, self.step / 16.0 * np.array([1.0, -2.0, 1.0])
+        # Off the line between its neighbours.
+        both = before + after
+        off = np.column_stack(
+            [after / both, -np.ones(len(both)), before / both]
+        )
+        return variables, both[:, None] / 16.0 * off, 0.5 * both
 
     @staticmethod
-    def between(fraction, times, q, v, a, jerk):
+    def _mesh(times):
+        return times
+
+    @classmethod
+    def at(cls, when, times, q, v, a, jerk):
         """See Transcription; jerk is linear in each interval."""
-        h = np.diff(times)[:, None]
-        s = fraction * h
-        j0, j1 = jerk[:-1], jerk[1:]
-        snap = (j1 - j0) / h
-        a_mid = a[:-1] + s * (j0 + s * snap / 2.0)
-        v_mid = v[:-1] + s * (a[:-1] + s * (j0 / 2.0 + s * snap / 6.0))
-        q_mid = q[:-1] + s * (
-            v[:-1] + s * (a[:-1] / 2.0 + s * (j0 / 6.0 + s * snap / 24.0))
+        k, start, h = cls._intervals(when, times)
+        s = (when - start)[:, None]
+        q, v, a, j = (x[k] for x in (q, v, a, jerk))
+        snap = (jerk[k + 1] - j) / h[:, None]
+        return (
+            q + s * (v + s * (a / 2.0 + s * (j / 6.0 + s * snap / 24.0))),
+            v + s * (a + s * (j / 2.0 + s * snap / 6.0)),
+            a + s * (j + s * snap / 2.0),
         )
-        return times[:-1] + s[:, 0], q_mid, v_mid, a_mid
 
     def _scalar_basis(self):
-        n = self.num_intervals + 1
-        spline = BSpline.basis_element(np.arange(6.0))
-        at = np.arange(4.0, 0.0, -1.0)
-        blocks = []
+        mesh, beyond = self.mesh, np.arange(1.0, 5.0)
+        knots = np.r_[
+            mesh[0] - self.steps[0] * beyond[::-1],
+            mesh,
+            mesh[-1] + self.steps[-1] * beyond,
+        ]
+        n = len(mesh) + 3
+        blocks, derived = [], sp.eye_array(n, format="csr")
         for order in range(4):
             # The spline is C3: its third derivative has a value at knots.
-            values = spline.derivative(order)(at) if order else spline(at)
-            values = values / self.step**order
-            blocks.append(
-                sp.diags_array(
-                    [np.full(n, value) for value in values],
-                    offsets=[0, 1, 2, 3],
-                    shape=(n, n + 3),
-                )
+            degree = 4 - order
+            inner = knots[order : len(knots) - order]
+            of_degree = BSpline.design_matrix(mesh, inner, degree)
+            blocks.append(of_degree @ derived)
+            # Coefficients of the derivative, de Boor, 1978, X(12).
+            between = inner[degree + 1 : -1] - inner[1 : -degree - 1]
+            rates = degree / between
+            ahead = sp.diags_array(
+                [-rates, rates],
+                offsets=[0, 1],
+                shape=(len(rates), len(rates) + 1),
             )
-        return sp.vstack(blocks).tocsr(), np.ones(n + 3)
+            derived = ahead @ derived
+        return sp.vstack(blocks).tocsr(), np.ones(n)
 
 
 class Pseudospectral(Transcription):
@@ -205,11 +297,9 @@ class Pseudospectral(Transcription):
         n_dof, intervals = self.num_dof, self.num_intervals
         points, weights, D = radau_points()
         self._D = D
-        self.times = np.r_[
-            0.0,
-            (self.step * (np.arange(intervals)[:, None] + points)).ravel(),
-        ]
-        self.quadrature = np.r_[0.0, np.tile(self.step * weights, intervals)]
+        starts, steps = self.mesh[:-1, None], self.steps[:, None]
+        self.times = np.r_[0.0, (starts + steps * points).ravel()]
+        self.quadrature = np.r_[0.0, (steps * weights).ravel()]
         n = 3 * intervals + 1
         prog = program.prog
         states = prog.NewContinuousVariables(n * 3 * n_dof, f"{self.name} x")
@@ -217,7 +307,6 @@ class Pseudospectral(Transcription):
         self.q, self.v, self.a = np.split(states, 3, axis=1)
         jerk = prog.NewContinuousVariables((n - 1) * n_dof, f"{self.name} u")
         self.jerk = jerk.reshape(n - 1, n_dof)
-        A = np.kron(_interval_equations(D, self.step), np.eye(n_dof))
         first = 3 * np.arange(intervals)
         columns = [
             array[first + k]
@@ -225,35 +314,42 @@ class Pseudospectral(Transcription):
             for k in range(4)
         ]
         columns += [self.jerk[first + k] for k in range(3)]
-        program.add_constraints(
-            f"{self.name} collocation",
-            AffineKernel(A),
-            np.concatenate(columns, axis=1),
-        )
+        columns = np.concatenate(columns, axis=1)
+        for step, which in _by_length(self.steps):
+            A = np.kron(_interval_equations(D, step), np.eye(n_dof))
+            program.add_constraints(
+                f"{self.name} collocation", AffineKernel(A), columns[which]
+            )
+
+    @property
+    def jerk_weights(self):
+        """See Transcription; points of an interval count alike."""
+        return np.repeat(self.steps / 3.0, 3)
 
     @staticmethod
-    def between(fraction, times, q, v, a, jerk):
+    def _mesh(times):
+        return times[::3]
+
+    @classmethod
+    def at(cls, when, times, q, v, a, jerk):
         """See Transcription; each state is a cubic in each interval."""
-        points, _, _ = radau_points()
-        nodes = np.r_[0.0, points]
-        weights = np.array(
-            [
-                np.prod(fraction - np.delete(nodes, i))
-                / np.prod(nodes[i] - np.delete(nodes, i))
-                for i in range(4)
-            ]
-        )
-        first = np.arange(0, len(times) - 1, 3)
-        start, end = times[first], times[first + 3]
-        found = [
-            sum(w * x[first + i] for i, w in enumerate(weights))
+        k, start, h = cls._intervals(when, times)
+        fraction = ((when - start) / h)[:, None]
+        nodes = np.r_[0.0, radau_points()[0]]
+        weights = []
+        for i in range(4):
+            others = np.delete(nodes, i)
+            weights.append(
+                np.prod(fraction - others, axis=1) / np.prod(nodes[i] - others)
+            )
+        return tuple(
+            sum(w[:, None] * x[3 * k + i] for i, w in enumerate(weights))
             for x in (q, v, a)
-        ]
-        return start + fraction * (end - start), *found
+        )
 
     def _scalar_basis(self):
         """Values q, v, a at the mesh points determine each interval."""
-        h, intervals = self.step, self.num_intervals
+        intervals = self.num_intervals
         n = 3 * intervals + 1
         # Columns: q0..q3, v0..v3, a0..a3, j1..j3, in units of h = 1.
         A = _interval_equations(self._D, 1.0)
@@ -261,7 +357,8 @@ class Pseudospectral(Transcription):
         inner = [1, 2, 5, 6, 9, 10, 12, 13, 14]
         orders = np.repeat([0, 1, 2, 3], [2, 2, 2, 3])
         inside = -np.linalg.solve(A[:, inner], A[:, ends])
-        inside *= h ** (np.tile([0.0, 1.0, 2.0], 2) - orders[:, None])
+        powers = np.tile([0.0, 1.0, 2.0], 2) - orders[:, None]
+        inside = inside * self.steps[:, None, None] ** powers
         places = orders * n + np.array([1, 2, 1, 2, 1, 2, 0, 1, 2])
         k = 3 * np.arange(intervals)[:, None, None]
         shape = (intervals, 9, 6)
@@ -292,6 +389,15 @@ TRANSCRIPTIONS = {
     "hermite_simpson": HermiteSimpson,
     "pseudospectral": Pseudospectral,
 }
+
+
+def _by_length(steps: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Each length of some intervals (m,), and which have it."""
+    # Those of one length differ by rounding.
+    _, first, of = np.unique(
+        np.round(steps, 12), return_index=True, return_inverse=True
+    )
+    return [(steps[i], np.flatnonzero(of == k)) for k, i in enumerate(first)]
 
 
 def radau_points():

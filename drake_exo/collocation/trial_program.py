@@ -60,8 +60,9 @@ class TrialProgram:
         dynamics: kernel of the equations of motion; its inputs are q, v, a,
             torque, ground and, with bushings, their forces and origins.
         tracked: terms of the cost.
-        damped: variables (m, k) and their weights (k,) in m accelerations, in
-            units of ALTERNATING, see `damp`.
+        damped: variables (m, k), their weights (m, k) in m accelerations, in
+            units of ALTERNATING, and the time (m,) each stands for [s]; see
+            `damp`.
 
     Args:
         program: to add to.
@@ -77,6 +78,8 @@ class TrialProgram:
             what is carried.
         bodies: that touch the ground; the root by default.
         coupled: kernel of the equations of motion with bushings.
+        parts: into how many each of these intervals is split, see
+            `Transcription`.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class TrialProgram:
         chair: AppliedWrench | None = None,
         bodies: Sequence[str] | None = None,
         coupled: type[CoupledDynamicsKernel] = CoupledDynamicsKernel,
+        parts: np.ndarray | int = 1,
     ):
         self.name = name
         self.program = program
@@ -98,7 +102,7 @@ class TrialProgram:
         self.coordinates = tree.coordinates
         intervals = max(round(duration * nodes_per_second), FEWEST)
         self.grid: Transcription = TRANSCRIPTIONS[transcription](
-            program, name, tree.num_positions, duration, intervals
+            program, name, tree.num_positions, duration, intervals, parts
         )
         moments = np.full(tree.coordinates.num_joints, MOMENT_UNIT)
         self.torque = self._new("torque", moments)
@@ -131,7 +135,8 @@ class TrialProgram:
             kernel = LoadedDynamicsKernel(kernel, chair)
         self.dynamics = kernel
         self.tracked: list[Tracking] = []
-        self.damped = self.grid.jerk[:0, :1], np.ones(1)
+        nothing = self.grid.jerk[:0]
+        self.damped = nothing, np.ones(nothing.shape), np.ones(0)
         program.add_constraints(
             f"{name} dynamics",
             kernel,
@@ -305,35 +310,34 @@ class TrialProgram:
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
         Q = np.diag(1.0 / self.jerk_sigma**2)
-        weight = self.jerk_weight
         zero = np.zeros(len(Q))
-        for row in jerk:
+        for row, weight in zip(jerk, self.grid.jerk_weights, strict=True):
             self.program.prog.AddQuadraticCost(
                 weight * Q, zero, row, is_convex=True
             )
 
-    def damp(self) -> None:
-        """Add 1/2 integral of what alternates between nodes as cost.
+    @property
+    def may_alternate(self) -> bool:
+        """Whether accelerations of the root may swing from node to node.
 
         Of a root in the air: no torque takes what the equations of motion then
         miss between the nodes. A root on the ground is held by its contact.
         """
-        if self.tree.root in self.grounds:
-            return
-        variables, factors = self.grid.alternating()
-        variables = variables[:, self.coordinates.root_columns]
-        variables = variables.reshape(-1, len(factors))
-        factors = factors / ALTERNATING
-        self.damped = variables, factors
-        Q = self.grid.step * np.outer(factors, factors)
-        zero = np.zeros(len(factors))
-        for row in variables:
-            self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
+        return self.tree.root not in self.grounds
 
-    @property
-    def jerk_weight(self) -> float:
-        """Quadrature weight of each row of jerk [s]."""
-        return self.grid.step * self.grid.num_intervals / len(self.grid.jerk)
+    def damp(self) -> None:
+        """Add 1/2 integral of what alternates between nodes as cost."""
+        if not self.may_alternate:
+            return
+        variables, factors, times = self.grid.alternating()
+        root = self.coordinates.root_columns
+        variables = np.concatenate(list(variables[:, root]))
+        factors, times = (np.repeat(x, len(root), 0) for x in (factors, times))
+        self.damped = variables, factors / ALTERNATING, times
+        zero = np.zeros(variables.shape[1])
+        for row, weights, time in zip(*self.damped, strict=True):
+            Q = time * np.outer(weights, weights)
+            self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
 
 
 class Tracking:

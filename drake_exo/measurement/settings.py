@@ -149,7 +149,8 @@ class Mat:
         segment: that it lies on: the cuff's name.
         rows, columns: cells, in the order of the file (row by row).
         cell_area_m2: of one cell.
-        legs: that it measured; "left" or "right" are doubled.
+        legs: that it measured; "left" or "right" are doubled. Of a person
+            of two legs each cuff is one leg's own, and nothing is doubled.
         scan: maps cells to the body's surface.
         plane_normal: outward normal of a flat surface instead (x forward,
             y left, z up along the segment).
@@ -622,6 +623,12 @@ class RecordingSettings:
                 raise InputError(
                     f"mats.{name}: segment {mat.segment!r} has no cuff; there "
                     f"are {', '.join(cuffs) or 'none'}"
+                )
+            if self.assembly.human.sides and mat.legs != "both":
+                raise InputError(
+                    f"mats.{name}: legs is {mat.legs!r}, which doubles the "
+                    "force; of two legs each cuff is one leg's own: leave it "
+                    "out"
                 )
 
     @property

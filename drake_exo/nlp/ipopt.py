@@ -359,8 +359,12 @@ def _relaxed(program, y, options, on_iterate, start, stop):
     return y if status in _ACCEPTED else None
 
 
-# A barrier of the usual height would first lead away from a solution.
+# A barrier of the usual height would first lead away from a solution. Where a
+# grid is fine, entries differ by 1e11; with the usual pivot tolerance of 1e-6
+# MUMPS counts negative eigenvalues wrongly there, and IPOPT mends a curvature
+# that is none: objectives rose a hundredfold and came back in fifty iterations.
 _NEAR = {
+    "mumps_pivtol": 1e-3,
     "mu_strategy": "monotone",
     "mu_init": 1e-5,
     "bound_push": 1e-6,

@@ -20,19 +20,21 @@ from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
 from drake_exo.virtual_laboratory.instruments import (
-    LARGEST_LAG_S,
     MARKER_RATE_HZ,
     PLATES,
     Clocks,
     Faults,
     Laboratory,
     draw_faults,
+    drawn_clocks,
     empty_plate_levels,
     marker_set,
-    mats_on,
-    record_pressure,
     slides,
     study_markers,
+)
+from drake_exo.virtual_laboratory.mats import (
+    mats_on,
+    record_pressure,
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan
@@ -133,8 +135,8 @@ def write_study(
         "mats": mats,
         "trials": [_trial(laboratory, entry) for entry in entries],
         "foot_ground": foot_ground_section(),
-        "interaction": _interaction(),
-        "prediction": _prediction(),
+        "interaction": interaction_section(),
+        "prediction": prediction_section(),
     }
     text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
     path.write_text(
@@ -239,7 +241,7 @@ def foot_ground_section(legs: int = 1) -> dict:
     }
 
 
-def _interaction() -> dict:
+def interaction_section() -> dict:
     """Weights of the second phase."""
     own = {
         "exo_angle_deg": 0.1,
@@ -248,7 +250,7 @@ def _interaction() -> dict:
     return {"noise": {**_NOISE, **own, **_FORCE_NOISE}}
 
 
-def _prediction() -> dict:
+def prediction_section() -> dict:
     """Weights of the third phase, which tracks no kinematics but ends.
 
     Contact energy weighs as little as in the second: at a tenth of a joule
@@ -526,7 +528,7 @@ class Campaign:
         if "plate_drift" in self.active:
             self.laboratory.record_empty(EMPTY, rng)
         truth = self.folder / "truth"
-        _write_truth(truth, standing)
+        write_happened(truth, standing)
         about = {
             "seed": self.seed,
             "truth": self.kind,
@@ -536,12 +538,9 @@ class Campaign:
         if self.truth.design != Design():
             about["design"] = self.truth.design
         write_parameters(truth, self.truth, about)
-        return write_scans(
-            self.folder,
-            self.truth.model.tree,
-            standing.q[-1],
-            self.truth.human,
-        )
+        there = self.truth.cuffs
+        mats = [m for of in _CONFIGURATIONS for m in mats_on(there, of)]
+        return write_scans(self.folder, self.truth.model, standing.q[-1], mats)
 
     def record(
         self,
@@ -583,8 +582,7 @@ class Campaign:
 
     def _measure(self, happened: Trial, movement: Repetition) -> None:
         rng = self._rng(4, *movement.key)
-        lags = rng.uniform(-LARGEST_LAG_S, LARGEST_LAG_S, 2).round(3)
-        clocks = Clocks(*lags) if "clocks" in self.active else Clocks()
+        clocks = drawn_clocks(rng, self.active)
         self.laboratory.record_motion(happened, rng)
         self.laboratory.record_device(
             happened, clocks, movement.mode == "assisted", rng
@@ -592,17 +590,17 @@ class Campaign:
         record_pressure(
             self.folder / f"{movement.name}.asc",
             happened,
-            movement.configuration,
+            mats_on(self.truth.cuffs, movement.configuration),
             clocks.mats,
-            self.truth.human,
+            self.truth.model,
             "pressure_steps" in self.active,
             self.laboratory.faults.left_share,
             self.laboratory.faults.mat_share,
         )
-        _write_truth(self.folder / "truth", happened, clocks)
+        write_happened(self.folder / "truth", happened, clocks)
 
 
-def _write_truth(
+def write_happened(
     folder: Path, movement: Trial, clocks: Clocks | None = None
 ) -> None:
     """Write what truly happened in a movement, and its clocks' lags."""

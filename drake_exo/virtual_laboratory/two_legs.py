@@ -2,8 +2,8 @@
 
 What both legs do in a rise or squat is planned for one that stands for both.
 Each leg then bears its share of the ground's force all the time, and its
-torques are what that asks for; a walk is planned as such. There are no mats,
-and the device does not help.
+torques are what that asks for; a walk is planned as such. The device does not
+help. Mats lie under every cuff, but on feet.
 """
 
 import shutil
@@ -18,7 +18,6 @@ from scipy.interpolate import make_interp_spline
 from drake_exo.contact.parameters import GroundContact, nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress
 from drake_exo.measurement.events import contacts
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
@@ -33,20 +32,29 @@ from drake_exo.virtual_laboratory.campaign import (
     EMPTY,
     after_chair,
     foot_ground_section,
+    interaction_section,
     laboratory_section,
+    prediction_section,
     vary,
+    write_happened,
 )
 from drake_exo.virtual_laboratory.forces import levelled, resting_foot
 from drake_exo.virtual_laboratory.instruments import (
     MARKER_RATE_HZ,
     PLATES,
-    Clocks,
     Faults,
     Laboratory,
+    drawn_clocks,
     empty_plate_levels,
     marker_set,
     slides,
     study_markers,
+)
+from drake_exo.virtual_laboratory.mats import (
+    MatDesign,
+    mats_of,
+    record_pressure,
+    write_scans,
 )
 from drake_exo.virtual_laboratory.plan import (
     Friction,
@@ -55,7 +63,7 @@ from drake_exo.virtual_laboratory.plan import (
     Reference,
     RisePlan,
 )
-from drake_exo.virtual_laboratory.simulation import RATE_HZ, simulate
+from drake_exo.virtual_laboratory.simulation import simulate
 from drake_exo.virtual_laboratory.truth import (
     CUFF_DRAWS,
     MEASUREMENT,
@@ -66,7 +74,6 @@ from drake_exo.virtual_laboratory.truth import (
     drawn_cuffs,
     five_spheres,
     other_masses,
-    truth_table,
     two_spheres,
     write_parameters,
 )
@@ -79,12 +86,8 @@ from drake_exo.virtual_laboratory.walking import (
 )
 
 MOVEMENTS = ("rise", "squat", "walk")
-# What acts of the disturbances: those of mats and of a wide truth do not.
-ACTING = tuple(
-    name
-    for name in (*TRUTH, *MEASUREMENT)
-    if name not in ("pressure_steps", "clocks")
-)
+# What acts of the disturbances: those of a wide truth do not.
+ACTING = (*TRUTH, *MEASUREMENT)
 _STANDING_S = 2.0
 _VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
 # Knees stay bent: a straight leg cannot give way to the other one.
@@ -114,6 +117,11 @@ class TwoLegs:
     def model(self) -> Model:
         """Person and device."""
         return self.truth.model
+
+    @property
+    def mats(self) -> tuple[MatDesign, ...]:
+        """Under its cuffs."""
+        return mats_of(self.model)
 
 
 def write_movements(
@@ -187,7 +195,7 @@ def write_movements(
         WALKWAY_M if movement == "walk" else 0.0,
     )
     with Progress("virtual laboratory", trials, interval_seconds=2.0) as tell:
-        _stand(subject, laboratory, seed, tell)
+        mats = _stand(subject, laboratory, seed, tell)
         entries = [
             _record(subject, laboratory, movement, left_share, seed, i, tell)
             for i in range(trials)
@@ -198,7 +206,7 @@ def write_movements(
     path.write_text(
         f"# A virtual subject of two legs: {movement}.\n"
         + yaml.dump(
-            _study(subject, laboratory, movement, entries),
+            _study(subject, laboratory, movement, mats, entries),
             sort_keys=False,
             default_flow_style=None,
             width=78,
@@ -313,13 +321,17 @@ def _bent(human: HumanParameters, q, foot):
     return knee - lean - q[:, 2], knee, lean + foot[:, 2]
 
 
-def _stand(subject: TwoLegs, laboratory: Laboratory, seed, tell) -> None:
+def _stand(subject: TwoLegs, laboratory: Laboratory, seed, tell) -> dict:
+    """Quiet standing, empty plates and body scan; the section `mats`."""
     plan = subject.planner.standing(_STANDING_S, STANDING_COP_M)
     happened = _happens("standing", subject, plan, None, 0.5, tell, None)
     rng = np.random.default_rng([seed, 22])
     laboratory.record_motion(happened, rng, hidden=False)
     if "plate_drift" in laboratory.disturbances:
         laboratory.record_empty(EMPTY, rng)
+    return write_scans(
+        laboratory.folder, subject.model, happened.q[-1], subject.mats
+    )
 
 
 def _happens(name, subject, plan, seat, share, tell, done) -> Trial:
@@ -352,16 +364,24 @@ def _record(
     happened, window = act(subject, name, share, chance, tell, number)
     rng = np.random.default_rng([seed, 24, number])
     laboratory.record_motion(happened, rng)
-    used = {"markers": "", **laboratory.motion_files(name)}
+    used: dict = laboratory.motion_files(name)
+    clocks = None
     if subject.model.coordinates.device:
-        laboratory.record_device(happened, Clocks(), False, rng)
+        clocks = drawn_clocks(rng, laboratory.disturbances)
+        laboratory.record_device(happened, clocks, False, rng)
         used["encoders"] = laboratory.device_file(name, "encoders")
-    step = round(RATE_HZ / MARKER_RATE_HZ)
-    write_table(
-        laboratory.folder / "truth" / f"{name}.sto",
-        truth_table(happened, step),
-        f"{name}: what truly happened",
-    )
+    if subject.mats:
+        record_pressure(
+            laboratory.folder / f"{name}.asc",
+            happened,
+            subject.mats,
+            clocks.mats,
+            subject.model,
+            "pressure_steps" in laboratory.disturbances,
+        )
+        names = [mat.name for mat in subject.mats]
+        used["pressure"] = [{"file": f"{name}.asc", "mats": names}]
+    write_happened(laboratory.folder / "truth", happened, clocks)
     return {
         "name": name,
         **used,
@@ -428,8 +448,12 @@ def _empty(laboratory: Laboratory) -> dict:
 
 
 def _study(
-    subject: TwoLegs, laboratory: Laboratory, movement: str, entries
+    subject: TwoLegs, laboratory: Laboratory, movement: str, mats, entries
 ) -> dict:
+    """The study file; of several trials, the last one is to be predicted."""
+    for k, entry in enumerate(entries):
+        last = k > 0 and k == len(entries) - 1
+        entry["use"] = "prediction" if last else "calibration"
     human, model = subject.truth.human, subject.files
     walks = movement == "walk"
     if walks:  # three spheres let a foot roll
@@ -456,9 +480,14 @@ def _study(
         },
         "scaling": {"lengths": "markers", "trunk_com": "table"},
         "markers": study_markers(),
+        **({"mats": mats} if mats else {}),
         "trials": entries,
-        "foot_ground": _rolling() if walks else foot_ground_section(legs=2),
+        "foot_ground": foot_ground_section(legs=2),
+        "interaction": interaction_section(),
+        "prediction": prediction_section(),
     }
+    if walks:
+        study |= _rolling(study)
     if subject.model.coordinates.device:
         study["device"] = {
             "joints": {
@@ -478,23 +507,29 @@ def _study(
     return study
 
 
-def _rolling() -> dict:
-    """Settings of the first phase for feet that roll; see a study's keys.
+def _rolling(study: dict) -> dict:
+    """Settings of all phases for feet that roll; see a study's keys.
 
     Shapes of those for feet that stand; steps are jerkier, and a sphere may be
     anywhere between its neighbours.
     """
-    section = foot_ground_section(legs=2)
-    ball = section["heel"] | {"x_m": {"below": 0.08, "above": 0.04}}
-    noise = section["noise"] | {"velocity_deg_s": 8.0, "jerk": 300.0}
-    return section | {
+    jerky = {"velocity_deg_s": 8.0, "jerk": 300.0}
+    found = {
+        phase: study[phase] | {"noise": study[phase]["noise"] | jerky}
+        for phase in ("foot_ground", "interaction", "prediction")
+    }
+    contact, cuffs = found["foot_ground"], found["interaction"]
+    ball = contact["heel"] | {"x_m": {"below": 0.08, "above": 0.04}}
+    ends = {"x_m": 0.01, "z_m": 0.01, "pitch_deg": 5.0}
+    contact |= {
         "constants": {"transition_velocity": 0.2},
         "spheres": {"ball": ball},
         "prior_weight": 10.0,
-        "noise": noise,
-        "end_tolerance": {"x_m": 0.01, "z_m": 0.01, "pitch_deg": 5.0},
+        "end_tolerance": ends,
         "solver": {"nodes_per_second": 200.0},  # toes leave within milliseconds
     }
+    cuffs["end_tolerance"] = dict(ends)
+    return found
 
 
 def _copy_device(description: Path, subject: TwoLegs, folder: Path) -> None:

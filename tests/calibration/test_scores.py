@@ -21,6 +21,22 @@ def test_rms_is_over_time_and_leaves_out_what_is_missing():
     np.testing.assert_allclose(rms(values), [np.sqrt(12.5), 5.0])
 
 
+def test_a_value_counts_as_long_as_it_stands_for():
+    """However many nodes a grid has in a short time."""
+    coarse = np.linspace(0.0, 1.0, 101)
+    fine = np.unique(np.r_[coarse, np.linspace(0.5, 0.51, 50)])
+    values = [np.exp(3.0 * t) * (t > 0.3) for t in (coarse, fine)]
+    expected = rms(values[0])
+    assert rms(values[0], coarse) == pytest.approx(expected)
+    assert rms(values[1], fine) == pytest.approx(expected, rel=0.01)
+    assert rms(values[1]) < 0.95 * expected
+    hidden = np.where(fine < 0.3, np.nan, values[1])[:, None]
+    seen = fine >= 0.3
+    np.testing.assert_allclose(
+        rms(hidden, fine), rms(values[1][seen], fine[seen]), rtol=0.01
+    )
+
+
 def test_each_signal_by_its_name_in_its_unit():
     measured = seen()
     dq = np.array([0.001, 0.002, 0.003, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06])

@@ -116,6 +116,14 @@ def test_a_mat_lies_on_a_cuff(folder):
     }
     with pytest.raises(InputError, match=r"'thigh' has no cuff"):
         write_recording(folder, nominal_human(), model=MODEL, mats={"m": mat})
+    mat |= {"segment": "calf", "legs": "left"}
+    two = {
+        "human": {"legs": "two"},
+        "device": MODEL["device"] | {"weld": {"shoe": "foot_left"}},
+        "cuffs": {"calf": {"human": "shank_left", "device": "calf"}},
+    }
+    with pytest.raises(InputError, match=r"mats\.m: legs is 'left', which"):
+        write_recording(folder, nominal_human(), model=two, mats={"m": mat})
 
 
 LOOSE = """<link name="loose"><inertial><mass value="1"/><inertia ixx="1"

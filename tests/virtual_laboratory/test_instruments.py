@@ -14,7 +14,7 @@ from drake_exo.files.tables import plate_axes
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
-from drake_exo.virtual_laboratory import instruments
+from drake_exo.virtual_laboratory import mats
 from drake_exo.virtual_laboratory.instruments import (
     PLATES,
     Clocks,
@@ -377,15 +377,15 @@ def pressed(tmp_path, monkeypatch):
     def keep(path, time, pressure, mats):
         caught.update(time=time, pressure=pressure, mats=mats)
 
-    monkeypatch.setattr(instruments, "_write_asc", keep)
+    monkeypatch.setattr(mats, "_write_asc", keep)
 
     def record(configuration="pelvis", lag=0.0, steps=False, **more):
-        instruments.record_pressure(
+        mats.record_pressure(
             tmp_path / "a.asc",
             happened(),
-            configuration,
+            mats.CONFIGURATIONS[configuration],
             lag,
-            MODEL.human,
+            MODEL,
             steps,
             **more,
         )
@@ -397,9 +397,9 @@ def pressed(tmp_path, monkeypatch):
 def normal_force(pressure, configuration="pelvis"):
     """Of both faces of each segment (N, segments), by summing the cells."""
     found, first = {}, 0
-    for mat in instruments.CONFIGURATIONS[configuration]:
+    for mat in mats.CONFIGURATIONS[configuration]:
         cells = mat.rows * mat.columns
-        _, inward, _, _ = instruments.cells(mat, MODEL.human)
+        _, inward, _, _ = mats.cells(mat, MODEL)
         part = 2e-4 * pressure[:, first : first + cells] @ inward[:, 0]
         found[mat.segment] = found.get(mat.segment, 0.0) + part
         first += cells
@@ -446,7 +446,7 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
     assert np.abs(coarse - fine).max() <= 1250.0
     assert len(np.unique(steps)) > 3
     high = {"pelvis": 3000.0}
-    monkeypatch.setattr(instruments, "_TENSION_N", high)
+    monkeypatch.setattr(mats, "_TENSION_N", high)
     _, pressed_hard = pressed(steps=True)
     assert pressed_hard.max() == 30000.0
     _, beyond = pressed()
@@ -454,8 +454,13 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
 
 
 def test_pressure_files_are_in_kilopascal(tmp_path):
-    instruments.record_pressure(
-        tmp_path / "a.asc", happened(), "pelvis", 0.0, MODEL.human, True
+    mats.record_pressure(
+        tmp_path / "a.asc",
+        happened(),
+        mats.CONFIGURATIONS["pelvis"],
+        0.0,
+        MODEL,
+        True,
     )
     found = read_novel_asc(tmp_path / "a.asc")
     assert found.time[0] == pytest.approx(0.02)
@@ -537,7 +542,7 @@ def test_scanned_surfaces_lie_where_their_segment_does():
     q = np.linspace(0.1, 0.9, len(NAMES))
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.0], [0.0, 0.3, 0.4]])
     for segment in ("shank", "thigh", "pelvis"):
-        found = instruments._placed(TREE, q, segment)(points)
+        found = mats._placed(TREE, q, segment)(points)
         for p, (x, y, z) in zip(points, found, strict=True):
             (expected,) = TREE.point_positions(q[None], segment, (p[0], p[2]))
             np.testing.assert_allclose((x, z), expected)

@@ -29,13 +29,15 @@ from drake_exo.virtual_laboratory.forces import (
     resting_foot,
 )
 from drake_exo.virtual_laboratory.instruments import (
+    hide,
+    marker_set,
+    study_markers,
+)
+from drake_exo.virtual_laboratory.mats import (
     CELL_AREA_M2,
     CONFIGURATIONS,
     cell_pressures,
     cells,
-    hide,
-    marker_set,
-    study_markers,
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import (
@@ -218,11 +220,14 @@ def test_controllers_join_to_six_torques():
     np.testing.assert_allclose(unloaded[0], rubbing, atol=1e-9)
 
 
+EVERY_MAT = [mat for mats in CONFIGURATIONS.values() for mat in mats]
+
+
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_mats_sum_to_the_cuff_force(configuration, tmp_path):
     q = np.zeros(9)
     q[1], q[3], q[6] = 0.07, 0.08, 0.08
-    section = write_scans(tmp_path, MODEL.tree, q, HUMAN)
+    section = write_scans(tmp_path, MODEL, q, EVERY_MAT)
     force = np.array([-80.0, -5.0, 0.0, 40.0])
     total: dict[str, np.ndarray] = {}
     for mat in CONFIGURATIONS[configuration]:
@@ -233,7 +238,7 @@ def test_mats_sum_to_the_cuff_force(configuration, tmp_path):
             Mat(**settings, scan=Scan(**scan)), mat.name, tmp_path
         )
         assert report["cell_distance_mm"] == pytest.approx(14.14, rel=0.03)
-        pressure = cell_pressures(mat, HUMAN, force)
+        pressure = cell_pressures(mat, MODEL, force)
         assert pressure.min() >= 0.0
         found = CELL_AREA_M2 * pressure @ inward
         total[mat.segment] = total.get(mat.segment, 0.0) + found
@@ -264,10 +269,10 @@ def test_study_names_markers_that_exist():
     assert set(named) <= set(markers)
 
 
-@pytest.mark.parametrize("mat", [m for c in CONFIGURATIONS.values() for m in c])
+@pytest.mark.parametrize("mat", EVERY_MAT)
 def test_cells_lie_about_the_middle_of_a_face(mat):
     """A pitch apart, as many before as behind, normals inwards."""
-    centres, inward, around, along = cells(mat, HUMAN)
+    centres, inward, around, along = cells(mat, MODEL)
     front = 1.0 if mat.face == "front" else -1.0
     assert (front * centres[:, 0] > 0.0).mean() > 0.6
     assert centres[:, 1].mean() == pytest.approx(0.0, abs=1e-4)
@@ -293,11 +298,11 @@ def test_straps_never_pull(segment):
     tension = {"shank": 40.0, "thigh": 50.0, "pelvis": 50.0}[segment]
     force = np.array([-300.0, 0.0, 100.0])
     sides = {}
-    for mat in (m for c in CONFIGURATIONS.values() for m in c):
+    for mat in EVERY_MAT:
         if mat.segment == segment:
-            pressure = cell_pressures(mat, HUMAN, force)
+            pressure = cell_pressures(mat, MODEL, force)
             assert pressure.min() > 0.0
-            inward = np.abs(cells(mat, HUMAN)[1][:, 0])
+            inward = np.abs(cells(mat, MODEL)[1][:, 0])
             sides[mat.face] = CELL_AREA_M2 * pressure @ inward
     np.testing.assert_allclose(sides["back"] - sides["front"], force, atol=1e-9)
     product = sides["back"] * sides["front"]

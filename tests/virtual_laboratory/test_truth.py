@@ -19,6 +19,7 @@ from drake_exo.virtual_laboratory.forces import (
     seat_wrench,
 )
 from drake_exo.virtual_laboratory.instruments import Faults, Laboratory
+from drake_exo.virtual_laboratory.mats import CONFIGURATIONS
 from drake_exo.virtual_laboratory.plan import (
     DeviceController,
     Friction,
@@ -321,7 +322,8 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     assert all(moments for _, moments in given)
     path, _, configuration, lag, _, steps, left, seen = pressed[-1]
     assert path.name == "assisted_legs_3_3.asc"
-    assert (configuration, lag, steps) == ("legs", lags[-1, 1], True)
+    assert configuration == CONFIGURATIONS["legs"]
+    assert (lag, steps) == (lags[-1, 1], True)
     assert (left, seen) == (0.48, {"thigh": 0.9})
     job.active = frozenset()
     job._measure(happened(), campaign.Repetition("passive", "legs", 3))

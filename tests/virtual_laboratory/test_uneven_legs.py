@@ -1,5 +1,7 @@
 """Two legs that bear unequally, and a device for hip and knee of both."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
@@ -17,12 +19,21 @@ from drake_exo.calibration.wearers import OwnMovement, Wearer
 from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_table
 from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.mats import cell_directions
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.settings import Mat, Scan
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import plan, two_legs
 from drake_exo.virtual_laboratory.forces import ground_wrench
+from drake_exo.virtual_laboratory.mats import (
+    CELL_AREA_M2,
+    cell_pressures,
+    write_scans,
+)
 from drake_exo.virtual_laboratory.two_legs import (
     _SQUAT,
     ACTING,
@@ -122,9 +133,45 @@ def test_an_uneven_rise_is_calibrated(alone, tmp_path):
     assert all(audit.holds for audit in found.audit())
 
 
+def test_mats_lie_under_the_cuffs_of_either_leg(worn, tmp_path):
+    """Half the straps' tension each, where the leg stands, for its own cuff."""
+    subject = draw(worn, 0, frozenset())
+    model, mats = subject.model, subject.mats
+    assert {mat.cuff for mat in mats} == set(model.cuffs)
+    assert [mat.name for mat in mats[:2]] == [
+        "thigh_left_front",
+        "thigh_left_back",
+    ]
+    names = model.coordinates
+    q = np.zeros(len(names))
+    q[names.index("knee_right")] = 0.8  # one leg is behind the other
+    section = write_scans(tmp_path, model, q, mats)
+    force = np.array([-30.0, 0.0, 25.0])
+    total, axes = {}, {}
+    for mat in mats:
+        said = dict(section[mat.name])
+        assert "legs" not in said  # nothing is doubled
+        scan = said.pop("scan")
+        axes[mat.cuff] = np.array(scan["segment_axis"])
+        scan |= {key: Path(scan[key]) for key in ("file", "cells")}
+        read = Mat(**said, scan=Scan(**scan))
+        inward, _ = cell_directions(read, mat.name, tmp_path)
+        pressure = cell_pressures(mat, model, force)
+        own = {"thigh": 25.0, "shank": 20.0}[mat.segment]
+        assert CELL_AREA_M2 * pressure[1] @ np.abs(inward[:, 0]) == (
+            pytest.approx(own, rel=0.01)
+        )
+        found = CELL_AREA_M2 * pressure @ inward[:, 0]
+        total[mat.cuff] = total.get(mat.cuff, 0.0) + found
+    for found in total.values():
+        np.testing.assert_allclose(found, force, atol=0.3)
+    left, right = (np.diff(axes[f"shank_{s}"], axis=0)[0] for s in SIDES)
+    assert abs(left[0]) < 1.0 < abs(right[0])  # the bent one is tilted
+
+
 @pytest.mark.slow
 def test_a_squat_in_a_device_is_recorded(worn, tmp_path):
-    """Encoders of its four joints, which follow the person's."""
+    """Encoders of its four joints, which follow the person's; mats."""
     folder = tmp_path / "lab"
     folder.mkdir()
     path = write_movements(folder, worn, "squat", 1, [], 1)
@@ -139,6 +186,13 @@ def test_a_squat_in_a_device_is_recorded(worn, tmp_path):
         own = trial.coordinate(names.follows(joint))
         assert np.abs(own - trial.coordinate(joint)).max() < np.deg2rad(10.0)
     assert not trial.feet["left"].force_z.min() < 200.0
+    table = read_table(folder / "truth" / "squat_1.sto")
+    assert set(trial.cuffs) == set(study.model.cuffs)
+    for cuff, shown in trial.cuffs.items():
+        column = table.values[:, table.names.index(f"{cuff}_normal")]
+        true = np.interp(trial.start_s + trial.times, table.time, column)
+        assert np.ptp(true) > 2.0
+        np.testing.assert_allclose(shown.normal, true, atol=0.2)
     assert all(check.holds for check in study.plausibility())
 
 
