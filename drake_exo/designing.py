@@ -8,7 +8,7 @@ the design, `verified` measures it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,12 +19,10 @@ from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import Hold, Tried, fewer, hold
 from drake_exo.calibration.design_result import (
     DesignResult,
-    Norm,
-    WearerResult,
     device_work,
     joint_norm,
-    norm_of,
     works,
+    worn_norm,
 )
 from drake_exo.calibration.design_variables import (
     GAINS,
@@ -328,8 +326,10 @@ class Designed:
         design = self.design
         return {
             name: {
-                "before": self._norm(today).newton,
-                "after": self._norm(self.found.wearers[name], design).newton,
+                "before": worn_norm(today, self.settings).newton,
+                "after": worn_norm(
+                    self.found.wearers[name], self.settings, design
+                ).newton,
             }
             for name, today in self.today.wearers.items()
         }
@@ -372,7 +372,7 @@ class Designed:
             )
         )
         promised = self.found.norm_n
-        forecast = self._forecast_norm()
+        forecast = forecast_norm(self.found, self.after)
         found.append(
             Check(
                 "design.forecast",
@@ -509,29 +509,6 @@ class Designed:
             )
         ]
 
-    def _forecast_norm(self) -> float:
-        """The norm of forces in the forecast against that of the design.
-
-        Of the calibrated wearers alone.
-        """
-        wearers = [self.found.wearers[name] for name in self.after]
-        forecast = [
-            replace(own, trials=[m.trial for m in moved])
-            for own, moved in zip(wearers, self.after.values(), strict=True)
-        ]
-        ratio = np.divide(
-            *(
-                joint_norm(self._norm(w, self.design) for w in these)
-                for these in (forecast, wearers)
-            )
-        )
-        return ratio * self.found.norm_n
-
-    def _norm(self, worn: WearerResult, design: Design | None = None) -> Norm:
-        """Of the forces in some trials of a wearer."""
-        differ = worn.problem.wearer.differ
-        return norm_of(worn.trials, self.settings, design, differ)
-
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
         """All checks."""
         return Verdict(self.checks(), tuple(accepted))
@@ -557,7 +534,7 @@ class Designed:
             "norm_n": {
                 "before": self.today.norm_n,
                 "after": self.found.norm_n,
-                "forecast": self._forecast_norm(),
+                "forecast": forecast_norm(self.found, self.after),
             },
             "felt": self.felt(),
             "wearers_n": self.wearers(),
@@ -626,11 +603,12 @@ class Designed:
                 [
                     t.name,
                     t.norm_n,
+                    t.forecast_n,
                     "chosen" if t.design == self.design else "",
                 ]
                 for t in self.tried
             ]
-            header = ["cuffs left out", "norm of forces [N]", ""]
+            header = ["cuffs left out", "norm of forces [N]", "forecast", ""]
             reasons = [
                 f"without {t.name}: {t.why_not}"
                 for t in self.tried
@@ -752,11 +730,19 @@ def design(
     found = problem.solve(on_iterate=SolveWatch("design"))
     if not found.solution.success:
         return Designed(settings, today, found, before, before)
-    found, tried = fewer(found, SolveWatch)
-    after = {
-        name: movements(own, contact_of(contact), settings, found.design)
-        for name, own, contact in zip(names, studies, contacts, strict=True)
-    }
+    built: dict[tuple[str, ...], dict[str, list[Moved]]] = {}
+
+    def forecast(result: DesignResult) -> float:
+        built[result.problem.without] = moved = {
+            name: movements(own, contact_of(contact), settings, result.design)
+            for name, own, contact in zip(names, studies, contacts, strict=True)
+        }
+        return forecast_norm(result, moved)
+
+    found, tried = fewer(found, forecast, SolveWatch)
+    if not tried:
+        forecast(found)
+    after = built[found.problem.without]
     made = Designed(settings, today, found, before, after, tried=tuple(tried))
     if parts:
         made = replace(made, parts=_parts(made))
@@ -783,6 +769,33 @@ def differences(moved: Sequence[Moved]) -> dict[str, float]:
             ratio = np.clip(by_mats / model, 1.0 / _DIFFER, _DIFFER)
             found[cuff] = float(ratio)
     return found
+
+
+def forecast_norm(
+    found: DesignResult, after: Mapping[str, Sequence[Moved]]
+) -> float:
+    """The norm of forces on a design as it is built [N].
+
+    What it promises times what the forecast of the calibrated wearers has of
+    what is promised to them.
+
+    Args:
+        found: the design.
+        after: wearer -> its movements on it.
+    """
+    settings = found.problem.settings
+    wearers = [found.wearers[name] for name in after]
+    moved = [
+        replace(own, trials=[m.trial for m in movements])
+        for own, movements in zip(wearers, after.values(), strict=True)
+    ]
+    ratio = np.divide(
+        *(
+            joint_norm(worn_norm(w, settings, found.design) for w in these)
+            for these in (moved, wearers)
+        )
+    )
+    return float(ratio) * found.norm_n
 
 
 def _wearers(own: Wearer, settings: DesignSettings) -> list[Wearer]:

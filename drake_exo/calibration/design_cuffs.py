@@ -92,12 +92,14 @@ class Tried:
     Attributes:
         without: the cuffs.
         norm_n: of all cuffs' forces [N]; None where there is no such design.
+        forecast_n: the same on the design as it is built; likewise.
         design: likewise.
         why_not: in a sentence; empty where there is one.
     """
 
     without: tuple[str, ...]
-    norm_n: float | None
+    norm_n: float | None = None
+    forecast_n: float | None = None
     design: Design | None = None
     why_not: str = ""
 
@@ -109,18 +111,21 @@ class Tried:
 
 def fewer(
     found: DesignResult,
+    forecast: Callable[[DesignResult], float],
     watch: Callable[[str], Callable[[Iterate], None]],
 ) -> tuple[DesignResult, list[Tried]]:
     """The best design with as many cuffs as it needs.
 
     Of a design, each cuff that may be removed is left out in turn and all
     else is designed again under all limits; the best of them takes its place
-    if the norm of the forces is less, and so on. The cost is not compared: how
-    far a movement is off the person's own by parts of 0.02 degrees would
-    decide.
+    if the norm of the forces in its forecast is less, and so on. The cost is
+    not compared: how far a movement is off the person's own by parts of 0.02
+    degrees would decide.
 
     Args:
         found: with every cuff, solved.
+        forecast: norm of the forces on a design as it is built [N]; raises
+            InputError where nobody can move on it.
         watch: makes what is called on each iterate, by what is solved.
 
     Returns:
@@ -132,37 +137,46 @@ def fewer(
         for c in found.problem.wearers[0].model.cuffs
         if settings.freedom(c).removable
     ]
-    tried = [_told(found)] if removable else []
-    best = found
+    if not removable:
+        return found, []
+    best = (forecast(found), found)
+    tried = [_told(found, best[0])]
     while True:
         rivals = []
         for cuff in removable:
-            if cuff in best.problem.without:
+            if cuff in best[1].problem.without:
                 continue
-            without = (*best.problem.without, cuff)
-            told, rival = _attempt(found, without, watch)
-            if rival is not None and rival.solution.was_stopped:
-                return best, tried
-            tried.append(told)
-            if rival is not None and rival.solution.success:
-                rivals.append(rival)
-        least = min(rivals, key=lambda r: r.norm_n, default=best)
-        if not least.norm_n < best.norm_n:
-            return best, tried
+            without = (*best[1].problem.without, cuff)
+            rival, why_not = _without(found, without, watch)
+            if rival is None:
+                tried.append(Tried(without, why_not=why_not))
+                continue
+            if rival.solution.was_stopped:
+                return best[1], tried
+            try:
+                norm = forecast(rival)
+            except InputError as error:
+                tried.append(Tried(without, why_not=str(error)))
+                continue
+            tried.append(_told(rival, norm))
+            rivals.append((norm, rival))
+        least = min(rivals, key=lambda r: r[0], default=best)
+        if not least[0] < best[0]:
+            return best[1], tried
         best = least
 
 
-def _attempt(
+def _without(
     found: DesignResult, without: tuple[str, ...], watch
-) -> tuple[Tried, DesignResult | None]:
-    """A design without some cuffs, and what is told of it."""
+) -> tuple[DesignResult | None, str]:
+    """A design without some cuffs, or why there is none."""
     problem = found.problem
     try:
         loose = looseness(problem, without)
     except InputError as error:
         loose = str(error)
     if loose:
-        return Tried(without, None, why_not=loose), None
+        return None, loose
     rival = DesignProblem(
         problem.wearers,
         problem.settings,
@@ -170,14 +184,13 @@ def _attempt(
         support=problem.support,
         without=without,
     ).solve(on_iterate=watch(f"without {', '.join(without)}"))
-    if not rival.solution.success:
-        why = f"{rival.solution.status}: {rival.solution.explain()}"
-        return Tried(without, None, why_not=why), rival
-    return _told(rival), rival
+    if rival.solution.success or rival.solution.was_stopped:
+        return rival, ""
+    return None, f"{rival.solution.status}: {rival.solution.explain()}"
 
 
-def _told(found: DesignResult) -> Tried:
-    return Tried(found.problem.without, found.norm_n, found.design)
+def _told(found: DesignResult, forecast: float) -> Tried:
+    return Tried(found.problem.without, found.norm_n, forecast, found.design)
 
 
 def looseness(problem: DesignProblem, without: tuple[str, ...]) -> str:

@@ -80,13 +80,8 @@ class DesignResult:
     def norm_n(self) -> float:
         """The norm of all cuffs' forces that was minimised [N]."""
         return joint_norm(
-            norm_of(
-                found.trials,
-                self.problem.settings,
-                self._design,
-                found.problem.wearer.differ,
-            )
-            for found in self.wearers.values()
+            worn_norm(worn, self.problem.settings, self._design)
+            for worn in self.wearers.values()
         )
 
     def slopes(self) -> dict[str, float]:
@@ -168,6 +163,14 @@ def norm_of(
             total += float(np.trapezoid(square ** (p / 2), trial.times))
             duration += trial.duration
     return Norm(total, duration, p)
+
+
+def worn_norm(
+    worn: WearerResult, settings: DesignSettings, design: Design | None = None
+) -> Norm:
+    """The norm of a wearer's trials, see `norm_of`."""
+    differ = worn.problem.wearer.differ
+    return norm_of(worn.trials, settings, design, differ)
 
 
 def joint_norm(norms: Iterable[Norm]) -> float:

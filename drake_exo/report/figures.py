@@ -447,7 +447,8 @@ def device_figure(designed) -> Figure:
         # Side by side, however narrow equal scales make them.
         for axis, side in zip(axes, "EW", strict=True):
             axis.set_anchor(side)
-        for axis, row, title in ((axes[0], 0, "start"), (axes[1], -1, "end")):
+        end = f"end of {trial.name}"
+        for axis, row, title in ((axes[0], 0, "start"), (axes[1], -1, end)):
             q = trial.q[[row]]
             for parent, child in tree.joints.values():
                 _draw_link(axis, wearer.model, q, parent, child)
@@ -474,7 +475,6 @@ def device_figure(designed) -> Figure:
             axis.set_xlabel("x [m]")
         axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.75)
         axes[0].set_ylabel("z [m]")
-        axes[1].set_title(trial.name, fontsize=8, loc="right")
         for marker, face, edge, label in (
             ("o", "none", _BEFORE, "cuff today"),
             ("o", _AFTER, _AFTER, "cuff as designed"),

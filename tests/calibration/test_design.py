@@ -155,8 +155,10 @@ def test_a_cuff_that_is_left_out_is_one_without_springs(in_device, driven):
         less.contact(contact),
     )
     was = moved(in_device, driven, contact)
-    wearer = Wearer("somebody", in_device.model, contact, (was,))
-    posed = DesignProblem([wearer], SETTINGS, held=True, without=("shank",))
+    # A movement on a cuff without springs is one without the cuff.
+    wearer = Wearer("somebody", in_device.model, contact, (slack,))
+    light = replace(SETTINGS, weight=1e-6)
+    posed = DesignProblem([wearer], light, held=True, without=("shank",))
     found = posed.solve()
     assert found.solution.success
     (held,) = found.wearers["somebody"].trials
@@ -165,7 +167,7 @@ def test_a_cuff_that_is_left_out_is_one_without_springs(in_device, driven):
     for cuff in ("thigh", "pelvis"):
         expected = slack.cuffs[cuff].normal
         np.testing.assert_allclose(gone.cuffs[cuff].normal, expected, atol=0.02)
-        np.testing.assert_allclose(held.cuffs[cuff].normal, expected, atol=1.0)
+        np.testing.assert_allclose(held.cuffs[cuff].normal, expected, atol=0.1)
     assert found.design.removed == ("shank",)
     # Others bear what the shank's cuff bore.
     change = gone.cuffs["thigh"].normal - was.cuffs["thigh"].normal
@@ -221,7 +223,7 @@ def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
     )
     whole = DesignProblem([wearer], settings, today=today).solve()
     assert whole.solution.success
-    best, tried = fewer(whole, lambda what: None)
+    best, tried = fewer(whole, lambda r: r.norm_n, lambda what: None)
     told = {t.without: t for t in tried}
     assert "nothing holds the device beyond exo_hip" in (
         told["pelvis",].why_not
@@ -348,9 +350,7 @@ def test_torques_over_the_movement_keep_the_support(wearer, today):
     )
 
 
-def test_gains_of_a_controller_keep_the_support(
-    wearer, today, in_device, driven
-):
+def test_gains_of_a_controller_keep_the_support(wearer, today, in_device):
     """Less is felt at the same work; and the forecast agrees."""
     settings = replace(SETTINGS, assistance_over="gains")
     result = DesignProblem([wearer], settings, today=today).solve()
@@ -372,13 +372,12 @@ def test_gains_of_a_controller_keep_the_support(
             - own_gains.damping_nm_s_rad * rate
         )
         np.testing.assert_allclose(found.moment(joint), expected, atol=0.05)
-    design = result.design
+    design, trial = result.design, wearer.trials[0]
     again = moved(
-        in_device, assisted(driven, design), design.contact(in_device.contact)
+        in_device, assisted(trial, design), design.contact(in_device.contact)
     )
-    assert norm_of([again], SETTINGS).newton == pytest.approx(
-        result.norm_n, rel=0.07
-    )
+    norm = norm_of([again], SETTINGS).newton
+    assert norm == pytest.approx(result.norm_n, rel=0.05)
 
 
 def test_moved_joints_are_those_of_the_model_that_is_built(wearer):
