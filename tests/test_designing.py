@@ -11,15 +11,21 @@ from page_reader import player_data
 from unmarked import unmarked
 
 import drake_exo as dx
+from drake_exo import designing
+from drake_exo.calibration import design_cuffs
 from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_cuffs import Tried
 from drake_exo.calibration.design_result import device_work
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
+    CuffFreedom,
+    DesignLimits,
     DesignSettings,
     PredictionSettings,
     Solver,
 )
 from drake_exo.cli import main
+from drake_exo.cli.predict import on_design
 from drake_exo.contact.strap import Design, read_design
 from drake_exo.designing import Designed, Peak, front
 from drake_exo.errors import InputError
@@ -158,6 +164,68 @@ def test_a_design_is_replayed_beside_the_device_of_today(found, tmp_path):
         place = np.add(cuff.origin, cuff.preload[:2])
         at = tree.point_positions(moved.trial.q[:1], "exo_thigh", place)[0]
         assert rows[0, [0, 2]] == pytest.approx(at, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_design_without_a_cuff_is_told_and_written(
+    study, tmp_path, monkeypatch
+):
+    """In tables, files, page and what reads them."""
+
+    def one_less(found, forecast, watch):
+        every = Tried((), found.norm_n, forecast(found), found.design)
+        rival, why_not = design_cuffs._without(found, ("shank",), watch)
+        assert rival is not None, why_not
+        norm = forecast(rival)
+        less = Tried(("shank",), rival.norm_n, norm, rival.design)
+        return rival, [every, less]
+
+    monkeypatch.setattr(designing, "fewer", one_less)
+    own, contact = study
+    stiff = contact.scaled(4.0)  # two cuffs hold the device
+    limits = DesignLimits(
+        migration_mm=None, moment_factor=None, effort_factor=None
+    )
+    free = {"shank": CuffFreedom(removable=True)}
+    settings = replace(SETTINGS, limits=limits, cuffs=free)
+    found = dx.design(own, stiff, settings)
+    assert found.success
+    peak = found.peaks["shank"]
+    assert peak.model_before > 5.0
+    assert peak.model_after == peak.forecast_after == peak.forecast_high == 0.0
+    assert found.peaks["thigh"].model_after > 5.0
+    (row,) = [r for r in found.felt() if r["cuff"] == "shank"]
+    assert set(row["after"].values()) == {0.0} != set(row["before"].values())
+    (row,) = [r for r in found.variables() if r["name"] == "shank.removed"]
+    assert row["value"] == 1.0
+    names = {r["name"] for r in found.variables()}
+    assert not names & {"shank.along_m", "shank.strap_normal_n_m"}
+    checks = {c.name: c for c in found.checks()}
+    assert checks["design.attached"].value > 0.0
+    assert checks["design.attached"].holds
+    out = tmp_path / "designed"
+    found.write(out)
+    assert "left out" in (out / "design.txt").read_text()
+    design = read_design(out)
+    assert design == found.design and design.removed == ("shank",)
+    assert read_design(out / "design_without_none.yaml").removed == ()
+    assert "exo_shank_cuff" not in (out / "device.sdf").read_text()
+    assert set(dx.read_contact(out, accept=["provenance"]).bushings) == {
+        "thigh",
+        "pelvis",
+    }
+    for name in ("forces.png", "device.png"):
+        assert (out / name).stat().st_size > 10_000
+    page = tmp_path / "page.html"
+    assert main(["view", str(out), "--out", str(page)]) == 0
+    arrows = player_data(page)["clips"][0]["arrows"]
+    assert {"thigh", "shank_measured"} <= set(arrows)
+    assert "shank" not in arrows
+    # What a prediction is made of.
+    built, held = on_design(own, stiff, design)
+    posed = dx.PredictionProblem(built.model, built.trials()[:1], held)
+    assert set(posed.bushings) == {"thigh", "pelvis"}
+    assert all("shank" not in t.cuffs for t in built.trials())
 
 
 def test_what_is_an_extrapolation_is_named_once_in_order():
