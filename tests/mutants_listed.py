@@ -24,6 +24,14 @@ TESTS = {
     ],
     "drake_exo/calibration/scores.py": ["tests/calibration/test_scores.py"],
     "drake_exo/calibration/design": ["tests/calibration/test_design.py"],
+    "drake_exo/calibration/design_cuffs.py": [
+        "tests/calibration/test_design_cuffs.py",
+        "tests/calibration/test_design.py",
+    ],
+    "drake_exo/contact/assistance.py": [
+        "tests/contact/test_assistance.py",
+        "tests/contact/test_strap.py",
+    ],
     "drake_exo/designing.py": [
         "tests/test_designing.py",
         "tests/calibration/test_design.py",
