@@ -262,6 +262,38 @@ def test_cuffs_that_deflect_further_than_today_are_named():
     assert Designed.softened(told) == ["thigh", "shank"]
 
 
+def test_a_forecast_follows_the_mats_within_a_factor_of_two():
+    """The mean peak of the wearers; its band grows with it, never shrinks."""
+
+    def moved(*peaks, mats):
+        trials = [
+            SimpleNamespace(
+                cuffs={"thigh": SimpleNamespace(normal=np.array([1.0, -p, 2]))}
+            )
+            for p in (*peaks, mats)
+        ]
+        band = np.array([[0, 1, 0], [0, 4, 0], [0, 1, 0]])
+        bands = SimpleNamespace(mats={}, cuffs={"thigh": band})
+        return [
+            SimpleNamespace(trial=t, bands=bands, measured=trials[-1])
+            for t in trials[:-1]
+        ]
+
+    for mats, ratio in ((30.0, 0.75), (5.0, 0.5), (60.0, 1.5), (200.0, 2.0)):
+        told = SimpleNamespace(
+            before={"a": moved(30.0, 50.0, mats=mats)},
+            after={"a": moved(10.0, 14.0, mats=mats)},
+            measured={},
+        )
+        peak = Designed._peak(told, "thigh")
+        assert peak.measured_after is None
+        forecast, width = ratio * 12.0, max(ratio, 1.0) * 4.0
+        assert peak == Peak(
+            *(mats, 40.0, 12.0, forecast),
+            *(forecast - width, forecast + width, None),
+        )
+
+
 @pytest.mark.slow
 def test_what_lies_beyond_calibration_is_marked(found):
     rows = found.variables()

@@ -185,6 +185,35 @@ def test_playback_shares_double_support_continuously(data_root):
     assert middle == pytest.approx(43 * 9.81, rel=0.1)
 
 
+def test_a_foot_of_a_playback_is_the_other_s_mirror_image(tmp_path):
+    """From its own sole's centre: 15 mm before, 11 mm outside its ankle."""
+    phase = np.repeat([1, 0, 2, 0, 1, 0, 2, 0, 1], 6)
+    n = len(phase)
+    rng = np.random.default_rng(4)
+    one = np.zeros((n, 37))
+    one[:, 0] = phase
+    one[:, 1:3] = np.column_stack([0.01 * np.arange(n), 0.09 * (phase == 1)])
+    one[:, 10:13] = rng.normal(0.0, 0.3, (n, 3))
+    one[:, 13:15], one[:, 22:24] = (0.2, 0.1), (0.3, -0.08)
+    other, y = one.copy(), [2, 11, 14, 23]
+    other[:, 0] = np.array([0, 2, 1])[phase]
+    other[:, 13:15], other[:, 22:24] = one[:, 22:24], one[:, 13:15]
+    other[:, y] *= -1.0
+    for name, table in (("one", one), ("other", other)):
+        np.savetxt(tmp_path / name, table)
+    left = Playback("one", "left", 0, 50.0).load(tmp_path)
+    right = Playback("other", "right", 0, 50.0).load(tmp_path)
+    np.testing.assert_allclose(right.zmp, left.zmp * [1.0, -1.0], atol=1e-9)
+    np.testing.assert_allclose(right.force, left.force * [1.0, -1.0, 1.0])
+    alone = np.flatnonzero(phase == 1)[6:12]
+    k = np.searchsorted(left.times, 0.005 * alone - 1e-9)
+    np.testing.assert_allclose(
+        left.zmp[k], one[alone, 1:3] - [0.215, 0.111], atol=1e-9
+    )
+    needed = 50.0 * (one[alone, 10:13] + [0.0, 0.0, 9.81])
+    np.testing.assert_allclose(left.force[k], needed)
+
+
 def test_double_support_shares_add_up():
     phase = np.array([1] * 5 + [0] * 10 + [2] * 5)
     s = np.concatenate([np.zeros(5), np.linspace(0, 1, 10), np.ones(5)])

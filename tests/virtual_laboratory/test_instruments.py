@@ -525,6 +525,13 @@ def test_plates_lie_under_feet_and_chair():
     assert np.ptp(_design("left").corners, axis=0)[:2] == pytest.approx(
         [0.5, 0.17]
     )
+    # For walks they go further, forward.
+    for place in PLATES:
+        (short, long) = (_design(place, more).corners for more in (0.0, 3.0))
+        more = [0.0, 0.0] if place == "chair" else [0.0, 3.0]
+        ends = [np.array([x.min(), x.max()]) for x in (short[:, 0], long[:, 0])]
+        np.testing.assert_allclose(ends[1] - ends[0], more, atol=1e-12)
+        np.testing.assert_allclose(long[:, 1:], short[:, 1:])
 
 
 def test_a_plates_point_is_the_centre_of_pressure():
