@@ -77,6 +77,15 @@ def test_half_a_rise_is_none(rise):
     assert len(find(both, chair, F_z)) == 1
 
 
+@pytest.mark.parametrize(("lowest", "count"), [(0.6, 2), (0.64, 1)])
+def test_who_only_dips_does_not_rise_again(lowest, count):
+    """Below 30 % of the way up from the lowest place is seated."""
+    hip = 0.5 + 0.4 * smooth(0.5, 1.5)
+    hip -= (0.9 - lowest) * (smooth(2.5, 3.2) - smooth(3.6, 4.3))
+    rises = find(hip, np.zeros(600), np.full(600, WEIGHT))
+    assert len(rises) == count
+
+
 def test_shuffling_is_no_rise():
     hip = 0.9 + 0.05 * np.sin(TIME)
     assert find(hip, np.zeros(600), np.full(600, WEIGHT)) == []

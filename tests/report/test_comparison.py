@@ -12,8 +12,22 @@ from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 from drake_exo.files.verdict import Check, Verdict
-from drake_exo.report.gathering import compare
+from drake_exo.report.gathering import _labels, compare
 from drake_exo.virtual_laboratory import synthetic
+
+
+@pytest.mark.parametrize(
+    ("folders", "labels"),
+    [
+        (("out/s1/run", "out/s2/run"), ("s1", "s2")),
+        (("out/s1/a/run", "out/s2/b/run"), ("s1/a", "s2/b")),
+        (("s1/run", "s2/walk"), ("s1/run", "s2/walk")),
+        (("out/s1", "out/s1/"), ("1: s1", "2: s1")),
+        (("out", "out/s2"), ("out", "out/s2")),
+    ],
+)
+def test_folders_are_told_apart_by_what_differs(folders, labels, tmp_path):
+    assert _labels([tmp_path / folder for folder in folders]) == labels
 
 
 @pytest.fixture(scope="module")
