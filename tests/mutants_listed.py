@@ -44,6 +44,9 @@ TESTS = {
     "drake_exo/contact/": ["tests/contact", *_CALIBRATION],
     "drake_exo/files/": ["tests/files", "tests/measurement"],
     "drake_exo/measurement/": ["tests/measurement"],
+    "drake_exo/measurement/plausibility/": [
+        "tests/measurement/test_plausibility.py"
+    ],
     "drake_exo/model/": ["tests/model", "tests/measurement"],
     "drake_exo/nlp/": ["tests/nlp", *_CALIBRATION],
     "drake_exo/papers/": [
@@ -332,6 +335,30 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             'texts.get(path[-1], texts.get(path[0], ""))',
             'texts.get(path[0], "")',
         ),
+    ],
+    "drake_exo/measurement/plausibility/wearer.py": [
+        ("LARGEST_DISAGREEMENT = 0.45", "LARGEST_DISAGREEMENT = 45.0"),
+        ("known[j]) - alone[i] - alone[j]", "known[j]) - alone[i]"),
+        ("np.nanargmin(row)", "np.nanargmax(row)"),
+        ("_SKIN * human,", "human,"),
+        ("_WEIGHT * np.sin(pitch)", "_WEIGHT * pitch"),
+        ("scale * (d - human).T.ravel()", "scale * d.T.ravel()"),
+        ("and driven[0] == driven[1]", ""),
+        ("np.eye(by.shape[1]) + by.T @ by", "by.T @ by"),
+    ],
+    "drake_exo/measurement/plausibility/device.py": [
+        ("own / max(other, 1e-9),", "other / max(own, 1e-9),"),
+        ("100.0 * found,", "found,"),
+        ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
+        ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
+        ("float(np.mean(d[upright] - h[upright]))", "float(np.mean(d - h))"),
+    ],
+    "drake_exo/measurement/plausibility/body.py": [
+        ("(measured + device) / (stated + device)", "measured / stated"),
+        ("off = measured / stated - 1.0", "off = measured / stated"),
+    ],
+    "drake_exo/measurement/plausibility/evidence.py": [
+        ("(moment - (z * F_x - x * F_z)) ** 2", "moment**2"),
     ],
     "drake_exo/virtual_laboratory/instruments.py": [
         ("_FORCE_NOISE_N = 0.5", "_FORCE_NOISE_N = 1.0"),
