@@ -346,6 +346,28 @@ def test_what_two_trials_cost_beyond_each_alone(monkeypatch):
     np.testing.assert_allclose(found, expected)
 
 
+def test_a_trial_is_judged_by_the_one_most_like_it(monkeypatch):
+    costs = np.array(
+        [[np.nan, 0.2, 3.0, np.nan], [0.2, np.nan, 5.0, np.nan],
+         [3.0, 5.0, np.nan, np.nan], [np.nan] * 4]
+    )  # fmt: skip
+    monkeypatch.setattr(wearer, "disagreement", lambda known: costs)
+    trials = [
+        SimpleNamespace(
+            trial=SimpleNamespace(name=name),
+            recording=SimpleNamespace(angles=angles),
+            files=SimpleNamespace(encoders=f"{name}.csv"),
+            check=lambda *said, name=name: (name, *said[:3]),
+        )
+        for name, angles in zip("abscd", (1, 1, None, 1, 1), strict=True)
+    ]
+    assert list(wearer.wearer_checks(trials)) == [
+        ("a", "encoder_stranger", 0.2, 0.45),
+        ("b", "encoder_stranger", 0.2, 0.45),
+        ("c", "encoder_stranger", 3.0, 0.45),
+    ]
+
+
 def test_what_the_difference_of_device_and_person_depends_on(folder):
     """Each size by itself; noise is half a degree in 0.1 s."""
     study = read_study(folder / "study.yaml")
