@@ -25,6 +25,7 @@ from drake_exo.files.opensim import (
 )
 from drake_exo.files.tables import read_csv_table, write_csv_table
 from drake_exo.measurement.plausibility import wearer
+from drake_exo.measurement.plausibility.device import misfit
 from drake_exo.measurement.plausibility.evidence import Evidence
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
@@ -141,6 +142,57 @@ def test_an_encoder_with_an_offset(folder, joint):
     encoders(folder, lambda x: x + np.deg2rad(15.0) * np.eye(3)[joint])
     text = said(folder, "encoder_offset")
     assert f"{EXO_JOINTS[joint]} reads +15 deg off" in text
+
+
+def test_offsets_are_those_of_the_most_upright_posture(folder):
+    """Cuffs that hide a seventh of the movement are no offset."""
+    encoders(folder, lambda x: 0.85 * x)
+    study = read_study(folder / "study.yaml")
+    checks = study.plausibility()
+    off = [c.value for c in checks if c.name.endswith("encoder_offset")]
+    (trial,) = study.trials()
+    hidden = 0.15 * np.abs(np.rad2deg(trial.q[:, 3:6]))
+    np.testing.assert_allclose(off, hidden[-1], atol=0.5)
+    assert (hidden.mean(axis=0) > hidden[-1] + 1.0).all()
+
+
+def test_a_clock_that_is_off_is_no_other_movement():
+    """The share that is missed is that at the best lag; both are told."""
+    time = np.arange(0.0, 2.0, 0.01)
+    own = (0.5 - 0.5 * np.cos(np.pi * time))[:, None]
+    rate = (0.5 * np.pi * np.sin(np.pi * time))[:, None]
+    e = SimpleNamespace(
+        trial=SimpleNamespace(start_s=1.0, times=time),
+        body=(own, rate),
+        expected=lambda x: x,
+    )
+    t = np.arange(0.0, 4.0, 0.005)
+    for gain, late in ((1.0, 0.03), (0.8, -0.02)):
+        moved = gain * (0.5 - 0.5 * np.cos(np.pi * (t - 1.0 - late)))
+        angles = SimpleNamespace(time=t, values=moved[:, None])
+        other = SimpleNamespace(recording=SimpleNamespace(angles=angles))
+        share, lag = misfit(e, other, 0.06)
+        assert lag == pytest.approx(late, abs=1e-9)
+        assert share == pytest.approx(1.0 - gain, abs=1e-3)
+
+
+def test_euler_is_missed_by_moments_about_the_ankle():
+    """A force too much at the ankle is Newton's matter alone."""
+    x, z, n = 0.1, 0.08, 4
+    needed = np.tile([30.0, 700.0, -60.0], (n, 1))
+    force = np.array([20.0, -50.0])
+    at_ankle = np.r_[force, z * force[0] - x * force[1]]
+    for more in (0.0, 3.0):
+        e = SimpleNamespace(
+            measured=needed - at_ankle - [0.0, 0.0, more],
+            needed=needed,
+            body=(np.tile([x, z, 0.0], (n, 1)), None),
+        )
+        assert Evidence.pitch_error(e) == pytest.approx(more, abs=1e-9)
+        e.measured = e.measured * [-1.0, 1.0, -1.0]
+        assert Evidence.pitch_error(e) > 10.0
+        found = Evidence.pitch_error(e, turned=True)
+        assert found == pytest.approx(more, abs=1e-9)
 
 
 def test_knee_and_hip_exchanged(folder):
