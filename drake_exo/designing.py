@@ -290,8 +290,12 @@ class Designed:
         return v.unit == "m" and abs(value) > _KNOWN_M
 
     def felt(self) -> list[dict]:
-        """What every cuff does to the person, before and after."""
+        """What every cuff does to the person, before and after.
+
+        Forces across the limb as mats would show them.
+        """
         rows = []
+        differ = {w.name: w.differ for w in self.found.problem.wearers}
         for cuff in self.peaks:
             row: dict = {"cuff": cuff}
             for what, moved in (("before", self.before), ("after", self.after)):
@@ -301,8 +305,13 @@ class Designed:
                 area = self.settings.freedom(cuff).area_m2
                 if what == "after":
                     area *= self.design.cuffs[cuff].area
-                trials = [m.trial for ms in moved.values() for m in ms]
-                force = [t.cuffs[cuff].components for t in trials]
+                force = []
+                for name, own in moved.items():
+                    shown = np.ones(3)
+                    shown[NORMAL] = differ[name].get(cuff, 1.0)
+                    force += [
+                        shown * m.trial.cuffs[cuff].components for m in own
+                    ]
                 deflection = self._deflection(cuff, what, moved)
                 peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
                 mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])
@@ -786,8 +795,8 @@ def forecast_norm(
     settings = found.problem.settings
     wearers = [found.wearers[name] for name in after]
     moved = [
-        replace(own, trials=[m.trial for m in movements])
-        for own, movements in zip(wearers, after.values(), strict=True)
+        replace(own, trials=[m.trial for m in ms])
+        for own, ms in zip(wearers, after.values(), strict=True)
     ]
     ratio = np.divide(
         *(

@@ -107,6 +107,23 @@ def test_peaks_are_means_over_trials_that_have_mats(found, study):
 
 
 @pytest.mark.slow
+def test_what_is_felt_is_what_mats_would_show(found):
+    """The largest of a trial, so no less than the mean over trials."""
+    (moved,) = found.before.values()
+    differ = found.first[0].differ
+    assert set(differ) and any(abs(x - 1.0) > 0.05 for x in differ.values())
+    for row in found.felt():
+        cuff = row["cuff"]
+        own = [np.abs(m.trial.cuffs[cuff].normal).max() for m in moved]
+        expected = differ.get(cuff, 1.0) * max(own)
+        assert row["before"]["peak_n"] == pytest.approx(expected)
+        pressure = 1e-3 * expected / SETTINGS.freedom(cuff).area_m2
+        assert row["before"]["pressure_kpa"] == pytest.approx(pressure)
+        shear = [np.abs(m.trial.cuffs[cuff].tangential).max() for m in moved]
+        assert row["before"]["shear_n"] == pytest.approx(max(shear))
+
+
+@pytest.mark.slow
 def test_files(found, study, tmp_path):
     verdict = found.write(tmp_path)
     assert verdict.exit_code == 0

@@ -313,7 +313,10 @@ class _Wearing(PhaseProblem):
             )
 
     def _limit(self, movement: TrialProgram) -> None:
-        """Bounds on what is felt, by name; today is as it is."""
+        """Bounds on what is felt, by name; today is as it is.
+
+        Of forces across a limb as mats would show them.
+        """
         if self._posed.today is None:
             return
         settings = self._posed.settings
@@ -321,8 +324,9 @@ class _Wearing(PhaseProblem):
         times = [f"at {t:.3g} s" for t in movement.grid.times]
         n = len(times)
         for cuff, force in movement.cuffs.items():
+            differ = self.wearer.differ.get(cuff, 1.0)
             most = np.full(3, np.inf)
-            most[NORMAL] = limits.normal_n or np.inf
+            most[NORMAL] = (limits.normal_n or np.inf) / differ
             most[TANGENTIAL] = limits.shear_n or np.inf
             most[ROTATION] = limits.moment_nm or np.inf
             today = self._posed.today[self.wearer.name][cuff]
@@ -341,7 +345,7 @@ class _Wearing(PhaseProblem):
                     for what in ("shear", "normal force", "moment")
                 ],
                 times,
-                [("N", 1.0), ("N", 1.0), ("N m", 1.0)],
+                [("N", 1.0), ("N", differ), ("N m", 1.0)],
             )
             bounded = np.isfinite(most)
             if bounded.any():
@@ -392,10 +396,11 @@ class _Wearing(PhaseProblem):
         prog, n = self.program.prog, len(times)
         name = f"{movement.name} {cuff} pressure"
         pressed = prog.NewContinuousVariables(n, name).reshape(n, 1)
-        self.program.label("limit", pressed, [name], times, [("kPa", 1.0)])
+        differ = self.wearer.differ.get(cuff, 1.0)
+        self.program.label("limit", pressed, [name], times, [("kPa", differ)])
         self._pressed[cuff, movement.name] = pressed
         settings = self._posed.settings
-        most = np.full(n, settings.limits.pressure_kpa)
+        most = np.full(n, settings.limits.pressure_kpa / differ)
         area_m2 = settings.freedom(cuff).area_m2
         if self.wearer.is_drawn:
             today = self._posed.today[self.wearer.name][cuff][NORMAL]

@@ -207,6 +207,17 @@ def test_what_mats_show_is_what_is_minimised(wearer, found, today):
     )
     expected = (total / (3.0 * trial.duration)) ** (1.0 / 8.0)
     assert other.norm_n == pytest.approx(expected)
+    # A limit is on what they show, too.
+    felt = {c: f * seen.differ.get(c, 1.0) for c, f in peaks.items()}
+    most = 0.97 * max(felt.values())
+    limits = replace(SETTINGS.limits, normal_n=most)
+    within = DesignProblem(
+        [seen], replace(SETTINGS, limits=limits), today=own
+    ).solve()
+    assert within.solution.success
+    forces = largest_forces(within)["somebody"]
+    felt = [f[1] * seen.differ.get(c, 1.0) for c, f in forces.items()]
+    assert max(felt) == pytest.approx(most, rel=1e-3)
 
 
 def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
