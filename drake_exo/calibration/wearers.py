@@ -399,6 +399,7 @@ def sized(
                 contact,
                 tuple(moved.trials),
                 is_drawn=True,
+                differ=wearer.differ,
             )
         )
     return found

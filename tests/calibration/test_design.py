@@ -13,6 +13,7 @@ from drake_exo.calibration.design_result import (
     largest_forces,
     norm_of,
     works,
+    worn_norm,
 )
 from drake_exo.calibration.design_variables import (
     GAINS,
@@ -574,7 +575,9 @@ def test_a_design_for_a_population(wearer):
     """Small and large bodies wear it, too; they feel less than today."""
     height, mass = wearer.model.human.height_m, wearer.model.human.mass_kg
     people = Population((height, 0.07), (mass, 10.0), (5.0, 95.0))
+    wearer = replace(wearer, differ={"thigh": 1.2})
     others = sized(wearer, people, phase())
+    assert all(w.differ == wearer.differ for w in others)
     assert [w.name.rpartition(", ")[2] for w in others] == [
         "5th percentile",
         "95th percentile",
@@ -591,7 +594,7 @@ def test_a_design_for_a_population(wearer):
     assert after.solution.success
     for w in everybody:
         norms = [
-            norm_of(r.wearers[w.name].trials, SETTINGS).newton
+            worn_norm(r.wearers[w.name], SETTINGS).newton
             for r in (before, after)
         ]
         assert norms[1] < norms[0]
