@@ -279,6 +279,34 @@ def test_cuffs_that_deflect_further_than_today_are_named():
     assert Designed.softened(told) == ["thigh", "shank"]
 
 
+def test_mats_and_model_differ_by_their_largest_forces():
+    """Means over trials with mats of a cuff; by a factor of 2 at most."""
+
+    def trial(**peaks):
+        return SimpleNamespace(
+            cuffs={
+                c: SimpleNamespace(normal=np.array([1.0, -p, 2.0]))
+                for c, p in peaks.items()
+            }
+        )
+
+    model = {"shank": 10.0, "thigh": 40.0, "pelvis": 20.0, "foot": 5.0}
+    moved = [
+        SimpleNamespace(
+            trial=trial(**model), measured=trial(thigh=30.0, pelvis=90.0)
+        ),
+        SimpleNamespace(
+            trial=trial(**{**model, "thigh": 20.0}),
+            measured=trial(thigh=45.0, shank=4.0),
+        ),
+    ]
+    assert designing.differences(moved) == {
+        "shank": 0.5,
+        "thigh": 75.0 / 60.0,
+        "pelvis": 2.0,
+    }
+
+
 def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():
     """Means over trials; a band grows with the factor and never shrinks."""
 
