@@ -130,6 +130,8 @@ class Wearer:
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:
+    if not removed:
+        return trial
     left = {c: force for c, force in trial.cuffs.items() if c not in removed}
     return replace(trial, cuffs=left)
 
