@@ -76,13 +76,13 @@ TESTS = {
 # File -> (what stands there exactly once, what is planted instead).
 LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/calibration/scores.py": [
-        ("np.nanmean(np.square(values), axis=0)", "np.nanmean(values, axis=0)"),
+        ("np.where(known, values, 0.0) ** 2", "np.where(known, values, 0.0)"),
         ("found.q - at.q", "found.q + at.q"),
         ("measured.sample(found.times)", "measured"),
         ('"x_mm": float(1e3 * x)', '"x_mm": float(1e2 * x)'),
         ('"z_mm": float(1e3 * z)', '"z_mm": float(1e3 * x)'),
         ("float(np.rad2deg(pitch))", "float(pitch)"),
-        ("float(1e3 * rms(off)[0])", "float(rms(off)[0])"),
+        ("float(1e3 * rms(off, times)[0])", "float(rms(off, times)[0])"),
         ("wrench.cop_x - measured_wrench.cop_x", "wrench.cop_x"),
         (
             "np.rad2deg(values[names.joint_columns])",
@@ -397,13 +397,15 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "p = flexion * turn * complex(*slide[i])",
             "p = turn * complex(*slide[i])",
         ),
+    ],
+    "drake_exo/virtual_laboratory/mats.py": [
         ("_STEP_PA = 2500.0", "_STEP_PA = 5000.0"),
         ("np.minimum(pressure, _LARGEST_PA)", "pressure"),
         ("np.interp(time - lag_s,", "np.interp(time,"),
         ("share *= left_share", "share *= 0.5"),
-        ("share = seen.get(mat.segment, 1.0)", "share = 1.0"),
+        ("share = seen.get(mat.cuff, 1.0)", "share = 1.0"),
         ("for x in 1e-3 * p", "for x in p"),
-        ("middle = np.hypot(0.5 * normal, tension)", "middle = tension"),
+        ("np.hypot(0.5 * normal, mat.tension_n)", "mat.tension_n"),
     ],
     "drake_exo/virtual_laboratory/plan.py": [
         (
