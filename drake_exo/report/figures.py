@@ -442,8 +442,8 @@ def device_figure(designed) -> Figure:
     new = designed.design.contact(wearer.contact).bushings
     told = {c: _told(c, d) for c, d in designed.design.cuffs.items()}
     with matplotlib.rc_context(STYLE):
-        figure = Figure((7.2, 4.4), layout="constrained")
-        axes = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 2.2))
+        figure = Figure((5.4, 4.4), layout="constrained")
+        axes = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.6))
         # Side by side, however narrow equal scales make them.
         for axis, side in zip(axes, "EW", strict=True):
             axis.set_anchor(side)
@@ -473,7 +473,7 @@ def device_figure(designed) -> Figure:
             axis.set_aspect("equal")
             axis.set_title(title, fontsize=8)
             axis.set_xlabel("x [m]")
-        axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.75)
+        axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.95)
         axes[0].set_ylabel("z [m]")
         for marker, face, edge, label in (
             ("o", "none", _BEFORE, "cuff today"),
