@@ -182,10 +182,10 @@ class Designed:
         return {cuff: self._peak(cuff) for cuff in first[0].trial.cuffs}
 
     def _peak(self, cuff: str) -> Peak:
-        differ = {w.name: w.differ for w in self.found.problem.wearers}
+        wearers = {w.name: w for w in self.found.problem.wearers}
         ratio = np.array(
             [
-                differ[name].get(cuff, 1.0)
+                wearers[name].shown(cuff)
                 for name, moved in self.before.items()
                 for _ in moved
             ]
@@ -295,7 +295,7 @@ class Designed:
         Forces across the limb as mats would show them.
         """
         rows = []
-        differ = {w.name: w.differ for w in self.found.problem.wearers}
+        wearers = {w.name: w for w in self.found.problem.wearers}
         for cuff in self.peaks:
             row: dict = {"cuff": cuff}
             for what, moved in (("before", self.before), ("after", self.after)):
@@ -308,7 +308,7 @@ class Designed:
                 force = []
                 for name, own in moved.items():
                     shown = np.ones(3)
-                    shown[NORMAL] = differ[name].get(cuff, 1.0)
+                    shown[NORMAL] = wearers[name].shown(cuff)
                     force += [
                         shown * m.trial.cuffs[cuff].components for m in own
                     ]

@@ -24,6 +24,7 @@ from drake_exo.calibration.settings import (
     PredictionSettings,
     Solver,
 )
+from drake_exo.calibration.wearers import Wearer
 from drake_exo.cli import main
 from drake_exo.cli.predict import on_design
 from drake_exo.contact.strap import Design, read_design
@@ -325,7 +326,7 @@ def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():
 
     factors = {"a": 0.75, "b": 1.5}
     wearers = [
-        SimpleNamespace(name=name, differ={"thigh": factor})
+        Wearer(name, None, None, (), differ={"thigh": factor})
         for name, factor in factors.items()
     ]
     told = SimpleNamespace(

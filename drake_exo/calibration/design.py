@@ -298,7 +298,7 @@ class _Wearing(PhaseProblem):
         for cuff, force in movement.cuffs.items():
             kernel = ForceNormKernel(
                 settings.exponent,
-                posed.scale / self.wearer.differ.get(cuff, 1.0),
+                posed.scale / self.wearer.shown(cuff),
                 settings.shear_weight,
             )
             felt = force[used][:, [TANGENTIAL, NORMAL]]
@@ -324,7 +324,7 @@ class _Wearing(PhaseProblem):
         times = [f"at {t:.3g} s" for t in movement.grid.times]
         n = len(times)
         for cuff, force in movement.cuffs.items():
-            differ = self.wearer.differ.get(cuff, 1.0)
+            differ = self.wearer.shown(cuff)
             most = np.full(3, np.inf)
             most[NORMAL] = (limits.normal_n or np.inf) / differ
             most[TANGENTIAL] = limits.shear_n or np.inf
@@ -396,7 +396,7 @@ class _Wearing(PhaseProblem):
         prog, n = self.program.prog, len(times)
         name = f"{movement.name} {cuff} pressure"
         pressed = prog.NewContinuousVariables(n, name).reshape(n, 1)
-        differ = self.wearer.differ.get(cuff, 1.0)
+        differ = self.wearer.shown(cuff)
         self.program.label("limit", pressed, [name], times, [("kPa", differ)])
         self._pressed[cuff, movement.name] = pressed
         settings = self._posed.settings
@@ -571,9 +571,7 @@ class DesignProblem:
         ]
         self.variables = {v.name: self._variable(v) for v in self.design}
         cuffs = len(self.wearers[0].model.cuffs)
-        own = [
-            norm_of(w.trials, settings, differ=w.differ) for w in self.wearers
-        ]
+        own = [norm_of(w.trials, settings, shown=w.shown) for w in self.wearers]
         durations = [t.duration for w in self.wearers for t in w.trials]
         posed = _Posed(
             settings,

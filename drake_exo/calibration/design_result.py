@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
@@ -136,7 +136,7 @@ def norm_of(
     trials: Sequence[Trial],
     settings: DesignSettings,
     design: Design | None = None,
-    differ: Mapping[str, float] | None = None,
+    shown: Callable[[str], float] = lambda cuff: 1.0,
 ) -> Norm:
     """The norm of one wearer's trials.
 
@@ -148,7 +148,7 @@ def norm_of(
         trials: solved.
         settings: of the design.
         design: of the trials; nothing changed by default.
-        differ: see Wearer.
+        shown: see Wearer.
     """
     cuffs = {} if design is None else design.cuffs
     removed = () if design is None else design.removed
@@ -158,8 +158,7 @@ def norm_of(
         for cuff, force in trial.cuffs.items():
             square = force.normal**2
             square = square + settings.shear_weight * force.tangential**2
-            share = (differ or {}).get(cuff, 1.0)
-            square *= (share / cuffs.get(cuff, CuffDesign()).area) ** 2
+            square *= (shown(cuff) / cuffs.get(cuff, CuffDesign()).area) ** 2
             total += float(np.trapezoid(square ** (p / 2), trial.times))
             duration += trial.duration
     return Norm(total, duration, p)
@@ -169,8 +168,7 @@ def worn_norm(
     worn: WearerResult, settings: DesignSettings, design: Design | None = None
 ) -> Norm:
     """The norm of a wearer's trials, see `norm_of`."""
-    differ = worn.problem.wearer.differ
-    return norm_of(worn.trials, settings, design, differ)
+    return norm_of(worn.trials, settings, design, worn.problem.wearer.shown)
 
 
 def joint_norm(norms: Iterable[Norm]) -> float:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from drake_exo.collocation.transcription import stands_for
 from drake_exo.measurement.trial import Trial
 
 _PHASE_SAMPLES = 101
@@ -19,7 +20,7 @@ def rms(values: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
         (m,), or a number; NaN where there is nothing.
     """
     steps = np.ones(len(values) - 1) if times is None else np.diff(times)
-    lengths = np.r_[steps[0], 0.5 * (steps[:-1] + steps[1:]), steps[-1]]
+    lengths = stands_for(steps)
     known = ~np.isnan(values)
     square = np.where(known, values, 0.0) ** 2
     with np.errstate(invalid="ignore"):

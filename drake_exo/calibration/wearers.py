@@ -128,6 +128,10 @@ class Wearer:
     is_drawn: bool = False
     differ: Mapping[str, float] = field(default_factory=dict)
 
+    def shown(self, cuff: str) -> float:
+        """Factor on the model's force of a cuff for what mats would show."""
+        return self.differ.get(cuff, 1.0)
+
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:
     if not removed:

@@ -193,9 +193,8 @@ class HermiteSimpson(Transcription):
             steps.max(),
             prog=prog,
         )
-        for i, step in enumerate(steps):
-            time_step = collocation.time_step(i)
-            prog.AddBoundingBoxConstraint(step, step, time_step)
+        time_steps = [collocation.time_step(i) for i in range(n - 1)]
+        prog.AddBoundingBoxConstraint(steps, steps, np.concatenate(time_steps))
         # Its constraints point to contexts that it owns, and to the system.
         program.keep_alive((system, collocation))
         states = np.stack([collocation.state(i) for i in range(n)])
@@ -219,10 +218,8 @@ class HermiteSimpson(Transcription):
     @property
     def jerk_weights(self):
         """See Transcription; ends count as other nodes do."""
-        steps = self.steps
-        beside = 0.5 * (steps[:-1] + steps[1:])
-        weights = np.r_[steps[0], beside, steps[-1]]
-        return weights * (steps.sum() / weights.sum())
+        weights = stands_for(self.steps)
+        return weights * (self.steps.sum() / weights.sum())
 
     def alternating(self):
         """See Transcription.
@@ -389,6 +386,15 @@ TRANSCRIPTIONS = {
     "hermite_simpson": HermiteSimpson,
     "pseudospectral": Pseudospectral,
 }
+
+
+def stands_for(steps: np.ndarray) -> np.ndarray:
+    """Time (m + 1,) that each node stands for, by m steps between them [s].
+
+    Nodes at the ends count as others do.
+    """
+    beside = 0.5 * (steps[:-1] + steps[1:])
+    return np.r_[steps[0], beside, steps[-1]]
 
 
 def _by_length(steps: np.ndarray) -> list[tuple[float, np.ndarray]]:
