@@ -3,6 +3,7 @@
     python tests/mutants.py                       all of the list
     python tests/mutants.py scores tables         of files so named alone
     python tests/mutants.py --drawn 30 --seed 1   drawn from the whole package
+    python tests/mutants.py --drawn 30 soles/     drawn from files so named
 
 Each error is planted in a copy, never in the working tree. The tests meant for
 its file (`mutants_listed.TESTS`) run until the first fails: those that are not
@@ -166,10 +167,19 @@ def _indices(node: ast.expr) -> Iterator[ast.expr]:
                 yield node
 
 
-def drawn(count: int, seed: int) -> list[Mutant]:
-    """Errors that nobody chose, all kinds alike, over the whole package."""
+def drawn(count: int, seed: int, chosen: Sequence[str] = ()) -> list[Mutant]:
+    """Errors that nobody chose, all kinds alike, over the whole package.
+
+    Args:
+        chosen: parts of paths; other files are left alone. Empty: none is.
+
+    Raises:
+        ValueError: no file is so named, or they hold too few places.
+    """
     kinds: dict[str, list[Mutant]] = {}
     for path in sorted((ROOT / PACKAGE).rglob("*.py")):
+        if chosen and not any(name in path.as_posix() for name in chosen):
+            continue
         source = path.read_bytes()
         lines = source.splitlines(keepends=True)
         begins = [0]
@@ -181,6 +191,9 @@ def drawn(count: int, seed: int) -> list[Mutant]:
             file = path.relative_to(ROOT).as_posix()
             mutant = Mutant(file, start, end, new, kind)
             kinds.setdefault(kind, []).append(mutant)
+    places = len({mutant for some in kinds.values() for mutant in some})
+    if places < count:
+        raise ValueError(f"{places} places in files so named, {count} wanted")
     rng = random.Random(seed)
     names = sorted(kinds)
     found: dict[Mutant, None] = {}
@@ -307,7 +320,7 @@ def main() -> int:
     given = parser.parse_args()
     wrong = []
     if given.drawn:
-        mutants = drawn(given.drawn, given.seed)
+        mutants = drawn(given.drawn, given.seed, given.name)
     else:
         mutants, wrong = listed(given.name)
     for sentence in wrong:
