@@ -9,7 +9,7 @@ Keep apart the diagram for planning and the one for viewing: with a meshcat
 inside, the diagram converts to no other scalar type.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,7 @@ from pydrake.systems.framework import (
     LeafSystem_,
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
+from scipy.integrate import OdeSolution, Radau
 
 from drake_exo.contact.parameters import ContactModel, nominal_contact
 from drake_exo.contact.systems import (
@@ -165,6 +166,61 @@ def build_simulator(
     )
     ApplySimulatorConfig(config, simulator)
     return simulator
+
+
+_RTOL = 1e-3
+# A millimetre or a milliradian, and their rates, count a tenth of that.
+_ATOL = 1e-4
+
+
+def integrate(
+    diagram: Diagram,
+    context: Context,
+    end_s: float,
+    max_step_s: float = np.inf,
+    tell: Callable[[float, np.ndarray], None] | None = None,
+) -> OdeSolution:
+    """The motion from a context on, by Radau's method of fifth order.
+
+    Drake's implicit integrators compare with the trapezoidal rule, which can
+    hold them at steps of 0.1 ms for seconds, and at the same tolerance take
+    two to three times as many evaluations, for a third of the digits.
+
+    Args:
+        diagram: of an `ExoskeletonDiagram`, without a free input.
+        context: its, at the begin; is at the last step that was tried after.
+        end_s: until then.
+        max_step_s: of the integrator.
+        tell: called after every step with the time and the state.
+
+    Returns:
+        The state (2 nq,), positions and velocities, as a function of time
+        from the context's to `t_max`: `end_s`, or where the integrator could
+        go no further.
+
+    Source:
+        Hairer, Wanner 1996, Solving Ordinary Differential Equations II, IV.8.
+    """
+
+    def rates(time, state):
+        context.SetTime(time)
+        context.SetContinuousState(state)
+        return diagram.EvalTimeDerivatives(context).CopyToVector()
+
+    start = context.get_continuous_state_vector().CopyToVector()
+    solver = Radau(
+        rates, context.get_time(), start, end_s, max_step_s, _RTOL, _ATOL
+    )
+    times, parts = [solver.t], []
+    while solver.status == "running":
+        solver.step()
+        if solver.status == "failed":
+            break
+        times.append(solver.t)
+        parts.append(solver.dense_output())
+        if tell:
+            tell(solver.t, solver.y)
+    return OdeSolution(times, parts)
 
 
 @TemplateSystem.define("JointTorques_")

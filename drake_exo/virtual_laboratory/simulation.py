@@ -6,10 +6,8 @@ comes out of the simulation, not out of the plan.
 """
 
 import numpy as np
-from pydrake.systems.framework import EventStatus
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from drake_exo.contact.diagram import build_diagram, build_simulator
+from drake_exo.contact.diagram import build_diagram, integrate
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
@@ -36,7 +34,6 @@ from drake_exo.virtual_laboratory.truth import Truth
 RATE_HZ = 1000.0
 PASSIVE = (0.0, 0.0, 0.0)
 _SETTLE_S = 0.4
-_ACCURACY = 1e-3
 _STEP_S = 0.05
 _ASTRAY_M = 0.1  # of a pelvis that still walks as it means to
 
@@ -79,9 +76,7 @@ def simulate(
         controller=controller(subject, device),
         forces=_forces(truth, seat),
     )
-    simulator = build_simulator(built, accuracy=_ACCURACY)
-    simulator.get_mutable_integrator().set_maximum_step_size(_STEP_S)
-    context = simulator.get_mutable_context()
+    context = built.diagram.CreateDefaultContext()
     names, plant_context = truth.model.coordinates, built.plant_context(context)
     if truth.model.assembly.human.sides:  # settles on its feet by itself
         q = names.aligned(reference.q[:1])[0]
@@ -95,9 +90,8 @@ def simulate(
         built.plant.SetVelocities(plant_context, v)
     end = float(reference.times[-1])
 
-    def tell(time: float) -> None:
+    def tell(time: float, state: np.ndarray) -> None:
         if walker is not None:
-            state = built.plant.GetPositionsAndVelocities(plant_context)
             off, *_ = walker.off(np.float64(time), *np.split(state, 2))
             if np.hypot(*off[:2]) > _ASTRAY_M:
                 raise InputError(
@@ -107,7 +101,12 @@ def simulate(
         if progress:
             progress.update(f"{name}, {time:.2f} of {end:.2f} s", done)
 
-    motion = _advance(simulator, end, tell)
+    motion = integrate(built.diagram, context, end, _STEP_S, tell)
+    if motion.t_max < end:
+        raise InputError(
+            f"{name}: the movement cannot be simulated after "
+            f"{motion.t_max:.2f} s; give another seed"
+        )
     return _recorded(name, truth, seat, (subject, device), motion)
 
 
@@ -173,39 +172,11 @@ def equilibrium(
     return q
 
 
-def _advance(simulator, end, tell):
-    """Positions and velocities (nq,) as functions of time from 0 to `end`.
-
-    Velocities are splines through the steps' ends alone: slopes there carry
-    what is left of the stiff foot's transients, which the contact's damping
-    would turn into noise of the forces.
-    """
-    steps = []
-
-    def note(context):
-        time = context.get_time()
-        tell(time)
-        if time >= 0.0:
-            state = context.get_continuous_state_vector().CopyToVector()
-            steps.append((time, state))
-        return EventStatus.DidNothing()
-
-    simulator.Initialize()
-    simulator.AdvanceTo(0.0)
-    note(simulator.get_context())
-    simulator.set_monitor(note)
-    simulator.AdvanceTo(end)
-    times, states = (np.array(column) for column in zip(*steps, strict=True))
-    times, new = np.unique(times, return_index=True)
-    q, v = np.split(states[new], 2, axis=1)
-    return CubicHermiteSpline(times, q, v), CubicSpline(times, v)
-
-
 def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     tree, names = truth.model.tree, truth.model.coordinates
-    end = motion[0].x[-1]
+    end = motion.t_max
     times = np.arange(round(end * RATE_HZ) + 1) / RATE_HZ
-    q, v = (spline(np.minimum(times, end)) for spline in motion)
+    q, v = np.split(motion(np.minimum(times, end)).T, 2, axis=1)
     stood = {f: ground_wrench(tree, truth.contact, q, v, f) for f in feet(tree)}
     ground = sum(list(stood.values())[1:], next(iter(stood.values())))
     subject, device = controllers

@@ -20,6 +20,7 @@ from drake_exo.contact.diagram import (
     ExoskeletonDiagram,
     build_diagram,
     build_simulator,
+    integrate,
 )
 from drake_exo.contact.hunt_crossley import (
     PaperConstants,
@@ -112,6 +113,50 @@ def test_settles_to_body_weight(kind, law):
     com = model.plant.CalcCenterOfMassPositionInWorld(plant_context)
     assert com[2] > 0.8
     assert -reaction[2] / reaction[1] == pytest.approx(com[0], abs=0.02)
+
+
+def test_motion_is_that_of_drakes_own_integrator():
+    """Dropped onto the ground, at tolerances far apart, by two methods."""
+    model, simulator, plant_context = standing("rigid", "simbody")
+    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    context = model.diagram.CreateDefaultContext()
+    start = model.plant.GetPositionsAndVelocities(plant_context)
+    context.SetContinuousState(start)
+    told = []
+    motion = integrate(
+        model.diagram,
+        context,
+        0.2,
+        0.05,
+        lambda t, x: told.append((t, x.copy())),
+    )
+    assert (motion.t_min, motion.t_max) == (0.0, 0.2)
+    assert len(told) == len(motion.ts) - 1
+    assert np.diff(motion.ts).max() <= 0.05
+    np.testing.assert_allclose(told[3][1], motion(told[3][0]), atol=1e-12)
+    off = []
+    for time in np.linspace(0.0, 0.2, 21):
+        simulator.AdvanceTo(time)
+        known = model.plant.GetPositionsAndVelocities(plant_context)
+        off.append(motion(time) - known)
+    q, v = np.split(np.abs(off), 2, axis=1)
+    moved = np.abs(motion(0.2) - start)
+    assert moved[1] > 5e-3
+    assert q.max() < 2e-5 and v.max() < 3e-3, (q.max(), v.max())
+
+
+def test_motion_that_cannot_go_on_ends_there():
+    class Breaks(HoldPosture):
+        def _calc(self, context, output):
+            left = 0.1 - context.get_time()
+            output.SetFromVector(np.full(output.size(), 1.0 / left**2))
+
+    controller = Breaks([0.0] * 3, [100.0] * 3, [10.0] * 3)
+    model = build_diagram(nominal_model("rigid"), controller=controller)
+    context = model.diagram.CreateDefaultContext()
+    motion = integrate(model.diagram, context, 0.3)
+    assert 0.05 < motion.t_max <= 0.1
+    assert np.isfinite(motion(motion.t_max)).all()
 
 
 def sliding_block(law, friction):
