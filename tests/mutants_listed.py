@@ -59,9 +59,27 @@ TESTS = {
     "drake_exo/report/figures.py": ["tests/report/test_figures.py"],
     "drake_exo/report/tables.py": ["tests/report/test_tables.py"],
     "drake_exo/soles/": [_SOLES],
+    "drake_exo/soles/mesh.py": [
+        f"{_SOLES}/test_sole_mesh.py",
+        f"{_SOLES}/test_sole_stl.py",
+    ],
+    "drake_exo/soles/optimize/optimizer.py": [f"{_SOLES}/test_optimizer.py"],
+    "drake_exo/soles/optimize/search.py": [f"{_SOLES}/test_search.py"],
+    "drake_exo/soles/optimize/pareto.py": [f"{_SOLES}/test_search.py"],
+    "drake_exo/soles/pictures.py": [
+        f"{_SOLES}/test_pictures.py",
+        f"{_SOLES}/test_sole_views.py",
+    ],
     "drake_exo/soles/rotations.py": [f"{_SOLES}/test_rotations.py"],
     "drake_exo/soles/step/": [f"{_SOLES}/test_step_numbers.py"],
-    "drake_exo/soles/walking_pattern.py": [f"{_SOLES}/test_walking_pattern.py"],
+    "drake_exo/soles/surface.py": [
+        f"{_SOLES}/test_surface_steps.py",
+        f"{_SOLES}/test_surface.py",
+    ],
+    "drake_exo/soles/walking_pattern.py": [
+        f"{_SOLES}/test_walking_pattern.py",
+        f"{_SOLES}/test_gait.py",
+    ],
     "drake_exo/virtual_laboratory/": [
         f"{_LABORATORY}/test_instruments.py",
         f"{_LABORATORY}/test_truth.py",
