@@ -502,6 +502,8 @@ def test_colours_of_a_sole_are_those_of_its_key(sheet, mesh):
     bar, key = figure.axes[-2:]
     assert bar.get_xlim() == pytest.approx((-2.0, 2.0))
     assert "[%]" in bar.get_xlabel()
+    height = bar.get_position().height * figure.get_figheight()
+    assert 0.1 < height < 0.15
     (scale, dashed) = key.lines
     words = {text.get_text(): text for text in key.texts}
     mm, shape = words["50 mm"], words["initial shape"]

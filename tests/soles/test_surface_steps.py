@@ -136,6 +136,19 @@ def test_thickness_of_a_wedge_is_linear():
     assert volume == pytest.approx(0.2 * 0.1 * 0.03, rel=0.03)
 
 
+def test_no_line_runs_through_the_edges_of_a_regular_mesh():
+    """Each would meet both triangles beside an edge, or none."""
+    for divisions in ((4, 3, 2), (6, 4, 1), (12, 8, 2)):
+        thickness = steps._Thickness(_brick(divisions=divisions))
+        x, y = (
+            thickness.low[k] + thickness.step * np.arange(thickness.shape[k])
+            for k in (0, 1)
+        )
+        inside = np.outer(np.abs(x) < 0.1, np.abs(y) < 0.04)
+        wanted = np.where(inside, 0.03, 0.0)
+        np.testing.assert_allclose(thickness.values, wanted, atol=1e-12)
+
+
 def test_two_parts_one_over_the_other_count_both():
     corners = np.concatenate(
         [_brick((0.2, 0.1, 0.01)), _brick((0.2, 0.1, 0.02), (0, 0, -0.03))]
@@ -410,9 +423,11 @@ def test_the_rim_is_what_has_faces_beside_the_top():
 @pytest.mark.parametrize("flat", [True, False])
 def test_skin_is_moved_onto_the_surface_and_nothing_else(flat):
     """A block bulged by 1 mm: inner nodes and those of a flat top stay."""
-    corners = _brick()
-    top = (corners[:, :, 2] == 0).all(axis=1)
+    up = np.array([0, 0, 0.25])
+    corners = _brick(at=up)
+    top = (corners[:, :, 2] == 0.25).all(axis=1)
     mesh = _shrunk(-1e-3)
+    mesh = mesh.with_nodes(mesh.nodes + up)
     inner = np.setdiff1d(np.arange(len(mesh.nodes)), mesh.boundary_faces)
     new, cells = steps._onto(mesh.nodes, mesh.tets, corners, top, flat)
     np.testing.assert_array_equal(cells, mesh.tets)
@@ -427,7 +442,7 @@ def test_skin_is_moved_onto_the_surface_and_nothing_else(flat):
     within = np.abs(mesh.nodes[mesh.fixed, :2]) < [0.0999, 0.0399]
     still = mesh.fixed[within.all(axis=1)]
     np.testing.assert_allclose(new[still], mesh.nodes[still], atol=1e-15)
-    assert (new[mesh.fixed, 2] == 0).all()
+    assert (new[mesh.fixed, 2] == 0.25).all()
     moved = TetMesh(new, cells, mesh.fixed)
     assert moved.volume == pytest.approx(np.prod(SIZE))
 
@@ -485,7 +500,10 @@ def test_fixed_is_what_lies_near_the_top(off, count):
     assert len(found) == count
     flat = steps._fixed_nodes(mesh.nodes, mesh.tets, corners, top, True)
     assert len(flat) == 0
-    again = steps._fixed_nodes(mesh.nodes, mesh.tets, _brick(), top, True)
+    up = np.array([0, 0, 0.25])
+    again = steps._fixed_nodes(
+        mesh.nodes + up, mesh.tets, _brick(at=up), top, True
+    )
     np.testing.assert_array_equal(again, mesh.fixed)
 
 

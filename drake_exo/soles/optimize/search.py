@@ -13,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from itertools import chain, islice, repeat
 from multiprocessing import get_context
 from pathlib import Path
 from queue import Empty
@@ -269,7 +270,7 @@ def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
 def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
     """The first stage from every start, several at a time."""
     count = setup.settings.optimize.starts
-    begun = [*begun, *[None] * count][:count]
+    begun = islice(chain(begun, repeat(None)), count)
     calls = [
         (setup, k, at, start_folder(out, k) if count > 1 else out)
         for k, at in enumerate(begun)

@@ -1,0 +1,512 @@
+"""Steps of the search for a shape and for a front, each by its numbers."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.load_blocks import Pattern
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.optimize import pareto, search
+from drake_exo.soles.optimize.files import Checkpoint
+from drake_exo.soles.optimize.optimizer import Optimum
+from drake_exo.soles.optimize.search import (
+    GaitProblem,
+    first_design,
+    limits_of,
+    settle,
+    stage_mesh,
+    stage_problem,
+    start_design,
+)
+from drake_exo.soles.settings import Stage
+
+BOUNDS = (0.3, 1.4)
+
+
+@pytest.fixture(scope="module")
+def case():
+    return Case.from_text(EXAMPLE)
+
+
+@pytest.fixture(scope="module")
+def problem(case):
+    return stage_problem(case, case.settings.optimize.stages[0])
+
+
+def test_limits_are_those_of_the_case(case):
+    """0.8 kg: 1 kg of neoprene is 813 cm³."""
+    block = replace(
+        case.settings.optimize, stability_n_per_m=7.0, tilt_deg=8.0,
+        strain=0.09, c_rot_nm_per_rad=10.0,
+    )  # fmt: skip
+    shape = replace(
+        block.shape, least_depth_m=0.011, largest_height_m=0.12, draft_deg=1.3
+    )
+    cost = replace(case.settings.cost, mass_limit_kg=0.8)
+    settings = replace(
+        case.settings, optimize=replace(block, shape=shape), cost=cost
+    )
+    limits = limits_of(settings)
+    assert limits.volume == pytest.approx(0.8 / 1230.0)
+    found = (
+        limits.stability, limits.tilt_deg, limits.strain, limits.c_rot,
+        limits.depth, limits.height, limits.draft_deg,
+    )  # fmt: skip
+    assert found == (7.0, 8.0, 0.09, 10.0, 0.011, 0.12, 1.3)
+
+
+def test_stages_are_bricks_in_the_own_box(case):
+    stage = replace(case.settings.optimize.stages[0], divisions=(5, 2, 4))
+    found = stage_mesh(case.mesh, stage)
+    size = (0.23, 0.13, 0.03)
+    np.testing.assert_allclose(found.nodes, brick(size, (5, 2, 4)).nodes)
+    assert stage_mesh(case.mesh, replace(stage, divisions=None)) is case.mesh
+    holed = SimpleNamespace(nodes=case.mesh.nodes, volume=0.99999 * 897e-6)
+    with pytest.raises(InputError, match="divisions need a brick"):
+        stage_mesh(holed, stage)
+
+
+def test_the_first_design_is_shrunk_until_it_is_light_enough(problem):
+    """To 0.99 of the limit, by hundredths: the least number of them."""
+    p = first_design(problem, BOUNDS)
+    limit = 0.99 * problem.limits.volume
+    number = np.ceil(np.log(limit / 897e-6) / np.log(0.99) / 3)
+    np.testing.assert_allclose(p, 0.99**number)
+    assert problem.deformed(p).volume <= limit
+    assert problem.deformed(p / 0.99).volume > limit
+    thin = np.full(problem.spline.count, 0.5)
+    thin[3] = 0.1
+    np.testing.assert_array_equal(
+        first_design(problem, BOUNDS, thin), np.clip(thin, 0.3, 1.4)
+    )
+
+
+def test_starts_are_smooth_bends_within_the_limits(problem):
+    """Other ones each; about 3 % of cosines with up to three half waves."""
+    found = [start_design(problem, BOUNDS, k) for k in range(4)]
+    np.testing.assert_array_equal(found[0], first_design(problem, BOUNDS))
+    for k, p in enumerate(found[1:], 1):
+        values = problem.constraints(p)
+        assert values[:2].min() >= 0
+        np.testing.assert_array_equal(p, start_design(problem, BOUNDS, k))
+        for other in found[:k]:
+            assert np.abs(p - other).max() > 0.02
+        # 16 waves of about 0.03: a field of about 0.06 (RMS 0.03 times 2).
+        assert 0.02 < np.std(p / p.mean()) < 0.15
+
+
+def test_bends_have_few_waves_along_each_axis():
+    """Of a spline whose coefficients are all free, by its cosine transform."""
+
+    class Free:
+        intervals = (9, 13)
+
+        @staticmethod
+        def free_map():
+            from scipy.sparse import identity
+
+            return identity(11 * 15, format="csr"), 0.25 * np.ones(11 * 15)
+
+    kept = []
+
+    def constraints(p):
+        kept.append(p)
+        return np.array([0.0, 0.0, -1.0])
+
+    fake = SimpleNamespace(
+        spline=Free,
+        deformed=lambda p: SimpleNamespace(volume=0.5),
+        limits=SimpleNamespace(volume=1.0),
+        constraints=constraints,
+    )
+    p = start_design(fake, (-9.0, 9.0), 5)
+    assert len(kept) == 1
+    field = (p + 0.25).reshape(11, 15) - 1.0
+    waves = [
+        np.cos(np.outer(np.linspace(0, np.pi, n), np.arange(4)))
+        for n in (11, 15)
+    ]
+    amounts = np.linalg.pinv(waves[0]) @ field @ np.linalg.pinv(waves[1]).T
+    np.testing.assert_allclose(waves[0] @ amounts @ waves[1].T, field)
+    wanted = np.random.default_rng(5).standard_normal((4, 4))
+    np.testing.assert_allclose(amounts, 0.03 * wanted)
+
+
+def test_a_bend_that_cannot_be_simulated_is_drawn_again(problem, monkeypatch):
+    first = start_design(problem, BOUNDS, 1)
+    plain, asked = type(problem).constraints, []
+
+    def constraints(self, p):
+        asked.append(p)
+        values = plain(self, p)
+        if len(asked) == 1:
+            values[0] = np.nan
+        if len(asked) == 2:
+            values[0] = -1e-9
+        if len(asked) == 3:
+            values[1] = -1e-9
+        return values
+
+    monkeypatch.setattr(type(problem), "constraints", constraints)
+    again = start_design(problem, BOUNDS, 1)
+    assert len(asked) == 4
+    np.testing.assert_array_equal(asked[0], first)
+    np.testing.assert_array_equal(asked[3], again)
+
+
+def test_settling_is_a_step_of_the_heat_equation(monkeypatch):
+    """The least amount that the mesh carries; ones stay as they are."""
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((5, 5))
+    root -= root.mean(axis=1, keepdims=True)
+    H, p = 2 * root.T @ root, 1 + rng.standard_normal(5)
+    for good, amount in enumerate((0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, None)):
+        asked = []
+
+        def constraints(trial, asked=asked, good=good):
+            asked.append(trial)
+            if len(asked) <= good:
+                return np.array([np.nan, 0, 0] if good % 2 else [1, -1e-9, 0])
+            return np.array([-1.0, 0.0, -1.0])
+
+        fake = SimpleNamespace(
+            regularization=lambda p: (0, 0, H), constraints=constraints
+        )
+        found = settle(fake, p)
+        if amount is None:
+            np.testing.assert_array_equal(found, p)
+            continue
+        # (1 + amount H / max|H|) (x − 1) = p − 1
+        left = found - 1 + amount * H @ (found - 1) / np.abs(H).max()
+        np.testing.assert_allclose(left, p - 1, atol=1e-12)
+    fake = SimpleNamespace(regularization=lambda p: (0, 0, 0 * H))
+    assert settle(fake, p) is p
+
+
+def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
+    """Iterations that are left; numbers that go on; what is kept of it."""
+    block = case.settings.optimize
+    stages = (block.stages[0], replace(block.stages[0], iterations=9))
+    setup = case.optimizing(stages=stages)
+    given, kept, said = {}, [], []
+    n = 17
+    monkeypatch.setattr(search, "settle", lambda problem, p: p)
+    monkeypatch.setattr(search, "_keep", lambda at, out: kept.append(at))
+
+    def minimise(problem, p, bounds, iterations, tolerance, note, **more):
+        given.update(more, p=p, bounds=bounds, left=iterations, tol=tolerance)
+        best = Optimum(p + 1, -0.5, multipliers=np.arange(5.0))
+        for k in range(5):
+            best.trace.append((k, -0.5 - k, 0.25, 0.125))
+            best.latest = (p, np.arange(5.0), 1e-4)
+            note(k, best)
+        return best
+
+    monkeypatch.setattr(search, "minimise", minimise)
+    p = np.linspace(0.8, 1.0, n)
+    at = Checkpoint(1, 4, p, p, np.ones(5), 1e-3, np.eye(n))
+    run, problem = search._run_stage(setup, 1, at, "out", said.append)
+    assert (given["left"], given["tol"]) == (5, block.tolerance)
+    assert given["bounds"] == tuple(block.bounds) and given["refining"]
+    np.testing.assert_array_equal(given["p"], p)
+    np.testing.assert_array_equal(
+        given["hessian_approximation"].matrix, np.eye(n)
+    )
+    assert given["warm"].barrier == 1e-3
+    assert problem.law.layer == 1e-4
+    assert [row[0] for row in run.optimum.trace] == [4, 5, 6, 7, 8]
+    assert run.optimum.trace[2][1:] == (-2.5, 0.25, 0.125)
+    # Every third iteration is kept; in the end, the last stage to go on with.
+    assert [(c.stage, c.iteration) for c in kept] == [(1, 7)]
+    assert (run.at.stage, run.at.iteration, run.at.barrier) == (1, 0, 1e-7)
+    np.testing.assert_array_equal(run.at.latest, p + 1)
+    assert said[2].startswith("stage 2/2, iteration 6: c/|c0| -2.5000, viol")
+    assert "violation 2.5e-01, error 1.2e-01" in said[2]
+    run, _ = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
+    assert (run.at.stage, given["left"], given["refining"]) == (1, 5, False)
+    assert given["warm"] is None
+
+
+def _fake_run(number, p, cost, violation=0.0):
+    best = Optimum(p, cost, violation=violation)
+    row = ({"cost": cost, "violation": violation},)
+    return search._Run(
+        best, 10.0 + number, Checkpoint(number, 0, p, starts=row)
+    )
+
+
+def test_the_best_start_goes_through_the_stages(case, monkeypatch):
+    """Feasible before cheap; starts that were interrupted go on first."""
+    block = case.settings.optimize
+    setup = case.optimizing(stages=3 * block.stages, starts=4)
+    made, clock = [], [1000.0]
+    rows = [(5.0, 0.0), (1.0, 0.5), (4.0, 0.0), (6.0, 0.0)]
+
+    def from_start(setup, start, at, out, say):
+        made.append((start, at))
+        return _fake_run(1, f"p{start}", *rows[start])
+
+    def run_stage(setup, number, at, out, say):
+        made.append((number, at.p, [row["cost"] for row in at.starts]))
+        run = _fake_run(number + 1, at.p + "'", 3.0)
+        run.at = replace(run.at, starts=at.starts)
+        return run, f"problem {number}"
+
+    def verified(setup, problem, at, optima, seconds):
+        clock[0] += 7.0
+        made.append((problem, at.p, [o.cost for o in optima], seconds))
+        return SimpleNamespace(starts=at.starts)
+
+    monkeypatch.setattr(search, "_from_start", from_start)
+    monkeypatch.setattr(search, "_run_stage", run_stage)
+    monkeypatch.setattr(search, "verified", verified)
+    monkeypatch.setattr(search, "time", SimpleNamespace(
+        perf_counter=lambda: clock[0]))  # fmt: skip
+    begun = (Checkpoint(iteration=3), None)
+    found = search.optimise(setup, None, str, Checkpoint(begun=begun))
+    assert made == [
+        (0, begun[0]), (1, None), (2, None), (3, None),
+        (1, "p2", [5.0, 1.0, 4.0, 6.0]),
+        (2, "p2'", [5.0, 1.0, 4.0, 6.0]),
+        ("problem 2", "p2''", [4.0, 3.0, 3.0], [11.0, 12.0, 13.0]),
+    ]  # fmt: skip
+    assert found.seconds == 7.0
+    # One that was finished is verified on its last stage's problem.
+    made.clear()
+    monkeypatch.setattr(search, "stage_problem", lambda setup, stage: stage)
+    last = replace(block.stages[0], layer_m=2e-4)
+    setup = case.optimizing(stages=(*block.stages, last))
+    search.optimise(setup, None, str, Checkpoint(stage=2, p="p"))
+    assert made == [(last, "p", [], [])]
+
+
+def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
+    asked, said = [], []
+
+    def run_stage(setup, number, at, out, say):
+        say("it goes")
+        asked.append(at)
+        return _fake_run(1, np.zeros(17), 2.0, 0.5), None
+
+    monkeypatch.setattr(search, "_run_stage", run_stage)
+    setup = case.optimizing(starts=3)
+    run = search._from_start(setup, 2, None, None, said.append)
+    problem = stage_problem(case, case.settings.optimize.stages[0])
+    bounds = tuple(case.settings.optimize.bounds)
+    wanted = start_design(problem, bounds, 2)
+    np.testing.assert_array_equal(asked[0].p, wanted)
+    np.testing.assert_array_equal(asked[0].latest, wanted)
+    assert said == ["start 3/3, it goes"]
+    assert run.at.starts == ({"cost": 2.0, "violation": 0.5},)
+    again = search._from_start(setup, 2, run.at, None, said.append)
+    assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.5)
+    assert len(asked) == 1 and again.seconds == 0.0
+
+
+# Walk and sole
+
+
+class _Walk:
+    """Two numbers; what the sole feels of them is linear."""
+
+    def load(self, x):
+        return SimpleNamespace(x=x)
+
+    def limits(self, x):
+        return np.array([1.0 - x.sum(), x[0] - 0.1])
+
+    def slopes(self, x):
+        loads = np.zeros((2, 3, 5))
+        loads[0, 0, 2], loads[1, 2, 4] = 10.0, 20.0
+        return loads, np.array([[-1.0, -1.0], [1.0, 0.0]])
+
+
+class _Shape:
+    """(x₀ − 0.8)² + 2 (x₁ − 0.9)² and two limits, by 10 and 20 loads."""
+
+    limited, names, picked = ["tilt", "strain"], [], np.arange(3)
+    lost = False
+
+    def __init__(self, x):
+        self.x = x
+
+    def cost(self, p):
+        return (self.x[0] - 0.8) ** 2 + 2 * (self.x[1] - 0.9) ** 2
+
+    def constraints(self, p):
+        return np.array([9.0, -9.0, 0.9 - self.x[1], self.x[0] - 0.3])
+
+    def evaluate(self, p):
+        return None if self.lost else "simulated"
+
+    def by_load(self, p):
+        out = np.zeros((3, 3, 5))
+        out[0, 0, 2] = 2 * (self.x[0] - 0.8) / 10
+        out[0, 2, 4] = 4 * (self.x[1] - 0.9) / 20
+        out[1, 2, 4], out[2, 0, 2] = -1 / 20, 1 / 10
+        return out
+
+
+@pytest.fixture
+def walking(monkeypatch):
+    monkeypatch.setattr(
+        search, "replace", lambda shape, load, **_: _Shape(load.x)
+    )
+    said = []
+    start = np.array([0.2, 0.2])
+    return GaitProblem(_Walk(), _Shape(start), "p", start, said.append), said
+
+
+def test_a_walk_s_slopes_are_those_of_cost_and_limits(walking):
+    problem, _ = walking
+    x, h = np.array([0.35, 0.45]), 1e-6
+    cost, rows = problem.slopes(x)
+    for k, d in enumerate(h * np.eye(2)):
+        numeric = (problem.cost(x + d) - problem.cost(x - d)) / (2 * h)
+        assert cost[k] == pytest.approx(numeric)
+        numeric = (problem.limits(x + d) - problem.limits(x - d)) / (2 * h)
+        np.testing.assert_allclose(rows[:, k], numeric, atol=1e-9)
+
+
+def test_the_best_walk_that_keeps_the_limits(walking):
+    """On x₀ + x₁ = 1, where both slopes agree: 2 (x₀ − 0.8) = 4 (x₁ − 0.9)."""
+    problem, said = walking
+    # x₀ − 0.3 is broken by a tenth where it begins: it gets no worse.
+    assert problem.limits(np.array([0.2, 0.2]))[3] == pytest.approx(0.0)
+    assert problem.limits(np.array([0.2, 0.2]))[2] == pytest.approx(0.7)
+    x = problem.minimise()
+    x0 = (4 * 0.1 + 1.6) / 6
+    np.testing.assert_allclose(x, [x0, 1 - x0], atol=2e-3)
+    assert len(said) == len(problem._known)
+    assert said[-1].startswith(f"gait {len(said)}: c/|c0| ")
+
+
+def test_where_nothing_can_be_simulated_there_is_no_slope(walking):
+    problem, _ = walking
+    _Shape.lost = True
+    try:
+        cost, rows = problem.slopes(np.array([0.3, 0.3]))
+    finally:
+        _Shape.lost = False
+    assert not cost.any() and rows.shape == (4, 2) and not rows.any()
+
+
+def test_what_is_told_of_a_walk():
+    gait = Pattern(free=("step_length", "step_time")).gait(0.8)
+    alone = SimpleNamespace(c_tr=3.0, c_rot=4.0)
+    x = np.array([0.5, 1.0])
+    told = search._told_of_gait(gait, x, alone)
+    assert told["walk"] == {
+        "step_length": [0.2633, pytest.approx(0.2633)],
+        "step_time": [1.0, pytest.approx(1.25)],
+    }
+    assert told["least_limit"] == gait.limits(x).min() < 1 / 1.25 - 1
+    assert (told["c_tr_sole_alone"], told["c_rot_sole_alone"]) == (3.0, 4.0)
+
+
+def test_turns_of_walk_and_sole_end_where_nothing_is_gained(case, monkeypatch):
+    """Two at most; the better of both stays, on its walk."""
+    walks, costs = iter([0.1, 0.2, 0.3]), iter([5.0, 4.0, 3.0])
+    made = []
+
+    class Problem:
+        def __init__(self, gait, problem, p, walk, say):
+            made.append((problem, p, walk))
+
+        def minimise(self):
+            return next(walks)
+
+    def verified(setup, problem, at, optima, seconds):
+        step = SimpleNamespace(failed_steps=0, c=next(costs))
+        return SimpleNamespace(
+            setup=setup, problem=problem, step=step, optima=optima,
+            stages_seconds=seconds,
+        )  # fmt: skip
+
+    def run_stage(setup, number, at, out, say):
+        made.append((setup.load, number, at.stage, at.iteration))
+        run = SimpleNamespace(
+            optimum="o", seconds=2.0, at=replace(at, p=at.p + "'", iteration=7)
+        )
+        return run, "later"
+
+    monkeypatch.setattr(search, "GaitProblem", Problem)
+    monkeypatch.setattr(search, "verified", verified)
+    monkeypatch.setattr(search, "_run_stage", run_stage)
+    monkeypatch.setattr(
+        search, "_told_of_gait", lambda gait, x, alone: (x, alone.c)
+    )
+    gait = SimpleNamespace(start=0.0, load=lambda x: f"load {x}")
+
+    def alone(c):
+        step = SimpleNamespace(failed_steps=0, c=c)
+        return SimpleNamespace(
+            setup=case, problem="first", step=step, optima=["a"],
+            stages_seconds=[1.0],
+        )  # fmt: skip
+
+    at = Checkpoint(stage=3, iteration=5, p="p")
+    best = search._with_gait(gait, alone(6.0), at, str)
+    assert best.gait == (0.2, 6.0) and best.optima == ["a", "o", "o"]
+    assert made == [
+        ("first", "p", 0.0),
+        ("load 0.1", 0, 0, 0),
+        ("later", "p'", 0.1),
+        ("load 0.2", 0, 0, 0),
+    ]
+    assert search._with_gait(gait, alone(2.0), at, str).gait == (0.0, 2.0)
+
+
+# The front
+
+
+def test_each_floor_starts_from_the_one_below(monkeypatch):
+    """c_rot above 1.01 of it, c_tr alone; ratios to the brick's."""
+    # One sample: of a load that stays, nodes on the cone may stick or slip.
+    case = Case.from_text(EXAMPLE.replace("samples: 5", "samples: 1"))
+    calls, floors = [], []
+    stages = (
+        Stage((4, 3, 2), 5, 1e-4, 0.2, 3),
+        Stage((3, 2, 1), 4, 5e-5, 0.2, 4),
+    )
+
+    def minimise(problem, p, bounds, iterations, tolerance, note, **more):
+        calls.append((problem, p, iterations, more["hessian_approximation"]))
+        floors.extend(
+            limit.least for limit in problem.limited if limit.name == "c_rot"
+        )
+        return Optimum(p * 0.99, error=0.25, violation=0.125)
+
+    monkeypatch.setattr(pareto, "minimise", minimise)
+    points = pareto.pareto_front(case, [0.9, 0.6], None, stages)
+    assert [point["floor"] for point in points] == [0.6, 0.9]
+    own, low, high = calls
+    assert (own[2], low[2], high[2]) == (3, 4, 4)
+    assert own[3] is not low[3] and low[3] is high[3]
+    np.testing.assert_allclose(low[1], own[1] * 0.99)
+    np.testing.assert_allclose(high[1], own[1] * 0.99**2)
+    assert own[0].weight == case.settings.cost.weight
+    assert low[0].weight == high[0].weight == 0.0
+    c_rot = low[0].first.c_rot
+    np.testing.assert_allclose(floors, [0.606 * c_rot, 0.909 * c_rot])
+    assert len(own[0].mesh.tets) == 144 and len(low[0].mesh.tets) == 36
+    # By the exact law, on the mesh of the points.
+    for point, factor in zip(points, (0.99, 0.99**2), strict=True):
+        p = own[1] * 0.99 * factor
+        np.testing.assert_allclose(point["coefficients"], p)
+        mesh = low[0].deformed(p)
+        step = replace(case, mesh=mesh)
+        found = step.simulate()
+        base = replace(case, mesh=low[0].mesh).simulate()
+        assert point["c_tr"] == pytest.approx(found.c_tr, rel=1e-6)
+        assert point["c_rot"] == pytest.approx(found.c_rot, rel=1e-6)
+        ratio = found.c_tr / base.c_tr
+        assert point["ratio_tr"] == pytest.approx(ratio, rel=1e-6)
+        ratio = found.c_rot / base.c_rot
+        assert point["ratio_rot"] == pytest.approx(ratio, rel=1e-6)
+        assert point["optimality_error"] == 0.25
+        assert (point["violation"], point["failed_steps"]) == (0.125, 0)
