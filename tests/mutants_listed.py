@@ -63,6 +63,11 @@ TESTS = {
         f"{_SOLES}/test_sole_mesh.py",
         f"{_SOLES}/test_sole_stl.py",
     ],
+    "drake_exo/soles/animation.py": [
+        f"{_SOLES}/test_animation_numbers.py",
+        f"{_SOLES}/test_sole_replay.py",
+    ],
+    "drake_exo/soles/optimize/design.py": [f"{_SOLES}/test_design_numbers.py"],
     "drake_exo/soles/optimize/optimizer.py": [f"{_SOLES}/test_optimizer.py"],
     "drake_exo/soles/optimize/search.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/optimize/pareto.py": [f"{_SOLES}/test_search.py"],

@@ -1,0 +1,276 @@
+"""What is told of a design, against what its sole and its step say."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.optimize import design as module
+from drake_exo.soles.optimize.design import _at_least_twice
+from drake_exo.soles.optimize.files import Checkpoint
+from drake_exo.soles.optimize.limits import Limits
+from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
+from drake_exo.soles.step.results import Step
+
+
+@pytest.fixture(scope="module")
+def design():
+    """Of one sample: nodes that touch carry on, whatever the rounding."""
+    text = EXAMPLE.replace("samples: 5", "samples: 1")
+    stage = "{divisions: [4, 3, 2], layer_m: 1.0e-4, kappa: 0.2, iterations: 4}"
+    text = text.replace("{layer_m: 1.0e-4, kappa: 0.2, iterations: 5}", stage)
+    assert stage in text
+    return Case.from_text(text).optimize()
+
+
+def test_a_design_is_beside_its_initial_shape(design):
+    told, w = design.summary(), design.setup.settings.cost.weight
+    first = Case.from_text(
+        EXAMPLE.replace("samples: 5", "samples: 1")
+    ).simulate()
+    assert told["c_initial"] == pytest.approx(first.c, rel=1e-6)
+    assert told["c_tr_initial"] == pytest.approx(first.c_tr, rel=1e-6)
+    assert told["c_rot_initial"] == pytest.approx(first.c_rot, rel=1e-6)
+    again = replace(design.setup, mesh=design.mesh).simulate()
+    assert told["c"] == pytest.approx(again.c, rel=1e-6)
+    assert told["ratio_tr"] == pytest.approx(again.c_tr / first.c_tr, rel=1e-6)
+    ratio = again.c_rot / first.c_rot
+    assert told["ratio_rot"] == pytest.approx(ratio, rel=1e-6)
+    (load,) = told["loads"]
+    assert load["c_initial"] == pytest.approx(first.c, rel=1e-6)
+    assert load["ratio"] == pytest.approx(again.c / first.c, rel=1e-6)
+    # The mesh is the spline's, its c by the smoothed law near the exact.
+    nodes = design.shape.deform(design.setup.mesh.nodes, design.coefficients)
+    np.testing.assert_allclose(design.mesh.nodes, nodes, atol=1e-15)
+    e = design.problem.evaluate(design.coefficients)
+    smoothed = e.c_tr - w * e.c_rot
+    assert told["c_smoothed"] == pytest.approx(smoothed)
+    assert told["exact_change"] == pytest.approx(told["c"] / smoothed - 1)
+    assert 0 < abs(told["exact_change"]) < 0.1
+    (best,) = design.optima
+    assert told["iterations"] == [len(best.trace) - 1] == [4]
+    assert told["simulations"] == best.simulations
+    assert told["violation"] == best.violation
+    assert told["optimality_error"] == best.error
+    assert told["status"] == best.status and told["optimal"] is best.optimal
+    assert list(told["multipliers"].values()) == list(best.multipliers)
+
+
+def test_all_stages_count(design):
+    """Two of them: what was iterated in each, all simulations, the last."""
+    rows = [(3, 1.0, 2.0, 3.0), (4, 0.5, 0.1, 0.2), (5, 0.4, 0.1, 0.1)]
+    first = Optimum(np.ones(1), simulations=7, trace=rows)
+    (last,) = design.optima
+    two = replace(design, optima=[first, last])
+    told = two.summary()
+    assert told["iterations"] == [2, 4]
+    assert told["simulations"] == 7 + last.simulations
+    assert told["status"] == last.status
+    history = two.history
+    count = len(last.trace)
+    assert history["stage"].tolist() == [1.0] * 3 + [2.0] * count
+    assert history["iteration"].tolist() == [3.0, 4.0, 5.0, *range(count)]
+    for k, name in enumerate(("cost", "violation", "dual_infeasibility"), 1):
+        wanted = [row[k] for row in (*rows, *last.trace)]
+        np.testing.assert_array_equal(history[name], wanted)
+    nothing = replace(design, optima=[])
+    assert nothing.history["cost"].shape == (0,)
+    assert not nothing.summary()["optimal"]
+
+
+def test_the_spread_is_that_of_feasible_starts(design):
+    def spread(*rows):
+        starts = tuple({"cost": c, "violation": v} for c, v in rows)
+        return replace(design, starts=starts).spread
+
+    assert spread() is None and spread((-0.5, 0.0)) is None
+    assert spread((-0.5, 0.0), (-0.9, 2 * FEASIBLE)) is None
+    found = spread((-0.5, 0.0), (-0.4, FEASIBLE), (-0.1, 0.0), (-2.0, 1.0))
+    assert found == pytest.approx(0.4 / 0.5)
+
+
+def _values(design):
+    """Of every limit: its value, unit's factor, and the side that holds."""
+    nodes, mesh = design.mesh.nodes, design.mesh
+    step = design.step
+    bare = design.setup.mesh.bare
+    bottom = np.isclose(design.setup.mesh.nodes[:, 2], -0.03)
+    area = np.cross(
+        *np.swapaxes(
+            nodes[mesh.contact_faces][:, 1:] - nodes[mesh.contact_faces][:, :1],
+            0, 1,
+        )
+    )  # fmt: skip
+    up = area[:, 2] / np.linalg.norm(area, axis=1)
+    return {
+        "volume": ("volume", mesh.volumes.sum(), 1e6, 1),
+        "strain": ("strain", step.largest_strain, 1, 1),
+        "tilt": ("tilt_deg", step.tilt_deg.max(), 1, 1),
+        "stability": ("stability", step.stability.min(), 1, -1),
+        "c_rot": ("c_rot", step.c_rot, 1, -1),
+        "depth": ("depth", -nodes[bottom, 2].max(), 1, -1),
+        "height": ("height", -nodes[bare, 2].min(), 1, 1),
+        "draft": ("draft_deg", -np.rad2deg(np.arcsin(up.max())), 1, -1),
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["volume", "strain", "tilt", "stability", "c_rot", "depth", "height",
+     "draft"],
+)  # fmt: skip
+def test_a_limit_is_held_to_a_hundredth(design, name):
+    key, value, factor, sign = _values(design)[name]
+    for part, holds in ((1.02, False), (1.005, True), (0.9, True)):
+        # A limit that the value passes by so much of it.
+        limit = value / part if sign > 0 else value / (2 - part)
+        if value < 0:
+            limit = value / (2 - part) if sign > 0 else value / part
+        given = {"volume": 1.0} | {key: limit}
+        problem = SimpleNamespace(
+            limits=Limits(**given), surface=design.problem.surface
+        )
+        checks = replace(design, problem=problem, optima=[]).verdict().checks
+        mine = {c.name: c for c in checks if c.name.startswith("bounds.")}
+        assert set(mine) == {"bounds.volume", f"bounds.{name}"}
+        check = mine[f"bounds.{name}"]
+        assert check.value == pytest.approx(factor * value)
+        assert check.limit == pytest.approx(factor * limit)
+        if value > 0:  # a hundredth of a limit below 0 is the other way round
+            assert check.holds is holds
+
+
+def test_an_optimum_that_is_none_is_told(design):
+    for optimal in (True, False):
+        last = Optimum(np.ones(1), optimal=optimal, status="tired")
+        given = replace(design, optima=[Optimum(np.ones(1)), last])
+        (check,) = [c for c in given.verdict().checks if c.name == "optimum"]
+        assert check.holds is optimal and check.level == "note"
+        assert ("tired" in check.sentence) is not optimal
+
+
+@pytest.mark.parametrize(
+    ("divisions", "by_hand"),
+    [((1, 1, 1), (1, 1, 2)), ((4, 3, 2), (5, 4, 3)),
+     ((10, 6, 3), (12, 8, 4)), ((18, 12, 4), (22, 15, 6))],
+)  # fmt: skip
+def test_a_finer_mesh_has_twice_the_cells_and_few_more(divisions, by_hand):
+    """1.26 times as many along each axis, or one less where that will do."""
+    found = _at_least_twice(divisions)
+    assert tuple(found) == by_hand
+    wanted = 2 * np.prod(divisions)
+    assert wanted <= np.prod(found) <= 1.3 * wanted
+
+
+def test_the_finer_check_is_a_simulation_on_a_finer_brick(design):
+    finer = design.check_finer()
+    divisions = _at_least_twice((4, 3, 2))
+    assert finer["tets"] == 6 * np.prod(divisions)
+    base = brick((0.23, 0.13, 0.03), divisions)
+    shaped = base.with_nodes(
+        design.shape.deform(base.nodes, design.coefficients)
+    )
+    setup = design.setup
+    for mesh, key, change, before in (
+        (base, "brick", "brick_change", design.first),
+        (shaped, "design", "change", design.step),
+    ):
+        found = replace(setup, mesh=mesh).simulate()
+        assert finer[key]["c"] == pytest.approx(found.c, rel=1e-6)
+        assert finer[key]["c_tr"] == pytest.approx(found.c_tr, rel=1e-6)
+        assert finer[key]["c_rot"] == pytest.approx(found.c_rot, rel=1e-6)
+        wanted = found.c / before.c - 1
+        assert finer[change] == pytest.approx(wanted, rel=1e-4)
+    words = {}
+    for change in (0.031, 0.029, -0.031, -0.029):
+        check = design.verdict(finer={"change": change}).checks[-1]
+        words[change] = check.holds
+    assert list(words.values()) == [False, True, False, True]
+    # Turned over on the finer mesh: no number, and told.
+    shape = SimpleNamespace(
+        deform=lambda nodes, p: nodes * [1, 1, -1], symmetric=False, kept=()
+    )
+    turned = replace(
+        design,
+        problem=SimpleNamespace(spline=shape, limits=design.problem.limits),
+    )
+    found = turned.check_finer()
+    assert found["design"] is None and np.isnan(found["change"])
+    assert found["brick_change"] == finer["brick_change"]
+
+
+def test_no_stage_with_a_brick_is_not_checked(design):
+    stages = design.setup.settings.optimize.stages
+    own = design.setup.optimizing(
+        stages=tuple(replace(s, divisions=None) for s in stages)
+    )
+    assert replace(design, setup=own).check_finer() is None
+
+
+def test_limits_within_a_hundredth_hold_the_design(design):
+    names = design.problem.names()
+    values = np.array([0.0099, 0.0101, -0.0099, -0.5, 0.0])[: len(names)]
+    problem = SimpleNamespace(
+        constraints=lambda p: values,
+        names=lambda: names,
+        spline=SimpleNamespace(symmetric=True, kept=(3, 4)),
+    )
+    found = replace(design, problem=problem).active()
+    assert found == [
+        names[0], names[2], *names[4:5], "symmetric",
+        "2 coefficients fixed",
+    ]  # fmt: skip
+
+
+def test_what_is_printed_is_measured_in_millimetres(design, tmp_path):
+    told = design._write_stl(tmp_path)
+    values = {key: value for key, (_, value, *_) in _values(design).items()}
+    sole = told["sole.stl"]
+    assert sole["least_depth_mm"] == pytest.approx(1e3 * values["depth"])
+    assert sole["height_mm"] == pytest.approx(1e3 * values["height"])
+    assert sole["least_draft_deg"] == pytest.approx(values["draft"])
+    assert sole["undercut"] == design.mesh.undercut
+    assert sole["watertight"] is True
+    assert told["mould.stl"] == {"watertight": True, "least_wall_mm": 10.0}
+
+
+def test_the_last_design_is_verified_by_the_exact_law(design):
+    p = np.full(len(design.coefficients), 0.95)
+    at = Checkpoint(p=p, starts=({"cost": 1.0, "violation": 0.0},))
+    found = module.verified(design.setup, design.problem, at, ["o"], [2.0])
+    np.testing.assert_allclose(
+        found.mesh.nodes, 0.95 * design.setup.mesh.nodes, atol=1e-15
+    )
+    assert found.step.law.layer == 0 and found.first.law.layer == 0
+    assert found.first.c == pytest.approx(design.first.c, rel=1e-9)
+    assert (found.optima, found.stages_seconds) == (["o"], [2.0])
+    assert found.starts == at.starts and found.coefficients is p
+
+
+def test_seconds_and_figures_are_of_the_run(design, tmp_path, monkeypatch):
+    """A clock that is turned by hand; nothing drawn."""
+    clock = [100.0]
+
+    def later(*_, **__):
+        clock[0] += 2.5
+
+    monkeypatch.setattr(
+        module, "time", SimpleNamespace(perf_counter=lambda: clock[0])
+    )
+    monkeypatch.setattr(Step, "draw", later)
+    monkeypatch.setattr(type(design), "_draw", later)
+    monkeypatch.setattr(
+        type(design), "check_finer", lambda self: later() or None
+    )
+    monkeypatch.setattr(
+        module, "compare_strains", lambda *_: later() or {"kind": "none"}
+    )
+    monkeypatch.setattr(module, "write_table", lambda *_: "")
+    given = replace(design, seconds=40.0, stages_seconds=[1.234, 5.678])
+    row = given.write(tmp_path)
+    assert row["seconds"] == 42.5
+    assert row["stages_seconds"] == [1.23, 5.68]
+    assert row["finite_strain"]["solve_seconds"] == 2.5
