@@ -93,6 +93,26 @@ def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):
     )
 
 
+def test_slopes_of_a_walk_agree_with_wider_differences():
+    """Of force, ZMP and limits, by each variable."""
+    gait = Pattern(free=("step_time", "double_support")).gait(0.8)
+    x, h = gait.start + np.array([0.03, -0.02]), 3e-4
+
+    def there(x):
+        load = gait.load(x)
+        return np.hstack([load.force, load.zmp]), gait.limits(x)
+
+    loads, limits = gait.slopes(x)
+    assert loads.shape == (2, len(gait.load(x).times), 5)
+    for k, d in enumerate(h * np.eye(2)):
+        for got, ahead, behind in zip(
+            (loads[k], limits[:, k]), there(x + d), there(x - d), strict=True
+        ):
+            wanted = (ahead - behind) / (2 * h)
+            size = np.abs(wanted).max(axis=0)
+            assert (np.abs(got - wanted) <= 2e-3 * size + 1e-6).all()
+
+
 @pytest.mark.slow
 def test_slopes_agree_with_differences(gait):
     """Of cost and all limits, through plan and simulation; and of each load."""

@@ -11,7 +11,9 @@ from drake_exo.soles.load_blocks import OneFoot, Playback
 from drake_exo.soles.load_blocks import Pattern as PatternBlock
 from drake_exo.soles.walking_pattern import (
     Robot,
+    _ends,
     _least_squares,
+    _mirrored,
     plan,
     smooth_share,
 )
@@ -104,6 +106,20 @@ def test_a_foot_comes_to_rest_and_another_sets_off(pattern):
         )
 
 
+def test_where_a_foot_lands_and_lifts_off_is_limited(pattern):
+    """Its own path's ends, which the programme's rows are of."""
+    T, D = ROBOT.step_time_s, ROBOT.double_support_s
+    landing, off = _ends(pattern.com, 9.81 / 0.8085, T, D)
+    a, b = pattern._lines(np.array([0.0, D]))
+    np.testing.assert_allclose(landing, b[0], atol=1e-9)
+    np.testing.assert_allclose(off, _mirrored(a[1:], ROBOT)[0], atol=1e-6)
+    # They hold where the bounds are tight.
+    held = plan(replace(ROBOT, back_m=-0.05, front_m=0.05))
+    a, b = held._lines(np.array([0.0, D]))
+    ends = b[0, 0], _mirrored(a[1:], ROBOT)[0, 0]
+    np.testing.assert_allclose(np.abs(ends).max(), 0.05, atol=1e-6)
+
+
 def test_horizontal_forces_move_the_body(pattern):
     """Newton, with accelerations by differences; the next step mirrored."""
     load = pattern.foot_load(period=0.005, least=1e-6)
@@ -166,6 +182,9 @@ def test_the_programme_is_solved():
         | np.isclose(other.x[:4], 0.25).any()
     )
     np.testing.assert_allclose(p, other.x, atol=1e-5)
+    # All signs turned round, lower bounds hold instead of upper ones.
+    turned = _least_squares(A, -b, equal, -value, rows, -0.25, 0.2)
+    np.testing.assert_allclose(turned, -p, atol=1e-6)
 
 
 def test_each_foot_keeps_inside_its_bounds(pattern):
