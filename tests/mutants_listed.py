@@ -59,6 +59,8 @@ TESTS = {
     "drake_exo/report/figures.py": ["tests/report/test_figures.py"],
     "drake_exo/report/tables.py": ["tests/report/test_tables.py"],
     "drake_exo/soles/": [_SOLES],
+    "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_loads.py"],
+    "drake_exo/soles/loads.py": [f"{_SOLES}/test_loads.py"],
     "drake_exo/soles/mesh.py": [
         f"{_SOLES}/test_sole_mesh.py",
         f"{_SOLES}/test_sole_stl.py",
@@ -77,6 +79,7 @@ TESTS = {
     ],
     "drake_exo/soles/rotations.py": [f"{_SOLES}/test_rotations.py"],
     "drake_exo/soles/step/": [f"{_SOLES}/test_step_numbers.py"],
+    "drake_exo/soles/step/simulation.py": [f"{_SOLES}/test_step_starts.py"],
     "drake_exo/soles/surface.py": [
         f"{_SOLES}/test_surface_steps.py",
         f"{_SOLES}/test_surface.py",

@@ -107,21 +107,6 @@ def without_yaw(R: np.ndarray) -> np.ndarray:
     return R @ np.moveaxis(back, (0, 1), (-2, -1))
 
 
-def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The smallest rotation that carries direction a onto direction b."""
-    a = a / np.linalg.norm(a)
-    b = b / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    sine, cosine = np.linalg.norm(axis), float(a @ b)
-    if sine < 1e-14:
-        if cosine > 0:
-            return np.eye(3)
-        other = np.eye(3)[np.argmin(np.abs(a))]
-        axis = np.cross(a, other)
-        return exp_rotation(np.pi * axis / np.linalg.norm(axis))
-    return exp_rotation(np.arctan2(sine, cosine) * axis / sine)
-
-
 def tilt_deg(R: np.ndarray) -> np.ndarray:
     """Angle between the sole's normal and the vertical [°], (...)."""
     return np.rad2deg(np.arccos(np.clip(R[..., 2, 2], -1.0, 1.0)))

@@ -46,9 +46,26 @@ def test_exponentials_and_hats():
     np.testing.assert_allclose(rotations.hat(w) @ v, np.cross(w, v))
 
 
-def test_the_least_rotation_between_two_directions():
-    a, b = np.array([1.0, 2.0, 2.0]) / 3.0, np.array([0.0, 0.6, 0.8])
-    R = rotations.rotation_between(a, b)
-    np.testing.assert_allclose(R @ a, b, atol=1e-12)
-    turn = Rotation.from_matrix(R).magnitude()
-    assert turn == pytest.approx(np.arccos(a @ b))
+def test_yaw_is_taken_off_behind_roll_and_pitch():
+    angles = np.random.default_rng(2).uniform(-1, 1, (2, 5, 3))
+    R = rotations.rotations_xyz(angles)
+    level = rotations.rotations_xyz(angles * [1, 1, 0])
+    np.testing.assert_allclose(rotations.without_yaw(R), level, atol=1e-12)
+    np.testing.assert_allclose(
+        rotations.without_yaw(R[0, 0]), level[0, 0], atol=1e-12
+    )
+    assert rotations.yaw_of(R[0, 1]) == pytest.approx(angles[0, 1, 2])
+
+
+def test_angles_vectors_and_matrices_go_round():
+    w = np.array([[0.3, -0.5, 0.2], [1.0, 2.0, -0.5], [0.0, 0.0, 1e-9]])
+    for v in w:
+        again = rotations.rotation_vector(rotations.exp_rotation(v))
+        np.testing.assert_allclose(again, v, atol=1e-14)
+    angles = np.random.default_rng(3).uniform(-1.5, 1.5, (20, 3))
+    R = rotations.rotations_xyz(angles)
+    np.testing.assert_allclose(rotations.angles_xyz(R), angles)
+    hats = rotations.hat(w)
+    np.testing.assert_allclose(hats, -np.swapaxes(hats, 1, 2))
+    for v, of in zip(w, hats, strict=True):
+        np.testing.assert_allclose(of @ [4.0, 5.0, 6.0], np.cross(v, [4, 5, 6]))

@@ -27,7 +27,7 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.rotations import rotation_between, rotation_z, yaw_of
+from drake_exo.soles.rotations import rotation_z, rotations_xyz
 
 _MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
@@ -68,8 +68,7 @@ def candidate_poses(lP: np.ndarray, target: Target, ground) -> list[State]:
         tilt = np.arccos(np.clip(-normal[2], -1.0, 1.0))
         if tilt > _MAX_TILT:
             continue
-        R = rotation_between(normal, down)
-        R = R @ rotation_z(start.yaw - yaw_of(R))
+        R = _laid_flat(normal, down, start.yaw)
         corners = np.unique(hull.simplices[which.ravel() == index])
         O = start.point_W - R @ start.point_L  # noqa: E741
         placed = points[corners] @ R.T + O
@@ -79,6 +78,17 @@ def candidate_poses(lP: np.ndarray, target: Target, ground) -> list[State]:
         ranked.append((outside > 0, outside if outside > 0 else tilt, state))
     ranked.sort(key=lambda item: item[:2])
     return [item[2] for item in ranked[:_MAX_CANDIDATES]]
+
+
+def _laid_flat(normal, down, yaw: float) -> np.ndarray:
+    """R = Rx·Ry·Rz(yaw) that carries a facet's normal onto `down`."""
+    x, y, z = rotation_z(yaw) @ normal
+    # Ry turns x to that of `down`, Rx what is left, both still downwards.
+    size = np.hypot(x, z)
+    pitch = np.pi - np.arcsin(np.clip(down[0] / size, -1.0, 1.0))
+    below = size * np.cos(pitch)
+    roll = np.arctan2(down[2], down[1]) - np.arctan2(below, y)
+    return rotations_xyz(np.array([roll, pitch - np.arctan2(x, z), yaw]))
 
 
 def _distance(points: np.ndarray, z: np.ndarray) -> float:
