@@ -12,6 +12,7 @@ import argparse
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,15 +25,20 @@ QUICK = {
     "phases.py": ("--nodes-per-second", "50"),
     "random_starts.py": ("--starts", "4", "--nodes-per-second", "25"),
     "interval_coverage.py": ("--seeds", "4", "--nodes-per-second", "25"),
-    "seeds.py": ("--seeds", "1,2"),
+    "seeds.py": ("--seeds", "1", "--truth", "near"),
     "weights.py": ("--factors", "4"),
     "plausibility.py": ("--seeds", "1", "--truth", "near", "--mistakes"),
     "scale.py": ("--tasks", "5", "--workers", "1", "16"),
-    "sole.py": (),
-    "sole_starts.py": ("--starts", "2"),
+    "sole.py": ("--nodes", "100"),
+    "sole_starts.py": ("--starts", "2", "--iterations", "4"),
     "sole_memory.py": ("--most", "6000"),
-    "sole_interruptions.py": ("--divisions", *"642", "--samples", "8"),
+    "sole_interruptions.py": (
+        *("--divisions", *"642", "--samples", "8"),
+        *("--iterations", "4", "--kills", "1"),
+    ),
 }
+# Those that simulate campaigns, which they share.
+WITH_CAMPAIGNS = ("seeds.py", "plausibility.py")
 WITH_DATA = (
     "legs.py",
     *("sole.py", "sole_starts.py", "sole_interruptions.py"),
@@ -40,11 +46,13 @@ WITH_DATA = (
 )
 
 
-def run(script: str, quick: bool, data_root: Path) -> dict:
+def run(script: str, quick: bool, data_root: Path, campaigns: str) -> dict:
     """Seconds, exit code, and what the script says as JSON."""
     options = [*(QUICK[script] if quick else ()), "--json"]
     if script in WITH_DATA:
         options += ["--data-root", str(data_root)]
+    if script in WITH_CAMPAIGNS:
+        options += ["--data", campaigns]
     start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, str(HERE / script), *options],
@@ -69,13 +77,15 @@ def main() -> None:
     )
     args = parser.parse_args()
     rows = {}
-    for script in QUICK:
-        if script == "scale.py" and find_spec("distributed") is None:
-            continue
-        row = rows[script] = run(script, args.quick, args.data_root)
-        if not args.json:
-            end = "" if row["code"] == 0 else f", failed: {row['error']}"
-            print(f"{script}: {row['seconds']:.1f} s{end}", flush=True)
+    with tempfile.TemporaryDirectory() as campaigns:
+        for script in QUICK:
+            if script == "scale.py" and find_spec("distributed") is None:
+                continue
+            row = run(script, args.quick, args.data_root, campaigns)
+            rows[script] = row
+            if not args.json:
+                end = "" if row["code"] == 0 else f", failed: {row['error']}"
+                print(f"{script}: {row['seconds']:.1f} s{end}", flush=True)
     if args.json:
         print(json.dumps(rows, indent=2))
     else:

@@ -32,7 +32,7 @@ from drake_exo.study import uncalibrated
 def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
     """One row of the table."""
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(data or scratch) / str(seed)
+        folder = Path(data or scratch) / f"{kind}_{seed}"
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "study.yaml").is_file():
             dx.write_campaign(folder, seed, truth=kind)

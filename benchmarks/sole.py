@@ -1,6 +1,7 @@
 """Times of the sole half: simulation, both contact methods, the gradient.
 
 python benchmarks/sole.py [--json] [--data-root DIR] [--full]
+    [--nodes 100 200 400 800]
 """
 
 import argparse
@@ -68,9 +69,10 @@ def simulation(load):
     return out
 
 
-def methods(load, full):
+def methods(load, full, nodes):
     out = {}
-    for name, divisions in METHODS.items():
+    for name in nodes:
+        divisions = METHODS[name]
         sole = Sole(brick(SIZE, divisions), MATERIALS["neoprene"])
         law = ContactLaw(0.8, sole.penalty)
         rows = slice(0, None) if full else slice(0, 60)
@@ -156,12 +158,15 @@ def main():
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--full", action="store_true",
                         help="all samples for both methods")  # fmt: skip
+    parser.add_argument("--nodes", type=int, nargs="+", choices=METHODS,
+                        default=list(METHODS),
+                        help="on the bottom, for both methods")  # fmt: skip
     parser.add_argument("--data-root", type=Path)
     args = parser.parse_args()
     load = step_block(args.data_root).load(args.data_root or Path("."))
     numbers = {
         "simulation": simulation(load),
-        "methods": methods(load, args.full),
+        "methods": methods(load, args.full, args.nodes),
         "gradient": gradient(load),
         "optimisation": optimisation(load),
     }

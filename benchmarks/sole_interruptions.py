@@ -5,7 +5,8 @@ one go, then killed three times (SIGKILL) at random moments and resumed each
 time. Prints c of both.
 
 python benchmarks/sole_interruptions.py [--json] --data-root DIR
-    [--divisions 10 6 3] [--samples 24] [--kills 3] [--seed 0]
+    [--divisions 10 6 3] [--samples 24] [--iterations 300] [--kills 3]
+    [--seed 0]
 """
 
 import argparse
@@ -25,7 +26,7 @@ import yaml
 from drake_exo.files.verdict import FAILS_CODE
 from drake_exo.papers.de_magistris import SIZE
 
-LAYERS = ((3e-4, 60), (1e-4, 60), (3e-5, 300))  # m, iterations
+LAYERS = ((3e-4, 60), (1e-4, 60), (3e-5, 300))  # m, most iterations
 CASE = Path(__file__).parents[1] / "tests" / "cases" / "hrp4_neoprene.yaml"
 
 
@@ -37,8 +38,9 @@ def write_case(folder, args):
     case["optimize"] = {
         "stages": [
             {"divisions": args.divisions, "samples": args.samples,
-             "layer_m": layer, "kappa": 0.2, "iterations": iterations}
-            for layer, iterations in LAYERS
+             "layer_m": layer, "kappa": 0.2,
+             "iterations": min(most, args.iterations)}
+            for layer, most in LAYERS
         ]
     }  # fmt: skip
     file = folder / "case.yaml"
@@ -82,6 +84,7 @@ def main():
     parser.add_argument("--data-root", type=Path, required=True)
     parser.add_argument("--divisions", type=int, nargs=3, default=[10, 6, 3])
     parser.add_argument("--samples", type=int, default=24)
+    parser.add_argument("--iterations", type=int, default=300)
     parser.add_argument("--kills", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()

@@ -5,7 +5,7 @@ limits as in the paper, coarse mesh, thick layer then thinner. Prints the
 spread of the optima.
 
 python benchmarks/sole_starts.py [--json] [--data-root DIR] [--starts 10]
-    [--workers N]
+    [--iterations 60] [--workers N]
 """
 
 import argparse
@@ -37,8 +37,14 @@ def setup_of(root):
     return Setup.open(settings, root).without_limits()
 
 
-def optimum(root, start):
-    """Cost, errors and ratios from one start."""
+def optimum(root, start, iterations):
+    """Cost, errors and ratios from one start.
+
+    Args:
+        root: of the data.
+        start: design.
+        iterations: at most in a stage.
+    """
     setup = setup_of(root)
     bounds = tuple(setup.settings.optimize.bounds)
     p = np.array(start)
@@ -49,7 +55,7 @@ def optimum(root, start):
             begun = problem.cost(p)
             approximation = QuasiNewton(problem.metric)
         found = minimise(
-            problem, p, bounds, stage.iterations,
+            problem, p, bounds, min(stage.iterations, iterations),
             hessian_approximation=approximation, warm=warm,
         )  # fmt: skip
         if not np.isfinite(found.cost):  # the thinner law does not carry it
@@ -72,13 +78,18 @@ def main():
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--data-root", type=Path)
     parser.add_argument("--starts", type=int, default=10)
+    parser.add_argument("--iterations", type=int, default=60)
     args = parser.parse_args()
     root = args.data_root or Path(".")
     setup = setup_of(root)
     bounds = tuple(setup.settings.optimize.bounds)
     problem = stage_problem(setup, STAGES[0])
     calls = [
-        {"root": root, "start": start_design(problem, bounds, k).tolist()}
+        {
+            "root": root,
+            "start": start_design(problem, bounds, k).tolist(),
+            "iterations": args.iterations,
+        }
         for k in range(1, args.starts + 1)
     ]
 
