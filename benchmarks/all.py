@@ -30,7 +30,7 @@ QUICK = {
     "plausibility.py": ("--seeds", "1", "--truth", "near", "--mistakes"),
     "scale.py": ("--tasks", "5", "--workers", "1", "16"),
     "sole.py": ("--nodes", "100"),
-    "sole_starts.py": ("--starts", "2", "--iterations", "4"),
+    "sole_starts.py": ("--times", "1", "--coarse", "--iterations", "2"),
     "sole_memory.py": ("--most", "6000"),
     "sole_interruptions.py": (
         *("--divisions", *"642", "--samples", "8"),

@@ -261,7 +261,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
         made.append((problem, at.p, [o.cost for o in optima], seconds))
         return SimpleNamespace(starts=at.starts)
 
-    monkeypatch.setattr(search, "_from_start", from_start)
+    monkeypatch.setattr(search, "from_start", from_start)
     monkeypatch.setattr(search, "_run_stage", run_stage)
     monkeypatch.setattr(search, "verified", verified)
     monkeypatch.setattr(search, "time", SimpleNamespace(
@@ -294,7 +294,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
 
     monkeypatch.setattr(search, "_run_stage", run_stage)
     setup = case.optimizing(starts=3)
-    run = search._from_start(setup, 2, None, None, said.append)
+    run = search.from_start(setup, 2, None, None, said.append)
     problem = stage_problem(case, case.settings.optimize.stages[0])
     bounds = tuple(case.settings.optimize.bounds)
     wanted = start_design(problem, bounds, 2)
@@ -302,7 +302,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     np.testing.assert_array_equal(asked[0].latest, wanted)
     assert said == ["start 3/3, it goes"]
     assert run.at.starts == ({"cost": 2.0, "violation": 0.5},)
-    again = search._from_start(setup, 2, run.at, None, said.append)
+    again = search.from_start(setup, 2, run.at, None, said.append)
     assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.5)
     assert len(asked) == 1 and again.seconds == 0.0
 

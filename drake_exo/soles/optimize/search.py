@@ -276,7 +276,7 @@ def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
         for k, at in enumerate(begun)
     ]
     if min(at_once, count) == 1:
-        runs = [_from_start(*call, say) for call in calls]
+        runs = [from_start(*call, say) for call in calls]
     else:
         context = get_context("spawn")
         with (
@@ -291,7 +291,7 @@ def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
         ):
             lines = manager.Queue()
             waiting = [
-                pool.submit(_from_start, *call, lines.put) for call in calls
+                pool.submit(from_start, *call, lines.put) for call in calls
             ]
             try:
                 while not all(run.done() for run in waiting):
@@ -314,8 +314,16 @@ def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
     return runs
 
 
-def _from_start(setup: Setup, start: int, at, out, say) -> _Run:
-    """The first stage from one start, or from where it was interrupted."""
+def from_start(setup: Setup, start: int, at, out, say) -> _Run:
+    """The first stage from one start, or from where it was interrupted.
+
+    Args:
+        setup: The initial shape and its step; settings with the stages.
+        start: As in `start_design`.
+        at: Where it was interrupted; None to begin.
+        out: Folder for its checkpoint; None for none.
+        say: Called with one line of progress now and then.
+    """
     block = setup.settings.optimize
     if out is not None:
         out.mkdir(exist_ok=True)
