@@ -234,3 +234,147 @@ def test_a_walk_is_recorded(alone, tmp_path):
         np.interp(fine, solved.times, f.force_z) for f in solved.feet.values()
     ]
     assert np.median(np.min(loads, axis=0)) < 300.0
+
+
+def test_a_foot_is_pressed_by_where_in_its_cycle_it_is(subject):
+    """The table's own entries, in newtons, under a foot that is placed."""
+    tree = subject.model.tree
+    names, weight = tree.coordinates, tree.weight
+    q = np.zeros((4, len(names)))
+    q[:, 0] = 1.0, 2.0, 3.0, 4.0
+    q[:, 1] = 0.9
+    ankle = tree.point_positions(q, "foot_left", (0.0, 0.0))[:, 0]
+    cycle = np.array([0.0, 0.12, 0.3, 0.7])
+    force = walking._borne(tree, q, "left", cycle)
+    np.testing.assert_allclose(
+        force.force_z, weight * np.array([0.0, 1.1, 0.78, 0.0])
+    )
+    np.testing.assert_allclose(force.force_x[1], -0.18 * weight)
+    # 0.15 to 0.48 of the cycle: from 4 to 14 cm before the ankle.
+    point = ankle[1:3] + [-0.03 + 0.07 * 0.12 / 0.15, 0.04 + 0.1 * 0.15 / 0.33]
+    np.testing.assert_allclose(force.cop_x[1:3], point)
+    assert force.moment[3] == 0.0
+
+
+def test_the_lower_foot_is_in_the_ground_on_average(subject, step):
+    """By 5 mm; what is left has no wave of one step."""
+    lowest = np.min(
+        [
+            subject.model.tree.point_positions(
+                step.q, f"foot_{side}", (sphere.x, sphere.z)
+            )[:, 1]
+            - sphere.radius
+            for side in ("left", "right")
+            for sphere in subject.truth.contact.spheres.values()
+        ],
+        axis=0,
+    )
+    turn = 2.0 * np.pi * step.times / PLAN.step_s
+    for wave in (1.0 + 0.0 * turn, np.cos(turn), np.sin(turn)):
+        assert wave @ (lowest + 0.005) == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(lowest).max() < 0.03
+
+
+def test_a_template_has_the_angles_of_the_book(subject, step):
+    """Toe-off at 62 % of a cycle, half a cycle before the other's."""
+    assert step.times[-1] == pytest.approx(0.55) and len(step.times) == 56
+    np.testing.assert_allclose(step.q[:, 0], 1.2 * step.times, atol=1e-12)
+    np.testing.assert_allclose(step.q[:, 2], -np.deg2rad(3.0))
+    # 38 % of the cycle after the left toes leave, at tenths of the cycle.
+    for side, at, tenth in (
+        ("left", 0.7, 7),
+        ("left", 1.0, 0),
+        ("right", 0.2, 2),
+        ("right", 0.6, 6),
+    ):
+        begin = 0.62 if side == "left" else 0.12
+        t = 2.0 * (at - begin) * PLAN.step_s
+        for joint, angles in walking._CYCLE.items():
+            found = np.interp(t, step.times, step.coordinate(f"{joint}_{side}"))
+            assert np.rad2deg(found) == pytest.approx(angles[tenth], abs=0.2)
+    np.testing.assert_allclose(
+        step.v[3:-3], np.gradient(step.q, step.times, axis=0)[3:-3], atol=0.15
+    )
+    np.testing.assert_allclose(
+        step.a[3:-3], np.gradient(step.v, step.times, axis=0)[3:-3], atol=5.0
+    )
+
+
+def test_a_step_and_a_part_of_the_next(step):
+    """A walk ends in the middle of a step, velocities mirrored."""
+    moments = np.ones((len(step.times), len(step.coordinates.joints)))
+    whole = repeated(replace(step, moments=moments), 2)
+    part = repeated(replace(step, moments=moments), 1, 0.1)
+    assert part.times[-1] == pytest.approx(step.duration + 0.1)
+    n = len(part.times)
+    for key in ("times", "q", "v", "torque", "ground"):
+        np.testing.assert_array_equal(
+            getattr(part, key), getattr(whole, key)[:n]
+        )
+    names = step.coordinates
+    knees = [names.index(f"knee_{side}") for side in ("left", "right")]
+    at = len(step.times) + 4
+    np.testing.assert_allclose(part.v[at, knees], step.v[5, knees[::-1]])
+    assert part.seat.shape == part.ground.shape and not part.seat.any()
+
+
+def test_gains_of_a_leg_that_bears_and_one_that_swings(subject, step):
+    """By hand: 10 mrad, 1 cm, 0.1 rad/s or 0.1 m/s off the plan."""
+    names = subject.model.coordinates
+    zero = np.zeros((len(step.times), len(names.joints)))
+    walk = repeated(replace(step, moments=zero), 1)
+    weight = 1000.0
+    controller = WalkingController(names, walk, weight)
+    t = walk.times[20]
+    q, v = walk.q[20], walk.v[20]
+
+    def change(loads, rate=0.0, **moved):
+        found = []
+        for sign in (0.0, 1.0):
+            off, speed = q.copy(), v.copy()
+            for name, by in moved.items():
+                if rate:
+                    speed[names.index(name)] -= sign * by
+                else:
+                    off[names.index(name)] -= sign * by
+            found.append(controller.torques(t, off, speed, np.array(loads)))
+        off = dict(zip(names.human, found[1] - found[0], strict=True))
+        return {name: x for name, x in off.items() if abs(x) > 1e-9}
+
+    on_left, on_right, between = (weight, 0.0), (0.0, weight), (200.0, 0.0)
+    approx = pytest.approx
+    assert change(on_left, knee_left=0.01) == {
+        "knee_left": approx(10.0),
+        "ankle_left": approx(15.0),
+    }
+    assert change(on_right, knee_left=0.01) == {"knee_left": approx(4.0)}
+    assert change(on_left, hip_left=0.01) == {"ankle_left": approx(-15.0)}
+    assert change(on_left, pelvis_pitch=0.01) == {
+        "hip_left": approx(-10.0),
+        "ankle_left": approx(-15.0),
+    }
+    assert change(on_left, pelvis_x=0.01) == {"ankle_left": approx(7.2)}
+    assert change(on_right, ankle_left=0.01) == {"ankle_left": approx(0.6)}
+    assert change(on_left, ankle_left=0.01) == {}
+    # A fifth of the weight is half way from 5 to 35 %.
+    assert change(between, knee_left=0.01) == {
+        "knee_left": approx(7.0),
+        "ankle_left": approx(7.5),
+    }
+    rates = {"rate": 1.0}
+    assert change(on_left, **rates, knee_left=0.1) == {
+        "knee_left": approx(6.0),
+        "ankle_left": approx(12.0),
+    }
+    assert change(on_left, **rates, pelvis_pitch=0.1) == {
+        "hip_left": approx(-8.0),
+        "ankle_left": approx(-12.0),
+    }
+    assert change(on_left, **rates, pelvis_x=0.1) == {"ankle_left": approx(36)}
+    assert change(on_right, **rates, hip_left=0.1) == {"hip_left": approx(4.0)}
+    assert change(on_right, **rates, knee_left=0.1) == {
+        "knee_left": approx(2.5)
+    }
+    assert change(on_right, **rates, ankle_left=0.1) == {
+        "ankle_left": approx(0.3)
+    }

@@ -1,6 +1,8 @@
 """Two legs that bear unequally, and a device for hip and knee of both."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import plan, two_legs
-from drake_exo.virtual_laboratory.forces import ground_wrench
+from drake_exo.virtual_laboratory.forces import ground_wrench, resting_foot
 from drake_exo.virtual_laboratory.mats import (
     CELL_AREA_M2,
     cell_pressures,
@@ -77,11 +79,11 @@ def test_legs_reach_from_the_pelvis_to_the_foot(alone):
     np.testing.assert_allclose(turn, foot[:, 2], atol=1e-9)
 
 
-@pytest.mark.slow
 def test_a_plan_of_two_legs_obeys_newton(worn):
     """Feet where soles sink to, each leg bearing its share."""
     subject, share = draw(worn, 3, frozenset(ACTING)), 0.7
-    squat = subject.planner.squat(_SQUAT)
+    quick = replace(_SQUAT, quiet_s=0.2, lean_s=0.6, rise_s=0.6, stand_s=0.2)
+    squat = subject.planner.squat(quick)
     found = both_legs(subject, squat, share)
     tree = subject.model.rigid.tree
     names = tree.coordinates
@@ -261,3 +263,135 @@ def test_cuffs_on_two_legs_are_designed(worn):
     assert found.norm_n < 0.8 * today.norm_n
     work = [works(r)["somebody"] for r in (today, found)]
     assert work[1] == pytest.approx(work[0], rel=0.006)
+
+
+def test_each_of_two_soles_bears_half(worn):
+    """Level and at the ankle's height, person and device on both."""
+    for active in (frozenset(), frozenset(["contact", "friction"])):
+        subject = draw(worn, 3, active)
+        one, truth = subject.planner, subject.truth
+        load = np.array([0.5 * truth.model.rigid.tree.weight])
+        foot = resting_foot(one.tree, truth.contact, load, 0.045)
+        height = truth.human.ankle_height_m
+        np.testing.assert_allclose(foot, [[0.0, height, 0.0]], atol=1e-5)
+        # One leg that stands for both has the same soles, twice as stiff.
+        both = resting_foot(one.tree, one.contact, 2.0 * load, 0.045)
+        np.testing.assert_allclose(both, foot, atol=1e-6)
+        rough = float("friction" in active)
+        assert truth.friction.viscous == (0.5 * rough,) * 4
+        assert truth.friction.coulomb == (1.0 * rough,) * 4
+
+
+def used_part(monkeypatch, name, happened, **planner):
+    """What a study is told to use of a movement that is given."""
+    planner = SimpleNamespace(
+        seat=lambda plan: "chair",
+        rise=lambda plan, seat: plan,
+        squat=lambda plan: plan,
+        **planner,
+    )
+    monkeypatch.setattr(two_legs, "_happens", lambda *_: happened)
+    subject = SimpleNamespace(planner=planner)
+    return two_legs._stands(subject, name, 0.5, None, None, 0)[1]
+
+
+def test_the_used_part_of_a_squat_begins_and_ends_at_rest(monkeypatch):
+    """A tenth of a second before it begins, and after it ends."""
+    at = used_part(monkeypatch, "squat_1", None)
+    plan = _SQUAT
+    assert at == {
+        "start_s": pytest.approx(plan.quiet_s - 0.1),
+        "end_s": pytest.approx(plan.quiet_s + plan.lean_s + plan.rise_s + 0.1),
+    }
+
+
+def test_the_used_part_of_a_rise_begins_without_the_chair(monkeypatch):
+    """Eight hundredths after its force is gone, in frames of 10 ms."""
+    times = np.arange(3000) / 1000.0
+    chair = SimpleNamespace(force_z=np.where(times < 1.2345, 300.0, 0.0))
+    happened = SimpleNamespace(times=times, chair=chair)
+    at = used_part(monkeypatch, "rise_1", happened)
+    plan = two_legs._RISE
+    assert at == {
+        "start_s": 1.31,
+        "end_s": pytest.approx(plan.quiet_s + plan.lean_s + plan.rise_s + 0.1),
+    }
+
+
+def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
+    """From the right foot in the air to the same a cycle later."""
+    subject = draw(alone, 0, frozenset())
+    times = np.arange(2500) / 1000.0
+    borne = np.where((times % 1.1) < 0.62, 700.0, 0.0)
+    feet = {"right": SimpleNamespace(force_z=borne)}
+    happened = SimpleNamespace(times=times, feet=feet)
+    nq = len(subject.model.coordinates)
+    walk = SimpleNamespace(
+        times=np.linspace(0.0, 1.0, 11),
+        q=np.zeros((11, nq)),
+        v=np.zeros((11, nq)),
+        torque=np.zeros((11, 6)),
+    )
+    monkeypatch.setattr(two_legs, "plan_walk", lambda *_: walk)
+    monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
+    _, at = two_legs._walks(subject, "walk_1", 0.5, None, None, 0)
+    assert at == {
+        "start_s": pytest.approx(0.62 + 0.05, abs=0.011),
+        "end_s": pytest.approx(1.72 + 0.05, abs=0.011),
+    }
+
+
+def written(subject, movement, active=()):
+    """The study of three movements by such a subject."""
+    laboratory = SimpleNamespace(
+        files="c3d",
+        disturbances=frozenset(active),
+        motion_files=lambda name: {"forces": f"{name}.c3d"},
+    )
+    entries = [{"name": f"{movement}_{k}"} for k in (1, 2, 3)]
+    return two_legs._study(subject, laboratory, movement, {}, entries)
+
+
+def test_a_study_of_two_legs_tells_what_is_known(worn):
+    subject = draw(worn, 3, frozenset(["friction"]))
+    study = written(subject, "squat", ["plate_drift"])
+    human = subject.truth.human
+    assert study["subject"]["mass_kg"] == pytest.approx(human.mass_kg, abs=5e-4)
+    assert study["subject"]["height_m"] == pytest.approx(
+        human.height_m, abs=5e-5
+    )
+    assert study["gravity_m_s2"] == 9.81
+    assert study["filter"] == {"cutoff_hz": 6.0, "order": 4}
+    uses = [trial["use"] for trial in study["trials"]]
+    assert uses == ["calibration", "calibration", "prediction"]
+    assert study["standing"]["start_s"] == 0.5
+    assert study["standing"]["plates"] == {"left": 1, "right": 2}
+    assert study["standing"]["empty_plates"] == "plates_empty.c3d"
+    assert study["foot_ground"]["heel"]["modulus_n_m2"]["nominal"] == 2.5e6
+    names = list(subject.model.coordinates.device)
+    assert list(study["device"]["joints"]) == names
+    for own in study["device"]["joints"].values():
+        assert own == {
+            "viscous_nm_s": 0.5,
+            "coulomb_nm": 1.0,
+            "coulomb_speed_rad_s": 0.05,
+        }
+
+
+def test_a_study_of_walks_lets_feet_roll(alone):
+    subject = draw(alone, 3, frozenset())
+    study, still = written(subject, "walk"), written(subject, "rise")
+    assert study["filter"]["cutoff_hz"] == 10.0 and "device" not in study
+    for phase in ("foot_ground", "interaction", "prediction"):
+        own, usual = study[phase]["noise"], still[phase]["noise"]
+        assert own["velocity_deg_s"] == 8.0 and own["jerk"] == 300.0
+        assert own["force_n"] == usual["force_n"]
+    assert study["prediction"]["noise"]["moment_nm"] == 1.0
+    assert list(study["foot_ground"]["spheres"]) == ["ball"]
+    assert study["foot_ground"]["spheres"]["ball"]["x_m"] == {
+        "below": 0.08,
+        "above": 0.04,
+    }
+    assert study["foot_ground"]["solver"] == {"nodes_per_second": 200.0}
+    for phase in ("foot_ground", "interaction"):
+        assert study[phase]["end_tolerance"]["pitch_deg"] == 5.0
