@@ -251,7 +251,8 @@ def test_a_foot_is_pressed_by_where_in_its_cycle_it_is(subject):
     )
     np.testing.assert_allclose(force.force_x[1], -0.18 * weight)
     # 0.15 to 0.48 of the cycle: from 4 to 14 cm before the ankle.
-    point = ankle[1:3] + [-0.03 + 0.07 * 0.12 / 0.15, 0.04 + 0.1 * 0.15 / 0.33]
+    ahead = np.array([-0.03 + 0.07 * 0.12 / 0.15, 0.04 + 0.1 * 0.15 / 0.33])
+    point = ankle[1:3] + ahead
     np.testing.assert_allclose(force.cop_x[1:3], point)
     assert force.moment[3] == 0.0
 
