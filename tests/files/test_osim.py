@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from osim_kinematics import Osim
+from scipy.spatial.transform import Rotation
 from small_osim import small_osim
 
 from drake_exo.errors import InputError
+from drake_exo.files import osim
 from drake_exo.files.osim import read_osim
 
 
@@ -121,3 +123,126 @@ def test_poses_of_a_real_model_are_those_of_another_reader(data_root):
     for body in set(other) - {"patella_r", "patella_l"}:
         for found, expected in zip(own[body], other[body], strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 7])
+def test_a_spline_through_points_of_a_polynomial_is_that_polynomial(n):
+    """Of third degree; through three points second, through two a line."""
+    rng = np.random.default_rng(n)
+    x = np.cumsum(rng.uniform(0.2, 1.5, n)) - 2.0
+    curve = np.polynomial.Polynomial(rng.normal(size=min(n, 4)))
+    spline = osim._simm_spline(x, curve(x))
+    at = np.linspace(x[0], x[-1], 40)
+    for order in (0, 1):
+        expected = curve.deriv(order)(at) if order else curve(at)
+        np.testing.assert_allclose(spline(at, order), expected, atol=1e-10)
+    for end, step in ((x[0], -1.5), (x[-1], 1.5)):
+        rate = curve.deriv()(end)
+        beyond = np.array([end + step])
+        assert spline(beyond, 0) == pytest.approx(curve(end) + step * rate)
+        assert spline(beyond, 1) == pytest.approx(rate)
+
+
+@pytest.mark.parametrize("knee", ["PinJoint", "CustomJoint"])
+def test_motions_are_how_poses_change(tmp_path, knee):
+    """Turn of a body and motion of a point, by differences."""
+    text = small_osim(knee).replace(
+        "<orientation>0 0 0</orientation>",
+        "<orientation>0.2 -0.3 0.4</orientation>",
+    )
+    model = read(tmp_path, text)
+    rng = np.random.default_rng(3)
+    names = [c for joint in model.joints for c in joint.coordinates]
+    n, h = 4, 1e-6
+    q = {name: rng.uniform(-0.7, 0.7, n) for name in names}
+    poses, place = model.poses(q, n), np.array([0.03, -0.05, 0.02])
+    for body in ("torso", "toes_r", "tibia_l"):
+        R, p = poses[body]
+        point = p + R @ place
+        for name in names:
+            turn, motion = model.motion(name, body, point, q, poses)
+            (R_a, p_a), (R_b, p_b) = (
+                model.poses(q | {name: q[name] + s * h}, n)[body]
+                for s in (1.0, -1.0)
+            )
+            moved = (p_a + R_a @ place - p_b - R_b @ place) / (2 * h)
+            np.testing.assert_allclose(motion, moved, atol=1e-8)
+            spin = (R_a - R_b) @ np.swapaxes(R, 1, 2) / (2 * h)
+            turned = spin[:, [2, 0, 1], [1, 2, 0]]
+            np.testing.assert_allclose(turn, turned, atol=1e-8)
+
+
+def placed(tmp_path, kind, values):
+    """A joint of a kind at values of its coordinates: R, p of its child."""
+    coordinates = "".join(
+        f'<Coordinate name="c{i}"/>' for i in range(len(values))
+    )
+    (tmp_path / "j.osim").write_text(
+        f"""<OpenSimDocument Version="40000"><Model><BodySet><objects>
+        <Body name="a"><mass>1</mass><mass_center>0 0 0</mass_center>
+        <inertia>1 1 1 0 0 0</inertia></Body></objects></BodySet>
+        <JointSet><objects><{kind} name="j">
+        <socket_parent_frame>/ground</socket_parent_frame>
+        <socket_child_frame>/bodyset/a</socket_child_frame>
+        <coordinates>{coordinates}</coordinates></{kind}></objects></JointSet>
+        </Model></OpenSimDocument>"""
+    )
+    model = read_osim(tmp_path / "j.osim")
+    assert model.joints[0].ranges == ((-np.pi, np.pi),) * len(values)
+    q = {f"c{i}": np.array([x]) for i, x in enumerate(values)}
+    R, p = model.poses(q)["a"]
+    return R[0], p[0].tolist()
+
+
+def test_joints_turn_and_move_as_their_kind_says(tmp_path):
+    def turn(axes, *angles):
+        return Rotation.from_euler(axes, angles).as_matrix()
+
+    a, b, c = 0.3, -0.5, 0.8
+    for kind, values, R, p in (
+        ("WeldJoint", (), np.eye(3), [0, 0, 0]),
+        ("PinJoint", (a,), turn("Z", a), [0, 0, 0]),
+        ("SliderJoint", (a,), np.eye(3), [a, 0, 0]),
+        ("UniversalJoint", (a, b), turn("XY", a, b), [0, 0, 0]),
+        ("GimbalJoint", (a, b, c), turn("XYZ", a, b, c), [0, 0, 0]),
+        ("BallJoint", (a, b, c), turn("XYZ", a, b, c), [0, 0, 0]),
+        ("PlanarJoint", (a, 1.0, 2.0), turn("Z", a), [1, 2, 0]),
+        ("FreeJoint", (a, b, c, 1.0, 2.0, 3.0), turn("XYZ", a, b, c),
+         [1, 2, 3]),
+    ):  # fmt: skip
+        found, place = placed(tmp_path, kind, values)
+        np.testing.assert_allclose(found, R, atol=1e-15)
+        assert place == p
+
+
+def test_elements_that_are_written_are_read_as_they_were_meant(tmp_path):
+    """A body that hangs from another by frames that lean."""
+    (tmp_path / "m.osim").write_text(small_osim())
+    file = osim.OsimFile(tmp_path / "m.osim")
+    A = np.random.default_rng(0).normal(size=(3, 3))
+    inertia = A @ A.T
+    file.add("BodySet", osim.body("bar", 1.5, [0.1, -0.2, 0.3], inertia))
+    R = [
+        Rotation.from_rotvec(v).as_matrix()
+        for v in ((0.3, -0.2, 0.5), (-0.1, 0.7, 0.2))
+    ]
+    ends = osim.Pose(R[0], [0.1, 0.2, 0.3]), osim.Pose(R[1], [0.0, -0.4, 0.1])
+    pin = osim.joint("hinge", "turn", ("femur_r", ends[0]), ("bar", ends[1]))
+    file.add("JointSet", pin)
+    file.write(tmp_path / "n.osim")
+    model = read_osim(tmp_path / "n.osim")
+    bar, joint = model.bodies["bar"], model.joint_of("bar")
+    assert bar.mass_kg == 1.5 and bar.com_m.tolist() == [0.1, -0.2, 0.3]
+    np.testing.assert_allclose(bar.inertia_kg_m2, inertia)
+    assert (joint.parent, joint.coordinates) == ("femur_r", ("turn",))
+    for found, meant in ((joint.X_PF, ends[0]), (joint.X_CM, ends[1])):
+        np.testing.assert_allclose(found.R, meant.R, atol=1e-12)
+        np.testing.assert_allclose(found.p, meant.p)
+    # The frames are one where the joint is at zero.
+    poses = model.poses()
+    for frame in (
+        poses["femur_r"][0][0] @ R[0] - poses["bar"][0][0] @ R[1],
+        poses["femur_r"][1][0] + poses["femur_r"][0][0] @ ends[0].p
+        - poses["bar"][1][0] - poses["bar"][0][0] @ ends[1].p,
+    ):  # fmt: skip
+        np.testing.assert_allclose(frame, 0.0, atol=1e-12)

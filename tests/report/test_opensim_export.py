@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from opensim_answers import ask
+from scipy.spatial.transform import Rotation
 from small_osim import small_osim
 
 from drake_exo.calibration.results import write_contact, write_model
@@ -15,7 +16,7 @@ from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.files.osim import read_osim
+from drake_exo.files.osim import OsimFile, read_osim
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import (
@@ -296,6 +297,134 @@ def test_opensims_forces_are_ours(case, kind, knee, tmp_path):
             first = list(record.values())
             found = np.transpose(first[:2])
             assert np.abs(found - share * force).max() < 1e-9 * scale
+
+
+def exported(one):
+    """The written model, and its coordinates and speeds by name."""
+    out, states, _ = one.export().files
+    table = read_table(states)
+    q, v = (
+        {
+            name.split("/")[3]: table.column(name)
+            for name in table.names
+            if name.endswith(what)
+        }
+        for what in ("value", "speed")
+    )
+    return out, read_osim(out), q, v
+
+
+@pytest.mark.parametrize("kind", ["two legs", "coupled", "turned ankle"])
+def test_with_pins_all_bodies_are_where_the_planar_ones_are(case, kind):
+    """Centre of mass, momentum and kinetic energy, person and device."""
+    one = case(kind, "PinJoint")
+    _, model, q, v = exported(one)
+    tree, trial = one.model.tree, one.trial
+    n, h = len(trial.times), 1e-6
+    poses = model.poses(q, n)
+    before, after = (
+        model.poses({c: q[c] + s * h * v[c] for c in q}, n) for s in (-1, 1)
+    )
+    mass, com, momentum, energy = 0.0, 0.0, 0.0, 0.0
+    for name, body in model.bodies.items():
+        at, *ends = (
+            p[name][1] + p[name][0] @ body.com_m for p in (poses, before, after)
+        )
+        speed = (ends[1] - ends[0]) / (2.0 * h)
+        R = poses[name][0]
+        spin = (after[name][0] - before[name][0]) @ np.swapaxes(R, 1, 2)
+        spin = spin[:, 1, 0] / (2.0 * h)
+        I_zz = (R @ body.inertia_kg_m2 @ np.swapaxes(R, 1, 2))[:, 2, 2]
+        mass += body.mass_kg
+        com = com + body.mass_kg * at
+        momentum = momentum + body.mass_kg * speed
+        energy = energy + 0.5 * body.mass_kg * (speed[:, :2] ** 2).sum(axis=1)
+        energy = energy + 0.5 * I_zz * spin**2
+    rest = np.zeros_like(trial.q)
+    M = tree.inverse_dynamics_jacobians(trial.q, rest, rest)[2]
+    own = 0.5 * np.einsum("ni,nij,nj->n", trial.v, M, trial.v)
+    assert mass == pytest.approx(tree.mass)
+    np.testing.assert_allclose(
+        com[:, :2] / mass, tree.center_of_mass(trial.q), atol=1e-9
+    )
+    step = h * trial.v
+    moved = tree.center_of_mass(trial.q + step)
+    moved = (moved - tree.center_of_mass(trial.q - step)) / (2.0 * h)
+    np.testing.assert_allclose(momentum[:, :2] / mass, moved, atol=1e-7)
+    np.testing.assert_allclose(energy, own, rtol=1e-6)
+
+
+def frame_of(file, force, number, model, q, n):
+    """Place (n,) and turn (n,) of a force's frame, as complex numbers."""
+    name = force.findtext(f"socket_frame{number}")
+    frame = next(f for f in force.iterfind("frames/*") if f.get("name") == name)
+    body = frame.findtext("socket_parent").rpartition("/")[2]
+    place = np.array(frame.findtext("translation").split(), float)
+    angles = np.array(frame.findtext("orientation").split(), float)
+    R, p = model.poses(q, n)[body]
+    R_F = R @ Rotation.from_euler("XYZ", angles).as_matrix()
+    at = p + R @ place
+    return at[:, 0] + 1j * at[:, 1], R_F[:, 0, 0] + 1j * R_F[:, 1, 0]
+
+
+@pytest.mark.parametrize("kind", ["coupled", "hip"])
+def test_cuffs_that_are_written_give_the_calibrated_forces(case, kind):
+    """Bushings of the file alone: where they hold, and their numbers."""
+    one = case(kind, "PinJoint")
+    out, model, q, v = exported(one)
+    n, h = len(one.trial.times), 1e-6
+    forces = {
+        f.get("name"): f
+        for f in OsimFile(out).model.iterfind("ForceSet/objects/*")
+        if f.get("name").startswith("cuff_")
+    }
+    for cuff, (force, moment) in cuff_forces(one).items():
+        copies = [f for name, f in forces.items() if f"cuff_{cuff}" in name]
+        assert len(copies) == (1 if one.model.assembly.human.sides else 2)
+        total, turned = 0.0, 0.0
+        for made in copies:
+
+            def deflection(s, made=made):
+                at = {c: q[c] + s * h * v[c] for c in q}
+                (p, R), (p_D, R_D) = (
+                    frame_of(out, made, k, model, at, n) for k in (1, 2)
+                )
+                d = (p_D - p) * R.conj()
+                return np.array([d.real, d.imag, np.angle(R_D / R)]), R
+
+            d, R = deflection(0.0)
+            rate = (deflection(1.0)[0] - deflection(-1.0)[0]) / (2.0 * h)
+            damping = [
+                made.findtext(f"{what}_damping").split()
+                for what in ("translational", "rotational")
+            ]
+            c = np.array([*damping[0][:2], damping[1][2]], float)
+            if made.tag == "BushingForce":
+                springs = [
+                    made.findtext(f"{what}_stiffness").split()
+                    for what in ("translational", "rotational")
+                ]
+                k = np.array([*springs[0][:2], springs[1][2]], float)
+                held = k[:, None] * d
+            else:
+                names = {"delta_x": d[0], "delta_y": d[1], "theta_z": d[2]}
+                held = np.array(
+                    [
+                        eval(made.findtext(e).replace("^", "**"), names)
+                        for e in (
+                            "Fx_expression",
+                            "Fy_expression",
+                            "Mz_expression",
+                        )
+                    ]
+                )
+            held = held + c[:, None] * rate
+            F = (held[0] + 1j * held[1]) * R
+            total = total + np.column_stack([F.real, F.imag])
+            turned = turned + held[2]
+        assert np.abs(force).max() > 5.0
+        np.testing.assert_allclose(total, force, atol=1e-5)
+        np.testing.assert_allclose(turned, moment, atol=1e-6)
 
 
 def test_the_device_hangs_on_both_legs(case):
