@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from drake_exo.measurement.events import find_rises, until_seat_off
+from drake_exo.errors import InputError
+from drake_exo.measurement.events import (
+    Contact,
+    FootEvent,
+    contacts,
+    find_rises,
+    until_seat_off,
+)
 from drake_exo.measurement.sagittal import PlanarWrench
 
 TIME = np.arange(600) / 100.0
@@ -99,3 +106,117 @@ def test_rise_cut_off_before_standing_is_steady(rise):
     (found,) = find_rises(np.arange(560) / 100.0, hip, chair, F_z, WEIGHT)
     assert not found.is_steady
     assert found.standing_s == pytest.approx(2.79, abs=0.02)
+
+
+def test_a_chairs_force_fades_with_least_jerk_on_either_side():
+    """Who sits from 1 to 2 s: half is left 25 ms before and after."""
+    time = np.arange(3001) / 1000.0
+    inside = (time >= 1.0) & (time <= 2.0)
+    load = np.where(inside, 300.0, 0.04 * WEIGHT)
+    wrench = PlanarWrench(np.column_stack([load, load]), -load)
+    found = until_seat_off(time, wrench, WEIGHT)
+
+    def at(t):
+        return found.force[round(1000 * t), 1] / (0.04 * WEIGHT)
+
+    # 10 s³ - 15 s⁴ + 6 s⁵ at a fifth, a half and four fifths of 50 ms.
+    for s, gone in ((0.2, 0.05792), (0.5, 0.5), (0.8, 0.94208)):
+        for t in (1.0 - 0.05 * s, 2.0 + 0.05 * s):
+            assert at(t) == pytest.approx(1.0 - gone)
+    np.testing.assert_allclose(found.force[:, 0], -found.moment)
+    np.testing.assert_allclose(found.force[inside], 300.0)
+    none = until_seat_off(time, wrench, 1e5)
+    assert not none.array.any()
+
+
+def test_a_contact_is_long_enough_and_whole_or_not():
+    """0.1 s or more; whole where 20 ms are left before and after."""
+    time = np.arange(2000) / 1000.0
+    spans = [(0, 150), (300, 399), (500, 603), (1000, 1500), (1800, 1990)]
+    F_z = np.zeros(2000)
+    for a, b in spans:
+        F_z[a:b] = 20.0
+    F_z[620:900] = 19.9
+    found = contacts(time, F_z)
+    assert [(c.start_s, c.end_s) for c in found] == [
+        (0.0, 0.149),
+        (0.5, 0.602),
+        (1.0, 1.499),
+        (1.8, 1.989),
+    ]
+    assert [c.begins for c in found] == [False, True, True, True]
+    assert [c.ends for c in found] == [True, True, True, False]
+    assert "begins within" in str(found[0]) and "ends within" in str(found[3])
+    assert str(found[2]) == "1.00 to 1.50 s"
+    shifted = contacts(time + 3.0, F_z)
+    assert [c.begins for c in shifted] == [c.begins for c in found]
+    # A millisecond more and less than 20 ms.
+    for skipped, whole in ((21, True), (19, False)):
+        at = np.arange(20.0 - skipped, 1020.0 - skipped) / 1000.0
+        F_z = np.zeros(1000)
+        F_z[skipped : 1000 - skipped] = 50.0
+        (found,) = contacts(at, F_z)
+        assert (found.begins, found.ends) == (whole, whole)
+
+
+def test_events_of_a_walk_are_counted_among_whole_contacts():
+    cut = Contact(0.0, 0.4, begins=False, ends=True)
+    whole = Contact(1.0, 1.6, begins=True, ends=True)
+    last = Contact(2.1, 2.9, begins=True, ends=False)
+    feet = {"left": [cut, whole, last]}
+    for text, time in (
+        ("heel_strike left 1", 1.0),
+        ("heel_strike left 2", 2.1),
+        ("toe_off left 1", 0.4),
+        ("toe_off left 2", 1.6),
+    ):
+        event = FootEvent.of(text)
+        assert str(event) == text and event.time_s(feet) == time
+    with pytest.raises(InputError, match=r"2 toe_off .* at 0\.40 s, 1\.60 s"):
+        FootEvent.of("toe_off left 3").time_s(feet)
+    for text in ("toe_off left", "toe_off left 0", "toe_off both 1", "a b c d",
+                 "toe_off left 1 2"):  # fmt: skip
+        with pytest.raises(InputError, match="is no event"):
+            FootEvent.of(text)
+
+
+def test_standing_is_steady_within_a_tenth_for_a_tenth_of_a_second(rise):
+    """From the first such sample on, near the top."""
+    hip, chair, _ = rise
+    F_z = np.full(600, 1.2 * WEIGHT)
+    F_z[296:305] = WEIGHT  # nine samples are too few
+    F_z[330:341] = 1.09 * WEIGHT  # eleven are 0.1 s
+    (found,) = find(hip, chair, F_z)
+    assert found.is_steady and found.standing_s == pytest.approx(3.3)
+    F_z[330:341] = 1.11 * WEIGHT
+    (found,) = find(hip, chair, F_z)
+    assert not found.is_steady
+    # Where 98 % of the height are reached, at the earliest.
+    (found,) = find(hip, chair, np.full(600, WEIGHT))
+    top = TIME[np.argmax(hip >= 0.98 * 0.9)]
+    assert found.standing_s == pytest.approx(top)
+
+
+@pytest.mark.parametrize(("highest", "count"), [(0.79, 0), (0.83, 1)])
+def test_who_rises_four_fifths_of_the_way_rises(highest, count):
+    """After one whole rise, another from the chair."""
+    hip = 0.5 + 0.4 * (smooth(0.5, 1.2) - smooth(2.0, 2.7))
+    hip += (highest - 0.5) * smooth(3.5, 4.2)
+    rises = find(hip, np.zeros(600), np.full(600, WEIGHT))
+    assert len(rises) == 1 + count
+    assert rises[0].halfway_s == pytest.approx(0.85, abs=0.02)
+
+
+def test_hips_move_15_cm_in_a_rise(rise):
+    _, chair, F_z = rise
+    for high, count in ((0.149, 0), (0.151, 1)):
+        hip = 0.5 + high * smooth(2.0, 3.0)
+        assert len(find(hip, chair, F_z)) == count
+
+
+def test_the_chair_bore_half_the_weight_before(rise):
+    hip, _, F_z = rise
+    for share, had in ((0.49, False), (0.51, True)):
+        chair = share * WEIGHT * (1.0 - smooth(1.4, 2.0))
+        (found,) = find(hip, chair, F_z)
+        assert found.had_chair is had

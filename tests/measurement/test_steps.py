@@ -10,7 +10,14 @@ from drake_exo.files import schema
 from drake_exo.files.opensim import read_plates, write_trc
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import minimum_jerk
-from drake_exo.measurement.steps import nearest_rotations, recorded_step
+from drake_exo.measurement.steps import (
+    _at_frames,
+    _cop,
+    _ends,
+    _flat,
+    nearest_rotations,
+    recorded_step,
+)
 from drake_exo.soles.rotations import rotation_z, rotations_xyz
 from drake_exo.study import StudyFile, read_study
 
@@ -231,3 +238,66 @@ def test_steps_of_a_recorded_walk(data_root, trial, start, end):
     pitch = np.arcsin(step.rotation[:, 0, 2])
     assert pitch[0] < -0.2 and pitch[-1] > 0.7
     assert np.abs(pitch[15:35]).max() < 0.03
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 0, 1], [1, 3, 2, 0]])
+def test_a_foot_goes_from_its_rearmost_to_its_foremost_marker(order):
+    """Seen from above: one high over the heel does not count."""
+    points = np.vstack([FOOT, [[-0.1, 0.0, 0.5]]])[[*order, 4]]
+    names = np.array([*NAMES, "high"])[[*order, 4]]
+    heel, toe = _ends(points, tuple(names))
+    assert (names[heel], names[toe]) == ("heel", "toe")
+    _ends(points * [0.5, 0.5, 1.0], tuple(names))
+    with pytest.raises(InputError, match=r"lie within 99 mm"):
+        _ends(points * [0.45, 0.45, 1.0], tuple(names))
+
+
+def test_frames_see_the_mean_over_one_of_them():
+    """Plates at 1000 Hz, markers at 100 Hz: ten samples about the frame."""
+    time = np.arange(0.0, 1.0, 0.001)
+    ramp = np.column_stack([time, 1.0 - 2.0 * time] + [0.0 * time] * 4)
+    pulse = np.zeros((1000, 6))
+    pulse[500, 2] = 10.0
+    frames = MarkerData(np.arange(0.2, 1.2, 0.01), ("a",), None, 100.0)
+    found = _at_frames(time, ramp, frames)
+    inner = frames.time < 0.99
+    np.testing.assert_allclose(found[inner, 0], frames.time[inner], atol=6e-4)
+    np.testing.assert_allclose(
+        found[inner, 1], 1.0 - 2.0 * frames.time[inner], atol=2e-3
+    )
+    assert not found[frames.time > 1.0].any()
+    seen = _at_frames(time, pulse, frames)[:, 2]
+    assert seen.sum() == pytest.approx(1.0) and seen.max() <= 1.0 + 1e-12
+    # At the markers' own rate nothing is averaged.
+    slow = np.arange(0.0, 1.0, 0.01)
+    pulse = np.eye(100)[:, [50] * 6]
+    alike = _at_frames(slow, pulse, frames)
+    assert alike[30, 0] == pytest.approx(1.0)
+
+
+def test_a_wrench_acts_where_its_moment_is_vertical():
+    """r × F + T e_z, of a point that is known, at a height."""
+    rng = np.random.default_rng(0)
+    F = rng.normal(size=(5, 3)) * 100.0 + [0.0, 0.0, 700.0]
+    r = np.column_stack([rng.normal(size=(5, 2)), np.full(5, 0.03)])
+    T = rng.normal(size=5)
+    M = np.cross(r, F) + np.outer(T, [0.0, 0.0, 1.0])
+    point, moment = _cop(np.hstack([F, M]), 0.03)
+    np.testing.assert_allclose(point, r[:, :2])
+    np.testing.assert_allclose(moment, T, atol=1e-9)
+
+
+def test_a_foot_is_flat_where_it_turns_least():
+    """A fifth of the contact's frames, by the fastest of its markers."""
+    time = np.arange(100) / 100.0
+    angle = np.where(time < 0.5, 0.5 - time, 0.0) ** 2
+    points = np.einsum(
+        "nij,kj->nki", rotations_xyz(np.outer(angle, [0.0, 1.0, 0.0])), FOOT
+    )
+    points[75, 1] += 0.02
+    stands = (time >= 0.2) & (time < 0.8)
+    flat = _flat(
+        points + np.outer(time, [1.0, 0.0, 0.0])[:, None], time, stands
+    )
+    assert len(flat) == 12 and (flat >= 50).all() and (flat < 80).all()
+    assert not {74, 76} & set(flat.tolist())
