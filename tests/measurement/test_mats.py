@@ -10,7 +10,13 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.measurement.mats import (
     Surface,
+    _along,
+    _closest_on_triangles,
+    _pitch,
+    _seen,
+    _to_segment,
     cell_directions,
+    check_size,
     place_cells,
     read_mat_forces,
     read_surface,
@@ -105,14 +111,34 @@ def test_units_and_axes_of_the_scanner(tmp_path):
     np.testing.assert_allclose(cells, expected, atol=1e-5)
 
 
-@pytest.mark.slow
+def test_the_nearest_point_of_a_triangle_in_each_of_its_regions():
+    """Of corners (0, 0), (2, 0), (0, 1): inside, sides, corners; a line."""
+    corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    wanted = {
+        (0.3, 0.2, 0.7): (0.3, 0.2, 0.0),
+        (0.5, -0.4, 0.1): (0.5, 0.0, 0.0),
+        (-0.3, 0.6, -2.0): (0.0, 0.6, 0.0),
+        (2.0, 2.5, 1.0): (1.0, 0.5, 0.0),  # half way between two corners
+        (-1.0, -1.0, 0.0): (0.0, 0.0, 0.0),
+        (3.0, -0.1, 0.5): (2.0, 0.0, 0.0),
+        (-0.5, 2.0, 0.5): (0.0, 1.0, 0.0),
+    }
+    p, on = (np.array(list(x)) for x in (wanted, wanted.values()))
+    for turned in (corners, corners[::-1], corners[[1, 2, 0]]):
+        found = _closest_on_triangles(p, turned)
+        np.testing.assert_allclose(found, on, atol=1e-12)
+    flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    found = _closest_on_triangles(np.array([[2.0, 1.0, 1.0]]), flat)
+    np.testing.assert_allclose(found, [[2.0, 0.0, 0.0]])
+
+
 def test_closest_point_agrees_with_brute_force():
     rng = np.random.default_rng(0)
     # One triangle far larger than the others, as scans have them.
     points = np.r_[rng.normal(size=(200, 3)) * 0.1, 5.0 * np.eye(3)]
-    triangles = np.r_[rng.integers(0, 200, (300, 3)), [[200, 201, 202]]]
+    triangles = np.r_[rng.integers(0, 200, (60, 3)), [[200, 201, 202]]]
     surface = Surface(points, triangles, "random")
-    wanted = rng.normal(size=(40, 3))
+    wanted = rng.normal(size=(20, 3))
     found, _ = surface.closest(wanted)
     u, v = np.meshgrid(*2 * [np.linspace(0, 1, 60)])
     inside = u + v <= 1.0
@@ -358,3 +384,61 @@ def test_saturation_shows_in_the_report(folder):
     (found,) = forces(folder, {"m": FLAT}, "m")
     assert found.report["peak_kpa"] == pytest.approx(200.0)
     assert found.report["at_peak_share"] == 1.0
+
+
+def test_places_along_a_bent_line_and_between_cells():
+    line = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 1.0, 0.0]])
+    found = _along(line, np.array([0.0, 0.375, 0.75, 0.875, 1.0]))
+    wanted = [[0, 0, 0], [1.5, 0, 0], [3, 0, 0], [3, 0.5, 0], [3, 1, 0]]
+    np.testing.assert_allclose(found, wanted)
+    spot = np.tile([1.0, 2.0, 3.0], (4, 1))
+    np.testing.assert_allclose(_along(spot, np.array([0.3])), spot[:1])
+    # Two rows of three: 3 steps of 2 m up, 4 steps of 1 m across.
+    y, z = np.meshgrid([0.0, 1.0, 2.0], [0.0, 2.0])
+    grid = np.stack([0.0 * y, y, z], axis=2)
+    assert _pitch(grid) == pytest.approx((3 * 2.0 + 4 * 1.0) / 7)
+    assert _pitch(grid[:1, :1]) is None
+
+
+def test_a_segments_axes_follow_its_joint_centres():
+    """Leaning forward by 3 in 5: z along it, x a quarter turn before."""
+    axis = ((10.0, 5.0, 20.0), (310.0, 8.0, 420.0))  # mm
+    R = _to_segment(Scan("s.stl", "mm", corners=CORNERS, segment_axis=axis))
+    np.testing.assert_allclose(R @ [0.6, 0.0, 0.8], [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(
+        R @ [0.8, 0.0, -0.6], [1.0, 0.0, 0.0], atol=1e-12
+    )
+    np.testing.assert_allclose(R @ [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+
+
+def test_saturation_is_told_from_a_peak(folder):
+    """Of the loaded readings, those that sit at the largest one."""
+    pressure = np.array([[0.0, 1e3, 2e3], [4e3, 4e3, 0.0]])
+    assert _seen(pressure) == {"peak_kpa": 4.0, "at_peak_share": 0.5}
+    assert _seen(0.0 * pressure) == {"peak_kpa": 0.0, "at_peak_share": 0.0}
+
+
+@pytest.mark.parametrize("side", [0.0795, 0.0805, 2.99, 3.01])
+def test_a_body_is_of_8_cm_to_3_m(side):
+    points = np.array([[0.0, 0.0, 0.0], [0.01, side, 0.02]])
+    if 0.08 <= side <= 3.0:
+        return check_size("s.stl", 1e3 * points, "mm")
+    with pytest.raises(InputError, match=r"spans .* mm in the study's unit"):
+        check_size("s.stl", 1e3 * points, "mm")
+
+
+def test_cells_lie_as_far_apart_as_they_are_large(folder):
+    """Within half and double; the report says how far."""
+    small = replace(MAT, rows=2, columns=3)
+    area = 0.1 / 2 * RADIUS * np.pi / 2 / 3
+    _, report = cell_directions(replace(small, cell_area_m2=area), "m", folder)
+    pitch = 1e-3 * report["cell_distance_mm"]
+    up, around = 0.1 / 2, RADIUS * np.pi / 2 / 3
+    assert pitch == pytest.approx((3 * up + 4 * around) / 7, rel=5e-3)
+    for times in (0.52, 1.9):
+        area = (pitch / times) ** 2
+        cell_directions(replace(small, cell_area_m2=area), "m", folder)
+    for times in (0.48, 2.1):
+        area = (pitch / times) ** 2
+        with pytest.raises(InputError, match="mm apart on the scan"):
+            cell_directions(replace(small, cell_area_m2=area), "m", folder)
