@@ -434,7 +434,8 @@ def test_cells_lie_as_far_apart_as_they_are_large(folder):
     _, report = cell_directions(replace(small, cell_area_m2=area), "m", folder)
     pitch = 1e-3 * report["cell_distance_mm"]
     up, around = 0.1 / 2, RADIUS * np.pi / 2 / 3
-    assert pitch == pytest.approx((3 * up + 4 * around) / 7, rel=5e-3)
+    # Chords, where cells are large.
+    assert pitch == pytest.approx((3 * up + 4 * around) / 7, rel=0.01)
     for times in (0.52, 1.9):
         area = (pitch / times) ** 2
         cell_directions(replace(small, cell_area_m2=area), "m", folder)
