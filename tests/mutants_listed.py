@@ -43,9 +43,14 @@ TESTS = {
     ],
     "drake_exo/contact/": ["tests/contact", *_CALIBRATION],
     "drake_exo/files/": ["tests/files", "tests/measurement"],
+    "drake_exo/files/osim.py": [
+        "tests/files/test_osim.py",
+        "tests/report/test_opensim_export.py",
+    ],
     "drake_exo/measurement/": ["tests/measurement"],
     "drake_exo/measurement/plausibility/": [
-        "tests/measurement/test_plausibility.py"
+        "tests/measurement/test_plausibility_numbers.py",
+        "tests/measurement/test_plausibility.py",
     ],
     "drake_exo/model/": ["tests/model", "tests/measurement"],
     "drake_exo/nlp/": ["tests/nlp", *_CALIBRATION],
@@ -57,6 +62,9 @@ TESTS = {
     "drake_exo/player/": ["tests/player", "tests/report/test_replay.py"],
     "drake_exo/report/": ["tests/report"],
     "drake_exo/report/figures.py": ["tests/report/test_figures.py"],
+    "drake_exo/report/opensim_export.py": [
+        "tests/report/test_opensim_export.py"
+    ],
     "drake_exo/report/tables.py": ["tests/report/test_tables.py"],
     "drake_exo/soles/": [_SOLES],
     "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_loads.py"],

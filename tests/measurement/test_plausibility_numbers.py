@@ -1,0 +1,514 @@
+"""Values of the checks, of recordings whose arrays are made up by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drake_exo.measurement.plausibility import body, device, plates
+from drake_exo.measurement.plausibility.evidence import Evidence
+from drake_exo.measurement.sagittal import PlanarWrench
+
+WEIGHT = 700.0
+N = 50
+TIME = 1.0 + np.arange(200) / 100.0  # of the recording; from 1.5 s on is used
+INSIDE = slice(50, 100)
+
+
+def made(**motion) -> Evidence:
+    """A trial of 0.49 s out of a recording of 2 s."""
+    motion = {"time": TIME, "feet": {}, "legs": {}} | motion
+    sides = motion.pop("sides", ())
+    named = "ankle", "knee", "hip"
+    e = Evidence(
+        SimpleNamespace(markers="m.trc", forces="f.mot", encoders="e.csv"),
+        SimpleNamespace(
+            name="one",
+            start_s=1.5,
+            duration=0.49,
+            times=np.arange(N) / 100.0,
+            coordinates=SimpleNamespace(
+                human=named,
+                device=tuple(f"exo_{joint}" for joint in named),
+                turned_by=np.eye(3),
+                body_columns=np.arange(6),
+                device_columns=np.arange(6, 9),
+                follows=lambda name: name.removeprefix("exo_"),
+            ),
+        ),
+        SimpleNamespace(motion=SimpleNamespace(**motion)),
+        SimpleNamespace(
+            model=SimpleNamespace(
+                rigid=SimpleNamespace(tree=SimpleNamespace(weight=WEIGHT)),
+                human=SimpleNamespace(foot=SimpleNamespace(length_m=0.25)),
+                assembly=SimpleNamespace(human=SimpleNamespace(sides=sides)),
+            )
+        ),
+    )
+    assert e.inside.sum() == N
+    return e
+
+
+def known(e: Evidence, **values) -> Evidence:
+    """With some of what it would otherwise compute."""
+    vars(e).update(values)
+    return e
+
+
+def told(checks, *names):
+    """Value, limit and verdict of checks by name, in their order."""
+    checks = checks if isinstance(checks, list) else [checks]
+    found = {}
+    for c in checks:
+        found.setdefault(c.name.removeprefix("plausibility."), []).append(
+            (pytest.approx(c.value, abs=1e-9), c.limit, c.holds)
+        )
+    return [x for name in names for x in found[name]]
+
+
+def standing(worn_kg=0.0, **said):
+    """Checks of a standing trial of a person of 60 kg."""
+    report = {"stated_mass_kg": 60.0, "standing_angles_deg": [0, 5, -40, 12]}
+    subject = SimpleNamespace(
+        report=report | said,
+        mass_kg=60.0,
+        model=SimpleNamespace(
+            tree=SimpleNamespace(mass=60.0 + worn_kg),
+            coordinates=SimpleNamespace(human=("ankle", "knee", "hip")),
+        ),
+    )
+    files = SimpleNamespace(forces="s.mot", markers="s.trc")
+    return list(body.standing_checks(subject, files))
+
+
+def test_what_a_standing_trial_says():
+    found = standing(standing_mass_kg=62.4)
+    assert told(found, "mass") == [(4.0, 5.0, True)]
+    assert told(found, "standing_posture") == [(40.0, 35.0, False)]
+    assert "knee at -40 deg" in found[1].sentence
+    found = standing(standing_mass_kg=54.0)
+    assert told(found, "mass") == [(10.0, 5.0, False)]
+    assert "correct the mass" in found[0].sentence
+    # A tenth of all that is worn: 6.6 of 66 kg, of which 6 are the device.
+    found = standing(6.0, standing_mass_kg=0.6)
+    assert "forces look like kgf or daN" in found[0].sentence
+    assert "beyond the device in" in found[0].sentence
+    cop = {"standing_cop_x_m": 0.03, "standing_com_x_m": -0.04}
+    assert told(standing(**cop), "standing_balance") == [(0.07, 0.1, True)]
+    cop["trunk_com_shift_m"] = -0.11
+    assert told(standing(**cop), "standing_balance") == [(0.11, 0.1, False)]
+
+
+@pytest.mark.parametrize(
+    ("bends", "value", "limit", "holds"),
+    [
+        ((10.0, 100.0), 10.0, -20.0, True),
+        ((90.0, 150.0), 150.0, 165.0, True),
+        ((10.0, 170.0), 170.0, 165.0, False),
+        ((-30.0, 100.0), -30.0, -20.0, False),
+        ((-25.0, 175.0), 175.0, 165.0, False),
+        ((-35.0, 175.0), -35.0, -20.0, False),
+    ],
+)
+def test_ranges_are_told_by_the_worse_end(bends, value, limit, holds):
+    angles = np.zeros((200, 3))
+    angles[INSIDE, 1] = np.deg2rad(np.linspace(*bends, N))
+    angles[:40, 1] = 3.0  # before the used part
+    found = list(body._ranges(made(legs={"left": angles})))
+    assert told(found, "knee_range") == [(value, limit, holds)]
+    assert "left knee" in found[1].sentence or holds
+    assert ("backwards" in found[1].sentence) == (value < -20.0)
+    assert told(found, "ankle_range") == [(0.0, -50.0, True)]
+    assert told(found, "hip_range") == [(0.0, -45.0, True)]
+
+
+def test_markers_are_told_by_their_mean_square():
+    rms = {"heel": 0.03, "toe": 0.06, "knee": 0.02}
+    check = body._markers(made(residuals_m=rms))
+    mean = np.sqrt((0.03**2 + 0.06**2 + 0.02**2) / 3)
+    assert told(check, "markers") == [(mean, 0.05, True)]
+    rms["toe"] = 0.09
+    assert "most toe (90 mm)" in body._markers(made(residuals_m=rms)).sentence
+
+
+def test_newton_and_euler_by_hand():
+    """10 N along, 30 N up and 4 N m about an ankle at (0.2, 0.1) too few."""
+    e = made(legs={"left": np.zeros((200, 3))})
+    turn = np.linspace(0.0, 4.0 * np.pi, N)
+    shear = 50.0 * np.sin(turn)
+    measured = np.column_stack([shear, np.full(N, 600.0), np.full(N, 5.0)])
+    lost = np.array([10.0, 30.0, 0.1 * 10.0 - 0.2 * 30.0 + 4.0])
+    q = np.zeros((N, 6))
+    q[:, 0], q[:, 1] = 0.2, 0.1
+    e.trial.q = e.trial.v = e.trial.a = q
+    known(e, needed=measured + lost, measured=measured, plates={})
+    found = list(body._dynamics(e))
+    assert told(found, "newton", "euler", "shear_sign") == [
+        (30.0, 105.0, True),
+        (4.0, 70.0, True),
+        (1.0, -0.3, True),
+    ]
+    known(e, measured=measured * [-1.0, 1.0, 1.0])
+    assert told(list(body._dynamics(e)), "shear_sign") == [(-1.0, -0.3, False)]
+    # 45 N of amplitude are 32 N RMS, more than 14; 15 N are not.
+    known(e, needed=measured * [0.3, 1.0, 1.0] + lost)
+    names = [c.name for c in body._dynamics(e)]
+    assert "plausibility.shear_sign" not in names
+    # Turned: F_x and M_y change their signs.
+    known(e, needed=np.array([[10.0, 600.0, -20.0]] * N))
+    known(e, measured=np.array([[-10.0, 600.0, 20.0]] * N))
+    assert e.pitch_error(turned=True) == pytest.approx(0.0)
+    assert e.pitch_error() == pytest.approx(40.0 + 0.1 * 20.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "unit"),
+    [(1.1e-3, "kN"), (0.8e-3, None), (0.21, "lbf"), (0.105, "kgf"),
+     (0.5, None), (0.13, None)],
+)  # fmt: skip
+def test_units_are_guessed_within_15_percent(share, unit):
+    found = body._unit_of(share)
+    assert (unit is None and found is None) or unit in found
+
+
+def test_a_recording_that_ends_in_the_rise():
+    """0.3 m/s in its last frame; only where the used part ends there."""
+    e = made(hip_z=0.3 * TIME)
+    assert told(body._end(e), "end") == [(0.0, 0.15, True)]
+    vars(e)["inside"] = TIME >= 2.5
+    assert told(body._end(e), "end") == [(0.3, 0.15, False)]
+    vars(e)["inside"] = (TIME >= 2.5) & (TIME < 2.985)
+    assert told(body._end(e), "end") == [(0.3, 0.15, False)]
+    vars(e)["inside"] = (TIME >= 2.5) & (TIME < 2.975)
+    assert told(body._end(e), "end") == [(0.0, 0.15, True)]
+
+
+def test_legs_against_each_other():
+    """18 degrees at the knee, 80 mm, 70 % on the right, one foot up."""
+    left, right = np.zeros((2, 200, 3))
+    right[INSIDE, 1] = np.deg2rad(18.0)
+    right[INSIDE, 2] = np.deg2rad(10.0)
+    ankles = {
+        "left": np.column_stack([TIME, TIME]),
+        "right": np.column_stack([TIME - 0.08, TIME]),
+    }
+    feet = dict.fromkeys(("left", "right"), np.zeros((200, 2, 3)))
+    e = made(legs={"left": left, "right": right}, ankles=ankles, feet=feet)
+    bear = np.zeros((2, N, 6))
+    bear[0, :, 2], bear[1, :, 2] = 210.0, 490.0
+    known(e, plates={"left": bear[0], "right": bear[1]})
+    found = list(body._legs(e))
+    assert "right knee" in found[0].sentence
+    names = "leg_angles", "feet_apart", "leg_share", "lifted_foot"
+    assert told(found, *names) == [
+        (18.0, 15.0, False),
+        (0.08, 0.1, True),
+        (70.0, 65.0, False),
+        (0.0, 5.0, True),
+    ]
+    # Ten frames: less than 35 N on one foot, more than 210 N on the other.
+    bear[0, :10, 2], bear[1, :10, 2] = 30.0, 220.0
+    bear[0, 10:20, 2], bear[1, 10:20, 2] = 40.0, 220.0
+    bear[0, 20:30, 2], bear[1, 20:30, 2] = 30.0, 200.0
+    bear[0, 30:35, 2], bear[1, 30:35, 2] = 500.0, 0.0
+    (found,) = told(list(body._legs(e)), "lifted_foot")
+    assert found == (30.0, 5.0, False)
+
+
+def test_a_foot_that_bears_shows_the_belts_speed():
+    """-0.9 m/s while it bears half of the body."""
+    feet = {}
+    for side, speed in (("left", -0.9), ("right", -0.9)):
+        x = np.where(TIME < 1.7, speed * TIME, speed * 1.7 + 2.0 * TIME)
+        if side == "right":
+            x = x[::-1]
+        feet[side] = np.stack([x, x], axis=1)[..., None] * [1.0, 0.0, 0.0]
+    e = made(feet=feet, sides=("left", "right"))
+    e.recording.belt_speed_m_s = 0.1
+    bears = np.where(np.arange(N) < 15, 400.0, 300.0)
+    e.trial.feet = {
+        "left": SimpleNamespace(force_z=bears),
+        "right": SimpleNamespace(force_z=np.zeros(N)),
+    }
+    check = body._belt(e)
+    assert told(check, "belt") == [(0.9, 0.3, False)]
+    assert "belt_speed_m_s: 1.00" in check.sentence
+
+
+def pressed(n=N, **at):
+    """A plate (n, 6) whose force acts at a point (x, y) of the floor."""
+    x, y = at["x"], at["y"]
+    force = np.zeros((n, 6))
+    force[:, 2] = at.get("force", 400.0)
+    # r × F of a vertical force.
+    force[:, 3], force[:, 4] = y * force[:, 2], -x * force[:, 2]
+    return force
+
+
+def shod(**places):
+    """Two markers a foot: heel and toe, 2 cm right and 3 cm left of y."""
+    found = {}
+    for side, (x, y) in places.items():
+        p = np.zeros((200, 2, 3))
+        p[:, 0, :2], p[:, 1, :2] = (x, y - 0.02), (x + 0.2, y + 0.03)
+        found[side] = p
+    return found
+
+
+def test_pressure_is_measured_from_the_foots_edges():
+    e = made(feet=shod(left=(0.1, 0.1), right=(0.1, -0.1)))
+    left = pressed(x=0.41, y=0.15)
+    left[0] *= 0.1  # bears too little to be judged
+    right = pressed(x=0.02, y=-0.2)
+    known(e, plates={"left": left, "right": right})
+    np.testing.assert_allclose(e.cop("left"), [[0.41, 0.15]] * (N - 1))
+    np.testing.assert_allclose(
+        e.cop("left", turned=True, scale=1e-3), [[-41e-5, -15e-5]] * (N - 1)
+    )
+    # 3 cm behind the heel; 28 cm before that, markers end at 20.
+    np.testing.assert_allclose(
+        e.sole("left"), [[0.07, 0.38, 0.08, 0.13]] * (N - 1)
+    )
+    np.testing.assert_allclose(e.sole("right")[0], [0.07, 0.38, -0.12, -0.07])
+    np.testing.assert_allclose(e.sole("both", "right")[0, 2:], [-0.12, 0.13])
+    np.testing.assert_allclose(e.outside("left"), [0.03, 0.02])
+    np.testing.assert_allclose(e.outside("right"), [0.05, 0.08])
+    # Nearer to the own foot than to the other: |0.15 + 0.095| - |0.15 - 0.105|.
+    near = (0.245 - 0.045, 0.305 - 0.105)
+    assert e.off_side() == pytest.approx(np.mean(near))
+    still = {"left": np.zeros((200, 3))}
+    feet = shod(left=(0.1, -0.1), right=(0.1, 0.1))
+    far = made(feet=feet, legs=still)
+    far.trial.q = far.trial.v = far.trial.a = np.zeros((N, 6))
+    nothing = np.zeros((N, 3))
+    known(far, plates=e.plates, needed=nothing, measured=nothing)
+    assert told(plates._sides(far), "plate_sides") == [(-0.2, 0.0, False)]
+    one = made(feet=shod(left=(0.1, 0.1)))
+    known(one, plates={"both": left})
+    assert np.isnan(one.sole("both")[:, 2:]).all()
+    assert one.outside("both")[0] == pytest.approx(0.03)
+    long = made(feet=shod(left=(0.1, 0.1)))
+    long.recording.motion.feet["left"][:, 1, 0] = 0.45
+    known(long, plates={"left": left})
+    np.testing.assert_allclose(long.sole("left")[:, 1], 0.45)
+    # One frame of fifty that is far off does not decide.
+    left[30] = pressed(1, x=2.0, y=0.1)
+    assert e.outside("left")[0] == pytest.approx(0.03)
+
+
+def test_a_pressure_far_away_is_told_with_its_unit():
+    feet = shod(left=(0.1, 0.1), right=(0.1, -0.1))
+    e = made(feet=feet, legs={"left": np.zeros((200, 3))})
+    on = {"left": (0.2, 0.1), "right": (0.2, -0.1)}
+    wrong = {s: pressed(x=1e3 * x, y=1e3 * y) for s, (x, y) in on.items()}
+    known(e, plates=wrong)
+    found = list(plates._pressure(e, "left"))
+    assert "look like millimetres" in found[0].sentence
+    assert told(found, "cop_along", "cop_across", "cop_unit") == [
+        (200.0 - 0.38, 0.03, False),
+        (100.0 - 0.13, 0.05, False),
+        (150.0, 2.0, False),
+    ]
+    wrong = {s: pressed(x=1e2 * x, y=1e2 * y) for s, (x, y) in on.items()}
+    known(e, plates=wrong)
+    assert plates.likely_cause(e).endswith("look like centimetres")
+    known(e, plates={s: pressed(x=x, y=y) for s, (x, y) in on.items()})
+    assert plates.likely_cause(e) is None
+    assert e.outside("left")[0] < 0.0
+
+
+def forced(F_z, needed_z, rate_hz=1000.0):
+    e = made()
+    time = 1.0 + np.arange(len(F_z)) / rate_hz
+    e.recording.forces = SimpleNamespace(time=time, rate_hz=rate_hz)
+    return known(e, needed_z=np.interp(TIME, time, needed_z))
+
+
+def test_plates_that_repeat_themselves():
+    """400 of 1500 samples at one value while another force is needed."""
+    rng = np.random.default_rng(0)
+    F_z = 300.0 + rng.normal(size=2000)
+    F_z[:500] = 19.0  # not loaded
+    F_z[600:1001] = 300.0  # its first sample repeats nothing
+    F_z[1200:1240] = 290.0  # 40 ms are too short
+    e = forced(F_z, np.linspace(300.0, 800.0, 2000))
+    check = plates._flat(e, "left", F_z)
+    share = 100.0 * 400 / 1500
+    assert told(check, "flat_channel") == [(share, 25.0, False)]
+    assert "at exactly 300 N for 0.4 s" in check.sentence
+    still = forced(F_z, np.linspace(300.0, 340.0, 2000))  # 8 N meanwhile
+    assert told(plates._flat(still, "left", F_z), "flat_channel") == [
+        (0.0, 25.0, True)
+    ]
+    check = plates._clipped(e, "left", F_z)
+    assert told(check, "saturated_channel") == [(0.0, 0.0, True)]
+    F_z[1300:1401] = 350.0
+    check = plates._clipped(e, "left", F_z)
+    assert told(check, "saturated_channel") == [(0.1, 0.0, False)]
+    # At a slow rate five samples count, however long they are.
+    slow = 300.0 + rng.normal(size=40)
+    slow[10:15] = 301.0
+    e = forced(slow, np.linspace(300.0, 900.0, 40), 20.0)
+    assert plates._repeats(e, slow) == []
+    slow[15] = 301.0
+    assert plates._repeats(e, slow) == [(11, 16)]
+
+
+def test_feet_and_chair_bear_the_body_together():
+    e = made(known=TIME < 2.0)
+    e.recording.forces = SimpleNamespace(total=lambda feet: PlanarWrench(
+        np.tile([0.0, 400.0], (200, 1)), np.zeros(200)).force_z)  # fmt: skip
+    e.recording.feet = ("left", "right")
+    chair = np.where(TIME < 2.0, 250.0, 0.0)
+    e.recording.chair = SimpleNamespace(force_z=chair)
+    known(e, needed_z=np.full(200, 700.0))
+    assert told(plates._chair(e), "chair") == [(50.0, 105.0, True)]
+
+
+def worn(device_angles, human_angles, lag=0.0):
+    """Encoders at 500 Hz over the recording, angles by time [deg]."""
+    time = 0.8 + np.arange(1200) / 500.0
+    of = [
+        np.deg2rad(np.column_stack([a(t) for a in angles]))
+        for angles, t in (
+            (human_angles, TIME),
+            (device_angles, time - lag),
+            (human_angles, TIME[INSIDE]),
+            (device_angles, TIME[INSIDE]),
+        )
+    ]
+    e = made(q=np.column_stack([np.zeros((200, 3)), of[0]]))
+    e.recording.angles = SimpleNamespace(time=time, values=of[1])
+    e.trial.q = np.column_stack([np.zeros((N, 3)), of[2], of[3]])
+    rate = np.gradient(of[0], TIME, axis=0)[INSIDE]
+    e.trial.v = np.column_stack([np.zeros((N, 3)), rate, np.zeros((N, 3))])
+    e.trial.a = 0.0 * e.trial.v
+    return e
+
+
+def bends(most, end=2.0):
+    """From straight at 1.5 s to `most` degrees at the end of the part."""
+    return lambda t: most * np.clip((t - 1.5) / (end - 1.5), -0.5, 1.0)
+
+
+def test_encoders_against_the_person_by_hand():
+    """80 % of the knee with 3 degrees more, half of the hip turned round."""
+    e = worn(
+        [lambda t: 0.0 * t, lambda t: 0.8 * bends(40.0)(t) + 3.0,
+         lambda t: -0.5 * bends(60.0)(t) - 4.0],
+        [lambda t: 0.0 * t, bends(40.0), bends(60.0)],
+    )  # fmt: skip
+    found = list(device.device_checks(e))
+    assert told(found, "encoder_sign") == [(1.0, 0.5, True), (-1.0, 0.5, False)]
+    assert "its sign looks flipped" in " ".join(c.sentence for c in found)
+    assert told(found, "encoder_unit") == [(0.8, 0.4, True), (0.5, 0.4, True)]
+    # Of the frames around the first: three, half and one of forty-nine.
+    knee = 3.0 - 0.2 * np.mean(40.0 * np.arange(3) / 50)
+    hip = 4.0 + 1.5 * np.mean(60.0 * np.arange(3) / 50)
+    assert told(found, "encoder_offset") == [
+        (0.0, 9.0, True),
+        (knee, 9.0, True),
+        (hip, 9.0, True),
+    ]
+    # Speeds: a fifth of the knee's and one and a half of the hip's miss.
+    miss = np.hypot(0.2 * 40, 1.5 * 60) / np.hypot(40, 60)
+    (found,) = told(found, "encoder_motion")
+    assert found[1:] == (35.0, False)
+    assert found[0].expected == pytest.approx(100.0 * miss, rel=0.03)
+
+
+def test_encoders_of_each_others_joints():
+    e = worn(
+        [lambda t: 0.0 * t, bends(60.0), bends(40.0)],
+        [lambda t: 0.0 * t, bends(40.0), bends(60.0)],
+    )
+    (found,) = told(list(device.device_checks(e)), "encoder_joints")
+    assert found[1:] == (1.1, False) and found[0].expected > 1e6
+    half = worn(
+        [lambda t: 0.0 * t, bends(44.0), bends(56.0)],
+        [lambda t: 0.0 * t, bends(40.0), bends(60.0)],
+    )
+    (found,) = told(list(device.device_checks(half)), "encoder_joints")
+    assert found == (4.0 / 16.0, 1.1, True)
+
+
+def test_an_encoder_that_is_frozen_for_a_while():
+    """For 0.2 s in which the knee turns by 16 degrees."""
+
+    def sticks(t):
+        return bends(40.0)(np.where((t > 1.6) & (t < 1.8), 1.6, t))
+
+    zero = lambda t: 0.0 * t  # noqa: E731
+    e = worn([zero, sticks, zero], [zero, bends(40.0), zero])
+    check = device._frozen(e, 1)
+    assert check.value == pytest.approx(16.0, abs=0.6)
+    assert (check.limit, check.holds) == (5.0, False)
+
+    # The same for less than a tenth of a second.
+    def shortly(t):
+        return bends(40.0)(np.where((t > 1.6) & (t < 1.69), 1.6, t))
+
+    e = worn([zero, shortly, zero], [zero, bends(40.0), zero])
+    assert device._frozen(e, 1).holds
+
+
+@pytest.mark.parametrize("lag", [0.05, -0.03, 0.08])
+def test_the_lag_of_encoders_is_found_within_60_ms(lag):
+    def swings(t):
+        return 50.0 * np.sin(4.0 * t)
+
+    zero = lambda t: 0.0 * t  # noqa: E731
+    e = worn([zero, swings, zero], [zero, swings, zero], lag)
+    share, found = device.misfit(e, e, 0.06)
+    if abs(lag) < 0.06:
+        assert share < 0.01 and found == pytest.approx(lag)
+    else:
+        assert share > 0.05 and found == pytest.approx(0.06)
+    # Encoders that end a tenth of a second before the movement do not count.
+    angles = e.recording.angles
+    for early, ends in ((1.25, True), (1.35, False)):  # of 3.2 s; needed: 2 s
+        angles.time = 0.8 - early + np.arange(1200) / 500.0
+        assert np.isfinite(device.misfit(e, e, 0.0)[0]) == ends
+    angles.time = angles.time + 2.2
+    assert device.misfit(e, e, 0.0)[0] == np.inf
+    small = worn([zero] * 3, [zero, lambda t: 0.5 * swings(t) / 50.0, zero])
+    assert device.misfit(small, small, 0.06) == (np.inf, 0.0)
+
+
+def test_files_of_two_trials_by_how_they_fit(monkeypatch):
+    """Of each movement with each file."""
+    fits = {"aa": 0.3, "ab": 0.15, "ba": 0.25, "bb": 0.4}
+
+    def trial(name):
+        return SimpleNamespace(
+            recording=SimpleNamespace(
+                angles=SimpleNamespace(values=np.full((2, 3), ord(name)))
+            ),
+            files=SimpleNamespace(markers=f"{name}.trc", encoders="e"),
+            trial=SimpleNamespace(name=name),
+            check=lambda *said: (name, said[0], said[1], said[2], said[-1]),
+        )
+
+    def fit(e, other, reach):
+        assert reach == 0.06
+        return fits[e.trial.name + other.trial.name], 0.0
+
+    monkeypatch.setattr(device, "misfit", fit)
+    a, b = trial("a"), trial("b")
+    found = list(device.between_trials([a, b]))
+    approx = pytest.approx
+    assert found[0] == ("a", "encoder_file", approx(1.2), 1.5, True)
+    assert found[2] == ("b", "encoder_file", approx(4 / 1.5), 1.5, False)
+    swap = np.hypot(0.3, 0.4) / np.hypot(0.15, 0.25)
+    assert [f[:4] for f in found[1::2]] == [
+        (name, "encoder_swap", approx(swap), 1.25) for name in "ab"
+    ]
+    fits["ba"] = 0.1
+    first, *_ = device.between_trials([a, b])
+    assert first == ("a", "encoder_file", approx(3.0), 1.5, False)
+    fits["ba"] = 0.6
+    b.recording.angles.values = a.recording.angles.values
+    first, *_ = device.between_trials([a, b])
+    assert first == ("a", "encoder_file", approx(0.5), 1.5, False)
+    b.files.markers = a.files.markers  # parts of one recording
+    assert list(device.between_trials([a, b])) == []
