@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,105 @@ def test_a_stool_stands_on_the_floor_under_its_seat():
     for leg, (_, _, z), _ in parts.values():
         assert z - 0.5 * leg.length() == pytest.approx(0.0)
         assert z + 0.5 * leg.length() == pytest.approx(under)
+
+
+class Noted:
+    """Meshcat's place, of which only what is said to it is kept."""
+
+    def __init__(self):
+        self.shapes, self.places, self.lines = {}, {}, {}
+
+    def SetObject(self, path, shape, colour):
+        self.shapes[path] = shape, colour
+
+    def SetTransform(self, path, X, time=None):
+        self.places[path] = X.translation()
+
+    def SetProperty(self, path, name, value):
+        pass
+
+    def SetLineSegments(self, path, start, end, width, colour):
+        self.lines[path] = start.T, end.T
+
+
+def test_a_stool_is_as_wide_as_its_legs_stand():
+    noted = Noted()
+    scene.add_stool(noted, "/chair", 0.45)
+    seat, colour = noted.shapes.pop("/chair/seat")
+    assert colour.a() == 1.0
+    assert len(noted.shapes) == 4
+    for path, (leg, _) in noted.shapes.items():
+        x, y, _ = noted.places[path]
+        assert 0.0 < 0.5 * seat.width() - abs(x) - leg.radius() < 0.05
+        assert 0.0 < 0.5 * seat.depth() - abs(y) - leg.radius() < 0.05
+
+
+def test_a_floor_is_under_the_feet_with_a_line_every_25_cm():
+    """5 m by 2.5 m about a place; its slab under the lines."""
+    noted = Noted()
+    scene.add_floor(noted, 0.75)
+    ((slab, _),) = noted.shapes.values()
+    place = noted.places["/floor/slab"]
+    np.testing.assert_allclose(place[:2], [0.75, 0.0])
+    assert -0.01 < place[2] + 0.5 * slab.height() < 0.0
+    starts, ends = noted.lines["/floor/grid"]
+    assert not starts[:, 2].any() and not ends[:, 2].any()
+    along = starts[:, 0] == ends[:, 0]
+    for lines, k, size, middle in (
+        (along, 0, slab.width(), 0.75),
+        (~along, 1, slab.depth(), 0.0),
+    ):
+        other = 1 - k
+        np.testing.assert_allclose(
+            starts[lines, k],
+            middle + np.arange(-size / 2, size / 2 + 0.1, 0.25),
+        )
+        np.testing.assert_allclose(ends[lines, k], starts[lines, k])
+        far = (slab.depth(), slab.width())[k]
+        at = (0.0, 0.75)[k]
+        np.testing.assert_allclose(starts[lines, other], at - 0.5 * far)
+        np.testing.assert_allclose(ends[lines, other], at + 0.5 * far)
+
+
+def test_a_camera_looks_at_its_target_upright():
+    view = scene.View((2.0, -3.0, 2.5), (0.5, 1.0, 0.5))
+    X_WC = view.pose()
+    away = np.array(view.target) - view.eye
+    seen = X_WC.inverse() @ np.array(view.target)
+    np.testing.assert_allclose(
+        seen, [0.0, 0.0, np.linalg.norm(away)], atol=1e-12
+    )
+    np.testing.assert_allclose(X_WC.translation(), view.eye)
+    x, y, _ = X_WC.rotation().matrix().T
+    assert x[2] == pytest.approx(0.0) and y[2] < -0.5
+    # Who looks forward from the right sees the walker go to the right.
+    side = scene.View((0.0, -4.0, 1.0), (0.0, 0.0, 1.0)).pose()
+    np.testing.assert_allclose(
+        side.inverse() @ np.array([1.0, 0, 1.0]), [1, 0, 4]
+    )
+
+
+def test_a_picture_is_averaged_over_four_of_its_points(monkeypatch):
+    """Drawn twice as fine: a chequered one is grey."""
+    made = Scene(nominal_model("human"), stills=False)
+    fine = np.indices((16, 12)).sum(axis=0) % 2 * 255
+    fine[:2, :2] = 200
+    image = SimpleNamespace(
+        data=np.dstack([fine, fine, fine, fine]).astype(np.uint8)
+    )
+    asked = []
+
+    def drawn(camera, parent, X):
+        asked.append(camera)
+        return image
+
+    monkeypatch.setattr(
+        made, "geometry_query", lambda: SimpleNamespace(RenderColorImage=drawn)
+    )
+    picture = made.render(made.upright_pose(STANDING_DEG), width=6, height=8)
+    expected = np.full((8, 6, 3), 128)
+    expected[0, 0] = 200
+    np.testing.assert_array_equal(picture, expected)
+    size = asked[0].core().intrinsics()
+    assert (size.width(), size.height()) == (12, 16)
+    assert np.rad2deg(size.fov_y()) == pytest.approx(30.0)

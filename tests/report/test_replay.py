@@ -1,3 +1,6 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from page_reader import clip_titles, network_addresses, player_data
@@ -14,12 +17,14 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
-from drake_exo.model.plant import Model
+from drake_exo.model.plant import Model, nominal_model
+from drake_exo.report import replay
 from drake_exo.report.replay import (
     DrawnModel,
     Replayed,
     _surroundings,
     replay_results,
+    write_replay,
 )
 from drake_exo.report.scene import Scene
 
@@ -247,3 +252,127 @@ def test_spheres_are_under_the_segments_that_touch():
         p = spheres[sphere]
         expected = model.tree.point_positions(q, body, (p.x, p.z))
         np.testing.assert_allclose(poses[:, [0, 2]], expected)
+
+
+def test_spheres_are_drawn_under_the_feet_that_have_them():
+    """One leg: under both; two legs: under the own one, left at +y."""
+    for person, places in (
+        (Person(), {"foot": [0.1, -0.1]}),
+        (Person("two"), {"foot_left": [0.1], "foot_right": [-0.1]}),
+    ):
+        model = Model(Assembly(person), nominal_human())
+        spheres = nominal_contact(model).ground.spheres
+        shown = Replayed("", "", DrawnModel(model), None, None, spheres)
+        found = {}
+        for path, body, sphere, across in replay._spheres(shown):
+            name = path.removeprefix("/spheres/")
+            assert spheres[name.removesuffix(f"_{body}")] is sphere
+            assert (name.endswith(f"_{body}")) == (person.legs == "two")
+            assert found.setdefault(body, across) == across
+        assert found == places
+
+
+def test_a_page_looks_at_where_the_feet_are(monkeypatch, tmp_path):
+    """To a quarter of a metre, from the right front."""
+    q = np.zeros((2, 6))
+    motion = Trial(
+        "a",
+        nominal_model("human").coordinates,
+        np.array([0.0, 0.5]),
+        q,
+        q,
+        q,
+        PlanarWrench.of(np.array([[0.0, 700.0, 0.0]] * 2)),
+    )
+    drawn = DrawnModel(nominal_model("human"))
+    spheres = nominal_contact(drawn.model).ground.spheres
+    seen = []
+    monkeypatch.setattr(replay, "_stage", lambda *said: said[1])
+    monkeypatch.setattr(
+        replay, "write_page", lambda path, stage, page, clips: seen.append(
+            (stage, page, clips)
+        ),
+    )  # fmt: skip
+    for x in (0.0, 1.3):
+        moved = replace(motion, q=q + x * np.eye(6)[0])
+        trial = Replayed("a", "b", drawn, moved, None, spheres)
+        write_replay(tmp_path / "p.html", drawn.model, [trial], "a")
+    (at, first, clips), (there, second, _) = seen
+    assert (at, there) == (0.0, 1.25)
+    for a, b in ((first.eye, second.eye), (first.target, second.target)):
+        np.testing.assert_allclose(np.subtract(b, a), [1.25, 0.0, 0.0])
+    assert first.eye[0] > 1.0 and first.eye[1] < -3.0
+    assert abs(first.target[0]) < 0.2
+    assert [a.name for a in first.arrows] == ["ground"]
+    assert "Both legs are summed" in first.legend[0]
+    assert "Cuffs" not in first.legend[0]
+    (clip,) = clips
+    np.testing.assert_allclose(clip.times, np.linspace(0.0, 0.5, 26))
+
+
+def test_colours_are_those_of_the_page():
+    said = []
+    noted = SimpleNamespace(
+        SetObject=lambda path, shape, colour: said.append(colour),
+        SetProperty=lambda *_: None,
+    )
+    replay._overlay(noted, "/a", None, "f08a1c", 0.45)
+    (colour,) = said
+    found = [colour.r(), colour.g(), colour.b(), colour.a()]
+    np.testing.assert_allclose(found, [240 / 255, 138 / 255, 28 / 255, 0.45])
+
+
+def test_what_is_computed_and_what_was_measured_are_told_apart():
+    arrows = {a.name: a for a in replay._arrows(COUPLED, "measured")}
+    cuffs = list(COUPLED.tree.cuffs)
+    for name in (*replay._WRENCHES, *cuffs):
+        own, other = arrows[name], arrows[f"{name}_measured"]
+        assert own.colour == other.colour and own.opacity > other.opacity
+        assert own.metres_per_newton == other.metres_per_newton
+        assert other.radius_m > own.radius_m
+        assert other.root == "/measured/arrows"
+        assert ("normal" in other.text) == (name in cuffs)
+        # 0.5 m are 500 N, of cuffs 0.2 m are 50 N.
+        length = own.metres_per_newton * (50.0 if name in cuffs else 500.0)
+        assert length == pytest.approx(0.2 if name in cuffs else 0.5)
+    assert len({arrows[cuff].colour for cuff in cuffs}) == len(cuffs)
+    assert [n for n in arrows if n in cuffs] == cuffs[::-1]
+
+
+def test_a_trial_is_shown_with_its_centre_of_pressure():
+    """Recorded frame by frame; out of sight where nothing bears."""
+    moves = []
+
+    class Screen:
+        def SetTransform(self, path, X, time):
+            moves.append((path, round(time, 9), X.translation()))
+
+        def __getattr__(self, name):
+            return lambda *_, **__: None
+
+    posed = []
+    patch = pytest.MonkeyPatch()
+
+    class Still:
+        diagram = SimpleNamespace(ForcedPublish=lambda context: None)
+        context = None
+
+        def __init__(self, model, meshcat):
+            pass
+
+        def set_pose(self, q, time):
+            posed.append((round(time, 9), q))
+
+    with patch.context() as patched:
+        patched.setattr(replay, "Scene", Still)
+        patched.setattr(replay, "set_stage", lambda *_: None)
+        trial = solution()
+        replay.show_trial(Screen(), COUPLED, trial)
+    times = [t for t, _ in posed]
+    np.testing.assert_allclose(times, np.linspace(0.0, trial.duration, 51))
+    np.testing.assert_allclose(
+        posed[10][1], trial.sample(np.array(times[10:11])).q[0]
+    )
+    assert [(p, t) for p, t, _ in moves] == [("/cop/both", t) for t in times]
+    np.testing.assert_allclose(moves[50][2], [0.35, 0.0, 0.0], atol=1e-9)
+    assert moves[0][2][2] < -1.0  # under the floor
