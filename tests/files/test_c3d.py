@@ -12,7 +12,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import c3d as c3d_files
 from drake_exo.files.c3d import PlateDesign, decode, read_c3d, write_c3d
 from drake_exo.files.opensim import read_trc
-from drake_exo.files.tables import MarkerData, PlateRecording
+from drake_exo.files.tables import MarkerData, PlateRecording, plate_axes
 
 # x of the plate along -y of the laboratory, z down.
 CORNERS = np.array(
@@ -148,6 +148,27 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
     np.testing.assert_allclose(
         read.moment_about_origin(), plate.moment_about_origin(), atol=1e-3
     )
+
+
+def test_units_of_channels_are_those_that_the_file_names(
+    tmp_path, markers, plate
+):
+    """Numbers that are written as N and N mm, said to be kN and N cm."""
+
+    def change(parameters):
+        units = ["kN"] * 3 + ["N.cm"] * 3
+        parameters["ANALOG"]["UNITS"]["value"] = units
+
+    path = edited(tmp_path, markers, plate, 2, change)
+    (read,) = read_c3d(path).plates
+    np.testing.assert_allclose(read.force, 1e3 * plate.force, rtol=1e-5)
+    raw = decode(path).analogs
+    # About the middle: the signals' origin is 4 cm below it.
+    F, M = 1e3 * raw[:, :3], 1e-2 * raw[:, 3:]
+    M -= np.cross([0.001, -0.002, -0.04], F)
+    np.testing.assert_allclose(read.torque, M @ plate_axes(CORNERS).T)
+    assert c3d_files._FORCES == {"n": 1.0, "kn": 1000.0, "mn": 0.001}
+    assert c3d_files._MOMENTS == {"nm": 1.0, "ncm": 0.01, "nmm": 0.001}
 
 
 def no_corners(parameters):

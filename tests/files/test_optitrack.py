@@ -59,6 +59,16 @@ def test_marker_units(tmp_path):
     found = read_markers_csv(write(tmp_path, markers(unit="Millimeters")))
     np.testing.assert_allclose(found.positions[2, 0], [2.1e-3, 5e-5, 1e-4])
 
+    found = read_markers_csv(write(tmp_path, markers(unit="Centimeters")))
+    np.testing.assert_allclose(found.positions[2, 0], [2.1e-2, 5e-4, 1e-3])
+    np.testing.assert_allclose(found.time, np.arange(25) / 50.0)
+
+
+def test_a_plate_may_lie_some_metres_away(tmp_path):
+    far = plate().replace("_X,0.", "_X,7.")
+    _, found = read_plate_csv(write(tmp_path, far))
+    np.testing.assert_allclose(found.force[0], [5.0, 700.0, -10.0])
+
 
 def test_plate_acts_on_the_body(tmp_path):
     time, found = read_plate_csv(write(tmp_path, plate()))

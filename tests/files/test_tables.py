@@ -1,0 +1,187 @@
+"""Tables, units and times: each number by hand."""
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.files.tables import (
+    LENGTHS,
+    UNITS,
+    Table,
+    check_angle_unit,
+    check_gaps,
+    check_increasing,
+    frame_rate,
+    number_rows,
+    plate_axes,
+    read_csv_table,
+    runs,
+    uniform_time,
+    write_csv_table,
+)
+
+ONE_IN_SI = {
+    "s": 1.0, "ms": 0.001, "rad": 1.0, "deg": 0.017453292519943295,
+    "nm": 1.0, "n m": 1.0, "n": 1.0, "m": 1.0, "mm": 0.001,
+}  # fmt: skip
+
+
+def test_units_are_those_of_the_si(tmp_path):
+    assert pytest.approx(ONE_IN_SI) == UNITS
+    assert LENGTHS == {"m": 1.0, "cm": 0.01, "mm": 0.001}
+    head = ",".join(f"a{i} [{unit}]" for i, unit in enumerate(UNITS))
+    path = tmp_path / "t.csv"
+    ones = ",".join(["1"] * (1 + len(UNITS)))
+    twos = ones.replace("1", "2")
+    path.write_text(f"time [s],{head}\n{ones}\n{twos}\n")
+    table = read_csv_table(path)
+    np.testing.assert_allclose(table.values[0], list(ONE_IN_SI.values()))
+    np.testing.assert_allclose(table.values[1], 2.0 * table.values[0])
+    # What is written in degrees and millimetres, as a reader sees it.
+    table = Table(np.array([0.0, 0.5]), ("a", "b"), np.array([[0.5, 2.0]] * 2))
+    write_csv_table(path, table, ["deg", "mm"])
+    head, *rows = path.read_text().splitlines()
+    assert head == "time [s],a [deg],b [mm]"
+    found = [[float(x) for x in row.split(",")] for row in rows]
+    np.testing.assert_allclose(
+        found, [[0, 28.64788976, 2e3], [0.5, 28.64788976, 2e3]]
+    )
+
+
+def test_runs_begin_and_end_where_they_do():
+    mask = np.array([1, 1, 0, 1, 0, 0, 1, 1, 1], bool)
+    assert runs(mask) == [[0, 2], [3, 4], [6, 9]]
+    assert runs(~mask) == [[2, 3], [4, 6]]
+    assert runs(np.zeros(3, bool)) == []
+
+
+def test_axes_of_a_plate_follow_its_corners():
+    """x from the second corner to the first, y from the fourth."""
+    corners = np.array(
+        [[3.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, 4.0, 0.0], [3.0, 4.0, 0.0]]
+    )
+    expected = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    np.testing.assert_allclose(plate_axes(corners), expected.T, atol=1e-12)
+    # A right-handed frame, whatever the corners.
+    skew = corners + np.random.default_rng(0).normal(0.0, 0.1, (4, 3))
+    R = plate_axes(skew)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert R[:, 0] @ (skew[0] - skew[1]) == pytest.approx(
+        np.linalg.norm(skew[0] - skew[1])
+    )
+
+
+@pytest.mark.parametrize(
+    ("degrees", "span", "words"),
+    [
+        (False, (0.0, 6.3), "can only be degrees"),
+        (False, (0.0, 6.28), None),
+        (False, (-6.3, 0.0), "can only be degrees"),
+        (True, (0.0, 0.36), "can only be radians"),
+        (True, (0.0, 0.34), None),
+        (True, (2.5, 3.1), "can only be radians"),
+        (True, (2.5, 3.2), None),
+    ],
+)  # fmt: skip
+def test_angles_tell_their_unit(degrees, span, words):
+    """Beyond a turn: degrees. Within half and moving by 20°: radians."""
+    angles = np.column_stack([np.linspace(*span, 20), np.full(20, span[0])])
+    table = Table(np.arange(20.0), ("a", "b"), angles, degrees, "f")
+    if words is None:
+        return check_angle_unit(table, angles)
+    with pytest.raises(InputError, match=words):
+        check_angle_unit(table, angles)
+
+
+def test_only_angles_are_turned_into_radians():
+    table = Table(
+        np.arange(2.0), ("knee", "pelvis_tx", "slide"),
+        np.array([[90.0, 2.0, 3.0], [180.0, 2.0, 3.0]]), True, "f",
+    )  # fmt: skip
+    found = table.in_radians(("slide",))
+    np.testing.assert_allclose(
+        found.values, [[np.pi / 2, 2.0, 3.0], [np.pi, 2.0, 3.0]]
+    )
+    assert found.in_degrees is False
+
+
+@pytest.mark.parametrize("text", ["0", "-5", "1e6", "x", None, "nan", "inf"])
+def test_a_rate_is_positive_and_below_a_megahertz(text):
+    assert frame_rate("f", "9.9e5", "Rate") == 9.9e5
+    assert frame_rate("f", "0.5", "Rate") == 0.5
+    with pytest.raises(InputError, match="write frames per second"):
+        frame_rate("f", text, "Rate")
+
+
+def test_numbers_of_rows_are_told_by_their_line():
+    rows = [(3, ["1", " "]), (5, ["2", "1e30"])]
+    found = number_rows("f", rows, 2)
+    np.testing.assert_array_equal(found, [[1.0, np.nan], [2.0, 1e30]])
+    with pytest.raises(InputError, match=r"f:5: '-2e30' is larger"):
+        number_rows("f", [rows[0], (5, ["2", "-2e30"])], 2)
+
+
+def test_gaps_are_counted():
+    values = np.arange(12.0).reshape(6, 2)
+    values[[2, 4], [0, 1]] = np.nan
+    time = 0.5 * np.arange(6)
+    with pytest.raises(
+        InputError, match="no value in 2 of 6 frames, first at 1 s"
+    ):
+        check_gaps("f", "a", time, values)
+
+
+def test_times_that_do_not_increase_are_told_by_frame():
+    with pytest.raises(InputError, match=r"from 2 to 1\.5 s \(frame 4\)"):
+        check_increasing("f", np.array([0.0, 1.0, 2.0, 1.5, 3.0]))
+    with pytest.raises(InputError, match="time of frame 3 is missing"):
+        check_increasing("f", np.array([0.0, 1.0, np.nan, 1.5]))
+
+
+def test_even_times_take_the_header_s_rate_where_it_fits():
+    """0.1 % off over 101 frames are the stamps'; over 1001 they are not."""
+    for n, rate in ((101, 100.0), (1001, 100.1)):
+        time = 2.0 + np.arange(n) / 100.1
+        found = uniform_time("f", time, 100.0)
+        assert found[0] == 2.0
+        np.testing.assert_allclose(np.diff(found), 1.0 / rate)
+    np.testing.assert_allclose(uniform_time("f", time), time)
+    # Of two frames, a quarter of a step.
+    found = uniform_time("f", np.array([0.0, 0.012]), 100.0)
+    np.testing.assert_allclose(found, [0.0, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("rate", "n", "words"),
+    [
+        (101.5, 60, None),
+        (102.5, 60, "102.5 frames a second"),
+        (102.5, 10, None),
+        (119.0, 15, None),
+        (121.0, 15, "121 frames a second"),
+        (81.0, 15, None),
+        (79.0, 15, "79 frames a second, the time column 100"),
+    ],
+)
+def test_header_and_times_may_differ_by_two_percent(rate, n, words):
+    """By a fifth where there are less than twenty frames."""
+    time = np.arange(n) / 100.0
+    if words is None:
+        assert len(uniform_time("f", time, rate)) == n
+        return
+    with pytest.raises(InputError, match=words):
+        uniform_time("f", time, rate)
+
+
+@pytest.mark.parametrize(("off", "fits"), [(0.42, True), (0.48, False)])
+def test_stamps_may_be_off_by_nearly_half_a_frame(off, fits):
+    time = 1.0 + np.arange(100.0)
+    time[50] += off
+    if fits:
+        np.testing.assert_allclose(
+            uniform_time("f", time), 1.0 + np.arange(100.0)
+        )
+        return
+    with pytest.raises(InputError, match=r"around 51\.48 s \(frame 51\)"):
+        uniform_time("f", time)
