@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from measured_trials import seen
 
+from drake_exo.calibration.settings import FootGroundSettings
+from drake_exo.measurement.filters import low_pass
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import synthetic
+from drake_exo.virtual_laboratory.forces import ground_wrench
 from drake_exo.virtual_laboratory.synthetic import INSTRUMENT_NOISE, Rise
 
 
@@ -112,3 +115,126 @@ def test_rises_differ_within_what_they_are_drawn_from():
         assert low <= values.min() < low + 0.1 * reach
         assert high - 0.1 * reach < values.max() <= high
     np.testing.assert_array_equal(hip[:, 1], knee[:, 1])
+
+
+def test_a_foot_bears_the_weight_over_the_drawn_balance():
+    """The soles' own force, at rest: 833 N and so, under that point."""
+    tree = nominal_model("human").tree
+    settings = FootGroundSettings()
+    contact = settings.contact(nominal_model("human").spheres)
+    times = np.linspace(0.0, 1.0, 5)
+    balance = np.array([0.05, 0.06, 0.07, 0.08, 0.06])
+    foot = synthetic._standing(tree, contact, times, balance)
+    values = {
+        p.name: p.nominal
+        for s in contact.ground.spheres
+        for p in contact.fixed(s)
+    }
+    ground = contact.with_values(values).ground
+    q = np.zeros((5, 6))
+    q[:, :3] = foot
+    borne = ground_wrench(tree, ground, q, 0.0 * q)
+    np.testing.assert_allclose(borne.force_z, tree.weight, rtol=1e-3)
+    np.testing.assert_allclose(borne.cop_x, balance, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["human", "coupled"])
+def test_an_ankle_balances_the_body_over_a_foot_that_tips(kind):
+    tree = nominal_model(kind).tree
+    names = tree.coordinates
+    q = np.zeros((3, tree.num_positions))
+    q[:, :3] = [[0.0, 0.07, 0.0], [0.1, 0.07, 0.05], [-0.2, 0.1, -0.03]]
+    q[:, names.index("knee")] = 0.9, 0.5, 0.1
+    q[:, names.index("hip")] = 0.7, 0.5, 0.2
+    kept = q[:, [0, 1, 2, 4, 5]].copy()
+    balance = np.array([0.04, 0.06, 0.05])
+    lag = np.outer([0.01, 0.02, 0.0], np.ones(len(names.device)))
+    synthetic._balance(tree, q, balance, lag)
+    ahead = tree.center_of_mass(q)[:, 0] - q[:, 0]
+    np.testing.assert_allclose(ahead, balance, atol=1e-6)
+    np.testing.assert_array_equal(q[:, [0, 1, 2, 4, 5]], kept)
+    if names.device:
+        body = names.aligned(q[:, names.body_columns])
+        off = q[:, names.device_columns] - body[:, names.device_columns]
+        np.testing.assert_allclose(off, lag, atol=1e-6)
+
+
+def test_a_rise_begins_with_the_ankle_a_millimetre_in_the_ground():
+    model = nominal_model("coupled")
+    trial = synthetic.draw(model.tree, Rise("one"))
+    moved = synthetic._on_ground(trial, model)
+    up = moved.q - trial.q
+    z = model.coordinates.index("foot_z")
+    assert moved.q[0, z] == pytest.approx(model.human.ankle_height_m - 0.001)
+    np.testing.assert_allclose(up[:, z], up[0, z])
+    up[:, z] = 0.0
+    assert not up.any()
+
+
+def test_noise_comes_from_a_longer_recording():
+    """White at the movement's rate; a second before and after is cut off."""
+    for rate in (100.0, 50.0):
+        times = 3.0 + np.arange(round(2 * rate) + 1) / rate
+        rng = np.random.default_rng(0)
+        found = synthetic._smooth(rng, times, [1.0, 3.0], 6.0)
+        assert found.shape == (len(times), 2)
+        np.testing.assert_allclose(found.std(axis=0), [1.0, 3.0])
+        white = np.random.default_rng(0).standard_normal(
+            (len(times) + 2 * round(rate), 2)
+        )
+        kept = low_pass(white, rate, 6.0, 4, "noise")[round(rate) :][
+            : len(times)
+        ]
+        for k in (0, 1):
+            assert np.corrcoef(found[:, k], kept[:, k])[0, 1] > 1.0 - 1e-9
+
+
+def test_true_cuffs_are_moved_from_the_models_own(monkeypatch):
+    """Origins by the table's offsets; stiffnesses as it says."""
+    seen = {}
+
+    class CaughtError(Exception):
+        pass
+
+    class Problem:
+        def __init__(self, model, drawn, contact, mats, settings):
+            seen.update(model=model, contact=contact, drawn=drawn)
+            raise CaughtError
+
+    monkeypatch.setattr(synthetic, "_PassiveDevice", Problem)
+    with pytest.raises(CaughtError):
+        synthetic.rises_in_device(2, nodes_per_second=40)
+    found = seen["contact"].bushings
+    table = {  # offset [m], then stiffnesses
+        "shank": (0.01, 0.03, 1500.0, 4000.0, 30.0),
+        "thigh": (-0.01, -0.02, 2500.0, 7000.0, 60.0),
+        "pelvis": (0.02, 0.03, 3000.0, 6000.0, 80.0),
+    }
+    for cuff, (dx, dz, *stiffness) in table.items():
+        x, z = seen["model"].cuffs[cuff]
+        own = found[cuff]
+        assert (own.origin_x, own.origin_z) == pytest.approx((x + dx, z + dz))
+        assert own.stiffness == pytest.approx(tuple(stiffness))
+    assert [t.name for t in seen["drawn"]] == ["rise1", "rise2"]
+
+
+def test_exact_data_are_hardly_held_by_anything_else():
+    """Energy, jerk and priors weigh next to nothing in such settings."""
+    made = synthetic.RisesInDevice(nominal_model("coupled"), None, [], 50.0)
+    usual, exact = made.settings(), made.exact_settings()
+    assert usual.solver.nodes_per_second == 50.0
+    assert usual.solver.tolerance == 1e-6 and exact.solver.tolerance == 1e-9
+    assert exact.noise.energy_j > 100.0 * usual.noise.energy_j
+    assert exact.noise.jerk >= 1e5  # m/s³ and rad/s³: no movement has more
+    assert exact.prior_weight < 1e-6
+
+
+def test_instruments_leave_what_they_are_said_to():
+    """Markers of 0.3 mm and so, filtered: see the documentation's table."""
+    noise = INSTRUMENT_NOISE
+    assert noise.foot_m < 3e-4 and noise.angle_deg < 0.1
+    # Encoders are twice as fine as markers, in place and speed.
+    assert noise.exo_angle_deg == pytest.approx(0.5 * noise.angle_deg)
+    assert noise.exo_velocity_deg_s == pytest.approx(0.5 * noise.velocity_deg_s)
+    # Cuffs' energy and jerk hardly count.
+    assert noise.energy_j >= 100.0

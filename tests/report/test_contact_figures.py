@@ -7,9 +7,11 @@ from undrawn import undrawn
 from drake_exo.cli import main
 from drake_exo.report.contact_figures import (
     ContactCurves,
+    _up,
     draw_friction,
     draw_normal_force,
     measures,
+    write_figures,
 )
 
 FILES = {
@@ -102,6 +104,65 @@ def test_command_writes_the_same_files_twice(tmp_path, capsys):
     )
     assert summary["peak_friction_at_v_rel"] == 1.0
     assert summary["friction_at_v_rel_3"] == pytest.approx(0.6)
+
+
+def test_each_file_holds_what_its_name_says(tmp_path):
+    with undrawn():
+        files = write_figures(tmp_path, ContactCurves())
+    assert {path.name for path in files} == FILES
+    told = json.loads((tmp_path / "summary.json").read_text())
+    expected = measures(ContactCurves())
+    for name, value in expected.items():
+        if name != "parameters":
+            assert told[name] == pytest.approx(value)
+    assert told["peak_friction_at_v_rel"] == 1.0
+    assert told["peak_friction"] == pytest.approx(0.9)
+    assert told["friction_at_v_rel_3"] == pytest.approx(0.6)
+    assert told["slope_out_of_contact_n_per_m"] == pytest.approx(2.96, abs=0.01)
+
+
+def test_figure_9_against_the_friction_s_formula():
+    """Of simbody: min(v, 1) (u_d + 2 (u_s - u_d) / (1 + v²)) (Sherman 2011)."""
+    (axes,) = draw_friction(ContactCurves()).axes
+    v, mu = line(axes, "simbody, without viscous part").get_data()
+    expected = np.minimum(v, 1.0) * (0.6 + 2.0 * 0.3 / (1.0 + v**2))
+    np.testing.assert_allclose(mu, expected, atol=1e-6)
+    v, dry = line(axes, r"paper, $\mu_2$").get_data()
+    (label,) = (
+        li.get_label() for li in axes.get_lines() if "mu_1" in li.get_label()
+    )
+    # 0.5 s/m times the speed, 0.05 m/s at v = 1.
+    viscous = line(axes, label).get_data()[1] - dry
+    np.testing.assert_allclose(viscous, 0.5 * 0.05 * v, atol=1e-9)
+    levels = [li.get_data() for li in axes.get_lines()][3:]
+    np.testing.assert_allclose(
+        levels,
+        [
+            [[0.0, 1.0], [0.9, 0.9]],
+            [[1.0, 1.0], [0.0, 0.9]],
+            [[0.0, 3.0], [0.6, 0.6]],
+            [[3.0, 3.0], [0.0, 0.6]],
+        ],
+    )
+
+
+def test_bounds_that_are_told_are_rounded_upwards():
+    assert _up(0.4612) == 0.47 and _up(-2.9689) == -2.96
+    (axes,) = draw_normal_force(ContactCurves()).axes
+    (inset,) = axes.child_axes
+    told = measures(ContactCurves())
+    words = inset.texts[0].get_text()
+    force, slope = (float(x.split()[2]) for x in words.split("\n"))
+    assert 0.0 <= force - told["force_out_of_contact_n"] < 0.01
+    assert 0.0 <= told["slope_out_of_contact_n_per_m"] - slope < 0.01
+    # All that is drawn is within the axes.
+    for panel in (axes, inset):
+        (left, right), (low, high) = panel.get_xlim(), panel.get_ylim()
+        for drawn in panel.get_lines():
+            x, y = drawn.get_data()
+            shown = y[(x >= left) & (x <= right)]
+            # The fastest curve may leave it at its end.
+            assert low <= shown.min() and shown[0] < high < 3 * shown.max()
 
 
 def test_command_refuses_to_overwrite(tmp_path, capsys):

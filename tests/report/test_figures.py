@@ -1,13 +1,18 @@
 """What is drawn: curves, bands, labels and units, read from the axes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from measured_trials import JOINTS, prediction, seen
+from replayed_results import CONTACT, solution
+from replayed_results import MODEL as COUPLED
 
 from drake_exo.calibration.uncertainty import Bands
+from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
@@ -223,3 +228,167 @@ def test_quality_shows_what_was_loaded():
     figure = figures.quality_figure(nothing, quality)
     said = [[x.get_text() for x in ax.texts] for ax in figure.axes]
     assert said.count(["not measured"]) == 2
+
+
+def moved(trial, measured, bands=None):
+    return SimpleNamespace(trial=trial, measured=measured, bands=bands)
+
+
+def designed(trials, found, **more):
+    """A design for two wearers; the second one's first trial is built."""
+    before = {
+        "a": [moved(found[0], trials[0])],
+        "b": [moved(found[1], trials[1])],
+    }
+    after = {
+        name: [
+            moved(
+                replace(
+                    m.trial,
+                    cuffs={
+                        c: CuffForce.of(0.5 * f.components)
+                        for c, f in m.trial.cuffs.items()
+                    },
+                ),
+                m.measured,
+                band_of(m.trial, 4.0) if name == "a" else None,
+            )
+            for m in moves
+        ]
+        for name, moves in before.items()
+    }
+    return SimpleNamespace(
+        before=before,
+        after=after,
+        peaks=dict.fromkeys(["thigh", "pelvis"]),
+        measured={"b": [trials[1]]},
+        beyond=lambda: ["a"],
+        **more,
+    )
+
+
+def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
+    made = designed(trials, found, design=SimpleNamespace(removed=("pelvis",)))
+    figure = figures.forces_figure(made)
+    axes = np.reshape(figure.axes, (2, 2))
+    for column, (name, m) in enumerate(zip("ab", trials, strict=True)):
+        assert axes[0, column].get_title() == m.name
+        assert axes[1, column].get_xlabel() == "time [s]"
+        assert not axes[0, column].get_xlabel()
+        for row, cuff in enumerate(("thigh", "pelvis")):
+            drawn = lines(axes[row, column])
+            (before,), (after,) = made.before[name], made.after[name]
+            own = before.trial.cuffs[cuff].normal
+            same(drawn["today"], before.trial.times, own)
+            same(drawn["design"], after.trial.times, 0.5 * own)
+            if cuff in m.cuffs:
+                seen = m.cuffs[cuff].normal
+                same(drawn["measured today"], m.times, seen)
+            assert ("measured as built" in drawn) == (
+                name == "b" and cuff in m.cuffs
+            )
+            areas = axes[row, column].collections
+            assert len(areas) == (name == "a")
+            if name == "a":
+                y = areas[0].get_paths()[0].vertices[:, 1]
+                assert y.min() == pytest.approx((0.5 * own).min() - 4.0)
+                assert y.max() == pytest.approx((0.5 * own).max() + 4.0)
+    assert axes[0, 0].get_ylabel() == "thigh [N]"
+    assert axes[1, 0].get_ylabel() == "pelvis [N],\nleft out"
+    assert not axes[0, 1].get_ylabel()
+    legend = [t.get_text() for t in figure.legends[0].get_texts()]
+    assert sorted(legend) == [
+        "design", "measured as built", "measured today", "today",
+    ]  # fmt: skip
+    assert figure.get_suptitle().endswith(": a")
+
+
+def test_a_designed_device_is_drawn_where_it_holds():
+    """At the start and at the end; the thigh's cuff 3 cm further up."""
+    trial = solution()
+    design = Design(
+        {"thigh": CuffDesign(along_m=0.03), "pelvis": CuffDesign(removed=True)}
+    )
+    wearer = SimpleNamespace(model=COUPLED, contact=CONTACT)
+    made = SimpleNamespace(
+        first=(wearer, [moved(trial, trial)]), design=design, beyond=list
+    )
+    figure = figures.device_figure(made)
+    tree = COUPLED.tree
+    for axis, row in zip(figure.axes, (0, -1), strict=True):
+        q = trial.q[[row]]
+        found = [x.get_xydata() for x in axis.get_lines()]
+
+        def place(body, p, q=q):
+            return tree.point_positions(q, body, p)[0]
+
+        def is_drawn(points, found=found):
+            points = np.atleast_2d(points)
+            return any(
+                x.shape == points.shape and np.allclose(x, points)
+                for x in found
+            )
+
+        for parent, child in tree.joints.values():
+            ends = [place(link, (0.0, 0.0)) for link in (parent, child)]
+            assert is_drawn(ends)
+        human = COUPLED.human
+        top = (0.0, human.pelvis.length_m)
+        assert is_drawn([place("pelvis", (0.0, 0.0)), place("pelvis", top)])
+        sole = human.heel_m, (0.0, 0.0), human.toe_m
+        assert is_drawn([place("foot", p) for p in sole])
+        for cuff, b in CONTACT.bushings.items():
+            link = tree.cuffs[cuff][0]
+            own = np.array([b.origin_x, b.origin_z])
+            assert is_drawn(place(link, own))
+            if cuff == "thigh":
+                assert is_drawn(place(link, own + np.array([0.0, 0.03])))
+    left, right = figure.axes
+    assert not left.texts and len(right.texts) == 3
+    said = {t.get_text() for t in right.texts}
+    assert said == {"thigh: 30 mm up", "pelvis: left out", "shank: as today"}
+    for text in right.texts:  # beside its cuff, at its height
+        assert text.xyann[0] > text.xy[0] + 0.1
+        assert text.xyann[1] == text.xy[1]
+        assert right.get_xlim()[1] > text.xyann[0] + 0.3
+    assert left.get_title() == "start"
+    assert right.get_title() == f"end of {trial.name}"
+
+
+@pytest.mark.parametrize(
+    ("design", "words"),
+    [
+        (CuffDesign(), "c: as today"),
+        (CuffDesign(removed=True, along_m=0.1), "c: left out"),
+        (
+            CuffDesign(along_m=-0.012, across_m=0.0031),
+            "c: 12 mm down\n    3 mm forwards",
+        ),
+        (CuffDesign(along_m=0.0004, across_m=-0.0006), "c: 1 mm backwards"),
+        (CuffDesign(slide=0.5, hinge=1.0),
+         "c: slide that takes 50 %\n    hinge"),
+        (CuffDesign(slide=0.004, hinge=0.006), "c: hinge that takes 1 %"),
+    ],
+)  # fmt: skip
+def test_what_is_to_be_built_is_told_in_words(design, words):
+    assert figures._told("c", design) == words
+
+
+def test_a_design_s_front_is_force_against_work():
+    rows = [{"work_j": 5.0, "norm_n": 70.0}, {"work_j": 9.0, "norm_n": 50.0}]
+    (ax,) = figures.design_front_figure(rows).axes
+    (line,) = ax.get_lines()
+    np.testing.assert_array_equal(line.get_data(), [[5.0, 9.0], [70.0, 50.0]])
+
+
+def test_a_legend_leaves_room_for_the_titles(trials, found):
+    """However many entries it has: nothing lies on anything else."""
+    for runs in ({"model": found}, {f"run {k}": found for k in range(6)}):
+        figure = figures.interaction_figure(runs, trials)
+        FigureCanvasAgg(figure)
+        drawn = figure.canvas.get_renderer()
+        legend = figure.legends[0].get_window_extent(drawn)
+        assert legend.y1 <= figure.bbox.height
+        titles = [ax.title.get_window_extent(drawn) for ax in figure.axes]
+        assert max(t.y1 for t in titles) < legend.y0
+        assert all(ax.get_visible() for ax in figure.axes)

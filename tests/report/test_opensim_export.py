@@ -367,7 +367,7 @@ def frame_of(file, force, number, model, q, n):
     return at[:, 0] + 1j * at[:, 1], R_F[:, 0, 0] + 1j * R_F[:, 1, 0]
 
 
-@pytest.mark.parametrize("kind", ["coupled", "hip"])
+@pytest.mark.parametrize("kind", ["coupled", "hip", "turned ankle"])
 def test_cuffs_that_are_written_give_the_calibrated_forces(case, kind):
     """Bushings of the file alone: where they hold, and their numbers."""
     one = case(kind, "PinJoint")

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from drake_exo.files.c3d import read_c3d
+from drake_exo.files.opensim import read_plates, read_table, read_trc
 from drake_exo.files.pressure import read_novel_asc
-from drake_exo.files.tables import plate_axes
+from drake_exo.files.tables import plate_axes, read_csv_table
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
@@ -554,3 +556,67 @@ def test_scanned_surfaces_lie_where_their_segment_does():
             (expected,) = TREE.point_positions(q[None], segment, (p[0], p[2]))
             np.testing.assert_allclose((x, z), expected)
             assert y == p[1]
+
+
+def written_files(tmp_path, files):
+    """Markers, plates at their times and both signals of the device."""
+    folder = tmp_path / files
+    folder.mkdir()
+    made = replace(laboratory(folder), files=files)
+    made = Laboratory(
+        **{
+            name: getattr(made, name)
+            for name in Laboratory.__dataclass_fields__
+        }
+    )
+    trial = happened(0.505)
+    made.record_motion(trial, np.random.default_rng(1))
+    made.record_device(trial, Clocks(0.0, 0.0), True, np.random.default_rng(1))
+    paths = made.motion_files("bow")
+    device = [
+        folder / made.device_file("bow", w) for w in ("encoders", "moments")
+    ]
+    if files == "c3d":
+        found = read_c3d(folder / paths["markers"])
+        signals = [read_csv_table(path) for path in device]
+        return found.markers, found.plate_time, found.plates, signals
+    markers = read_trc(folder / paths["markers"])
+    time, plates = read_plates(folder / paths["forces"])
+    signals = [read_table(device[0]).in_radians(), read_table(device[1])]
+    return markers, time, plates, signals
+
+
+def test_files_of_both_kinds_hold_what_happened(tmp_path):
+    """In OpenSim's axes, or with z up; 100, 1000 and 200 Hz."""
+    trial = happened(0.505)
+    for files in ("opensim", "c3d"):
+        markers, time, plates, signals = written_files(tmp_path, files)
+        assert markers.names == tuple(MARKERS) and markers.rate_hz == 100.0
+        np.testing.assert_allclose(markers.time, np.arange(51) / 100.0)
+        p = markers.positions
+        if files == "c3d":  # x, left, up to x, up, right
+            p = np.stack([p[..., 0], p[..., 2], -p[..., 1]], axis=-1)
+        expected = marker_positions(TREE, trial.q[::10], MARKERS)
+        np.testing.assert_allclose(p, expected, atol=2e-6)
+        assert [plate.number for plate in plates] == list(PLATES.values())
+        count = len(time)
+        np.testing.assert_allclose(time, np.arange(count) / 1000.0, atol=1e-9)
+        assert count == (510 if files == "c3d" else 506)
+        last = np.minimum(np.arange(count), 505)
+        total = 0.0
+        for plate in plates[:2]:
+            F = plate.force
+            M = plate.moment_about_origin()
+            if files == "c3d":
+                F, M = (x[:, [0, 2, 1]] * [1.0, 1.0, -1.0] for x in (F, M))
+            total = total + np.column_stack([F[:, 0], F[:, 1], -M[:, 2]])
+        np.testing.assert_allclose(total, trial.ground.array[last], atol=0.02)
+        encoders, moments = signals
+        np.testing.assert_allclose(encoders.time, np.arange(101) / 200.0)
+        np.testing.assert_allclose(
+            encoders.values, trial.q[:505:5, 6:], atol=1e-6
+        )
+        np.testing.assert_allclose(
+            moments.values, trial.moments[:505:5, 3:], atol=1e-5
+        )
+        assert encoders.names == NAMES.device
