@@ -59,6 +59,7 @@ TESTS = {
         f"{_SOLES}/test_sole_study.py",
         f"{_SOLES}/test_sole_optimise.py",
     ],
+    "drake_exo/papers/de_magistris.py": ["tests/papers"],
     "drake_exo/player/": ["tests/player", "tests/report/test_replay.py"],
     "drake_exo/report/": ["tests/report"],
     "drake_exo/report/figures.py": ["tests/report/test_figures.py"],
