@@ -68,8 +68,8 @@ TESTS = {
     ],
     "drake_exo/report/tables.py": ["tests/report/test_tables.py"],
     "drake_exo/soles/": [_SOLES],
-    "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_loads.py"],
-    "drake_exo/soles/loads.py": [f"{_SOLES}/test_loads.py"],
+    "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_load_numbers.py"],
+    "drake_exo/soles/loads.py": [f"{_SOLES}/test_load_numbers.py"],
     "drake_exo/soles/mesh.py": [
         f"{_SOLES}/test_sole_mesh.py",
         f"{_SOLES}/test_sole_stl.py",
@@ -83,7 +83,7 @@ TESTS = {
     "drake_exo/soles/optimize/search.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/optimize/pareto.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/pictures.py": [
-        f"{_SOLES}/test_pictures.py",
+        f"{_SOLES}/test_sole_pictures.py",
         f"{_SOLES}/test_sole_views.py",
     ],
     "drake_exo/soles/rotations.py": [f"{_SOLES}/test_rotations.py"],
