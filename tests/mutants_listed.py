@@ -36,7 +36,19 @@ TESTS = {
         "tests/test_designing.py",
         "tests/calibration/test_design.py",
     ],
-    "drake_exo/cli/": ["tests/test_cli.py", "tests/test_view.py"],
+    "drake_exo/cli/": ["tests/cli", "tests/test_cli.py", "tests/test_view.py"],
+    "drake_exo/cli/batch.py": [
+        "tests/cli",
+        "tests/batch/test_batch_command.py",
+    ],
+    "drake_exo/cli/calibrate.py": [
+        "tests/cli",
+        "tests/calibration/test_calibrate_command.py",
+    ],
+    "drake_exo/cli/check.py": ["tests/measurement/test_check_command.py"],
+    "drake_exo/cli/design.py": ["tests/test_designing.py"],
+    "drake_exo/cli/predict.py": ["tests/calibration/test_predict_command.py"],
+    "drake_exo/cli/sole.py": ["tests/cli", f"{_SOLES}/test_sole_validity.py"],
     "drake_exo/collocation/": ["tests/collocation", *_CALIBRATION],
     "drake_exo/collocation/trial_program.py": [
         "tests/collocation/test_trial_program.py"
@@ -101,6 +113,16 @@ TESTS = {
         f"{_LABORATORY}/test_instruments.py",
         f"{_LABORATORY}/test_truth.py",
         _LABORATORY,
+    ],
+    "drake_exo/virtual_laboratory/plan.py": [f"{_LABORATORY}/test_plan.py"],
+    "drake_exo/virtual_laboratory/simulation.py": [
+        f"{_LABORATORY}/test_simulation.py"
+    ],
+    "drake_exo/virtual_laboratory/two_legs.py": [
+        f"{_LABORATORY}/test_uneven_legs.py"
+    ],
+    "drake_exo/virtual_laboratory/walking.py": [
+        f"{_LABORATORY}/test_lab_walks.py"
     ],
     "drake_exo/virtual_laboratory/synthetic.py": [
         "tests/calibration/test_synthetic.py",
