@@ -2,8 +2,11 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import (
+    Gap,
     derivatives,
+    fill_gaps,
     low_pass,
     minimum_jerk,
     resample,
@@ -92,3 +95,69 @@ def test_minimum_jerk_and_its_derivatives():
     )
     beyond = np.array(minimum_jerk(np.array([-1.0, 2.0])))
     np.testing.assert_array_equal(beyond, [[0, 1], [0, 0], [0, 0]])
+
+
+@pytest.mark.parametrize("order", [2, 4, 8])
+def test_what_passes_beyond_the_cut_off(order):
+    """Both passes of a bilinear Butterworth: 1 / (1 + c x^2n)."""
+    amplitude, _ = gain(9.0, 100.0, order=order)
+    x = np.tan(np.pi * 9.0 / 100.0) / np.tan(np.pi * 6.0 / 100.0)
+    expected = 1.0 / (1.0 + (np.sqrt(2.0) - 1.0) * x**order)
+    assert amplitude == pytest.approx(expected, abs=1e-3)
+
+
+def hidden_markers():
+    """Three markers on cubics, 100 Hz; gaps of 5, 8, 20 and at an end."""
+    time = 2.0 + np.arange(100) / 100.0
+    curve = np.polynomial.Polynomial([0.3, 0.2, -0.4, 0.1])
+    path = np.column_stack([curve(time), 2.0 * curve(time), 1.0 - time])
+    p = np.stack([path, path + 1.0, path + 2.0], axis=1)
+    for marker, a, b in ((0, 10, 15), (0, 40, 48), (1, 30, 50), (2, 95, 100)):
+        p[a:b, marker] = np.nan
+    return path, MarkerData(time, ("A", "B", "C"), p, 100.0, "m.trc")
+
+
+def test_short_gaps_are_filled_by_splines_long_ones_by_lines():
+    path, data = hidden_markers()
+    filled, gaps = fill_gaps(data, ("A", "B", "C"), 0.08)
+    p = filled.positions
+    np.testing.assert_allclose(p[:, 0], path, atol=1e-9)
+    lines = np.column_stack(
+        [np.interp(data.time[30:50], data.time[[29, 50]], x)
+         for x in path[[29, 50]].T]
+    )  # fmt: skip
+    np.testing.assert_allclose(p[30:50, 1], lines + 1.0)
+    np.testing.assert_allclose(p[95:, 2], np.tile(path[94] + 2.0, (5, 1)))
+    hidden = gaps.hidden(["A", "B", "C"])
+    assert not hidden[:, 0].any()
+    assert np.flatnonzero(hidden[:, 1]).tolist() == list(range(30, 50))
+    assert np.flatnonzero(hidden[:, 2]).tolist() == list(range(95, 100))
+
+
+def test_gaps_are_told_where_they_reach_into_a_part():
+    _, data = hidden_markers()
+    _, gaps = fill_gaps(data, ("A", "B", "C"), 0.07)
+    found = gaps.too_long(2.0, 2.99)
+    assert [(g.marker, g.frames) for g in found] == [
+        ("A", 8), ("B", 20), ("C", 5),
+    ]  # fmt: skip
+    assert found[1].start_s == pytest.approx(2.30)
+    assert found[1].length_s == pytest.approx(0.2)
+    assert [g.marker for g in gaps.too_long(2.49, 2.6)] == ["B"]
+    assert gaps.too_long(2.50, 2.6) == []
+    assert gaps.frames(2.12, 2.44) == {"A": 3 + 5, "B": 15}
+    with pytest.raises(InputError, match=r"'B' in 20 frames from 2\.3 s"):
+        gaps.check(2.4, 2.6)
+    gaps.check(2.6, 2.9)
+    many = [Gap(f"m{k}", 1.0, 2, 0.02) for k in range(14)]
+    said = gaps.sentence(many)
+    assert "'m11'" in said and "'m12'" not in said
+    assert said.endswith("and 2 more gaps")
+
+
+def test_hidden_markers_that_are_zeros_are_refused():
+    _, data = hidden_markers()
+    data.positions[60:63, 0] = 0.0
+    data.positions[70, 1, :2] = 0.0  # two of three may be
+    with pytest.raises(InputError, match=r"'A' in 3 frames from 2\.6 s;"):
+        fill_gaps(data, ("A", "B"), 0.1)

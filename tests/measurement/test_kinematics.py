@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from synthetic_recording import marker_data, motion, study_text
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.opensim import read_table
+from drake_exo.measurement import kinematics
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.kinematics import (
     build_marker_model,
@@ -241,3 +243,109 @@ def test_angles_follow_opensims_inverse_kinematics(opencap):
     assert knee < 3.0
     assert hip < 2.0
     assert np.abs(opencap.mean(axis=0)).max() < 10.0
+
+
+def test_a_first_guess_turns_each_segments_own_markers(tree, human, model):
+    """Rigid turns are found at once, however far; one marker says nothing."""
+    q = motion(np.array([0.0, 2.0]), human)
+    q[:, 2] = 2.5, -1.2
+    data = marker_data(tree, human, np.array([0.0, 0.01]), q)
+    points = FRAME.points(data.of(model.names))
+    p = points[..., 0] + 1j * points[..., 1]
+    guess = kinematics._first_guess(model, p)
+    for k, segment in enumerate(model.segments):
+        turned = tree.body_angles(q, segment.partition("_")[0])
+        off = np.angle(np.exp(1j * (guess[:, k] - turned)))
+        # The left shank's markers have the foot's own among them.
+        np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    lone = model.without(model.on("foot", "left")[1:])
+    guess = kinematics._first_guess(lone, p[:, : len(lone.names)])
+    at = model.index("foot", "left")
+    np.testing.assert_allclose(guess[:, at], model.standing_angles[at])
+
+
+def test_markers_that_are_seen_hold_a_segment_or_not(model):
+    """All of a foot's but the ankle's are hidden in the second frame."""
+    hidden = np.zeros((3, len(model.names)), bool)
+    foot = [n for n in model.on("foot", "left") if n != "L_ank"]
+    for name in foot:
+        hidden[1, model.names.index(name)] = True
+    np.testing.assert_array_equal(model.determined(hidden), [True, False, True])
+    assert model.without(foot).loose() == "foot_left"
+    assert model.loose() is None
+
+
+@pytest.mark.parametrize("scale", [0.19, 0.22, 4.5, 5.5])
+def test_markers_in_another_unit_are_told_by_their_spread(model, scale):
+    """Five times as far apart as in standing, or a fifth, is too much."""
+    standing = model.levers @ np.exp(1j * model.standing_angles)
+    p = 3.0 + scale * np.tile(standing, (4, 1))
+    if 0.2 < scale < 5.0:
+        kinematics._check_spread(model, p, "f")
+        return
+    with pytest.raises(InputError, match="in another unit of length"):
+        kinematics._check_spread(model, p, "f")
+
+
+def test_a_marker_ten_metres_away_is_named(model):
+    standing = model.levers @ np.exp(1j * model.standing_angles)
+    p = np.tile(standing, (5, 1))
+    p[:2, 3] += 1e3  # in two of five frames: not in the median one
+    p[:, 4] += 9.0
+    kinematics._check_spread(model, p, "f")
+    p[:, 4] += 3.0
+    with pytest.raises(InputError, match=f"{model.names[4]} lie 1"):
+        kinematics._check_spread(model, p, "f")
+
+
+def test_each_leg_has_its_own_angles(tree, human, model):
+    """As differences of segments: left and right of another posture."""
+    n = 2
+    angles = np.random.default_rng(0).uniform(-1, 1, (n, len(model.segments)))
+    poses = kinematics.Poses(np.zeros(n, complex), angles, None)
+    found = kinematics.leg_angles(model, poses)
+    at = dict(zip(model.segments, angles.T, strict=True))
+    for side in ("left", "right"):
+        foot, shank, thigh = (
+            at[f"{s}_{side}"] for s in ("foot", "shank", "thigh")
+        )
+        # Positive where the shank leans over the foot, where knee and hip
+        # bend: the thigh turns on from the shank, the pelvis back from it.
+        np.testing.assert_allclose(
+            found[side],
+            np.column_stack(
+                [foot - shank, thigh - shank, thigh - at["pelvis"]]
+            ),
+        )
+    mean = kinematics.merge_legs(model, poses)[0][:, 3:]
+    np.testing.assert_allclose(mean, 0.5 * (found["left"] + found["right"]))
+
+
+def test_a_welded_foot_counts_a_hundredfold(tree, human, markers):
+    """Its markers cannot slide; a weight that is given goes before."""
+    own = replace(markers, weights={"L_heel": 3.0})
+    data = standing(tree, human)
+    if "L_heel" not in data.names:
+        own = replace(markers, weights={})
+    model = build_marker_model(data, own, FRAME, welded=("foot",))
+    for name, k, weight in zip(
+        model.names, model.segment_of, model.weights, strict=True
+    ):
+        usual = 100.0 if model.segments[k].startswith("foot") else 1.0
+        assert weight == own.weights.get(name, usual)
+
+
+def test_toes_are_counted_from_the_foot(tree, human, markers):
+    """Hinged: their angle less the foot's, behind the hip's."""
+    segments = ("pelvis", "thigh_left", "shank_left", "foot_left", "toes_left")
+    angles = np.array([[0.1, 0.2, -0.3, 0.4, 0.9]])
+    model = SimpleNamespace(
+        segments=segments,
+        sides=("left",),
+        ankles={"left": np.zeros(5, complex)},
+        index=lambda s, side: segments.index(f"{s}_{side}"),
+    )
+    q, _ = kinematics.merge_legs(
+        model, kinematics.Poses(np.array([1.0 + 2.0j]), angles, None)
+    )
+    np.testing.assert_allclose(q, [[1.0, 2.0, 0.4, 0.7, 0.5, 0.1, 0.5]])
