@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from program_derivatives import check_derivatives
 
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
@@ -17,7 +16,6 @@ from drake_exo.calibration.design_result import (
 )
 from drake_exo.calibration.design_variables import (
     GAINS,
-    design_of,
     design_variables,
 )
 from drake_exo.calibration.error_model import NO_ERRORS
@@ -32,18 +30,13 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.wearers import (
     OwnMovement,
-    Size,
     Wearer,
     assisted,
-    drawn,
     sized,
 )
-from drake_exo.contact.assistance import Assistance
 from drake_exo.contact.bushing import BushingKinematics
-from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import CuffDesign, Design, JointDesign
 from drake_exo.errors import InputError
-from drake_exo.model.description import fit_exoskeleton
 
 pytestmark = pytest.mark.slow
 
@@ -249,19 +242,6 @@ def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
     unknown = replace(settings, cuffs={"tigh": CuffFreedom(removable=True)})
     with pytest.raises(InputError, match=r"design\.cuffs\.tigh"):
         DesignProblem([wearer], unknown)
-
-
-def test_derivatives_of_the_program(wearer, today):
-    limits = replace(SETTINGS.limits, pressure_kpa=3.0)
-    problem = DesignProblem(
-        [wearer], replace(EVERYTHING, limits=limits), today=today
-    )
-    compiled = problem.compiled
-    y = compiled.restrict(problem.guess())
-    rng = np.random.default_rng(1)
-    check_derivatives(
-        compiled, y + 1e-3 * rng.standard_normal(len(y)), tolerance=1e-4
-    )
 
 
 def test_a_design_lowers_the_norm_and_keeps_its_limits(found, today):
@@ -508,69 +488,6 @@ def test_one_who_answers_freely_feels_less(wearer, today, found):
     assert result.norm_n < found.norm_n
 
 
-def test_wearers_are_drawn_from_what_is_known(wearer):
-    names = ("thigh.origin_z", "thigh.normal_stiffness")
-    values = [wearer.contact.values()[n] for n in names]
-    known = Posterior(
-        names, np.array(values), np.diag([0.01, 0.2 * values[1]]) ** 2
-    )
-    sure = replace(wearer, contact=replace(wearer.contact, posterior=known))
-    draws = drawn(sure, 300)
-    origin, stiffness = (
-        np.array([d.contact.values()[n] for d in draws]) for n in names
-    )
-    assert origin.std() == pytest.approx(0.01, rel=0.15)
-    assert np.log(stiffness).std() == pytest.approx(0.2, rel=0.15)
-    assert (stiffness > 0.0).all()
-    assert drawn(wearer, 3) == []
-    again = drawn(sure, 1)[0].contact.values()
-    assert again == draws[0].contact.values()
-
-
-def test_a_body_of_another_size_obeys_the_same_physics(wearer):
-    """Twice the mass and 1.1 times the height, standing still."""
-    size = Size("large", 1.1, 2.0)
-    human = wearer.model.human
-    body = size.human(human)
-    assert body.mass_kg == pytest.approx(2.0 * human.mass_kg)
-    assert body.height_m == pytest.approx(1.1 * human.height_m)
-    model = replace(wearer.model, human=body, exoskeleton=fit_exoskeleton(body))
-    (own,) = wearer.trials
-    still = replace(own, v=0.0 * own.v, a=0.0 * own.a)
-    found = size.trial(still, model, human.ankle_height_m)
-    np.testing.assert_allclose(found.ground.force_z, model.tree.weight)
-    np.testing.assert_allclose(found.ground.force[:, 0], 0.0, atol=1e-8)
-    ankle = body.ankle_height_m - human.ankle_height_m
-    np.testing.assert_allclose(found.q[:, 1] - own.q[:, 1], ankle)
-    q = still.q[:, :6]
-    moments = [
-        replace(m, kind="human", exoskeleton=None).tree.inverse_dynamics(
-            q, 0.0 * q, 0.0 * q
-        )[:, 3:]
-        for m in (wearer.model, model)
-    ]
-    np.testing.assert_allclose(moments[1], 2.2 * moments[0])
-    # Person and device together bear what the joint bears.
-    forces = model.tree.inverse_dynamics(found.q, found.v, found.a)
-    both = [found.coordinates.joint(j) for j in ("hip", "exo_hip")]
-    columns = found.coordinates.joint_columns[both]
-    np.testing.assert_allclose(
-        found.moments[:, both].sum(axis=1), forces[:, columns].sum(axis=1)
-    )
-    share = own.moment("exo_hip") * 2.2
-    np.testing.assert_allclose(found.moment("exo_hip"), share)
-
-
-def test_bodies_are_at_their_percentiles():
-    """Of a normal distribution: 5 % are smaller than 1.644854 SD below."""
-    found = Population((1.70, 0.10), (70.0, 10.0), (5.0, 50.0, 97.5)).bodies()
-    for (name, *sizes), score in zip(
-        found, (-1.644854, 0.0, 1.959964), strict=True
-    ):
-        expected = [1.70 + 0.10 * score, 70.0 + 10.0 * score]
-        assert sizes == pytest.approx(expected, rel=1e-6), name
-
-
 def test_a_design_for_a_population(wearer):
     """Small and large bodies wear it, too; they feel less than today."""
     height, mass = wearer.model.human.height_m, wearer.model.human.mass_kg
@@ -601,38 +518,6 @@ def test_a_design_for_a_population(wearer):
     loaded = replace(wearer.model, kind="human", exoskeleton=None)
     with pytest.raises(InputError, match="needs the shipped device"):
         sized(replace(wearer, model=loaded), people, phase())
-
-
-def test_cuffs_stay_on_their_limbs(wearer):
-    wide = DesignSettings(
-        cuffs={"thigh": CuffFreedom(along_m=(-0.5, 0.5))}, draws=0
-    )
-    (along,) = (
-        v for v in design_variables([wearer], wide) if v.name == "thigh.along_m"
-    )
-    length = wearer.model.human.thigh.length_m
-    place = wearer.contact.bushings["thigh"].origin_z
-    assert place + along.lower == pytest.approx(0.05)
-    assert place + along.upper == pytest.approx(length - 0.05)
-
-
-def test_nothing_changed_is_no_design(wearer):
-    values = {v.name: v.today for v in design_variables([wearer], SETTINGS)}
-    design = design_of(values)
-    contact = wearer.contact
-    assert design.contact(contact).values() == contact.values()
-    assert design.assistance["exo_knee"].factor == (1.0,)
-
-
-def test_assistance_moves_load_between_person_and_device(driven):
-    design = Design(assistance={"exo_knee": Assistance((0.0,), (1.5,))})
-    changed = assisted(driven, design)
-    more = changed.moment("exo_knee") - driven.moment("exo_knee")
-    np.testing.assert_allclose(more, 0.5 * driven.moment("exo_knee"))
-    np.testing.assert_allclose(
-        changed.moment("knee") + more, driven.moment("knee")
-    )
-    assert assisted(driven, Design()) is driven
 
 
 def test_wearers_that_do_not_fit_are_refused(wearer):

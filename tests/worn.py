@@ -1,0 +1,39 @@
+"""A wearer at once: a drawn rise with torques and forces that nothing solved."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from drake_exo.calibration.wearers import Wearer
+from drake_exo.contact.parameters import nominal_contact
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.plant import Model
+from drake_exo.virtual_laboratory.synthetic import Rise, draw
+
+# Largest torque of each joint of the device.
+TORQUES_NM = {"exo_ankle": 0.5, "exo_knee": -20.0, "exo_hip": -12.0}
+# Largest force of each cuff: along, across, and its moment.
+FORCES = {
+    "shank": (8.0, 20.0, 1.0),
+    "thigh": (-5.0, -30.0, 2.0),
+    "pelvis": (4.0, 25.0, -1.5),
+}
+
+
+def trial(model: Model, duration_s=1.5) -> Trial:
+    """Torques and forces grow from nothing and fade."""
+    drawn = draw(model.tree, Rise("rise", duration_s))
+    s = np.sin(np.pi * drawn.times / drawn.duration) ** 2
+    forces = model.tree.inverse_dynamics(drawn.q, drawn.v, drawn.a)
+    names = drawn.coordinates
+    moments = forces[:, names.joint_columns]
+    for joint, torque in TORQUES_NM.items():
+        moments[:, names.joint(joint)] = torque * s
+    cuffs = {c: CuffForce.of(np.outer(s, FORCES[c])) for c in model.cuffs}
+    return replace(drawn, moments=moments, cuffs=cuffs)
+
+
+def wearer(model: Model, name="somebody", duration_s=1.5) -> Wearer:
+    """In the nominal contact."""
+    contact = nominal_contact(model)
+    return Wearer(name, model, contact, (trial(model, duration_s),))
