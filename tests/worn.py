@@ -1,13 +1,15 @@
-"""A wearer at once: a drawn rise with torques and forces that nothing solved."""
+"""A wearer at once: a drawn rise whose torques and forces nothing solved."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import Model
+from drake_exo.nlp.ipopt import Solution
 from drake_exo.virtual_laboratory.synthetic import Rise, draw
 
 # Largest torque of each joint of the device.
@@ -37,3 +39,16 @@ def wearer(model: Model, name="somebody", duration_s=1.5) -> Wearer:
     """In the nominal contact."""
     contact = nominal_contact(model)
     return Wearer(name, model, contact, (trial(model, duration_s),))
+
+
+def as_guessed(problem):
+    """The result of a solver that leaves a design's program as it is."""
+
+    def solve(compiled, guess, options, on_iterate):
+        cost = compiled.objective(compiled.restrict(guess))
+        values = np.array(guess)
+        return Solution(True, "", 0, cost, 0.0, [], 0, 0, 0, _values=values)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drake_exo.calibration.design.ipopt.solve", solve)
+        return problem.solve()

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from program_derivatives import check_derivatives
-from worn import FORCES, TORQUES_NM
+from worn import FORCES, TORQUES_NM, as_guessed
 from worn import wearer as worn
 
-from drake_exo.calibration import design as design_module
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import (
     Norm,
@@ -39,7 +38,6 @@ from drake_exo.calibration.settings import (
 from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.strap import CuffDesign, Design, weight_above
 from drake_exo.model.plant import nominal_model
-from drake_exo.nlp.ipopt import Solution
 from drake_exo.nlp.program import quadratic_cost
 
 CUFFS = ("shank", "thigh", "pelvis")
@@ -71,20 +69,6 @@ def model():
 @pytest.fixture(scope="module")
 def wearer(model):
     return worn(model)
-
-
-def as_guessed(problem):
-    """The result of a solver that leaves all as it is."""
-
-    def solve(compiled, guess, options, on_iterate):
-        cost = compiled.objective(compiled.restrict(guess))
-        return Solution(
-            True, "", 0, cost, 0.0, [], 0, 0, 0, _values=np.array(guess)
-        )
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design_module.ipopt, "solve", solve)
-        return problem.solve()
 
 
 @pytest.fixture(scope="module")

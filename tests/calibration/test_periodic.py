@@ -1,0 +1,189 @@
+"""A periodic step, posed and not solved: what its ends and bounds say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_exo.calibration.periodic import PeriodicStep, _middle, mirrored
+from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.collocation.kernels import PoseKernel
+from drake_exo.contact.parameters import nominal_contact
+from drake_exo.errors import InputError
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.coordinates import Coordinates
+from drake_exo.model.plant import Model, nominal_model
+from drake_exo.model.segments import scale_human
+
+TIMES = np.linspace(0.0, 0.5, 51)
+SPEED = 1.2
+
+
+@pytest.fixture(scope="module")
+def model():
+    return Model(Assembly(Person("two")), scale_human(70.0, 1.75))
+
+
+@pytest.fixture(scope="module")
+def step(model):
+    """Left and right exchange roles; the right foot swings in the middle."""
+    names, s = model.coordinates, np.pi * TIMES / TIMES[-1]
+    q = np.zeros((len(TIMES), len(names)))
+    q[:, names.index("pelvis_x")] = 0.3 + SPEED * TIMES
+    q[:, names.index("pelvis_z")] = 0.93 + 0.01 * np.sin(2.0 * s)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        for joint, mean, reach in (
+            ("hip", 0.2, 0.3),
+            ("knee", 0.4, 0.2),
+            ("ankle", 0.0, 0.8),
+        ):
+            i = names.index(f"{joint}_{side}")
+            q[:, i] = mean + sign * reach * np.cos(s)
+    v = np.gradient(q, TIMES, axis=0)
+    a = np.gradient(v, TIMES, axis=0)
+    load = {"left": 700.0 + 0.0 * s, "right": np.where(_air(s), 0.0, 500.0)}
+    feet = {
+        side: PlanarWrench.of(np.column_stack([0 * f, f, -0.3 * f]))
+        for side, f in load.items()
+    }
+    whole = feet["left"] + feet["right"]
+    return Trial("step", names, TIMES, q, v, a, whole, feet=feet)
+
+
+def _air(s):
+    return (s > 0.2 * np.pi) & (s < 0.8 * np.pi)
+
+
+def posed(model, step, **settings):
+    own = PredictionSettings(ends="periodic", solver=Solver(20.0), **settings)
+    return PeriodicStep(model, [step], nominal_contact(model), own)
+
+
+def blocks(problem, what):
+    return [b for b in problem.program.constraints if what in b.name]
+
+
+def bounds(problem, variables):
+    program = problem.program
+    lower = np.full(program.prog.num_vars(), -np.inf)
+    upper = -lower
+    for binding in program.prog.bounding_box_constraints():
+        i = program.indices(np.asarray(binding.variables()))
+        e = binding.evaluator()
+        np.maximum.at(lower, i, e.lower_bound())
+        np.minimum.at(upper, i, e.upper_bound())
+    i = program.indices(variables)
+    return lower[i], upper[i]
+
+
+def test_left_and_right_are_exchanged():
+    names = Coordinates(
+        ("pelvis_x", "pelvis_z", "pelvis_pitch")
+        + ("hip_left", "knee_left", "hip_right", "knee_right")
+    )
+    found = mirrored(names) @ [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    np.testing.assert_array_equal(found, [1, 2, 3, 6, 7, 4, 5])
+    with pytest.raises(InputError, match="ankle is of both legs"):
+        mirrored(nominal_model("human").coordinates)
+
+
+@pytest.mark.parametrize("speed", [None, 0.7])
+def test_a_step_ends_as_it_began_but_ahead(model, step, speed):
+    """With a leg's angles those of the other, and its rates."""
+    problem = posed(model, step, speed_m_s=speed)
+    (movement,) = problem.movements
+    grid, names = movement.grid, movement.coordinates
+    x = np.zeros(problem.program.prog.num_vars())
+    rng = np.random.default_rng(0)
+    for values in (grid.q, grid.v, grid.a):
+        first = rng.standard_normal(len(names))
+        last = first.copy()
+        for joint in ("hip", "knee", "ankle"):
+            left, right = (
+                names.index(f"{joint}_{s}") for s in ("left", "right")
+            )
+            last[left], last[right] = first[right], first[left]
+        if values is grid.q:
+            last[0] += (SPEED if speed is None else speed) * 0.5
+        if values is grid.a:
+            last[:3] = 99.0  # follow from all else
+        for row, numbers in ((0, first), (-1, last)):
+            x[problem.program.indices(values[row])] = numbers
+    found = blocks(problem, "mirrored")
+    assert len(found) == 3
+    for batch in found:
+        value = batch.kernel.evaluate(x[batch.indices], batch.data)
+        np.testing.assert_allclose(value, batch.lower, atol=1e-12)
+        np.testing.assert_array_equal(batch.lower, batch.upper)
+    sizes = {b.name.split()[-1]: b.num_outputs for b in found}
+    n = len(names)
+    assert sizes == {"positions": n, "velocities": n, "accelerations": n - 3}
+    lower, upper = bounds(problem, grid.q[0, [0]])
+    assert (lower, upper) == pytest.approx((0.3, 0.3))
+
+
+def test_joints_turn_as_far_as_people_s(model, step):
+    """Or as far as they do in the trial."""
+    problem = posed(model, step)
+    (movement,) = problem.movements
+    names, q = movement.coordinates, movement.grid.q
+    for joint, (least, most) in {
+        "hip_left": (-30.0, 120.0),
+        "knee_right": (0.0, 140.0),
+        # Its own reach is larger.
+        "ankle_left": (-50.0, 35.0),
+    }.items():
+        at = step.sample(movement.grid.times).coordinate(joint)
+        lower, upper = bounds(problem, q[1:-1, names.index(joint)])
+        np.testing.assert_allclose(lower, min(np.deg2rad(least), at.min()))
+        np.testing.assert_allclose(upper, max(np.deg2rad(most), at.max()))
+    assert np.rad2deg(at.max()) > 35.0
+
+
+def test_a_swinging_foot_clears_the_ground_in_the_middle(model, step):
+    problem = posed(model, step, clearance_m=0.02)
+    (movement,) = problem.movements
+    (batch,) = blocks(problem, "clearance")
+    assert batch.name == "step clearance of foot_right"
+    np.testing.assert_array_equal(batch.lower, 0.02)
+    times = movement.grid.times
+    pose = problem.program.indices(movement.poses["foot_right"])
+    used = times[np.isin(pose[:, 0], batch.indices[:, 0])]
+    # In the air from 0.1 to 0.4 s: its middle half.
+    assert used.min() > 0.15 and used.max() < 0.36
+    assert len(used) >= 3
+    tie = PoseKernel(model.tree, "foot_right")
+    x = tie.poses(step.q[:1], step.v[:1])
+    height = batch.kernel.evaluate(x, None)
+    spheres = problem.sphere_values(problem.contact, "foot_right")
+    for value, (_, _, ahead, up, radius) in zip(
+        height[0], spheres, strict=True
+    ):
+        place = tie.poses(step.q[:1], step.v[:1])[0]
+        turned = (ahead + 1j * up) * np.exp(1j * place[2])
+        assert value == pytest.approx(place[1] + turned.imag - radius)
+
+
+def test_the_middle_half_of_the_longest_run():
+    free = np.zeros(30, bool)
+    free[2:6] = free[10:18] = True
+    np.testing.assert_array_equal(_middle(free), np.arange(12, 16))
+    free[20:30] = True  # 10 long: a quarter is 2
+    np.testing.assert_array_equal(_middle(free), np.arange(22, 28))
+    assert len(_middle(np.zeros(5, bool))) == 0
+
+
+def test_effort_alone_is_minimised(model, step):
+    problem = posed(model, step)
+    noise = replace(problem.settings.noise, torque_nm=20.0)
+    own = PeriodicStep(
+        model,
+        [step],
+        nominal_contact(model),
+        replace(problem.settings, noise=noise),
+    )
+    (term,) = own.movements[0].tracked
+    np.testing.assert_allclose(term.sigma, 20.0)
+    np.testing.assert_allclose(term.target, 0.0)

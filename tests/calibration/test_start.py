@@ -1,0 +1,236 @@
+"""Where a solve starts, part by part: on a model of two legs and toes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from drake_exo.calibration import start
+from drake_exo.collocation.kernels import FootGroundKernel, PoseKernel
+from drake_exo.contact.hunt_crossley import sphere_wrench
+from drake_exo.contact.parameters import ContactSphere, GroundContact
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.plant import Model
+from drake_exo.model.segments import scale_human
+
+
+@pytest.fixture(scope="module")
+def tree():
+    kind = Assembly(Person("two", "hinged"))
+    return Model(kind, scale_human(70.0, 1.75)).tree
+
+
+def _postures(tree, n=3, seed=0):
+    rng = np.random.default_rng(seed)
+    return 0.3 * rng.standard_normal((n, tree.num_positions))
+
+
+def test_least_change_is_the_least_that_brings_what_is_missing(tree):
+    """By a minimiser: centimetres of the pelvis against 0.05 rad of joints."""
+    q = _postures(tree, 2)
+    J = start._jacobian(PoseKernel(tree, "foot_left"), q)
+    missing = np.array([[0.01, -0.02, 0.03], [0.0, 0.02, -0.01]])
+    found = start._least_change(tree, J, missing)
+    size = np.where(tree.coordinates.is_angle, 0.05, 0.01)
+    for own, way, wanted in zip(found, J, missing, strict=True):
+        np.testing.assert_allclose(way @ own, wanted, atol=1e-5)
+        least = minimize(
+            lambda d: np.sum((d / size) ** 2),
+            np.zeros(len(size)),
+            jac=lambda d: 2.0 * d / size**2,
+            constraints={
+                "type": "eq",
+                "fun": lambda d, way=way, wanted=wanted: way @ d - wanted,
+                "jac": lambda d, way=way: way,
+            },
+            method="SLSQP",
+            options={"ftol": 1e-12, "maxiter": 300},
+        )
+        assert least.success
+        np.testing.assert_allclose(own, least.x, atol=1e-4)
+
+
+def test_what_is_missing_gives_way_where_nothing_brings_it(tree):
+    """Feet by a ten thousandth of what coordinates do."""
+    nq = tree.num_positions
+    J = np.zeros((1, 1, nq))
+    J[0, 0, 0] = 1e-2  # of a pelvis that moves by centimetres: as stiff
+    found = start._least_change(tree, J, np.array([[1.0]]))
+    assert found[0, 0] == pytest.approx(0.5 * 100.0)
+
+
+def test_a_foot_s_jacobian_is_that_of_its_pose(tree):
+    q, tie, h = _postures(tree), PoseKernel(tree, "toes_right"), 1e-6
+    found = start._jacobian(tie, q)
+    for k, e in enumerate(np.eye(tree.num_positions)):
+        change = (
+            tie.poses(q + h * e, 0.0 * q) - tie.poses(q - h * e, 0.0 * q)
+        ) / (2.0 * h)
+        np.testing.assert_allclose(found[:, :, k], change[:, :3], atol=1e-8)
+
+
+def test_spheres_in_the_foot_s_frame(tree):
+    """Those of the foot where they are; toes turned about their hinge."""
+    q = _postures(tree)
+    foot = PoseKernel(tree, "foot_left").poses(q, 0.0 * q)[:, :3]
+    spheres = np.array([[1e6, 1, -0.05, -0.06, 0.03], [1e6, 1, 0.1, 0, 0.02]])
+    found = start._in_foot(tree, q, foot, "foot_left", spheres)
+    assert found.shape == (len(q), 2, 2)
+    places = [[-0.05, -0.06], [0.1, 0.0]]
+    np.testing.assert_allclose(
+        found, np.tile(places, (len(q), 1, 1)), atol=1e-12
+    )
+    hinge = start._in_foot(
+        tree, q, foot, "toes_left", [[1.0, 1.0, 0.0, 0.0, 0.0]]
+    )
+    tip = start._in_foot(
+        tree, q, foot, "toes_left", [[1.0, 1.0, 0.06, 0.01, 0.0]]
+    )
+    np.testing.assert_allclose(
+        hinge, np.tile(hinge[0], (len(q), 1, 1)), atol=1e-9
+    )
+    arm = (tip - hinge)[:, 0] @ [1.0, 1j]
+    bent = q[:, tree.coordinates.index("toes_left")]
+    expected = (0.06 + 0.01j) * np.exp(1j * bent)
+    np.testing.assert_allclose(arm, expected, atol=1e-9)
+
+
+def test_coordinates_follow_their_feet(tree):
+    """Both feet in place, and nothing else moves more than it must."""
+    q = _postures(tree)
+    near = q + 0.02 * _postures(tree, seed=1)
+    targets = []
+    for foot in ("foot_left", "foot_right"):
+        tie = PoseKernel(tree, foot)
+        targets.append((tie, tie.poses(near, 0.0 * q)[:, :3], None))
+    found = start._followed(tree, q, targets)
+    size = np.where(tree.coordinates.is_angle, 0.05, 0.01)
+    for tie, pose, _ in targets:
+        now = tie.poses(found, 0.0 * q)[:, :3]
+        np.testing.assert_allclose(now, pose, atol=1e-5)
+    # The change has no part that moves no foot: it is from its rows alone.
+    J = np.concatenate([start._jacobian(t, found) for t, _, _ in targets], 1)
+    for own, way in zip((found - q) / size, J * size, strict=True):
+        null = own - np.linalg.pinv(way) @ (way @ own)
+        np.testing.assert_allclose(null, 0.0, atol=1e-4)
+        assert np.abs(own).max() > 1e-3
+
+
+@pytest.fixture
+def problem(tree):
+    """A sphere under each foot, as `PhaseProblem` has them."""
+    sphere = ContactSphere(4e6, 1.5, 0.02, -0.06, 0.03)
+    contact = GroundContact("simbody", {"heel": sphere}).checked()
+    kernel = FootGroundKernel(contact)
+    values = [[4e6, 1.5, 0.02, -0.06, 0.03]]
+
+    def law_inputs(contact, body, q, v):
+        pose = PoseKernel(tree, body).poses(q, v)
+        rows = np.tile(values[0], (len(q), 1))
+        return np.hstack([pose, 0.0 * pose[:, :3], rows])
+
+    feet = {side: (f"foot_{side}",) for side in ("left", "right")}
+    soles = {f"foot_{side}": ["heel"] for side in feet}
+    return SimpleNamespace(
+        tree=tree,
+        feet=feet,
+        soles=soles,
+        kernels=dict.fromkeys(soles, kernel),
+        law_inputs=law_inputs,
+        sphere_values=lambda contact, body: np.array(values),
+        constants=contact.constants,
+    )
+
+
+def _standing(tree):
+    """Upright, soles a millimetre in the ground, sliding slowly."""
+    q = np.zeros((3, tree.num_positions))
+    foot = PoseKernel(tree, "foot_left").poses(q, q)[0]
+    q[:, 1] -= foot[1] - (0.06 + 0.03 - 1e-3)
+    v = np.zeros_like(q)
+    v[:, 0] = [0.01, -0.02, 0.03]
+    return q, v
+
+
+def test_the_law_under_a_foot_and_its_slope(tree, problem):
+    q, v = _standing(tree)
+    wrench, slope = start._law(problem, None, "foot_left", q, v)
+    pose = PoseKernel(tree, "foot_left").poses(q, v)
+    x, z, _, vx, vz, _ = pose.T
+
+    def force(vx):
+        # Centre of the sphere, of a foot that does not turn.
+        inputs = (x + 0.02, z - 0.06, vx, vz, 0.0 * vx)
+        at = sphere_wrench(
+            "simbody", *inputs, 4e6, 1.5, 0.03, problem.constants
+        )
+        return at
+
+    at = force(vx)
+    np.testing.assert_allclose(wrench[:, 0], at.force_x, rtol=1e-9)
+    np.testing.assert_allclose(wrench[:, 1], at.force_z, rtol=1e-9)
+    moment = at.point_z * at.force_x - at.point_x * at.force_z
+    np.testing.assert_allclose(wrench[:, 2], moment, rtol=1e-9)
+    assert wrench[0, 1] > 20.0
+    h = 1e-6
+    expected = (force(vx + h).force_x - force(vx - h).force_x) / (2.0 * h)
+    np.testing.assert_allclose(slope, expected, rtol=1e-5)
+
+
+def test_a_step_of_the_feet_mends_the_force_forwards(tree, problem):
+    """By Newton's step of F_x, at most 3 cm/s; of the left foot alone here."""
+    q, v = _standing(tree)
+    force = {}
+    for side in ("left", "right"):
+        wrench, slope = start._law(problem, None, f"foot_{side}", q, v)
+        assert (np.abs(slope) > 100.0).any()
+        force[side] = wrench[:, 0] + (slope * 1e-3 if side == "left" else 0.0)
+    at = SimpleNamespace(
+        soles={s: SimpleNamespace(force_x=f) for s, f in force.items()}
+    )
+    found = start._slip(problem, None, at, q, v)
+    assert found.shape == (3, 6)
+    np.testing.assert_allclose(found[:, 0], 1e-3, rtol=1e-9)
+    np.testing.assert_allclose(found[:, 1:], 0.0, atol=1e-12)
+    for s in force:
+        at.soles[s].force_x = at.soles[s].force_x - 1e5
+    found = start._slip(problem, None, at, q, v)
+    np.testing.assert_allclose(np.abs(found[:, [0, 3]]), 0.03)
+    # In the air nothing is mended.
+    q[:, 1] += 0.1
+    np.testing.assert_array_equal(start._slip(problem, None, at, q, v), 0.0)
+
+
+def test_feet_settled_under_a_body_that_follows(tree, problem):
+    """Both feet sink in until they bear; the rest moves with them."""
+    q, _ = _standing(tree)
+    times = np.linspace(0.0, 1.0, 21)
+    q = np.tile(q[0], (len(times), 1))
+    q[:, 1] += 5e-3  # measured above where they bear
+    load = 300.0 + 20.0 * np.sin(times)
+    pose = PoseKernel(tree, "foot_left").poses(q, 0.0 * q)
+    cop = pose[:, 0] + 0.02
+    wrench = np.column_stack([0.0 * load, load, -cop * load])
+    at = SimpleNamespace(
+        q=q,
+        v=0.0 * q,
+        soles={
+            side: SimpleNamespace(array=wrench, force_x=wrench[:, 0])
+            for side in problem.feet
+        },
+    )
+    movement = SimpleNamespace(grid=SimpleNamespace(times=times))
+    found = start.settled(problem, movement, at, None)
+    for side in problem.feet:
+        ground = found.ground[f"foot_{side}"]
+        off = (ground - wrench)[2:-2]
+        assert np.abs(off[:, 0]).max() < 5.0
+        assert np.abs(off[:, 1]).max() < 15.0
+        foot = PoseKernel(tree, f"foot_{side}").poses(found.q, found.v)
+        assert (foot[:, 1] < pose[:, 1] - 3e-3).all()
+    np.testing.assert_allclose(
+        np.gradient(found.v, times, axis=0), found.a, atol=1e-9
+    )
+    rates = np.gradient(found.q, times, axis=0)
+    assert np.abs(found.v - rates)[2:-2].max() < 0.02
