@@ -47,7 +47,19 @@ def as_guessed(problem):
     def solve(compiled, guess, options, on_iterate):
         cost = compiled.objective(compiled.restrict(guess))
         values = np.array(guess)
-        return Solution(True, "", 0, cost, 0.0, [], 0, 0, 0, _values=values)
+        return Solution(
+            True,
+            "",
+            0,
+            cost,
+            0.0,
+            [],
+            0,
+            0,
+            0,
+            seconds={"solve": 0.0},
+            _values=values,
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drake_exo.calibration.design.ipopt.solve", solve)

@@ -1,0 +1,385 @@
+"""What a design tells, number by number, of a program that nothing solved."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from worn import as_guessed
+from worn import wearer as worn
+
+from drake_exo import designing
+from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design_result import norm_of, works
+from drake_exo.calibration.design_variables import Variable
+from drake_exo.calibration.settings import (
+    CuffFreedom,
+    DesignLimits,
+    DesignSettings,
+    Population,
+    Solver,
+)
+from drake_exo.designing import Designed, Moved, forecast_norm, front
+from drake_exo.model.plant import nominal_model
+
+CUFFS = ("shank", "thigh", "pelvis")
+AREA_M2 = 0.02
+SETTINGS = DesignSettings(
+    points=1,
+    solver=Solver(10.0),
+    limits=DesignLimits(migration_mm=1.0),
+    cuffs=dict.fromkeys(
+        CUFFS,
+        CuffFreedom(along_m=(-0.02, 0.05), area=(0.5, 2.0), area_m2=AREA_M2),
+    ),
+)
+DIFFER = {"first": {"thigh": 1.5}, "second": {"shank": 0.8}}
+# The design: one cuff larger, one moved far, one behind a strap.
+VALUES = {
+    "thigh.area": 1.6,
+    "pelvis.along_m": 0.04,
+    "shank.strap_normal_n_m": 1e-4,
+    "exo_knee.factor_at_0_deg": 1.2,
+}
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Two wearers, who move on the design as they do today."""
+    model = nominal_model("coupled")
+    wearers = [
+        replace(worn(model, name, duration), differ=DIFFER[name])
+        for name, duration in (("first", 1.5), ("second", 2.0))
+    ]
+    today = as_guessed(DesignProblem(wearers, SETTINGS, held=True))
+    problem = DesignProblem(wearers, SETTINGS, today=today)
+    guess = problem.guess(VALUES)
+    problem.guess = lambda: guess
+    found = as_guessed(problem)
+    before, after = (
+        {
+            w.name: [
+                Moved(t, None, own)
+                for t, own in zip(
+                    result.wearers[w.name].trials, w.trials, strict=True
+                )
+            ]
+            for w in wearers
+        }
+        for result in (today, found)
+    )
+    return Designed(SETTINGS, today, found, before, after)
+
+
+def trials(made, when):
+    return {n: m[0].trial for n, m in getattr(made, when).items()}
+
+
+def test_values_of_the_design_are_told(made):
+    rows = {r["name"]: r for r in made.variables()}
+    assert made.found.values["thigh.area"] == pytest.approx(1.6)
+    area = rows["thigh.area"]
+    assert (area["value"], area["today"]) == (pytest.approx(1.6), 1.0)
+    assert (area["lower"], area["upper"], area["unit"]) == (0.5, 2.0, "1")
+    assert not area["extrapolated"]
+    assert rows["pelvis.along_m"]["extrapolated"]  # by more than 3 cm
+    assert not rows["shank.along_m"]["extrapolated"]
+    strap = rows["shank.strap_normal_n_m"]
+    assert strap["strap"] == pytest.approx(1e4)
+    assert strap["strap_unit"] == "N/m"
+    assert rows["shank.strap_rotational_nm_rad"]["strap_unit"] == "N m/rad"
+    assert rows["shank.strap_rotational_nm_rad"]["strap"] is None
+    # Held ones are no choice.
+    assert "thigh.across_m" not in rows
+
+
+def test_slopes_are_for_a_step_of_typical_size(made, monkeypatch):
+    told = {v.name: 3.0 for v in made.found.problem.design}
+    today = SimpleNamespace(slopes=lambda: told)
+    own = Designed.slopes.func(SimpleNamespace(today=today, found=made.found))
+    assert own["thigh.along_m"] == pytest.approx(3.0 * 0.01)
+    assert own["thigh.area"] == pytest.approx(3.0 * 0.1)
+
+
+def test_what_is_felt_is_of_the_largest_forces(made):
+    """Over both wearers; across the limb as their mats would show it."""
+    for row in made.felt():
+        cuff = row["cuff"]
+        for when in ("before", "after"):
+            own = row[when]
+            area = AREA_M2
+            if when == "after" and cuff == "thigh":
+                area *= 1.6
+            normal, shear, moment = [], [], []
+            for name, trial in trials(made, when).items():
+                force = trial.cuffs[cuff]
+                shown = DIFFER[name].get(cuff, 1.0)
+                normal.append(shown * np.abs(force.normal))
+                shear.append(np.abs(force.tangential).max())
+                moment.append(np.abs(force.moment).max())
+            peak = max(f.max() for f in normal)
+            assert own["peak_n"] == pytest.approx(peak)
+            mean = np.mean([f.mean() for f in normal])
+            assert own["mean_n"] == pytest.approx(mean)
+            assert own["shear_n"] == pytest.approx(max(shear))
+            assert own["moment_nm"] == pytest.approx(max(moment))
+            # N on m^2 to kPa.
+            assert own["pressure_kpa"] == pytest.approx(peak / area / 1000.0)
+            contacts = [
+                getattr(made, "today" if when == "before" else "found")
+                .wearers[name]
+                .contact
+                for name in DIFFER
+            ]
+            bent = [
+                1000.0 * np.abs(getattr(t.cuffs[cuff], what)).max() / stiffness
+                for what, stiffness in (
+                    (
+                        "tangential",
+                        contacts[0].bushings[cuff].tangential_stiffness,
+                    ),
+                    ("normal", contacts[0].bushings[cuff].normal_stiffness),
+                )
+                for t in trials(made, when).values()
+            ]
+            assert own["migration_mm"] == pytest.approx(max(bent[:2]))
+            assert own["deflection_mm"] == pytest.approx(max(bent[2:]))
+
+
+def test_a_cuff_that_is_moved_far_is_named(made):
+    assert "pelvis" in made.softened()
+    assert "pelvis" in made.beyond()
+
+
+def test_peaks_are_means_over_wearers(made):
+    for cuff, peak in made.peaks.items():
+        ratio = [DIFFER[n].get(cuff, 1.0) for n in DIFFER]
+        was, now = (
+            np.array(
+                [
+                    np.abs(t.cuffs[cuff].normal).max()
+                    for t in trials(made, when).values()
+                ]
+            )
+            for when in ("before", "after")
+        )
+        assert peak.model_before == pytest.approx(was.mean())
+        assert peak.model_after == pytest.approx(now.mean())
+        assert peak.today == pytest.approx(np.mean(ratio * was))
+        assert peak.forecast_after == pytest.approx(np.mean(ratio * now))
+        assert peak.forecast_low == peak.forecast_high == peak.forecast_after
+        seen = [
+            np.abs(m[0].measured.cuffs[cuff].normal).max()
+            for m in made.before.values()
+        ]
+        assert peak.measured_before == pytest.approx(np.mean(seen))
+        assert peak.measured_after is None
+
+
+def test_bands_are_at_the_largest_force(made):
+    """Of mats where there are any, else of the cuff's force."""
+    trial = made.after["first"][0].trial
+    n = len(trial.times)
+    at = int(np.argmax(np.abs(trial.cuffs["thigh"].normal)))
+    mats, cuffs = np.zeros(n), np.zeros((n, 3))
+    mats[at], cuffs[at] = 4.0, (1.0, 2.0, 3.0)
+    for known, width in (({"thigh": mats}, 4.0), ({}, 2.0)):
+        bands = SimpleNamespace(mats=known, cuffs={"thigh": cuffs})
+        moved = Moved(trial, bands, trial)
+        assert designing._half_width(moved, "thigh") == width
+    without = replace(trial, cuffs={})
+    assert designing._half_width(Moved(without, bands, trial), "thigh") == 0.0
+    assert designing._half_width(Moved(trial, None, trial), "thigh") == 0.0
+
+
+def test_support_is_the_work_of_the_device(made):
+    """Over the movement of today; measured where torques were."""
+    support = made.support
+    before, after = (sum(works(r).values()) for r in (made.today, made.found))
+    assert support["before"] == pytest.approx(before)
+    assert support["after"] == pytest.approx(after)
+    assert before != pytest.approx(after, rel=0.01)
+    measured = sum(
+        np.trapezoid(
+            sum(t.moment(j) * t.velocity(j) for j in t.coordinates.device),
+            t.times,
+        )
+        for t in (m[0].measured for m in made.before.values())
+    )
+    assert support["measured_before"] == pytest.approx(measured)
+    assert support["measured_after"] is None
+
+
+def test_norms_of_wearers_and_of_the_forecast(made):
+    own = made.wearers()
+    for name, norms in own.items():
+        result = made.today.wearers[name]
+        shown = lambda cuff, name=name: DIFFER[name].get(cuff, 1.0)  # noqa: E731
+        was = norm_of(result.trials, SETTINGS, shown=shown).newton
+        assert norms["before"] == pytest.approx(was)
+        assert norms["after"] != pytest.approx(was)
+    # As it was promised, so it is forecast.
+    norm = made.found.norm_n
+    assert forecast_norm(made.found, made.after) == pytest.approx(norm)
+
+    def twice(moved):
+        cuffs = {
+            c: replace(f, normal=2.0 * f.normal, tangential=2.0 * f.tangential)
+            for c, f in moved.trial.cuffs.items()
+        }
+        return replace(moved, trial=replace(moved.trial, cuffs=cuffs))
+
+    more = {n: [twice(m) for m in ms] for n, ms in made.after.items()}
+    assert forecast_norm(made.found, more) == pytest.approx(2.0 * norm)
+
+
+def _check(found, name):
+    return next(c for c in found if c.name == name)
+
+
+def test_checks_hold_the_numbers_of_the_tables(made):
+    found = made.checks()
+    support = made.support
+    check = _check(found, "design.support")
+    change = 100.0 * abs(support["after"] - support["before"])
+    assert check.value == pytest.approx(change / abs(support["before"]))
+    assert (check.limit, check.holds) == (3.0, check.value <= 3.0)
+    check = _check(found, "design.forecast")
+    assert check.value == pytest.approx(made.found.norm_n)
+    assert check.limit == pytest.approx(1.1 * made.found.norm_n)
+    assert check.holds
+    check = _check(found, "design.better")
+    assert check.value == max(p.forecast_after for p in made.peaks.values())
+    assert check.limit == max(p.today for p in made.peaks.values())
+    far = {c.where: c.value for c in found if c.name == "design.migration"}
+    for row in made.felt():
+        value = row["after"]["migration_mm"]
+        assert (row["cuff"] in far) == (value > 1.001)
+    assert far
+    (check,) = (
+        c for c in found if c.name == "design.extrapolation" and c.value
+    )
+    assert (check.where, check.limit) == ("pelvis.along_m", 0.03)
+    assert check.value == pytest.approx(0.04)
+    assert _check(found, "design.attached").holds
+
+
+def test_a_built_design_is_held_against_its_forecast(made):
+    """By the mean of what mats then show."""
+    name, (moved, *_) = next(iter(made.after.items()))
+    built = replace(made, measured={name: [moved.trial]})
+    peak = built.peaks["pelvis"]
+    most = np.abs(moved.trial.cuffs["pelvis"].normal).max()
+    assert peak.measured_after == pytest.approx(most)
+    checks = {c.where: c for c in built.checks() if c.name == "design.measured"}
+    assert checks["pelvis"].value == pytest.approx(most)
+    assert checks["pelvis"].limit == pytest.approx(peak.forecast_after)
+    work = built.support["measured_after"]
+    t = moved.trial
+    power = sum(t.moment(j) * t.velocity(j) for j in t.coordinates.device)
+    assert work == pytest.approx(np.trapezoid(power, t.times))
+
+
+def test_the_table_and_the_summary_say_the_same(made, tmp_path):
+    summary = json.loads(json.dumps(made.summary()))
+    assert summary["norm_n"]["after"] == pytest.approx(made.found.norm_n)
+    assert summary["norm_n"]["before"] == pytest.approx(made.today.norm_n)
+    assert summary["trials"] == ["first_rise"]
+    assert summary["extrapolated"] is True
+    table = made.table()
+    rows = [line.split() for line in table.splitlines()]
+    peak = made.peaks["thigh"]
+    own = next(r for r in rows if r[:1] == ["thigh"])
+    for text, value in zip(
+        own[-6:-1],
+        (
+            peak.measured_before,
+            peak.model_before,
+            peak.forecast_after,
+            peak.forecast_low,
+            peak.forecast_high,
+        ),
+        strict=True,
+    ):
+        assert float(text) == pytest.approx(value, abs=0.051)
+    for row in made.felt():
+        for when in ("before", "after"):
+            own = next(r for r in rows if r[:2] == [row["cuff"], when])
+            for text, value in zip(own[2:], row[when].values(), strict=True):
+                assert float(text) == pytest.approx(value, abs=0.051)
+    assert "pelvis.along_m *" in table
+    assert "+40.0 mm" in table
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ({"name": "thigh.removed", "value": 1.0}, "left out"),
+        ({"name": "thigh.removed", "value": 0.0}, "kept"),
+        ({"name": "a.b", "unit": "m", "value": -0.0123}, "-12.3 mm"),
+        ({"name": "a.b", "unit": "1", "value": 0.8}, "0.800"),
+        ({"name": "a.b", "unit": "N m", "value": 2.0}, "2.000 N m"),
+        ({"name": "a", "strap": 6e5, "strap_unit": "N/m"}, "stiff"),
+        ({"name": "a", "strap": None, "strap_unit": "N/m"}, "stiff"),
+        ({"name": "a", "strap": 4e5, "strap_unit": "N/m"}, "400 000 N/m"),
+        ({"name": "a", "strap": 40.0, "strap_unit": "N m/rad"}, "40 N m/rad"),
+    ],
+)
+def test_how_a_value_is_told(row, said):
+    assert designing._told(row) == said
+
+
+def test_a_front_asks_for_shares_of_today_s_work(made, monkeypatch):
+    """Factors may go as low, or as high, as the share asks for."""
+    asked = []
+
+    class Posed(DesignProblem):
+        def __init__(self, wearers, settings, **given):
+            asked.append((settings.assistance, given["support"]))
+            super().__init__(wearers, settings, **given)
+
+        def solve(self, **_):
+            self.solve = lambda: DesignProblem.solve(self)
+            return as_guessed(self)
+
+    monkeypatch.setattr(designing, "DesignProblem", Posed)
+    rows = front(made, (0.5, 1.0, 2.0))
+    assert [r["share"] for r in rows] == [0.5, 1.0, 2.0]
+    (low, mid, high) = asked
+    assert low == ((pytest.approx(0.35), 1.3), 0.5)
+    assert mid == ((0.7, 1.3), 1.0)
+    assert high == ((0.7, pytest.approx(2.6)), 2.0)
+    # All as today: its work, whatever was asked for.
+    assert rows[0]["work_j"] == pytest.approx(made.support["before"])
+
+
+def test_wearers_stand_for_others(made, monkeypatch):
+    """Themselves, draws, and sizes on the design's grid."""
+    (own, *_) = made.found.problem.wearers
+    settings = replace(
+        SETTINGS, draws=2, population=Population((1.7, 0.1), (70.0, 10.0))
+    )
+    monkeypatch.setattr(designing, "drawn", lambda w, count, seed: [w] * count)
+    monkeypatch.setattr(
+        designing, "sized", lambda w, people, phase: [people, phase.solver]
+    )
+    found = designing._wearers(own, settings)
+    assert found == [own] * 3 + [settings.population, SETTINGS.solver]
+    assert designing._wearers(own, SETTINGS) == [own]
+
+
+def test_studies_of_one_name_are_numbered():
+    named = [SimpleNamespace(name=n) for n in ("a", "b")]
+    assert designing._names(named) == ["a", "b"]
+    same = [SimpleNamespace(name="a")] * 2
+    assert designing._names(same) == ["a 1", "a 2"]
+
+
+def test_a_failed_solve_says_why():
+    off = SimpleNamespace(success=False, status="no", explain=lambda: "far")
+    assert designing._failed(off) == "no: far"
+    assert (
+        designing._strap_unit(Variable("a.b", "rad/(N m)", 0, 1, 0, 1))
+        == "N m/rad"
+    )
