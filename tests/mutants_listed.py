@@ -23,16 +23,23 @@ TESTS = {
         "tests/calibration/test_bands.py",
     ],
     "drake_exo/calibration/scores.py": ["tests/calibration/test_scores.py"],
-    "drake_exo/calibration/design": ["tests/calibration/test_design.py"],
+    "drake_exo/calibration/design": [
+        "tests/calibration/test_design_program.py",
+        "tests/calibration/test_design.py",
+    ],
     "drake_exo/calibration/design_cuffs.py": [
         "tests/calibration/test_design_cuffs.py",
         "tests/calibration/test_design.py",
     ],
+    "drake_exo/calibration/periodic.py": ["tests/calibration/test_periodic.py"],
+    "drake_exo/calibration/start.py": ["tests/calibration/test_start.py"],
+    "drake_exo/calibration/wearers.py": ["tests/calibration/test_wearers.py"],
     "drake_exo/contact/assistance.py": [
         "tests/contact/test_assistance.py",
         "tests/contact/test_strap.py",
     ],
     "drake_exo/designing.py": [
+        "tests/test_designed.py",
         "tests/test_designing.py",
         "tests/calibration/test_design.py",
     ],

@@ -289,7 +289,7 @@ class PhaseProblem(ABC):
         """
         pose = PoseKernel(self.tree, body).poses(q, v)
         values = self.sphere_values(contact, body).ravel()
-        wrench = 0.0 * pose[:, :3] if wrench is None else wrench
+        wrench = np.zeros((len(pose), 3)) if wrench is None else wrench
         return np.hstack([pose, wrench, np.tile(values, (len(pose), 1))])
 
     def _add(self, trial: Trial) -> TrialProgram:

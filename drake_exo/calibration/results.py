@@ -454,7 +454,7 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
         table = Table(trial.times, names.names, degrees, in_degrees=True)
         path = folder / f"{trial.name}_{kind}.sto"
         write_table(path, table, _titled(kind.capitalize(), mark))
-    zero = 0.0 * trial.times
+    zero = np.zeros_like(trial.times)
     columns, force = [], []
     for side, ground in trial.soles.items():
         cop = np.nan_to_num(ground.cop_x)

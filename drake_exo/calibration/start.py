@@ -119,7 +119,7 @@ def _slip(problem, contact, at, q, v) -> np.ndarray:
         missing = at.soles[side].force_x - force
         steep = np.abs(slope) > _STEEP
         step = np.where(steep, missing / np.where(steep, slope, 1.0), 0.0)
-        columns += [np.clip(step, -_STEP, _STEP), 0.0 * step, 0.0 * step]
+        columns += [np.clip(step, -_STEP, _STEP), *np.zeros((2, len(step)))]
     return np.column_stack(columns)
 
 
@@ -137,7 +137,7 @@ def _in_foot(tree, q, foot, body, spheres) -> np.ndarray:
 def _jacobian(tie: PoseKernel, q) -> np.ndarray:
     """Of a body's pose by q, (n, 3, nq)."""
     nq = q.shape[1]
-    x = np.hstack([q, 0.0 * q, np.zeros((len(q), 6))])
+    x = np.hstack([q, np.zeros_like(q), np.zeros((len(q), 6))])
     return tie.jacobian(x, None)[:, :3, :nq]
 
 
@@ -155,7 +155,7 @@ def _followed(tree, measured, targets) -> np.ndarray:
     q = measured.copy()
     for _ in range(_PASSES):
         J = np.concatenate([_jacobian(t, q) for t, _, _ in targets], axis=1)
-        now = [t.poses(q, 0.0 * q)[:, :3] for t, _, _ in targets]
+        now = [t.poses(q, np.zeros_like(q))[:, :3] for t, _, _ in targets]
         wanted = np.concatenate([pose for _, pose, _ in targets], axis=1)
         off = wanted - np.concatenate(now, axis=1)
         # About the measured posture, not about the last one.

@@ -110,7 +110,6 @@ def test_a_trial_is_read_as_it_was_filled_in(wearer, today):
         )
     np.testing.assert_allclose(found.ground.array, at.ground.array, atol=1e-9)
     assert found.name == "rise"
-    (grid,) = (m.grid for m in today.problem.parts[0].movements)
     for cuff, (segment, link) in wearer.model.tree.cuffs.items():
         bushing = wearer.contact.bushings[cuff]
         tree = wearer.model.tree
@@ -251,6 +250,48 @@ def test_derivatives_of_the_program(wearer, today):
     y = compiled.restrict(problem.guess())
     off = 1e-3 * np.random.default_rng(1).standard_normal(len(y))
     check_derivatives(compiled, y + off, tolerance=1e-4)
+
+
+def test_torques_over_the_movement_are_a_spline_s(wearer):
+    """As a design gives them that is made of the same values."""
+    over = replace(SETTINGS, assistance_over="movement", points=5)
+    problem = DesignProblem([wearer], over)
+    (part,) = problem.parts
+    (movement,) = part.movements
+    values = {
+        f"{joint}.factor_at_{k + 1}_of_5": factor
+        for joint in ("exo_knee", "exo_hip")
+        for k, factor in enumerate((1.0, 1.3, 0.8, 1.1, 0.7))
+    }
+    x = problem.guess(values)
+    design = design_of(values)
+    (own,) = wearer.trials
+    at = own.sample(movement.grid.times)
+    device = wearer.model.coordinates.device_columns
+    torques = design.torques(
+        wearer.model.coordinates.device,
+        at.moments[:, wearer.model.coordinates.is_device_joint],
+        at.q[:, device],
+        at.v[:, device],
+        movement.grid.times / 1.5,
+    )
+    for i, joint in enumerate(wearer.model.coordinates.device):
+        j = wearer.model.coordinates.joint(joint)
+        x[problem.program.indices(movement.torque[:, j])] = torques[:, i]
+    found = [
+        b for b in problem.program.constraints if b.name.endswith("assistance")
+    ]
+    assert len(found) == 2
+    for batch in found:
+        off = batch.kernel.evaluate(x[batch.indices], batch.data)
+        np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    # Friction is as it was.
+    ankle = movement.torque[:, wearer.model.coordinates.joint("exo_ankle")]
+    lower, upper = bounds(problem, ankle)
+    np.testing.assert_allclose(lower, at.moment("exo_ankle"))
+    np.testing.assert_allclose(upper, at.moment("exo_ankle"))
+    problem.compiled  # noqa: B018
+    assert 0.0 < problem.build_seconds < 60.0
 
 
 def test_limits_are_on_what_is_felt(wearer, today):
@@ -409,7 +450,7 @@ def test_cuffs_move_with_joints_below_them(wearer, model):
             if name in names:
                 moved[names.index(name)] += value
 
-        def deflection(places):
+        def deflection(places, kinematics=kinematics):
             rows = np.broadcast_to(places, (len(q), len(places)))
             return kinematics.deflection(q, kinematics.terms(q, rows))
 

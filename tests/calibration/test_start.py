@@ -1,5 +1,6 @@
 """Where a solve starts, part by part: on a model of two legs and toes."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +10,16 @@ from scipy.optimize import minimize
 from drake_exo.calibration import start
 from drake_exo.collocation.kernels import FootGroundKernel, PoseKernel
 from drake_exo.contact.hunt_crossley import sphere_wrench
-from drake_exo.contact.parameters import ContactSphere, GroundContact
+from drake_exo.contact.parameters import (
+    ContactSphere,
+    GroundContact,
+    nominal_contact,
+)
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.assembly import Assembly, Person
-from drake_exo.model.plant import Model
+from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import scale_human
+from drake_exo.virtual_laboratory.synthetic import Rise, draw
 
 
 @pytest.fixture(scope="module")
@@ -119,16 +126,22 @@ def test_coordinates_follow_their_feet(tree):
 
 @pytest.fixture
 def problem(tree):
-    """A sphere under each foot, as `PhaseProblem` has them."""
+    """A sphere under each segment, as `PhaseProblem` has them."""
+    q, _ = _standing(tree)
+    hinge = tree.point_positions(q, "toes_left", (0.0, 0.0))[0, 1]
+    # As deep in the ground as that of the foot while all stands.
+    depth = {"foot": -0.06, "toes": 0.03 - 1e-3 - hinge}
     sphere = ContactSphere(4e6, 1.5, 0.02, -0.06, 0.03)
     contact = GroundContact("simbody", {"heel": sphere}).checked()
     kernel = FootGroundKernel(contact)
-    values = [[4e6, 1.5, 0.02, -0.06, 0.03]]
+
+    def values(contact, body):
+        return np.array([[4e6, 1.5, 0.02, depth[body[:4]], 0.03]])
 
     def law_inputs(contact, body, q, v):
         pose = PoseKernel(tree, body).poses(q, v)
-        rows = np.tile(values[0], (len(q), 1))
-        return np.hstack([pose, 0.0 * pose[:, :3], rows])
+        rows = np.tile(values(contact, body)[0], (len(q), 1))
+        return np.hstack([pose, np.zeros((len(q), 3)), rows])
 
     feet = {side: (f"foot_{side}",) for side in ("left", "right")}
     soles = {f"foot_{side}": ["heel"] for side in feet}
@@ -138,7 +151,7 @@ def problem(tree):
         soles=soles,
         kernels=dict.fromkeys(soles, kernel),
         law_inputs=law_inputs,
-        sphere_values=lambda contact, body: np.array(values),
+        sphere_values=values,
         constants=contact.constants,
     )
 
@@ -203,20 +216,28 @@ def test_a_step_of_the_feet_mends_the_force_forwards(tree, problem):
 
 
 def test_feet_settled_under_a_body_that_follows(tree, problem):
-    """Both feet sink in until they bear; the rest moves with them."""
+    """Both feet sink in until they bear, and stay; knees bend above them."""
     q, _ = _standing(tree)
     times = np.linspace(0.0, 1.0, 21)
     q = np.tile(q[0], (len(times), 1))
-    q[:, 1] += 5e-3  # measured above where they bear
+    names, bend = tree.coordinates, 0.3 * np.sin(6.0 * times)
+    for side in problem.feet:
+        for joint, share in (("hip", 1.0), ("knee", 2.0), ("ankle", 1.0)):
+            q[:, names.index(f"{joint}_{side}")] = share * bend
+    foot = PoseKernel(tree, "foot_left")
+    measured = foot.poses(q, 0.0 * q)
+    # Measured a few millimetres above where they bear, and at one place.
+    q[:, :2] -= measured[:, :2] - measured[:1, :2] - [0.0, 5e-3]
+    measured = foot.poses(q, 0.0 * q)
     load = 300.0 + 20.0 * np.sin(times)
-    pose = PoseKernel(tree, "foot_left").poses(q, 0.0 * q)
-    cop = pose[:, 0] + 0.02
-    wrench = np.column_stack([0.0 * load, load, -cop * load])
+    cop = measured[:, 0] + 0.02
+    forward = 0.1 * load
+    wrench = np.column_stack([forward, load, -cop * load])
     at = SimpleNamespace(
         q=q,
-        v=0.0 * q,
+        v=np.gradient(q, times, axis=0),
         soles={
-            side: SimpleNamespace(array=wrench, force_x=wrench[:, 0])
+            side: SimpleNamespace(array=wrench, force_x=forward)
             for side in problem.feet
         },
     )
@@ -225,12 +246,87 @@ def test_feet_settled_under_a_body_that_follows(tree, problem):
     for side in problem.feet:
         ground = found.ground[f"foot_{side}"]
         off = (ground - wrench)[2:-2]
-        assert np.abs(off[:, 0]).max() < 5.0
+        assert np.abs(off[:, 0]).max() < 1.0
         assert np.abs(off[:, 1]).max() < 15.0
-        foot = PoseKernel(tree, f"foot_{side}").poses(found.q, found.v)
-        assert (foot[:, 1] < pose[:, 1] - 3e-3).all()
+        pose = PoseKernel(tree, f"foot_{side}").poses(found.q, found.v)
+        assert (pose[:, 1] < measured[:, 1] - 3e-3).all()
+        # The grid is coarse: differences of q alone let feet lift and turn.
+        assert np.abs(pose[:, 4]).max() < 5e-4
+        assert np.abs(pose[:, 5]).max() < 5e-3
     np.testing.assert_allclose(
         np.gradient(found.v, times, axis=0), found.a, atol=1e-9
     )
     rates = np.gradient(found.q, times, axis=0)
-    assert np.abs(found.v - rates)[2:-2].max() < 0.02
+    naive = foot.poses(found.q, rates)
+    assert np.abs(naive[:, 4]).max() > 5e-3
+    assert np.abs(found.v - rates)[2:-2].max() < 0.3
+
+
+def test_toes_that_creep_leave_their_foot_s_force_as_measured(tree, problem):
+    """What slides under hinged toes, the foot makes good."""
+    q, _ = _standing(tree)
+    times = np.linspace(0.0, 0.5, 21)
+    q = np.tile(q[0], (len(times), 1))
+    bend = 0.02 * np.sin(8.0 * times)
+    for side in problem.feet:
+        q[:, tree.coordinates.index(f"toes_{side}")] = bend
+        problem.feet[side] = (f"foot_{side}", f"toes_{side}")
+        problem.soles[f"toes_{side}"] = ["heel"]
+        problem.kernels[f"toes_{side}"] = problem.kernels[f"foot_{side}"]
+    foot = PoseKernel(tree, "foot_left").poses(q, np.zeros_like(q))
+    load = np.full(len(times), 400.0)
+    wrench = np.column_stack([0.0 * load, load, -(foot[:, 0] + 0.08) * load])
+    at = SimpleNamespace(
+        q=q,
+        v=np.gradient(q, times, axis=0),
+        soles={
+            side: SimpleNamespace(array=wrench, force_x=wrench[:, 0])
+            for side in problem.feet
+        },
+    )
+    movement = SimpleNamespace(grid=SimpleNamespace(times=times))
+    found = start.settled(problem, movement, at, None)
+    for side in problem.feet:
+        parts = [found.ground[f"{b}_{side}"] for b in ("foot", "toes")]
+        assert min(np.abs(p[:, 1]).max() for p in parts) > 20.0
+        assert np.abs(sum(parts)[2:-2, 0]).max() < 2.0
+        assert np.abs(parts[1][2:-2, 0]).max() > 5.0
+
+
+def test_one_foot_bears_what_a_chair_does_not(nominal_human):
+    """Where no plate was under it, by the equations of motion."""
+    model, trial = nominal_human
+    tree, names = model.tree, model.coordinates
+    contact = nominal_contact(model)
+    times = trial.times
+    lift = np.zeros_like(trial.q)
+    lift[:, names.index("foot_z")] = 120.0
+    unknown = PlanarWrench.of(np.zeros((len(times), 3)))
+    at = replace(trial, ground=unknown)
+    values = np.array(
+        [[p.nominal for p in contact.fixed(s)] for s in contact.ground.spheres]
+    )
+    problem = SimpleNamespace(
+        tree=tree,
+        soles={tree.root: list(contact.ground.spheres)},
+        kernels={tree.root: FootGroundKernel(contact.ground)},
+        sphere_values=lambda contact, body: values,
+    )
+    movement = SimpleNamespace(
+        grid=SimpleNamespace(times=times), applied=lambda q: lift
+    )
+    found = start.settled(problem, movement, at, contact)
+    force = found.ground[tree.root][:, 1]
+    np.testing.assert_allclose(force, trial.ground.force_z - 120.0)
+    root = names.root_columns
+    np.testing.assert_allclose(
+        found.a[:, root], np.gradient(found.v[:, root], times, axis=0)
+    )
+    np.testing.assert_array_equal(found.q[:, 3:], trial.q[:, 3:])
+    assert np.abs(found.q[:, root] - trial.q[:, root]).max() > 1e-4
+
+
+@pytest.fixture(scope="module")
+def nominal_human():
+    model = nominal_model("human")
+    return model, draw(model.tree, Rise("rise"))

@@ -86,6 +86,18 @@ def test_wearers_are_drawn_from_what_is_known(wearer):
     assert all(d.is_drawn for d in draws)
 
 
+def test_what_was_found_together_is_drawn_together(wearer):
+    """A covariance of rank one: all of two places by the same amount."""
+    names = ("thigh.origin_x", "thigh.origin_z")
+    values = np.array([wearer.contact.values()[n] for n in names])
+    known = Posterior(names, values, 1e-4 * np.ones((2, 2)))
+    sure = replace(wearer, contact=replace(wearer.contact, posterior=known))
+    for own in drawn(sure, 5):
+        off = [own.contact.values()[n] for n in names] - values
+        assert off[0] == pytest.approx(off[1], abs=1e-5)
+        assert abs(off[0]) > 1e-4
+
+
 def test_no_draw_of_a_stiffness_is_beyond_belief(wearer):
     """At most e^2 times what was found, or as little, however unsure it is."""
     name = "thigh.normal_stiffness"
