@@ -57,6 +57,11 @@ TESTS = {
     "drake_exo/cli/predict.py": ["tests/calibration/test_predict_command.py"],
     "drake_exo/cli/sole.py": ["tests/cli", f"{_SOLES}/test_sole_validity.py"],
     "drake_exo/collocation/": ["tests/collocation", *_CALIBRATION],
+    "drake_exo/collocation/design_kernels.py": [
+        "tests/collocation/test_design_kernels.py",
+        "tests/collocation/test_curvature.py",
+        "tests/calibration/test_design_program.py",
+    ],
     "drake_exo/collocation/trial_program.py": [
         "tests/collocation/test_trial_program.py"
     ],
@@ -322,6 +327,11 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "everything = dict.fromkeys(self.bushings, EVERY)",
             "everything = dict.fromkeys(self.bushings, [1])",
         ),
+    ],
+    "drake_exo/collocation/design_kernels.py": [
+        "tests/collocation/test_design_kernels.py",
+        "tests/collocation/test_curvature.py",
+        "tests/calibration/test_design_program.py",
     ],
     "drake_exo/collocation/trial_program.py": [
         ("weight = 0.5 / p.prior_sd**2", "weight = 1.0 / p.prior_sd**2"),
