@@ -96,13 +96,12 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
 
         for b, bushing in enumerate(self._bushings):
             force, places = self._parts(x, b)
-            f = slice(self._first + 3 * b, self._first + 3 * b + 3)
-            p = self._places[b]
+            first, p = self._first + 3 * b, self._places[b]
             terms = bushing.led(bushing.terms(q, places), w)
             turns = bushing.led(bushing.turns(q), w)
             H[:, :nq, :nq] += bushing.curvature(terms, force)
             by_q = bushing.deflection_jacobian(terms)[:, :ROTATION]
-            across = slice(f.start, f.start + ROTATION)
+            across = slice(first, first + ROTATION)
             add(across, slice(nq), by_q)
             add(across, p, bushing.by_places(turns))
             add(slice(nq), p, bushing.gradient_by_places(turns, force))
