@@ -38,6 +38,12 @@ TESTS = {
         "tests/contact/test_assistance.py",
         "tests/contact/test_strap.py",
     ],
+    "drake_exo/contact/bushing.py": [
+        "tests/contact/test_bushing.py",
+        "tests/collocation/test_kernels.py",
+        "tests/collocation/test_bushing_kernels.py",
+        "tests/collocation/test_curvature.py",
+    ],
     "drake_exo/designing.py": [
         "tests/test_designed.py",
         "tests/test_designing.py",

@@ -639,14 +639,13 @@ def Chair_(T):
             for (body, share), state in zip(
                 self._bodies.items(), states, strict=True
             ):
-                c, s = state.direction
                 x, z = state.position
                 moment = M_y - (z * F_x - x * F_z)
                 entry = applied_force(
                     T,
                     body,
-                    (0.0 * c, 0.0 * s),
-                    (share * F_x + 0.0 * c, share * F_z + 0.0 * c),
+                    (T(0.0), T(0.0)),
+                    (T(share * F_x), T(share * F_z)),
                     -share * moment,
                 )
                 entries.append(entry)

@@ -82,7 +82,7 @@ def test_poses(rng):
 
 @pytest.mark.parametrize("slip", [5e-4, 2e-3, 8e-3])
 def test_springs_of_cuffs(tree, rng, slip):
-    """Without dampers nothing is left out; held, beginning to slip, slipping."""
+    """Without dampers nothing is left out; held, or slipping."""
     moving = [(int(tree.segment_of[tree.body_index("exo_shank")]), 1j)]
     for segment in CUFFS:
         bushing = BushingKinematics(tree, segment, (0.01, -0.02, 0.03), moving)

@@ -5,12 +5,14 @@ import pytest
 from scipy.optimize import brentq
 from test_kernels import _check, _states
 
+from drake_exo.collocation import initial_guess
 from drake_exo.collocation.initial_guess import settle_rolling
 from drake_exo.collocation.kernels import (
     DynamicsKernel,
     FootGroundKernel,
     PoseKernel,
 )
+from drake_exo.contact.hunt_crossley import sphere_force
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
@@ -173,3 +175,98 @@ def test_a_foot_in_the_air_is_just_clear_of_the_ground():
     )
     np.testing.assert_allclose(q[:, 1], np.maximum(foot[:, 1], 0.097))
     np.testing.assert_array_equal(q[:, [0, 2]], foot[:, [0, 2]])
+
+
+def test_a_rolling_foot_slips_as_far_as_it_is_pushed():
+    """Without dissipation F_x is as measured, also where the foot turns."""
+    spheres = np.array(
+        [[2e6, 0.0, -0.05, -0.06, 0.032], [2e6, 0.0, 0.13, -0.06, 0.032]]
+    )
+    own = {
+        name: ContactSphere(*values)
+        for name, values in zip(SPHERES, spheres, strict=True)
+    }
+    kernel = FootGroundKernel(GroundContact("simbody", own))
+    places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
+    foot, ground = rolling()
+    q, v = settle_rolling(kernel, spheres, places, TIMES, foot, ground)
+    rows = np.tile(spheres.ravel(), (len(q), 1))
+    x = np.hstack([q, v, np.zeros_like(q), rows])
+    found = kernel.evaluate(x, None) * [100.0, 100.0, 10.0]
+    inside = slice(STANCE.start + 3, STANCE.stop - 3)
+    off = np.abs(found[:, 0] - ground[:, 0])[inside]
+    assert np.abs(ground[inside, 0]).max() > 30.0
+    assert np.abs(v[inside, 2]).max() > 2.0
+    assert off.max() < 0.5, off.max()
+
+
+def test_offsets_fade_from_the_nearest_loaded_sample():
+    """As exp(-(t / 0.1 s)^2), on either side."""
+    times = 0.05 * np.arange(8.0)
+    loaded = np.array([0, 0, 1, 1, 0, 0, 0, 1], bool)
+    off = np.array([9.0, 9.0, 0.3, -0.2, 9.0, 9.0, 9.0, 0.5])
+    e = np.exp([-0.25, -1.0])
+    expected = [
+        0.3 * e[1],
+        0.3 * e[0],
+        0.3,
+        -0.2,
+        -0.2 * e[0],
+        -0.2 * e[1],
+        0.5 * e[0],
+        0.5,
+    ]
+    found = initial_guess._bridged(off, loaded, times)
+    np.testing.assert_allclose(found, expected)
+    for every in (np.ones(8, bool), np.zeros(8, bool)):
+        np.testing.assert_array_equal(
+            initial_guess._bridged(off, every, times), off
+        )
+    assert initial_guess._runs(loaded) == [(2, 4), (7, 8)]
+
+
+@pytest.mark.parametrize("force_x", [-30.0, 0.0, 45.0])
+def test_slip_that_gives_a_force(force_x):
+    """Of two spheres together; beyond friction it is as fast as may be."""
+    kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
+    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    loads = np.array([[50.0, 20.0], [10.0, 90.0]])
+    wanted = np.array([force_x, 2.0 * force_x])
+    slip = initial_guess.slip_velocity(kernel, spheres, loads, wanted)
+    for total, speed, force in zip(
+        loads.sum(axis=1), slip, wanted, strict=True
+    ):
+        # A depth at which one sphere bears all of it.
+        depth = brentq(
+            lambda d, total=total: (
+                initial_guess.static_force(kernel, spheres[:1], d)[0] - total
+            ),
+            1e-6,
+            0.02,
+        )
+        _, friction = sphere_force(
+            "simbody",
+            depth,
+            0.0,
+            speed,
+            *spheres[0, [0, 1, 4]],
+            kernel.constants,
+        )
+        assert friction == pytest.approx(force, rel=1e-3, abs=1e-3)
+    sign = np.sign(slip)
+    np.testing.assert_array_equal(
+        sign[wanted != 0.0], -np.sign(wanted)[wanted != 0.0]
+    )
+
+
+def test_a_foot_sinks_until_it_bears():
+    """Under spheres of different reach, by a root of the summed force."""
+    kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
+    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    below = np.array([[0.09, 0.088], [0.05, 0.07]])
+    force = np.array([700.0, 300.0])
+    height, depths = initial_guess.sunk(kernel, spheres, below, force)
+    np.testing.assert_allclose(depths, below - height[:, None])
+    bears = initial_guess.static_force(kernel, spheres, depths)
+    np.testing.assert_allclose(bears.sum(axis=1), force, rtol=1e-6)
+    assert bears[1, 0] < 5.0 < 50.0 < bears[0, 1]

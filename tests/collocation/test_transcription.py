@@ -7,6 +7,7 @@ from drake_exo.collocation.transcription import (
     TRANSCRIPTIONS,
     HermiteSimpson,
     radau_points,
+    stands_for,
 )
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SolverOptions
@@ -59,6 +60,9 @@ def test_basis_satisfies_the_collocation_constraints(name, parts):
     defects = full.constraints(full.restrict(x))
     jerk = np.abs(x[program.indices(grid.jerk)]).max()
     assert np.abs(defects).max() < 1e-12 * jerk
+    basis, _ = grid._scalar_basis()
+    rows = sum(len(part) for part in (grid.q, grid.v, grid.a, grid.jerk))
+    assert basis.shape[0] == rows
     # As many unknowns as the constraints leave free.
     assert reduced.num_unknowns == full.num_unknowns - full.num_constraints
 
@@ -210,3 +214,9 @@ def test_constraints_are_named_by_trial():
         for b in program.prog.generic_constraints()
     ]
     assert "rise2 collocation[4]" in described
+
+
+def test_time_that_nodes_stand_for():
+    """Half the way to either side; at the ends as much as the next step."""
+    found = stands_for(np.array([0.1, 0.3, 0.5, 0.2]))
+    np.testing.assert_allclose(found, [0.1, 0.2, 0.4, 0.35, 0.2])

@@ -28,6 +28,7 @@ from drake_exo.contact.bushing import (
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.hunt_crossley import sphere_wrench
 from drake_exo.contact.parameters import ContactModel, nominal_contact
+from drake_exo.contact.systems import TrackingController
 from drake_exo.model.plant import nominal_model
 
 LAWS = ("paper", "simbody")
@@ -219,3 +220,25 @@ def test_equal_stiffness_without_damping_is_drakes_bushing(seed):
         generalized_force(model, context, ours), drakes, atol=1e-8
     )
     assert np.max(np.abs(drakes)) > 1.0
+
+
+def test_a_tracking_controller_is_torque_and_feedback():
+    """By hand: what is ahead of its reference is held back."""
+    rng = np.random.default_rng(2)
+    times = np.linspace(0.0, 1.0, 5)
+    q, v = rng.standard_normal((2, 5, 6))
+    torque = rng.standard_normal((5, 3))
+    controller = TrackingController(times, q, v, torque, 400.0, 20.0)
+    context = controller.CreateDefaultContext()
+    state, port = (
+        controller.GetInputPort("state"),
+        controller.GetOutputPort("joint_torques"),
+    )
+    for k in (0, 3):
+        context.SetTime(times[k])
+        state.FixValue(context, np.r_[q[k], v[k]])
+        np.testing.assert_allclose(port.Eval(context), torque[k])
+        off, rate = rng.standard_normal((2, 6))
+        state.FixValue(context, np.r_[q[k] + off, v[k] + rate])
+        expected = torque[k] - 400.0 * off[3:] - 20.0 * rate[3:]
+        np.testing.assert_allclose(port.Eval(context), expected)
