@@ -32,6 +32,11 @@ TESTS = {
         "tests/calibration/test_design.py",
     ],
     "drake_exo/calibration/periodic.py": ["tests/calibration/test_periodic.py"],
+    "drake_exo/calibration/settings.py": [
+        "tests/docs/test_pages.py::test_keys_are_those_of_the_program",
+        "tests/calibration/test_wearers.py",
+    ],
+    "drake_exo/calibration/solving.py": ["tests/calibration/test_verdicts.py"],
     "drake_exo/calibration/start.py": ["tests/calibration/test_start.py"],
     "drake_exo/calibration/wearers.py": ["tests/calibration/test_wearers.py"],
     "drake_exo/contact/assistance.py": [

@@ -113,6 +113,17 @@ def test_noise_for_about_a_second_is_orthonormal():
     np.testing.assert_array_equal(crossings, [0, 1, 2, 3])
 
 
+def test_noise_for_about_a_second_by_hand():
+    """Two samples a second over two seconds: cosines of quarter turns."""
+    modes = module._modes(5.0 + np.arange(5.0) / 2.0)
+    c = np.sqrt(0.5)
+    np.testing.assert_allclose(
+        modes[:, :3],
+        [[c, 1, 1], [c, c, 0], [c, 0, -1], [c, -c, 0], [c, -1, 1]],
+        atol=1e-12,
+    )
+
+
 def test_noise_of_signals_reaches_parameters():
     """Two parameters, by sums over nodes: a force, and angles with speeds."""
     n, rng = 11, np.random.default_rng(3)

@@ -3,6 +3,7 @@
 import json
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from undrawn import undrawn
 from unmarked import unmarked
 
 import drake_exo as dx
+from drake_exo.calibration import solving
 from drake_exo.calibration.audit import (
     FORCE_TOLERANCE,
     MOMENT_TOLERANCE,
     audit,
     between_nodes,
 )
+from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.settings import FootGroundSettings, Solver
 from drake_exo.calibration.solving import finer, solve, split
@@ -131,6 +134,39 @@ def test_a_calibration_of_another_is_refused(
     assert "DOES NOT HOLD: provenance.subject" in text.splitlines()[0]
     undrawn_ones = {p.name for p in (tmp_path / "c1").glob("*.png")}
     assert set(unmarked(tmp_path / "c1")) == undrawn_ones != set()
+
+
+def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
+    """By 1 N and 0.5 N m."""
+    parts = np.ones(4, int)
+    grid = SimpleNamespace(parts=parts)
+    movement = SimpleNamespace(grid=grid, may_alternate=False)
+    trial = SimpleNamespace(name="rise")
+    problem = SimpleNamespace(refined={}, movements=[movement], trials=[trial])
+    result = SimpleNamespace(problem=problem)
+    for force, moment, expected in (
+        (0.9, 0.45, None),
+        (1.1, 0.0, [2, 2, 1, 1]),
+        (0.0, 0.55, [2, 2, 1, 1]),
+        (1.9, 0.0, [2, 2, 1, 1]),
+        (0.0, 1.1, [4, 4, 2, 1]),
+    ):
+        at = np.array([force, 0, 0, 0]), np.array([moment, 0, 0, 0])
+        monkeypatch.setattr(solving, "between_nodes", lambda *_, at=at: at)
+        found = solving.finer(result)
+        if expected is None:
+            assert found == {}
+            continue
+        np.testing.assert_array_equal(found["rise"], expected)
+    # What alternates is damped first, on the same grid.
+    movement.may_alternate = True
+    np.testing.assert_array_equal(solving.finer(result)["rise"], parts)
+    problem.refined = {"rise": parts}
+    np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 1])
+
+
+def test_no_errors_are_none():
+    assert set(vars(NO_ERRORS).values()) == {0.0}
 
 
 def test_what_misses_is_split_and_lengths_change_gently():

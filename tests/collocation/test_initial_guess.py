@@ -184,3 +184,22 @@ def test_straight_line_joins_the_ends_at_rest():
     for x, derivative in ((line.q, line.v), (line.v, line.a)):
         slope = (x[2:] - x[:-2]) / (2 * step)
         np.testing.assert_allclose(slope, derivative[1:-1], atol=5e-3)
+
+
+@pytest.mark.parametrize("turn", [0.35, -0.35])
+def test_a_sole_that_is_turned_on_its_foot_turns_the_foot_back(turn):
+    """Three spheres bear as before, the foot pitched by as much."""
+    kernel, parameters = kernel_and_parameters(
+        "simbody", 1e6, MIDDLES["below the ends"]
+    )
+    spheres = parameters.reshape(-1, 5).copy()
+    place = (spheres[:, 2] + 1j * spheres[:, 3]) * np.exp(1j * turn)
+    spheres[:, 2], spheres[:, 3] = place.real, place.imag
+    ground = reaction(0.06, 0.0)
+    ground[:] = ground[:1]
+    measured = np.tile([0.01, 0.07, 0.1], (len(TIMES), 1))
+    plain, _ = settle_foot(kernel, parameters, TIMES, measured, ground)
+    found, _ = settle_foot(kernel, spheres.ravel(), TIMES, measured, ground)
+    # The foot's pitch and height, and where the load is, make up for it.
+    np.testing.assert_allclose(found[:, 2], plain[:, 2] - turn, atol=2e-4)
+    np.testing.assert_allclose(found[:, 1], plain[:, 1], atol=1e-5)

@@ -81,6 +81,52 @@ def test_worn_stiffly_it_moves_as_the_person_does(assembly):
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+def test_a_link_that_leans_is_worn_as_it_leans():
+    """Stiffly: forces are those of the joints, wherever the frame points."""
+    lean = '<child link="calf"/><origin rpy="0 0.3 0"/>'
+    model = edited(ANKLE, ('<child link="calf"/>', lean))
+    weld = model.rigid.assembly.device.welds["calf"]
+    assert weld.to == "shank"
+    # Up and back about y is clockwise; angles count the other way round.
+    assert weld.pitch_deg == pytest.approx(-np.rad2deg(0.3))
+    names = model.coordinates
+    S = names.aligned(np.eye(len(names.body))).T
+    q, v, a = np.random.default_rng(0).normal(size=(3, 5, len(names.body)))
+    found = model.rigid.tree.inverse_dynamics(q, v, a)
+    expected = model.tree.inverse_dynamics(q @ S.T, v @ S.T, a @ S.T) @ S
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("moments", "products", "left_out"),
+    [
+        # A disc: two moments add up to the third.
+        (("0.01", "0.01", "0.02"), "0", False),
+        # The same, turned about y by 30 degrees.
+        (("0.0125", "0.01", "0.0175"), "0.00433012701892", False),
+        # A body, if only just; and none.
+        (("0.01", "0.012", "0.02"), "0.002", False),
+        (("0.01", "0.012", "0.02"), "0.015", True),
+    ],
+)
+def test_inertias_at_the_edge_of_what_a_body_has(moments, products, left_out):
+    old = 'ixx="0.02" iyy="0.02" izz="0.006" ixy="0" ixz="0"'
+    x, y, z = moments
+    new = f'ixx="{x}" iyy="{y}" izz="{z}" ixy="0" ixz="{products}"'
+    notes = edited(ANKLE, (old, new)).assembly.device.notes
+    assert bool(notes) == left_out
+
+
+@pytest.mark.parametrize(("off", "taken"), [("1e-8", True), ("1e-4", False)])
+def test_an_axis_may_leave_the_plane_s_normal_by_rounding(off, taken):
+    change = ('<axis xyz="0 1 0"/>', f'<axis xyz="{off} 1 0"/>')
+    if taken:
+        assert edited(ANKLE, change).coordinates.device == ("motor",)
+        return
+    with pytest.raises(InputError, match="out of the sagittal plane"):
+        edited(ANKLE, change).tree  # noqa: B018
+
+
 def test_a_joint_that_counts_the_other_way_round():
     model = edited(ANKLE, ('xyz="0 1 0"', 'xyz="0 -1 0"'))
     assert model.coordinates.turned_by.tolist() == [[-1.0, 0.0, 0.0]]

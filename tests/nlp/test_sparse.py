@@ -231,6 +231,35 @@ def test_rows_are_named():
     assert [v for _, v in worst] == sorted((v for _, v in worst), reverse=True)
 
 
+def test_the_most_violated_constraints_are_told():
+    """By how much, on either side; what holds is not."""
+    program = BatchedProgram()
+    x = program.prog.NewContinuousVariables(4, "x")
+    data = np.array([[1.0], [2.0], [3.0], [4.0]])
+
+    class Line:
+        sparsity = np.ones((1, 1), bool)
+
+        def evaluate(self, x, data):
+            return x + data
+
+        def jacobian(self, x, data):
+            return np.ones((len(x), 1, 1))
+
+    program.add_constraints("line", Line(), x[:, None], 2.5, 3.5, data)
+    problem = SparseProgram(program)
+    y = problem.restrict(np.zeros(4))
+    found = problem.worst_constraints(y)
+    assert [v for _, v in found] == pytest.approx([1.5, 0.5, 0.5])
+    names = [name for name, _ in found]
+    assert names[0].startswith("line[0]")
+    assert {n.split()[0] for n in names[1:]} == {"line[1]", "line[3]"}
+    assert problem.worst_constraints(y, 1) == found[:1]
+    assert problem._violation(y) == pytest.approx(1.5)
+    high = problem.restrict(np.array([1.5, 1.0, 0.0, 2.0]))
+    assert problem._violation(high) == pytest.approx(2.5)
+
+
 def test_fingerprint_tells_bounds_costs_and_structure_apart():
     def fingerprint(change=None):
         program, x, _ = _program()
