@@ -114,6 +114,8 @@ TESTS = {
         f"{_SOLES}/test_sole_replay.py",
     ],
     "drake_exo/soles/optimize/design.py": [f"{_SOLES}/test_design_numbers.py"],
+    "drake_exo/soles/optimize/limits.py": [f"{_SOLES}/test_limit_numbers.py"],
+    "drake_exo/soles/optimize/problem.py": [f"{_SOLES}/test_limit_numbers.py"],
     "drake_exo/soles/optimize/optimizer.py": [f"{_SOLES}/test_optimizer.py"],
     "drake_exo/soles/optimize/search.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/optimize/pareto.py": [f"{_SOLES}/test_search.py"],
@@ -124,6 +126,9 @@ TESTS = {
     "drake_exo/soles/rotations.py": [f"{_SOLES}/test_rotations.py"],
     "drake_exo/soles/step/": [f"{_SOLES}/test_step_numbers.py"],
     "drake_exo/soles/step/simulation.py": [f"{_SOLES}/test_step_starts.py"],
+    "drake_exo/soles/step/strain_comparison.py": [
+        f"{_SOLES}/test_strain_numbers.py"
+    ],
     "drake_exo/soles/surface.py": [
         f"{_SOLES}/test_surface_steps.py",
         f"{_SOLES}/test_surface.py",

@@ -1,0 +1,227 @@
+"""Limits of a shape problem: values by hand, slopes by differences."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.optimize import limits as module
+from drake_exo.soles.optimize.limits import (
+    Limits,
+    RotationLimit,
+    StabilityLimit,
+    StrainLimit,
+    SurfaceLimits,
+    TiltLimit,
+    active_limits,
+    soft_minimum,
+)
+from drake_exo.soles.optimize.search import stage_problem
+from drake_exo.soles.rotations import rotations_xyz
+
+NAMES = ["volume", "elements", "depth", "height", "draft_deg", "stability",
+         "tilt_deg", "strain", "c_rot"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Every limit there is, two samples, the second harder."""
+    case = Case.from_text(EXAMPLE)
+    block = replace(
+        case.settings.optimize, stability_n_per_m=500.0, tilt_deg=15.0,
+        strain=0.4, c_rot_nm_per_rad=300.0, roughness=0.1,
+    )  # fmt: skip
+    shape = replace(
+        block.shape, least_depth_m=0.02, largest_height_m=0.05, draft_deg=2.0
+    )
+    settings = replace(case.settings, optimize=replace(block, shape=shape))
+    load = case.load.at(np.arange(2))
+    load = replace(load, force=load.force * [[1.0], [1.4]],
+                   zmp=load.zmp + np.array([[0.0, 0], [0.02, -0.01]]))  # fmt: skip
+    setup = replace(case, settings=settings, load=load)
+    return stage_problem(setup, settings.optimize.stages[0])
+
+
+@pytest.fixture(scope="module")
+def design(problem):
+    rng = np.random.default_rng(1)
+    return 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
+
+
+def test_slopes_of_cost_and_every_limit(problem, design):
+    assert problem.names() == NAMES
+    direction = np.random.default_rng(2).standard_normal(len(design))
+    gradient, jacobian = problem.derivatives(design)
+    exact = [gradient @ direction, *(jacobian @ direction)]
+    h = 1e-6
+
+    def values(p):
+        free = problem.cost(p) - problem.regularization(p)[0]
+        return np.array([free, *problem.constraints(p)])
+
+    ahead, behind = (values(design + s * h * direction) for s in (1, -1))
+    numeric = (ahead - behind) / (2 * h)
+    np.testing.assert_allclose(exact, numeric, rtol=2e-5, atol=1e-7)
+    assert np.abs(numeric).min() > 1e-3
+    by_load = problem.by_load(design)
+    assert by_load.shape == (5, 2, 5)
+
+
+def test_cost_is_the_scaled_sum_of_its_samples(problem, design):
+    e = problem.evaluate(design)
+    K = e.history.K_c
+    tr = [np.linalg.svd(block[:3, :3])[1].max() for block in K]
+    rot = [np.linalg.svd(block[3:, 3:])[1].min() for block in K]
+    assert e.c_tr == pytest.approx(tr[0])  # heel strike is the first alone
+    assert e.c_rot == pytest.approx(sum(rot))
+    first = problem.first
+    scale = abs(first.c_tr - problem.weight * first.c_rot)
+    wanted = (e.c_tr - problem.weight * e.c_rot) / scale
+    rough = problem.regularization(design)[0]
+    assert problem.cost(design) == pytest.approx(wanted + rough)
+    values = dict(zip(NAMES, problem.constraints(design), strict=True))
+    mesh = e.sole.mesh
+    assert values["volume"] == pytest.approx(
+        1 - mesh.volume / problem.limits.volume
+    )
+    share = (mesh.quality() / problem.mesh.quality()).min()
+    assert share - 0.35 - 0.03 < values["elements"] <= share - 0.35
+    assert values["strain"] == pytest.approx(1 - e.strain.value / 0.4)
+    assert values["c_rot"] == pytest.approx(e.c_rot / 300.0 - 1)
+
+
+def test_roughness_is_the_mean_square_of_bends_over_a_tenth(problem, design):
+    by_hand = []
+    stretch = problem.spline.stretch(problem.mesh.nodes, design)
+    faces = problem.mesh.contact_faces
+    for node in np.setdiff1d(np.unique(faces), problem.mesh.fixed):
+        near = np.unique(faces[(faces == node).any(axis=1)])
+        near = near[near != node]
+        by_hand.append((stretch[near].mean() - stretch[node]) / 0.1)
+    value, gradient, hessian = problem.regularization(design)
+    assert value == pytest.approx(0.1 * np.mean(np.square(by_hand)))
+    h = 1e-4
+    for d in np.eye(len(design))[:4]:
+        ends = [problem.regularization(design + s * h * d) for s in (1, -1)]
+        assert gradient @ d == pytest.approx(
+            (ends[0][0] - ends[1][0]) / (2 * h)
+        )
+        np.testing.assert_allclose(
+            hessian @ d, (ends[0][1] - ends[1][1]) / (2 * h), atol=1e-9
+        )
+
+
+def test_rough_changes_are_farther_than_smooth_ones(problem):
+    """Up to 21 times; what does not bend at all is as far as it is."""
+    metric, bends = problem.metric, problem.regularization(
+        np.ones(problem.spline.count))[2]  # fmt: skip
+    values, vectors = np.linalg.eigh(bends)
+    found = np.diag(vectors.T @ metric @ vectors)
+    np.testing.assert_allclose(found, 1 + 20 * values / values[-1], rtol=1e-9)
+    np.testing.assert_allclose(
+        vectors.T @ metric @ vectors, np.diag(found), atol=1e-9
+    )
+
+
+def _evaluation(K=None, R=None):
+    count = len(K) if K is not None else len(R)
+    if R is None:
+        R = np.tile(np.eye(3), (count, 1, 1))
+    return SimpleNamespace(
+        history=SimpleNamespace(K_c=K, R=R), c_rot=450.0,
+        strain=SimpleNamespace(value=0.3),
+    )  # fmt: skip
+
+
+def test_values_by_hand():
+    K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]  # 8 kN/m
+    limit = StabilityLimit(2e3, 3e3)
+    assert limit.value(_evaluation(K)) == pytest.approx(2 / np.sqrt(5))
+    lean = np.array([[np.deg2rad(10.0), 0, 0]])
+    R = rotations_xyz(lean)
+    tilt = TiltLimit(20.0).value(_evaluation(R=R))
+    wanted = np.cos(np.deg2rad(10)) - np.cos(np.deg2rad(20))
+    assert tilt == pytest.approx(wanted / 0.06)
+    assert StrainLimit(0.4).value(_evaluation(K)) == pytest.approx(0.25)
+    assert RotationLimit(300.0, None).value(_evaluation(K)) == 0.5
+    both = np.concatenate([K, 3 * K])
+    found = limit.value(_evaluation(both))
+    one = 2 / np.sqrt(5)
+    assert one - np.log(2) / 60 < found < one
+    found = TiltLimit(20.0).value(_evaluation(R=np.concatenate([R, R])))
+    assert found == pytest.approx(tilt - np.log(2) / 60)
+
+
+def test_limits_that_are_given_are_active():
+    K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]
+    first = _evaluation(np.concatenate([K, 2 * K]))
+    assert active_limits(Limits(1.0), first, None) == []
+    found = active_limits(Limits(1.0, 500.0, 8.0, 0.1, 30.0), first, "w")
+    stability, tilt, strain, c_rot = found
+    assert stability.least == 500.0
+    assert stability.scale == pytest.approx(8e3)
+    assert (tilt.largest_deg, strain.largest) == (8.0, 0.1)
+    assert (c_rot.least, c_rot.by_rot) == (30.0, "w")
+
+
+def test_soft_minima_err_on_the_safe_side():
+    x = np.array([0.5, 0.1, 0.3, 0.1])
+    for sharpness in (60.0, 500.0):
+        value, share = soft_minimum(x, sharpness)
+        assert value == pytest.approx(
+            0.1 - np.log(2 + np.exp(-sharpness * 0.4)
+                         + np.exp(-sharpness * 0.2)) / sharpness
+        )  # fmt: skip
+        h = 1e-6
+        for k in range(4):
+            d = h * np.eye(4)[k]
+            ends = [soft_minimum(x + s * d, sharpness)[0] for s in (1, -1)]
+            assert share[k] == pytest.approx((ends[0] - ends[1]) / (2 * h),
+                                             abs=1e-6)  # fmt: skip
+    assert soft_minimum(x)[0] == soft_minimum(x, 60.0)[0]
+    y, slope = module._saturate(np.array([-3.0, 0.0, 0.75]))
+    np.testing.assert_allclose(y, [-3 / np.sqrt(10), 0, 0.6])
+    np.testing.assert_allclose(slope, [10**-1.5, 1.0, 0.512])
+
+
+def test_powers_of_matrices():
+    rng = np.random.default_rng(3)
+    a = rng.standard_normal((4, 3, 3))
+    for order in (1, 2, 5, 63, 64):
+        wanted = [np.linalg.matrix_power(m, order) for m in a]
+        np.testing.assert_allclose(module._powers(a, order), wanted, rtol=1e-9)
+
+
+def test_strain_is_the_norm_of_all_that_counts(problem, design):
+    """(Σ n tr ε⁶⁴)^(1/64) over elements and samples, none left out."""
+    e = problem.evaluate(design)
+    total = 0.0
+    for q, count in enumerate(e.counts):
+        f = e.history.F[q] @ e.history.R[q]
+        eps = e.sole.strain(e.sole.displacement(f))
+        total += count * (np.linalg.eigvalsh(eps / 0.1) ** 64).sum()
+    assert e.strain.value == pytest.approx(0.1 * total ** (1 / 64), rel=1e-12)
+
+
+def test_what_the_surface_measures(problem):
+    """A box that is sheared: its draft is the shear's angle."""
+    mesh = problem.mesh
+    shear = np.eye(3)
+    shear[0, 2] = 0.2  # the heel's side leans out by 11.3° below
+    sheared = mesh.with_nodes(mesh.nodes @ shear.T)
+    moving = np.ones(len(mesh.nodes), bool)
+    limits = SurfaceLimits(Limits(1.0, depth=0.02, height=0.05, draft_deg=3.0),
+                           mesh, moving)  # fmt: skip
+    told = limits.measures(sheared)
+    angle = np.arctan(0.2)
+    assert told["draft"] == pytest.approx(-np.degrees(angle))
+    assert told["depth"] == told["height"] == pytest.approx(0.03)
+    found = {name: value for name, value, _ in limits.evaluate(sheared)}
+    wanted = {
+        "depth": 0.03 / 0.02 - 1, "height": 1 - 0.03 / 0.05,
+        "draft_deg": -np.sin(angle) - np.sin(np.deg2rad(3.0)),
+    }  # fmt: skip
+    for name, value in wanted.items():
+        assert value - np.log(200) / 500 < found[name] <= value + 1e-12
