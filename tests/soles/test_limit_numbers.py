@@ -38,8 +38,8 @@ def problem():
     )
     settings = replace(case.settings, optimize=replace(block, shape=shape))
     load = case.load.at(np.arange(2))
-    load = replace(load, force=load.force * [[1.0], [1.4]],
-                   zmp=load.zmp + np.array([[0.0, 0], [0.02, -0.01]]))  # fmt: skip
+    zmp = load.zmp + np.array([[0.0, 0.0], [0.02, -0.01]])
+    load = replace(load, force=load.force * [[1.0], [1.4]], zmp=zmp)
     setup = replace(case, settings=settings, load=load)
     return stage_problem(setup, settings.optimize.stages[0])
 

@@ -96,7 +96,7 @@ def test_each_sample_is_that_of_both_simulations(compared):
         eps = np.linalg.eigvalsh((H + H.transpose(0, 2, 1)) / 2) - 1
         assert row["largest_stretch_small"] == pytest.approx(1 + eps.max())
         assert row["least_stretch_small"] == pytest.approx(1 + eps.min())
-        assert row["largest_stretch_finite"] > 1.01
+        assert row["largest_stretch_finite"] > 1.005
 
 
 def test_the_table_says_each_number_in_its_column(compared, tmp_path):
