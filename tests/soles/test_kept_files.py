@@ -1,0 +1,252 @@
+"""What a search keeps on disk and reads again; grounds and their words."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
+from drake_exo.soles.mesh import write_vtk
+from drake_exo.soles.optimize.files import (
+    Checkpoint,
+    StoredDesign,
+    find_designs,
+    read_checkpoint,
+    read_summary,
+    start_folder,
+    write_case,
+)
+from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton
+from drake_exo.soles.rotations import angles_xyz, rotations_xyz
+from drake_exo.soles.shape import SphericalSpline
+
+
+def _checkpoint(shift=0.0):
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((4, 4))
+    return Checkpoint(
+        2, 7, rng.standard_normal(4) + shift, rng.standard_normal(4),
+        rng.standard_normal(3), 1e-5, root @ root.T,
+        ({"cost": -0.5, "violation": 0.25},),
+    )  # fmt: skip
+
+
+def _assert_same(a, b):
+    assert (a.stage, a.iteration, a.barrier) == (
+        b.stage,
+        b.iteration,
+        b.barrier,
+    )
+    assert a.starts == b.starts
+    for name in ("p", "latest", "multipliers", "curvature"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name))
+
+
+def test_a_checkpoint_is_read_as_it_was_written(tmp_path):
+    """Of its curvature one triangle is kept."""
+    at = _checkpoint()
+    at.write(tmp_path)
+    kept = json.loads((tmp_path / "checkpoint.json").read_text())
+    assert len(kept["curvature"]) == 10
+    for path in (tmp_path, tmp_path / "checkpoint.json"):
+        _assert_same(read_checkpoint(path), at)
+    bare = replace(at, multipliers=None, barrier=None)
+    bare.write(tmp_path)
+    found = read_checkpoint(tmp_path)
+    assert found.multipliers is None and found.warm_start((0, 1)) is None
+
+
+def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
+    assert start_folder(None, 1) is None
+    for number in (0, 2, 11):
+        folder = start_folder(tmp_path, number)
+        folder.mkdir()
+        _checkpoint(number).write(folder)
+    start_folder(tmp_path, 5).mkdir()
+    found = read_checkpoint(tmp_path)
+    assert found.p is None and len(found.begun) == 12
+    there = [k for k, at in enumerate(found.begun) if at is not None]
+    assert there == [0, 2, 11]
+    for number in there:
+        _assert_same(found.begun[number], _checkpoint(number))
+
+
+@pytest.mark.parametrize("name", ["stage", "iteration", "coefficients"])
+def test_numbers_that_no_run_writes_are_refused(tmp_path, name):
+    _checkpoint().write(tmp_path)
+    path = tmp_path / "checkpoint.json"
+    kept = json.loads(path.read_text())
+    kept[name] = [1e31] * 4 if name == "coefficients" else -1
+    path.write_text(json.dumps(kept))
+    with pytest.raises(InputError, match="not a checkpoint"):
+        read_checkpoint(tmp_path)
+
+
+def test_a_checkpoint_of_a_running_stage():
+    curvature = QuasiNewton(np.eye(4), 3.0 * np.eye(4))
+    best = Optimum(np.ones(4))
+    before = _checkpoint()
+    at = Checkpoint.of(1, 5, best, curvature, before)
+    assert (at.stage, at.iteration, at.barrier) == (1, 5, None)
+    assert at.latest is best.p and at.starts == before.starts
+    best.latest = np.zeros(4), np.arange(3.0), 1e-3
+    at = Checkpoint.of(1, 5, best, curvature, before)
+    np.testing.assert_array_equal(at.latest, np.zeros(4))
+    np.testing.assert_array_equal(at.curvature, 3.0 * np.eye(4))
+    warm = at.warm_start((-1.0, 2.0))
+    np.testing.assert_allclose(warm.low, 1e-3)
+    np.testing.assert_allclose(warm.high, 5e-4)
+    assert warm.best is best.p
+
+
+def test_another_case_s_checkpoint_is_told_by_its_sizes():
+    at = _checkpoint()
+
+    def fits(count, names):
+        at.check_fits(
+            SimpleNamespace(
+                spline=SimpleNamespace(count=count), names=lambda: names
+            )
+        )
+
+    fits(4, ["a", "b", "c"])
+    with pytest.raises(InputError, match="4 coefficients, the case 5"):
+        fits(5, ["a", "b", "c"])
+    with pytest.raises(InputError, match=r"3 limits, the case 2 \(a, b\)"):
+        fits(4, ["a", "b"])
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """A design's folder, written by hand."""
+    case = Case.from_text(EXAMPLE)
+    folder = tmp_path / "design"
+    folder.mkdir()
+    write_case(folder, case.settings, case.start)
+    write_vtk(folder / "sole.vtk", case.mesh)
+    angles = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, 30.0]])
+    head = ("time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m,roll_deg,"
+            "pitch_deg,yaw_deg")  # fmt: skip
+    rows = [f"{k},1,2,300,0.01,0.02,{','.join(map(str, row))}"
+            for k, row in enumerate(angles)]  # fmt: skip
+    (folder / "steps.csv").write_text("\n".join([head, *rows]))
+    return folder, case, angles
+
+
+def test_a_design_is_read_from_its_folder(stored, tmp_path):
+    folder, case, _ = stored
+    (found,) = find_designs(folder)
+    assert found.name == "example" and found.setup.load.rotation is None
+    np.testing.assert_allclose(found.setup.mesh.nodes, case.mesh.nodes)
+    np.testing.assert_allclose(found.setup.start.point_L, case.start.point_L)
+    np.testing.assert_allclose(found.setup.start.point_W, case.start.point_W)
+    np.testing.assert_array_equal(found.setup.load.force, 2 * [[1, 2, 300]])
+    (tmp_path / "summary.json").write_text(
+        json.dumps({"cases": [{"name": "design"}, {"name": "gone"}]})
+    )
+    assert [d.folder for d in find_designs(tmp_path)] == [folder]
+    (folder / "sole.vtk").unlink()
+    with pytest.raises(InputError, match=r"sole\.vtk: is missing"):
+        find_designs(folder)
+
+
+def test_a_pose_that_was_measured_is_kept_in_degrees(stored):
+    folder, _, angles = stored
+    text = (folder / "case.yaml").read_text()
+    load = text[text.index("load:") :].splitlines()
+    end = next(k for k, line in enumerate(load[1:], 1) if line[:1] != " ")
+    measured = ["load:", "  recording: there.yaml", "  trial: walk",
+                "  foot: left", "  pose: measured"]  # fmt: skip
+    lines = text[: text.index("load:")].splitlines() + measured + load[end:]
+    (folder / "case.yaml").write_text("\n".join(lines))
+    (found,) = find_designs(folder)
+    R = found.setup.load.rotation
+    np.testing.assert_allclose(np.degrees(angles_xyz(R)), angles)
+    np.testing.assert_allclose(R, rotations_xyz(np.deg2rad(angles)))
+
+
+def test_a_spline_is_read_from_its_folder(tmp_path):
+    spline = SphericalSpline((3, 4), False, True, (7, 8))
+    p = np.linspace(0.8, 1.2, spline.count)
+    told = {
+        "intervals": [3, 4], "fixed_top": False, "symmetric": True,
+        "kept": [7, 8], "coefficients": p.tolist(),
+    }  # fmt: skip
+    path = tmp_path / "design.json"
+    path.write_text(json.dumps(told))
+    found, again = StoredDesign(tmp_path, None).shape()
+    assert found == spline
+    np.testing.assert_array_equal(again, p)
+    for change, words in (
+        ({"coefficients": p[1:].tolist()}, "do not fit"),
+        ({"intervals": [3]}, "holds no design"),
+    ):
+        path.write_text(json.dumps(told | change))
+        with pytest.raises(InputError, match=words):
+            StoredDesign(tmp_path, None).shape()
+
+
+def test_costs_that_are_none_are_no_number(tmp_path):
+    (tmp_path / "summary.json").write_text('{"c": null, "c_tr": 2, "x": null}')
+    found = read_summary(tmp_path)
+    assert np.isnan(found["c"]) and found["c_tr"] == 2 and found["x"] is None
+
+
+# Grounds
+
+
+def _ground(height, x=(-0.3, 0.3), y=(-0.2, 0.2)):
+    X, Y = np.meshgrid(np.linspace(*x, 7), np.linspace(*y, 9), indexing="ij")
+    columns = (X.ravel(), Y.ravel(), height(X, Y).ravel())
+    order = np.random.default_rng(0).permutation(len(columns[0]))
+    table = dict(zip(COLUMNS, (c[order] for c in columns), strict=True))
+    return Ground.of_table(table, "it")
+
+
+def test_a_grid_is_read_in_any_order_and_told():
+    ground = _ground(lambda x, y: 0.1 * x - 0.2 * y)
+    places = np.array([[0.0, 0.0], [0.1, 0.05], [-0.2, 0.1]])
+    np.testing.assert_allclose(ground.height(places), [0.0, 0.0, -0.04],
+                               atol=1e-12)  # fmt: skip
+    told = ground.summary(places)
+    assert told["relief_m"] == pytest.approx(0.04)
+    wanted = np.degrees(np.arctan(np.hypot(0.1, 0.2)))
+    assert told["steepest_deg"] == pytest.approx(wanted)
+    n = ground.normal(places)
+    np.testing.assert_allclose(n, np.array([-0.1, 0.2, 1]) / np.sqrt(1.05))
+    again = Ground.of_arrays(ground.arrays() | {"other": 1})
+    np.testing.assert_array_equal(again.z, ground.z)
+    assert FLAT.arrays() == {} and Ground.of_arrays({}) is FLAT
+    assert FLAT.summary(places) == {"relief_m": 0.0, "steepest_deg": 0.0}
+
+
+def test_steepest_is_the_largest_slope_of_places():
+    bumps = _ground(lambda x, y: 0.5 * x**2)
+    told = bumps.summary(np.array([[0.1, 0.0], [-0.2, 0.1]]))
+    assert told["steepest_deg"] == pytest.approx(np.degrees(np.arctan(0.2)))
+
+
+def test_what_is_steeper_than_half_a_right_angle_is_named():
+    with pytest.raises(InputError, match=r"x -0\.3 m, y 0\.2 m .* as steep as"):
+        _ground(lambda x, y: np.where((x < -0.25) & (y > 0.19), 0.3, 0.0))
+    _ground(lambda x, y: 0.99 * x)
+    with pytest.raises(InputError, match=r"as steep as 1\.01"):
+        _ground(lambda x, y: 1.01 * y)
+
+
+def test_a_grid_must_reach_below_the_sole():
+    ground = _ground(lambda x, y: 0 * x)
+    inside = np.array([[-0.3, -0.2], [0.3, 0.2]])
+    ground.check_below(inside, "it")
+    FLAT.check_below(99 * inside, "it")
+    for off in ([-0.01, 0], [0.01, 0], [0, -0.01], [0, 0.01]):
+        with pytest.raises(InputError) as caught:
+            ground.check_below(inside + off, "it")
+        low, high = inside + off
+        said = str(caught.value)
+        assert "spans x -0.3 to 0.3 m and y -0.2 to 0.2 m" in said
+        assert f"x {low[0]:g} to {high[0]:g} m and y {low[1]:g} to" in said
