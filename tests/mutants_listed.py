@@ -103,6 +103,19 @@ TESTS = {
     ],
     "drake_exo/report/tables.py": ["tests/report/test_tables.py"],
     "drake_exo/soles/": [_SOLES],
+    "drake_exo/soles/contact/": [
+        f"{_SOLES}/test_node_law.py",
+        f"{_SOLES}/test_step_starts.py",
+        f"{_SOLES}/test_sole_contact.py",
+    ],
+    "drake_exo/soles/contact/finite_strain.py": [
+        f"{_SOLES}/test_finite_strain.py"
+    ],
+    "drake_exo/soles/contact/ground.py": [
+        f"{_SOLES}/test_kept_files.py",
+        f"{_SOLES}/test_ground.py",
+    ],
+    "drake_exo/soles/elasticity/": [f"{_SOLES}/test_sole_elasticity.py"],
     "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_load_numbers.py"],
     "drake_exo/soles/loads.py": [f"{_SOLES}/test_load_numbers.py"],
     "drake_exo/soles/mesh.py": [
@@ -114,6 +127,7 @@ TESTS = {
         f"{_SOLES}/test_sole_replay.py",
     ],
     "drake_exo/soles/optimize/design.py": [f"{_SOLES}/test_design_numbers.py"],
+    "drake_exo/soles/optimize/files.py": [f"{_SOLES}/test_kept_files.py"],
     "drake_exo/soles/optimize/limits.py": [f"{_SOLES}/test_limit_numbers.py"],
     "drake_exo/soles/optimize/problem.py": [f"{_SOLES}/test_limit_numbers.py"],
     "drake_exo/soles/optimize/optimizer.py": [f"{_SOLES}/test_optimizer.py"],
@@ -124,7 +138,10 @@ TESTS = {
         f"{_SOLES}/test_sole_views.py",
     ],
     "drake_exo/soles/rotations.py": [f"{_SOLES}/test_rotations.py"],
-    "drake_exo/soles/step/": [f"{_SOLES}/test_step_numbers.py"],
+    "drake_exo/soles/step/": [
+        f"{_SOLES}/test_step_numbers.py",
+        f"{_SOLES}/test_step_verdict.py",
+    ],
     "drake_exo/soles/step/simulation.py": [f"{_SOLES}/test_step_starts.py"],
     "drake_exo/soles/step/strain_comparison.py": [
         f"{_SOLES}/test_strain_numbers.py"

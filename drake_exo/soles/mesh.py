@@ -442,15 +442,18 @@ def _ring(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     triangles = []
     while i < len(outer) or j < len(inner):
         a, b = outer[i % len(outer)], inner[j % len(inner)]
+        after = inner[(j + 1) % len(inner)]
+        # Far from a the inner loop turns its edges away from it.
+        hidden = np.cross(after - a, b - a)[2] <= 0
         ahead = j == len(inner) or (
-            i < len(outer) and angles[0][i + 1] <= angles[1][j + 1]
+            i < len(outer) and (hidden or angles[0][i + 1] <= angles[1][j + 1])
         )
         if ahead:
             i += 1
             triangles.append([a, outer[i % len(outer)], b])
         else:
             j += 1
-            triangles.append([a, inner[j % len(inner)], b])
+            triangles.append([a, after, b])
     return np.array(triangles)
 
 

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.soles.mesh import brick, checked_mesh, read_mesh, write_stl
+from drake_exo.soles.mesh import (
+    TetMesh,
+    _ring,
+    brick,
+    checked_mesh,
+    has_star_outline,
+    read_mesh,
+    write_stl,
+    write_vtk,
+)
 from drake_exo.soles.shape import SphericalSpline
 
 SIZE = (0.23, 0.13, 0.03)
@@ -55,8 +64,6 @@ def test_quality_of_known_tetrahedra():
     regular = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
     mesh = brick(SIZE, (2, 2, 2))
     assert (mesh.quality() > 0).all()
-    from drake_exo.soles.mesh import TetMesh
-
     tets = np.array([[0, 2, 1, 3]])
     one = TetMesh(regular, tets, np.array([0]))
     sign = np.sign(one.volumes[0])
@@ -170,3 +177,129 @@ def test_volume_scales_with_the_cube_of_a_constant_factor():
         spline.deform(mesh.nodes, np.full(spline.count, 1.1))
     )
     assert bigger.volume == pytest.approx(1.1**3 * mesh.volume, rel=1e-12)
+
+
+def _cloud(seed=0, count=12):
+    """Tetrahedra anywhere, no two alike."""
+    nodes = np.random.default_rng(seed).standard_normal((4 * count, 3))
+    return TetMesh(nodes, np.arange(4 * count).reshape(-1, 4), np.zeros(0, int))
+
+
+def test_areas_are_those_of_their_sides():
+    """Heron's formula; normals across both sides of a triangle."""
+    mesh = _cloud()
+    faces = np.random.default_rng(1).permutation(48).reshape(-1, 3)
+    area, size = mesh.areas(faces)
+    x = mesh.nodes[faces]
+    a, b, c = (np.linalg.norm(x[:, k] - x[:, k - 1], axis=1) for k in range(3))
+    s = 0.5 * (a + b + c)
+    heron = np.sqrt(s * (s - a) * (s - b) * (s - c))
+    np.testing.assert_allclose(size, 2 * heron)
+    np.testing.assert_allclose(np.linalg.norm(area, axis=1), size)
+    for k in range(3):
+        side = x[:, k] - x[:, k - 1]
+        np.testing.assert_allclose((area * side).sum(axis=1), 0, atol=1e-12)
+    turned, _ = mesh.areas(faces[:, ::-1])
+    np.testing.assert_allclose(turned, -area)
+
+
+def test_gradients_of_linear_fields_are_exact():
+    mesh, slope = _cloud(), np.array([1.0, -2.0, 0.5])
+    values = (mesh.nodes @ slope + 7.0)[mesh.tets]
+    found = np.einsum("ea,eai->ei", values, mesh.gradients)
+    np.testing.assert_allclose(found, np.tile(slope, (12, 1)), atol=1e-9)
+
+
+def test_quality_of_a_corner_and_of_one_turned_over():
+    """12 (3 V)^(2/3) / Σ l²: of a unit corner V = 1/6, Σ l² = 9."""
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    mesh = TetMesh(
+        3.0 * corner, np.array([[0, 1, 2, 3], [1, 0, 2, 3]]), np.zeros(0, int)
+    )
+    np.testing.assert_allclose(mesh.quality(), [1, -1] * np.array(
+        4 / 3 * 0.5 ** (2 / 3)))  # fmt: skip
+
+
+@pytest.mark.parametrize(("out", "found"), [(0.01, True), (0.04, False)])
+def test_a_top_has_a_middle_if_it_is_nearly_a_rectangle(tmp_path, out, found):
+    """One corner further out by a part d: (1 + d/2) / (1 + d) of its box."""
+    mesh = brick((0.2, 0.1, 0.03), (1, 1, 1))
+    nodes = mesh.nodes.copy()
+    corner = (nodes[:, :2] > 0).all(axis=1)
+    nodes[corner, 0] += 0.2 * out
+    write_vtk(
+        tmp_path / "it.vtk", mesh.with_nodes(nodes + np.array([0.3, 0.4, 0.5]))
+    )
+    if found:
+        read = read_mesh(tmp_path / "it.vtk")
+        np.testing.assert_allclose(read.nodes, nodes - [0.1 * out, 0, 0])
+    else:
+        with pytest.raises(
+            InputError, match=r"no rectangle, and lies at z = 0\.5"
+        ):
+            read_mesh(tmp_path / "it.vtk")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_ring_fills_what_is_between_two_outlines(seed):
+    """Wherever their corners are: upward triangles, the areas' difference."""
+    rng = np.random.default_rng(seed)
+
+    def loop(count, radius):
+        angle = 2 * np.pi * (np.arange(count) + rng.uniform(0, 1)) / count
+        angle = np.roll(angle + rng.uniform(-0.1, 0.1, count), seed)
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        return np.stack([x, y, 0 * x], axis=1)
+
+    def area(p):
+        x, y = p[:, :2].T
+        return 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+    outer, inner = loop(4 + seed, 3.0), loop(11, 1.0)
+    a, b, c = np.swapaxes(_ring(outer, inner), 0, 1)
+    parts = 0.5 * np.cross(b - a, c - a)[:, 2]
+    assert len(parts) == len(outer) + len(inner) and (parts > 0).all()
+    assert parts.sum() == pytest.approx(area(outer) - area(inner))
+
+
+def test_outlines_that_turn_back_are_no_stars():
+    mesh = brick((0.2, 0.1, 0.03), (8, 4, 1))
+    assert has_star_outline(mesh)
+    nodes = mesh.nodes.copy()
+    for shift, star in ((0.03, True), (0.09, False)):
+        bent = nodes.copy()
+        notch = np.isclose(nodes[:, 0], 0.05) & np.isclose(nodes[:, 1], 0.05)
+        bent[notch, 0] += shift - 0.02
+        assert has_star_outline(mesh.with_nodes(bent)) is star
+
+
+def test_a_brick_has_the_cells_that_it_is_asked_for():
+    mesh = brick((0.2, 0.1, 0.03), (5, 3, 2))
+    assert len(mesh.tets) == 6 * 5 * 3 * 2
+    for axis, count in enumerate((5, 3, 2)):
+        lines = np.unique(mesh.nodes[:, axis].round(12))
+        assert len(lines) == count + 1
+        np.testing.assert_allclose(np.diff(lines), np.ptp(lines) / count)
+
+
+@pytest.mark.parametrize(("part", "sound"), [(1e-8, True), (1e-10, False)])
+def test_flat_elements_are_flat_beside_the_usual_one(part, sound):
+    """However fine the mesh is: here a usual element has a fifth of a mm³."""
+    mesh = brick((0.012, 0.012, 0.012), (12, 12, 12))
+    usual = np.median(mesh.volumes)
+    assert usual < 2e-10
+    # A further one stands on a corner of the top.
+    high = 6 * part * usual / 1e-6
+    further = mesh.nodes[-1] + np.array(
+        [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, high]]
+    )
+    n = len(mesh.nodes)
+    nodes = np.concatenate([mesh.nodes, further])
+    tets = np.concatenate([mesh.tets, [[n - 1, n, n + 1, n + 2]]])
+    volume = TetMesh(nodes, tets, mesh.fixed).volumes[-1]
+    assert volume == pytest.approx(part * usual)
+    if sound:
+        checked_mesh(nodes, tets, mesh.fixed, "m")
+    else:
+        with pytest.raises(InputError, match=r"1 of 10369 .* flat"):
+            checked_mesh(nodes, tets, mesh.fixed, "m")

@@ -19,6 +19,7 @@ from drake_exo.soles.contact.newton import (
 )
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.rotations import (
     exp_rotation,
@@ -35,8 +36,10 @@ from drake_exo.soles.step.simulation import (
     _press_in,
     _smoother,
     candidate_poses,
+    first_step,
     lead,
     refine_time,
+    simulate,
 )
 
 POINT = np.array([-0.1, 0.0, -0.03])
@@ -354,3 +357,95 @@ def test_a_start_s_places_follow_the_turn():
         np.testing.assert_allclose(
             found[:, :, k], (ahead - behind) / (2 * h), atol=1e-8
         )
+
+
+def test_samples_after_a_failure_are_left_out(monkeypatch):
+    """Or tried each from where the last success was."""
+    load = Load(np.arange(5.0), np.tile([0, 0, 1.0], (5, 1)), np.zeros((5, 2)))
+    lost = Convergence(False, 3, 1.0, "lost")
+    monkeypatch.setattr(simulation, "first_step", lambda *_: (None, lost))
+    solver = SimpleNamespace(lP=np.zeros((2, 3)), ground=FLAT)
+    said = []
+
+    def told(done, count):
+        said.append((done, count))
+
+    history = simulate(solver, load, START, stop_at_failure=True, progress=told)
+    assert history.statuses() == ["lost"] + 4 * ["left out after a failure"]
+    assert history.failed_steps == 5 and said == []
+    history = simulate(solver, load, START, progress=told)
+    assert history.statuses() == 5 * ["lost"]
+    assert said == [(k, 5) for k in range(1, 6)]
+
+
+def test_what_takes_far_longer_than_a_neighbour_fails(monkeypatch):
+    """Three times ten steps and the neighbour's, over all samples so far."""
+    load = Load(np.arange(3.0), np.tile([0, 0, 1.0], (3, 1)), np.zeros((3, 2)))
+    states = State(np.zeros((2, 3)), np.zeros(3), np.eye(3))
+    near = StepHistory(
+        np.zeros((3, 2, 3)), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)),
+        np.zeros((3, 2, 3)), np.zeros((3, 6, 6)),
+        [Convergence(True, n, 0.0) for n in (2, 5, 0)],
+    )  # fmt: skip
+    solver = SimpleNamespace(
+        lP=np.zeros((2, 3)), ground=FLAT, deformed=lambda F, R: F,
+        linearise=lambda *_: SimpleNamespace(cartesian_stiffness=np.eye(6)),
+    )  # fmt: skip
+    given, steps = [], []
+
+    def first_step(solver, target, largest, near, patience):
+        given.append((largest, patience))
+        return states, Convergence(True, steps[0], 0.0)
+
+    def follow_load(solver, state, before, target, guess):
+        given.append(guess)
+        return states, Convergence(True, steps[len(given) - 1], 0.0)
+
+    monkeypatch.setattr(simulation, "first_step", first_step)
+    monkeypatch.setattr(simulation, "follow_load", follow_load)
+    # 36 steps may be taken by the first, 81 by both, 111 by all three.
+    for taken, good in (
+        ((36, 45, 30), [True, True, True]),
+        ((37, 0, 0), [False, False, False]),
+        ((30, 52, 0), [True, False, False]),
+        ((30, 51, 31), [True, True, False]),
+    ):
+        given.clear()
+        steps[:] = taken
+        history = simulate(solver, load, START, near=near, stop_at_failure=True)
+        assert history.converged.tolist() == good
+        assert given[0] == (1.0, 36)
+
+
+def test_neighbours_poses_are_branches(monkeypatch):
+    """Within 0.1 they are one; farther off it has to follow from there."""
+    law = ContactLaw(0.8, 1.0)
+    solver = SimpleNamespace(law=law, lP=np.zeros((1, 3)))
+    target = Target(np.array([0, 0, 3.0]), np.zeros(2), START)
+
+    def at(angle):
+        R = exp_rotation(np.array([0, 0, angle]))
+        return State(np.zeros((1, 3)), np.zeros(3), R)
+
+    press, followed = [], [at(0.5)]
+    done = Convergence(True, 1, 0.0)
+
+    def cold(solver, target, force, patience):
+        press.append(force)
+        return at(0.5), done
+
+    monkeypatch.setattr(simulation, "_cold_start", cold)
+    monkeypatch.setattr(
+        simulation, "_follow_design", lambda *_: (followed[0], done)
+    )
+    for largest in (10.0, 100.0):
+        assert first_step(solver, target, largest, None)[1].converged
+    assert press == [3.0, 20.0]
+    followed[0] = at(0.0)
+    assert first_step(solver, target, 1.0, at(0.41))[1].converged
+    state, report = first_step(solver, target, 1.0, at(0.38))
+    assert state is None and report.message == "another branch"
+    for angle, good in ((0.5 + 5e-7, True), (0.5 + 5e-6, False)):
+        followed[0] = at(angle)
+        found = first_step(solver, target, 1.0, at(0.3))[1]
+        assert found.converged is good

@@ -1,0 +1,334 @@
+"""Checks of a step by their limits; what a step tells of odd samples."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drake_exo.errors import InputError
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.contact.ground import COLUMNS, Ground
+from drake_exo.soles.contact.newton import Convergence
+from drake_exo.soles.mesh import brick
+from drake_exo.soles.rotations import rotations_xyz
+from drake_exo.soles.settings import StartBlock
+from drake_exo.soles.step import results
+from drake_exo.soles.step.results import Step, sole_samples, step_checks
+from drake_exo.soles.step.simulation import (
+    HISTORY,
+    touches_elsewhere,
+    write_history,
+)
+
+
+def _told(**changes):
+    """Checks of a step whose figures are made up, by name."""
+    made = {
+        "converged": np.array([True, True, False]),
+        "largest_strain": 0.1,
+        "tilt_deg": np.array([5.0, 7.0, 80.0]),
+        "stability": np.array([900.0, 800.0, np.nan]),
+        "zmp_error": 0.01,
+        "undercut": 0.001,
+        "friction_used": 0.5,
+        "worst": 1e-9,
+        "measured": np.array([False, False, False]),
+    } | changes
+    step = SimpleNamespace(
+        setup=SimpleNamespace(
+            name="it", friction_used=made["friction_used"],
+            load=SimpleNamespace(is_measured=made["measured"]),
+        ),
+        law=SimpleNamespace(friction=0.8),
+        sole=SimpleNamespace(mesh=SimpleNamespace(undercut=made["undercut"])),
+        times=np.array([0.0, 0.1, 0.25]),
+        history=SimpleNamespace(statuses=lambda: ["a", "b", "lost"]),
+        complementarity=lambda: made["worst"],
+        **{k: made[k] for k in ("converged", "largest_strain", "tilt_deg",
+                                "stability", "zmp_error")},
+    )  # fmt: skip
+    return {check.name: check for check in step_checks(step)}
+
+
+def test_a_sample_that_failed_is_named_by_its_time():
+    check = _told()["solved"]
+    assert not check.holds and check.value == 1
+    assert "sample 2 at 0.25 s: lost" in check.sentence
+    assert _told(converged=np.ones(3, bool))["solved"].holds
+    assert list(_told(converged=np.zeros(3, bool))) == ["solved"]
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "limit", "level"),
+    [
+        ("plausibility.strain", "largest_strain", 0.3, "note"),
+        ("plausibility.undercut", "undercut", 0.01, "note"),
+        ("plausibility.friction", "friction_used", 0.76, "note"),
+        ("contact", "worst", 1e-6, "fail"),
+    ],
+)
+def test_a_check_holds_up_to_its_limit(name, key, limit, level):
+    for factor, holds in ((0.99, True), (1.01, False)):
+        check = _told(**{key: factor * limit})[name]
+        assert check.holds is holds and check.level == level
+        assert check.value == pytest.approx(factor * limit)
+        assert check.limit == pytest.approx(limit)
+        assert bool(check.sentence) is not holds
+
+
+def test_strains_beyond_one_mean_nothing():
+    for strain, level in ((0.99, "note"), (1.01, "fail")):
+        check = _told(largest_strain=strain)["plausibility.strain"]
+        assert (check.level, check.holds) == (level, False)
+        assert ("inside out" in check.sentence) is (level == "fail")
+
+
+def test_pose_and_stability_are_of_what_converged_and_is_free():
+    free = _told()
+    tilt = free["plausibility.tilt"]
+    assert tilt.holds and (tilt.value, tilt.limit) == (7.0, 20.0)
+    margin = free["plausibility.stability"]
+    assert margin.holds and margin.value == 800.0
+    assert "plausibility.zmp" not in free
+    lean = _told(tilt_deg=np.array([20.1, 1.0, 0.0]))["plausibility.tilt"]
+    assert not lean.holds and lean.value == 20.1
+    loose = _told(stability=np.array([-5.0, 0.0, np.nan]))
+    check = loose["plausibility.stability"]
+    assert not check.holds and check.value == -5.0
+    assert check.sentence.startswith("2 samples")
+    both = _told(measured=np.array([False, True, True]), zmp_error=0.021)
+    assert both["plausibility.tilt"].value == 5.0
+    assert not both["plausibility.zmp"].holds
+    assert both["plausibility.zmp"].limit == 0.02
+    held = _told(measured=np.ones(3, bool), zmp_error=0.019)
+    assert held["plausibility.zmp"].holds
+    assert "plausibility.tilt" not in held
+
+
+def _step(F, P, converged=None, ground=None, zmp=None):
+    """A step of made-up forces (N, m, 3) at places."""
+    count = len(F)
+    zmp = np.zeros((count, 2)) if zmp is None else np.asarray(zmp, float)
+    load = SimpleNamespace(zmp=zmp)
+    flat = SimpleNamespace(height=lambda P: np.zeros(len(P)))
+    setup = SimpleNamespace(load=load, ground=ground or flat)
+    good = np.ones(count, bool) if converged is None else converged
+    history = SimpleNamespace(
+        F=np.asarray(F, float), P=np.asarray(P, float), converged=good
+    )
+    return Step(setup, None, None, history)
+
+
+def test_the_zmp_of_forces_at_heights():
+    """Where on the ground there is no moment along it."""
+    rng = np.random.default_rng(0)
+    F = rng.uniform(1, 2, (3, 5, 3)) * [1, -1, 30]
+    P = rng.uniform(-0.1, 0.1, (3, 5, 3))
+    lifted = SimpleNamespace(height=lambda z: np.array([0.3, -0.2, 0.0]))
+    for ground, heights in ((None, np.zeros(3)), (lifted, [0.3, -0.2, 0.0])):
+        found = _step(F, P, ground=ground).zmp
+        for q in range(3):
+            arm = P[q] - [*found[q], heights[q]]
+            moment = np.cross(arm, F[q]).sum(axis=0)
+            np.testing.assert_allclose(moment[:2], 0.0, atol=1e-12)
+    none = _step(0 * F, P)
+    assert np.isnan(none.zmp).all()
+
+
+def test_the_zmp_s_error_is_the_rms_of_what_converged():
+    up = np.tile([0, 0, 10.0], (3, 1, 1))
+    P = np.array([[[0.03, 0.04, 0]], [[0.0, 0.01, 0]], [[9.0, 9.0, 0]]])
+    step = _step(up, P, np.array([True, True, False]))
+    wanted = np.sqrt((0.05**2 + 0.01**2) / 2)
+    assert step.zmp_error == pytest.approx(wanted)
+    assert _step(up, P, np.zeros(3, bool)).zmp_error == 0.0
+
+
+@pytest.fixture(scope="module")
+def two():
+    """Two loads of the example, the second twice as heavy in the cost."""
+    text = EXAMPLE.replace("samples: 5", "samples: 20")
+    load = text[text.index("load:") : text.index("optimize:")]
+    inner = load[load.index("constant") :].strip()
+    harder = inner.replace("400", "600").replace("samples: 20", "samples: 10")
+    loads = f"loads:\n  - {inner}\n  - {harder}\n    weight: 3\n"
+    return Case.from_text(text.replace(load, loads)).simulate()
+
+
+def test_several_loads_stand_in_table_and_summary(two):
+    table, told = two.table(), two.summary()
+    assert table["load"].tolist() == [0] * 20 + [1] * 10
+    assert table["weight"].tolist() == [1.0] * 20 + [3.0] * 10
+    one, other = told["loads"]
+    for key in ("c_tr_mean_n_per_m", "c_rot_mean_nm_per_rad"):
+        assert told[key] == pytest.approx(0.25 * one[key] + 0.75 * other[key])
+    tr, rot = two.sigma_max_translation, two.sigma_min_rotation
+    assert one["c_tr"] == pytest.approx(tr[:2].sum())
+    assert other["c_tr"] == pytest.approx(tr[20])
+    assert one["c_rot"] == pytest.approx(rot[:20].sum())
+    assert other["c_rot"] == pytest.approx(rot[20:].sum())
+    assert told["c_tr"] == pytest.approx(
+        0.25 * one["c_tr"] + 0.75 * other["c_tr"]
+    )
+    assert two.heel_strike == 2
+
+
+def test_failures_are_told_with_time_and_reason(two):
+    reports = [replace(r) for r in two.history.reports]
+    reports[3] = Convergence(False, 9, 1.0, "stuck")
+    reports[5] = replace(reports[5], parts=4)
+    reports[6] = replace(reports[6], parts=2)
+    K = two.history.K_c.copy()
+    K[3] = np.nan
+    history = replace(two.history, reports=reports, K_c=K)
+    told = replace(two, history=history).summary()
+    assert told["failures"] == [
+        {"step": 3, "time_s": pytest.approx(0.015), "message": "stuck"}
+    ]
+    assert told["failed_steps"] == 1 and told["stable"] is False
+    assert told["steps_refined_in_time"] == 2
+
+
+def test_strain_is_the_largest_of_any_batch(two, monkeypatch):
+    """Whatever number of samples is computed at a time."""
+    whole = two.largest_strain
+    for together in (1, 4, 100):
+        monkeypatch.setattr(results, "_TOGETHER", together)
+        found = results.largest_strain(two.sole, two.history)
+        assert found == pytest.approx(whole, rel=1e-12)
+    scaled = replace(two.history, F=two.history.F * 2.0)
+    assert results.largest_strain(two.sole, scaled) == pytest.approx(2 * whole)
+
+
+def test_what_is_drawn_is_the_step_s(two, tmp_path, monkeypatch):
+    from drake_exo.soles import pictures
+
+    made = {}
+    for name in ("drawing", "load", "stiffness", "pose", "pressure"):
+        monkeypatch.setattr(
+            pictures, f"{name}_figure",
+            lambda *given, name=name: made.setdefault(name, given),
+        )  # fmt: skip
+    monkeypatch.setattr(pictures, "save", lambda *_: None)
+    monkeypatch.setattr(Step, "write_animation", lambda *_: None)
+    two.draw(tmp_path, "", "mine", first=two)
+    peak = two.pressure.max(axis=0)
+    np.testing.assert_array_equal(made["drawing"][2], peak)
+    ((curves,), strike) = made["stiffness"][0].values(), made["stiffness"][1]
+    assert list(curves) == ["first", "mine"] and strike == 2
+    times, tr, rot = curves["mine"]
+    np.testing.assert_array_equal(times, two.times)
+    np.testing.assert_array_equal(tr, two.sigma_max_translation)
+    np.testing.assert_array_equal(rot, two.sigma_min_rotation)
+
+
+def test_seconds_are_of_their_part(two, tmp_path, monkeypatch):
+    """By a clock that each part turns on by a known time."""
+    clock = [50.0]
+    monkeypatch.setattr(
+        results, "time", SimpleNamespace(perf_counter=lambda: clock[0])
+    )
+
+    def turned(by, plain=lambda *_: None):
+        def call(*given, **more):
+            clock[0] += by
+            return plain(*given, **more)
+
+        return call
+
+    monkeypatch.setattr(results, "write_csv", turned(2.0))
+    monkeypatch.setattr(Step, "draw", turned(3.0))
+    two.write(tmp_path, {"more": 1.0})
+    told = json.loads((tmp_path / "summary.json").read_text())
+    assert (told["tables_seconds"], told["pictures_seconds"]) == (2.0, 3.0)
+    case = two.setup
+    sole = type(case).sole
+    monkeypatch.setattr(type(case), "sole", turned(4.0, sole))
+    monkeypatch.setattr(results, "simulate", turned(5.0, results.simulate))
+    again = Step.of(case)
+    assert again.seconds == {
+        "condensation_seconds": 4.0, "simulation_seconds": 5.0,
+    }  # fmt: skip
+
+
+def test_a_free_moment_is_summed_up(two, tmp_path, monkeypatch):
+    monkeypatch.setattr(Step, "draw", lambda *_: None)
+    moment = np.zeros(30)
+    moment[:3] = [0.6, -0.9, 0.0]
+    load = replace(two.setup.load, free_moment=moment, moments_cut=4)
+    given = replace(two, setup=replace(two.setup, load=load))
+    given.write(tmp_path)
+    told = json.loads((tmp_path / "summary.json").read_text())
+    assert told["free_moment_nm"] == {
+        "mean": pytest.approx(-0.01), "largest": 0.9, "cut_samples": 4,
+    }  # fmt: skip
+    np.testing.assert_array_equal(given.table()["free_moment_nm"], moment)
+
+
+def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
+    K = two.history.K_c.copy()
+    K[4] = np.nan
+    history = replace(two.history, K_c=K)
+    write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
+    O, R, force, cop, size = sole_samples(tmp_path)  # noqa: E741
+    good = np.delete(np.arange(30), 4)
+    np.testing.assert_array_equal(O, two.origin[good])
+    np.testing.assert_array_equal(R, two.rotation[good])
+    F, P = two.history.F[good], two.history.P[good]
+    np.testing.assert_allclose(force, F[:, :, 2].sum(axis=1))
+    weighed = (F[:, :, 2:] * P[:, :, :2]).sum(axis=1)
+    np.testing.assert_allclose(cop * force[:, None], weighed)
+    np.testing.assert_allclose(size, [0.23, 0.13, 0.03])
+    K[:] = np.nan
+    write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
+    with pytest.raises(InputError, match="no sample converged"):
+        sole_samples(tmp_path)
+
+
+def _rolled(sole, angle, gap, count=1):
+    """A foot rolled about x, its lowest node so far above the ground."""
+    R = rotations_xyz(np.array([angle, 0.0, 0.0]))
+    nodes = sole.mesh.nodes[sole.mesh.bare] @ R.T
+    O = np.array([0.0, 0.0, gap - nodes[:, 2].min()])  # noqa: E741
+    m = len(sole.mesh.contact)
+    return SimpleNamespace(
+        converged=np.ones(count, bool), F=np.zeros((count, m, 3)),
+        R=np.tile(R, (count, 1, 1)), O=np.tile(O, (count, 1)),
+    )  # fmt: skip
+
+
+def test_a_side_that_reaches_the_ground_is_noticed(two):
+    """Rolled beyond a right angle the side's upper edge is lowest."""
+    sole, law = two.sole, replace(two.law, layer=1e-3)
+    for gap, touches in ((0.9e-3, True), (1.1e-3, False)):
+        history = _rolled(sole, np.deg2rad(100), gap)
+        assert touches_elsewhere(sole, law, history) is touches
+        history = _rolled(sole, np.deg2rad(100), gap, 70)
+        history.O[:69, 2] += 1.0  # the last of several batches
+        assert touches_elsewhere(sole, law, history) is touches
+        history.converged[69] = False
+        assert not touches_elsewhere(sole, law, history)
+    x, y = np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)
+    X, Y = np.meshgrid(x, y, indexing="ij")
+    columns = (X.ravel(), Y.ravel(), 0 * X.ravel() + 0.2)
+    high = Ground.of_table(dict(zip(COLUMNS, columns, strict=True)), "it")
+    history = _rolled(sole, np.deg2rad(100), 0.2 + 0.9e-3)
+    assert touches_elsewhere(sole, law, history, high)
+    history.O[:, 2] += 3e-4
+    assert not touches_elsewhere(sole, law, history, high)
+
+
+def test_a_sole_is_held_at_its_lower_back_edge():
+    settings = Case.from_text(EXAMPLE).settings
+    mesh = brick((0.2, 0.1, 0.03), (3, 2, 1))
+    mesh = mesh.with_nodes(mesh.nodes + np.array([0.01, 0.02, -0.005]))
+    start = settings.start_pose(mesh)
+    np.testing.assert_allclose(start.point_L, [-0.09, 0.02, -0.035])
+    np.testing.assert_allclose(start.point_W, [-0.09, 0.02, 0.0])
+    block = StartBlock((0.05, 0.01, -0.02), (0.3, 0.4), 0.7)
+    start = replace(settings, start=block).start_pose(mesh)
+    np.testing.assert_allclose(start.point_L, [0.05, 0.01, -0.02])
+    np.testing.assert_allclose(start.point_W, [0.3, 0.4, 0.0])
+    assert start.yaw == 0.7
