@@ -105,6 +105,7 @@ TESTS = {
     "drake_exo/soles/": [_SOLES],
     "drake_exo/soles/contact/": [
         f"{_SOLES}/test_node_law.py",
+        f"{_SOLES}/test_newton_matrix.py",
         f"{_SOLES}/test_step_starts.py",
         f"{_SOLES}/test_sole_contact.py",
     ],
@@ -115,7 +116,11 @@ TESTS = {
         f"{_SOLES}/test_kept_files.py",
         f"{_SOLES}/test_ground.py",
     ],
-    "drake_exo/soles/elasticity/": [f"{_SOLES}/test_sole_elasticity.py"],
+    "drake_exo/soles/elasticity/": [
+        f"{_SOLES}/test_fronts.py",
+        f"{_SOLES}/test_neo_hookean.py",
+        f"{_SOLES}/test_sole_elasticity.py",
+    ],
     "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_load_numbers.py"],
     "drake_exo/soles/loads.py": [f"{_SOLES}/test_load_numbers.py"],
     "drake_exo/soles/mesh.py": [

@@ -193,7 +193,7 @@ def _dissect(graph, places, nodes, parts) -> list[int]:
     if len(nodes) > _FEW:
         halves = min(
             (_halves(graph, places, nodes, axis) for axis in range(3)),
-            key=lambda h: len(h[2]) / max(1, min(len(h[0]), len(h[1]))),
+            key=_cost,
         )
     if halves is None or min(len(halves[0]), len(halves[1])) == 0:
         parts.append((nodes, []))
@@ -205,6 +205,13 @@ def _dissect(graph, places, nodes, parts) -> list[int]:
         return below
     parts.append((separator, below))
     return [len(parts) - 1]
+
+
+def _cost(halves) -> float:
+    """Of a cut: its nodes over those of the smaller half."""
+    low, high, separator = halves
+    least = min(len(low), len(high))
+    return len(separator) / least if least else np.inf
 
 
 def _halves(graph, places, nodes, axis):
