@@ -492,8 +492,8 @@ def _simm_spline(x: np.ndarray, y: np.ndarray) -> Function:
     last = slope[-1] + h[-1] * (2.0 * s[-1] + s[-2])
     rates = np.append(first, last)
     inner = CubicHermiteSpline(x, y, rates)
-    # Two straight pieces more.
-    ends = np.array([x[0] - 1e3, x[-1] + 1e3])
+    # Two straight pieces more, which go on beyond theirs.
+    ends = np.array([x[0] - 1.0, x[-1] + 1.0])
     pieces = np.column_stack(
         [
             [0.0, 0.0, rates[0], y[0] + rates[0] * (ends[0] - x[0])],

@@ -207,7 +207,7 @@ def model_markers(
     )
     p = np.array([[z.real, z.imag, 0.0] for z in places.values()])
     upright = MarkerData(
-        np.zeros(1), tuple(places), p[None], 100.0, person.osim.source
+        np.zeros(1), tuple(places), p[None], seen.rate_hz, person.osim.source
     )
     return Markers(joints, SegmentMarkers(**sided)), upright
 

@@ -14,6 +14,7 @@ from drake_exo.files.output import (
     LOCK,
     MANIFEST,
     Progress,
+    checksum,
     prepare_output_folder,
     read_arrays,
     write_json,
@@ -217,3 +218,18 @@ def test_arrays_that_unpack_to_too_much_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(output, "_LARGEST_ARRAYS", 10**6)
     with pytest.raises(InputError, match="unpacks to"):
         read_arrays(path, "again")
+
+
+def test_contents_that_differ_beyond_six_digits_are_the_same():
+    """Sixteen hexadecimal digits; zero has no sign; order does not count."""
+    one = checksum({"a": [1.0, -0.0], "b": {"c": 2.5}})
+    assert len(one) == 16 and set(one) <= set("0123456789abcdef")
+    assert one == checksum({"b": {"c": 2.5000001}, "a": [1.0, 0.0]})
+    others = [
+        checksum({"a": [1.00001, 0.0], "b": {"c": 2.5}}),
+        checksum({"a": [0.0, 1.0], "b": {"c": 2.5}}),
+        checksum({"a": [1.0, 0.0], "b": {"c": -2.5}}),
+        checksum({"a": [1.0, 0.0], "b": {"c": 2.6}}),
+    ]
+    assert len({one, *others}) == 5
+    assert checksum([3.0]) != checksum([4.0])

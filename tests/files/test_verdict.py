@@ -1,12 +1,16 @@
 """The verdict: words, exit codes, marks, and what is accepted."""
 
+import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from drake_exo.errors import InputError
 from drake_exo.files.verdict import (
     Check,
     Verdict,
     is_accepted,
+    save_figure,
     stored,
     stored_mark,
 )
@@ -87,3 +91,30 @@ def test_beginnings_are_accepted_at_dots_only():
     assert is_accepted("plausibility.mass", ["plausibility.mass"])
     assert not is_accepted("plausibility.mass", ["plaus"])
     assert not is_accepted("plausibility", ["plausibility.mass"])
+
+
+@pytest.mark.parametrize("size", [(4.0, 3.0), (2.0, 6.0)])
+def test_a_mark_lies_across_a_figure_from_corner_to_corner(tmp_path, size):
+    """And under it, in lines that are no wider than it."""
+    figure = Figure(size)
+    mark = "DOES NOT HOLD: " + "audit (rise1, 2.5 N, limit 1 N), " * 5
+    save_figure(tmp_path / "a.png", figure, mark)
+    across, under = figure.texts
+    assert across.get_text() == "DOES NOT HOLD"
+    assert across.get_position() == (0.5, 0.5)
+    slope = np.tan(np.deg2rad(across.get_rotation()))
+    assert slope == pytest.approx(size[1] / size[0])
+    drawn = FigureCanvasAgg(figure).get_renderer()
+    box = across.get_window_extent(drawn)
+    # Half of the diagonal at least, within the figure.
+    length = np.hypot(box.width, box.height) / np.hypot(*figure.bbox.size)
+    assert 0.5 < length < 1.0
+    assert " ".join(under.get_text().split()) == mark.strip()
+    box = under.get_window_extent(drawn)
+    assert box.y1 <= 0.0 and box.width < 1.4 * figure.bbox.width
+
+
+def test_without_a_mark_nothing_is_drawn(tmp_path):
+    figure = Figure((2.0, 2.0))
+    save_figure(tmp_path / "a.png", figure)
+    assert not figure.texts

@@ -183,6 +183,15 @@ def test_cells_may_be_placed_one_by_one(tmp_path):
         place_cells(surface, where, 1, 2, tmp_path)
 
 
+def test_cells_off_the_body_are_named_with_their_file(tmp_path):
+    surface = read_surface(write(tmp_path / "s.stl", *cylinder()), scan())
+    rows = ["row,column,x,y,z", "1,1,0.09,0,0.2", "1,2,0.5,0.0,0.2"]
+    (tmp_path / "cells.csv").write_text("\n".join(rows))
+    where = scan(corners=None, cells="cells.csv")
+    with pytest.raises(InputError, match=r"/cells\.csv: cell 2 .* 0\.42 m off"):
+        place_cells(surface, where, 1, 2, tmp_path)
+
+
 def test_refuses_a_scan_in_another_unit(tmp_path):
     points, triangles = cylinder()
     path = write(tmp_path / "scan.stl", 1e3 * points, triangles)
@@ -429,6 +438,7 @@ def test_a_body_is_of_8_cm_to_3_m(side):
 
 def test_cells_lie_as_far_apart_as_they_are_large(folder):
     """Within half and double; the report says how far."""
+    write(folder / "scan.stl", *cylinder(72, 9))
     small = replace(MAT, rows=2, columns=3)
     area = 0.1 / 2 * RADIUS * np.pi / 2 / 3
     _, report = cell_directions(replace(small, cell_area_m2=area), "m", folder)
