@@ -1,7 +1,9 @@
 """A campaign is reproducible, obeys mechanics, and reads back as its truth."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from drake_exo.study import read_study
 from drake_exo.virtual_laboratory import campaign
 from drake_exo.virtual_laboratory.campaign import protocol, write_campaign
 from drake_exo.virtual_laboratory.instruments import plate_recording
+from drake_exo.virtual_laboratory.plan import RisePlan
 from drake_exo.virtual_laboratory.truth import DISTURBANCES
 
 SEED = 4
@@ -309,3 +312,89 @@ def test_calibration_never_looks_at_the_truth():
         assert "virtual_laboratory" not in text, path
         assert "truth/" not in text, path
         assert "truth.json" not in text, path
+
+
+def test_what_reaches_the_phases_is_weighed_by_its_noise():
+    """Angles 0.5°, the foot 1 mm; forces 3 N, their point half a millimetre."""
+    told = {
+        "angle_deg": 0.5, "velocity_deg_s": 4.0, "foot_m": 1e-3,
+        "foot_pitch_deg": 0.3, "force_n": 3.0, "cop_m": 5e-4,
+    }  # fmt: skip
+    forces = {"moment_nm": 5.0, "exo_moment_nm": 0.3, "energy_j": 1.0}
+    ground = campaign.foot_ground_section()
+    assert ground["noise"] == told
+    own = {"exo_angle_deg": 0.1, "exo_velocity_deg_s": 1.0}
+    assert campaign.interaction_section()["noise"] == told | own | forces
+    assert campaign.prediction_section()["noise"] == told | forces
+    assert ground["solver"] == {"nodes_per_second": 100.0}
+    # Soles of 1 to 20 MPa, half of it under either of two legs.
+    for legs, moduli in ((1, (5e6, 1e6, 2e7)), (2, (2.5e6, 0.5e6, 1e7))):
+        found = campaign.foot_ground_section(legs)
+        for sphere in ("heel", "toe"):
+            own = found[sphere]["modulus_n_m2"]
+            assert tuple(own.values()) == moduli
+            assert found[sphere]["dissipation_s_m"]["nominal"] == 2.0
+
+
+@pytest.fixture
+def job(tmp_path, monkeypatch):
+    """A campaign that simulates nothing, and what it was asked to."""
+    (tmp_path / "truth").mkdir()
+    made = campaign.Campaign(tmp_path, 4, frozenset(), "c3d", "near")
+    made.asked = []
+    times = np.arange(5001) / 1000.0
+    chair = PlanarWrench.of(
+        np.outer(times < 1.4, [0.0, 400.0, 0.0]).astype(float)
+    )
+
+    def simulate(name, truth, plan, *said, **more):
+        made.asked.append((name, plan, *said))
+        q = np.zeros((3, len(truth.model.coordinates)))
+        q[:, 0] = 1.0, 2.0, 3.0
+        return SimpleNamespace(name=name, times=times, chair=chair, q=q)
+
+    monkeypatch.setattr(campaign, "simulate", simulate)
+    monkeypatch.setattr(campaign, "write_happened", lambda *_: None)
+    monkeypatch.setattr(campaign.Campaign, "_measure", lambda *_: None)
+    monkeypatch.setattr(
+        campaign.Laboratory, "record_motion", lambda *_, **__: None
+    )
+    monkeypatch.setattr(
+        campaign, "write_scans", lambda folder, model, q, mats: (q, mats)
+    )
+    return made
+
+
+def test_a_movement_is_helped_from_the_chair_to_the_stand(job, monkeypatch):
+    """Its span begins 80 ms after the lean, and ends 100 ms after the rise."""
+    plan = replace(RisePlan(), quiet_s=0.3, lean_s=0.6, rise_s=0.9, stand_s=0.5)
+    monkeypatch.setattr(campaign, "RisePlan", lambda: plan)
+    monkeypatch.setattr(job.planner, "seat", lambda plan: "seat")
+    monkeypatch.setattr(job.planner, "rise", lambda plan, seat: (plan, seat))
+    for mode, help_share in (
+        ("passive", (0.0, 0.0, 0.0)),
+        ("assisted", (0.0, 0.2, 0.2)),
+    ):
+        entry = job.record(campaign.Repetition(mode, "legs", 5))
+        name, meant, seat, share, span, *_ = job.asked[-1]
+        assert name == entry.name == f"{mode}_legs_5_3"
+        assert meant == (plan, "seat") and seat == "seat"
+        assert share == help_share
+        assert span == pytest.approx((0.3 + 0.6 + 0.08, 0.3 + 0.6 + 0.9 + 0.1))
+        assert entry.use == ("prediction" if entry.assisted else "calibration")
+        # The chair's last millisecond, 80 ms later, to the frame.
+        assert (entry.start_s, entry.end_s) == (1.48, 1.9)
+
+
+def test_scans_are_taken_at_the_end_of_standing(job):
+    q, mats = job.prepare()
+    assert job.asked[0][0] == "standing"
+    plan = job.asked[0][1]
+    assert plan.times[-1] == 2.0
+    cop = -plan.ground[0, 2] / plan.ground[0, 1]
+    assert cop == pytest.approx(0.045, abs=1e-3)
+    assert q[0] == 3.0
+    assert [mat.name for mat in mats] == [
+        "pelvis_front", "pelvis_back", "thigh_front", "thigh_back",
+        "shank_front", "shank_back",
+    ]  # fmt: skip
