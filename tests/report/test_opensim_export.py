@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.files.osim import OsimFile, read_osim
+from drake_exo.files.osim import OsimCoupler, OsimFile, Pose, read_osim
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import (
@@ -31,6 +32,7 @@ from drake_exo.model.description import fit_exoskeleton, models_path
 from drake_exo.model.device_file import with_text
 from drake_exo.model.osim_person import read_person
 from drake_exo.model.plant import Model
+from drake_exo.report import opensim_export
 from drake_exo.report.opensim_export import export_opensim
 
 
@@ -516,3 +518,42 @@ def test_the_command(case, capsys):
     assert "a: a foot's force by the exported numbers and states" in said
     assert str(out) in said
     assert out.with_name("c_a_states.sto").is_file()
+
+
+@pytest.mark.parametrize("off", [5e-9, 2e-8, 1.0])
+def test_what_cannot_be_reached_is_refused(tmp_path, monkeypatch, off):
+    """After the last step a hundredth of a micrometre may be left."""
+    (tmp_path / "m.osim").write_text(small_osim())
+    osim = read_osim(tmp_path / "m.osim")
+    pelvis = opensim_export.Copy(
+        "pelvis", Pose(np.eye(3), np.zeros(3)), "", 1.0
+    )
+    names = opensim_export._root(osim)
+    assert names == ["pelvis_tilt", "pelvis_tx", "pelvis_ty"]
+    q, v = {name: np.zeros(1) for name in names}, {}
+    monkeypatch.setattr(opensim_export, "_STEPS", 1)
+    target, rate = np.zeros((2, 1, 6))
+    target[0, 1], rate[0, :3] = off, (0.3, 0.4, 0.5)
+    said = (osim, q, v, names, pelvis, target, rate, [0, 1, 2], "the_pelvis")
+    if off > 1e-8:
+        with pytest.raises(InputError, match="cannot put the the pelvis"):
+            opensim_export._reach(*said)
+        return
+    opensim_export._reach(*said)
+    assert [v[name][0] for name in names] == pytest.approx([0.5, 0.3, 0.4])
+
+
+def test_coordinates_that_follow_others_move_with_them():
+    """A patella at twice the square of the knee."""
+
+    def function(x, order):
+        return 2.0 * x**2 if order == 0 else 4.0 * x
+
+    couplers = (
+        OsimCoupler("patella", "knee", function),
+        OsimCoupler("other", "none", function),
+    )
+    q, v = {"knee": np.array([0.5])}, {"knee": np.array([3.0])}
+    opensim_export._couple(SimpleNamespace(couplers=couplers), q, v)
+    assert q == {"knee": [0.5], "patella": [0.5]}
+    assert v == {"knee": [3.0], "patella": [6.0]}
