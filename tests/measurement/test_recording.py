@@ -6,7 +6,12 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import fill_gaps
-from drake_exo.measurement.recording import force_delay, level, unloaded
+from drake_exo.measurement.recording import (
+    FootForces,
+    force_delay,
+    level,
+    unloaded,
+)
 from drake_exo.measurement.sagittal import PlanarWrench
 
 FRAMES = np.arange(200) / 100.0
@@ -160,3 +165,97 @@ def test_a_search_ends_at_its_reach():
     used = np.ones(300, bool)
     force = pulse(SECONDS - 0.1)
     assert force_delay(SECONDS, pulse(SECONDS), force, used, 0.03) == 0.03
+
+
+def test_the_edges_of_an_unloaded_part_do_not_count():
+    """A tenth of a second on either side, where it is longer than that."""
+    F_z = np.full(len(TIME), 500.0)
+    F_z[1000:2000] = 5.0
+    F_z[3000:3280] = 5.0  # 80 ms are left of it: too few
+    found = unloaded(TIME, F_z, 20.0)
+    # Smoothing over 25 ms has taken 12 before.
+    at = np.flatnonzero(found)
+    assert at[0] == pytest.approx(1000 + 100 + 12, abs=2)
+    assert at[-1] == pytest.approx(1999 - 100 - 12, abs=2)
+    assert found.sum() == at[-1] - at[0] + 1
+    F_z[3280:3360] = 5.0  # and now enough
+    longer = unloaded(TIME, F_z, 20.0)
+    assert longer[3100:3260].any()
+    for least, seen in ((21.0, False), (19.0, True)):
+        lifted = np.where(F_z < 10.0, least, F_z)
+        assert unloaded(TIME, lifted, 20.0).any() == seen
+
+
+def test_only_what_is_within_12_newtons_of_the_lowest_is_unloaded():
+    F_z = np.full(len(TIME), 500.0)
+    F_z[1000:2000] = 2.0
+    for more, seen in ((11.0, True), (13.0, False)):
+        F_z[2000:3000] = 2.0 + more
+        assert unloaded(TIME, F_z, 20.0)[2500] == seen
+
+
+def test_a_trend_needs_unloaded_parts_half_the_recording_apart():
+    for last, powers in ((0.55, 2), (0.45, 1)):
+        F_z = np.full(len(TIME), 500.0) + 2.0 * TIME
+        n = len(TIME)
+        F_z[: n // 8] = 2.0 * TIME[: n // 8]
+        a, b = round((last - 0.1) * n), round((last + 0.06) * n)
+        F_z[a:b] = 2.0 * TIME[a:b]
+        raw = PlanarWrench(np.column_stack([0.0 * F_z, F_z]), 0.0 * F_z)
+        _, report = level(TIME, raw, 20.0)
+        drift = report["drift_n_s"]
+        assert drift == (pytest.approx(2.0, abs=0.01) if powers == 2 else 0.0)
+
+
+def both_plates(**wrenches):
+    n = 5
+    time = 2.0 + np.arange(n) / 1000.0
+    found = {
+        name: PlanarWrench.of(np.tile(np.array(w, float), (n, 1)))
+        for name, w in wrenches.items()
+    }
+    chair = found.pop("chair", None)
+    plain = {
+        name: np.tile([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], (n, 1)) for name in found
+    }
+    return FootForces(time, found, "f.mot", chair, recorded=plain)
+
+
+def test_empty_plates_are_taken_out_by_their_mean():
+    forces = both_plates(left=(1, 700, -30), chair=(2, 300, 50))
+    empty = both_plates(left=(0.5, -4, 1), chair=(-0.5, 6, 2))
+    found = forces.without(empty)
+    np.testing.assert_allclose(found.wrenches["left"].array[0], [0.5, 704, -31])
+    np.testing.assert_allclose(found.chair.array[0], [2.5, 294, 48])
+    assert found.levels == {
+        "left": {"empty_plate_n": -4.0}, "chair": {"empty_plate_n": 6.0},
+    }  # fmt: skip
+
+
+def test_one_plate_of_two_feet_counts_twice():
+    for names, total in (
+        (("left", "right"), 1000.0), (("left",), 1000.0), (("both",), 500.0),
+    ):  # fmt: skip
+        forces = both_plates(**dict.fromkeys(names, (0, 500, 0)))
+        feet = forces.at(forces.time)
+        np.testing.assert_allclose(forces.total(feet), total)
+        assert forces.is_one_leg == (names == ("left",))
+    assert forces.rate_hz == pytest.approx(1000.0)
+    beyond = forces.at(np.array([0.0, 9.0]))["both"]
+    np.testing.assert_allclose(beyond.force_z, 500.0)
+
+
+def test_a_belt_carries_the_plates_along():
+    """Seen from the belt: each force acts further on, by speed and time."""
+    forces = both_plates(left=(10, 700, -30))
+    found = forces.on_belt(1.5)
+    ahead = 1.5 * forces.time
+    w, was = found.wrenches["left"], forces.wrenches["left"]
+    np.testing.assert_allclose(w.force, was.force)
+    np.testing.assert_allclose(w.cop_x - was.cop_x, ahead)
+    shifted = np.cross(
+        np.outer(ahead, [1.0, 0.0, 0.0]), forces.recorded["left"][:, :3]
+    )
+    np.testing.assert_allclose(
+        found.recorded["left"][:, 3:], forces.recorded["left"][:, 3:] + shifted
+    )
