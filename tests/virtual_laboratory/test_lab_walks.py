@@ -1,6 +1,7 @@
 """Walks: what is meant, how a body is held up, and what comes of it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -379,3 +380,59 @@ def test_gains_of_a_leg_that_bears_and_one_that_swings(subject, step):
     assert change(on_right, **rates, ankle_left=0.1) == {
         "ankle_left": approx(0.3)
     }
+
+
+def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
+    """Searched at the plan's speed, on soles that a search can follow."""
+    asked = []
+    moments = np.ones((len(step.times), len(step.coordinates.joints)))
+    found = SimpleNamespace(
+        success=True, trials=[replace(step, moments=moments), None]
+    )
+
+    def problem(model, trials, contact, settings):
+        asked.append((trials[0], contact.ground, settings))
+        return SimpleNamespace(solve=lambda on_iterate: found)
+
+    monkeypatch.setattr(walking, "_Step", problem)
+    plan = replace(PLAN, steps=2, after_s=0.1)
+    soles = subject.truth.contact
+    walk = walking.plan_walk(subject.model, soles, plan, "walk")
+    assert walk.times[-1] == pytest.approx(2 * plan.step_s + 0.1)
+    near, ground, settings = asked[0]
+    np.testing.assert_array_equal(near.q, step.q)
+    assert ground.spheres == soles.spheres
+    slower = soles.constants.transition_velocity
+    assert ground.constants.transition_velocity > slower
+    assert settings.speed_m_s == plan.speed_m_s
+    assert settings.solver.nodes_per_second == 100.0
+    # Newtons by the hundred, centimetres, tens of newton metres.
+    noise = settings.noise
+    assert 30.0 < noise.force_n < 300.0 and 0.01 < noise.cop_m < 0.1
+    assert 10.0 < noise.torque_nm < 100.0 and noise.jerk > 100.0
+    found.success = False
+    with pytest.raises(InputError, match=r"no step of 1\.20 m/s was found"):
+        walking.plan_walk(subject.model, soles, plan, "walk")
+
+
+def test_a_step_stays_within_degrees_of_the_template(subject, step):
+    """Of the trunk's lean and the joints; its place is free."""
+    names = step.coordinates
+    own = SimpleNamespace(settings=SimpleNamespace(noise=walking._NOISE))
+    rows = np.arange(step.q.size).reshape(step.q.shape)
+    n = len(step.times)
+    movement = SimpleNamespace(
+        coordinates=names,
+        grid=SimpleNamespace(q=rows),
+        torque=np.arange(n * 6).reshape(n, 6),
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(walking, "ground_terms", lambda *_: ["ground"])
+        terms = walking._Step._terms(own, movement, step, None)
+    tracked, ground, effort = terms
+    assert ground == "ground"
+    columns = names.columns(["pelvis_pitch", *names.human])
+    np.testing.assert_array_equal(tracked.variables, rows[:, columns])
+    np.testing.assert_array_equal(tracked.target, step.q[:, columns])
+    assert np.rad2deg(np.unique(tracked.sigma)) == pytest.approx([6.0])
+    assert np.unique(effort.sigma) == pytest.approx([20.0])

@@ -395,3 +395,46 @@ def test_a_study_of_walks_lets_feet_roll(alone):
     assert study["foot_ground"]["solver"] == {"nodes_per_second": 200.0}
     for phase in ("foot_ground", "interaction"):
         assert study[phase]["end_tolerance"]["pitch_deg"] == 5.0
+
+
+def test_a_device_s_file_lies_beside_the_study(worn, tmp_path):
+    subject = draw(worn, 3, frozenset())
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    elsewhere = tmp_path / "devices"
+    elsewhere.mkdir()
+    (tmp_path / "hip_and_knee.urdf").rename(elsewhere / "hip_and_knee.urdf")
+    subject.files["device"]["file"] = "devices/hip_and_knee.urdf"
+    two_legs._copy_device(worn, subject, folder)
+    assert subject.files["device"]["file"] == "hip_and_knee.urdf"
+    assert (folder / "hip_and_knee.urdf").read_bytes() == (
+        elsewhere / "hip_and_knee.urdf"
+    ).read_bytes()
+    two_legs._copy_device(worn, replace(subject, files={}), folder)
+
+
+def test_who_stands_is_scanned_at_the_end(worn, tmp_path, monkeypatch):
+    """On both legs alike, with a device that does not help."""
+    subject, asked = draw(worn, 3, frozenset()), []
+    nq = len(subject.model.coordinates)
+    still = SimpleNamespace(q=np.outer([1.0, 2.0, 3.0], np.ones(nq)))
+
+    def simulated(name, truth, plan, seat, help_share, **more):
+        asked.append((name, plan, seat, help_share))
+        return still
+
+    monkeypatch.setattr(two_legs, "simulate", simulated)
+    monkeypatch.setattr(
+        two_legs, "write_scans", lambda folder, model, q, mats: (q, mats)
+    )
+    laboratory = SimpleNamespace(
+        folder=tmp_path, disturbances=(), record_motion=lambda *_, **__: None
+    )
+    q, mats = two_legs._stand(subject, laboratory, 3, None)
+    ((name, plan, seat, help_share),) = asked
+    assert (name, seat, help_share) == ("standing", None, (0.0,) * 4)
+    assert plan.times[-1] == 2.0
+    np.testing.assert_array_equal(q, 3.0)
+    assert mats == subject.mats
+    knees = [subject.model.rigid.coordinates.index(f"knee_{s}") for s in SIDES]
+    np.testing.assert_allclose(plan.q[:, knees[0]], plan.q[:, knees[1]])
