@@ -366,11 +366,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "everything = dict.fromkeys(self.bushings, [1])",
         ),
     ],
-    "drake_exo/collocation/design_kernels.py": [
-        "tests/collocation/test_design_kernels.py",
-        "tests/collocation/test_curvature.py",
-        "tests/calibration/test_design_program.py",
-    ],
     "drake_exo/collocation/trial_program.py": [
         ("weight = 0.5 / p.prior_sd**2", "weight = 1.0 / p.prior_sd**2"),
         (
@@ -521,6 +516,18 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/virtual_laboratory/plan.py": [
         (
+            "share = chair.force_z / self.weight - wanted",
+            "share = chair.force_z / self.weight",
+        ),
+        (
+            "cop = ground.moment + plan.cop_m * ground.force_z",
+            "cop = ground.moment",
+        ),
+        (
+            "lean = posture.shank + np.rad2deg(gap / _HIP_HEIGHT_M)",
+            "lean = posture.shank",
+        ),
+        (
             "return -np.array(self.viscous) * rates - dry",
             "return -np.array(self.viscous) * rates",
         ),
@@ -639,5 +646,71 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "omega2 = robot.com_height_m / robot.gravity_m_per_s2",
         ),
         ("a = s - s**2 / (2 * D)", "a = s - s**2 / D"),
+    ],
+    "drake_exo/virtual_laboratory/walking.py": [
+        (
+            "point = ankle + np.interp(at, *_POINT_M)",
+            "point = np.interp(at, *_POINT_M)",
+        ),
+        (
+            "v, torque = v @ other.T, torque @ of_joints.T",
+            "torque = torque @ of_joints.T",
+        ),
+        (
+            "return torque + swing + bears * (stance - swing)",
+            "return torque + swing + bears * stance",
+        ),
+    ],
+    "drake_exo/virtual_laboratory/two_legs.py": [
+        ("stiffness=0.5 * s.stiffness", "stiffness=s.stiffness"),
+        (
+            "load, at = part * heavier * plan.ground[:, 1], plan.ground",
+            "load, at = part * plan.ground[:, 1], plan.ground",
+        ),
+    ],
+    "drake_exo/virtual_laboratory/simulation.py": [
+        (
+            "excess = loads - tree.inverse_dynamics(q, v, rest)",
+            "excess = loads",
+        ),
+    ],
+    "drake_exo/virtual_laboratory/synthetic.py": [
+        (
+            "model.human.ankle_height_m - 1e-3 - q[0, z]",
+            "model.human.ankle_height_m - q[0, z]",
+        ),
+    ],
+    "drake_exo/measurement/quality.py": [
+        ("residual_nm=float(size[2])", "residual_nm=float(size[1])"),
+        ("end_s=trial.start_s + trial.duration", "end_s=trial.duration"),
+    ],
+    "drake_exo/measurement/subject.py": [
+        ("dx = float(gap * tree.mass / pelvis.mass_kg)", "dx = float(gap)"),
+    ],
+    "drake_exo/measurement/events.py": [
+        (
+            "share = 1.0 - minimum_jerk(away / _FADE_S)[0]",
+            "share = 1.0 - away / _FADE_S",
+        ),
+    ],
+    "drake_exo/files/osim.py": [
+        (
+            "return turn, motion + np.cross(turn, p_GQ - p_GM)",
+            "return turn, motion + np.cross(turn, p_GQ)",
+        ),
+        (
+            "first = slope - h * (s[1:] + 2.0 * s[:-1])",
+            "first = slope - h * s[:-1]",
+        ),
+    ],
+    "drake_exo/report/opensim_export.py": [
+        ("held = b.slip / share * along", "held = b.slip * along"),
+        ("turn = about_z(-poses[base][2])", "turn = about_z(poses[base][2])"),
+    ],
+    "drake_exo/papers/de_magistris.py": [
+        ("name: (tr / tr0, rot / rot0)", "name: (tr0 / tr, rot / rot0)"),
+    ],
+    "drake_exo/cli/sensitivity.py": [
+        ('r[f"{s}.z"] - r[f"{s}.radius"],', 'r[f"{s}.z"],'),
     ],
 }
