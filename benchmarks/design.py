@@ -17,7 +17,7 @@ import numpy as np
 
 import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem, Wearer, drawn
-from drake_exo.designing import differences, movements
+from drake_exo.designing import differences, movements, slid
 from drake_exo.report.tables import format_table
 
 # Movements -> trials, wearers.
@@ -52,14 +52,17 @@ def main() -> None:
         contact,
         tuple(m.trial for m in moved),
         differ=differences(moved),
+        device=study.device,
+        slid=slid(moved, study.model, contact),
     )
     rows = []
     for size, (trials, count) in SIZES.items():
         people = wearers_of(wearer, trials, count)
         today = DesignProblem(people, settings, held=True).solve()
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         found = DesignProblem(people, settings, today=today).solve()
         elapsed = time.perf_counter() - start
+        cpu = time.process_time() - cpu
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         solution = found.solution
         rows.append(
@@ -68,6 +71,7 @@ def main() -> None:
                 "wearers": count,
                 "iterations": solution.iterations,
                 "seconds": elapsed,
+                "cpu_seconds": cpu,
                 "gb_so_far": memory,
                 "norm_n": today.norm_n,
                 "designed_norm_n": found.norm_n,
@@ -95,7 +99,7 @@ def random_starts(people, today, found, settings, count: int) -> dict:
     """Where the optimiser ends from values drawn within the bounds."""
     problem = DesignProblem(people, settings, today=today)
     rng = np.random.default_rng(0)
-    costs = []
+    costs, start = [], time.process_time()
     for _ in range(count):
         values = {v.name: rng.uniform(v.lower, v.upper) for v in problem.design}
         solution = problem.solve(problem.guess(values)).solution
@@ -108,6 +112,7 @@ def random_starts(people, today, found, settings, count: int) -> dict:
     )
     return {
         "starts": count,
+        "cpu_seconds": time.process_time() - start,
         "solved": int(solved),
         "at_best": int(at),
         "best": float(best),

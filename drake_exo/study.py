@@ -71,7 +71,12 @@ from drake_exo.measurement.plausibility import plausibility, refuse
 from drake_exo.measurement.plausibility.evidence import Evidence
 from drake_exo.measurement.processing import Recordings, load_trials
 from drake_exo.measurement.quality import Quality, assess
-from drake_exo.measurement.settings import Filter, RecordingSettings, Use
+from drake_exo.measurement.settings import (
+    Device,
+    Filter,
+    RecordingSettings,
+    Use,
+)
 from drake_exo.measurement.steps import RecordedStep, recorded_step
 from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial
@@ -116,6 +121,7 @@ class Study:
         filter: that the trials' signals went through.
         sole: law of what the feet wear; without it, their contact is
             calibrated.
+        device: how the device was measured, and its joints' friction.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(2, nodes_per_second=40)
@@ -136,9 +142,11 @@ class Study:
         design: DesignSettings | None = None,
         filter: Filter | None = None,
         sole: SoleLaw | None = None,
+        device: Device | None = None,
     ):
         self.model = model
         self.sole = sole
+        self.device = device
         self.name = name
         self.foot_ground = foot_ground or FootGroundSettings()
         self.interaction = interaction or InteractionSettings()
@@ -174,6 +182,7 @@ class Study:
             design=self.design,
             filter=self.filter,
             sole=self.sole,
+            device=self.device,
         )
 
     @property
@@ -259,6 +268,7 @@ class RecordedStudy(Study):
         self.prediction = file.prediction
         self.design = file.design
         self.filter = file.filter
+        self.device = file.device
         self.sole = None
         if self.foot_ground.of_sole:
             # SciPy's optimiser takes a moment to load.

@@ -49,6 +49,10 @@ TESTS = {
         "tests/collocation/test_bushing_kernels.py",
         "tests/collocation/test_curvature.py",
     ],
+    "drake_exo/designed.py": [
+        "tests/test_designed.py",
+        "tests/test_designing.py",
+    ],
     "drake_exo/designing.py": [
         "tests/test_designed.py",
         "tests/test_designing.py",

@@ -9,7 +9,7 @@ import pytest
 from worn import as_guessed
 from worn import wearer as worn
 
-from drake_exo import designing
+from drake_exo import designed, designing
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import norm_of, works
 from drake_exo.calibration.design_variables import Variable
@@ -20,7 +20,8 @@ from drake_exo.calibration.settings import (
     Population,
     Solver,
 )
-from drake_exo.designing import Designed, Moved, forecast_norm, front
+from drake_exo.designed import Designed, Moved, forecast_norm
+from drake_exo.designing import front
 from drake_exo.model.plant import nominal_model
 
 CUFFS = ("shank", "thigh", "pelvis")
@@ -199,10 +200,10 @@ def test_bands_are_at_the_largest_force(made):
     for known, width in (({"thigh": mats}, 4.0), ({}, 2.0)):
         bands = SimpleNamespace(mats=known, cuffs={"thigh": cuffs})
         moved = Moved(trial, bands, trial)
-        assert designing._half_width(moved, "thigh") == width
+        assert designed._half_width(moved, "thigh") == width
     without = replace(trial, cuffs={})
-    assert designing._half_width(Moved(without, bands, trial), "thigh") == 0.0
-    assert designing._half_width(Moved(trial, None, trial), "thigh") == 0.0
+    assert designed._half_width(Moved(without, bands, trial), "thigh") == 0.0
+    assert designed._half_width(Moved(trial, None, trial), "thigh") == 0.0
 
 
 def test_support_is_the_work_of_the_device(made):
@@ -280,7 +281,7 @@ def test_checks_hold_the_numbers_of_the_tables(told):
 def test_a_forecast_may_be_off_by_a_tenth(told, monkeypatch):
     for share, holds in ((1.05, True), (1.15, False)):
         monkeypatch.setattr(
-            designing,
+            designed,
             "forecast_norm",
             lambda found, after, share=share: share * found.norm_n,
         )
@@ -361,7 +362,7 @@ def test_the_table_and_the_summary_say_the_same(told):
     ],
 )
 def test_how_a_value_is_told(row, said):
-    assert designing._told(row) == said
+    assert designed._told(row) == said
 
 
 def test_a_front_asks_for_shares_of_today_s_work(made, monkeypatch):
@@ -412,8 +413,8 @@ def test_studies_of_one_name_are_numbered():
 
 def test_a_failed_solve_says_why():
     off = SimpleNamespace(success=False, status="no", explain=lambda: "far")
-    assert designing._failed(off) == "no: far"
+    assert designed._failed(off) == "no: far"
     assert (
-        designing._strap_unit(Variable("a.b", "rad/(N m)", 0, 1, 0, 1))
+        designed._strap_unit(Variable("a.b", "rad/(N m)", 0, 1, 0, 1))
         == "N m/rad"
     )

@@ -11,7 +11,7 @@ from page_reader import player_data
 from unmarked import unmarked
 
 import drake_exo as dx
-from drake_exo import designing
+from drake_exo import designed, designing
 from drake_exo.calibration import design_cuffs
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import Tried
@@ -28,7 +28,8 @@ from drake_exo.calibration.wearers import Wearer
 from drake_exo.cli import main
 from drake_exo.cli.predict import on_design
 from drake_exo.contact.strap import Design, read_design
-from drake_exo.designing import Designed, Peak, front
+from drake_exo.designed import Designed, Moved, Peak
+from drake_exo.designing import front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.verdict import Check, Verdict
@@ -122,6 +123,26 @@ def test_what_is_felt_is_what_mats_would_show(found):
         assert row["before"]["pressure_kpa"] == pytest.approx(pressure)
         shear = [np.abs(m.trial.cuffs[cuff].tangential).max() for m in moved]
         assert row["before"]["shear_n"] == pytest.approx(max(shear))
+
+
+@pytest.mark.slow
+def test_migration_as_built_is_what_encoders_tell(found, study, tmp_path):
+    """Of trials that are the very forecast; others have no such row."""
+    ((name, after),) = found.after.items()
+    assert {r["measured_migration_mm"] for r in found.felt()} == {None}
+    trials = [
+        replace(m.trial, provenance={"encoders": "angles.csv"}) for m in after
+    ]
+    made = designing.built(found, study[0], {name: trials})
+    assert list(made.measured) == list(made.seen) == [name]
+    wearer, _ = found.first
+    for row in made.felt():
+        model = row["after"]["migration_mm"] / wearer.slides(row["cuff"])
+        assert row["measured_migration_mm"] == pytest.approx(model, rel=0.01)
+    made.write(tmp_path)
+    assert "shank built" in (tmp_path / "design.txt").read_text()
+    unseen = designing.built(found, study[0], {name: [after[0].trial]})
+    assert unseen.seen == {}
 
 
 @pytest.mark.slow
@@ -306,6 +327,49 @@ def test_mats_and_model_differ_by_their_largest_forces():
         "thigh": 75.0 / 60.0,
         "pelvis": 2.0,
     }
+
+
+def test_migration_is_what_encoders_tell():
+    """Mean over trials with encoders of the largest; by a factor of 2."""
+    made = dx.synthetic.rises_in_device(1, nodes_per_second=25.0)
+    (trial,), model, contact = made.trials, made.model, made.contact
+    names = trial.coordinates
+
+    def tilted(degrees):
+        q = trial.q.copy()
+        q[:, names.index("exo_knee")] += np.deg2rad(degrees)
+        return replace(trial, q=q)
+
+    def migration(t, cuff):
+        d = designed.largest_deflection([t], model, contact, cuff)
+        # Device's point in the human's frame, along the limb, by rigid bodies.
+        human, device = model.tree.cuffs[cuff]
+        own = contact.bushings[cuff].origin
+        q = t.q
+        at = model.tree.point_positions(q, device, np.array(own))
+        zero = model.tree.point_positions(q, human, np.array(own))
+        up = model.tree.point_positions(q, human, np.add(own, (0.0, 1.0)))
+        along = np.sum((at - zero) * (up - zero), axis=1)
+        assert d[0] == pytest.approx(np.abs(along).max(), abs=1e-9)
+        return d[0]
+
+    moved = [
+        Moved(tilted(1.0), None, trial, tilted(1.5)),
+        Moved(tilted(2.0), None, trial, tilted(2.4)),
+        Moved(tilted(9.0), None, trial, None),
+    ]
+    found = designing.slid(moved, model, contact)
+    for cuff in ("thigh", "pelvis"):
+        seen, had = (
+            sum(migration(t, cuff) for t in (a, b))
+            for a, b in (
+                (tilted(1.5), tilted(2.4)),
+                (tilted(1.0), tilted(2.0)),
+            )
+        )
+        assert found[cuff] == pytest.approx(np.clip(seen / had, 0.5, 2.0))
+    assert found["pelvis"] != pytest.approx(1.0, abs=0.05)
+    assert designing.slid(moved[2:], model, contact) == {}
 
 
 def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():

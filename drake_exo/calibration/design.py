@@ -61,6 +61,7 @@ from drake_exo.collocation.design_kernels import (
     MovedWeight,
     PressureKernel,
 )
+from drake_exo.collocation.kernels import MOMENT_UNIT
 from drake_exo.collocation.trial_program import TrialProgram, minimised
 from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
 from drake_exo.contact.strap import (
@@ -83,6 +84,8 @@ _LOOSE = 10.0
 _LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
+# Cost of all that migration is beyond its limit today, against all forces'.
+_BEYOND = 1.0
 # Places of a cuff that every design has, see BushingKinematics.
 _NUM_PLACES = 2 + len(PRELOADS)
 
@@ -131,6 +134,7 @@ class _Wearing(PhaseProblem):
         self._work: dict[str, float] = {}
         self._undriven, self._total = 0.0, None
         self._slid: dict[tuple[str, str], np.ndarray] = {}
+        self._beyond: dict[str, np.ndarray] = {}
         self._pressed: dict[tuple[str, str], np.ndarray] = {}
         super().__init__(
             wearer.model,
@@ -256,6 +260,7 @@ class _Wearing(PhaseProblem):
         names, posed = movement.coordinates, self._posed
         device = names.is_device_joint
         torque, today = movement.torque[:, device], at.moments[:, device]
+        friction = self.wearer.friction(at)
         for i, joint in enumerate(names.device):
             own = [
                 n
@@ -263,20 +268,25 @@ class _Wearing(PhaseProblem):
                 if n.startswith(f"{joint}.") and is_assistance(n)
             ]
             if not own:
-                self._count_work(movement, joint, at, {})
+                self._count_work(movement, joint, at, today[:, i], {})
                 movement.bound(torque[:, i], today[:, i], today[:, i])
                 continue
             factors = np.array([posed.variables[n] for n in own])
             known = assistance_of({n.partition(".")[2]: 1.0 for n in own})
             parts = known.parts(
-                today[:, i],
+                today[:, i] - friction[:, i],
                 at.coordinate(joint),
                 at.v[:, names.index(joint)],
                 at.times / at.duration,
             )
             self._count_work(
-                movement, joint, at, dict(zip(own, parts.T, strict=True))
+                movement,
+                joint,
+                at,
+                friction[:, i],
+                dict(zip(own, parts.T, strict=True)),
             )
+            given = friction[:, [i]] / MOMENT_UNIT
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
                 AssistanceKernel(1, len(own)),
@@ -286,6 +296,8 @@ class _Wearing(PhaseProblem):
                         np.broadcast_to(factors, (len(torque), len(own))),
                     ]
                 ),
+                given,
+                given,
                 data=parts[:, None],
             )
 
@@ -376,13 +388,26 @@ class _Wearing(PhaseProblem):
             slid,
             [f"{movement.name} {cuff} migration"],
             times,
-            [("mm", 1e3)],
+            [("mm", 1e3 * self.wearer.slides(cuff))],
         )
         self._slid[cuff, movement.name] = slid
         today = self._posed.deflected[self.wearer.name][cuff][TANGENTIAL]
-        wanted = 1e-3 * self._posed.settings.limits.migration_mm
+        wanted = self._most_migration(cuff)
         most = np.full(n, max(wanted, today))
         movement.bound(slid.ravel(), -most, most)
+        if today > wanted:
+            beyond = self._migration_beyond(cuff, today - wanted)
+            rows = np.hstack([np.eye(n), -np.ones((n, 1))])
+            for way in (1.0, -1.0):
+                rows[:, :n] *= way
+                prog.AddLinearConstraint(
+                    rows,
+                    np.full(n, -np.inf),
+                    np.full(n, wanted),
+                    np.concatenate([slid.ravel(), beyond]),
+                ).evaluator().set_description(
+                    f"{movement.name} {cuff} migration beyond its limit"
+                )
         places = self.places(cuff)
         self.program.add_constraints(
             f"{movement.name} {cuff} migration",
@@ -391,6 +416,35 @@ class _Wearing(PhaseProblem):
                 [grid.q, np.broadcast_to(places, (n, len(places))), slid]
             ),
         )
+
+    def _migration_beyond(self, cuff: str, most: float) -> np.ndarray:
+        """How far migration is beyond its limit (1,) [m], in all trials.
+
+        Where it is today, nobody knows yet whether the limit can be kept. A
+        cost in proportion, for all of it as much as for all forces, brings it
+        to the limit or as near as is worth it; never beyond today's.
+        """
+        if cuff not in self._beyond:
+            prog = self.program.prog
+            name = f"{self.wearer.name} {cuff} migration beyond its limit"
+            beyond = prog.NewContinuousVariables(1, name)
+            prog.SetVariableScaling(beyond[0], 1e-3)
+            prog.AddBoundingBoxConstraint([0.0], [most], beyond)
+            forces = 0.5 * self._posed.settings.weight
+            prog.AddLinearCost([_BEYOND * forces / most], 0.0, beyond)
+            self._beyond[cuff] = beyond
+        return self._beyond[cuff]
+
+    def _fill_beyond(self, x: np.ndarray, cuff: str, slid: np.ndarray) -> None:
+        if cuff in self._beyond:
+            index = self.program.indices(self._beyond[cuff])
+            over = slid.max() - self._most_migration(cuff)
+            x[index] = np.maximum(x[index], over)
+
+    def _most_migration(self, cuff: str) -> float:
+        """Limit on the model's migration [m]."""
+        limit = 1e-3 * self._posed.settings.limits.migration_mm
+        return limit / self.wearer.slides(cuff)
 
     def _limit_pressure(self, movement, cuff: str, times) -> None:
         prog, n = self.program.prog, len(times)
@@ -413,9 +467,12 @@ class _Wearing(PhaseProblem):
             np.hstack([movement.cuffs[cuff][:, [NORMAL]], area, pressed]),
         )
 
-    def _count_work(self, movement: TrialProgram, joint: str, at: Trial, by):
+    def _count_work(
+        self, movement: TrialProgram, joint: str, at: Trial, given, by
+    ):
         """Work of a joint's torques over the movement of today, by variable.
 
+        What is given (n,) stays as it is: friction, if drives can change.
         Softer cuffs let the device go further, which is no support: a device
         that is built does not follow. So its movement of today counts.
         """
@@ -423,8 +480,7 @@ class _Wearing(PhaseProblem):
         way = movement.grid.quadrature * at.v[:, names.index(joint)]
         for name, torque in by.items():
             self._work[name] = self._work.get(name, 0.0) + float(way @ torque)
-        if not by:
-            self._undriven += float(way @ at.moment(joint))
+        self._undriven += float(way @ given)
 
     def work(self, values: Mapping[str, float]) -> float:
         """Of the device over all trials [J], see `_count_work`.
@@ -506,6 +562,7 @@ class _Wearing(PhaseProblem):
             slid = self._slid.get((cuff, movement.name))
             if slid is not None:
                 x[indices(slid)] = deflection[:, [TANGENTIAL]]
+                self._fill_beyond(x, cuff, np.abs(deflection[:, TANGENTIAL]))
             pressed = self._pressed.get((cuff, movement.name))
             if pressed is not None:
                 share = design.cuffs.get(cuff, CuffDesign()).area

@@ -723,8 +723,8 @@ class DesignLimits:
         normal_n: force of a cuff across the limb.
         shear_n: along it.
         pressure_kpa: force across the limb over the cuff's area, mean.
-        migration_mm: deflection along the limb; where it is larger today,
-            no more than today.
+        migration_mm: deflection along the limb, as encoders tell it; where it
+            is larger today, as near to it as is worth it in forces.
         moment_nm: of a cuff on the limb.
         moment_factor: its moment against the largest one of today.
         shear_factor: its force along the limb, likewise.

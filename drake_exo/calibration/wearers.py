@@ -32,7 +32,9 @@ from drake_exo.collocation.kernels import BodyWrench
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
+from drake_exo.measurement.exoskeleton import friction_moments
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.settings import Device
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model
@@ -50,6 +52,8 @@ class OwnMovement(PhaseProblem):
         trials: measured.
         contact: calibrated.
         settings: noise, errors and grid, as those of Phase C.
+        seen: as encoders show it, too: how the device truly moved on the
+            cuffs that it was measured on.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -67,8 +71,11 @@ class OwnMovement(PhaseProblem):
         trials: Sequence[Trial],
         contact: ContactModel,
         settings: PredictionSettings | None = None,
+        *,
+        seen: bool = False,
     ):
         check_has_cuffs(model)
+        self._seen = seen
         settings = settings or PredictionSettings()
         errors = ErrorModel(model, trials, settings.errors, contact.posterior)
         super().__init__(model, trials, contact, [], settings, errors)
@@ -76,18 +83,62 @@ class OwnMovement(PhaseProblem):
     def _terms(self, movement, at, effects):
         noise = self.settings.noise
         return [
-            *kinematic_terms(movement, at, noise, effects, encoders=False),
+            *kinematic_terms(movement, at, noise, effects, encoders=self._seen),
             *ground_terms(movement, at, noise),
             *torque_terms(movement, at, noise, effects),
         ]
 
 
-def assisted(trial: Trial, design: Design) -> Trial:
+def joint_friction(
+    trial: Trial, model: Model, contact: ContactModel, device: Device | None
+) -> np.ndarray:
+    """Friction (n, joints) of the device's joints in a trial [N m].
+
+    As a bench identified it, corrected by what a calibration has found that
+    bench to be off; zero where there was none.
+
+    Args:
+        trial: whose rates count.
+        model: subject and device.
+        contact: with the calibration's posterior, if there is one.
+        device: as the study file describes it.
+    """
+    if device is None:
+        return np.zeros((len(trial.times), len(trial.coordinates.device)))
+    share = 1.0 - _found(contact, "friction", trial.coordinates.device)
+    found = friction_moments(device, model.tree, trial.v)
+    return np.maximum(share, 0.0) * found
+
+
+def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
+    """Size (m,) of an error of each joint; 0 of what no calibration found."""
+    known = None if contact is None else contact.posterior
+    names = () if known is None else known.names
+    return np.array(
+        [
+            known.of([name])[0][0] if name in names else 0.0
+            for name in (f"{error}.{joint}" for joint in joints)
+        ]
+    )
+
+
+def assisted(
+    trial: Trial,
+    design: Design,
+    contact: ContactModel | None = None,
+    friction: np.ndarray | float = 0.0,
+) -> Trial:
     """A trial with the device's torques as a design has them.
 
     At the angles and rates of the trial, whatever other cuffs make of them. A
     factor over the movement is over the whole trial. What the device bears
     more the person bears less. Cuffs that are left out are not in it.
+
+    Args:
+        trial: measured, with the torques of drives and friction together.
+        design: acts on the drives, at the true angles of their joints.
+        contact: whose calibration has found how far encoders are off.
+        friction: see `joint_friction`.
     """
     trial = _without(trial, design.removed)
     if trial.moments is None or not design.given:
@@ -95,12 +146,13 @@ def assisted(trial: Trial, design: Design) -> Trial:
     names, moments = trial.coordinates, trial.moments.copy()
     device = names.device_columns
     share = trial.times / trial.duration
-    today = moments[:, names.is_device_joint]
+    drive = moments[:, names.is_device_joint] - friction
+    angles = trial.q[:, device] - _found(contact, "encoder", names.device)
     torques = design.torques(
-        names.device, today, trial.q[:, device], trial.v[:, device], share
+        names.device, drive, angles, trial.v[:, device], share
     )
     for i, joint in enumerate(names.device):
-        more = torques[:, i] - today[:, i]
+        more = torques[:, i] - drive[:, i]
         moments[:, names.joint(joint)] += more
         moments[:, names.joint(names.follows(joint))] -= more
     return replace(trial, moments=moments)
@@ -119,6 +171,9 @@ class Wearer:
             kept today need not be kept.
         differ: cuff -> what mats show of its force today over what the model
             has; 1 where nothing measured it.
+        device: as the study file describes it: what its joints' friction is.
+        slid: cuff -> its migration today as encoders and markers tell it over
+            what the model has; 1 where nothing does.
     """
 
     name: str
@@ -127,10 +182,20 @@ class Wearer:
     trials: tuple[Trial, ...]
     is_drawn: bool = False
     differ: Mapping[str, float] = field(default_factory=dict)
+    device: Device | None = None
+    slid: Mapping[str, float] = field(default_factory=dict)
 
     def shown(self, cuff: str) -> float:
         """Factor on the model's force of a cuff for what mats would show."""
         return self.differ.get(cuff, 1.0)
+
+    def slides(self, cuff: str) -> float:
+        """Factor on the model's migration for what encoders would tell."""
+        return self.slid.get(cuff, 1.0)
+
+    def friction(self, trial: Trial) -> np.ndarray:
+        """Of the device's joints in a trial, see `joint_friction`."""
+        return joint_friction(trial, self.model, self.contact, self.device)
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:
@@ -406,6 +471,8 @@ def sized(
                 tuple(moved.trials),
                 is_drawn=True,
                 differ=wearer.differ,
+                device=wearer.device,
+                slid=wearer.slid,
             )
         )
     return found

@@ -13,7 +13,8 @@ from pathlib import Path
 from drake_exo.cli.calibrate import report_failure
 from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.designing import Designed, design, front
+from drake_exo.designed import Designed
+from drake_exo.designing import built, design, front
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.files.verdict import Check, save_figure
@@ -151,7 +152,7 @@ def _built(
     )
     measured = read_study(path).trials("prediction")
     (name,) = made.before
-    return replace(made, measured={name: measured})
+    return built(made, study, {name: measured})
 
 
 def _write_front(made: Designed, out: Path) -> None:

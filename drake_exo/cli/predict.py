@@ -23,7 +23,7 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.scores import spread
-from drake_exo.calibration.wearers import assisted
+from drake_exo.calibration.wearers import assisted, joint_friction
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,
@@ -151,7 +151,15 @@ def on_design(
     """
     model = study.model
     design.check(model)
-    trials = [assisted(trial, design) for trial in study.trials("prediction")]
+    trials = [
+        assisted(
+            trial,
+            design,
+            contact,
+            joint_friction(trial, model, contact, study.device),
+        )
+        for trial in study.trials("prediction")
+    ]
     built = study.alone(trials)
     built.model = design.model(model)
     return built, design.contact(contact)

@@ -378,7 +378,7 @@ def forces_figure(designed) -> Figure:
     """Normal forces over time: a row for each cuff, a column for each trial.
 
     Args:
-        designed: a `designing.Designed`.
+        designed: a `designed.Designed`.
     """
     wearers = list(designed.before)
     pairs = [
@@ -434,7 +434,7 @@ def device_figure(designed) -> Figure:
     cuff is drawn where it holds the limb.
 
     Args:
-        designed: a `designing.Designed`.
+        designed: a `designed.Designed`.
     """
     wearer, moved = designed.first
     trial, tree = moved[0].trial, wearer.model.tree

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_exo.calibration import design as posed
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import (
     device_work,
+    largest_deflections,
     largest_forces,
     norm_of,
     works,
@@ -32,11 +34,15 @@ from drake_exo.calibration.wearers import (
     OwnMovement,
     Wearer,
     assisted,
+    joint_friction,
     sized,
 )
+from drake_exo.contact.assistance import Assistance
 from drake_exo.contact.bushing import BushingKinematics
+from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import CuffDesign, Design, JointDesign
 from drake_exo.errors import InputError
+from drake_exo.measurement.settings import Device, JointDrive
 
 pytestmark = pytest.mark.slow
 
@@ -518,6 +524,102 @@ def test_a_design_for_a_population(wearer):
     loaded = replace(wearer.model, kind="human", exoskeleton=None)
     with pytest.raises(InputError, match="needs the shipped device"):
         sized(replace(wearer, model=loaded), people, phase())
+
+
+def benched(contact, **errors):
+    """A contact whose calibration has found these errors, and no others."""
+    names = tuple(f"{k}.exo_knee" for k in errors)
+    values = np.array(list(errors.values()))
+    known = Posterior(names, values, 1e-4 * np.eye(len(names)))
+    return replace(contact, posterior=known)
+
+
+def test_friction_is_what_bench_and_calibration_say(in_device, driven):
+    """A measured moment has it all: what a bench tells too much comes off."""
+    knee = JointDrive(viscous_nm_s=0.5, coulomb_nm=2.0, coulomb_speed_rad_s=0.1)
+    device = Device(knee=knee)
+    model, contact = in_device.model, in_device.contact
+    rate = driven.v[:, driven.coordinates.index("exo_knee")]
+    by_bench = -0.5 * rate - 2.0 * np.tanh(rate / 0.1)
+    column = list(driven.coordinates.device).index("exo_knee")
+    for found, share in ((contact, 1.0), (benched(contact, friction=0.3), 0.7)):
+        friction = joint_friction(driven, model, found, device)
+        np.testing.assert_allclose(friction[:, column], share * by_bench)
+        assert np.abs(np.delete(friction, column, axis=1)).max() == 0.0
+    assert not joint_friction(driven, model, contact, None).any()
+
+
+def test_a_factor_is_on_drives_at_true_angles(in_device, driven):
+    """Neither friction nor what an encoder is off by changes with it."""
+    design = Design(
+        assistance={"exo_knee": Assistance((20.0, 80.0), (0.8, 1.4))}
+    )
+    names, off = driven.coordinates, np.deg2rad(3.0)
+    seen = driven.q.copy()
+    seen[:, names.index("exo_knee")] += off
+    friction = np.zeros((len(driven.times), len(names.device)))
+    column = list(names.device).index("exo_knee")
+    friction[:, column] = 2.0 * np.cos(driven.times)
+    changed = assisted(
+        replace(driven, q=seen),
+        design,
+        benched(in_device.contact, encoder=off),
+        friction,
+    )
+    angle = np.rad2deg(driven.coordinate("exo_knee"))
+    factor = np.interp(angle, (20.0, 80.0), (0.8, 1.4))
+    drive = driven.moment("exo_knee") - friction[:, column]
+    np.testing.assert_allclose(
+        changed.moment("exo_knee"), factor * drive + friction[:, column]
+    )
+
+
+def test_work_is_that_of_new_drives_and_old_friction(wearer, today):
+    rubbing = replace(wearer, device=Device(knee=JointDrive(viscous_nm_s=3.0)))
+    held = {v.name: v.today for v in today.problem.design}
+    held["exo_knee.factor_at_0_deg"] = 1.2
+    (trial,), works_of = wearer.trials, {}
+    for who in (wearer, rubbing):
+        result = DesignProblem([who], SETTINGS, held=held).solve()
+        assert result.solution.success
+        works_of[who.device is None] = works(result)["somebody"]
+        (own,) = result.wearers["somebody"].trials
+        at = trial.sample(own.times)
+        column = list(at.coordinates.device).index("exo_knee")
+        friction = who.friction(at)[:, column]
+        expected = 1.2 * (at.moment("exo_knee") - friction) + friction
+        np.testing.assert_allclose(own.moment("exo_knee"), expected, atol=0.02)
+    rate = trial.v[:, trial.coordinates.index("exo_knee")]
+    lost = np.trapezoid(3.0 * rate**2, trial.times)
+    more = works_of[False] - works_of[True]
+    assert more == pytest.approx(0.2 * lost, rel=0.02)
+
+
+def test_migration_comes_to_its_limit_or_as_near_as_it_can(
+    wearer, today, monkeypatch
+):
+    """Beyond it today: what is asked for first of all, before any force."""
+    before = largest_deflections(today)["somebody"]
+    cuff = max(before, key=lambda c: before[c][0])
+    most = 1e3 * before[cuff][0]
+
+    def reached(limit_mm):
+        limits = replace(SETTINGS.limits, migration_mm=limit_mm)
+        settings = replace(SETTINGS, limits=limits)
+        result = DesignProblem([wearer], settings, today=today).solve()
+        assert result.solution.success
+        after = largest_deflections(result)["somebody"]
+        return result, {c: 1e3 * d[0] for c, d in after.items()}
+
+    result, after = reached(0.9 * most)
+    assert after[cuff] <= 0.9 * most * (1.0 + 1e-3)
+    assert result.norm_n < today.norm_n
+    result, nearer = reached(0.3 * most)
+    assert 0.3 * most < nearer[cuff] < 0.9 * most
+    # What a millimetre may cost decides how near.
+    monkeypatch.setattr(posed, "_BEYOND", 100.0 * posed._BEYOND)
+    _, again = reached(0.3 * most)
+    assert 0.3 * most < again[cuff] < nearer[cuff] - 0.5
 
 
 def test_wearers_that_do_not_fit_are_refused(wearer):

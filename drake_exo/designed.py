@@ -1,0 +1,784 @@
+"""A design with its forecast: what Phase D found, its checks, tables and files.
+
+Movements on the cuffs of today and on the design stand beside each other, and
+beside those that were measured once it was built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.calibration.design_cuffs import Hold, Tried, hold
+from drake_exo.calibration.design_result import (
+    DesignResult,
+    device_work,
+    joint_norm,
+    works,
+    worn_norm,
+)
+from drake_exo.calibration.design_variables import Variable
+from drake_exo.calibration.results import solve_summary, write_contact
+from drake_exo.calibration.settings import DesignSettings
+from drake_exo.calibration.uncertainty import Bands
+from drake_exo.calibration.wearers import Wearer
+from drake_exo.contact.bushing import (
+    NORMAL,
+    ROTATION,
+    TANGENTIAL,
+    BushingKinematics,
+)
+from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import (
+    STIFF,
+    TODAY,
+    Design,
+    device_sdf,
+    write_design,
+)
+from drake_exo.files.output import write_json
+from drake_exo.files.verdict import (
+    SOLVED,
+    Check,
+    Verdict,
+    save_figure,
+    write_text,
+)
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.plant import Model
+from drake_exo.nlp.ipopt import Solution
+from drake_exo.report.tables import format_table, rounded
+from drake_exo.study import write_inputs
+
+# A cuff that moves further than this is where nothing was calibrated.
+_KNOWN_M = 0.03
+_BOLD = 1e-3  # of a change that is one
+_REMOVED = ".removed"
+# Share that a forecast may be off the norm that the design promised.
+_KEPT = 0.1
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A trial's own movement on some cuffs.
+
+    Attributes:
+        trial: solved.
+        bands: of 95 %; None where no calibration says how sure it is.
+        measured: the trial as it was recorded, on the cuffs of today.
+        seen: solved with encoders, which tell where the device went on the
+            cuffs that it was measured on; None on others.
+    """
+
+    trial: Trial
+    bands: Bands | None
+    measured: Trial
+    seen: Trial | None = None
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Largest normal force of one cuff in a trial, mean over trials [N].
+
+    Attributes:
+        measured_before: by mats; None where there were none.
+        today: what the forecast is compared with: measured_before, but where
+            the model differs from it by more than a factor of 2.
+        model_before, model_after: of the model, on the cuffs of today and on
+            the design; 0 of a cuff that is left out.
+        forecast_after: of what mats would show on the design: the model's
+            times what mats and model differ by today.
+        forecast_low, forecast_high: ends of its band of 95 %.
+        measured_after: by mats, once it was built.
+    """
+
+    measured_before: float | None
+    today: float
+    model_before: float
+    model_after: float
+    forecast_after: float
+    forecast_low: float
+    forecast_high: float
+    measured_after: float | None = None
+
+
+@dataclass(frozen=True)
+class Designed:
+    """A design with its forecast; see `design`.
+
+    Attributes:
+        settings: of the design.
+        today, found: program with nothing changed, and of the design.
+        before, after: wearer -> its movements on today's cuffs and on the
+            design.
+        parts: what was free -> the norm of forces that it reached [N], and
+            the same in a forecast.
+        measured: wearer -> its trials on the design, once it was built.
+        seen: likewise, solved with encoders.
+        inputs: checks of the studies and calibrations that it is made of.
+        tried: designs with removable cuffs left out in turn, the one with
+            every cuff first; empty where none is removable.
+    """
+
+    settings: DesignSettings
+    today: DesignResult = field(repr=False)
+    found: DesignResult = field(repr=False)
+    before: dict[str, list[Moved]] = field(repr=False)
+    after: dict[str, list[Moved]] = field(repr=False)
+    parts: dict[str, float] = field(default_factory=dict)
+    measured: dict[str, Sequence[Trial]] = field(
+        default_factory=dict, repr=False
+    )
+    seen: dict[str, Sequence[Trial]] = field(default_factory=dict, repr=False)
+    inputs: tuple[Check, ...] = ()
+    tried: tuple[Tried, ...] = ()
+
+    @property
+    def solution(self) -> Solution:
+        """State of the solve."""
+        return self.found.solution
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.solution.success
+
+    @property
+    def design(self) -> Design:
+        """What is to be built; raises SealedSolutionError likewise."""
+        return self.found.design
+
+    @property
+    def first(self) -> tuple[Wearer, list[Moved]]:
+        """The first wearer, and its movements on today's cuffs."""
+        name, moved = next(iter(self.before.items()))
+        wearers = self.found.problem.wearers
+        return next(w for w in wearers if w.name == name), moved
+
+    @cached_property
+    def peaks(self) -> dict[str, Peak]:
+        """Cuff -> its peak over all wearers' trials."""
+        self.solution.check()
+        (first, *_) = self.before.values()
+        return {cuff: self._peak(cuff) for cuff in first[0].trial.cuffs}
+
+    def _peak(self, cuff: str) -> Peak:
+        wearers = {w.name: w for w in self.found.problem.wearers}
+        ratio = np.array(
+            [
+                wearers[name].shown(cuff)
+                for name, moved in self.before.items()
+                for _ in moved
+            ]
+        )
+        before = [m for moved in self.before.values() for m in moved]
+        after = [m for moved in self.after.values() for m in moved]
+        seen = [k for k, m in enumerate(before) if cuff in m.measured.cuffs]
+        chosen = seen or list(range(len(before)))
+        ratio = ratio[chosen]
+        was, now = (
+            np.array([largest_force(moved[k].trial, cuff) for k in chosen])
+            for moved in (before, after)
+        )
+        half = np.array([_half_width(after[k], cuff) for k in chosen])
+        built = [
+            t for ts in self.measured.values() for t in ts if cuff in t.cuffs
+        ]
+        forecast = float(np.mean(ratio * now))
+        width = float(np.mean(np.maximum(ratio, 1.0) * half))
+        return Peak(
+            _mean([largest_force(before[k].measured, cuff) for k in seen]),
+            float(np.mean(ratio * was)),
+            float(np.mean(was)),
+            float(np.mean(now)),
+            forecast,
+            max(forecast - width, 0.0),
+            forecast + width,
+            _mean([largest_force(t, cuff) for t in built]),
+        )
+
+    @property
+    def support(self) -> dict[str, float | None]:
+        """Work of the device over all trials [J], before, after, measured.
+
+        The first two over the movement of today, whose device goes as far.
+        """
+        return {
+            "before": sum(works(self.today)[name] for name in self.before),
+            "after": sum(works(self.found)[name] for name in self.before),
+            "measured_before": sum(
+                _measured_work(m.measured)
+                for moved in self.before.values()
+                for m in moved
+            ),
+            "measured_after": sum(
+                _measured_work(t) for ts in self.measured.values() for t in ts
+            )
+            or None,
+        }
+
+    @cached_property
+    def slopes(self) -> dict[str, float]:
+        """Change of the cost for a step of each variable from today."""
+        slopes = self.today.slopes()
+        return {
+            v.name: slopes[v.name] * v.size
+            for v in self.found.problem.design
+            if v.name in slopes
+        }
+
+    def variables(self) -> list[dict]:
+        """A row for each design variable that may change."""
+        rows = []
+        for v in self.found.problem.design:
+            if not v.free:
+                continue
+            value = self.found.values[v.name]
+            row = {
+                "name": v.name,
+                "unit": v.unit,
+                "today": v.today,
+                "value": value,
+                "lower": v.lower,
+                "upper": v.upper,
+                "at_bound": v.at_bound(value),
+                "slope_today": self.slopes.get(v.name),
+                "extrapolated": self._is_extrapolated(v, value),
+            }
+            if v.is_strap:
+                cuff, _, what = v.name.partition(".")
+                strap = getattr(self.design.cuffs[cuff], what)
+                row |= {"strap": strap, "strap_unit": _strap_unit(v)}
+            rows.append(row)
+        for cuff in self.peaks:
+            if self.settings.freedom(cuff).removable:
+                rows.append(
+                    {
+                        "name": f"{cuff}{_REMOVED}",
+                        "unit": "1",
+                        "today": 0.0,
+                        "value": float(cuff in self.design.removed),
+                        "lower": 0.0,
+                        "upper": 1.0,
+                        "at_bound": False,
+                        "slope_today": None,
+                        "extrapolated": False,
+                    }
+                )
+        return rows
+
+    def _is_extrapolated(self, v: Variable, value: float) -> bool:
+        return v.unit == "m" and abs(value) > _KNOWN_M
+
+    def felt(self) -> list[dict]:
+        """What every cuff does to the person, before and after.
+
+        Forces across the limb as mats would show them, migration as encoders
+        would; `measured_migration_mm` is that once the design was built.
+        """
+        rows = []
+        wearers = {w.name: w for w in self.found.problem.wearers}
+        for cuff in self.peaks:
+            row: dict = {"cuff": cuff}
+            for what, moved in (("before", self.before), ("after", self.after)):
+                if what == "after" and cuff in self.design.removed:
+                    row[what] = dict.fromkeys(row["before"], 0.0)
+                    continue
+                area = self.settings.freedom(cuff).area_m2
+                if what == "after":
+                    area *= self.design.cuffs[cuff].area
+                force = []
+                for name, own in moved.items():
+                    shown = np.ones(3)
+                    shown[NORMAL] = wearers[name].shown(cuff)
+                    force += [
+                        shown * m.trial.cuffs[cuff].components for m in own
+                    ]
+                deflection = self._deflection(
+                    cuff,
+                    Design() if what == "before" else self.design,
+                    {
+                        name: [m.trial for m in own]
+                        for name, own in moved.items()
+                    },
+                )
+                peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
+                mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])
+                row[what] = {
+                    "peak_n": float(peak[NORMAL]),
+                    "mean_n": float(mean),
+                    "shear_n": float(peak[TANGENTIAL]),
+                    "moment_nm": float(peak[ROTATION]),
+                    "pressure_kpa": float(1e-3 * peak[NORMAL] / area),
+                    "migration_mm": float(1e3 * deflection[TANGENTIAL]),
+                    "deflection_mm": float(1e3 * deflection[NORMAL]),
+                }
+            built = None
+            if self.seen and cuff not in self.design.removed:
+                found = self._deflection(cuff, self.design, self.seen, False)
+                built = float(1e3 * found[TANGENTIAL])
+            row["measured_migration_mm"] = built
+            rows.append(row)
+        return rows
+
+    def wearers(self) -> dict[str, dict[str, float]]:
+        """Wearer -> norm of what it feels today and on the design [N].
+
+        As the program has it, of drawn and sized ones, too.
+        """
+        design = self.design
+        return {
+            name: {
+                "before": worn_norm(today, self.settings).newton,
+                "after": worn_norm(
+                    self.found.wearers[name], self.settings, design
+                ).newton,
+            }
+            for name, today in self.today.wearers.items()
+        }
+
+    def _deflection(
+        self,
+        cuff: str,
+        design: Design,
+        moved: Mapping[str, Sequence[Trial]],
+        shown: bool = True,
+    ) -> np.ndarray:
+        """The largest (3,) of all wearers' [m, m, rad].
+
+        Args:
+            cuff: its name.
+            design: that they wear.
+            moved: wearer -> its trials.
+            shown: whether the model's migration is made what encoders would
+                tell.
+        """
+        found = []
+        for w in self.found.problem.wearers:
+            if w.name in moved:
+                largest = largest_deflection(
+                    moved[w.name],
+                    design.model(w.model),
+                    design.contact(w.contact),
+                    cuff,
+                )
+                largest[TANGENTIAL] *= w.slides(cuff) if shown else 1.0
+                found.append(largest)
+        return np.max(found, axis=0)
+
+    def checks(self) -> tuple[Check, ...]:
+        """What the design has to hold."""
+        solution = self.solution
+        found = [
+            *self.inputs,
+            Check(SOLVED, solution.success, sentence=_failed(solution)),
+        ]
+        if not self.success:
+            return tuple(found)
+        s = self.support
+        limit = 3.0
+        change = 100.0 * abs(s["after"] / s["before"] - 1.0)
+        found.append(
+            Check(
+                "design.support",
+                change <= limit or self.settings.limits.support is None,
+                change,
+                limit,
+                "%",
+                sentence="the device's work is not that of today: tighten "
+                "design.limits.support",
+            )
+        )
+        promised = self.found.norm_n
+        forecast = forecast_norm(self.found, self.after)
+        found.append(
+            Check(
+                "design.forecast",
+                forecast <= (1.0 + _KEPT) * promised,
+                forecast,
+                (1.0 + _KEPT) * promised,
+                "N",
+                sentence="the person's movement would have to change for what "
+                "the design promised: lower design.own_angle_deg or weight",
+            )
+        )
+        largest, today = (
+            max(getattr(p, what) for p in self.peaks.values())
+            for what in ("forecast_after", "today")
+        )
+        found.append(
+            Check(
+                "design.better",
+                largest < today,
+                largest,
+                today,
+                "N",
+                sentence="the largest force does not fall: give the design "
+                "more freedom or wider limits",
+            )
+        )
+        held = self._hold()
+        found.append(
+            Check(
+                "design.attached",
+                held.stiffness > 0.0,
+                held.stiffness,
+                0.0,
+                "N m/rad",
+                held.joint,
+                "the device hangs loose: its weight pushes it off by more "
+                "than its cuffs hold it; leave less to slides and hinges",
+            )
+        )
+        for cuff, peak in self.peaks.items():
+            value = peak.measured_after
+            if value is None:
+                continue
+            found.append(
+                Check(
+                    "design.measured",
+                    peak.forecast_low <= value <= peak.forecast_high,
+                    value,
+                    peak.forecast_after,
+                    "N",
+                    cuff,
+                    "as built it bears what its forecast's band does not hold",
+                    "note",
+                )
+            )
+        most = self.settings.limits.migration_mm
+        for row in self.felt():
+            value = row["after"]["migration_mm"]
+            if most is not None and value > (1.0 + _BOLD) * most:
+                found.append(
+                    Check(
+                        "design.migration",
+                        False,
+                        value,
+                        most,
+                        "mm",
+                        row["cuff"],
+                        "deflects along the limb by more than its limit, "
+                        f"{row['before']['migration_mm']:.1f} mm today: "
+                        "coming nearer costs more in forces than it is worth",
+                        "note",
+                    )
+                )
+        for row in self.variables():
+            if row["at_bound"]:
+                found.append(
+                    Check(
+                        "design.bounds",
+                        False,
+                        row["value"],
+                        where=row["name"],
+                        unit=row["unit"],
+                        sentence="is at a bound: what is beyond was not "
+                        "asked for",
+                        level="note",
+                    )
+                )
+            if row["extrapolated"]:
+                found.append(
+                    Check(
+                        "design.extrapolation",
+                        False,
+                        row["value"],
+                        _KNOWN_M,
+                        row["unit"],
+                        row["name"],
+                        "moves a cuff to where nothing was calibrated",
+                        "note",
+                    )
+                )
+        for cuff in self.softened():
+            found.append(
+                Check(
+                    "design.extrapolation",
+                    False,
+                    where=cuff,
+                    sentence="deflects further than in any trial of today",
+                    level="note",
+                )
+            )
+        return tuple(found)
+
+    def _hold(self) -> Hold:
+        """By how much the built cuffs hold the device in the forecast."""
+        design = self.design
+        found = [
+            hold(
+                design.model(w.model),
+                design.contact(w.contact),
+                [m.trial for m in self.after[w.name]],
+            )
+            for w in self.found.problem.wearers
+            if w.name in self.after
+        ]
+        return min(found)
+
+    def softened(self) -> list[str]:
+        """Cuffs that deflect further than in any trial of today."""
+        return [
+            row["cuff"]
+            for row in self.felt()
+            if any(
+                row["after"][k] > (1.0 + _BOLD) * row["before"][k]
+                for k in ("deflection_mm", "migration_mm")
+            )
+        ]
+
+    def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
+        """All checks."""
+        return Verdict(self.checks(), tuple(accepted))
+
+    def summary(self, accepted: Sequence[str] = ()) -> dict:
+        """What summary.json holds."""
+        found = {
+            "phase": "design",
+            "subjects": list(self.before),
+            **solve_summary(self.solution),
+            "settings": asdict(self.settings),
+            **self.verdict(accepted).summary(),
+        }
+        if not self.success:
+            return found
+        first, *others = self.before.items()
+        name, moved = first
+        return found | {
+            "trials": [_label(m.trial, name if others else "") for m in moved],
+            "response": self.settings.response,
+            "peaks_n": {c: asdict(p) for c, p in self.peaks.items()},
+            "support": self.support,
+            "norm_n": {
+                "before": self.today.norm_n,
+                "after": self.found.norm_n,
+                "forecast": forecast_norm(self.found, self.after),
+            },
+            "felt": self.felt(),
+            "wearers_n": self.wearers(),
+            "variables": self.variables(),
+            "parts": self.parts,
+            "tried": [asdict(t) for t in self.tried],
+            "extrapolated": bool(self.beyond()),
+        }
+
+    def table(self) -> str:
+        """Before and after by cuff, and the design."""
+        beyond = self.beyond()
+        rows = [
+            [
+                cuff + (" *" if cuff in beyond else ""),
+                p.measured_before,
+                p.model_before,
+                p.forecast_after,
+                p.forecast_low,
+                p.forecast_high,
+                p.measured_after,
+            ]
+            for cuff, p in self.peaks.items()
+        ]
+        header = ["peak force [N]", "measured", "model", "forecast"]
+        header += ["from", "to", "built"]
+        parts = [format_table(header, rows, 1)]
+        rows = []
+        for row in self.felt():
+            for what in ("before", "after"):
+                own = row[what]
+                rows.append([f"{row['cuff']} {what}", *own.values()])
+            if row["measured_migration_mm"] is not None:
+                built = dict.fromkeys(row["after"])
+                built["migration_mm"] = row["measured_migration_mm"]
+                rows.append([f"{row['cuff']} built", *built.values()])
+        header = ["cuff", "peak N", "mean N", "shear N", "moment N m"]
+        header += ["pressure kPa", "migration mm", "deflection mm"]
+        parts.append(format_table(header, rows, 1))
+        rows = [
+            [
+                row["name"] + (" *" if row["extrapolated"] else ""),
+                _told(row),
+                "at its bound" if row["at_bound"] else "",
+                row["slope_today"],
+            ]
+            for row in self.variables()
+        ]
+        header = ["design", "value", "", "cost by a step"]
+        parts.append(format_table(header, rows, 3))
+        s = self.support
+        how = _RESPONSE[self.settings.response]
+        parts.append(
+            f"work of the device {s['before']:.1f} J today, "
+            f"{s['after']:.1f} J on the design; the person moves {how}"
+        )
+        if len(self.found.wearers) > len(self.before):
+            rows = [[k, *v.values()] for k, v in self.wearers().items()]
+            header = ["norm of forces [N]", "today", "design"]
+            parts.append(format_table(header, rows, 1))
+        if self.parts:
+            parts.append(
+                format_table(
+                    ["what may change", "norm of forces [N]"],
+                    [[k, v] for k, v in self.parts.items()],
+                )
+            )
+        if self.tried:
+            rows = [
+                [
+                    t.name,
+                    t.norm_n,
+                    t.forecast_n,
+                    "chosen" if t.design == self.design else "",
+                ]
+                for t in self.tried
+            ]
+            header = ["cuffs left out", "norm of forces [N]", "forecast", ""]
+            reasons = [
+                f"without {t.name}: {t.why_not}"
+                for t in self.tried
+                if t.why_not
+            ]
+            parts.append("\n".join([format_table(header, rows), *reasons]))
+        if beyond:
+            parts.append("* beyond what was calibrated: an extrapolation")
+        return "\n\n".join(parts)
+
+    def beyond(self) -> list[str]:
+        """Cuffs and joints of which the design is an extrapolation."""
+        moved = [r["name"] for r in self.variables() if r["extrapolated"]]
+        names = [*self.softened(), *(n.partition(".")[0] for n in moved)]
+        return [n for n in (*self.peaks, *self.design.joints) if n in names]
+
+    def write(
+        self, folder: str | Path, accepted: Sequence[str] = ()
+    ) -> Verdict:
+        """Table, figure, design.yaml and summary.json into a folder."""
+        from drake_exo.report.figures import DESIGN_FIGURES
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        verdict = self.verdict(accepted)
+        if self.success:
+            write_design(folder, self.design)
+            for t in self.tried:
+                if t.design is not None and t.design != self.design:
+                    name = f"design_without_{'_'.join(t.without) or 'none'}"
+                    write_design(folder, t.design, f"{name}.yaml")
+            write_text(folder / "design.txt", self.table(), verdict.mark)
+            for name, draw in DESIGN_FIGURES.items():
+                save_figure(folder / name, draw(self), verdict.mark)
+            wearer, moved = self.first
+            write_inputs(folder, wearer.model, [m.measured for m in moved])
+            write_contact(folder, self.design.contact(wearer.contact))
+            (folder / TODAY).mkdir(exist_ok=True)
+            write_contact(folder / TODAY, wearer.contact)
+            text = device_sdf(wearer.model, self.design)
+            if text is not None:
+                (folder / "device.sdf").write_text(text, encoding="utf-8")
+            for what in ("before", "after"):
+                for name, movements in getattr(self, what).items():
+                    for m in movements:
+                        who = name if len(self.before) > 1 else ""
+                        label = _label(m.trial, who)
+                        m.trial.save(folder / f"{what}_{label}")
+        write_json(folder / "summary.json", self.summary(accepted))
+        return verdict
+
+
+_RESPONSE = {
+    "own": "as before (own movement)",
+    "free": "as is least effort between the ends of its movement (free)",
+}
+
+
+def forecast_norm(
+    found: DesignResult, after: Mapping[str, Sequence[Moved]]
+) -> float:
+    """The norm of forces on a design as it is built [N].
+
+    What it promises times what the forecast of the calibrated wearers has of
+    what is promised to them.
+
+    Args:
+        found: the design.
+        after: wearer -> its movements on it.
+    """
+    settings = found.problem.settings
+    wearers = [found.wearers[name] for name in after]
+    moved = [
+        replace(own, trials=[m.trial for m in ms])
+        for own, ms in zip(wearers, after.values(), strict=True)
+    ]
+    ratio = np.divide(
+        *(
+            joint_norm(worn_norm(w, settings, found.design) for w in these)
+            for these in (moved, wearers)
+        )
+    )
+    return float(ratio) * found.norm_n
+
+
+def _label(trial: Trial, who: str) -> str:
+    """What a trial's file is called; of several wearers, with the name."""
+    return f"{who}_{trial.name}" if who else trial.name
+
+
+def largest_deflection(
+    trials: Sequence[Trial], model: Model, contact: ContactModel, cuff: str
+) -> np.ndarray:
+    """A cuff's largest deflection (3,) over trials [m, m, rad]."""
+    own = contact.bushings[cuff]
+    cuffs = BushingKinematics(model.tree, cuff, own.preload)
+    return cuffs.largest(trials, own.origin)
+
+
+def largest_force(trial: Trial, cuff: str) -> float:
+    """A cuff's largest normal force in a trial [N]; 0 where it is left out."""
+    if cuff not in trial.cuffs:
+        return 0.0
+    return float(np.abs(trial.cuffs[cuff].normal).max())
+
+
+def _half_width(moved: Moved, cuff: str) -> float:
+    """Of the band at the largest force; 0 where there is none."""
+    if moved.bands is None or cuff not in moved.trial.cuffs:
+        return 0.0
+    at = int(np.argmax(np.abs(moved.trial.cuffs[cuff].normal)))
+    if cuff in moved.bands.mats:
+        return float(moved.bands.mats[cuff][at])
+    return float(moved.bands.cuffs[cuff][at, NORMAL])
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _measured_work(trial: Trial) -> float:
+    return 0.0 if trial.moments is None else device_work(trial)
+
+
+def _strap_unit(v: Variable) -> str:
+    return "N m/rad" if v.unit.startswith("rad") else "N/m"
+
+
+def _told(row: dict) -> str:
+    if row["name"].endswith(_REMOVED):
+        return "left out" if row["value"] else "kept"
+    if "strap" in row:
+        strap, unit = row["strap"], row["strap_unit"]
+        if strap is None or strap > STIFF[unit]:
+            return "stiff"
+        return f"{rounded(strap)} {unit}"
+    if row["unit"] == "m":
+        return f"{1e3 * row['value']:+.1f} mm"
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    return f"{row['value']:.3f}{unit}"
+
+
+def _failed(solution: Solution) -> str:
+    if solution.success:
+        return ""
+    return f"{solution.status}: {solution.explain()}"
