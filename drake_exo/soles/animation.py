@@ -425,7 +425,10 @@ def replay_soles(folder: Path, path: Path) -> None:
                 first: f"{name}: initial shape",
             }
         motions += [
-            (SoleMotion.read(file, title, name), mark * (file == history))
+            (
+                SoleMotion.read(file, title, name),
+                mark if file == history else "",
+            )
             for file, title in titles.items()
         ]
     shown = [replace(m, mark=mark) for m, mark in motions if m is not None]

@@ -222,6 +222,35 @@ def test_one_sample_is_no_motion(motion):
     assert SoleMotion.of("it", motion.mesh, TIMES, history) is None
 
 
+def test_a_mark_is_the_result_s_not_its_first_shape_s(
+    motion, tmp_path, monkeypatch
+):
+    told = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / animation.HISTORY).write_bytes(b"")
+    (tmp_path / "b" / animation.FIRST_HISTORY).write_bytes(b"")
+    monkeypatch.setattr(
+        SoleMotion, "read",
+        lambda file, title, name: replace(motion, title=title, group=name),
+    )  # fmt: skip
+    monkeypatch.setattr(
+        animation, "_told",
+        lambda folder: (f"sole {folder.name}", f"{folder.name} does not hold"),
+    )  # fmt: skip
+    monkeypatch.setattr(
+        animation, "write_animation", lambda *given: told.extend(given)
+    )
+    animation.replay_soles(tmp_path, tmp_path / "p.html")
+    path, shown, title = told
+    assert (path, title) == (tmp_path / "p.html", "Sole sole a, sole b")
+    assert [(m.title, m.mark) for m in shown] == [
+        ("sole a", "a does not hold"),
+        ("sole b: optimised", "b does not hold"),
+        ("sole b: initial shape", ""),
+    ]
+
+
 def test_thinned_samples_are_spread_evenly(motion):
     times = np.linspace(0, 1, 12)
     many = {
