@@ -138,8 +138,14 @@ TESTS = {
     "drake_exo/soles/optimize/design.py": [f"{_SOLES}/test_design_numbers.py"],
     "drake_exo/soles/optimize/files.py": [f"{_SOLES}/test_kept_files.py"],
     "drake_exo/soles/optimize/limits.py": [f"{_SOLES}/test_limit_numbers.py"],
-    "drake_exo/soles/optimize/problem.py": [f"{_SOLES}/test_limit_numbers.py"],
-    "drake_exo/soles/optimize/optimizer.py": [f"{_SOLES}/test_optimizer.py"],
+    "drake_exo/soles/optimize/problem.py": [
+        f"{_SOLES}/test_problem_parts.py",
+        f"{_SOLES}/test_limit_numbers.py",
+    ],
+    "drake_exo/soles/optimize/optimizer.py": [
+        f"{_SOLES}/test_optimizer.py",
+        f"{_SOLES}/test_problem_parts.py",
+    ],
     "drake_exo/soles/optimize/search.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/optimize/pareto.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/pictures.py": [

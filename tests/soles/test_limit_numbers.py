@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.loads import Load
 from drake_exo.soles.optimize import limits as module
 from drake_exo.soles.optimize.limits import (
     Limits,
@@ -65,8 +66,30 @@ def test_slopes_of_cost_and_every_limit(problem, design):
     numeric = (ahead - behind) / (2 * h)
     np.testing.assert_allclose(exact, numeric, rtol=2e-5, atol=1e-7)
     assert np.abs(numeric).min() > 1e-3
+
+
+def test_slopes_by_force_and_zmp(problem, design):
+    """Of cost and of the limits that need a simulation, each sample's own."""
     by_load = problem.by_load(design)
     assert by_load.shape == (5, 2, 5)
+    rng = np.random.default_rng(5)
+    for q in range(2):
+        d, h = np.zeros((2, 5)), 1e-4
+        d[q] = rng.standard_normal(5) * [1, 1, 1, 1e-3, 1e-3]
+
+        def values(step, d=d):
+            load = replace(
+                problem.load, force=problem.load.force + step * d[:, :3],
+                zmp=problem.load.zmp + step * d[:, 3:],
+            )  # fmt: skip
+            there = replace(problem, load=load, branch=None, _cache={})
+            limits = there.constraints(design)[-4:]
+            return np.array([there.cost(design), *limits])
+
+        numeric = (values(h) - values(-h)) / (2 * h)
+        exact = (by_load * d).sum(axis=(1, 2))
+        size = np.abs(numeric).max()
+        np.testing.assert_allclose(exact, numeric, rtol=1e-3, atol=1e-4 * size)
 
 
 def test_cost_is_the_scaled_sum_of_its_samples(problem, design):
@@ -90,6 +113,37 @@ def test_cost_is_the_scaled_sum_of_its_samples(problem, design):
     assert share - 0.35 - 0.03 < values["elements"] <= share - 0.35
     assert values["strain"] == pytest.approx(1 - e.strain.value / 0.4)
     assert values["c_rot"] == pytest.approx(e.c_rot / 300.0 - 1)
+
+
+@pytest.mark.parametrize("of", ["mean", "worst"])
+def test_several_loads_count_by_their_weights(problem, design, of):
+    """One, and one thrice as much, each over its first shape's."""
+    harder = replace(problem.load, force=1.3 * problem.load.force)
+    loads = Load.one_after_another([problem.load, harder], [1.0, 3.0])
+    limits = Limits(1e-3)
+
+    def of_load(load):
+        return replace(problem, load=load, limits=limits, first=None, of=of,
+                       branch=None, _cache={})  # fmt: skip
+
+    both = of_load(loads)
+    rough = problem.regularization(design)[0]
+    alone = [
+        of_load(load).cost(design) - rough for load in (problem.load, harder)
+    ]
+    found = both.cost(design) - rough
+    if of == "mean":
+        wanted = 0.25 * alone[0] + 0.75 * alone[1]
+        assert found == pytest.approx(wanted, rel=1e-6)
+    else:
+        assert max(alone) <= found <= max(alone) + np.log(2) / 40
+    direction = np.random.default_rng(4).standard_normal(len(design))
+    slope, h = both.derivatives(design)[0] @ direction, 1e-6
+    ends = [
+        both.cost(x) - both.regularization(x)[0]
+        for x in (design + h * direction, design - h * direction)
+    ]
+    assert slope == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=2e-5)
 
 
 def test_roughness_is_the_mean_square_of_bends_over_a_tenth(problem, design):
