@@ -620,3 +620,64 @@ def test_files_of_both_kinds_hold_what_happened(tmp_path):
             moments.values, trial.moments[:505:5, 3:], atol=1e-5
         )
         assert encoders.names == NAMES.device
+
+
+def test_markers_lie_on_a_body_that_is_the_same_on_both_sides():
+    """Outside of the bones they name, in the order of their height."""
+    human = MODEL.human
+    for name, marker in MARKERS.items():
+        if name.startswith("L_"):
+            other = MARKERS[f"R_{name[2:]}"]
+            assert (other.body, other.x_m, other.z_m) == (
+                marker.body, marker.x_m, marker.z_m,
+            )  # fmt: skip
+            assert other.y_m == -marker.y_m > -0.3
+            assert marker.y_m > 0.03
+    at = {name: m for name, m in MARKERS.items() if not name.startswith("R_")}
+    q = np.zeros((1, len(NAMES)))
+    q[0, 1] = human.ankle_height_m
+    # Standing: forward, up, left of each.
+    p = marker_positions(TREE, q, MARKERS)[0]
+    stands = dict(zip(MARKERS, p, strict=True))
+    height = {n: stands[n][1] for n in at}
+    order = ["L_TOE", "L_MMAL", "L_SHK1", "L_SHK2", "L_SHK3", "L_SHK4",
+             "L_MKNE", "L_THI1", "L_THI2", "L_THI3", "L_THI4", "L_TROC",
+             "SACR", "L1", "T10", "T4", "C7", "L_FHD", "VERT"]  # fmt: skip
+    assert (np.diff([height[name] for name in order]) > 0.0).all()
+    assert 0.0 < min(height.values()) < 0.06
+    assert human.height_m - 0.1 < height["VERT"] < human.height_m + 0.1
+    x = {n: stands[n][0] for n in at}
+    for before, behind in (
+        ("L_TOE", "L_CAL"), ("L_ASI", "L_PSI"), ("CLAV", "C7"),
+        ("STRN", "T10"), ("L_FHD", "L_BHD"), ("L_MT1", "L_CAL"),
+    ):  # fmt: skip
+        assert x[before] > x[behind] + 0.05
+    assert max(map(abs, x.values())) < 0.3
+    # Either side of the joints that they mark; the knee's own is half way.
+    for joint, outer, inner in (("shank", "LMAL", "MMAL"),
+                                ("thigh", "LKNE", "MKNE")):  # fmt: skip
+        a, b = at[f"L_{outer}"], at[f"L_{inner}"]
+        assert a.body == b.body == joint
+        assert (a.x_m + b.x_m, a.z_m + b.z_m) == pytest.approx((0.0, 0.0))
+        assert a.y_m - b.y_m in (pytest.approx(0.08), pytest.approx(0.11))
+
+
+def test_a_scan_is_a_fine_closed_tube(tmp_path):
+    """Elliptic, as long as the segment, of triangles of a centimetre."""
+    path = tmp_path / "scan.obj"
+    mats._write_surface(path, 0.06, 0.05, 0.4, lambda p: p)
+    rows = [line.split() for line in path.read_text().splitlines()]
+    v = 1e-3 * np.array([r[1:] for r in rows if r[0] == "v"], float)
+    f = np.array([r[1:] for r in rows if r[0] == "f"], int) - 1
+    np.testing.assert_allclose(
+        (v[:, 0] / 0.06) ** 2 + (v[:, 1] / 0.05) ** 2, 1.0, atol=2e-3
+    )
+    assert (v[:, 2].min(), v[:, 2].max()) == (0.0, 0.4)
+    a, b, c = v[f].transpose(1, 0, 2)
+    sides = [np.linalg.norm(x - y, axis=1) for x, y in ((a, b), (b, c), (c, a))]
+    assert np.max(sides) < 0.02
+    # By Gauss: half of x n_x + y n_y over the tube is its volume.
+    n = 0.5 * np.cross(b - a, c - a)
+    middle = (a + b + c) / 3.0
+    volume = 0.5 * np.sum(middle[:, :2] * n[:, :2])
+    assert volume == pytest.approx(np.pi * 0.06 * 0.05 * 0.4, rel=0.01)
