@@ -132,12 +132,12 @@ def test_markers_are_told_by_their_mean_square():
 
 
 def test_newton_and_euler_by_hand():
-    """10 N along, 30 N up and 4 N m about an ankle at (0.2, 0.1) too few."""
+    """10 N along, 30 N up and 60 N m about an ankle at (0.2, 0.1) too few."""
     e = made(legs={"left": np.zeros((200, 3))})
     turn = np.linspace(0.0, 4.0 * np.pi, N)
     shear = 50.0 * np.sin(turn)
     measured = np.column_stack([shear, np.full(N, 600.0), np.full(N, 5.0)])
-    lost = np.array([10.0, 30.0, 0.1 * 10.0 - 0.2 * 30.0 + 4.0])
+    lost = np.array([10.0, 30.0, 0.1 * 10.0 - 0.2 * 30.0 + 60.0])
     q = np.zeros((N, 6))
     q[:, 0], q[:, 1] = 0.2, 0.1
     e.trial.q = e.trial.v = e.trial.a = q
@@ -145,7 +145,7 @@ def test_newton_and_euler_by_hand():
     found = list(body._dynamics(e))
     assert told(found, "newton", "euler", "shear_sign") == [
         (30.0, 105.0, True),
-        (4.0, 70.0, True),
+        (60.0, 70.0, True),
         (1.0, -0.3, True),
     ]
     known(e, measured=measured * [-1.0, 1.0, 1.0])
@@ -512,3 +512,18 @@ def test_files_of_two_trials_by_how_they_fit(monkeypatch):
     assert first == ("a", "encoder_file", approx(0.5), 1.5, False)
     b.files.markers = a.files.markers  # parts of one recording
     assert list(device.between_trials([a, b])) == []
+
+
+def test_a_lone_foot_is_judged_along_alone():
+    """Across, the other foot may bear anywhere: nothing is said."""
+    feet = shod(left=(0.1, 0.1))
+    e = made(feet=feet, legs={"left": np.zeros((200, 3))})
+    e.recording.forces = SimpleNamespace(recorded={})
+    e.recording.chair = None
+    known(e, plates={"both": pressed(x=0.5, y=0.9)})
+    found = list(plates.plate_checks(e))
+    assert told(found, "cop_along") == [(0.5 - 0.38, 0.03, False)]
+    names = [c.name.removeprefix("plausibility.") for c in found]
+    assert names == ["cop_along", "cop_unit"]
+    known(e, plates={"right": pressed(x=0.5, y=0.9)})
+    assert list(plates.plate_checks(e)) == []  # no markers, no judgement

@@ -1,5 +1,7 @@
 """Gaps of markers filled, and plates levelled."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -241,8 +243,12 @@ def test_one_plate_of_two_feet_counts_twice():
         np.testing.assert_allclose(forces.total(feet), total)
         assert forces.is_one_leg == (names == ("left",))
     assert forces.rate_hz == pytest.approx(1000.0)
-    beyond = forces.at(np.array([0.0, 9.0]))["both"]
-    np.testing.assert_allclose(beyond.force_z, 500.0)
+    ramp = np.outer(np.arange(5.0), [1.0, 100.0, -7.0])
+    forces = replace(forces, wrenches={"both": PlanarWrench.of(ramp)})
+    beyond = forces.at(np.array([0.0, 2.0015, 9.0]))["both"]
+    np.testing.assert_allclose(
+        beyond.array, np.outer([0.0, 1.5, 4.0], [1.0, 100.0, -7.0]), atol=1e-9
+    )
 
 
 def test_a_belt_carries_the_plates_along():

@@ -102,3 +102,10 @@ def test_walking_force_pushes_back_then_forward(data_root):
     F_x = direction * left.force[stance, 0]
     half = len(F_x) // 2
     assert F_x[:half].mean() < -10.0 < 10.0 < F_x[half:].mean()
+
+
+def test_a_wrench_is_its_array():
+    array = np.arange(12.0).reshape(4, 3)
+    wrench = PlanarWrench.of(array)
+    np.testing.assert_array_equal(wrench.array, array)
+    assert wrench.force.shape == (4, 2) and wrench.moment.shape == (4,)
