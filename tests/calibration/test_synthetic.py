@@ -48,6 +48,7 @@ def test_noise_is_as_large_as_it_is_asked_to_be():
     np.testing.assert_allclose(force.std(axis=0), 4.0, rtol=1e-6)
     cop = off.ground.cop_x - trial.ground.cop_x
     assert cop.std() == pytest.approx(0.002, rel=1e-6)
+    assert abs(cop.mean()) < 0.001
     moments = (off.moments - trial.moments).std(axis=0)
     np.testing.assert_allclose(moments, [5.0] * 3 + [0.6] * 3, rtol=1e-6)
     normal = off.cuffs["thigh"].normal - trial.cuffs["thigh"].normal

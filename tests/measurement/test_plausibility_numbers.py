@@ -527,3 +527,11 @@ def test_a_lone_foot_is_judged_along_alone():
     assert names == ["cop_along", "cop_unit"]
     known(e, plates={"right": pressed(x=0.5, y=0.9)})
     assert list(plates.plate_checks(e)) == []  # no markers, no judgement
+
+
+def test_the_most_upright_twentieth_lies_around_where_least_is_bent():
+    human = np.abs(np.arange(400.0) - 250.0)[:, None] * [1.0, -1.0, 0.5]
+    found = np.flatnonzero(device._most_upright(human))
+    assert (found[0], found[-1]) == (240, 260)
+    few = np.flatnonzero(device._most_upright(human[200:260]))
+    assert few.tolist() == [48, 49, 50, 51, 52]
