@@ -142,6 +142,10 @@ def test_part_of_a_step_by_its_times(tmp_path):
     study = _write(tmp_path)
     step = recorded_step(study, tmp_path, "walk", "left", 0.5, 0.7)
     assert step.times[[0, -1]] == pytest.approx([0.5, 0.7])
+    # However a time is rounded, the frame at it belongs to the part.
+    start, end = np.nextafter(0.5, 1.0), np.nextafter(0.7, 0.0)
+    inner = recorded_step(study, tmp_path, "walk", "left", start, end)
+    np.testing.assert_array_equal(inner.times, step.times)
     again = read_study(tmp_path / "study.yaml").step("walk", "left", 0.5, 0.7)
     np.testing.assert_array_equal(again.cop, step.cop)
 
