@@ -175,3 +175,11 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
     found = processing._force_delay(motion, forces, rigid, lab)
     np.testing.assert_array_equal(found[3], [0, 0, 1, 1, 0, 0])
     assert found[4] == 0.2
+
+
+@pytest.mark.parametrize("late", [0.05, 0.0484, 0.0486, -0.0486, 0.02])
+def test_a_lag_at_the_end_of_its_search_is_told(late):
+    """Within a step and a half of a millisecond."""
+    said = processing._said(late, SimpleNamespace(largest_delay_s=0.05))
+    assert said.startswith(f"estimated {1e3 * late:+.0f} ms")
+    assert ("edge of the search" in said) == (abs(late) > 0.0485)
