@@ -53,6 +53,10 @@ TESTS = {
         "tests/test_designed.py",
         "tests/test_designing.py",
     ],
+    "drake_exo/contact/strap.py": [
+        "tests/contact/test_strap.py",
+        "tests/calibration/test_design_program.py",
+    ],
     "drake_exo/designing.py": [
         "tests/test_designed.py",
         "tests/test_designing.py",

@@ -1,12 +1,14 @@
 """Spheres that stand for a sole: known ones come back, errors are told."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
 from drake_exo import cli
+from drake_exo.contact import reduction
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_force
 from drake_exo.contact.parameters import ContactModel
@@ -95,6 +97,9 @@ def test_errors_are_those_of_what_is_written():
     wanted = np.sqrt((dx**2 + dy**2).mean())
     assert found.cop_error == pytest.approx(wanted)
     assert not found.is_near
+    # At most 2 cm from where its lowest point is the sole's.
+    off = found.place[:, 2] - (RADIUS - SIZE[2])
+    assert np.abs(off).max() <= 0.02 + 1e-9
     with pytest.raises(InputError, match="--spheres 2"):
         found.law()
 
@@ -202,3 +207,79 @@ def test_toes_that_bend_are_refused():
     model = Model(Assembly(Person("two", "hinged")), nominal_human())
     with pytest.raises(InputError, match="rigid"):
         _law().ground(model)
+
+
+def test_how_deep_a_sole_is():
+    """By the lowest of its corners, of a pose that pitches and rolls."""
+    c, s = np.cos(0.02), np.sin(0.02)
+    pitched = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    rolled = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    one = np.ones(1)
+    for turn, arm in ((np.eye(3), 0.0), (pitched, 0.13), (rolled, 0.05)):
+        level = np.array([[0.3, 0.2, 0.029]])
+        found = Samples(level, turn[None], one, np.zeros((1, 2)), SIZE)
+        lowest = 0.029 - turn[2, 2] * 0.03 - arm * s
+        assert found.depth == pytest.approx(-lowest)
+    high = Samples(level + 0.1, turn[None], one, np.zeros((1, 2)), SIZE)
+    assert high.depth == 1e-6
+
+
+def test_a_plane_has_no_roll_nor_sideways():
+    """Its pitch is that of the pose; heights and lengths stay."""
+    origin, R = _poses()
+    samples = _truth()
+    moved = origin + np.array([0.1, 0.2, 0.0])
+    cop = samples.cop + 0.05
+    flat = reduction._in_plane(replace(samples, origin=moved, cop=cop))
+    np.testing.assert_allclose(flat.origin[:, 1], 0.0)
+    np.testing.assert_allclose(flat.origin[:, 0], 0.1)
+    np.testing.assert_allclose(flat.origin[:, 2], origin[:, 2])
+    np.testing.assert_allclose(flat.cop[:, 0], samples.cop[:, 0] + 0.05)
+    np.testing.assert_allclose(flat.cop[:, 1], 0.0)
+    np.testing.assert_array_equal(flat.force, samples.force)
+    pitch = np.arctan2(flat.rotation[:, 0, 2], flat.rotation[:, 2, 2])
+    np.testing.assert_allclose(np.sin(pitch), R[:, 0, 2])
+    eye = np.eye(3)[None]
+    np.testing.assert_allclose(
+        flat.rotation @ flat.rotation.transpose(0, 2, 1),
+        np.repeat(eye, len(R), 0),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        flat.rotation[:, 1], np.tile([0, 1, 0], (len(R), 1))
+    )
+    assert (np.linalg.det(flat.rotation) > 0.0).all()
+
+
+def test_a_centre_of_pressure_is_the_mean_by_force():
+    normal = np.array([[30.0, 10.0], [0.0, 50.0]])
+    centre = np.array([[[0, 1, 9], [4, 5, 9]], [[7, 7, 9], [2, -1, 9]]], float)
+    total, cop = reduction._combined(normal, centre)
+    np.testing.assert_allclose(total, [40.0, 50.0])
+    np.testing.assert_allclose(cop, [[1.0, 2.0], [2.0, -1.0]])
+
+
+def test_intervals_are_those_of_least_squares():
+    """Of a straight problem: noise from the residuals, by m - n of them."""
+    rng = np.random.default_rng(4)
+    J = rng.standard_normal((40, 7))
+    fun = rng.standard_normal(40)
+    best = SimpleNamespace(
+        fun=fun, jac=J, x=np.zeros(7), cost=0.5 * np.sum(fun**2)
+    )
+    samples = _truth(planar=True)
+    scale = np.array([1.0, 0.026, 0.01, 1e-3])
+    found = reduction._reduction(
+        samples,
+        True,
+        best,
+        (E[:2], PLACE[:2], softened(SHARE)),
+        [0, 1, 3],
+        scale,
+    )
+    variance = np.sum(fun**2) / (40 - 7)
+    sd = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J)))
+    for k in range(2):
+        expected = 1.96 * sd[1 + 3 * k : 4 + 3 * k] * scale[[0, 1, 3]]
+        np.testing.assert_allclose(found.interval[k, [0, 1, 3]], expected)
+        assert found.interval[k, 2] == 0.0

@@ -296,3 +296,27 @@ def test_files_say_which_cuff_is_left_out(tmp_path):
     (tmp_path / "design.yaml").write_text("cuffs: {shank: {removed: 1}}")
     with pytest.raises(InputError, match="removed"):
         read_design(tmp_path)
+
+
+def test_a_design_s_device_has_its_cuffs_where_they_are_built(nominal):
+    """Moved, and shifted on the device's half alone; joints, too."""
+    model = nominal("coupled")
+    thigh = CuffDesign(
+        along_m=0.02,
+        across_m=0.01,
+        preload_along_m=0.005,
+        preload_across_m=0.003,
+    )
+    joint = JointDesign(along_m=0.015, across_m=-0.01)
+    design = Design({"thigh": thigh}, joints={"exo_hip": joint})
+    built, own = design.model(model).exoskeleton, model.exoskeleton
+    x, z = own.thigh_cuff_m
+    assert built.thigh_cuff_m == pytest.approx((x + 0.013, z + 0.025))
+    x, z = own.hip_off_m
+    assert built.hip_off_m == pytest.approx((x - 0.01, z + 0.015))
+    assert built.shank_cuff_m == own.shank_cuff_m
+    cuff = design.contact(nominal_contact(model)).bushings["thigh"]
+    was = nominal_contact(model).bushings["thigh"]
+    assert np.subtract(cuff.origin, was.origin) == pytest.approx((0.01, 0.02))
+    shift = np.subtract(cuff.preload[:2], was.preload[:2])
+    assert shift == pytest.approx((0.003, 0.005))

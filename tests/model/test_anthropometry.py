@@ -3,6 +3,7 @@ import csv
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.model import segments
 from drake_exo.model.segments import (
     DE_LEVA,
     MEAN_HEIGHT_MM,
@@ -151,6 +152,22 @@ def test_spheres_lie_under_heel_and_toes():
         assert -human.ankle_height_m < z < 0.0
     assert human.heel_m[0] == pytest.approx(-0.173 * length)
     assert human.toe_m[0] == pytest.approx(0.636 * length)
+
+
+@pytest.mark.parametrize(
+    ("sex", "share", "vertex"),
+    [("male", 0.4415, 846.2), ("female", 0.4014, 858.5)],
+)
+def test_feet_and_head_by_hand(sex, share, vertex):
+    """De Leva's shares from the heel, which is 22 % behind the ankle."""
+    human = scale_human(70.0, 1.75, sex)
+    length = human.foot.length_m
+    assert human.foot.com_m == pytest.approx(
+        ((share - 0.22) * length, -0.5 * 0.039 * 1.75)
+    )
+    assert human.ankle_height_m == pytest.approx(0.039 * 1.75)
+    assert segments.VERTEX_HEIGHT_MM[sex] == pytest.approx(vertex)
+    assert segments.CUFFED == ("shank", "thigh", "pelvis")
 
 
 @pytest.mark.parametrize("sex", SEXES)

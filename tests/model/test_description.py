@@ -1,10 +1,14 @@
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.model import description
+from drake_exo.model.assembly import Person
 from drake_exo.model.description import (
+    ball_m,
     body_width,
     exoskeleton_sdf,
     fit_exoskeleton,
@@ -12,6 +16,7 @@ from drake_exo.model.description import (
     models_path,
     nominal_exoskeleton,
     nominal_human,
+    soles,
 )
 from drake_exo.model.segments import (
     SEGMENTS,
@@ -133,3 +138,101 @@ def test_turned_visuals_stretch_along_the_links_axes():
     radius = numbers(wide.find("radius"))[0] / numbers(usual.find("radius"))[0]
     assert length == pytest.approx(1.3)
     assert radius == pytest.approx(np.sqrt(1.3 * ratio))
+
+
+def test_a_plate_grows_with_the_foot():
+    """Inertia as its length squared; heel and toe under the wearer's."""
+    human = scale_human(95.0, 1.95)
+    device, nominal = fit_exoskeleton(human), nominal_exoskeleton()
+    ratio = human.foot.length_m / nominal_human().foot.length_m
+    drop = nominal_human().ankle_height_m - human.ankle_height_m
+    assert ratio > 1.05
+    assert device.foot.inertia_kg_m2 == pytest.approx(
+        nominal.foot.inertia_kg_m2 * ratio**2
+    )
+    assert device.foot.length_m == pytest.approx(nominal.foot.length_m * ratio)
+    for what in ("heel_m", "toe_m"):
+        x, z = getattr(nominal, what)
+        assert getattr(device, what) == pytest.approx((x * ratio, z + drop))
+    x, z = nominal.foot.com_m
+    assert device.foot.com_m == pytest.approx((x * ratio, z + drop))
+    for name in ("shank", "thigh"):
+        ratio = getattr(human, name).length_m / (
+            getattr(nominal_human(), name).length_m
+        )
+        own, usual = getattr(device, name), getattr(nominal, name)
+        assert own.mass_kg == usual.mass_kg
+        x, z = usual.com_m
+        assert own.com_m == pytest.approx((x, z * ratio))
+
+
+def test_a_body_of_one_density_is_as_wide_as_its_mass_asks_for():
+    """Mass over height: over density it is the area across."""
+    tall, short = scale_human(80.0, 2.0), scale_human(80.0, 1.6)
+    ratio = body_width(short) / body_width(tall)
+    assert ratio == pytest.approx(np.sqrt(2.0 / 1.6))
+
+
+def test_cuffs_are_drawn_where_they_hold_the_limb():
+    """As far from their frame as usual, by the stretch of the link."""
+    human, width = scale_human(90.0, 1.9), 1.3
+    device = replace(
+        fit_exoskeleton(human),
+        thigh_cuff_m=(0.03, 0.31),
+        pelvis_cuff_m=(0.01, 0.2),
+    )
+    nominal = nominal_exoskeleton()
+    drawn, usual = (
+        ET.fromstring(text)
+        for text in (
+            exoskeleton_sdf(device, width),
+            exoskeleton_sdf(nominal),
+        )
+    )
+    for name, ending in (
+        ("thigh", "_thigh_strap"),
+        ("pelvis", "belt"),
+        ("shank", "_calf_strap"),
+    ):
+        z = getattr(device, name).length_m / getattr(nominal, name).length_m
+        found = 0
+        for own, other in zip(
+            drawn.findall(f"model/link[@name='exo_{name}']/visual"),
+            usual.findall(f"model/link[@name='exo_{name}']/visual"),
+            strict=True,
+        ):
+            if not own.get("name").endswith(ending):
+                continue
+            found += 1
+            places = [
+                np.array(numbers(v.find("pose")))[[0, 2]] for v in (own, other)
+            ]
+            off = places[0] - device.cuff_m(name)
+            was = places[1] - nominal.cuff_m(name)
+            np.testing.assert_allclose(off, was * [width, z], atol=1e-9)
+        assert found
+
+
+def test_spheres_of_a_foot_with_toes():
+    """The toes' from their hinge; ahead of it in the foot it is the same."""
+    human = nominal_human()
+    rigid = soles(human, Person("one"))["foot"]
+    assert rigid["toe"] == human.toe_m and rigid["heel"] == human.heel_m
+    two = soles(human, Person("two", "hinged"))
+    assert set(two) == {
+        f"{b}_{s}" for b in ("foot", "toes") for s in ("left", "right")
+    }
+    ball = ball_m(human)
+    assert ball == pytest.approx((0.5 * human.foot.length_m, human.toe_m[1]))
+    toe = np.add(two["toes_left"]["toe"], ball)
+    assert tuple(toe) == pytest.approx(human.toe_m)
+    assert two["foot_left"]["ball"] == pytest.approx(
+        (0.47 * human.foot.length_m, human.toe_m[1])
+    )
+
+
+def test_a_sole_has_some_depth():
+    nominal = nominal_exoskeleton()
+    assert description._sole_depth(nominal) == -nominal.heel_m[1]
+    raised = replace(nominal, heel_m=(-0.05, 0.02))
+    assert description._sole_depth(raised) == 0.01

@@ -223,6 +223,30 @@ def test_a_sliding_knee_is_a_pin_where_it_is_at_zero(small):
     far = 1e3 * np.hypot(*off).max()
     (note,) = (n for n in slides.notes if "'knee_r' slides" in n)
     assert f"up to {far:.1f} mm away" in note
+    rms = 1e3 * np.sqrt(np.mean(np.square(off).sum(axis=0)))
+    assert f"{rms:.1f} mm RMS" in note
+
+
+def test_what_a_model_does_not_hold_is_in_proportion(small):
+    """Sole by the foot's length, the trunk's by the stature."""
+    human = small().human
+    usual = scale_human(human.mass_kg, 1.75)
+    # From the heel to the ball is 72 % of a foot.
+    length = 0.18 / 0.72
+    assert human.foot.length_m == pytest.approx(length)
+    assert human.toes.length_m == pytest.approx(0.28 * length)
+    for what in ("heel_m", "toe_m"):
+        x, z = getattr(usual, what)
+        expected = (x * length / usual.foot.length_m, z)
+        assert getattr(human, what) == pytest.approx(expected)
+    assert usual.heel_m[0] != pytest.approx(human.heel_m[0], abs=1e-4)
+    standing = (
+        human.ankle_height_m
+        + human.shank.length_m
+        + human.thigh.length_m
+        + human.pelvis.length_m
+    )
+    assert standing == pytest.approx(1.75)
 
 
 def test_what_is_lost_is_said(small):

@@ -6,10 +6,12 @@ import threading
 
 import numpy as np
 import pytest
+from pydrake.solvers import MathematicalProgram
 from small_programs import Circle, valleys
 
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
+from drake_exo.nlp.program import variable_bounds
 from drake_exo.nlp.sparse import SparseProgram
 
 
@@ -124,3 +126,37 @@ def test_a_start_near_a_solution_stays_near():
         return np.abs(np.array(seen) - first.objective).max()
 
     assert detour(options.near_solution()) < 0.1 * detour(options)
+
+
+def test_a_program_in_other_units_is_the_same_program():
+    """Costs, constraints and bounds at z = x / scale, of every kind."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(3, "x")
+    scale = np.array([0.1, 5.0, 20.0])
+    prog.AddBoundingBoxConstraint([-1.0, 2.0], [4.0, 6.0], x[1:])
+    prog.AddLinearConstraint(x[0] + 3.0 * x[1] <= 2.0)
+    prog.AddLinearEqualityConstraint(2.0 * x[2] - x[1] == 1.0)
+    prog.AddLinearCost(3.0 * x[0] - x[2] + 7.0)
+    prog.AddQuadraticCost((x[0] - 2.0 * x[1] + 1.0) ** 2 + 4.0 * x[2] * x[2])
+    prog.AddCost(lambda v: v[0] ** 3 * v[1], x[:2])
+    prog.AddConstraint(lambda v: [v[0] * v[1] ** 2], [-1.0], [9.0], x[1:])
+    scaled = ipopt._scaled_copy(prog, scale)
+
+    def values(program, point, *kinds):
+        found = [
+            float(program.EvalBinding(binding, point)[0])
+            for kind in kinds
+            for binding in getattr(program, kind)()
+        ]
+        return sorted(found)
+
+    linear = ("linear_constraints", "linear_equality_constraints")
+    for at in np.random.default_rng(1).standard_normal((3, 3)):
+        # An equality comes back as a linear constraint.
+        for kinds in (("GetAllCosts",), linear, ("generic_constraints",)):
+            own = values(scaled, at / scale, *kinds)
+            assert own == pytest.approx(values(prog, at, *kinds))
+            assert own
+    lower, upper = variable_bounds(scaled)
+    np.testing.assert_allclose(lower * scale, [-np.inf, -1.0, 2.0])
+    np.testing.assert_allclose(upper * scale, [np.inf, 4.0, 6.0])

@@ -231,6 +231,49 @@ def test_rows_are_named():
     assert [v for _, v in worst] == sorted((v for _, v in worst), reverse=True)
 
 
+def test_a_bound_that_a_substitution_leaves_is_met_where_it_is():
+    """In units of the variable: where x is at its bound, so is the row."""
+    program = BatchedProgram()
+    prog = program.prog
+    x = prog.NewContinuousVariables(2, "x")
+    prog.SetVariableScaling(x[1], 10.0)
+    prog.AddBoundingBoxConstraint(-3.0, 5.0, x[1])
+    basis = sp.csr_array([[1.0, 0.0], [2.0, 1.0]])
+    own = Substitution(
+        np.arange(2), basis, np.array([0.5, 1.0]), np.ones(2), np.ones(2)
+    )
+    reduced = SparseProgram(program, (own,))
+    assert reduced.num_constraints == 1
+    for y0 in (0.0, 0.3):
+        # x1 = 1 + 2 y0 + y1.
+        for bound, side in ((-3.0, reduced.g_lower), (5.0, reduced.g_upper)):
+            y = np.array([y0, bound - 1.0 - 2.0 * y0])
+            assert reduced.expand(y)[1] == pytest.approx(bound)
+            assert reduced.constraints(y) == pytest.approx(side)
+
+
+@pytest.mark.parametrize(("shift", "left"), [(0.0, 0), (0.5, 2)])
+def test_what_holds_by_the_substitution_alone_leaves(shift, left):
+    """With values that are not zero: x1 - x0 = 2 as the basis says, or not."""
+    program = BatchedProgram()
+    x = program.prog.NewContinuousVariables(2, "x")
+    program.add_constraints(
+        "tie",
+        AffineKernel([[-1.0, 1.0], [-2.0, 2.0]]),
+        x[None],
+        np.array([[2.0 + shift, 4.0]]),
+        np.array([[2.0 + shift, 4.0]]),
+    )
+    own = Substitution(
+        np.arange(2),
+        sp.csr_array([[1.0], [1.0]]),
+        np.array([0.0, 2.0]),
+        np.ones(1),
+        np.ones(2),
+    )
+    assert SparseProgram(program, (own,)).num_constraints == left
+
+
 def test_the_most_violated_constraints_are_told():
     """By how much, on either side; what holds is not."""
     program = BatchedProgram()
