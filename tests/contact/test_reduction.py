@@ -283,3 +283,11 @@ def test_intervals_are_those_of_least_squares():
         expected = 1.96 * sd[1 + 3 * k : 4 + 3 * k] * scale[[0, 1, 3]]
         np.testing.assert_allclose(found.interval[k, [0, 1, 3]], expected)
         assert found.interval[k, 2] == 0.0
+
+
+def test_where_a_centre_of_pressure_counts():
+    """From a tenth of the largest force on."""
+    force = np.array([100.0, 11.0, 9.0, 0.0, 19.0])
+    flat = np.zeros((5, 3))
+    own = Samples(flat, np.eye(3)[None].repeat(5, 0), force, flat[:, :2], SIZE)
+    np.testing.assert_array_equal(own.loaded, [True, True, False, False, True])

@@ -16,6 +16,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.model import plant as plant_module
 from drake_exo.model.assembly import (
     ASSEMBLIES,
     Assembly,
@@ -29,8 +30,9 @@ from drake_exo.model.description import (
     models_path,
     nominal_human,
 )
-from drake_exo.model.device_file import brought_in, with_text
+from drake_exo.model.device_file import _negated, brought_in, with_text
 from drake_exo.model.plant import Model, nominal_model
+from drake_exo.model.segments import SegmentParameters
 
 ANKLE = Assembly(
     device=DeviceFile({"shoe": "foot"}, Path("ankle_only.urdf")),
@@ -368,6 +370,45 @@ def test_foot_and_toes_are_the_foot():
         stiff.inverse_dynamics(q[:, :6], v[:, :6], a[:, :6]),
         atol=1e-9,
     )
+
+
+def test_toes_of_one_s_own_leave_the_rest_of_the_foot():
+    """Masses, centres and moments of inertia of both are the whole's."""
+    toes = SegmentParameters(0.3, (0.03, 0.008), 4e-4, 0.07)
+    human = replace(nominal_human(), toes=toes, ball_m=(0.12, -0.05))
+    rest, cut = foot_and_toes(human)
+    assert cut == toes
+    places = (
+        (rest.mass_kg, np.array(rest.com_m), rest.inertia_kg_m2),
+        (0.3, np.array([0.12 + 0.03, -0.05 + 0.008]), 4e-4),
+    )
+    mass = sum(m for m, _, _ in places)
+    com = sum(m * p for m, p, _ in places) / mass
+    inertia = sum(i + m * np.sum((p - com) ** 2) for m, p, i in places)
+    assert mass == pytest.approx(human.foot.mass_kg)
+    assert tuple(com) == pytest.approx(human.foot.com_m)
+    assert inertia == pytest.approx(human.foot.inertia_kg_m2)
+
+
+def test_a_body_s_place_seen_from_one_that_leans():
+    """Where it is welded it is where it was."""
+    lean = '<child link="calf"/><origin xyz="0.01 0 0.02" rpy="0 0.3 0"/>'
+    model = edited(ANKLE, ('<child link="calf"/>', lean))
+    tree = model.tree
+    q = np.zeros((1, tree.num_positions))
+    for base, body in (("calf", "shank"), ("shank", "calf")):
+        weld = plant_module._seen_from(model, base, body)
+        place = tree.point_positions(q, base, weld.at_m)
+        there = tree.point_positions(q, body, (0.0, 0.0))
+        np.testing.assert_allclose(place, there, atol=1e-12)
+        turn = tree.body_angles(q, body) - tree.body_angles(q, base)
+        assert weld.pitch_deg == pytest.approx(np.rad2deg(turn[0]))
+        assert np.hypot(*weld.at_m) > 0.02
+
+
+def test_a_product_of_inertia_turned_round():
+    assert _negated(" -0.5 ") == "0.5"
+    assert _negated("0.25") == "-0.25"
 
 
 def test_toes_go_up():

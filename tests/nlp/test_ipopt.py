@@ -6,12 +6,13 @@ import threading
 
 import numpy as np
 import pytest
+from pydrake.math import cos
 from pydrake.solvers import MathematicalProgram
 from small_programs import Circle, valleys
 
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
-from drake_exo.nlp.program import variable_bounds
+from drake_exo.nlp.program import BatchedProgram, variable_bounds
 from drake_exo.nlp.sparse import SparseProgram
 
 
@@ -160,3 +161,40 @@ def test_a_program_in_other_units_is_the_same_program():
     lower, upper = variable_bounds(scaled)
     np.testing.assert_allclose(lower * scale, [-np.inf, -1.0, 2.0])
     np.testing.assert_allclose(upper * scale, [np.inf, 4.0, 6.0])
+
+
+def test_an_attempt_that_leads_nowhere_is_given_up():
+    """Forty iterations in which the error does not fall by a tenth."""
+    watch = ipopt._Watch(None, "adaptive", 0.0, None, None)
+    watch._judge(0, 0, 1.0)
+    for k in range(1, 41):
+        watch._judge(0, k, 0.95)
+        assert not watch.gave_up
+    watch._judge(0, 40, 0.85)  # by more than a tenth: a new start
+    watch._judge(0, 80, 0.80)
+    assert not watch.gave_up
+    watch._judge(0, 81, 0.80)
+    assert watch.gave_up
+    patient = ipopt._Watch(None, "patient", 0.0, None, None)
+    for k in range(200):
+        patient._judge(1, k, 1.0)
+    assert not patient.gave_up
+    lost = ipopt._Watch(None, "adaptive", 0.0, None, None)
+    for k in range(13):
+        assert not lost.gave_up
+        lost._judge(1, k, 0.5**k)
+    assert lost.gave_up
+
+
+def test_drakes_own_solver_starts_where_it_is_told_to():
+    """In one of many valleys, in the variable's own units."""
+    program = BatchedProgram()
+    x = program.prog.NewContinuousVariables(1, "x")
+    program.prog.SetVariableScaling(x[0], 10.0)
+    program.prog.AddCost(lambda v: cos(v[0]), x)
+    program.prog.AddBoundingBoxConstraint(-50.0, 50.0, x)
+    for start, valley in ((3.0, np.pi), (-9.6, -3.0 * np.pi)):
+        found = ipopt.solve_with_drake(program, np.array([start]))
+        assert found.success
+        assert found.raw_values()[0] == pytest.approx(valley, abs=1e-3)
+        assert found.infeasibility == 0.0

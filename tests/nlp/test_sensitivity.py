@@ -143,3 +143,29 @@ def test_the_optimal_cost_follows_a_fixed_variable():
     expected = (costs[1] - costs[0]) / 2e-4
     assert abs(expected) > 0.1
     assert optimum.cost_by_fixed(index)[0] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("bordered", [False, True])
+def test_the_optimum_follows_a_fixed_variable(bordered):
+    """Where it goes, against two other solves; linear, so to rounding."""
+
+    def solved(value):
+        problem, _ = _with_fixed(value)
+        return ipopt.solve(
+            problem, np.zeros(3), SolverOptions(tolerance=1e-11)
+        ).raw_values()
+
+    problem, index = _with_fixed(0.8)
+    x = solved(0.8)
+    border = np.array([1]) if bordered else np.zeros(0, int)
+    optimum = Optimum(problem, problem.restrict(x), border)
+    found = problem.unknowns.matrix @ optimum.by_fixed(index)[:, 0]
+    expected = (solved(1.0) - solved(0.6)) / 0.4
+    expected[index] = 0.0  # is no unknown
+    assert np.abs(expected).min(initial=1.0, where=expected != 0) > 0.05
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    # By a pull on one of them: the constraint keeps x0 - 2 x1.
+    change = optimum.by_gradient(np.array([[1.0], [0.0]]))[:, 0]
+    # Least of (x0 + c)^2/2 + (0.3 x0 + x1 + c)^2/2 + x0, x1 = (x0 - d)/2.
+    slope = -1.0 / (1.0 + 0.8**2)
+    np.testing.assert_allclose(change, [slope, 0.5 * slope], atol=1e-5)

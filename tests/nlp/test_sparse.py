@@ -1,10 +1,13 @@
 """The bridge against dense references and finite differences."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from program_derivatives import DerivativeError, check_derivatives
 
+from drake_exo.nlp import ipopt
 from drake_exo.nlp.program import AffineKernel, BatchedProgram, Substitution
 from drake_exo.nlp.sparse import SparseProgram
 
@@ -299,8 +302,54 @@ def test_the_most_violated_constraints_are_told():
     assert {n.split()[0] for n in names[1:]} == {"line[1]", "line[3]"}
     assert problem.worst_constraints(y, 1) == found[:1]
     assert problem._violation(y) == pytest.approx(1.5)
+    watch = SimpleNamespace(strategy="adaptive")
+    seconds = sum(problem.seconds.values())
+    told = ipopt._solution(problem, y, 4.0, 0, watch, 9, seconds + 2.0)
+    assert told.infeasibility == pytest.approx(1.5)
+    assert told.worst_constraints == found
+    left = told.seconds["linear_algebra_and_ipopt"]
+    # Looking at the constraints once more takes next to nothing.
+    assert left == pytest.approx(2.0, abs=0.2)
     high = problem.restrict(np.array([1.5, 1.0, 0.0, 2.0]))
     assert problem._violation(high) == pytest.approx(2.5)
+
+
+def test_every_row_has_its_name():
+    """In order: linear ones, then each batch's by instance."""
+    program, x, _ = _program()
+    program.add_constraints("more", _Curve(), x, data=np.ones((_N, 1)))
+    problem = SparseProgram(program)
+    names = [problem.rows.name(k) for k in range(problem.num_constraints)]
+    for batch in ("curve", "more"):
+        own = [n for n in names if n.startswith(batch)]
+        outputs = len(own) // _N
+        assert own == [
+            f"{batch}[{k}] row {out}"
+            for k in range(_N)
+            for out in range(outputs)
+        ]
+    with pytest.raises(IndexError):
+        problem.rows.name(problem.num_constraints)
+
+
+def test_the_row_that_bounds_a_variable():
+    """-1 for one without, also beyond the last."""
+    program = BatchedProgram()
+    prog = program.prog
+    x = prog.NewContinuousVariables(5, "x")
+    prog.AddBoundingBoxConstraint(0.0, 1.0, x[1])
+    prog.AddBoundingBoxConstraint(0.0, 1.0, x[3])
+    own = Substitution(
+        np.arange(5),
+        sp.eye_array(5, format="csr"),
+        np.zeros(5),
+        np.ones(5),
+        np.ones(5),
+    )
+    rows = SparseProgram(program, (own,)).rows
+    found = rows.row_of(np.arange(5))
+    np.testing.assert_array_equal(found, [-1, 0, -1, 1, -1])
+    np.testing.assert_array_equal(rows.variable_of(found[[1, 3]]), [1, 3])
 
 
 def test_fingerprint_tells_bounds_costs_and_structure_apart():
