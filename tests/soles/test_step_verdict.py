@@ -224,6 +224,30 @@ def test_what_is_drawn_is_the_step_s(two, tmp_path, monkeypatch):
     np.testing.assert_array_equal(rot, two.sigma_min_rotation)
 
 
+def test_the_mark_is_on_the_step_s_own_motion(two, tmp_path, monkeypatch):
+    """Not on those beside it; what never moved is not shown."""
+    from drake_exo.soles import animation
+
+    told = []
+    monkeypatch.setattr(
+        animation, "write_animation",
+        lambda path, shown, title: told.append((title, shown)),
+    )  # fmt: skip
+    lost = [replace(r, converged=False) for r in two.history.reports]
+    still = replace(two, history=replace(two.history, reports=lost))
+    two.write_animation(tmp_path / "p.html", "mark", first=two, none=still)
+    still.write_animation(tmp_path / "p.html", "mark", first=two)
+    still.write_animation(tmp_path / "p.html", "mark")
+    marks = [
+        (title, [(motion.title, motion.mark) for motion in shown])
+        for title, shown in told
+    ]
+    assert marks == [
+        ("example", [("example", "mark"), ("first", "")]),
+        ("example", [("first", "")]),
+    ]
+
+
 def test_seconds_are_of_their_part(two, tmp_path, monkeypatch):
     """By a clock that each part turns on by a known time."""
     clock = [50.0]
