@@ -23,6 +23,7 @@ from drake_exo.soles.optimize.files import (
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton
 from drake_exo.soles.rotations import angles_xyz, rotations_xyz
 from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.step.simulation import HISTORY
 
 
 def _checkpoint(shift=0.0):
@@ -152,6 +153,20 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
     (folder / "sole.vtk").unlink()
     with pytest.raises(InputError, match=r"sole\.vtk: is missing"):
         find_designs(folder)
+
+
+def test_the_ground_of_a_design_is_in_its_history(stored):
+    folder, case, _ = stored
+    ground = _ground(lambda x, y: 0.05 + 0.1 * x)
+    np.savez(folder / HISTORY, **ground.arrays(), other=1)
+    path = folder / "case.yaml"
+    lines = [x for x in path.read_text().splitlines() if x[:7] != "ground:"]
+    path.write_text("\n".join([*lines, "ground: {heights: gone.csv}"]))
+    (found,) = find_designs(folder)
+    np.testing.assert_array_equal(found.setup.ground.z, ground.z)
+    # Set down on it, not on the plane z = 0.
+    height = 0.05 + 0.1 * case.start.point_W[0]
+    assert found.setup.start.point_W[2] == pytest.approx(height)
 
 
 def test_a_pose_that_was_measured_is_kept_in_degrees(stored):

@@ -1,6 +1,7 @@
 """Small beside finite strain: every number of the table by a second way."""
 
 import csv
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -174,6 +175,20 @@ def test_of_ways_that_end_the_longest_is_kept(monkeypatch):
     assert [part for part, _ in asked] == [1.0, 0.5, 0.25, 0.1, 0.04]
     assert state == "at 0.1 on" and not report.converged
     assert reached == pytest.approx(0.91)
+
+
+def test_words_stand_over_their_numbers(compared):
+    _, under, _, first, *_ = table({"one": compared[1]}).splitlines()
+    ends = [m.end() for m in re.finditer(r"\S+", first)][2:]
+    over = [(m.group(), m.end()) for m in re.finditer(r"\S+", under)]
+    assert over == list(zip(5 * ["small", "finite"], ends, strict=True))
+
+
+def test_what_is_left_out_is_as_long_as_the_rest():
+    history = module.FiniteHistory()
+    module._leave_out(history, 3)
+    assert history.states == 3 * [None] and history.reached == 3 * [0.0]
+    assert history.converged.tolist() == 3 * [False]
 
 
 def test_samples_that_fail_are_numbered_from_one():
