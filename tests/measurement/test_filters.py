@@ -128,6 +128,8 @@ def test_short_gaps_are_filled_by_splines_long_ones_by_lines():
     )  # fmt: skip
     np.testing.assert_allclose(p[30:50, 1], lines + 1.0)
     np.testing.assert_allclose(p[95:, 2], np.tile(path[94] + 2.0, (5, 1)))
+    _, exact = fill_gaps(data, ("A",), np.nextafter(0.08, 0.0))
+    assert not exact.hidden(["A"]).any()
     hidden = gaps.hidden(["A", "B", "C"])
     assert not hidden[:, 0].any()
     assert np.flatnonzero(hidden[:, 1]).tolist() == list(range(30, 50))
@@ -146,6 +148,9 @@ def test_gaps_are_told_where_they_reach_into_a_part():
     assert [g.marker for g in gaps.too_long(2.49, 2.6)] == ["B"]
     assert gaps.too_long(2.50, 2.6) == []
     assert gaps.frames(2.12, 2.44) == {"A": 3 + 5, "B": 15}
+    # However a time is rounded.
+    start, end = np.nextafter(data.time[[12, 44]], [3.0, 0.0])
+    assert gaps.frames(start, end) == {"A": 3 + 5, "B": 15}
     with pytest.raises(InputError, match=r"'B' in 20 frames from 2\.3 s"):
         gaps.check(2.4, 2.6)
     gaps.check(2.6, 2.9)

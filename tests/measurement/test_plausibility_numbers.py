@@ -535,3 +535,14 @@ def test_the_most_upright_twentieth_lies_around_where_least_is_bent():
     assert (found[0], found[-1]) == (240, 260)
     few = np.flatnonzero(device._most_upright(human[200:260]))
     assert few.tolist() == [48, 49, 50, 51, 52]
+
+
+def test_the_used_part_holds_the_frames_at_its_ends():
+    """However times are rounded."""
+    e = made()
+    vars(e).pop("inside")
+    e.trial.start_s = np.nextafter(1.5, 2.0)
+    assert e.inside.sum() == N
+    vars(e).pop("inside")
+    e.trial.start_s, e.trial.duration = 1.5, np.nextafter(0.49, 0.0) - 1e-15
+    assert e.inside.sum() == N

@@ -128,7 +128,12 @@ def test_a_body_weighs_what_plates_bear_less_the_device():
 
 def test_standing_is_from_its_start_to_its_end():
     time = np.arange(10) / 10.0
-    for start, end, count in ((None, None, 10), (0.2, None, 8), (0.2, 0.5, 4)):
+    for start, end, count in (
+        (None, None, 10),
+        (0.2, None, 8),
+        (0.2, 0.5, 4),
+        (np.nextafter(0.2, 1.0), np.nextafter(0.5, 0.0), 4),
+    ):
         standing = SimpleNamespace(start_s=start, end_s=end)
         assert subject._inside(time, standing).sum() == count
 
