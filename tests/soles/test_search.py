@@ -70,6 +70,19 @@ def test_stages_are_bricks_in_the_own_box(case):
         stage_mesh(holed, stage)
 
 
+def test_on_its_own_mesh_a_brick_may_begin_on_coarser_ones(case):
+    """Other shapes have no brick to begin on."""
+    coarse = replace(case.settings.optimize.stages[0], divisions=(2, 2, 1))
+    setup = case.optimizing(stages=(coarse, coarse))
+    shrunk = case.mesh.with_nodes(
+        case.mesh.nodes * np.where(case.mesh.nodes[:, :1] > 0.1, 0.999, 1.0)
+    )
+    for mesh, first in ((case.mesh, (2, 2, 1)), (shrunk, None)):
+        own = replace(setup, mesh=mesh).on_own_mesh()
+        found = [stage.divisions for stage in own.settings.optimize.stages]
+        assert found == [first, None]
+
+
 def test_the_first_design_is_shrunk_until_it_is_light_enough(problem):
     """To 0.99 of the limit, by hundredths: the least number of them."""
     p = first_design(problem, BOUNDS)
@@ -383,6 +396,18 @@ def test_the_best_walk_that_keeps_the_limits(walking):
     np.testing.assert_allclose(x, [x0, 1 - x0], atol=2e-3)
     assert len(said) == len(problem._known)
     assert said[-1].startswith(f"gait {len(said)}: c/|c0| ")
+
+
+def test_a_walk_may_break_a_limit_by_a_thousandth(walking, monkeypatch):
+    problem, _ = walking
+    best = np.array([1 / 3, 2 / 3])
+    met = [best, best + 2.5e-4, best + 1e-3]  # x₀ + x₁ ≤ 1
+
+    def tried(cost, *_, **__):
+        assert cost(met[2]) < cost(met[1]) < cost(met[0])
+
+    monkeypatch.setattr(search, "minimize", tried)
+    np.testing.assert_array_equal(problem.minimise(), met[1])
 
 
 def test_where_nothing_can_be_simulated_there_is_no_slope(walking):

@@ -344,6 +344,23 @@ def test_a_side_that_reaches_the_ground_is_noticed(two):
     assert not touches_elsewhere(sole, law, history, high)
 
 
+def test_a_case_is_read_with_the_ground_that_it_names(tmp_path):
+    rows = [f"{x},{y},{0.01 + 0.1 * x}" for x in np.linspace(-0.2, 0.2, 5)
+            for y in np.linspace(-0.2, 0.2, 5)]  # fmt: skip
+    (tmp_path / "ground.csv").write_text("\n".join(["x_m,y_m,z_m", *rows]))
+    text = EXAMPLE + "ground: {heights: ground.csv}\n"
+    (tmp_path / "case.yaml").write_text(text)
+    case = Case.read(tmp_path / "case.yaml")
+    assert case.start.point_W[2] == pytest.approx(0.01 - 0.1 * 0.115)
+    up = np.array([-0.1, 0, 1]) / np.sqrt(1.01)
+    np.testing.assert_allclose(case.up, up, atol=1e-12)
+    told = case.ground_told["ground"]
+    assert told["relief_m"] == pytest.approx(0.1 * 0.23)
+    # 10 N and 400 N, on a slope of a tenth.
+    wanted = (10 + 0.1 * 400) / (400 - 0.1 * 10)
+    assert case.friction_used == pytest.approx(wanted)
+
+
 def test_a_sole_is_held_at_its_lower_back_edge():
     settings = Case.from_text(EXAMPLE).settings
     mesh = brick((0.2, 0.1, 0.03), (3, 2, 1))
