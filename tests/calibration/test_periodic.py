@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_exo.calibration.error_model import _squared
 from drake_exo.calibration.periodic import PeriodicStep, _middle, mirrored
 from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.calibration.uncertainty import _regulariser
 from drake_exo.collocation.kernels import PoseKernel
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
@@ -186,3 +188,37 @@ def test_effort_alone_is_minimised(model, step):
     (term,) = own.movements[0].tracked
     np.testing.assert_allclose(term.sigma, 20.0)
     np.testing.assert_allclose(term.target, 0.0)
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_a_regulariser_s_gradient_is_that_of_the_cost(model, step, damped):
+    """Of a periodic step all that costs: effort, jerk, what alternates."""
+    problem = posed(model, step)
+    if damped:
+        problem.movements[0].damp()
+    program = problem.compiled
+    rng = np.random.default_rng(3)
+    y = program.restrict(problem.guess())
+    y = y + 0.1 * rng.standard_normal(len(y))
+    found = _regulariser(problem, program, y)
+    expected = program.gradient(y)
+    assert np.abs(expected).max() > 1e-3
+    np.testing.assert_allclose(
+        found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
+    )
+
+
+def test_derivatives_of_a_square():
+    """Of a force that swings, by differences in time."""
+    t, h = np.linspace(0.0, 2.0, 9), 1e-4
+
+    def f(t):
+        return 30.0 + 10.0 * np.sin(3.0 * t)
+
+    found = _squared(f(t), 30.0 * np.cos(3.0 * t), -90.0 * np.sin(3.0 * t))
+    up, at, down = (f(t + k * h) ** 2 for k in (1, 0, -1))
+    np.testing.assert_allclose(found[0], at)
+    np.testing.assert_allclose(found[1], (up - down) / (2.0 * h), atol=1e-4)
+    np.testing.assert_allclose(
+        found[2], (up - 2.0 * at + down) / h**2, rtol=1e-4, atol=1e-2
+    )
