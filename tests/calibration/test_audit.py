@@ -1,6 +1,7 @@
 """The audit finds what was put wrong by a known amount, and nothing else."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -259,3 +260,26 @@ def test_a_moment_is_told_about_the_body_however_far_it_has_come():
         wrench = np.column_stack([F_x, F_z, own + lever])
         found = module._about(at, wrench)
         np.testing.assert_allclose(found, own[:, None], atol=1e-12)
+
+
+def test_segments_of_a_foot_bear_what_the_foot_does():
+    """What a trial says of it; the toes have what the solution gave them."""
+    rng = np.random.default_rng(0)
+    grounds, feet = rng.standard_normal((4, 12)), rng.standard_normal((2, 4, 3))
+    sides = {
+        side: (f"foot_{side}", f"toes_{side}") for side in ("left", "right")
+    }
+    soles = dict.fromkeys(b for bodies in sides.values() for b in bodies)
+    found = SimpleNamespace(
+        soles={
+            side: SimpleNamespace(array=force)
+            for side, force in zip(sides, feet, strict=True)
+        }
+    )
+    problem = SimpleNamespace(soles=soles, feet=sides)
+    result = SimpleNamespace(problem=problem, trials=[found], grounds=[grounds])
+    parts = np.split(module._by_segment(result, 0), 4, axis=1)
+    for k in range(2):
+        np.testing.assert_allclose(parts[2 * k] + parts[2 * k + 1], feet[k])
+        toes = grounds[:, 6 * k + 3 : 6 * k + 6]
+        np.testing.assert_array_equal(parts[2 * k + 1], toes)

@@ -223,6 +223,26 @@ def test_the_own_movement_is_kept_by_angles_and_feet(wearer):
         assert cost[2] - cost[0] == pytest.approx(0.0, abs=1e-6 * curved)
 
 
+def test_what_is_tracked_costs_half_its_square(wearer):
+    """Summed by hand over nodes and signals; at its target it is nothing."""
+    problem = DesignProblem([wearer], SETTINGS, held=True)
+    (movement,) = problem.parts[0].movements
+    x = problem.guess()
+    assert not values_of(problem, x, movement.grid.jerk).any()
+    Q, b, c = quadratic_cost(problem.program.prog)
+    expected = 0.0
+    for term in movement.tracked:
+        z = values_of(problem, x, term.variables)
+        for k, weight in enumerate(movement.grid.quadrature):
+            off = (term.rows[k] @ z[k] - term.target[k]) / term.sigma[k]
+            expected += 0.5 * weight * np.sum(off**2)
+    found = 0.5 * x @ (Q @ x) + b @ x + c
+    # Large squares of targets and signals cancel.
+    large = abs(c) + abs(b @ x)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-11 * large)
+    assert large > 10.0 * abs(expected)
+
+
 def test_a_program_s_constraints_hold_today(wearer, today):
     """But for the grid's: the drawn movement is no solution of it."""
     problem = DesignProblem(

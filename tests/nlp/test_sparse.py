@@ -337,6 +337,7 @@ def test_the_row_that_bounds_a_variable():
     program = BatchedProgram()
     prog = program.prog
     x = prog.NewContinuousVariables(5, "x")
+    prog.AddLinearConstraint(x[0] + x[2] <= 1.0)
     prog.AddBoundingBoxConstraint(0.0, 1.0, x[1])
     prog.AddBoundingBoxConstraint(0.0, 1.0, x[3])
     own = Substitution(
@@ -348,7 +349,7 @@ def test_the_row_that_bounds_a_variable():
     )
     rows = SparseProgram(program, (own,)).rows
     found = rows.row_of(np.arange(5))
-    np.testing.assert_array_equal(found, [-1, 0, -1, 1, -1])
+    np.testing.assert_array_equal(found, [-1, 1, -1, 2, -1])
     np.testing.assert_array_equal(rows.variable_of(found[[1, 3]]), [1, 3])
 
 
