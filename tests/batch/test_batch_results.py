@@ -172,6 +172,16 @@ def test_the_page_stays_small(batch, monkeypatch):
     assert len(text) < 60_000
 
 
+def test_a_row_of_the_page_takes_the_bytes_that_it_is_counted_by(batch):
+    row = rows_of(batch)[0]
+    sizes = []
+    for count in (1000, 3000):
+        write_report(batch, [row] * count, {})
+        sizes.append((batch.out / "report.html").stat().st_size)
+    per_row = (sizes[1] - sizes[0]) / 2000
+    assert per_row == pytest.approx(results._BYTES_OF_ROW, rel=0.02)
+
+
 def many_rows(count):
     rng = np.random.default_rng(0)
     values = rng.normal(size=count)
