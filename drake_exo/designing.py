@@ -17,6 +17,7 @@ from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import DesignResult, works
 from drake_exo.calibration.design_variables import GAINS, design_of
 from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.settings import DesignSettings, PredictionSettings
 from drake_exo.calibration.solving import SolveWatch
 from drake_exo.calibration.uncertainty import bands
@@ -227,19 +228,15 @@ def movements(
                 "give exo_moments or device in the study"
             )
         friction = joint_friction(trial, study.model, contact, study.device)
-        result = OwnMovement(
-            design.model(study.model),
-            [assisted(trial, design, contact, friction)],
-            built,
-            phase,
-        ).solve()
-        if result.solution.was_stopped:
-            raise KeyboardInterrupt
-        if not result.success:
-            raise InputError(
-                f"trial {trial.name}: the movement does not fit these cuffs "
-                f"({result.solution.status}); {result.solution.explain()}"
-            )
+        result = _solved(
+            OwnMovement(
+                design.model(study.model),
+                [assisted(trial, design, contact, friction)],
+                built,
+                phase,
+            ),
+            f"trial {trial.name}: the movement does not fit these cuffs",
+        )
         seen = (
             how_it_was(trial, study.model, contact, phase) if is_today else None
         )
@@ -260,15 +257,21 @@ def how_it_was(
     Raises:
         InputError: it cannot be solved.
     """
-    result = OwnMovement(model, [trial], contact, settings, seen=True).solve()
+    problem = OwnMovement(model, [trial], contact, settings, seen=True)
+    why = f"trial {trial.name}: encoders and markers do not fit these cuffs"
+    return _solved(problem, why).trials[0]
+
+
+def _solved(problem: OwnMovement, why: str) -> PhaseResult:
+    """Its solution; InputError that says why where there is none."""
+    result = problem.solve()
     if result.solution.was_stopped:
         raise KeyboardInterrupt
     if not result.success:
         raise InputError(
-            f"trial {trial.name}: encoders and markers do not fit these cuffs "
-            f"({result.solution.status}); {result.solution.explain()}"
+            f"{why} ({result.solution.status}); {result.solution.explain()}"
         )
-    return result.trials[0]
+    return result
 
 
 def built(

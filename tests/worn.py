@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_exo.calibration.settings import CuffFreedom, JointFreedom
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.measurement.trial import CuffForce, Trial
@@ -19,6 +20,22 @@ FORCES = {
     "shank": (8.0, 20.0, 1.0),
     "thigh": (-5.0, -30.0, 2.0),
     "pelvis": (4.0, 25.0, -1.5),
+}
+_CM = (-0.01, 0.01)
+# Whatever may change, but assistance.
+FREEDOM = {
+    "cuffs": dict.fromkeys(
+        FORCES,
+        CuffFreedom(
+            across_m=_CM,
+            preload_across_m=_CM,
+            preload_along_m=_CM,
+            area=(0.8, 1.2),
+            slide=(0.0, 1.0),
+            hinge=(0.0, 1.0),
+        ),
+    ),
+    "joints": dict.fromkeys(("exo_knee", "exo_hip"), JointFreedom(_CM, _CM)),
 }
 
 

@@ -29,7 +29,6 @@ from drake_exo.model.planar_tree import PlanarTree
 FORCE_TOLERANCE = 1.0  # N
 MOMENT_TOLERANCE = 0.5  # N m
 ANGLE_TOLERANCE = 0.1  # deg
-_STEP_S = 0.05
 # Where each interval is looked at.
 _FRACTIONS = (0.25, 0.5, 0.75)
 _BETWEEN = (
@@ -254,7 +253,7 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
     context = diagram.CreateDefaultContext()
     context.SetTime(times[0])
     context.SetContinuousState(np.hstack([found.q[0], found.v[0]]))
-    motion = integrate(diagram, context, times[-1], _STEP_S)
+    motion = integrate(diagram, context, times[-1])
     grounds = _ground_ports(built)
     ports = ["state", "joint_torques", *grounds.values()]
     if built.bushings is not None:

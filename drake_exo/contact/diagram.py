@@ -171,13 +171,14 @@ def build_simulator(
 _RTOL = 1e-3
 # A millimetre or a milliradian, and their rates, count a tenth of that.
 _ATOL = 1e-4
+# So that nothing short, a foot that strikes, is stepped over.
+_STEP_S = 0.05
 
 
 def integrate(
     diagram: Diagram,
     context: Context,
     end_s: float,
-    max_step_s: float = np.inf,
     tell: Callable[[float, np.ndarray], None] | None = None,
 ) -> OdeSolution:
     """The motion from a context on, by Radau's method of fifth order.
@@ -190,7 +191,6 @@ def integrate(
         diagram: of an `ExoskeletonDiagram`, without a free input.
         context: its, at the begin; is at the last step that was tried after.
         end_s: until then.
-        max_step_s: of the integrator.
         tell: called after every step with the time and the state.
 
     Returns:
@@ -209,7 +209,7 @@ def integrate(
 
     start = context.get_continuous_state_vector().CopyToVector()
     solver = Radau(
-        rates, context.get_time(), start, end_s, max_step_s, _RTOL, _ATOL
+        rates, context.get_time(), start, end_s, _STEP_S, _RTOL, _ATOL
     )
     times, parts = [solver.t], []
     while solver.status == "running":

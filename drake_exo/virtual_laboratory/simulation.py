@@ -34,7 +34,6 @@ from drake_exo.virtual_laboratory.truth import Truth
 RATE_HZ = 1000.0
 PASSIVE = (0.0, 0.0, 0.0)
 _SETTLE_S = 0.4
-_STEP_S = 0.05
 _ASTRAY_M = 0.1  # of a pelvis that still walks as it means to
 
 
@@ -101,7 +100,7 @@ def simulate(
         if progress:
             progress.update(f"{name}, {time:.2f} of {end:.2f} s", done)
 
-    motion = integrate(built.diagram, context, end, _STEP_S, tell)
+    motion = integrate(built.diagram, context, end, tell)
     if motion.t_max < end:
         raise InputError(
             f"{name}: the movement cannot be simulated after "

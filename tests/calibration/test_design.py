@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from worn import FREEDOM
 
 from drake_exo.calibration import design as posed
 from drake_exo.calibration.design import DesignProblem
@@ -25,7 +26,6 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
-    JointFreedom,
     Population,
     PredictionSettings,
     Solver,
@@ -48,23 +48,7 @@ pytestmark = pytest.mark.slow
 
 SOLVER = Solver(20.0, tolerance=1e-6)
 SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
-_CM = (-0.01, 0.01)
-# Whatever may change.
-EVERYTHING = replace(
-    SETTINGS,
-    cuffs=dict.fromkeys(
-        ("shank", "thigh", "pelvis"),
-        CuffFreedom(
-            across_m=_CM,
-            preload_across_m=_CM,
-            preload_along_m=_CM,
-            area=(0.8, 1.2),
-            slide=(0.0, 1.0),
-            hinge=(0.0, 1.0),
-        ),
-    ),
-    joints=dict.fromkeys(("exo_knee", "exo_hip"), JointFreedom(_CM, _CM)),
-)
+EVERYTHING = replace(SETTINGS, **FREEDOM)
 _DRIVE_NM = {"exo_knee": -20.0, "exo_hip": -12.0}
 
 
@@ -229,7 +213,8 @@ def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
         SETTINGS,
         limits=loose,
         cuffs=dict.fromkeys(
-            ("thigh", "pelvis"), CuffFreedom(along_m=_CM, removable=True)
+            ("thigh", "pelvis"),
+            CuffFreedom(along_m=(-0.01, 0.01), removable=True),
         ),
     )
     whole = DesignProblem([wearer], settings, today=today).solve()

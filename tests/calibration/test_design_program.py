@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from program_bounds import bounds
 from program_derivatives import check_derivatives
-from worn import FORCES, TORQUES_NM, as_guessed
+from worn import FORCES, FREEDOM, TORQUES_NM, as_guessed
 from worn import wearer as worn
 
 from drake_exo.calibration.design import DesignProblem
@@ -42,23 +43,7 @@ from drake_exo.nlp.program import quadratic_cost
 
 CUFFS = ("shank", "thigh", "pelvis")
 SETTINGS = DesignSettings(points=1, solver=Solver(10.0, tolerance=1e-6))
-_CM = (-0.01, 0.01)
-EVERYTHING = replace(
-    SETTINGS,
-    points=2,
-    cuffs=dict.fromkeys(
-        CUFFS,
-        CuffFreedom(
-            across_m=_CM,
-            preload_across_m=_CM,
-            preload_along_m=_CM,
-            area=(0.8, 1.2),
-            slide=(0.0, 1.0),
-            hinge=(0.0, 1.0),
-        ),
-    ),
-    joints=dict.fromkeys(("exo_knee", "exo_hip"), JointFreedom(_CM, _CM)),
-)
+EVERYTHING = replace(SETTINGS, points=2, **FREEDOM)
 
 
 @pytest.fixture(scope="module")
@@ -74,21 +59,6 @@ def wearer(model):
 @pytest.fixture(scope="module")
 def today(wearer):
     return as_guessed(DesignProblem([wearer], SETTINGS, held=True))
-
-
-def bounds(problem, variables):
-    """Lower and upper, as the solver sees them."""
-    program = problem.program
-    lower, upper = (
-        np.full(program.prog.num_vars(), s * np.inf) for s in (-1, 1)
-    )
-    for binding in program.prog.bounding_box_constraints():
-        i = program.indices(np.asarray(binding.variables()))
-        e = binding.evaluator()
-        np.maximum.at(lower, i, e.lower_bound())
-        np.minimum.at(upper, i, e.upper_bound())
-    i = program.indices(variables)
-    return lower[i], upper[i]
 
 
 def values_of(problem, x, variables):

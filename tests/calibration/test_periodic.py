@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from program_bounds import bounds
 
 from drake_exo.calibration.error_model import _squared
 from drake_exo.calibration.periodic import PeriodicStep, _middle, mirrored
@@ -65,19 +66,6 @@ def posed(model, step, **settings):
 
 def blocks(problem, what):
     return [b for b in problem.program.constraints if what in b.name]
-
-
-def bounds(problem, variables):
-    program = problem.program
-    lower = np.full(program.prog.num_vars(), -np.inf)
-    upper = -lower
-    for binding in program.prog.bounding_box_constraints():
-        i = program.indices(np.asarray(binding.variables()))
-        e = binding.evaluator()
-        np.maximum.at(lower, i, e.lower_bound())
-        np.minimum.at(upper, i, e.upper_bound())
-    i = program.indices(variables)
-    return lower[i], upper[i]
 
 
 def test_left_and_right_are_exchanged():

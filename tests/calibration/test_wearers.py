@@ -126,18 +126,21 @@ def test_a_body_of_another_size_is_as_tables_have_it():
     assert found.height_m == pytest.approx(expected.height_m)
 
 
+def resized(model, size):
+    body = size.human(model.human)
+    return replace(model, human=body, exoskeleton=fit_exoskeleton(body))
+
+
 def test_a_body_of_another_size_obeys_the_same_physics(wearer):
     """Twice the mass and 1.1 times the height, standing still."""
     size = Size("large", 1.1, 2.0)
-    human = wearer.model.human
-    body = size.human(human)
-    model = replace(wearer.model, human=body, exoskeleton=fit_exoskeleton(body))
+    human, model = wearer.model.human, resized(wearer.model, size)
     (own,) = wearer.trials
     still = replace(own, v=0.0 * own.v, a=0.0 * own.a)
     found = size.trial(still, model, human.ankle_height_m)
     np.testing.assert_allclose(found.ground.force_z, model.tree.weight)
     np.testing.assert_allclose(found.ground.force[:, 0], 0.0, atol=1e-8)
-    ankle = body.ankle_height_m - human.ankle_height_m
+    ankle = model.human.ankle_height_m - human.ankle_height_m
     np.testing.assert_allclose(found.q[:, 1] - own.q[:, 1], ankle)
     # Over the middle of the foot, by the body's centre of mass.
     np.testing.assert_allclose(
@@ -158,9 +161,7 @@ def test_a_body_of_another_size_obeys_the_same_physics(wearer):
 def test_a_movement_of_another_body_is_in_balance(wearer):
     """Moments and ground together leave nothing over, but between the two."""
     size = Size("small", 0.9, 0.7)
-    human = wearer.model.human
-    body = size.human(human)
-    model = replace(wearer.model, human=body, exoskeleton=fit_exoskeleton(body))
+    human, model = wearer.model.human, resized(wearer.model, size)
     (own,) = wearer.trials
     moved = replace(own, q=own.q + np.eye(9)[0] * 0.3)
     found = size.trial(moved, model, human.ankle_height_m)
@@ -177,7 +178,7 @@ def test_a_movement_of_another_body_is_in_balance(wearer):
     for joint in ("ankle", "knee", "hip"):
         both = [found.coordinates.joint(j) for j in (joint, f"exo_{joint}")]
         np.testing.assert_allclose(left[:, both].sum(axis=1), 0.0, atol=1e-9)
-    assert found.cuffs == {} and found.mass_kg == body.mass_kg
+    assert found.cuffs == {} and found.mass_kg == model.human.mass_kg
 
 
 @pytest.mark.parametrize(("law", "power"), [("simbody", 1), ("paper", 2 / 3)])

@@ -127,7 +127,6 @@ def test_motion_is_that_of_drakes_own_integrator():
         model.diagram,
         context,
         0.2,
-        0.05,
         lambda t, x: told.append((t, x.copy())),
     )
     assert (motion.t_min, motion.t_max) == (0.0, 0.2)
