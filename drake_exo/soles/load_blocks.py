@@ -306,10 +306,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Pattern(Robot):
-    """Own walking pattern; the defaults are the authors' 80 kg robot's.
-
-    The ZMP bounds leave 15 mm to the sole's edges.
-    """
+    """Own walking pattern; the defaults are the authors' 80 kg robot's."""
 
     period_s: float = positive("s", 0.005)
     least_share: float = field(

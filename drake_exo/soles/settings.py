@@ -257,6 +257,19 @@ class Settings:
         """One or more."""
         return self.loads or (self.load,)
 
+    def walking_on(self, places: np.ndarray) -> "Settings":
+        """With the bounds of walking patterns' ZMP on a sole.
+
+        Args:
+            places: Of its nodes in its frame [m], (m, 2).
+        """
+        load, *loads = (
+            block if block is None or block.pattern is None
+            else replace(block, pattern=block.pattern.within(places))
+            for block in (self.load, *self.loads)
+        )  # fmt: skip
+        return replace(self, load=load, loads=tuple(loads))
+
     @classmethod
     def read(cls, path: Path | str) -> "Settings":
         """Read a case file alone, not the files that it names.
@@ -341,6 +354,7 @@ class Setup:
         """
         root = Path(data_root)
         mesh = settings.read_mesh(root, mesh_file)
+        settings = settings.walking_on(mesh.nodes[mesh.contact, :2])
         ground = settings.ground.read(root) if settings.ground else FLAT
         start = settings.start_pose(mesh, ground)
         level = _level(mesh, start)

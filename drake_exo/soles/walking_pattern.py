@@ -19,6 +19,8 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import null_space
+from scipy.optimize import LinearConstraint, minimize
+from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
 from drake_exo.files.schema import not_negative, positive
@@ -28,6 +30,7 @@ _DEGREE, _PIECES, _GRID = 5, 16, 161
 _SPEED_TIME = 0.03  # [s]; the ZMP's speed times it counts as a distance
 _NEAR = 1e-6  # of a bound's range: where it holds the ZMP
 _HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
+_INSIDE = 0.015  # metres that the ZMP stays inside a sole's outline
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,9 @@ class Robot:
         step_width_m: Between the middles of the soles.
         step_time_s: One step, double support included.
         back_m, front_m: ZMP bounds of single support along the sole.
-        inner_m: Largest y towards the other foot in single support.
-        outer_m: Smallest y.
+        outer_m, inner_m: Likewise across, the latter towards the other
+            foot. What is not given is `within` the sole, or without one
+            that of the authors' robot.
         ankle_m: Place of the ankle in the sole frame.
         torque_weight: Factor w of the ankle torque in the energy.
     """
@@ -51,10 +55,10 @@ class Robot:
     step_width_m: float = positive("m", 0.162)
     step_time_s: float = positive("s", 1.0)
     double_support_s: float = positive("s", 0.195)
-    back_m: float = -0.1
-    front_m: float = 0.1
-    inner_m: float = 0.05
-    outer_m: float = -0.05
+    back_m: float | None = None
+    front_m: float | None = None
+    inner_m: float | None = None
+    outer_m: float | None = None
     ankle_m: tuple[float, float] = (-0.017, 0.011)
     torque_weight: float = not_negative("", 0.6)
     gravity_m_per_s2: float = positive("m/s²", 9.81)
@@ -65,12 +69,71 @@ class Robot:
                 "pattern: double_support_s must be above 0 and below "
                 "step_time_s"
             )
-        if not (self.back_m < self.front_m and self.outer_m < self.inner_m):
+        low, high = self.bounds
+        if not (low < high).all():
             raise InputError(
                 "pattern: back_m must be below front_m and outer_m below "
-                "inner_m: places in the sole's frame, -0.1 and 0.1 along it, "
-                "-0.05 and 0.05 across by default"
+                "inner_m: places in the sole's frame; leave them out for "
+                "15 mm inside the sole"
             )
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Of the ZMP in single support: lowest and highest (x, y), (2, 2)."""
+        names = ("back_m", "outer_m"), ("front_m", "inner_m")
+        given = [[getattr(self, name) for name in row] for row in names]
+        own = (-0.1, -0.05), (0.1, 0.05)
+        return np.array(
+            [
+                [b if a is None else a for a, b in zip(*rows, strict=True)]
+                for rows in zip(given, own, strict=True)
+            ]
+        )
+
+    def within(self, places: np.ndarray) -> "Robot":
+        """With bounds, where none are given, 15 mm inside a sole.
+
+        Args:
+            places: Of its nodes in its frame [m], (m, 2); the bounds are
+                those of the largest rectangle.
+
+        Raises:
+            InputError: The sole is too narrow.
+        """
+        names = ("back_m", "outer_m", "front_m", "inner_m")
+        free = [name for name in names if getattr(self, name) is None]
+        if not free:
+            return self
+        fit = dict(zip(names, _rectangle(places), strict=True))
+        return replace(self, **{name: fit[name] for name in free})
+
+
+def _rectangle(places: np.ndarray) -> list[float]:
+    """The largest upright one 15 mm inside the hull of places (m, 2).
+
+    Returns:
+        Lowest x, y and highest x, y, to 0.1 mm.
+
+    Raises:
+        InputError: There is none.
+    """
+    *normal, offset = ConvexHull(places).equations.T
+    # Of every edge the farthest corner is inside.
+    corner = np.vstack([np.minimum(normal, 0), np.maximum(normal, 0)]).T
+    room = -offset - _INSIDE
+    middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    found = minimize(
+        lambda x: -np.log(np.maximum(x[2:] - x[:2], 1e-9)).sum(),
+        np.concatenate([middle - 1e-3, middle + 1e-3]),
+        method="SLSQP",
+        constraints=LinearConstraint(corner, -np.inf, room),
+    )
+    if (corner @ found.x > room + 1e-6).any():
+        raise InputError(
+            "pattern: no place of the sole lies 15 mm inside its outline; "
+            "give back_m, front_m, outer_m and inner_m, or a larger sole"
+        )
+    return np.round(found.x, 4).tolist()
 
 
 @dataclass(frozen=True)
@@ -210,11 +273,11 @@ def plan(robot: Robot) -> Pattern:
     speed = _SPEED_TIME * (omega2 * basis(t, 1) - basis(t, 3))
     coefficients = []
     for k, (sign, shift, low, high) in enumerate(
-        (
-            (1.0, robot.step_length_m, robot.back_m, robot.front_m),
-            (-1.0, robot.step_width_m, robot.outer_m, robot.inner_m),
+        zip(
+            (1.0, -1.0), (robot.step_length_m, robot.step_width_m),
+            *robot.bounds, strict=True,
         )
-    ):
+    ):  # fmt: skip
         # One ankle's torque m g (z − a) times its share, over h as a force.
         A = np.concatenate([basis(t, 2), torque * own, hold, speed])
         b = np.zeros(len(A))

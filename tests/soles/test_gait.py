@@ -66,8 +66,8 @@ def test_limits_are_those_of_the_robot(gait):
     np.testing.assert_allclose(
         gait.limits(x)[-len(slip) :], 0.9 - slip, atol=1e-12
     )
-    assert (load.zmp[:, 0] >= robot.back_m - 1e-6).all()
-    assert (load.zmp[:, 0] <= robot.front_m + 1e-6).all()
+    assert (load.zmp[:, 0] >= robot.bounds[0, 0] - 1e-6).all()
+    assert (load.zmp[:, 0] <= robot.bounds[1, 0] + 1e-6).all()
 
 
 def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):

@@ -204,6 +204,24 @@ def test_tight_bounds_hold_the_zmp():
     assert np.abs(z[:, 0]).max() == pytest.approx(bound, rel=0.02)
 
 
+def test_bounds_are_15_mm_inside_the_sole():
+    """By default; of a sole that is no rectangle those of the largest one."""
+    brick = np.array([[x, y] for x in (-0.115, 0.115) for y in (-0.065, 0.065)])
+    np.testing.assert_allclose(Robot().within(brick).bounds, Robot().bounds)
+    given = Robot(front_m=0.02).within(2 * brick)
+    np.testing.assert_allclose(
+        given.bounds, [[-0.215, -0.115], [0.02, 0.115]], atol=1e-9
+    )
+    angle = np.linspace(0, 2 * np.pi, 2000)
+    disc = 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    side = (0.1 - 0.015) / np.sqrt(2)  # a square's, half
+    np.testing.assert_allclose(
+        Robot().within(disc).bounds, [[-side] * 2, [side] * 2], atol=2e-4
+    )
+    with pytest.raises(InputError, match="15 mm inside"):
+        Robot().within(0.2 * brick)
+
+
 def test_straight_goes_from_heel_to_toe(pattern):
     load = pattern.foot_load().straight()
     assert np.abs(load.zmp[:, 1]).max() == 0.0
