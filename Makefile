@@ -4,7 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Tests see the font list of their own matplotlib, not the one a home holds.
-TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+# Asserts that pytest rewrites are kept beside the tests.
+TEST_ENV := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
     MPLCONFIGDIR="$(CURDIR)/$(VENV)/matplotlib"
 
 .PHONY: opensim demo test quick docs coverage mutants lint clean

@@ -89,6 +89,7 @@ def trials(made, when):
     return {n: m[0].trial for n, m in getattr(made, when).items()}
 
 
+@pytest.mark.slow
 def test_values_of_the_design_are_told(made):
     rows = {r["name"]: r for r in made.variables()}
     assert made.found.values["thigh.area"] == pytest.approx(1.6)
@@ -289,6 +290,7 @@ def test_a_forecast_may_be_off_by_a_tenth(told, monkeypatch):
         assert check.holds == holds
 
 
+@pytest.mark.slow
 def test_a_migration_at_its_limit_is_within_it(made, felt, monkeypatch):
     """To a thousandth."""
     most = felt[0]["after"]["migration_mm"]
@@ -365,6 +367,7 @@ def test_how_a_value_is_told(row, said):
     assert designed._told(row) == said
 
 
+@pytest.mark.slow
 def test_a_front_asks_for_shares_of_today_s_work(made, monkeypatch):
     """Factors may go as low, or as high, as the share asks for."""
     asked = []

@@ -5,6 +5,7 @@ time; or the gains of a controller, which adds a spring and a damper of its own.
 Each is linear in its coefficients.
 """
 
+import sys
 from abc import ABC, abstractmethod
 from dataclasses import astuple, dataclass, field
 from typing import Literal
@@ -165,7 +166,7 @@ def splines(count: int, share) -> np.ndarray:
     return found.reshape(*share.shape, count)
 
 
-@TemplateSystem.define("GainController_")
+@TemplateSystem.define("GainController_", scope=sys.modules[__name__])
 def GainController_(T):
     """See `GainController`."""
 

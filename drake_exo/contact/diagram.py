@@ -9,6 +9,7 @@ Keep apart the diagram for planning and the one for viewing: with a meshcat
 inside, the diagram converts to no other scalar type.
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -223,7 +224,7 @@ def integrate(
     return OdeSolution(times, parts)
 
 
-@TemplateSystem.define("JointTorques_")
+@TemplateSystem.define("JointTorques_", scope=sys.modules[__name__])
 def JointTorques_(T):
     """Joint torques as generalised forces; nothing pushes the foot.
 

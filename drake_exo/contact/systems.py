@@ -13,6 +13,7 @@ program itself.
 """
 
 import functools
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple
 from typing import NamedTuple
@@ -361,7 +362,7 @@ class _FootGroundContact:
         output.SetFromVector([x for wrench in wrenches for x in wrench])
 
 
-@TemplateSystem.define("FootGroundContact_")
+@TemplateSystem.define("FootGroundContact_", scope=sys.modules[__name__])
 def FootGroundContact_(T):
     """See `FootGroundContact`."""
 
@@ -520,7 +521,7 @@ class _Bushings:
         )
 
 
-@TemplateSystem.define("HumanExoskeletonBushings_")
+@TemplateSystem.define("HumanExoskeletonBushings_", scope=sys.modules[__name__])
 def HumanExoskeletonBushings_(T):
     """See `HumanExoskeletonBushings`."""
 
@@ -569,7 +570,9 @@ def HumanExoskeletonBushings_(T):
 HumanExoskeletonBushings = HumanExoskeletonBushings_[None]
 
 
-@TemplateSystem.define("Chair_", T_list=[float, AutoDiffXd])
+@TemplateSystem.define(
+    "Chair_", T_list=[float, AutoDiffXd], scope=sys.modules[__name__]
+)
 def Chair_(T):
     """A wrench about the world's origin over time, on bodies by share.
 
@@ -700,7 +703,7 @@ class TrackingController(LeafSystem):
         output.SetFromVector(torque)
 
 
-@TemplateSystem.define("AssistController_")
+@TemplateSystem.define("AssistController_", scope=sys.modules[__name__])
 def AssistController_(T):
     """See `AssistController`."""
 

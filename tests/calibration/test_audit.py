@@ -42,6 +42,7 @@ def base(predicted):
     return found
 
 
+@pytest.mark.slow
 def test_a_moment_too_much_is_missing_in_the_equations(predicted, base):
     (trial,) = predicted.trials
     moments = trial.moments.copy()

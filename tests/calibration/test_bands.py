@@ -253,6 +253,7 @@ def test_a_posterior_is_the_inverse_of_the_curvature(coarse):
     assert (sd[len(free) :] < 1.001 * prior).all()
 
 
+@pytest.mark.slow
 def test_bands_by_dense_algebra(in_device, coarse):
     """Every part that is not known, through the optimum's dense conditions."""
     known = posterior(coarse)

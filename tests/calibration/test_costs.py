@@ -181,6 +181,7 @@ def test_phase_a_minimises_torques(phase_a):
     assert phase_a(*still) < phase_a(*still, (torque[:, 0], -1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", ["phase_b", "phase_c"])
 def test_joint_moments_are_tracked(request, phase):
     cost = request.getfixturevalue(phase)
@@ -218,6 +219,7 @@ def test_moments_of_a_leg_are_known_the_better_the_less_it_bears():
     assert np.isinf(term.sigma[:, [3, 7]]).all()
 
 
+@pytest.mark.slow
 def test_normal_forces_are_tracked_where_mats_are(phase_b, phase_c, trial):
     (seen,) = trial.cuffs
     tracked(phase_b, phase_b.movement.cuffs[seen][:, 1], 3.0, 8.0)
@@ -229,12 +231,14 @@ def test_normal_forces_are_tracked_where_mats_are(phase_b, phase_c, trial):
                 assert cost.bend(forces[:, k], 9.0) == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 def test_a_prediction_tracks_no_movement(phase_c):
     for variables in (phase_c.movement.grid.q, phase_c.movement.grid.v):
         for k in range(9):
             assert abs(phase_c.bend(variables[1:-1, k], 0.01)) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", ["phase_a", "phase_b", "phase_c"])
 def test_jerk_is_minimised(request, phase):
     cost = request.getfixturevalue(phase)
@@ -244,6 +248,7 @@ def test_jerk_is_minimised(request, phase):
         assert cost.bend(jerk[:, k], 30.0) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_typical_jerk_is_that_of_what_calibrates(in_device, trial):
     """Of the human's joints; a prediction is told, and never its trial's."""
     a = np.zeros_like(trial.a)
@@ -305,6 +310,7 @@ def test_comfort_minimises_torques_and_tracks_nothing(in_device, trial):
     assert cost.bend(cost.movement.torque, 900.0) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["b", "c"])
 def test_errors_shift_what_was_measured(in_device, trial, kind):
     """And cost their own prior; what they do is tested elsewhere."""

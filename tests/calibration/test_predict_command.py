@@ -56,6 +56,7 @@ def test_a_limit_too_low_fails_with_names(
     assert all(s["binding_bounds"] for s in summary["solves"])
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_another_problem_is_refused(command, tmp_path, capsys):
     out = tmp_path / "other"
     out.mkdir()
@@ -84,6 +85,7 @@ def test_bad_options_are_one_sentence(
     assert words in error and error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_no_calibration(command, tmp_path, capsys):
     (tmp_path / "parameters.json").write_text('{"law": "simbody"}')
     more = ["--calibration", str(tmp_path), "--out", str(tmp_path / "x")]

@@ -186,6 +186,7 @@ def test_straight_line_joins_the_ends_at_rest():
         np.testing.assert_allclose(slope, derivative[1:-1], atol=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.35, -0.35])
 def test_a_sole_that_is_turned_on_its_foot_turns_the_foot_back(turn):
     """Three spheres bear as before, the foot pitched by as much."""

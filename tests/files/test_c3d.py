@@ -114,6 +114,7 @@ def test_a_full_disk_is_told(tmp_path, markers, monkeypatch):
         write_c3d(tmp_path / "a.c3d", markers)
 
 
+@pytest.mark.slow
 def test_two_plates_keep_their_numbers(tmp_path, markers, plate):
     light = replace(plate, force=0.1 * plate.force, torque=0 * plate.torque)
     path = tmp_path / "a.c3d"

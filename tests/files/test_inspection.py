@@ -114,6 +114,7 @@ def test_meshes_by_their_size(tmp_path, ending):
     assert ("1 tetrahedra, 30 by 20 by 10" in found) == (ending == "vtk")
 
 
+@pytest.mark.slow
 def test_real_files_of_every_kind(data_root):
     for name, words in (
         ("boxlifting_squat/SquatLifting_Markers.csv", "BODY:RANK: around"),

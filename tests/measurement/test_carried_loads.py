@@ -92,6 +92,7 @@ def with_loads(folder, *loads):
     return schema.load_text(text, StudyFile)
 
 
+@pytest.mark.slow
 def test_loads_of_a_study(tmp_path):
     write_recording(tmp_path, nominal_human(), model="human")
     mass = {"body": "pelvis", "mass_kg": KG, "at_m": list(AT)}

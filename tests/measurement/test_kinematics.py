@@ -231,6 +231,7 @@ def opencap(data_root, request):
     return np.rad2deg(difference[in_rises])
 
 
+@pytest.mark.slow
 def test_angles_follow_opensims_inverse_kinematics(opencap):
     """Against a 3D model's angles, less the mean (zeros are defined apart).
 

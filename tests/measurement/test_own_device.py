@@ -35,6 +35,7 @@ def changed(folder, **trial):
     return schema.load_text(text, StudyFile)
 
 
+@pytest.mark.slow
 def test_without_encoders_it_moves_as_the_person_does(folder):
     _, study = write_recording(folder, nominal_human(), model=MODEL)
     subject, (trial, _) = load(study, folder)
@@ -47,6 +48,7 @@ def test_without_encoders_it_moves_as_the_person_does(folder):
     assert subject.report["standing_mass_kg"] == pytest.approx(66.4, abs=0.1)
 
 
+@pytest.mark.slow
 def test_its_own_columns_alone_are_read(folder):
     truth, _ = write_recording(folder, nominal_human(), model=MODEL)
     angle, moment = 0.1 * np.sin(truth.time), 8.0 * np.cos(truth.time)

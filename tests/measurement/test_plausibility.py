@@ -242,6 +242,7 @@ def another_trial(folder, own="other.csv"):
     path.write_text(text.replace("device:", f"{entry}device:"))
 
 
+@pytest.mark.slow
 def test_encoders_of_another_trial_of_the_study(folder):
     another_trial(folder)
     assert failing(folder) == {}
@@ -293,6 +294,7 @@ def warped(folder, file, late_s):
     written_in_degrees(folder / file, replace(table, values=values))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 0.1])
 def test_encoders_of_a_trial_that_is_not_in_the_study(folder, late_s):
     """A little slower than its movement: no other check sees it."""
@@ -332,6 +334,7 @@ def test_a_third_trial_tells_whose_encoders_are_wrong(folder):
     assert "otherwise than in every other trial" in sentence
 
 
+@pytest.mark.slow
 def test_a_driven_trial_is_not_compared_with_a_passive_one(folder):
     another_trial(folder)
     warped(folder, "other.csv", 0.1)
@@ -459,6 +462,7 @@ def written_in_degrees(path, table):
     write_csv_table(path, table, ["deg"] * len(table.names))
 
 
+@pytest.mark.slow
 def test_two_trials_with_the_same_encoders(folder):
     another_trial(folder, own="exo.csv")
     text = said(folder, "encoder_file")
@@ -483,6 +487,7 @@ def test_a_mass_that_plates_do_not_show(folder):
     assert "the plates bear 70 kg" in text and "mass_kg says 84 kg" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("newtons", "unit"), [(4.448, "lbf"), (9.81, "kgf"), (10.0, "daN")]
 )
@@ -507,6 +512,7 @@ def test_forces_that_end_in_the_middle_of_the_rise(folder):
     assert "the recording ends at 1.9 s while the hips still move" in text
 
 
+@pytest.mark.slow
 def test_a_chair_that_is_a_filler(folder):
     forces(
         folder,
@@ -533,6 +539,7 @@ def test_one_leg_bears_most(folder):
     assert "the left leg bears 74 %" in said(folder, "leg_share")
 
 
+@pytest.mark.slow
 def test_feet_apart(folder):
     def apart(data):
         p = data.positions.copy()
@@ -545,6 +552,7 @@ def test_feet_apart(folder):
     assert "apart fore and aft" in said(folder, "feet_apart")
 
 
+@pytest.mark.slow
 def test_legs_that_move_in_turn(folder):
     """Walking is no movement of one leg."""
 
@@ -594,6 +602,7 @@ def test_plates_that_bear_nothing_end_with_a_sentence(folder):
     )
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_3_unless_it_is_accepted(folder, capsys):
     study = str(folder / "study.yaml")
     encoders(folder, lambda x: x + np.deg2rad(15.0) * np.eye(3)[2])

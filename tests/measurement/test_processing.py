@@ -328,6 +328,7 @@ def hide(folder, names, start, end):
     edit_markers(folder, change)
 
 
+@pytest.mark.slow
 def test_a_marker_hidden_for_long_is_left_out_where_it_matters(files, loaded):
     folder, study = files
     hide(folder, ["R_sh1"], 150, 180)
@@ -341,6 +342,7 @@ def test_a_marker_hidden_for_long_is_left_out_where_it_matters(files, loaded):
     np.testing.assert_array_equal(alone[0].q, trials[1].q)
 
 
+@pytest.mark.slow
 def test_refuses_too_few_markers_and_lists_all_gaps(files):
     folder, study = files
     hide(folder, ["R_heel"], 150, 180)
@@ -384,6 +386,7 @@ def test_gaps_outside_the_used_part_do_no_harm(files, loaded):
         assert np.abs(trial.q - whole.q).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_lengths_in_another_unit_are_told(files):
     folder, study = files
 
@@ -513,6 +516,7 @@ def test_mass_comes_from_standing_if_not_stated(made):
     assert subject.report["mass_from"] == "standing"
 
 
+@pytest.mark.slow
 def test_real_rises_are_found(data_root, request):
     """Crossings of 0.75 m as the data's README lists them, five rises."""
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
@@ -533,6 +537,7 @@ def test_real_rises_are_found(data_root, request):
     assert subject.report["standing_mass_kg"] == pytest.approx(60.03, abs=0.01)
 
 
+@pytest.mark.slow
 def test_real_trials_obey_newton(data_root, request):
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
     study = read_study(path, data_root)

@@ -177,6 +177,7 @@ def test_trials_with_chair_and_mats_survive_saving(tmp_path, loaded):
     assert back.chair_on_thighs == 0.25
 
 
+@pytest.mark.slow
 def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
     """Feet never leave their plates; the chair is left at seat-off."""
     folder, study = files

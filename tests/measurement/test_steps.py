@@ -180,6 +180,7 @@ def test_a_step_that_cannot_be_used_is_named(tmp_path, name):
         recorded_step(study, tmp_path, *which)
 
 
+@pytest.mark.slow
 def test_a_treadmill_s_steps_go_along_with_its_belt(data_root, tmp_path):
     """Four whole steps, much alike; the fifth is cut off."""
     folder = tmp_path / "treadmill_walk"

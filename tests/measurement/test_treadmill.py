@@ -26,6 +26,7 @@ def stance(trial, side):
     return trial.feet[side].force_z > 500.0
 
 
+@pytest.mark.slow
 def test_a_foot_that_bears_the_body_rests(walk):
     (trial,), tree = walk.trials(), walk.model.tree
     ahead = trial.coordinate("pelvis_x")
@@ -51,6 +52,7 @@ def part(walk, **window):
     return RecordedStudy(replace(walk.file, trials=(files,)), walk.root)
 
 
+@pytest.mark.slow
 def test_a_part_starts_and_ends_with_events(walk, data_root):
     """As the plates' own files say, sample by sample."""
     path = data_root / "treadmill_walk" / "walk2_grf.mot"
@@ -119,6 +121,7 @@ def test_a_foot_without_a_plate_of_its_own_has_no_events():
         event.time_s({"right": []})
 
 
+@pytest.mark.slow
 def test_a_belt_that_is_not_declared_is_named(walk):
     still = RecordedStudy(replace(walk.file, ground=Ground()), walk.root)
     (found,) = (c for c in still.plausibility() if c.name.endswith("belt"))

@@ -32,6 +32,7 @@ def walk(data_root):
     return read_study(path, data_root)
 
 
+@pytest.mark.slow
 def test_legs_that_move_alike_have_the_angles_of_one(tmp_path):
     _, study = write_recording(tmp_path, nominal_human())
     one = load(study, tmp_path)[1][0]

@@ -74,6 +74,7 @@ def folders(tmp_path, trials):
     )
 
 
+@pytest.mark.slow
 def test_side_by_side(folders, trials):
     found = compare(folders)
     assert found.labels == ("anna", "bert")

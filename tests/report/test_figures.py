@@ -74,6 +74,7 @@ def test_ground_reaction_and_cop(trials, found):
     assert legend == ["measured", "model"]
 
 
+@pytest.mark.slow
 def test_angles_and_velocities_of_both(trials, found):
     figure = figures.kinematics_figure({"model": found}, trials)
     rows = panels(figure, 2)
@@ -159,6 +160,7 @@ def test_bands_lie_around_the_first_run(trials, found, runs):
         assert not rows[f"{cuff} [N]"][1].collections
 
 
+@pytest.mark.slow
 def test_all_figures_that_there_are_signals_for(trials, found):
     one, model = trials[:1], found[:1]
     drawn = figures.plot_trials(model, one, model)
@@ -381,6 +383,7 @@ def test_a_design_s_front_is_force_against_work():
     np.testing.assert_array_equal(line.get_data(), [[5.0, 9.0], [70.0, 50.0]])
 
 
+@pytest.mark.slow
 def test_a_legend_leaves_room_for_the_titles(trials, found):
     """However many entries it has: nothing lies on anything else."""
     for runs in ({"model": found}, {f"run {k}": found for k in range(6)}):

@@ -220,6 +220,7 @@ def cuff_forces(case):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MODELS)
 def test_exported_numbers_give_the_calibrated_forces(case, kind):
     """Sliding knees and all, by the exported file and states alone."""
@@ -229,6 +230,7 @@ def test_exported_numbers_give_the_calibrated_forces(case, kind):
     assert done.difference_n["a"] < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MODELS)
 def test_bodies_move_as_the_planar_ones(case, kind):
     one = case(kind)
@@ -369,6 +371,7 @@ def frame_of(file, force, number, model, q, n):
     return at[:, 0] + 1j * at[:, 1], R_F[:, 0, 0] + 1j * R_F[:, 1, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["coupled", "hip", "turned ankle"])
 def test_cuffs_that_are_written_give_the_calibrated_forces(case, kind):
     """Bushings of the file alone: where they hold, and their numbers."""
@@ -461,6 +464,7 @@ def test_what_was_done_is_said(case):
     assert "coordinate 'knee_angle_r' differs from the pin's angle" in said
 
 
+@pytest.mark.slow
 def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
     one = case("alone", law="paper")
     with pytest.raises(InputError, match=r"law is 'paper', which OpenSim does"):

@@ -51,6 +51,7 @@ def rows(array, width):
     return array.reshape(-1, width)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["human/pelvis", "exoskeleton/exo_thigh"])
 @pytest.mark.parametrize("root", ["simulated", "measured"])
 def test_bodies_move_as_drake_says(clip, root, body):
@@ -174,6 +175,7 @@ def test_measured_mat_shows_the_normal_force(clip):
     np.testing.assert_allclose(spheres[0, 0], q[0] + 0.15, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_page_is_small_needs_no_network_and_repeats_itself(folder, page):
     again = folder.parent / "again.html"
     replay_results(folder, again)
@@ -186,6 +188,7 @@ def test_page_is_small_needs_no_network_and_repeats_itself(folder, page):
     }
 
 
+@pytest.mark.slow
 def test_drake_says_nothing(folder, tmp_path, capfd):
     replay_results(folder, tmp_path / "page.html")
     assert capfd.readouterr() == ("", "")
@@ -219,6 +222,7 @@ def test_unsolved_results_are_refused(tmp_path):
         replay_results(folder, tmp_path / "page.html")
 
 
+@pytest.mark.slow
 def test_what_does_not_hold_is_marked_on_the_page(tmp_path):
     audit = Check("audit", False, 2.5, 1.0, "N", "rise_1")
     folder = write_results(tmp_path / "off", checks=[audit])

@@ -128,6 +128,7 @@ def test_what_does_not_hold_is_marked_everywhere(trials, tmp_path):
         assert (out / name).read_bytes() != (good / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_what_was_not_solved_is_refused(trials, tmp_path, capsys):
     failed = Verdict((Check("solved", False, where="rise2"),)).summary()
     solves = [{"trial": "rise1", "success": True}]

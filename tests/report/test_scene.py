@@ -61,6 +61,7 @@ def test_picture_is_written_as_png(tmp_path):
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_page_is_small_and_repeats_itself(tmp_path):
     for name in ("a", "b"):
         path = tmp_path / f"{name}.html"

@@ -47,6 +47,7 @@ def fresh(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_an_edited_law_is_seen_by_its_callers_in_other_files(fresh):
     assert fresh("2.0")(3.0) == 7.0
     found = fresh("5.00")

@@ -26,6 +26,7 @@ def design():
     return Case.from_text(text).optimize()
 
 
+@pytest.mark.slow
 def test_a_design_is_beside_its_initial_shape(design):
     told, w = design.summary(), design.setup.settings.cost.weight
     first = Case.from_text(

@@ -706,6 +706,7 @@ def test_red_is_a_side_that_looks_up(wider):
     np.testing.assert_allclose(axis.get_ylim(), [low[1] - 18, high[1] + 18])
 
 
+@pytest.mark.slow
 def test_what_stands_at_the_side_of_a_thickness_is_not_measured(wedge):
     """Only between the lowest and the highest face over the point."""
     axis = Figure().add_subplot()

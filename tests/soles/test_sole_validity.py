@@ -260,6 +260,7 @@ def test_undercut_is_the_part_that_faces_upwards():
     assert wide.undercut == pytest.approx(1 - low / area)
 
 
+@pytest.mark.slow
 def test_a_design_is_told_where_a_finer_mesh_disagrees():
     design = Case.from_text(EXAMPLE).optimize()
     words = {}

@@ -96,6 +96,7 @@ def test_nearest_points_of_a_sphere():
     np.testing.assert_allclose(away, exact, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_thickness_of_a_shoe():
     thickness = _Thickness(shoe_surface())
     places = np.array([[-0.095, 0.0, -0.01], [0.12, 0.0, -0.01]])

@@ -223,6 +223,7 @@ def test_controllers_join_to_six_torques():
 EVERY_MAT = [mat for mats in CONFIGURATIONS.values() for mat in mats]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_mats_sum_to_the_cuff_force(configuration, tmp_path):
     q = np.zeros(9)

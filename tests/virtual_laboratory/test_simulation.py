@@ -35,6 +35,7 @@ def dipped(truth):
     return plan, trial
 
 
+@pytest.mark.slow
 def test_accelerations_are_how_the_velocity_changed(truth, dipped):
     """Drake moved the body; ground, cuffs and torques told explain it."""
     _, trial = dipped

@@ -286,6 +286,7 @@ def test_a_window_begins_when_the_chair_is_felt_no_more():
     np.testing.assert_allclose(np.round(100.0 * starts), 100.0 * starts)
 
 
+@pytest.mark.slow
 def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     """The files' clocks are those that truth tells, to the millisecond."""
     told, given = [], []

@@ -79,6 +79,7 @@ def test_legs_reach_from_the_pelvis_to_the_foot(alone):
     np.testing.assert_allclose(turn, foot[:, 2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_plan_of_two_legs_obeys_newton(worn):
     """Feet where soles sink to, each leg bearing its share."""
     subject, share = draw(worn, 3, frozenset(ACTING)), 0.7
@@ -135,6 +136,7 @@ def test_an_uneven_rise_is_calibrated(alone, tmp_path):
     assert all(audit.holds for audit in found.audit())
 
 
+@pytest.mark.slow
 def test_mats_lie_under_the_cuffs_of_either_leg(worn, tmp_path):
     """Half the straps' tension each, where the leg stands, for its own cuff."""
     subject = draw(worn, 0, frozenset())
@@ -265,6 +267,7 @@ def test_cuffs_on_two_legs_are_designed(worn):
     assert work[1] == pytest.approx(work[0], rel=0.006)
 
 
+@pytest.mark.slow
 def test_each_of_two_soles_bears_half(worn):
     """Level and at the ankle's height, person and device on both."""
     for active in (frozenset(), frozenset(["contact", "friction"])):
@@ -352,6 +355,7 @@ def written(subject, movement, active=()):
     return two_legs._study(subject, laboratory, movement, {}, entries)
 
 
+@pytest.mark.slow
 def test_a_study_of_two_legs_tells_what_is_known(worn):
     subject = draw(worn, 3, frozenset(["friction"]))
     study = written(subject, "squat", ["plate_drift"])
@@ -397,6 +401,7 @@ def test_a_study_of_walks_lets_feet_roll(alone):
         assert study[phase]["end_tolerance"]["pitch_deg"] == 5.0
 
 
+@pytest.mark.slow
 def test_a_device_s_file_lies_beside_the_study(worn, tmp_path):
     subject = draw(worn, 3, frozenset())
     folder = tmp_path / "lab"
@@ -413,6 +418,7 @@ def test_a_device_s_file_lies_beside_the_study(worn, tmp_path):
     two_legs._copy_device(worn, replace(subject, files={}), folder)
 
 
+@pytest.mark.slow
 def test_who_stands_is_scanned_at_the_end(worn, tmp_path, monkeypatch):
     """On both legs alike, with a device that does not help."""
     subject, asked = draw(worn, 3, frozenset()), []
