@@ -19,6 +19,7 @@ from pydrake.systems.framework import System
 from scipy.interpolate import CubicSpline
 
 from drake_exo.contact.hunt_crossley import (
+    SphereWrench,
     sphere_wrench,
     sphere_wrench_derivatives,
 )
@@ -371,23 +372,26 @@ class FootGroundKernel:
         dissipation: (n, 7, 7) and (n, 7). Second derivatives of the force
         are differences of its analytic first ones.
         """
-        inputs = [*motion, p[0], p[1]]
-        steps = [None, 1e-7, 1e-6, 1e-6, 1e-5, 1e-5 * p[0], 1e-5]
-
-        def first(values):
-            wrench, d = sphere_wrench_derivatives(
-                self.law, *values, p[4], self.constants
-            )
-            return wrench, d[:2, :7]
-
-        wrench, d = first(inputs)
-        n = len(p[0])
+        inputs = np.array([*motion, p[0], p[1]])
+        n = inputs.shape[1]
+        steps = np.tile([[1e-7], [1e-6], [1e-6], [1e-5], [1e-5], [1e-5]], n)
+        steps[4] *= p[0]
+        # As they are, then with each but the first a step up, a step down.
+        moves = np.zeros((7, 13, n))
+        k = np.arange(1, 7)
+        moves[k, k], moves[k, 6 + k] = steps, -steps
+        wrench, d = sphere_wrench_derivatives(
+            self.law,
+            *(inputs[:, None] + moves),
+            np.broadcast_to(p[4], (13, n)),
+            self.constants,
+        )
+        d = d[:2, :7].transpose(0, 2, 1, 3)
+        wrench = SphereWrench(*(part[0] for part in wrench))
         second = np.zeros((2, 7, 7, n))
-        for k in range(1, 7):
-            up, down = list(inputs), list(inputs)
-            up[k], down[k] = inputs[k] + steps[k], inputs[k] - steps[k]
-            second[:, k] = (first(up)[1] - first(down)[1]) / (2.0 * steps[k])
+        second[:, 1:] = (d[:, 1:7] - d[:, 7:]) / (2.0 * steps[:, None])
         second = 0.5 * (second + second.transpose(0, 2, 1, 3))
+        d = d[:, 0]
         # The contact point's height is a fixed share of the centre's.
         share = 1.0 if self.law == "paper" else 0.5
         along = weights[:, 0] + weights[:, 2] * wrench.point_z

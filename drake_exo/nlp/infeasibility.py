@@ -45,11 +45,11 @@ def check(
             function is not finite at the guess, or a parameter moves neither
             a constraint nor a residual.
     """
-    names = [v.get_name() for v in problem.program.prog.decision_variables()]
     if not np.isfinite(guess).all():
         bad = int(np.flatnonzero(~np.isfinite(guess))[0])
+        name = problem.program.prog.decision_variable(bad).get_name()
         raise InputError(
-            f"the guess of {names[bad]} is {guess[bad]}; check the trial's "
+            f"the guess of {name} is {guess[bad]}; check the trial's "
             "data for gaps"
         )
     for lower, upper, what in (

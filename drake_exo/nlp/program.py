@@ -237,19 +237,20 @@ class BatchedProgram:
         self._cover(bindings)
         return batch
 
-    def loose_bindings(self):
-        """Generic (constraints, costs) that belong to no batch."""
-        return tuple(
-            [b for b in bindings if id(b.evaluator()) not in self._covered]
-            for bindings in (
-                nonlinear_constraints(self.prog),
-                nonlinear_costs(self.prog),
-            )
-        )
+    def loose_constraints(self) -> list:
+        """Generic constraints that belong to no batch."""
+        return self._uncovered(nonlinear_constraints(self.prog))
+
+    def loose_costs(self) -> list:
+        """Generic costs that belong to no batch."""
+        return self._uncovered(nonlinear_costs(self.prog))
 
     def keep_alive(self, thing) -> None:
         """Keep an object that the program's evaluators point to."""
         self._keep_alive.append(thing)
+
+    def _uncovered(self, bindings):
+        return [b for b in bindings if id(b.evaluator()) not in self._covered]
 
     def _cover(self, bindings):
         # pydrake hands out the same wrapper as long as one is alive.

@@ -103,7 +103,6 @@ class SparseProgram:
         # Kept in program variables: a basis of splines would lose digits in
         # the cancellation of its large coefficients.
         self._Q, self._b, self._c = quadratic_cost(self.program.prog)
-        _, loose = self.program.loose_bindings()
         self._costs = [
             Block(
                 Batch(
@@ -115,7 +114,7 @@ class SparseProgram:
                 ),
                 matrix,
             )
-            for binding in loose
+            for binding in self.program.loose_costs()
         ]
 
     def _lay_out_jacobian(self):
@@ -136,7 +135,8 @@ class SparseProgram:
 
     def _lay_out_hessian(self):
         matrix = self.unknowns.matrix
-        curved = [b for b in self.rows.blocks if self._is_curved(b)]
+        blocks = [*self.residual_blocks, *self.rows.blocks]
+        curved = [b for b in blocks if self._is_curved(b)]
         self._hessian = HessianLayout(
             matrix.T @ self._Q @ matrix,
             self.residual_blocks,
@@ -145,7 +145,7 @@ class SparseProgram:
         self.hessian_structure = self._hessian.structure
 
     def _is_curved(self, block: "Block") -> bool:
-        """Whether a constraint's curvature enters the Hessian."""
+        """Whether the curvature of a row or residual enters the Hessian."""
         kernel = block.batch.kernel
         if self.exact_hessian:
             return not hasattr(kernel, "A")
@@ -369,7 +369,6 @@ class ConstraintRows:
 
     def __init__(self, program: BatchedProgram, unknowns: Unknowns):
         self._unknowns = unknowns
-        loose, _ = program.loose_bindings()
         singles = [
             Batch(
                 b.evaluator().get_description() or "constraint",
@@ -378,7 +377,7 @@ class ConstraintRows:
                 b.evaluator().lower_bound()[None],
                 b.evaluator().upper_bound()[None],
             )
-            for b in loose
+            for b in program.loose_constraints()
         ]
         blocks = [
             Block(batch, unknowns.matrix)
@@ -481,7 +480,7 @@ class Block:
         local: (n_in, width) rows of B that all instances share, or
             (n, n_in, width) of each.
         pattern: (n, n_out, width) where the Jacobian may be nonzero.
-        curved: (n, width) unknowns that the curvature may touch.
+        bent: the same for what the curvature may touch.
     """
 
     def __init__(self, batch: Batch, matrix: sp.csr_array):
@@ -502,12 +501,13 @@ class Block:
         if np.ptp(self.local, axis=0).max(initial=0.0) < 1e-14:
             self.local = self.local[0]
             structure = structure[:1]
-        pattern = batch.kernel.sparsity.astype(float) @ structure > 0
-        pattern = np.broadcast_to(pattern, (n, batch.num_outputs, width))
-        self.pattern = pattern & (self.columns >= 0)[:, None, :]
-        inputs = batch.kernel.sparsity.any(axis=0)
-        inputs = getattr(batch.kernel, "curved_inputs", inputs)
-        self.curved = structure[:, inputs].any(axis=1) & (self.columns >= 0)
+        seen = (self.columns >= 0)[:, None, :]
+        sparsity = batch.kernel.sparsity.astype(float)
+        self.pattern = (sparsity @ structure > 0) & seen
+        curved = getattr(batch.kernel, "curved_inputs", sparsity.any(axis=0))
+        self._curved_inputs = np.flatnonzero(curved)
+        self.bent = ((sparsity * curved) @ structure > 0) & seen
+        self._bent_slots = _touched(self.bent)
 
     def values(self, x):
         """Outputs (n, n_out) at program variables x."""
@@ -529,7 +529,7 @@ class Block:
         return flat.reshape(*J.shape[:2], -1)
 
     def curvature(self, x, weights):
-        """sum_i weights_i d2 f_i/dy2, (n, width, width).
+        """sum_i weights_i d2 f_i/dy2, by those unknowns that `bent` has.
 
         By differences of the Jacobian where the kernel has no `curvature`.
         """
@@ -540,10 +540,14 @@ class Block:
         else:
             n, n_in = z.shape
             H = np.zeros((n, n_in, n_in))
-            for k in np.flatnonzero(kernel.sparsity.any(axis=0)):
+            for k in self._curved_inputs:
                 H[:, k] = _directional(kernel, z, data, weights, k)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-        return np.swapaxes(self.local, -1, -2) @ H @ self.local
+        # Most inputs, and the unknowns behind them, often bend nothing.
+        inputs = self._curved_inputs
+        local = self.local[..., inputs, :][..., self._bent_slots]
+        H = H[:, inputs[:, None], inputs]
+        return np.swapaxes(local, -1, -2) @ H @ local
 
 
 def _directional(kernel, z, data, weights, k):
@@ -578,13 +582,20 @@ def accumulate(g: np.ndarray, block: Block, local: np.ndarray) -> None:
     g += np.bincount(block.columns[keep], local[keep], minlength=len(g))
 
 
+def _touched(pattern: np.ndarray) -> np.ndarray:
+    """Slots that a pattern (n, n_out, width) has anywhere."""
+    return np.flatnonzero(pattern.any(axis=(0, 1)))
+
+
 class HessianLayout:
     """Union of all blocks' lower triangles, and where each one lands.
+
+    Only unknowns that one output depends on together may be coupled.
 
     Args:
         constant: (ny, ny) Hessian of the quadratic cost.
         gauss_newton: blocks that contribute J^T J.
-        curved: blocks that may contribute their curvature besides.
+        curved: blocks that may contribute their curvature.
 
     Attributes:
         structure: (rows, columns) of the lower triangle's nonzeros.
@@ -599,22 +610,26 @@ class HessianLayout:
     ):
         coo = sp.tril(constant).tocoo()
         ny = constant.shape[0]
-        keys = [coo.row.astype(np.int64) * ny + coo.col]
-        self._triangles = []
-        for b in [*gauss_newton, *curved]:
-            row = np.broadcast_to(
-                b.columns[:, :, None], (*b.columns.shape, b.columns.shape[1])
-            )
-            column = row.transpose(0, 2, 1)
-            keep = (row >= column) & (column >= 0)
-            if b not in gauss_newton:
-                keep &= b.curved[:, :, None] & b.curved[:, None, :]
-            keys.append(row[keep].astype(np.int64) * ny + column[keep])
-            self._triangles.append((b, np.flatnonzero(keep)))
+        keys, triangles = [coo.row.astype(np.int64) * ny + coo.col], []
+        for b, pattern in (
+            *((b, b.pattern) for b in gauss_newton),
+            *((b, b.bent) for b in curved),
+        ):
+            slots = _touched(pattern)
+            own = b.columns[:, slots]
+            P = pattern[:, :, slots].astype(np.float32)
+            coupled = P.transpose(0, 2, 1) @ P > 0
+            coupled &= own[:, :, None] >= own[:, None, :]
+            node, row, column = np.nonzero(coupled)
+            keys.append(own[node, row].astype(np.int64) * ny)
+            keys[-1] += own[node, column]
+            triangles.append((b, slots, np.flatnonzero(coupled)))
         unique, inverse = _numbered(np.concatenate(keys))
         parts = np.split(inverse, np.cumsum([len(k) for k in keys])[:-1])
         self.constant = np.bincount(parts[0], coo.data, minlength=len(unique))
-        self._places = parts[1:]
+        landing = [(*t, p) for t, p in zip(triangles, parts[1:], strict=True)]
+        self._gauss_newton = landing[: len(gauss_newton)]
+        self._curved = landing[len(gauss_newton) :]
         self.structure = (
             (unique // ny).astype(np.int32),
             (unique % ny).astype(np.int32),
@@ -627,17 +642,16 @@ class HessianLayout:
             factor: of the cost.
             x: (n,) program variables.
             jacobians: id of a residual block -> its Jacobian.
-            weights: id of a block -> weights of its outputs' curvature.
+            weights: id of a block -> weights of its outputs' curvature; it
+                is left out where there are none.
         """
         H = factor * self.constant
-        for (b, keep), places in zip(
-            self._triangles, self._places, strict=True
-        ):
-            if id(b) in jacobians:
-                J = jacobians[id(b)]
-                term = factor * (J.transpose(0, 2, 1) @ J)
-                np.add.at(H, places, term.ravel()[keep])
+        for b, slots, kept, places in self._gauss_newton:
+            J = jacobians[id(b)][:, :, slots]
+            term = factor * (J.transpose(0, 2, 1) @ J)
+            np.add.at(H, places, term.ravel()[kept])
+        for b, _, kept, places in self._curved:
             if id(b) in weights:
                 term = b.curvature(x, weights[id(b)])
-                np.add.at(H, places, term.ravel()[keep])
+                np.add.at(H, places, term.ravel()[kept])
         return H
