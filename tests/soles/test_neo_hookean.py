@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 from scipy.special import lambertw
+from stiffness import stiffness_matrix
 
 from drake_exo.soles.elasticity import neo_hookean
-from drake_exo.soles.elasticity.linear import Material, Sole, stiffness_matrix
+from drake_exo.soles.elasticity.linear import Material, Sole
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.rotations import exp_rotation

@@ -9,7 +9,7 @@ import pytest
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
-from drake_exo.soles.elasticity.shape_gradient import energy_gradient
+from drake_exo.soles.elasticity.shape_gradient import energy_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize.adjoint import (
@@ -268,7 +268,7 @@ def test_strain_gradient_without_its_adjoint_is_caught(problem):
     slope = problem.derivatives(p)[1][row] @ direction
     e = problem.evaluate(p)
     direct = e.strain.derivatives()
-    by_nodes = direct.by_nodes + energy_gradient(e.sole, *direct.fields)
+    by_nodes = direct.by_nodes + energy_gradients(e.sole, [direct.fields])[0]
     partial = problem.by_coefficients(by_nodes) @ direction
     h = 1e-6
     plus, minus = (

@@ -162,20 +162,8 @@ def _incidence(owner: np.ndarray, count: int | None = None) -> csr_matrix:
     return csr_matrix((ones, (rows, owner.ravel())), (len(owner), count))
 
 
-def stiffness_matrix(
-    mesh: TetMesh, material: Material, element: Element = "linear"
-) -> csr_matrix:
-    """Assembled stiffness of all nodes [N/m], (3n, 3n).
-
-    K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for "linear"; for
-    "smoothed" see the top of this file.
-    """
-    pattern = Pattern.of(mesh, np.arange(len(mesh.nodes)), element)
-    return _assembled(mesh, material, pattern).tocsr()
-
-
-def _assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
-    """The stiffness of a pattern's nodes, the others fixed."""
+def assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
+    """The stiffness of a pattern's nodes, the others fixed [N/m]."""
     graph = pattern.graph
     data = np.zeros((graph.nnz, 3, 3))
     for groups in groups_of(mesh, material, pattern):
@@ -308,7 +296,7 @@ class Sole:
 
     @cached_property
     def _factor(self) -> SparseCholesky:
-        K = _assembled(self.mesh, self.material, self.pattern)
+        K = assembled(self.mesh, self.material, self.pattern)
         return SparseCholesky(K, self.pattern.fronts)
 
     def carry(self, forces: np.ndarray) -> np.ndarray:

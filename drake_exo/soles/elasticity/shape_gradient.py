@@ -24,7 +24,7 @@ def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
     Args:
         sole: The condensed sole.
         terms: Pairs of left and right, (3m, c) each, one for each C̄.
-        held: For each further fields and factors as of `energy_gradient`,
+        held: For each further fields and factors as of `energy_gradients`,
             whose derivative is added, or None.
     """
     forces, factors = zip(
@@ -39,7 +39,7 @@ def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
                 np.concatenate(x, axis=-1)
                 for x in zip(both[k], more, strict=True)
             )
-    return _gradients(sole, both)
+    return energy_gradients(sole, both)
 
 
 def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
@@ -76,21 +76,13 @@ def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.hstack([u + v, u - v]), np.concatenate([1 / size, -1 / size]) / 4
 
 
-def energy_gradient(
-    sole: Sole, w: np.ndarray, factors: np.ndarray
-) -> np.ndarray:
-    """Derivative of −Σ λ wᵀ K w by the node positions, fields held, (n, 3).
+def energy_gradients(sole: Sole, fields: list) -> np.ndarray:
+    """Derivatives of −Σ λ wᵀ K w by the node positions, fields held, (f, n, 3).
 
     Args:
         sole: The sole.
-        w: Free displacements, (3 n_f, k).
-        factors: λ, (k,).
+        fields: Pairs of free displacements w (3 n_f, k) and factors λ (k,).
     """
-    return _gradients(sole, [(w, factors)])[0]
-
-
-def _gradients(sole: Sole, fields: list) -> np.ndarray:
-    """As `energy_gradient` for several pairs of w and λ, (f, n, 3)."""
     pattern = sole.pattern
     indptr, indices = pattern.graph.indptr, pattern.graph.indices
     W = np.empty((len(indices), len(fields), 3, 3))

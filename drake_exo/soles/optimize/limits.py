@@ -46,7 +46,7 @@ class Derivative:
         terms: For every sample, see `adjoint`.
         by_nodes: Direct derivative by the nodes, (n, 3) or 0.
         fields: Fields and factors of a further part of it, see
-            `energy_gradient`.
+            `energy_gradients`.
     """
 
     terms: list[list]
