@@ -17,7 +17,7 @@ import numpy as np
 
 import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem, Wearer, drawn
-from drake_exo.designing import differences, movements, slid
+from drake_exo.designing import movements, wearer
 from drake_exo.report.tables import format_table
 
 # Movements -> trials, wearers.
@@ -26,9 +26,9 @@ SIZES = {3: (3, 1), 6: (6, 1), 12: (4, 3)}
 _ONE = 0.01
 
 
-def wearers_of(wearer: Wearer, trials: int, count: int) -> list[Wearer]:
+def wearers_of(somebody: Wearer, trials: int, count: int) -> list[Wearer]:
     """The calibrated wearer and some drawn ones, in their first trials."""
-    own = replace(wearer, trials=wearer.trials[:trials])
+    own = replace(somebody, trials=somebody.trials[:trials])
     return [own, *drawn(own, count - 1)]
 
 
@@ -46,18 +46,10 @@ def main() -> None:
     )
     settings = study.design
     moved = movements(study, contact, settings)
-    wearer = Wearer(
-        study.name,
-        study.model,
-        contact,
-        tuple(m.trial for m in moved),
-        differ=differences(moved),
-        device=study.device,
-        slid=slid(moved, study.model, contact),
-    )
+    somebody = wearer(study.name, study, contact, moved)
     rows = []
     for size, (trials, count) in SIZES.items():
-        people = wearers_of(wearer, trials, count)
+        people = wearers_of(somebody, trials, count)
         today = DesignProblem(people, settings, held=True).solve()
         start, cpu = time.perf_counter(), time.process_time()
         found = DesignProblem(people, settings, today=today).solve()

@@ -24,9 +24,11 @@ from drake_exo.calibration.uncertainty import bands
 from drake_exo.calibration.wearers import (
     OwnMovement,
     Wearer,
+    answer,
     assisted,
     drawn,
     joint_friction,
+    posture_law,
     sized,
 )
 from drake_exo.contact.bushing import TANGENTIAL
@@ -93,17 +95,7 @@ def design(
     for name, own, contact in zip(names, studies, contacts, strict=True):
         contact = contact_of(contact)
         before[name] = movements(own, contact, settings)
-        wearers.append(
-            Wearer(
-                name,
-                own.model,
-                contact,
-                tuple(m.trial for m in before[name]),
-                differ=differences(before[name]),
-                device=own.device,
-                slid=slid(before[name], own.model, contact),
-            )
-        )
+        wearers.append(wearer(name, own, contact, before[name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]
     today = DesignProblem(everybody, settings, held=True).solve(
         on_iterate=SolveWatch("today")
@@ -118,8 +110,10 @@ def design(
 
     def forecast(result: DesignResult) -> float:
         built[result.problem.without] = moved = {
-            name: movements(own, contact_of(contact), settings, result.design)
-            for name, own, contact in zip(names, studies, contacts, strict=True)
+            w.name: movements(
+                own, w.contact, settings, result.design, (w, before[w.name])
+            )
+            for w, own in zip(wearers, studies, strict=True)
         }
         return forecast_norm(result, moved)
 
@@ -131,6 +125,40 @@ def design(
     if parts:
         made = replace(made, parts=_parts(made))
     return made
+
+
+def wearer(
+    name: str, study: Study, contact: ContactModel, moved: Sequence[Moved]
+) -> Wearer:
+    """Somebody calibrated, with what recordings tell besides.
+
+    Args:
+        name: unique.
+        study: whose recordings.
+        contact: calibrated.
+        moved: own movements on the cuffs of today.
+    """
+    told = [m.seen for m in moved if m.seen is not None]
+    return Wearer(
+        name,
+        study.model,
+        contact,
+        tuple(m.trial for m in moved),
+        differ=differences(moved),
+        device=study.device,
+        slid=slid(moved, study.model, contact),
+        law=posture_law(
+            told,
+            [
+                joint_friction(t, study.model, contact, study.device)
+                for t in told
+            ],
+            study.model,
+            study.prediction.noise.exo_moment_nm,
+        )
+        if told
+        else None,
+    )
 
 
 def differences(moved: Sequence[Moved]) -> dict[str, float]:
@@ -206,8 +234,17 @@ def movements(
     contact: ContactModel,
     settings: DesignSettings,
     design: Design | None = None,
+    today: tuple[Wearer, Sequence[Moved]] | None = None,
 ) -> list[Moved]:
     """Own movements of a study's trials on its cuffs, or on a design.
+
+    Args:
+        study: whose trials.
+        contact: of the cuffs of today.
+        settings: grid and solver.
+        design: nothing changed by default.
+        today: who wears it, and the own movements on the cuffs of today:
+            then drives answer where the device goes another way than there.
 
     Raises:
         InputError: a movement cannot be solved; or likewise.
@@ -221,19 +258,24 @@ def movements(
     phase = replace(study.prediction, solver=settings.solver, guess="data")
     found = []
     progress = Progress("own movements", len(trials))
-    for trial in trials:
+    for k, trial in enumerate(trials):
         if trial.moments is None:
             raise InputError(
                 f"trial {trial.name}: the device's torques are not known; "
                 "give exo_moments or device in the study"
             )
         friction = joint_friction(trial, study.model, contact, study.device)
+        answers = {}
+        if today is not None:
+            who, own = today
+            answers[trial.name] = answer(trial, who, own[k].trial, design)
         result = _solved(
             OwnMovement(
                 design.model(study.model),
                 [assisted(trial, design, contact, friction)],
                 built,
                 phase,
+                answers=answers,
             ),
             f"trial {trial.name}: the movement does not fit these cuffs",
         )

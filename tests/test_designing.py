@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import worn
 from page_reader import player_data
 from unmarked import unmarked
 
@@ -27,6 +28,7 @@ from drake_exo.calibration.settings import (
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.cli import main
 from drake_exo.cli.predict import on_design
+from drake_exo.contact.parameters import nominal_contact
 from drake_exo.contact.strap import Design, read_design
 from drake_exo.designed import Designed, Moved, Peak
 from drake_exo.designing import front
@@ -370,6 +372,26 @@ def test_migration_is_what_encoders_tell():
         assert found[cuff] == pytest.approx(np.clip(seen / had, 0.5, 2.0))
     assert found["pelvis"] != pytest.approx(1.0, abs=0.05)
     assert designing.slid(moved[2:], model, contact) == {}
+
+
+def test_drives_are_read_where_encoders_tell_of_the_device(monkeypatch):
+    model = nominal_model("coupled")
+    own, contact = worn.trial(model), nominal_contact(model)
+    study = dx.Study(model, [own], name="somebody")
+    seen = replace(own, name="seen")
+    told = Moved(own, None, own, seen)
+    asked = []
+    monkeypatch.setattr(
+        designing, "posture_law", lambda *args: asked.append(args) or "law"
+    )
+    found = designing.wearer("she", study, contact, [told, told])
+    assert (found.name, found.law, found.trials) == ("she", "law", (own, own))
+    ((trials, friction, of, noise),) = asked
+    assert [t.name for t in trials] == ["seen", "seen"] and of is model
+    assert noise == study.prediction.noise.exo_moment_nm
+    assert [f.shape for f in friction] == 2 * [(len(own.times), 3)]
+    blind = designing.wearer("she", study, contact, [Moved(own, None, own)])
+    assert blind.law is None and len(asked) == 1
 
 
 def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():

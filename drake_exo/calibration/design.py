@@ -49,6 +49,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.wearers import (
     Wearer,
+    assisted,
     check_wearers,
     less,
 )
@@ -97,7 +98,6 @@ class _Posed:
     Attributes:
         settings: of the design.
         variables: name -> decision variable of the design.
-        unchanged: name -> value of today.
         scale: force that the norm is taken of [N].
         weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
         today: wearer -> cuff -> largest force (3,) of today; None while that
@@ -109,7 +109,6 @@ class _Posed:
 
     settings: DesignSettings
     variables: Mapping[str, object]
-    unchanged: Mapping[str, float]
     scale: float
     weights_s: float
     today: Mapping[str, Mapping[str, np.ndarray]] | None
@@ -130,9 +129,9 @@ class _Wearing(PhaseProblem):
             solver=settings.solver,
             guess="data",
         )
-        # Design variable -> work that the device does by it [J].
-        self._work: dict[str, float] = {}
-        self._undriven, self._total = 0.0, None
+        # Of each trial, how far its device's joints go to each node [rad].
+        self._ways: list[np.ndarray] = []
+        self._total = None
         self._slid: dict[tuple[str, str], np.ndarray] = {}
         self._beyond: dict[str, np.ndarray] = {}
         self._pressed: dict[tuple[str, str], np.ndarray] = {}
@@ -259,8 +258,10 @@ class _Wearing(PhaseProblem):
         """The device's torques, by those of today and the design."""
         names, posed = movement.coordinates, self._posed
         device = names.is_device_joint
-        torque, today = movement.torque[:, device], at.moments[:, device]
-        friction = self.wearer.friction(at)
+        torques, today = movement.torque[:, device], at.moments[:, device]
+        friction, slope = self.wearer.friction(at), self.wearer.slope(at)
+        angles, rates = (x[:, names.device_columns] for x in (at.q, at.v))
+        self._ways.append(movement.grid.quadrature[:, None] * rates)
         for i, joint in enumerate(names.device):
             own = [
                 n
@@ -268,37 +269,35 @@ class _Wearing(PhaseProblem):
                 if n.startswith(f"{joint}.") and is_assistance(n)
             ]
             if not own:
-                self._count_work(movement, joint, at, today[:, i], {})
-                movement.bound(torque[:, i], today[:, i], today[:, i])
+                movement.bound(torques[:, i], today[:, i], today[:, i])
                 continue
             factors = np.array([posed.variables[n] for n in own])
             known = assistance_of({n.partition(".")[2]: 1.0 for n in own})
-            parts = known.parts(
-                today[:, i] - friction[:, i],
-                at.coordinate(joint),
-                at.v[:, names.index(joint)],
-                at.times / at.duration,
-            )
-            self._count_work(
-                movement,
-                joint,
-                at,
-                friction[:, i],
-                dict(zip(own, parts.T, strict=True)),
+            drive = today[:, i] - friction[:, i]
+            parts, more = (
+                known.parts(
+                    torque,
+                    angles[:, i],
+                    rates[:, i],
+                    at.times / at.duration,
+                )
+                for torque in (drive, drive + 1.0)
             )
             given = friction[:, [i]] / MOMENT_UNIT
+            there = np.sum(slope[:, i] * angles, axis=1, keepdims=True)
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
-                AssistanceKernel(1, len(own)),
+                AssistanceKernel(len(names.device), len(own)),
                 np.hstack(
                     [
-                        torque[:, [i]],
-                        np.broadcast_to(factors, (len(torque), len(own))),
+                        torques[:, [i]],
+                        movement.grid.q[:, names.device_columns],
+                        np.broadcast_to(factors, (len(torques), len(own))),
                     ]
                 ),
                 given,
                 given,
-                data=parts[:, None],
+                data=np.hstack([parts, more - parts, slope[:, i], there]),
             )
 
     def _add_forces(self, movement: TrialProgram) -> None:
@@ -467,29 +466,34 @@ class _Wearing(PhaseProblem):
             np.hstack([movement.cuffs[cuff][:, [NORMAL]], area, pressed]),
         )
 
-    def _count_work(
-        self, movement: TrialProgram, joint: str, at: Trial, given, by
-    ):
-        """Work of a joint's torques over the movement of today, by variable.
+    def work(self, trials: Sequence[Trial]) -> float:
+        """Of the device's torques over its movements of today [J].
 
-        What is given (n,) stays as it is: friction, if drives can change.
         Softer cuffs let the device go further, which is no support: a device
         that is built does not follow. So its movement of today counts.
-        """
-        names = movement.coordinates
-        way = movement.grid.quadrature * at.v[:, names.index(joint)]
-        for name, torque in by.items():
-            self._work[name] = self._work.get(name, 0.0) + float(way @ torque)
-        self._undriven += float(way @ given)
-
-    def work(self, values: Mapping[str, float]) -> float:
-        """Of the device over all trials [J], see `_count_work`.
 
         Args:
-            values: of the design variables.
+            trials: solved, in the order of the wearer's.
         """
-        own = [job * values[name] for name, job in self._work.items()]
-        return self._undriven + sum(own)
+        return sum(
+            float(np.sum(way * self._given(t.sample(movement.grid.times))))
+            for movement, t, way in zip(
+                self.movements, trials, self._ways, strict=True
+            )
+        )
+
+    def _on_the_way(self) -> tuple[np.ndarray, np.ndarray]:
+        """Way of each of the device's joints to each node, and its torque."""
+        torques = [
+            m.torque[:, m.coordinates.is_device_joint] for m in self.movements
+        ]
+        return (
+            np.concatenate([way.ravel() for way in self._ways]),
+            np.concatenate([torque.ravel() for torque in torques]),
+        )
+
+    def _given(self, trial: Trial) -> np.ndarray:
+        return trial.moments[:, trial.coordinates.is_device_joint]
 
     def _limit_support(self) -> None:
         """The device's work over all trials, about that of today."""
@@ -500,14 +504,13 @@ class _Wearing(PhaseProblem):
         prog, name = self.program.prog, f"{self.wearer.name} work"
         self._total = prog.NewContinuousVariables(1, name)
         prog.SetVariableScaling(self._total[0], 10.0)
-        jobs = np.array(list(self._work.values()))
-        factors = np.array([posed.variables[n] for n in self._work])
+        ways, torques = self._on_the_way()
         prog.AddLinearEqualityConstraint(
-            np.r_[jobs, -1.0][None],
-            [-self._undriven],
-            np.concatenate([factors, self._total]),
+            np.r_[ways, -1.0][None],
+            [0.0],
+            np.concatenate([torques, self._total]),
         ).evaluator().set_description(name)
-        today = self.work(posed.unchanged)
+        today = self.work(self.trials)
         wanted, slack = posed.support * today, abs(today) * limit
         prog.AddBoundingBoxConstraint(
             [wanted - slack], [wanted + slack], self._total
@@ -542,7 +545,9 @@ class _Wearing(PhaseProblem):
         for movement, trial in zip(self.movements, trials, strict=True):
             self._fill_trial(x, movement, trial, contact, design)
         if self._total is not None:
-            x[self.program.indices(self._total)] = self.work(values)
+            ways, torques = self._on_the_way()
+            total = ways @ x[self.program.indices(torques)]
+            x[self.program.indices(self._total)] = total
 
     def _under_segments(self, at: Trial) -> np.ndarray:
         """Ground reaction (n, 3 k), a foot's on the first of its segments."""
@@ -572,7 +577,7 @@ class _Wearing(PhaseProblem):
             x,
             movement,
             (at.q, at.v, at.a),
-            at.moments,
+            assisted(at, design, friction=self.wearer.friction(at)).moments,
             self._under_segments(at),
             cuffs,
         )
@@ -633,7 +638,6 @@ class DesignProblem:
         posed = _Posed(
             settings,
             self.variables,
-            {v.name: v.today for v in self.design},
             max(joint_norm(own), _LEAST_SCALE_N),
             cuffs * sum(durations),
             None if today is None else largest_forces(today),

@@ -225,7 +225,7 @@ def largest_moments(result: DesignResult) -> dict[str, np.ndarray]:
 def works(result: DesignResult) -> dict[str, float]:
     """Wearer -> work of the device over its movements of today [J]."""
     return {
-        name: found.problem.work(result.values)
+        name: found.problem.work(found.trials)
         for name, found in result.wearers.items()
     }
 

@@ -10,10 +10,13 @@ Besides those who were calibrated, wearers are drawn from what a calibration
 left open, or have bodies of other sizes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel
 from drake_exo.calibration.interaction import check_has_cuffs
@@ -29,8 +32,9 @@ from drake_exo.calibration.settings import (
     PredictionSettings,
 )
 from drake_exo.collocation.kernels import BodyWrench
+from drake_exo.collocation.trial_program import Tracking
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import Design
+from drake_exo.contact.strap import Design, links_above
 from drake_exo.errors import InputError
 from drake_exo.measurement.exoskeleton import friction_moments
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -54,6 +58,8 @@ class OwnMovement(PhaseProblem):
         settings: noise, errors and grid, as those of Phase C.
         seen: as encoders show it, too: how the device truly moved on the
             cuffs that it was measured on.
+        answers: trial -> how its drives answer where the device goes another
+            way than it did; those that are not named do not.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -73,9 +79,11 @@ class OwnMovement(PhaseProblem):
         settings: PredictionSettings | None = None,
         *,
         seen: bool = False,
+        answers: Mapping[str, Answer] | None = None,
     ):
         check_has_cuffs(model)
         self._seen = seen
+        self._answers = answers or {}
         settings = settings or PredictionSettings()
         errors = ErrorModel(model, trials, settings.errors, contact.posterior)
         super().__init__(model, trials, contact, [], settings, errors)
@@ -85,8 +93,137 @@ class OwnMovement(PhaseProblem):
         return [
             *kinematic_terms(movement, at, noise, effects, encoders=self._seen),
             *ground_terms(movement, at, noise),
-            *torque_terms(movement, at, noise, effects),
+            *self._torques(movement, at, effects),
         ]
+
+    def _torques(self, movement, at, effects):
+        terms = torque_terms(movement, at, self.settings.noise, effects)
+        answer = self._answers.get(movement.name)
+        if answer is None:
+            return terms
+        (known,) = terms
+        names = movement.coordinates
+        slope, angles = answer.at(movement.grid.times)
+        own = names.is_device_joint
+        # Torques are as measured but for what they answer.
+        by = np.zeros((*known.target.shape, len(names.device)))
+        by[:, own] = -slope
+        there = np.zeros(known.target.shape)
+        there[:, own] = np.einsum("nij,nj->ni", slope, angles)
+        variables = [known.variables, movement.grid.q[:, names.device_columns]]
+        return [
+            Tracking(
+                np.hstack(variables),
+                known.target - there,
+                known.sigma,
+                np.concatenate([known.rows, by], axis=2),
+                effects=known.effects,
+            )
+        ]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How drives answer where a device goes another way in a movement.
+
+    Attributes:
+        times: (n,) from its start [s].
+        slope: (n, m, m) of each joint's torque by the device's angles
+            [N m/rad].
+        angles: (n, m) at which torques are as measured [rad].
+    """
+
+    times: np.ndarray
+    slope: np.ndarray
+    angles: np.ndarray
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slope and angles at other times (k,)."""
+        return tuple(
+            CubicSpline(self.times, x)(times) for x in (self.slope, self.angles)
+        )
+
+
+def posture_law(
+    trials: Sequence[Trial],
+    friction: Sequence[np.ndarray],
+    model: Model,
+    noise_nm: float,
+) -> np.ndarray:
+    """How a device's drives depend on its posture, as recordings tell it.
+
+    A drive that bears weight gives moments in proportion to the sine of the
+    inclination of each link from its joint on. They are fitted to all trials,
+    besides a constant; where what is left is more than the noise of a torque,
+    posture is not what the drive goes by, and nothing is known.
+
+    Args:
+        trials: with the device where it truly was, and its torques.
+        friction: of each, as from `joint_friction`.
+        model: subject and device.
+        noise_nm: of the device's torques.
+
+    Returns:
+        (m, m) torque of each joint by the sine of each link's inclination, up
+        the device [N m]; 0 where nothing is known.
+    """
+    names = model.coordinates
+    drive = np.concatenate(
+        [
+            t.moments[:, names.is_device_joint] - f
+            for t, f in zip(trials, friction, strict=True)
+        ]
+    )
+    leant = np.sin(np.concatenate([_inclined(model, t.q) for t in trials]))
+    m = drive.shape[1]
+    law = np.zeros((m, m))
+    for i, joint in enumerate(names.device):
+        above = links_above(model, joint)
+        own = [
+            k for k, j in enumerate(names.device) if _link(model, j) in above
+        ]
+        A = np.hstack([leant[:, own], np.ones((len(leant), 1))])
+        found, *_ = np.linalg.lstsq(A, drive[:, i], rcond=None)
+        left = drive[:, i] - A @ found
+        if np.std(left) <= noise_nm < np.std(drive[:, i]):
+            law[i, own] = found[:-1]
+    return law
+
+
+def _link(model: Model, joint: str) -> str:
+    return model.tree.joints[joint][1]
+
+
+def _turning(model: Model) -> np.ndarray:
+    """Of the device's links, by its angles (m, m): its root stays level."""
+    names = model.coordinates
+    return np.array(
+        [
+            model.tree.turning(_link(model, joint))[names.device_columns]
+            for joint in names.device
+        ]
+    )
+
+
+def _inclined(model: Model, q: np.ndarray) -> np.ndarray:
+    """Inclination (n, m) of the device's links as its encoders tell it."""
+    return q[:, model.coordinates.device_columns] @ _turning(model).T
+
+
+def posture_slope(
+    model: Model, law: np.ndarray | None, q: np.ndarray
+) -> np.ndarray:
+    """Slope (n, m, m) of the drives' torques by the device's angles [N m/rad].
+
+    Args:
+        model: subject and device.
+        law: as from `posture_law`; None where nothing is known.
+        q: (n, nq).
+    """
+    turning = _turning(model)
+    if law is None:
+        return np.zeros((len(q), *turning.shape))
+    return np.einsum("ik,nk,kj->nij", law, np.cos(_inclined(model, q)), turning)
 
 
 def joint_friction(
@@ -174,6 +311,8 @@ class Wearer:
         device: as the study file describes it: what its joints' friction is.
         slid: cuff -> its migration today as encoders and markers tell it over
             what the model has; 1 where nothing does.
+        law: of its device's drives, see `posture_law`; None where nothing is
+            known.
     """
 
     name: str
@@ -184,6 +323,7 @@ class Wearer:
     differ: Mapping[str, float] = field(default_factory=dict)
     device: Device | None = None
     slid: Mapping[str, float] = field(default_factory=dict)
+    law: np.ndarray | None = None
 
     def shown(self, cuff: str) -> float:
         """Factor on the model's force of a cuff for what mats would show."""
@@ -196,6 +336,37 @@ class Wearer:
     def friction(self, trial: Trial) -> np.ndarray:
         """Of the device's joints in a trial, see `joint_friction`."""
         return joint_friction(trial, self.model, self.contact, self.device)
+
+    def slope(self, trial: Trial) -> np.ndarray:
+        """Of the drives' torques in a trial, see `posture_slope`."""
+        return posture_slope(self.model, self.law, trial.q)
+
+
+def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
+    """How drives answer on a design.
+
+    Args:
+        trial: measured, today.
+        wearer: whose drives' law counts.
+        own: the own movement on the cuffs of today, where the device's torques
+            are as measured.
+        design: acts on them, see `assisted`.
+    """
+    names = trial.coordinates
+    at = trial.sample(own.times)
+    angles = at.q[:, names.device_columns]
+    angles = angles - _found(wearer.contact, "encoder", names.device)
+    rates, share = at.v[:, names.device_columns], at.times / trial.duration
+    given, none = (
+        design.torques(names.device, today, angles, rates, share)
+        for today in (np.ones(angles.shape), np.zeros(angles.shape))
+    )
+    slope = posture_slope(wearer.model, wearer.law, own.q)
+    return Answer(
+        own.times,
+        (given - none)[:, :, None] * slope,
+        own.q[:, names.device_columns],
+    )
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:
@@ -473,6 +644,9 @@ def sized(
                 differ=wearer.differ,
                 device=wearer.device,
                 slid=wearer.slid,
+                law=None
+                if wearer.law is None
+                else size.mass * size.height * wearer.law,
             )
         )
     return found

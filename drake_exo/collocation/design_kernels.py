@@ -177,35 +177,53 @@ class CuffKernel:
 
 
 class AssistanceKernel:
-    """Device torque minus what a design makes of it.
+    """Torque of a joint of the device minus what a design makes of it.
 
-    That is linear in k design variables of each joint. Inputs: torques (m)
-    [N m], the variables of the joints (m k). Data: (n, m, k) torque by each.
+    That is linear in k design variables; the torque of today, which some of
+    them multiply, changes with the device's posture. Inputs: torque [N m],
+    the device's m angles [rad], the variables (k). Data (n, 2 k + m + 1):
+    torque of today by each variable, its change by each with the torque of
+    today, slope of that by the angles [N m/rad], and slope times angles of
+    today [N m].
 
     Args:
-        num_joints, num_points: m and k.
+        num_angles, num_points: m and k.
     """
 
-    def __init__(self, num_joints: int, num_points: int):
-        self._m, self._k = num_joints, num_points
-        eye = np.eye(num_joints, dtype=bool)
-        self.sparsity = np.hstack([eye, np.repeat(eye, num_points, axis=1)])
+    def __init__(self, num_angles: int, num_points: int):
+        self._at = np.cumsum([1, num_angles])
+        self._in = np.cumsum([num_points, num_points, num_angles])
+        self.sparsity = np.ones((1, 1 + num_angles + num_points), bool)
+
+    def _parts(self, x, data):
+        """Variables, torque by each, its change by each, slope."""
+        _, angles, factors = np.split(x, self._at, axis=1)
+        today, change, slope, there = np.split(data, self._in, axis=1)
+        answer = np.sum(slope * angles, axis=1, keepdims=True) - there
+        return factors, today + change * answer, change, slope
 
     def evaluate(self, x, data):
         """See Kernel."""
-        torque = x[:, : self._m]
-        factor = x[:, self._m :].reshape(len(x), self._m, self._k)
-        return (torque - np.sum(factor * data, axis=2)) / MOMENT_UNIT
+        factors, by, *_ = self._parts(x, data)
+        given = np.sum(factors * by, axis=1, keepdims=True)
+        return (x[:, :1] - given) / MOMENT_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
-        m = np.arange(self._m)
-        J = np.zeros((len(x), *self.sparsity.shape))
-        J[:, m, m] = 1.0
-        for j in m:
-            first = self._m + j * self._k
-            J[:, j, first : first + self._k] = -data[:, j]
-        return J / MOMENT_UNIT
+        factors, by, change, slope = self._parts(x, data)
+        more = np.sum(factors * change, axis=1, keepdims=True)
+        J = np.hstack([np.ones((len(x), 1)), -more * slope, -by])
+        return J[:, None] / MOMENT_UNIT
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        _, _, change, slope = self._parts(x, data)
+        first, last = self._at
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        part = slope[:, :, None] * change[:, None] / MOMENT_UNIT
+        H[:, first:last, last:] = -weights[:, :1, None] * part
+        H[:, last:, first:last] = H[:, first:last, last:].transpose(0, 2, 1)
+        return H
 
 
 class ForceNormKernel:

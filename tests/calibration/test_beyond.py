@@ -1,4 +1,4 @@
-"""What is not kept today, and angles that encoders tell wrongly."""
+"""What is not kept today, encoders that are off, drives that go by posture."""
 
 from dataclasses import replace
 
@@ -10,9 +10,15 @@ from worn import wearer as worn
 
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import largest_deflections
-from drake_exo.calibration.settings import DesignLimits
-from drake_exo.calibration.wearers import assisted
-from drake_exo.contact.assistance import Gains
+from drake_exo.calibration.settings import DesignLimits, PredictionSettings
+from drake_exo.calibration.wearers import (
+    OwnMovement,
+    answer,
+    assisted,
+    posture_law,
+    posture_slope,
+)
+from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import Design
 from drake_exo.model.plant import nominal_model
@@ -91,3 +97,122 @@ def test_a_controller_acts_at_true_angles(wearer):
     # Friction is there whatever the drive gives.
     expected = 0.5 * (own.moment("exo_hip") - 0.7) + 0.7
     np.testing.assert_allclose(changed.moment("exo_hip"), expected)
+
+
+# Torque of knee and hip by the sine of the links' inclinations [N m].
+LAW = np.array([[0.0, 0.0, 0.0], [0.0, -40.0, -25.0], [0.0, 0.0, 30.0]])
+# Of the device's links from the vertical, by its joints: toes up, knees bend
+# backwards.
+TURNS = np.array([[-1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, 1.0, -1.0]])
+
+
+def by_posture(trial, q):
+    """Torques (n, 3) of the drives of `LAW`."""
+    angles = q[:, trial.coordinates.device_columns]
+    return np.sin(angles @ TURNS.T) @ LAW.T
+
+
+def led(trial, more=0.0):
+    """The trial with drives that go by the device's posture, and by more."""
+    names, moments = trial.coordinates, trial.moments.copy()
+    drive = by_posture(trial, trial.q)
+    drive[:, 1:] += 2.0 + np.multiply.outer(more, [1.0, 1.0])
+    moments[:, names.is_device_joint] = drive + 0.7
+    return replace(trial, moments=moments)
+
+
+def trials_of(wearer):
+    """Three movements whose devices lag differently behind the person."""
+    (own,) = wearer.trials
+    found = []
+    for off in (0.0, 0.1, -0.07):
+        q = own.q.copy()
+        s = own.times / own.duration
+        q[:, own.coordinates.device_columns] += off * np.stack(
+            [s, s**2, np.cos(3.0 * s)], axis=1
+        )
+        found.append(replace(own, q=q))
+    return found
+
+
+def test_recordings_tell_how_drives_go_by_posture(wearer):
+    model = wearer.model
+    trials = [led(t) for t in trials_of(wearer)]
+    friction = [0.7 * np.ones((len(t.times), 3)) for t in trials]
+    law = posture_law(trials, friction, model, 0.3)
+    np.testing.assert_allclose(law, LAW, atol=1e-6)
+    # Torques that posture does not tell to within their noise.
+    other = [led(t, np.sin(30.0 * t.times)) for t in trials]
+    assert not posture_law(other, friction, model, 0.3).any()
+    assert posture_law(other, friction, model, 1.0).any()
+    # Drives that hardly give more than noise.
+    assert not posture_law(trials, friction, model, 50.0).any()
+
+
+def test_slope_by_posture_is_that_of_differences(wearer):
+    (own,) = wearer.trials
+    slope = posture_slope(wearer.model, LAW, own.q)
+    device = own.coordinates.device_columns
+    for k, column in enumerate(device):
+        step = np.zeros(own.q.shape[1])
+        step[column] = 1e-6
+        change = by_posture(own, own.q + step) - by_posture(own, own.q - step)
+        np.testing.assert_allclose(slope[:, :, k], change / 2e-6, atol=1e-6)
+    assert not posture_slope(wearer.model, None, own.q).any()
+
+
+def test_a_forecast_s_torques_answer_as_far_as_the_device_strays(wearer):
+    """Torques are as designed where it is today, and answer from there."""
+    who = replace(wearer, law=LAW)
+    (own,) = who.trials
+    design = Design(assistance={"exo_hip": Assistance((0.0,), (0.5,))})
+    posed = OwnMovement(
+        who.model,
+        [own],
+        who.contact,
+        PredictionSettings(),
+        answers={own.name: answer(own, who, own, design)},
+    )
+    (movement,) = posed.movements
+    at = own.sample(movement.grid.times)
+    terms = {len(t.target[0]): t for t in posed._torques(movement, at, None)}
+    term = terms[len(own.coordinates.joints)]
+    device = own.coordinates.device_columns
+    for off in (0.0, 0.01):
+        moments = at.moments.copy()
+        q = at.q.copy()
+        q[:, device] += off * np.array([1.0, -2.0, 0.5])
+        more = by_posture(own, q) - by_posture(own, at.q)
+        moments[:, own.coordinates.is_device_joint] += more * [1.0, 1.0, 0.5]
+        x = np.hstack([moments, q[:, device]])
+        found = np.einsum("nrm,nm->nr", term.rows, x)
+        np.testing.assert_allclose(found, term.target, atol=0.02)
+        if off:
+            assert np.abs(more).max() > 0.5
+
+
+def test_a_design_s_torques_answer_with_their_factor(wearer):
+    who = replace(wearer, law=LAW)
+    today = as_guessed(DesignProblem([who], SETTINGS, held=True))
+    problem = DesignProblem([who], SETTINGS, today=today)
+    (part,) = problem.parts
+    (movement,) = part.movements
+    names = movement.coordinates
+    at = who.trials[0].sample(movement.grid.times)
+    factors = {
+        v.name: 0.8 for v in problem.design if v.name.startswith("exo_hip.f")
+    }
+    x = problem.guess(factors)
+    q = at.q.copy()
+    q[:, names.device_columns] += 0.01 * np.array([1.0, -2.0, 0.5])
+    index = problem.program.indices
+    x[index(movement.grid.q)] = q
+    (hip,) = np.flatnonzero(np.array(names.joints) == "exo_hip")
+    drive = at.moments[:, hip] + by_posture(at, q)[:, 2]
+    drive -= by_posture(at, at.q)[:, 2]
+    x[index(movement.torque[:, hip])] = 0.8 * drive
+    name = f"{movement.name} exo_hip assistance"
+    (group,) = (g for g in problem.program.constraints if g.name == name)
+    inputs = x[group.indices]
+    left = group.kernel.evaluate(inputs, group.data) - group.lower
+    assert np.abs(left).max() < 1e-3

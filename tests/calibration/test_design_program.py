@@ -366,7 +366,7 @@ def test_pressure_and_migration_are_filled_in(wearer, today):
 
 
 def test_the_device_does_the_work_that_it_is_told_to(wearer, today):
-    """Its torques on the way of today, by the factors; within the limit."""
+    """Its torques on the way of today; within the limit."""
     settings = replace(SETTINGS, limits=DesignLimits(support=0.02))
     problem = DesignProblem([wearer], settings, today=today, support=0.8)
     (part,) = problem.parts
@@ -377,10 +377,12 @@ def test_the_device_does_the_work_that_it_is_told_to(wearer, today):
         at = own.sample(movement.grid.times)
         power = at.moment(joint) * at.velocity(joint)
         job[joint] = movement.grid.quadrature @ power
-    values = {v.name: v.today for v in problem.design}
-    assert part.work(values) == pytest.approx(sum(job.values()))
-    values["exo_knee.factor_at_0_deg"] = 1.2
-    assert part.work(values) - sum(job.values()) == pytest.approx(
+    assert part.work([own]) == pytest.approx(sum(job.values()))
+    more = own.moments.copy()
+    more[:, own.coordinates.joint("exo_knee")] *= 1.2
+    # Where the device goes instead is no support.
+    strayed = replace(own, moments=more, v=2.0 * own.v)
+    assert part.work([strayed]) - sum(job.values()) == pytest.approx(
         0.2 * job["exo_knee"]
     )
     (lower,), (upper,) = bounds(problem, part._total)
@@ -679,18 +681,22 @@ def test_gains_have_their_bounds(wearer):
     ):
         v = found[f"exo_knee.{name}"]
         assert [v.lower, v.upper, v.today, v.size] == expected
-    problem = DesignProblem([wearer], settings, held=True)
+
+
+def test_a_spring_takes_work_by_the_angle_on_the_way(wearer):
+    settings = replace(SETTINGS, assistance_over="gains")
+    held = as_guessed(DesignProblem([wearer], settings, held=True))
+    problem = DesignProblem([wearer], settings, today=held)
     (part,) = problem.parts
-    # A spring takes work, by the angle on the way.
     (movement,) = part.movements
     (own,) = wearer.trials
     at = own.sample(movement.grid.times)
     way = movement.grid.quadrature * at.velocity("exo_knee")
-    values = {v.name: v.today for v in problem.design}
-    more = {**values, "exo_knee.stiffness_nm_rad": 4.0}
-    assert part.work(more) - part.work(values) == pytest.approx(
-        -4.0 * way @ at.coordinate("exo_knee")
+    today, more = (
+        values_of(problem, problem.guess(values), part._total)[0]
+        for values in ({}, {"exo_knee.stiffness_nm_rad": 4.0})
     )
+    assert more - today == pytest.approx(-4.0 * way @ at.coordinate("exo_knee"))
 
 
 def test_a_variable_at_its_bound():

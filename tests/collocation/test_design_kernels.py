@@ -40,8 +40,8 @@ def cases(rng, tree):
         ),
         "assistance": (
             AssistanceKernel(2, 3),
-            rng.uniform(-30.0, 30.0, (N, 8)),
-            rng.uniform(-20.0, 20.0, (N, 2, 3)),
+            rng.uniform(-1.0, 1.0, (N, 6)),
+            rng.uniform(-20.0, 20.0, (N, 9)),
         ),
         "peak": (
             ForceNormKernel(8.0, 25.0, 0.25),
