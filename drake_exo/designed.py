@@ -464,7 +464,7 @@ class Designed:
                         row["cuff"],
                         "deflects along the limb by more than its limit, "
                         f"{row['before']['migration_mm']:.1f} mm today: "
-                        "coming nearer costs more in forces than it is worth",
+                        "the design comes no nearer under its other limits",
                         "note",
                     )
                 )

@@ -85,8 +85,9 @@ _LOOSE = 10.0
 _LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
-# Cost of all that migration is beyond its limit today, against all forces'.
-_BEYOND = 1.0
+# Cost of all that migration is beyond its limit today, against all forces':
+# the limit comes first wherever it can be kept.
+_BEYOND = 5.0
 # Places of a cuff that every design has, see BushingKinematics.
 _NUM_PLACES = 2 + len(PRELOADS)
 
@@ -420,8 +421,8 @@ class _Wearing(PhaseProblem):
         """How far migration is beyond its limit (1,) [m], in all trials.
 
         Where it is today, nobody knows yet whether the limit can be kept. A
-        cost in proportion, for all of it as much as for all forces, brings it
-        to the limit or as near as is worth it; never beyond today's.
+        cost in proportion, for all of it five times that of all forces, brings
+        it to the limit, or as near as it can; never beyond today's.
         """
         if cuff not in self._beyond:
             prog = self.program.prog

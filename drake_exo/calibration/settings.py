@@ -723,9 +723,9 @@ class DesignLimits:
         normal_n: force of a cuff across the limb.
         shear_n: along it.
         pressure_kpa: force across the limb over the cuff's area, mean.
-        migration_mm: deflection along the limb, as encoders tell it; where it
-            is larger today, as near to it as is worth it in forces. So that
-            10 mm hold once it is built.
+        migration_mm: deflection along the limb, as encoders tell it, such that
+            10 mm hold once it is built; where it is larger today, as near to
+            it as it comes.
         moment_nm: of a cuff on the limb.
         moment_factor: its moment against the largest one of today.
         shear_factor: its force along the limb, likewise.
@@ -734,13 +734,13 @@ class DesignLimits:
         support: how far the device's work may be from today's, as a share.
 
     >>> DesignLimits(pressure_kpa=8.0).migration_mm
-    8.0
+    7.0
     """
 
     normal_n: float | None = positive("N", None)
     shear_n: float | None = positive("N", None)
     pressure_kpa: float | None = positive("kPa", None)
-    migration_mm: float | None = positive("mm", 8.0)
+    migration_mm: float | None = positive("mm", 7.0)
     moment_nm: float | None = positive("N m", None)
     moment_factor: float | None = positive("1", 1.0)
     shear_factor: float | None = positive("1", None)

@@ -46,6 +46,9 @@ from drake_exo.model.segments import CUFFED, SEGMENTS, HumanParameters
 
 # Of the mass, in a sphere's stiffness.
 _POWER = {"simbody": 1.0, "paper": 2.0 / 3.0}
+# What posture leaves of a drive's torque, against its noise: angles have
+# theirs, too.
+_EXPLAINED = 2.0
 
 
 class OwnMovement(PhaseProblem):
@@ -154,8 +157,8 @@ def posture_law(
 
     A drive that bears weight gives moments in proportion to the sine of the
     inclination of each link from its joint on. They are fitted to all trials,
-    besides a constant; where what is left is more than the noise of a torque,
-    posture is not what the drive goes by, and nothing is known.
+    besides a constant; where what is left is more than twice the noise of a
+    torque, posture is not what the drive goes by, and nothing is known.
 
     Args:
         trials: with the device where it truly was, and its torques.
@@ -185,7 +188,7 @@ def posture_law(
         A = np.hstack([leant[:, own], np.ones((len(leant), 1))])
         found, *_ = np.linalg.lstsq(A, drive[:, i], rcond=None)
         left = drive[:, i] - A @ found
-        if np.std(left) <= noise_nm < np.std(drive[:, i]):
+        if np.std(left) <= _EXPLAINED * noise_nm < np.std(drive[:, i]):
             law[i, own] = found[:-1]
     return law
 
