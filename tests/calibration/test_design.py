@@ -47,7 +47,9 @@ from drake_exo.measurement.settings import Device, JointDrive
 pytestmark = pytest.mark.slow
 
 SOLVER = Solver(20.0, tolerance=1e-6)
-SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
+SETTINGS = DesignSettings(
+    draws=0, points=1, solver=SOLVER, limits=DesignLimits(migration_mm=10.0)
+)
 EVERYTHING = replace(SETTINGS, **FREEDOM)
 _DRIVE_NM = {"exo_knee": -20.0, "exo_hip": -12.0}
 
