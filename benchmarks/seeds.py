@@ -5,7 +5,8 @@ files, and six movements predicted with calibrated cuffs, with nominal ones and,
 with --floor, with true ones and the calibration's own errors of measurement.
 Forces are compared with the truth: normal and tangential force of each cuff,
 root mean square over time, mean of the movements, then the largest; and, as
-the paper does, normal forces with the mats.
+the paper does, normal forces with the mats. Clocks are compared with the truth,
+too, and with what the mats tell of theirs if the true force is in hand.
 
     python benchmarks/seeds.py --seeds 1:40 [--truth wide] [--floor] [--json]
 
@@ -20,13 +21,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import toeplitz
+from scipy.stats import norm
 
 import drake_exo as dx
 from drake_exo.batch.jobs import run_calls
+from drake_exo.calibration.clocks import LARGEST_DOUBT_S, Clock
+from drake_exo.calibration.error_model import ErrorSizes
 from drake_exo.calibration.scores import rms
 from drake_exo.files.opensim import read_table
 from drake_exo.files.output import read_json
+from drake_exo.measurement.filters import low_pass
 from drake_exo.study import uncalibrated
+
+_LAGS = np.arange(-0.1, 0.1005, 0.001)
 
 
 def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
@@ -67,6 +75,7 @@ def _row(folder: Path, seed: int, floor: bool) -> dict:
             ]
             row["coverage"] = [b.coverage(p, t) for p, b, t in bands]
     row["clocks"] = _clocks(folder, study.trials(), clocks)
+    row["clocks_by_force"] = _clocks_by_force(folder, study.trials())
     row["seconds"] = time.perf_counter() - start
     return row
 
@@ -159,6 +168,91 @@ def _clocks(folder: Path, trials, found) -> list[dict]:
     return rows
 
 
+def _clocks_by_force(folder: Path, trials) -> list[dict]:
+    """What the mats tell of their clocks, the true force being known [s].
+
+    Share, offset and lag that fit best what they show, with priors as those of
+    the error model; what is left is weighed by its own covariance in time.
+    """
+    shown, left = [], {}
+    for trial in trials:
+        truth = read_table(folder / "truth" / f"{trial.name}.sto")
+        true = read_json(folder / "truth" / f"{trial.name}_clocks.json", "")
+        rate = 1.0 / (truth.time[1] - truth.time[0])
+        at = trial.start_s + trial.times
+        mats = {}
+        for cuff, own in trial.cuffs.items():
+            force = low_pass(truth.column(f"{cuff}_normal"), rate)
+            later = np.array(
+                [np.interp(at - k, truth.time, force) for k in _LAGS]
+            )
+            mats[cuff] = own.normal, later
+            X = later[np.argmin(np.abs(_LAGS - true["mats"]))]
+            X = np.column_stack([X, np.ones(len(at))])
+            fit = np.linalg.lstsq(X, own.normal, rcond=None)[0]
+            left.setdefault(cuff, []).append(own.normal - X @ fit)
+        shown.append((true["mats"], mats))
+    rows, sizes = [], ErrorSizes()
+    prior = np.diag([sizes.mat_share**-2, sizes.mat_offset_n**-2])
+    for true, mats in shown:
+        cost = (_LAGS / sizes.mat_clock_s) ** 2
+        for cuff, (force, later) in mats.items():
+            weight = _weight(left[cuff], len(force))
+            for k, told in enumerate(later):
+                X = np.column_stack([told, np.ones(len(told))])
+                y = force - told
+                b = X.T @ weight @ y
+                cost[k] += y @ weight @ y
+                cost[k] -= b @ np.linalg.solve(X.T @ weight @ X + prior, b)
+        k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
+        step = _LAGS[1] - _LAGS[0]
+        bend = (cost[k - 1] - 2.0 * cost[k] + cost[k + 1]) / step**2
+        rows.append(
+            {
+                "error_s": float(_LAGS[k] - true),
+                "sd_s": float(np.sqrt(2.0 / bend)),
+            }
+        )
+    return rows
+
+
+def _weight(left: list[np.ndarray], count: int) -> np.ndarray:
+    """Inverse covariance (count, count) of stationary errors like some."""
+    covariance = np.zeros(count)
+    longest = min(count, *map(len, left))
+    covariance[:longest] = [
+        np.mean([e[: len(e) - k] @ e[k:] / len(e) for e in left])
+        for k in range(longest)
+    ]
+    values, vectors = np.linalg.eigh(toeplitz(covariance))
+    return (vectors / np.maximum(values, 1e-3)) @ vectors.T
+
+
+def _known(clocks: list[dict]) -> dict:
+    """Errors of clocks beside the standard deviations that they are given.
+
+    Of those called sure, how many are off by more than they may be, and how
+    many of them their standard deviations make expect.
+    """
+    told = [c for c in clocks if c["sd_s"]]
+    if not told:
+        return {"clocks": 0}
+    error, sd = (np.array([c[k] for c in told]) for k in ("error_s", "sd_s"))
+    sure = np.array([Clock("", "", 0.0, s).sure for s in sd])
+    expected = 2.0 * norm.sf(LARGEST_DOUBT_S / sd)
+    return {
+        "clocks": len(told),
+        "error_ms": 1e3 * float(np.sqrt(np.mean(error**2))),
+        "median_sd_ms": 1e3 * float(np.median(sd)),
+        "error_over_sd": float(np.sqrt(np.mean((error / sd) ** 2))),
+        "unsure": float(np.mean(~sure)),
+        "beyond_10_ms_unmarked": int(
+            np.sum(sure & (np.abs(error) > LARGEST_DOUBT_S))
+        ),
+        "beyond_10_ms_expected": float(expected[sure].sum()),
+    }
+
+
 def summary(rows: list[dict]) -> dict:
     """Medians, worst and shares of all rows that were solved."""
     good = [
@@ -213,6 +307,11 @@ def summary(rows: list[dict]) -> dict:
         / sum(r["free"] for r in good),
         "clocks_beyond_10_ms_unmarked": sum(not c["unsure"] for c in off),
         "clocks_unsure": float(np.mean([c["unsure"] for c in clocks])),
+        "encoders": _known([c for c in clocks if c["system"] == "encoders"]),
+        "mats": _known([c for c in clocks if c["system"] == "pressure"]),
+        "mats_by_true_force": _known(
+            [c for r in good for c in r["clocks_by_force"]]
+        ),
     }
 
 
