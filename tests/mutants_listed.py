@@ -246,6 +246,11 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "lever = turned.imag * x[:, place]",
         ),
     ],
+    "drake_exo/collocation/kernels.py": [
+        ("x[:, 1] * off[:, 0] - x[:, 0] * off[:, 1]", "x[:, 1] * off[:, 0]"),
+        ("J[:, 2, 0] += off[:, 1]", "pass"),
+        ("weights[:, 1] += x[:, 0] * weights[:, 2]", "pass"),
+    ],
     "drake_exo/collocation/initial_guess.py": [
         (
             "v[rows, 0] = slip - (q[rows, 1] - height) * v[rows, 2]",
@@ -325,9 +330,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "problem.kernels[body].evaluate(x, None)",
         ),
         ("forces.append(contact[:, :2])", "pass"),
-        ("moments.append(_about(x, contact))", "pass"),
+        ("moments.append(contact[:, 2:])", "pass"),
         ("[dynamics[:, is_angle]]", "[np.zeros((len(times), 1))]"),
-        ("x[:, 1] * F_x - x[:, 0] * F_z", "x[:, 1] * F_x"),
         ("np.abs(part[kind]).max(axis=1)", "part[kind].max(axis=1)"),
         ("value = result.contact.values()", "value = problem.contact.values()"),
     ],

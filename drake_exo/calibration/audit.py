@@ -185,7 +185,7 @@ def _residuals(
         x = problem.law_inputs(result.contact, body, q, v, wrench)
         contact = WRENCH_UNITS * problem.kernels[body].evaluate(x, None)
         forces.append(contact[:, :2])
-        moments.append(_about(x, contact))
+        moments.append(contact[:, 2:])
     for cuff, force in cuffs.items():
         values = repeated([value[f"{cuff}.{name}"] for name in CALIBRATED])
         law = problem.laws[cuff]
@@ -193,19 +193,6 @@ def _residuals(
         forces.append(r[:, :ROTATION])
         moments.append(r[:, ROTATION:])
     return np.hstack(forces), np.hstack(moments)
-
-
-def _about(x: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-    """Moment (m, 1) about the body instead of the laboratory's origin.
-
-    However far a walk has come, a newton too much is the same there.
-
-    Args:
-        x: (m, .) inputs of the law, which start with the body's place.
-        wrench: (m, 3).
-    """
-    F_x, F_z, moment = wrench.T
-    return (moment - (x[:, 1] * F_x - x[:, 0] * F_z))[:, None]
 
 
 def _by_segment(result: PhaseResult, index: int) -> np.ndarray:

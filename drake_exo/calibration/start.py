@@ -7,7 +7,6 @@ import numpy as np
 from drake_exo.collocation.initial_guess import settle_foot, settle_rolling
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
-    WRENCH_UNITS,
     PoseKernel,
 )
 from drake_exo.measurement.trial import Trial
@@ -103,7 +102,7 @@ def _law(problem, contact, body, q, v):
     x = problem.law_inputs(contact, body, q, v)
     kernel = problem.kernels[body]
     slope = kernel.jacobian(x, None)[:, 0, _RATE_X] * FORCE_UNIT
-    return kernel.evaluate(x, None) * WRENCH_UNITS, slope
+    return kernel.wrench(x), slope
 
 
 def _slip(problem, contact, at, q, v) -> np.ndarray:

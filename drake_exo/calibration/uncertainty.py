@@ -322,6 +322,8 @@ def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
     problem, names = result.problem, [p.name for p in result.parameters]
     x = problem.law_inputs(result.contact, body, trial.q, trial.v)
     own = WRENCH_UNITS[:, None] * problem.kernels[body].jacobian(x, None)
+    # Those of the moment are about the body.
+    own[:, 2] += x[:, [1]] * own[:, 0] - x[:, [0]] * own[:, 1]
     J = np.zeros((len(trial.times), 3, len(names)))
     columns = [
         names.index(p.name)

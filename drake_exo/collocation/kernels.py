@@ -275,7 +275,8 @@ class FootGroundKernel:
     Inputs: q, v of the foot (x, z, pitch), F_x, F_z, M_y (about the
     laboratory origin), then for each sphere stiffness, dissipation, x and z
     of its centre in the foot frame, and radius (SPHERE_PARAMETERS).
-    Outputs: differences in units of 100 N, 100 N, 10 N m.
+    Outputs: differences in units of 100 N, 100 N, 10 N m, the last about the
+    foot: however far a walk has come, a newton too much is the same there.
 
     Args:
         contact: law, constants, and how many spheres; their parameters are
@@ -289,16 +290,23 @@ class FootGroundKernel:
         n_in = 9 + len(SPHERE_PARAMETERS) * num_spheres
         self.sparsity = np.ones((3, n_in), bool)
         self.sparsity[:2, 0] = False
-        self.sparsity[:, 6:9] = np.eye(3, dtype=bool)
+        self.sparsity[:2, 6:9] = np.eye(2, 3, dtype=bool)
         # See `curvature`.
         self.curved_inputs = np.ones(n_in, bool)
-        self.curved_inputs[6:9] = False
+        self.curved_inputs[8] = False
         self.curved_inputs[13 :: len(SPHERE_PARAMETERS)] = False
         self._units = WRENCH_UNITS
 
-    def evaluate(self, x, data):
-        """See Kernel."""
-        total = -x[:, 6:9]
+    def wrench(self, x: np.ndarray) -> np.ndarray:
+        """The law's F_x, F_z [N] and M_y about the laboratory's origin [N m].
+
+        Args:
+            x: (n, n_in) inputs; F_x, F_z, M_y among them do not count.
+
+        Returns:
+            (n, 3).
+        """
+        total = np.zeros((len(x), 3), x.dtype)
         for s in range(self.num_spheres):
             p, motion, _ = self._sphere(x, s)
             wrench = sphere_wrench(
@@ -313,17 +321,28 @@ class FootGroundKernel:
                 ],
                 axis=1,
             )
-        return total / self._units
+        return total
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        off = self.wrench(x) - x[:, 6:9]
+        off[:, 2] -= x[:, 1] * off[:, 0] - x[:, 0] * off[:, 1]
+        return off / self._units
 
     def jacobian(self, x, data):
         """See Kernel."""
         J = np.zeros((len(x), *self.sparsity.shape))
         J[:, np.arange(3), np.arange(6, 9)] = -1.0
+        off = -x[:, 6:8]
         for s in range(self.num_spheres):
-            self._add_sphere(J, x, s)
+            off += self._add_sphere(J, x, s)
+        J[:, 2] -= x[:, [1]] * J[:, 0] - x[:, [0]] * J[:, 1]
+        J[:, 2, 0] += off[:, 1]
+        J[:, 2, 1] -= off[:, 0]
         return J / self._units[:, None]
 
     def _add_sphere(self, J, x, s):
+        """Add a sphere's derivatives; returns its force (n, 2)."""
         p, motion, by_inputs = self._sphere(x, s)
         wrench, d = sphere_wrench_derivatives(
             self.law, *motion, p[0], p[1], p[4], self.constants
@@ -342,6 +361,7 @@ class FootGroundKernel:
         J[:, :, first : first + 2] += D[:, :, 5:7]
         J[:, :, first + 2 : first + 4] += by_motion[:, :, 6:]
         J[:, :, first + 4] += D[:, :, 7]
+        return np.column_stack([wrench.force_x, wrench.force_z])
 
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in).
@@ -350,7 +370,15 @@ class FootGroundKernel:
         derivatives by the radius, which is coupled with z, are left out.
         """
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        # The foot moves what the moment is about.
+        turning = (weights[:, 2] / self._units[2])[:, None]
+        J = self.jacobian(x, data) * self._units[:, None]
+        for k, by_place in ((0, turning * J[:, 1]), (1, -turning * J[:, 0])):
+            H[:, k] += by_place
+            H[:, :, k] += by_place
         weights = weights / self._units
+        weights[:, 0] -= x[:, 1] * weights[:, 2]
+        weights[:, 1] += x[:, 0] * weights[:, 2]
         for s in range(self.num_spheres):
             p, motion, by_inputs = self._sphere(x, s)
             first = 9 + len(SPHERE_PARAMETERS) * s

@@ -247,22 +247,6 @@ def test_a_simulation_is_of_the_solution_and_its_contact(predicted):
         assert np.abs(off).max() < 1.0
 
 
-def test_a_moment_is_told_about_the_body_however_far_it_has_come():
-    """A force at a point that goes with the body, from anywhere."""
-    rng = np.random.default_rng(0)
-    place, (F_x, F_z, own) = rng.normal(size=(5, 2)), rng.normal(size=(3, 5))
-    for far in (0.0, 40.0):
-        at = np.column_stack([place + np.array([far, 0.0]), np.ones((5, 3))])
-        # M_y of a force at p is z F_x - x F_z.
-        lever = np.cross(
-            np.insert(at[:, :2], 1, 0.0, axis=1),
-            np.column_stack([F_x, 0.0 * F_x, F_z]),
-        )[:, 1]
-        wrench = np.column_stack([F_x, F_z, own + lever])
-        found = module._about(at, wrench)
-        np.testing.assert_allclose(found, own[:, None], atol=1e-12)
-
-
 def test_segments_of_a_foot_bear_what_the_foot_does():
     """What a trial says of it; the toes have what the solution gave them."""
     rng = np.random.default_rng(0)

@@ -21,8 +21,6 @@ from drake_exo.calibration.uncertainty import (
 )
 from drake_exo.cli import sensitivity as command
 from drake_exo.collocation.kernels import (
-    FORCE_UNIT,
-    GROUND_MOMENT_UNIT,
     FootGroundKernel,
 )
 from drake_exo.files.verdict import save_figure
@@ -77,11 +75,8 @@ def test_sensitivity_is_that_of_the_forces(result):
     def scaled(values):
         repeated = np.tile(values, (len(t.q), 1))
         x = np.hstack([t.q[:, root], t.v[:, root], t.ground.array, repeated])
-        # The kernel is law minus control: add the control again.
-        missing = kernel.evaluate(x, None)
-        F = missing[:, :2] * FORCE_UNIT + t.ground.force
-        M = missing[:, 2] * GROUND_MOMENT_UNIT + t.ground.moment
-        cop = -M / F[:, 1]
+        F_x, F_z, M = kernel.wrench(x).T
+        F, cop = np.column_stack([F_x, F_z]), -M / F_z
         scaled = np.column_stack([F / noise.force_n, cop / noise.cop_m])
         return scaled[t.ground.is_loaded]
 

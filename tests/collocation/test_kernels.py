@@ -153,6 +153,35 @@ def test_contact_curvature_equals_differences_of_the_jacobian(
     assert np.abs(picked).max() < 1e-3 * largest
 
 
+def test_what_a_foot_misses_is_told_about_it_however_far_it_has_come(
+    contact_kernel,
+):
+    """A newton too much at the same place under the foot, from anywhere."""
+    kernel = contact_kernel("simbody")
+    x = _contact_inputs("simbody")
+    F_x, F_z, own = missing = 30.0 * _states(3, len(x))
+    for far in (0.0, 40.0):
+        at = x.copy()
+        at[:, 0] += far
+        # M_y of a force at p is z F_x - x F_z.
+        moment = own + at[:, 1] * F_x - at[:, 0] * F_z
+        given = np.column_stack([F_x, F_z, moment])
+        at[:, 6:9] = kernel.wrench(at) - given
+        found = kernel.evaluate(at, None) * [100.0, 100.0, 10.0]
+        np.testing.assert_allclose(found, missing.T, atol=1e-9)
+
+
+def test_a_wrench_is_about_the_laboratorys_origin(contact_kernel):
+    """Farther off by d, the moment is less by d F_z."""
+    kernel = contact_kernel("simbody")
+    x = _contact_inputs("simbody")
+    moved = x + np.eye(1, x.shape[1])
+    near, far = kernel.wrench(x), kernel.wrench(moved)
+    near[:, 2] -= near[:, 1]
+    assert np.abs(near[:, 1]).max() > 100.0
+    np.testing.assert_allclose(far, near, rtol=1e-9, atol=1e-9)
+
+
 def test_curvature_of_a_spheres_motion_is_exact(contact_kernel):
     """Entry by entry, each against its own size, by a complex step."""
     kernel = contact_kernel("simbody")

@@ -23,7 +23,6 @@ from drake_exo.nlp import ipopt
 from drake_exo.nlp.program import BatchedProgram
 from drake_exo.nlp.sparse import SparseProgram
 
-_UNITS = np.array([100.0, 100.0, 10.0])
 _STANDING = np.array([0.0, 0.07, 0.0, 0.1, 0.1, 0.05])  # balanced
 
 
@@ -55,7 +54,7 @@ def test_kernel_equals_the_diagrams_contact(human, law):
         port = model.diagram.GetOutputPort("ground_reaction")
         expected = port.Eval(context)
         x = np.r_[q[:3], v[:3], np.zeros(3), parameters][None]
-        found = kernel.evaluate(x, None)[0] * _UNITS
+        found = kernel.wrench(x)[0]
         np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
         largest = max(largest, np.abs(expected).max())
     assert largest > 1e3
