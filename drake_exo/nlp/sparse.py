@@ -25,8 +25,8 @@ from drake_exo.nlp.program import (
 
 # Far from feasible points the multipliers, and so the curvature, mean little:
 # below the first violation curvature enters, above the second it leaves.
-_NEARLY_FEASIBLE = 0.1
-_FAR = 1.0
+_NEARLY_FEASIBLE = 0.2
+_FAR = 2.0
 # Of coefficients and bounds of constraints that hold for every y.
 _IDENTICALLY_ZERO = 1e-9
 

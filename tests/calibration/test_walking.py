@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.calibration.audit import _about, audit
+from drake_exo.calibration.audit import audit
 from drake_exo.calibration.foot_ground import FootGroundCalibration
 from drake_exo.calibration.periodic import PeriodicStep
 from drake_exo.calibration.prediction import PredictionProblem
@@ -209,10 +209,3 @@ def test_one_leg_makes_no_step():
         PeriodicStep(model, [trial], contact, settings)
     with pytest.raises(ValueError, match="periodic ends"):
         PredictionProblem(model, [trial], contact, settings)
-
-
-def test_moments_missing_are_told_about_the_foot():
-    """A vertical newton too much at the foot's place has no moment there."""
-    x = np.array([[6.0, 0.1, 0.0]])
-    wrench = np.array([[2.0, 1.0, 0.1 * 2.0 - 6.0 * 1.0 + 0.3]])
-    np.testing.assert_allclose(_about(x, wrench), [[0.3]])
