@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 import drake_exo as dx
-from drake_exo.calibration.design import DesignProblem, Wearer, drawn
+from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.wearers import Wearer, drawn
 from drake_exo.designing import movements, wearer
 from drake_exo.report.tables import format_table
 
