@@ -231,6 +231,7 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
             found.times,
             found.q,
             found.v,
+            found.a,
             found.moments,
             *holding_gains(model.tree, found),
         ),

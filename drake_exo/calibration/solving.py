@@ -21,6 +21,7 @@ from drake_exo.nlp.ipopt import Iterate, Solution
 CHECKPOINT = "checkpoint.npz"
 REFINEMENTS = 4
 _AT_ONCE = 4.0  # parts of an interval
+_AIM = 0.5  # of what is allowed: a finer grid misses elsewhere
 _CHECKPOINT_SECONDS = 2.0
 
 
@@ -156,13 +157,14 @@ def split(parts: np.ndarray, missed: np.ndarray) -> np.ndarray:
 
     Args:
         parts: (m,) that each has now.
-        missed: (parts.sum(),) by these, in units of what is allowed.
+        missed: (parts.sum(),) by these, in units of what is allowed. An
+            interval that misses more than half is halved until it should not.
     """
     starts = np.r_[0, np.cumsum(parts)[:-1]]
     worst = np.maximum.reduceat(missed, starts)
     # What is halved misses half at least.
-    halvings = np.ceil(np.log2(np.clip(worst, 1.0, _AT_ONCE)))
-    new = np.where(worst > 1.0, parts * 2.0**halvings, 1.0)
+    halvings = np.ceil(np.log2(np.clip(worst / _AIM, 1.0, _AT_ONCE)))
+    new = np.where(worst > _AIM, parts * 2.0**halvings, 1.0)
     beside = np.pad(new, 1, constant_values=1.0)
     wanted = np.max([parts, new, beside[:-2], beside[2:]], axis=0)
     for near in (wanted, wanted[::-1]):  # in place, from either end

@@ -32,7 +32,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from drake_exo.contact.bushing import (
     COMPONENTS,
@@ -670,26 +670,31 @@ class TrackingController(LeafSystem):
 
     Args:
         times: (n,) [s].
-        q, v: (n, nq) reference.
+        q, v, a: (n, nq) reference; between its times v goes as v and a say,
+            so that feedback does not ask for a speed that nobody meant.
         torque: (n, n_joints) feed-forward [N m]; hinges are the last
             coordinates.
         stiffness: of the feedback [N m/rad].
         damping: of the feedback [N m s/rad].
 
     >>> still = np.zeros((2, 6))
-    >>> controller = TrackingController([0.0, 1.0], still, still, still[:, 3:])
+    >>> torque = still[:, 3:]
+    >>> controller = TrackingController([0, 1], still, still, still, torque)
     >>> controller.GetOutputPort("joint_torques").size()
     3
     """
 
-    def __init__(self, times, q, v, torque, stiffness=500.0, damping=30.0):
+    def __init__(self, times, q, v, a, torque, stiffness=500.0, damping=30.0):
         super().__init__()
         self.set_name("tracking_controller")
         nq, n_joints = q.shape[1], torque.shape[1]
         hinges = slice(nq - n_joints, nq)
-        # The torque at rest in the origin; what feedback takes off it.
-        at_zero = torque + stiffness * q[:, hinges] + damping * v[:, hinges]
-        self._at_zero = CubicSpline(times, at_zero)
+        q, v, a = (x[:, hinges] for x in (q, v, a))
+        self._torque = CubicSpline(times, torque)
+        # Of q and v together: the torque that feedback gives to its reference.
+        self._held = CubicHermiteSpline(
+            times, stiffness * q + damping * v, stiffness * v + damping * a
+        )
         self._feedback = np.zeros((n_joints, 2 * nq))
         self._feedback[:, hinges] = stiffness * np.eye(n_joints)
         rates = slice(2 * nq - n_joints, 2 * nq)
@@ -699,8 +704,9 @@ class TrackingController(LeafSystem):
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
-        torque = self._at_zero(context.get_time()) - self._feedback @ state
-        output.SetFromVector(torque)
+        time = context.get_time()
+        held = self._held(time) - self._feedback @ state
+        output.SetFromVector(self._torque(time) + held)
 
 
 @TemplateSystem.define("AssistController_", scope=sys.modules[__name__])

@@ -137,7 +137,7 @@ def test_a_calibration_of_another_is_refused(
 
 
 def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
-    """By 1 N and 0.5 N m."""
+    """By 1 N and 0.5 N m; then until half of that should be missed."""
     parts = np.ones(4, int)
     grid = SimpleNamespace(parts=parts)
     movement = SimpleNamespace(grid=grid, may_alternate=False)
@@ -146,12 +146,12 @@ def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
     result = SimpleNamespace(problem=problem)
     for force, moment, expected in (
         (0.9, 0.45, None),
-        (1.1, 0.0, [2, 2, 1, 1]),
-        (0.0, 0.55, [2, 2, 1, 1]),
-        (1.9, 0.0, [2, 2, 1, 1]),
-        (0.0, 1.1, [4, 4, 2, 1]),
+        (1.1, 0.0, [4, 4, 2, 2]),
+        (0.0, 0.55, [4, 4, 2, 2]),
+        (1.9, 0.0, [4, 4, 2, 2]),
+        (0.0, 1.1, [4, 4, 2, 2]),
     ):
-        at = np.array([force, 0, 0, 0]), np.array([moment, 0, 0, 0])
+        at = np.array([force, 0, 0, 0.6]), np.array([moment, 0, 0, 0])
         monkeypatch.setattr(solving, "between_nodes", lambda *_, at=at: at)
         found = solving.finer(result)
         if expected is None:
@@ -162,7 +162,7 @@ def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
     movement.may_alternate = True
     np.testing.assert_array_equal(solving.finer(result)["rise"], parts)
     problem.refined = {"rise": parts}
-    np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 1])
+    np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 2])
 
 
 def test_no_errors_are_none():
@@ -172,23 +172,23 @@ def test_no_errors_are_none():
 def test_what_misses_is_split_and_lengths_change_gently():
     """Until half of it misses nothing, and neighbours with it."""
     even = np.ones(10, int)
-    missed = np.full(10, 0.9)
+    missed = np.full(10, 0.45)
     np.testing.assert_array_equal(split(even, missed), even)
-    missed[5] = 1.1
+    missed[5] = 0.55
     expected = [1, 1, 1, 1, 2, 2, 2, 1, 1, 1]
     np.testing.assert_array_equal(split(even, missed), expected)
-    missed[5] = 2.1
+    missed[5] = 1.05
     expected = [1, 1, 1, 2, 4, 4, 4, 2, 1, 1]
     np.testing.assert_array_equal(split(even, missed), expected)
     missed[5] = 1e6  # no more at once
     np.testing.assert_array_equal(split(even, missed), expected)
     # On an uneven grid; what holds stays as it is.
     parts = np.array([1, 2, 4, 4, 2, 1])
-    missed = np.full(parts.sum(), 0.5)
-    missed[[0, 5]] = 1.5  # the first interval, a part of the third
+    missed = np.full(parts.sum(), 0.25)
+    missed[[0, 5]] = 0.75  # the first interval, a part of the third
     expected = [4, 8, 8, 8, 4, 2]
     np.testing.assert_array_equal(split(parts, missed), expected)
-    missed[5] = 0.5
+    missed[5] = 0.25
     expected = [2, 2, 4, 4, 2, 1]
     np.testing.assert_array_equal(split(parts, missed), expected)
 

@@ -151,7 +151,7 @@ def test_controller_and_its_derivatives(rng):
 
 def test_unfit_controllers_are_refused():
     stateful = TrackingController(
-        np.arange(4.0), np.zeros((4, 9)), np.zeros((4, 9)), np.zeros((4, 6))
+        np.arange(4.0), *np.zeros((3, 4, 9)), np.zeros((4, 6))
     )
     with pytest.raises(InputError, match="exoskeleton_state"):
         ControllerKernel(stateful, 3)

@@ -226,9 +226,9 @@ def test_a_tracking_controller_is_torque_and_feedback():
     """By hand: what is ahead of its reference is held back."""
     rng = np.random.default_rng(2)
     times = np.linspace(0.0, 1.0, 5)
-    q, v = rng.standard_normal((2, 5, 6))
+    q, v, a = rng.standard_normal((3, 5, 6))
     torque = rng.standard_normal((5, 3))
-    controller = TrackingController(times, q, v, torque, 400.0, 20.0)
+    controller = TrackingController(times, q, v, a, torque, 400.0, 20.0)
     context = controller.CreateDefaultContext()
     state, port = (
         controller.GetInputPort("state"),
