@@ -130,8 +130,8 @@ def _add_up(solution: Solution, before: Solution) -> None:
 def finer(result: PhaseResult) -> dict[str, np.ndarray]:
     """Into how many parts intervals are to be split, see `PhaseProblem`.
 
-    Those that miss more than the audit allows, and their neighbours, since
-    what sets them off moves as it is followed.
+    Those that miss more than half of what the audit allows, and their
+    neighbours, since what sets them off moves as it is followed.
 
     Returns:
         Of every trial; empty where the audit holds. All 1 for what is damped

@@ -262,6 +262,13 @@ def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
     )
 
 
+def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
+    """True angles (n, m) of the device's joints [rad]."""
+    names = trial.coordinates
+    off = _found(contact, "encoder", names.device)
+    return trial.q[:, names.device_columns] - off
+
+
 def assisted(
     trial: Trial,
     design: Design,
@@ -284,12 +291,11 @@ def assisted(
     if trial.moments is None or not design.given:
         return trial
     names, moments = trial.coordinates, trial.moments.copy()
-    device = names.device_columns
     share = trial.times / trial.duration
     drive = moments[:, names.is_device_joint] - friction
-    angles = trial.q[:, device] - _found(contact, "encoder", names.device)
+    angles = _device_angles(trial, contact)
     torques = design.torques(
-        names.device, drive, angles, trial.v[:, device], share
+        names.device, drive, angles, trial.v[:, names.device_columns], share
     )
     for i, joint in enumerate(names.device):
         more = torques[:, i] - drive[:, i]
@@ -357,8 +363,7 @@ def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
     """
     names = trial.coordinates
     at = trial.sample(own.times)
-    angles = at.q[:, names.device_columns]
-    angles = angles - _found(wearer.contact, "encoder", names.device)
+    angles = _device_angles(at, wearer.contact)
     rates, share = at.v[:, names.device_columns], at.times / trial.duration
     given, none = (
         design.torques(names.device, today, angles, rates, share)
@@ -638,15 +643,13 @@ def sized(
                 "percentiles nearer to 50"
             )
         found.append(
-            Wearer(
-                f"{wearer.name}, {size.name}",
-                own,
-                contact,
-                tuple(moved.trials),
+            replace(
+                wearer,
+                name=f"{wearer.name}, {size.name}",
+                model=own,
+                contact=contact,
+                trials=tuple(moved.trials),
                 is_drawn=True,
-                differ=wearer.differ,
-                device=wearer.device,
-                slid=wearer.slid,
                 law=None
                 if wearer.law is None
                 else size.mass * size.height * wearer.law,

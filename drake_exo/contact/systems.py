@@ -362,6 +362,7 @@ class _FootGroundContact:
         output.SetFromVector([x for wrench in wrenches for x in wrench])
 
 
+# Without a scope Drake walks through all modules to find this one.
 @TemplateSystem.define("FootGroundContact_", scope=sys.modules[__name__])
 def FootGroundContact_(T):
     """See `FootGroundContact`."""

@@ -170,7 +170,7 @@ def test_no_errors_are_none():
 
 
 def test_what_misses_is_split_and_lengths_change_gently():
-    """Until half of it misses nothing, and neighbours with it."""
+    """Until it should miss less than half, and neighbours with it."""
     even = np.ones(10, int)
     missed = np.full(10, 0.45)
     np.testing.assert_array_equal(split(even, missed), even)
