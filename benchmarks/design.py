@@ -19,7 +19,7 @@ import drake_exo as dx
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.wearers import Wearer, drawn
 from drake_exo.designing import movements, wearer
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 
 # Movements -> trials, wearers.
 SIZES = {3: (3, 1), 6: (6, 1), 12: (4, 3)}

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import yaml
 
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.report.tables import format_table
+from drake_exo.calibration.phases import FootGroundCalibration
+from drake_exo.report.gathering import format_table
 from drake_exo.study import read_study
 
 _HERE = Path(__file__).resolve().parents[1]

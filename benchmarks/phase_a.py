@@ -20,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
@@ -31,7 +31,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import nominal_model
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 from drake_exo.virtual_laboratory.synthetic import consistent, noisy, rises
 
 _DURATION = 1.5

@@ -17,7 +17,7 @@ import numpy as np
 
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.files.output import Progress
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
     RisesInDevice,

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.batch.jobs import run_calls
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
@@ -34,7 +34,7 @@ from drake_exo.calibration.settings import (
     SphereSettings,
 )
 from drake_exo.model.plant import nominal_model
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 from drake_exo.study import read_study
 from drake_exo.virtual_laboratory import synthetic
 

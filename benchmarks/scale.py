@@ -21,9 +21,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from drake_exo.batch.cluster import Cluster
-from drake_exo.batch.jobs import Job, run_jobs
-from drake_exo.report.tables import format_table
+from drake_exo.batch.jobs import Cluster, Job, run_jobs
+from drake_exo.report.gathering import format_table
 
 # Many workers in one process, on one event loop: what sleeps needs no more.
 _WORKERS = """

@@ -26,9 +26,9 @@ from scipy.stats import norm
 
 import drake_exo as dx
 from drake_exo.batch.jobs import run_calls
+from drake_exo.calibration.audit import rms
 from drake_exo.calibration.clocks import LARGEST_DOUBT_S, Clock
 from drake_exo.calibration.error_model import ErrorSizes
-from drake_exo.calibration.scores import rms
 from drake_exo.files.opensim import read_table
 from drake_exo.files.output import read_json
 from drake_exo.measurement.filters import low_pass

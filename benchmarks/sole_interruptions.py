@@ -23,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
-from drake_exo.files.verdict import FAILS_CODE
+from drake_exo.files.output import FAILS_CODE
 from drake_exo.papers.de_magistris import SIZE
 
 LAYERS = ((3e-4, 60), (1e-4, 60), (3e-5, 300))  # m, most iterations

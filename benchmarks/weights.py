@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from drake_exo.calibration.scores import rms, rmsd
+from drake_exo.calibration.audit import rms, rmsd
 from drake_exo.calibration.uncertainty import uncertainty
 from drake_exo.files.output import Progress
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
     noisy,

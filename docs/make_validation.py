@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import drake_exo as dx
-from drake_exo.calibration.scores import spread
+from drake_exo.calibration.audit import spread
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PAGE = _ROOT / "docs" / "validation.md"

@@ -19,9 +19,11 @@ __version__ = "0.1.0"
 
 # Imported when they are asked for: a half never loads the other one.
 _PLACES = {
-    "calibration.foot_ground": ["FootGroundCalibration"],
-    "calibration.interaction": ["InteractionCalibration"],
-    "calibration.prediction": ["PredictionProblem"],
+    "calibration.phases": [
+        "FootGroundCalibration",
+        "InteractionCalibration",
+        "PredictionProblem",
+    ],
     "calibration.results": ["read_contact", "read_trial"],
     "calibration.settings": [
         "DesignSettings",

@@ -40,18 +40,18 @@ from drake_exo.contact.strap import (
     device_sdf,
     write_design,
 )
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import (
+from drake_exo.files.output import (
     SOLVED,
     Check,
     Verdict,
     save_figure,
+    write_json,
     write_text,
 )
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
-from drake_exo.report.tables import format_table, rounded
+from drake_exo.report.gathering import format_table, rounded
 from drake_exo.study import write_inputs
 
 # A cuff that moves further than this is where nothing was calibrated.

@@ -16,7 +16,7 @@ from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import DesignResult, works
 from drake_exo.calibration.design_variables import GAINS, design_of
-from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.phases import check_has_cuffs
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.settings import DesignSettings, PredictionSettings
 from drake_exo.calibration.solving import SolveWatch

@@ -16,23 +16,23 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
-from drake_exo.calibration import scores
-from drake_exo.calibration.checks import phase_checks
+from drake_exo.calibration import audit
 from drake_exo.calibration.clocks import (
     Clock,
     Timing,
     clocks_of,
     left,
+    phase_checks,
     retimed,
 )
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.calibration.interaction import (
+from drake_exo.calibration.phases import (
+    FootGroundCalibration,
     InteractionCalibration,
+    PeriodicStep,
+    PredictionProblem,
     check_has_cuffs,
     check_is_measured,
 )
-from drake_exo.calibration.periodic import PeriodicStep
-from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.results import (
     Origin,
@@ -65,10 +65,14 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files import schema
-from drake_exo.files.output import Progress, write_json
-from drake_exo.files.verdict import Check, Verdict, write_text
-from drake_exo.measurement.plausibility import plausibility, refuse
-from drake_exo.measurement.plausibility.evidence import Evidence
+from drake_exo.files.output import (
+    Check,
+    Progress,
+    Verdict,
+    write_json,
+    write_text,
+)
+from drake_exo.measurement.plausibility import Evidence, plausibility, refuse
 from drake_exo.measurement.processing import Recordings, load_trials
 from drake_exo.measurement.quality import Quality, assess
 from drake_exo.measurement.settings import (
@@ -82,7 +86,7 @@ from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
-from drake_exo.report.tables import rmsd_table
+from drake_exo.report.gathering import rmsd_table
 
 # Pictures and simulation take a second to import, which a user of `check`
 # would wait for: they come in with what draws or simulates.
@@ -449,7 +453,7 @@ class Calibration:
     def rmsd(self) -> list[dict]:
         """Differences from what was measured, a dictionary for each trial."""
         return [
-            scores.rmsd(found, measured, self.phase != "foot-ground")
+            audit.rmsd(found, measured, self.phase != "foot-ground")
             for found, measured in zip(
                 self.trials, self.result.problem.trials, strict=True
             )
@@ -588,8 +592,8 @@ class Prediction(Trial):
         return self.result.success
 
     def rmsd(self, measured: Trial) -> dict:
-        """Differences from the trial as measured; see `scores.rmsd`."""
-        return scores.rmsd(self, measured)
+        """Differences from the trial as measured; see `audit.rmsd`."""
+        return audit.rmsd(self, measured)
 
     def audit(self) -> Audit:
         """Whether it holds between its nodes, and simulates."""

@@ -9,7 +9,10 @@ TESTS = {
     "drake_exo/": ["tests/test_api.py", "tests/test_study.py"],
     "drake_exo/batch/": ["tests/batch"],
     "drake_exo/calibration/": _CALIBRATION,
-    "drake_exo/calibration/audit.py": ["tests/calibration/test_audit.py"],
+    "drake_exo/calibration/audit.py": [
+        "tests/calibration/test_audit.py",
+        "tests/calibration/test_scores.py",
+    ],
     "drake_exo/calibration/uncertainty.py": [
         "tests/calibration/test_bands.py",
         "tests/calibration/test_identifiability.py",
@@ -22,7 +25,6 @@ TESTS = {
         "tests/calibration/test_results.py",
         "tests/calibration/test_bands.py",
     ],
-    "drake_exo/calibration/scores.py": ["tests/calibration/test_scores.py"],
     "drake_exo/calibration/design": [
         "tests/calibration/test_design_program.py",
         "tests/calibration/test_design.py",
@@ -31,7 +33,7 @@ TESTS = {
         "tests/calibration/test_design_cuffs.py",
         "tests/calibration/test_design.py",
     ],
-    "drake_exo/calibration/periodic.py": ["tests/calibration/test_periodic.py"],
+    "drake_exo/calibration/phases.py": ["tests/calibration/test_periodic.py"],
     "drake_exo/calibration/settings.py": [
         "tests/docs/test_pages.py::test_keys_are_those_of_the_program",
         "tests/calibration/test_wearers.py",
@@ -39,9 +41,10 @@ TESTS = {
     "drake_exo/calibration/solving.py": ["tests/calibration/test_verdicts.py"],
     "drake_exo/calibration/start.py": ["tests/calibration/test_start.py"],
     "drake_exo/calibration/wearers.py": ["tests/calibration/test_wearers.py"],
-    "drake_exo/contact/assistance.py": [
+    "drake_exo/contact/strap.py": [
         "tests/contact/test_assistance.py",
         "tests/contact/test_strap.py",
+        "tests/calibration/test_design_program.py",
     ],
     "drake_exo/contact/bushing.py": [
         "tests/contact/test_bushing.py",
@@ -52,10 +55,6 @@ TESTS = {
     "drake_exo/designed.py": [
         "tests/test_designed.py",
         "tests/test_designing.py",
-    ],
-    "drake_exo/contact/strap.py": [
-        "tests/contact/test_strap.py",
-        "tests/calibration/test_design_program.py",
     ],
     "drake_exo/designing.py": [
         "tests/test_designed.py",
@@ -76,7 +75,7 @@ TESTS = {
     "drake_exo/cli/predict.py": ["tests/calibration/test_predict_command.py"],
     "drake_exo/cli/sole.py": ["tests/cli", f"{_SOLES}/test_sole_validity.py"],
     "drake_exo/collocation/": ["tests/collocation", *_CALIBRATION],
-    "drake_exo/collocation/design_kernels.py": [
+    "drake_exo/collocation/bushing_kernels.py": [
         "tests/collocation/test_design_kernels.py",
         "tests/collocation/test_curvature.py",
         "tests/calibration/test_design_program.py",
@@ -91,7 +90,7 @@ TESTS = {
         "tests/report/test_opensim_export.py",
     ],
     "drake_exo/measurement/": ["tests/measurement"],
-    "drake_exo/measurement/plausibility/": [
+    "drake_exo/measurement/plausibility.py": [
         "tests/measurement/test_plausibility_numbers.py",
         "tests/measurement/test_plausibility.py",
     ],
@@ -109,7 +108,7 @@ TESTS = {
     "drake_exo/report/opensim_export.py": [
         "tests/report/test_opensim_export.py"
     ],
-    "drake_exo/report/tables.py": ["tests/report/test_tables.py"],
+    "drake_exo/report/gathering.py": ["tests/report/test_tables.py"],
     "drake_exo/soles/": [_SOLES],
     "drake_exo/soles/animation.py": [
         f"{_SOLES}/test_animation_numbers.py",
@@ -183,10 +182,8 @@ TESTS = {
         f"{_LABORATORY}/test_simulation.py"
     ],
     "drake_exo/virtual_laboratory/two_legs.py": [
-        f"{_LABORATORY}/test_uneven_legs.py"
-    ],
-    "drake_exo/virtual_laboratory/walking.py": [
-        f"{_LABORATORY}/test_lab_walks.py"
+        f"{_LABORATORY}/test_uneven_legs.py",
+        f"{_LABORATORY}/test_lab_walks.py",
     ],
     "drake_exo/virtual_laboratory/synthetic.py": [
         "tests/calibration/test_synthetic.py",
@@ -206,9 +203,20 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "size = np.ones(len(tree.coordinates))",
         ),
     ],
-    "drake_exo/calibration/periodic.py": [
+    "drake_exo/calibration/phases.py": [
         ("ahead[x] = speed * at.duration", "ahead[x] = speed"),
         ("quarter = (longest[1] - longest[0]) // 4", "quarter = 0"),
+        ("if c != NORMAL or cuff not in trial.cuffs", "if c != NORMAL"),
+        ("*normal_force_terms(movement, at, noise, effects),", ""),
+        ("at_ends[[0, -1]] = END_WEIGHT_S", "at_ends[0] = END_WEIGHT_S"),
+        (
+            "return [\n            *ground_terms(movement, at, noise),",
+            "return [",
+        ),
+        (
+            "everything = dict.fromkeys(self.bushings, EVERY)",
+            "everything = dict.fromkeys(self.bushings, [1])",
+        ),
     ],
     "drake_exo/calibration/wearers.py": [
         (
@@ -239,8 +247,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "by_slips = force**5 * slip**2 * share**5",
             "by_slips = force**5 * slip**2",
         ),
-    ],
-    "drake_exo/collocation/design_kernels.py": [
         (
             "lever = -turned.imag * x[:, place]",
             "lever = turned.imag * x[:, place]",
@@ -284,7 +290,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "violation = g - self.g_upper",
         ),
     ],
-    "drake_exo/calibration/scores.py": [
+    "drake_exo/calibration/audit.py": [
         ("np.where(known, values, 0.0) ** 2", "np.where(known, values, 0.0)"),
         ("found.q - at.q", "found.q + at.q"),
         ("measured.sample(found.times)", "measured"),
@@ -311,8 +317,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "t.soles[side].cop_x",
         ),
         ("if at.moments is not None and loads", "if at.moments is not None"),
-    ],
-    "drake_exo/calibration/audit.py": [
         ("FORCE_TOLERANCE = 1.0", "FORCE_TOLERANCE = 10.0"),
         (
             '"audit", self.moment_nm, MOMENT_TOLERANCE',
@@ -455,18 +459,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("degree * tolerance.pitch_deg,", "tolerance.pitch_deg,"),
         ("variables[:, [NORMAL]],", "variables[:, [0]],"),
     ],
-    "drake_exo/calibration/interaction.py": [
-        ("if c != NORMAL or cuff not in trial.cuffs", "if c != NORMAL"),
-        ("*normal_force_terms(movement, at, noise, effects),", ""),
-    ],
-    "drake_exo/calibration/prediction.py": [
-        ("at_ends[[0, -1]] = END_WEIGHT_S", "at_ends[0] = END_WEIGHT_S"),
-        ("*ground_terms(movement, at, noise),", ""),
-        (
-            "everything = dict.fromkeys(self.bushings, EVERY)",
-            "everything = dict.fromkeys(self.bushings, [1])",
-        ),
-    ],
     "drake_exo/collocation/trial_program.py": [
         ("weight = 0.5 / p.prior_sd**2", "weight = 1.0 / p.prior_sd**2"),
         (
@@ -485,7 +477,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             'if name.endswith("_stiffness")',
         ),
     ],
-    "drake_exo/report/tables.py": [
+    "drake_exo/report/gathering.py": [
         ("np.std(known, ddof=1)", "np.std(known)"),
         (
             "row = [label, *values, *mean_and_sd(values)]",
@@ -544,7 +536,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             'texts.get(path[0], "")',
         ),
     ],
-    "drake_exo/measurement/plausibility/wearer.py": [
+    "drake_exo/measurement/plausibility.py": [
         ("LARGEST_DISAGREEMENT = 0.45", "LARGEST_DISAGREEMENT = 45.0"),
         ("known[j]) - alone[i] - alone[j]", "known[j]) - alone[i]"),
         ("np.nanargmin(row)", "np.nanargmax(row)"),
@@ -553,19 +545,13 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("scale * (d - human).T.ravel()", "scale * d.T.ravel()"),
         ("and driven[0] == driven[1]", ""),
         ("np.eye(by.shape[1]) + by.T @ by", "by.T @ by"),
-    ],
-    "drake_exo/measurement/plausibility/device.py": [
         ("own / max(other, 1e-9),", "other / max(own, 1e-9),"),
         ("100.0 * found,", "found,"),
         ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
         ("float(np.mean(d[upright] - h[upright]))", "float(np.mean(d - h))"),
-    ],
-    "drake_exo/measurement/plausibility/body.py": [
         ("(measured + device) / (stated + device)", "measured / stated"),
         ("off = measured / stated - 1.0", "off = measured / stated"),
-    ],
-    "drake_exo/measurement/plausibility/evidence.py": [
         ("(moment - (z * F_x - x * F_z)) ** 2", "moment**2"),
     ],
     "drake_exo/virtual_laboratory/instruments.py": [
@@ -605,8 +591,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "p = flexion * turn * complex(*slide[i])",
             "p = turn * complex(*slide[i])",
         ),
-    ],
-    "drake_exo/virtual_laboratory/mats.py": [
         ("_STEP_PA = 2500.0", "_STEP_PA = 5000.0"),
         ("np.minimum(pressure, _LARGEST_PA)", "pressure"),
         ("np.interp(time - lag_s,", "np.interp(time,"),
@@ -787,7 +771,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("a = s - s**2 / (2 * D)", "a = s - s**2 / D"),
     ],
-    "drake_exo/virtual_laboratory/walking.py": [
+    "drake_exo/virtual_laboratory/two_legs.py": [
         (
             "point = ankle + np.interp(at, *_POINT_M)",
             "point = np.interp(at, *_POINT_M)",
@@ -800,8 +784,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "return torque + swing + bears * (stance - swing)",
             "return torque + swing + bears * stance",
         ),
-    ],
-    "drake_exo/virtual_laboratory/two_legs.py": [
         ("stiffness=0.5 * s.stiffness", "stiffness=s.stiffness"),
         (
             "load, at = part * heavier * plan.ground[:, 1], plan.ground",

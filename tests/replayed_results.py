@@ -15,8 +15,7 @@ from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
 )
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import Verdict
+from drake_exo.files.output import Verdict, write_json
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model

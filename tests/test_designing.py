@@ -34,7 +34,7 @@ from drake_exo.designed import Designed, Moved, Peak
 from drake_exo.designing import front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.figures import forces_figure
 

@@ -71,7 +71,7 @@ def test_every_file_has_tests():
         assert all((ROOT / test.split("::")[0]).exists() for test in tests)
     for file in LISTED:
         assert (ROOT / file).is_file()
-    near, *_ = mutants.tests_of("drake_exo/report/tables.py")
+    near, *_ = mutants.tests_of("drake_exo/report/gathering.py")
     assert near == ["tests/report/test_tables.py"]
 
 

@@ -1,9 +1,10 @@
-"""Clocks of encoders and mats, as the error model finds them with all else.
+"""Clocks of encoders and mats, found with all else, and what results must hold.
 
 Where a device moves behind its cuffs, nothing but the whole movement tells
 when its encoders and mats were read: forces, motion and clock have to agree.
 Phase B has the clocks of its own trials among its unknowns. Those of a trial
-that is to be predicted follow likewise, with cuffs that are known.
+that is to be predicted follow likewise, with cuffs that are known. How sure
+they are is among the checks of a phase (`files.output.Verdict`).
 """
 
 from __future__ import annotations
@@ -14,16 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.error_model import (
-    CLOCKS,
-    ErrorModel,
-    shared_moments,
-)
-from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.problem import Parts, PhaseProblem
+from drake_exo.calibration.audit import Audit
+from drake_exo.calibration.error_model import CLOCKS, ErrorModel, shared_moments
+from drake_exo.calibration.phases import InteractionCalibration
+from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
 from drake_exo.calibration.settings import InteractionSettings
 from drake_exo.calibration.uncertainty import DISCREPANCY, QUANTILE_95
 from drake_exo.contact.parameters import ContactModel, Posterior
+from drake_exo.files.output import SOLVED, Check
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 
@@ -203,3 +202,73 @@ class Timing(InteractionCalibration):
             more = DISCREPANCY * p.nominal if stiff else _ORIGIN_M
             covariance[j, j] += more**2
         return names, mean, covariance
+
+
+def phase_checks(
+    result: PhaseResult, audits: Sequence[Audit], clocks: Sequence[Clock] = ()
+) -> list[Check]:
+    """Solved, audit and simulation; as notes bounds and clocks.
+
+    Args:
+        result: of a phase.
+        audits: of its trials; none after a failed solve.
+        clocks: that were found with it.
+    """
+    solution = result.solution
+    names = ", ".join(t.name for t in result.problem.trials)
+    text = "" if solution.success else f"{solution.status}. "
+    made = [
+        Check(
+            SOLVED,
+            solution.success,
+            where=names,
+            sentence=text + solution.explain(),
+        )
+    ]
+    for audit in audits:
+        made += audit.checks()
+    at_bound = set(solution.active_bounds)
+    made += [
+        Check(
+            "bounds",
+            p.name not in at_bound,
+            where=p.name,
+            sentence="the data ask for a value beyond its bound"
+            if p.name in at_bound
+            else "",
+            level="note",
+        )
+        for p in result.problem.parameters
+        if p.free
+    ]
+    if result.problem.bushings:  # nothing else uses encoders and mats
+        made += clock_checks(result.problem.trials, clocks)
+    return made
+
+
+def clock_checks(
+    trials: Iterable[Trial], found: Sequence[Clock] = ()
+) -> list[Check]:
+    """Whether the lag of each clock is known, as notes.
+
+    Args:
+        trials: recorded; of a clock that was not found it counts what was
+            said when the recording was read.
+        found: those that were.
+    """
+    known = {(c.trial, c.system): c for c in found}
+    made = []
+    for trial in trials:
+        said = trial.provenance.get("clocks", {})
+        for system in trial.provenance.get("delays_s", {}):
+            clock, doubt = known.get((trial.name, system)), (None, None, "")
+            if clock is not None:
+                sure, text = clock.sure, clock.sentence
+                doubt = 1e3 * clock.half_width_s, 1e3 * LARGEST_DOUBT_S, "ms"
+            elif system in said:
+                sure, text = not said[system].endswith("unsure"), said[system]
+            else:
+                continue
+            where, text = f"{trial.name}, {system}", "" if sure else text
+            made.append(Check("clocks", sure, *doubt, where, text, "note"))
+    return made

@@ -53,7 +53,7 @@ from drake_exo.calibration.wearers import (
     check_wearers,
     less,
 )
-from drake_exo.collocation.design_kernels import (
+from drake_exo.collocation.bushing_kernels import (
     AssistanceKernel,
     CuffKernel,
     DesignDynamicsKernel,

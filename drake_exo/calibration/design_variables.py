@@ -14,12 +14,13 @@ from drake_exo.calibration.settings import (
 from drake_exo.calibration.wearers import (
     Wearer,
 )
-from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.strap import (
     RELEASES,
     STRAPS,
+    Assistance,
     CuffDesign,
     Design,
+    Gains,
     JointDesign,
     links_above,
     movable,

@@ -14,7 +14,7 @@ import numpy as np
 
 from drake_exo.contact.parameters import Posterior
 from drake_exo.files.schema import not_negative
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     from_the_ground_up,
     inverse_dynamics,
 )

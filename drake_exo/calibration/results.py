@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
+from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.problem import PhaseResult
-from drake_exo.calibration.scores import rmsd, spread
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.calibration.uncertainty import Bands
 from drake_exo.contact.bushing import (
@@ -29,9 +29,8 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
-from drake_exo.files.output import checksum, write_json
+from drake_exo.files.output import HOLDS, Check, Verdict, checksum, write_json
 from drake_exo.files.tables import Table
-from drake_exo.files.verdict import HOLDS, Check, Verdict
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution

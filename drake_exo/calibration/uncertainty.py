@@ -25,13 +25,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.audit import rms
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.problem import (
     PhaseProblem,
     PhaseResult,
     shared_noise,
 )
-from drake_exo.calibration.scores import rms
 from drake_exo.collocation.kernels import WRENCH_UNITS
 from drake_exo.collocation.trial_program import TrialProgram
 from drake_exo.contact.bushing import NORMAL

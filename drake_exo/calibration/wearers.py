@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel
-from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.phases import check_has_cuffs
 from drake_exo.calibration.problem import (
     PhaseProblem,
     ground_terms,

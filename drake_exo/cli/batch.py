@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     def open_pool():
         if args.scheduler is None:
             return Processes(args.workers, args.memory)
-        from drake_exo.batch.cluster import Cluster
+        from drake_exo.batch.jobs import Cluster
 
         cluster = Cluster(args.scheduler, args.memory)
         print(f"{cluster.workers()} workers", flush=True)

@@ -9,32 +9,30 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from drake_exo.calibration.foot_ground import pareto_front
-from drake_exo.calibration.interaction import (
+from drake_exo.calibration.phases import (
     check_has_cuffs,
     check_is_measured,
+    pareto_front,
 )
 from drake_exo.calibration.results import read_calibration
 from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import (
-    prepare_output_folder,
-    read_json,
-    write_json,
-)
-from drake_exo.files.verdict import (
     FAILS_CODE,
     NOT_SOLVED_CODE,
     STOPPED_CODE,
     UNSOLVED,
     Check,
     Verdict,
+    prepare_output_folder,
+    read_json,
     save_figure,
     stored,
+    write_json,
 )
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
-from drake_exo.report.tables import (
+from drake_exo.report.gathering import (
     audit_table,
     clocks_table,
     front_table,

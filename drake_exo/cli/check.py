@@ -6,10 +6,12 @@ from pathlib import Path
 from drake_exo.cli.options import add_accept
 from drake_exo.files.output import (
     Progress,
+    Verdict,
     prepare_output_folder,
+    save_figure,
     write_json,
+    write_text,
 )
-from drake_exo.files.verdict import Verdict, save_figure, write_text
 from drake_exo.measurement.quality import Quality, text_of
 from drake_exo.study import RecordedStudy, read_study
 

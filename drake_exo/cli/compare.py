@@ -7,8 +7,11 @@ settings; with --out also as files, with figures of all of them overlaid.
 import argparse
 from pathlib import Path
 
-from drake_exo.files.output import prepare_output_folder
-from drake_exo.files.verdict import joined_mark, save_figure
+from drake_exo.files.output import (
+    joined_mark,
+    prepare_output_folder,
+    save_figure,
+)
 from drake_exo.report.gathering import compare
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drake_exo.errors import InputError, check_fields
 from drake_exo.files.output import prepare_output_folder
-from drake_exo.report.contact_figures import ContactCurves, write_figures
+from drake_exo.report.figures import ContactCurves, write_figures
 
 
 def add_parser(subparsers) -> None:

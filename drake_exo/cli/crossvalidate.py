@@ -9,12 +9,18 @@ import argparse
 
 import numpy as np
 
-from drake_exo.calibration.interaction import check_has_cuffs
+from drake_exo.calibration.phases import check_has_cuffs
 from drake_exo.cli.calibrate import add_study_arguments
 from drake_exo.errors import InputError
-from drake_exo.files.output import prepare_output_folder, write_json
-from drake_exo.files.verdict import SOLVED, STOPPED_CODE, Check, Verdict
-from drake_exo.report.tables import format_table
+from drake_exo.files.output import (
+    SOLVED,
+    STOPPED_CODE,
+    Check,
+    Verdict,
+    prepare_output_folder,
+    write_json,
+)
+from drake_exo.report.gathering import format_table
 from drake_exo.study import (
     Study,
     calibrate_foot_ground,

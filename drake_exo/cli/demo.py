@@ -21,8 +21,12 @@ from drake_exo.cli.predict import write_predictions
 from drake_exo.cli.report import write_report
 from drake_exo.cli.view import REPLAY, write_view
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.files.output import OutputFolder, prepare_output_folder
-from drake_exo.files.verdict import FAILS_CODE, Check
+from drake_exo.files.output import (
+    FAILS_CODE,
+    Check,
+    OutputFolder,
+    prepare_output_folder,
+)
 from drake_exo.report.gathering import gather
 from drake_exo.study import Study, find_clocks, read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign

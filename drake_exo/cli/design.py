@@ -16,10 +16,14 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.designed import Designed
 from drake_exo.designing import built, design, front
 from drake_exo.errors import InputError
-from drake_exo.files.output import prepare_output_folder, write_json
-from drake_exo.files.verdict import Check, save_figure
+from drake_exo.files.output import (
+    Check,
+    prepare_output_folder,
+    save_figure,
+    write_json,
+)
 from drake_exo.report.figures import design_front_figure
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 from drake_exo.study import (
     Calibration,
     RecordedStudy,

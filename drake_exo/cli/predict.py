@@ -14,15 +14,14 @@ from types import FunctionType
 
 from pydrake.systems.framework import System
 
-from drake_exo.calibration.checks import phase_checks
-from drake_exo.calibration.clocks import Clock
+from drake_exo.calibration.audit import spread
+from drake_exo.calibration.clocks import Clock, phase_checks
 from drake_exo.calibration.results import (
     solve_summary,
     write_bands,
     write_contact,
     write_trial,
 )
-from drake_exo.calibration.scores import spread
 from drake_exo.calibration.wearers import assisted, joint_friction
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
@@ -32,10 +31,15 @@ from drake_exo.cli.calibrate import (
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, read_design
 from drake_exo.errors import InputError, reason
-from drake_exo.files.output import prepare_output_folder, write_json
-from drake_exo.files.verdict import Check, Verdict, write_text
+from drake_exo.files.output import (
+    Check,
+    Verdict,
+    prepare_output_folder,
+    write_json,
+    write_text,
+)
 from drake_exo.report.figures import draw_figures
-from drake_exo.report.tables import (
+from drake_exo.report.gathering import (
     audit_table,
     clocks_table,
     format_table,

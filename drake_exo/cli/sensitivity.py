@@ -22,7 +22,7 @@ from drake_exo.files.output import (
     prepare_output_folder,
     write_json,
 )
-from drake_exo.report.tables import format_table
+from drake_exo.report.gathering import format_table
 from drake_exo.study import calibrate_foot_ground, read_study
 
 

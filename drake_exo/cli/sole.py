@@ -9,12 +9,15 @@ from drake_exo.cli.options import add_accept
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import (
+    SOLVED,
+    Check,
     OutputFolder,
     Progress,
+    Verdict,
     prepare_output_folder,
+    stored,
     write_json,
 )
-from drake_exo.files.verdict import SOLVED, Check, Verdict, stored
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles.optimize.files import (
     SUMMARY,

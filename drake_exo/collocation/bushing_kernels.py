@@ -1,16 +1,23 @@
-"""Human-exoskeleton bushings in a collocation problem.
+"""Human-exoskeleton bushings in a collocation problem, of today or designed.
 
 Components are tangential, normal, rotation, as in `contact.bushing`. Forces
-are on the human; the generalized force of a bushing is -(dd/dq)^T F.
+are on the human; the generalized force of a bushing is -(dd/dq)^T F. What a
+design adds: cuffs that change, forces felt, work done.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from drake_exo.collocation.kernels import FORCE_UNIT, DynamicsKernel
+from drake_exo.collocation.kernels import (
+    FORCE_UNIT,
+    MOMENT_UNIT,
+    DynamicsKernel,
+)
 from drake_exo.contact.bushing import (
+    ROTATION,
     TANGENTIAL,
     BushingKinematics,
     bushing_energy,
@@ -293,3 +300,351 @@ class EnergyKernel:
         index = np.arange(3)
         J[:, index, nq + 2 + index] = by_stiffness
         return J[:, self._components] / self._sigma
+
+
+PLACE_UNIT = 0.01  # m
+# Keeps the norm of a force smooth at zero, in parts of its scale, squared.
+_SMALL = 1e-6
+
+
+@dataclass(frozen=True)
+class MovedWeight:
+    """What hangs on a place of a cuff, see DesignDynamicsKernel.
+
+    Attributes:
+        bushing, place: number of the bushing, and of its place.
+        segment: of the tree, with which the place turns.
+        weight: force of gravity on what moves along [N], times the complex
+            direction x + i z of the place in the segment.
+    """
+
+    bushing: int
+    place: int
+    segment: int
+    weight: complex
+
+
+class DesignDynamicsKernel(CoupledDynamicsKernel):
+    """CoupledDynamicsKernel with what a design needs besides.
+
+    The curvature of the cuffs' part: where they move, forces and moment arms
+    change together, and without it a design creeps for hundreds of
+    iterations. And the weight of links whose joints move. That their inertia
+    moves, too, is left out: in a rise of 1.5 s that is 0.16 N m a centimetre
+    at most, where weight is 1 N m; the forecast on the device as it is built
+    has all of it.
+    """
+
+    def __init__(
+        self, tree, bushings, bodies=None, moved: Sequence[MovedWeight] = ()
+    ):
+        super().__init__(tree, bushings, bodies)
+        nq = self._dynamics.num_positions
+        self._moved = [
+            (
+                self._places[m.bushing].start + m.place,
+                tree.angles_by_q[m.segment],
+                m.weight,
+            )
+            for m in moved
+        ]
+        for place, by_q, _ in self._moved:
+            self.sparsity[by_q != 0.0, place] = True
+        self.curved_inputs = np.zeros(self.sparsity.shape[1], bool)
+        self.curved_inputs[2:nq] = True
+        self.curved_inputs[self._first :] = True
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        r = super().evaluate(x, data)
+        nq = self._dynamics.num_positions
+        for place, by_q, weight in self._moved:
+            turned = weight * np.exp(1j * (x[:, :nq] @ by_q))
+            r += (turned.real * x[:, place] / FORCE_UNIT)[:, None] * by_q
+        return r
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = super().jacobian(x, data)
+        nq = self._dynamics.num_positions
+        for place, by_q, weight in self._moved:
+            turned = weight * np.exp(1j * (x[:, :nq] @ by_q)) / FORCE_UNIT
+            J[:, :, place] += turned.real[:, None] * by_q
+            lever = -turned.imag * x[:, place]
+            J[:, :, :nq] += lever[:, None, None] * np.outer(by_q, by_q)
+        return J
+
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, but for the bodies' own dynamics."""
+        nq = self._dynamics.num_positions
+        q, w = x[:, :nq], weights / FORCE_UNIT
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+
+        def add(rows, columns, part):
+            H[:, rows, columns] += part
+            H[:, columns, rows] += np.swapaxes(part, 1, 2)
+
+        for b, bushing in enumerate(self._bushings):
+            force, places = self._parts(x, b)
+            first, p = self._first + 3 * b, self._places[b]
+            terms = bushing.led(bushing.terms(q, places), w)
+            turns = bushing.led(bushing.turns(q), w)
+            H[:, :nq, :nq] += bushing.curvature(terms, force)
+            by_q = bushing.deflection_jacobian(terms)[:, :ROTATION]
+            across = slice(first, first + ROTATION)
+            add(across, slice(nq), by_q)
+            add(across, p, bushing.by_places(turns))
+            add(slice(nq), p, bushing.gradient_by_places(turns, force))
+        for place, by_q, weight in self._moved:
+            turned = weight * np.exp(1j * (q @ by_q)) * (w @ by_q)
+            own = np.outer(by_q, by_q)
+            bend = -turned.real * x[:, place]
+            H[:, :nq, :nq] += bend[:, None, None] * own
+            lever = -turned.imag[:, None, None] * by_q[:, None]
+            add(slice(nq), slice(place, place + 1), lever)
+        return H
+
+
+class CuffKernel:
+    """Ties a wearer's cuff to a design, 0 where it is as designed.
+
+    Inputs: origin (2) and stiffness (3) of the cuff, then place x, z of the
+    design [m], compliance of its straps (3) [m/N, m/N, rad/(N m)], its area
+    against today's, and the shares of the springs along the limb and in
+    rotation that are taken away (2). Outputs: origin - own origin - place,
+    stiffness (own compliance/area^n + that of the strap) - 1 + that share.
+    Data: (1, 5) own origin and own compliance.
+
+    Args:
+        powers: (3,) n of each stiffness.
+    """
+
+    def __init__(self, powers):
+        self._powers = np.array(powers, float)
+        pattern = np.zeros((5, 13), bool)
+        pattern[np.arange(5), np.arange(5)] = True
+        pattern[np.arange(5), 5 + np.arange(5)] = True
+        pattern[2:, 10] = True
+        pattern[[2, 4], [11, 12]] = True
+        self.sparsity = pattern
+
+    def _split(self, x):
+        return np.split(x, [2, 5, 7, 10, 11], axis=1)
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        origin, stiffness, place, strap, area, released = self._split(x)
+        tissue = data[:, 2:] * area**-self._powers
+        held = stiffness * (tissue + strap) - 1.0
+        held[:, [0, 2]] += released
+        return np.hstack([(origin - data[:, :2] - place) / PLACE_UNIT, held])
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        J = np.zeros((len(x), 5, 13))
+        i, k = np.arange(2), np.arange(2, 5)
+        _, stiffness, _, strap, area, _ = self._split(x)
+        tissue = data[:, 2:] * area**-self._powers
+        J[:, i, i] = 1.0 / PLACE_UNIT
+        J[:, i, 5 + i] = -1.0 / PLACE_UNIT
+        J[:, k, k] = tissue + strap
+        J[:, k, 5 + k] = stiffness
+        J[:, k, 10] = -stiffness * self._powers * tissue / area
+        J[:, [2, 4], [11, 12]] = 1.0
+        return J
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        H = np.zeros((len(x), 13, 13))
+        k, n = np.arange(2, 5), self._powers
+        _, stiffness, _, _, area, _ = self._split(x)
+        tissue = data[:, 2:] * area**-n
+        H[:, k, 5 + k] = H[:, 5 + k, k] = weights[:, k]
+        H[:, k, 10] = H[:, 10, k] = -weights[:, k] * n * tissue / area
+        bend = weights[:, k] * stiffness * n * (n + 1.0) * tissue / area**2
+        H[:, 10, 10] = bend.sum(axis=1)
+        return H
+
+
+class AssistanceKernel:
+    """Torque of a joint of the device minus what a design makes of it.
+
+    That is linear in k design variables; the torque of today, which some of
+    them multiply, changes with the device's posture. Inputs: torque [N m],
+    the device's m angles [rad], the variables (k). Data (n, 2 k + m + 1):
+    torque of today by each variable, its change by each with the torque of
+    today, slope of that by the angles [N m/rad], and slope times angles of
+    today [N m].
+
+    Args:
+        num_angles, num_points: m and k.
+    """
+
+    def __init__(self, num_angles: int, num_points: int):
+        self._at = np.cumsum([1, num_angles])
+        self._in = np.cumsum([num_points, num_points, num_angles])
+        self.sparsity = np.ones((1, 1 + num_angles + num_points), bool)
+
+    def _parts(self, x, data):
+        """Variables, torque by each, its change by each, slope."""
+        _, angles, factors = np.split(x, self._at, axis=1)
+        today, change, slope, there = np.split(data, self._in, axis=1)
+        answer = np.sum(slope * angles, axis=1, keepdims=True) - there
+        return factors, today + change * answer, change, slope
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        factors, by, *_ = self._parts(x, data)
+        given = np.sum(factors * by, axis=1, keepdims=True)
+        return (x[:, :1] - given) / MOMENT_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        factors, by, change, slope = self._parts(x, data)
+        more = np.sum(factors * change, axis=1, keepdims=True)
+        J = np.hstack([np.ones((len(x), 1)), -more * slope, -by])
+        return J[:, None] / MOMENT_UNIT
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        _, _, change, slope = self._parts(x, data)
+        first, last = self._at
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        part = slope[:, :, None] * change[:, None] / MOMENT_UNIT
+        H[:, first:last, last:] = -weights[:, :1, None] * part
+        H[:, last:, first:last] = H[:, first:last, last:].transpose(0, 2, 1)
+        return H
+
+
+class ForceNormKernel:
+    """A cuff's force on its skin to a power: half its square sums to a norm.
+
+    Inputs: force along and across the limb [N], area against today's. Output:
+    the weight in `data` (n, 1) times u^(order/4), u = (across^2 + shear
+    along^2)/(scale area)^2.
+
+    Args:
+        order: of the norm, from 2 on.
+        scale: typical force [N].
+        shear: weight of the square of the force along the limb.
+    """
+
+    sparsity = np.ones((1, 3), bool)
+
+    def __init__(self, order: float, scale: float, shear: float):
+        self._power = order / 4.0
+        self._weights = np.array([shear, 1.0]) / scale**2
+
+    def _square(self, x):
+        return x[:, :2] ** 2 @ self._weights / x[:, 2] ** 2 + _SMALL
+
+    def _slopes(self, x):
+        """Of the square."""
+        along = 2.0 * x[:, :2] * self._weights / x[:, [2]] ** 2
+        by_area = -2.0 * (self._square(x) - _SMALL) / x[:, 2]
+        return np.column_stack([along, by_area])
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        return data * (self._square(x) ** self._power)[:, None]
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        slope = self._power * self._square(x) ** (self._power - 1.0)
+        return (data * slope[:, None] * self._slopes(x))[:, None, :]
+
+    def curvature(self, x, weights, data):
+        """See Kernel; without it a norm of high order is found slowly."""
+        u, a, n = self._square(x), self._power, self._slopes(x)
+        bend = a * (a - 1.0) * u ** (a - 2.0)
+        H = bend[:, None, None] * n[:, :, None] * n[:, None, :]
+        slope = a * u ** (a - 1.0)
+        own = np.zeros_like(H)
+        i, area = np.arange(2), x[:, [2]]
+        own[:, i, i] = 2.0 * self._weights / area**2
+        own[:, i, 2] = own[:, 2, i] = -2.0 * n[:, :2] / area
+        own[:, 2, 2] = -3.0 * n[:, 2] / x[:, 2]
+        H += slope[:, None, None] * own
+        return (weights * data)[:, :, None] * H
+
+
+class MigrationKernel:
+    """Deflection along the limb minus a variable, both [m].
+
+    Inputs: q, places of the cuff, the variable. Output in units of 1 cm.
+    """
+
+    def __init__(self, bushing: BushingKinematics):
+        self._bushing = bushing
+        nq = self._nq = bushing.nq
+        self.sparsity = np.ones((1, nq + bushing.num_places + 1), bool)
+        self.sparsity[:, :nq] = bushing.moved_by
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        q, places = x[:, : self._nq], x[:, self._nq : -1]
+        d = self._bushing.deflection(q, self._bushing.terms(q, places))
+        return (d[:, [TANGENTIAL]] - x[:, [-1]]) / PLACE_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        q, places = x[:, : self._nq], x[:, self._nq : -1]
+        b, nq = self._bushing, self._nq
+        J = np.zeros((len(x), *self.sparsity.shape))
+        terms = b.terms(q, places)
+        J[:, 0, :nq] = b.deflection_jacobian(terms)[:, TANGENTIAL]
+        J[:, 0, nq:-1] = b.by_places(b.turns(q))[:, TANGENTIAL]
+        J[:, 0, -1] = -1.0
+        return J / PLACE_UNIT
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        q, places = x[:, : self._nq], x[:, self._nq : -1]
+        b, nq = self._bushing, self._nq
+        along = np.zeros((len(x), 3))
+        along[:, TANGENTIAL] = weights[:, 0] / PLACE_UNIT
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        H[:, :nq, :nq] = b.curvature(b.terms(q, places), along)
+        part = b.gradient_by_places(b.turns(q), along)
+        H[:, :nq, nq:-1] = part
+        H[:, nq:-1, :nq] = part.transpose(0, 2, 1)
+        return H
+
+
+class PressureKernel:
+    """Normal force minus pressure times area, 0 where they belong together.
+
+    Inputs: normal force [N], area against today's, pressure [kPa]. Output in
+    units of 10 N.
+
+    Args:
+        area_m2: of today.
+    """
+
+    sparsity = np.ones((1, 3), bool)
+
+    def __init__(self, area_m2: float):
+        self._n_kpa = 1e3 * area_m2
+
+    def evaluate(self, x, data):
+        """See Kernel."""
+        force, area, pressure = x.T
+        excess = force - self._n_kpa * area * pressure
+        return excess[:, None] / INTERACTION_FORCE_UNIT
+
+    def jacobian(self, x, data):
+        """See Kernel."""
+        _, area, pressure = x.T
+        one = np.ones_like(area)
+        J = np.stack(
+            [one, -self._n_kpa * pressure, -self._n_kpa * area], axis=1
+        )
+        return J[:, None] / INTERACTION_FORCE_UNIT
+
+    def curvature(self, x, weights, data):
+        """See Kernel."""
+        H = np.zeros((len(x), 3, 3))
+        H[:, 1, 2] = H[:, 2, 1] = (
+            -weights[:, 0] * self._n_kpa / INTERACTION_FORCE_UNIT
+        )
+        return H

@@ -8,11 +8,11 @@ import drake_exo
 __getattr__, __dir__, __all__ = drake_exo.on_demand(
     __name__,
     {
-        "assistance": ["GainController", "Gains"],
         "bushing": ["BushingParameters", "bushing_deflection", "bushing_force"],
         "hunt_crossley": ["paper_stiffness", "sphere_force"],
         "parameters": ["ContactSphere", "GroundContact"],
         "reduction": ["SoleLaw"],
+        "strap": ["GainController", "Gains"],
         "systems": [
             "AssistController",
             "FootGroundContact",

@@ -33,18 +33,16 @@ from drake_exo.measurement.filters import (
     gap_remedy,
     resample,
 )
-from drake_exo.measurement.inverse_dynamics import (
-    from_the_ground_up,
-    inverse_dynamics,
-    wrenches,
-)
 from drake_exo.measurement.kinematics import (
     MarkerModel,
     ankle_paths,
     coordinates,
+    from_the_ground_up,
+    inverse_dynamics,
     leg_angles,
     residual_rms,
     solve_poses,
+    wrenches,
 )
 from drake_exo.measurement.mats import MatForce, read_mat_forces
 from drake_exo.measurement.recording import (

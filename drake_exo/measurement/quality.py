@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from drake_exo.files.verdict import Check
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.files.output import Check
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 

@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drake_exo.batch.jobs import BatchProgress, Ended, Job, Processes, run_jobs
-from drake_exo.files.output import Progress, read_json, write_json
-from drake_exo.files.verdict import (
+from drake_exo.files.output import (
     Check,
+    Progress,
     Verdict,
     joined_mark,
+    read_json,
     stored,
     stored_mark,
+    write_json,
     write_text,
 )
 from drake_exo.soles.case import Case

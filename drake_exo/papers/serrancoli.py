@@ -8,10 +8,10 @@ give them by trial of another subject.
 from collections.abc import Callable
 from pathlib import Path
 
-from drake_exo.files.verdict import joined_mark, save_figure
+from drake_exo.files.output import joined_mark, save_figure
 from drake_exo.report import figures
-from drake_exo.report.gathering import Results
-from drake_exo.report.tables import (
+from drake_exo.report.gathering import (
+    Results,
     format_table,
     lookup,
     mean_and_sd,

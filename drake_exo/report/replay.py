@@ -24,8 +24,7 @@ from drake_exo.contact.bushing import ROTATION, bushing_wrench
 from drake_exo.contact.parameters import ContactModel, ContactSphere
 from drake_exo.contact.strap import EXTRAPOLATED, TODAY, read_design
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_json
-from drake_exo.files.verdict import stored_mark
+from drake_exo.files.output import read_json, stored_mark
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import Model

@@ -19,8 +19,12 @@ from matplotlib import colormaps
 from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import check_arrays, read_arrays, read_json
-from drake_exo.files.verdict import stored_mark
+from drake_exo.files.output import (
+    check_arrays,
+    read_arrays,
+    read_json,
+    stored_mark,
+)
 from drake_exo.player import Arrow, Clip, Page, Surface, write_page
 from drake_exo.soles.contact.ground import ARRAYS, FLAT, Ground
 from drake_exo.soles.mesh import TetMesh

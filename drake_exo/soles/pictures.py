@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from scipy.spatial import ConvexHull
 
-from drake_exo.files.verdict import save_figure
+from drake_exo.files.output import save_figure
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh

@@ -29,12 +29,10 @@ from drake_exo.virtual_laboratory.instruments import (
     drawn_clocks,
     empty_plate_levels,
     marker_set,
-    slides,
-    study_markers,
-)
-from drake_exo.virtual_laboratory.mats import (
     mats_on,
     record_pressure,
+    slides,
+    study_markers,
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan

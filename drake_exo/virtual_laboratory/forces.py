@@ -36,7 +36,7 @@ from drake_exo.contact.systems import (
     read_bodies,
     to_body,
 )
-from drake_exo.measurement.inverse_dynamics import wrench_on_body
+from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.assembly import SIDES

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from drake_exo.contact.parameters import GroundContact
 from drake_exo.contact.strap import Design
 from drake_exo.measurement.filters import minimum_jerk
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree

@@ -13,9 +13,11 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from drake_exo.calibration.error_model import NO_ERRORS
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.phases import (
+    FootGroundCalibration,
+    InteractionCalibration,
+    PredictionProblem,
+)
 from drake_exo.calibration.problem import PhaseProblem, kinematic_terms
 from drake_exo.calibration.settings import (
     FootGroundSettings,

@@ -12,18 +12,16 @@ import numpy as np
 import pytest
 from unmarked import unmarked
 
-from drake_exo.batch import figures, results
-from drake_exo.batch.figures import (
-    MEASURED,
-    PREDICTED,
-    draw_figures,
-    limits_of_agreement,
-)
+from drake_exo.batch import results
 from drake_exo.batch.file import Task
 from drake_exo.batch.results import (
     COLUMNS,
+    MEASURED,
+    PREDICTED,
     Row,
+    draw_figures,
     is_told,
+    limits_of_agreement,
     rows_of,
     summary,
     unit_of,
@@ -276,7 +274,7 @@ def test_a_panel_holds_differences_over_means():
     for trial, values in pairs.items():
         for source, value in zip((PREDICTED, MEASURED), values, strict=True):
             rows.append(_row("a", trial, f"{source}force", value))
-    (ax,) = (a for a in figures._bland_altman(rows).axes if a.get_visible())
+    (ax,) = (a for a in results._bland_altman(rows).axes if a.get_visible())
     (dots,) = ax.collections
     expected = [(12.0, -4.0), (29.0, 2.0), (57.5, -5.0)]
     np.testing.assert_allclose(dots.get_offsets(), expected)
@@ -306,7 +304,7 @@ def test_bars_are_means_over_subjects():
         _row(*key, "rmsd.grf_n.vertical", value)
         for key, value in values.items()
     ]
-    (ax,) = figures._over_subjects(rows).axes
+    (ax,) = results._over_subjects(rows).axes
     (bar,) = ax.patches
     assert bar.get_height() == pytest.approx(5.0)
     (segment,) = ax.collections[0].get_segments()

@@ -10,8 +10,7 @@ import time
 
 import pytest
 
-from drake_exo.batch.cluster import Cluster
-from drake_exo.batch.jobs import Job, run_jobs
+from drake_exo.batch.jobs import Cluster, Job, run_jobs
 from drake_exo.errors import InputError
 
 pytestmark = pytest.mark.slow
@@ -102,7 +101,7 @@ def test_a_killed_worker_loses_nothing(machines):
     jobs = [*naps(12, 0.7), Job("bad", HERE + "refuse")]
     jobs.append(Job("next", HERE + "add", {"a": 1, "b": 2}, ("n0", "n1")))
     with Cluster(machines.address) as cluster:
-        while cluster.workers() < 3:
+        while jobs.workers() < 3:
             time.sleep(0.2)
         timer = after(1.5, workers[0].kill)
         ended = run_jobs(jobs, cluster)
@@ -175,8 +174,8 @@ def test_encrypted(tmp_path, monkeypatch):
 
 def test_nobody_answers(monkeypatch):
     pytest.importorskip("distributed", reason="dask.distributed is absent")
-    from drake_exo.batch import cluster
+    from drake_exo.batch import jobs
 
-    monkeypatch.setattr(cluster, "_CONNECT_SECONDS", 0.0)
+    monkeypatch.setattr(jobs, "_CONNECT_SECONDS", 0.0)
     with pytest.raises(InputError, match="does not answer"):
         Cluster("tcp://127.0.0.1:9")

@@ -9,14 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from drake_exo.batch import cluster, figures, jobs, process_child, run
+from drake_exo.batch import jobs, process_child, results, run
 from drake_exo.batch.file import Task, variant_name
 from drake_exo.batch.jobs import Ended, Job, Worker
 from drake_exo.batch.results import Row
 from drake_exo.batch.run import outcome
 from drake_exo.errors import InputError
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import HOLDS
+from drake_exo.files.output import HOLDS, write_json
 
 CALIBRATE = Task(
     "anna/calibrate", "anna", "", "calibrate", source=Path("/b/anna.yaml"),
@@ -186,9 +185,9 @@ class Dask:
 
     def __init__(self, monkeypatch, answers_at):
         self.now, self.asked, self.answers_at = 100.0, [], answers_at
-        monkeypatch.setattr(cluster.time, "monotonic", lambda: self.now)
-        monkeypatch.setattr(cluster.time, "sleep", self._sleep)
-        pool = cluster.Cluster.__new__(cluster.Cluster)
+        monkeypatch.setattr(jobs.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(jobs.time, "sleep", self._sleep)
+        pool = jobs.Cluster.__new__(jobs.Cluster)
         pool.address, pool._dask = (
             "tcp://a:1",
             SimpleNamespace(Client=self._ask),
@@ -219,13 +218,13 @@ def test_a_scheduler_has_a_minute_to_answer(monkeypatch):
 
 
 def test_jobs_of_a_cluster_are_known_by_their_keys(monkeypatch):
-    pool = cluster.Cluster.__new__(cluster.Cluster)
+    pool = jobs.Cluster.__new__(jobs.Cluster)
     pool._since = {"anna/x-y=1": 40.0, "berta/lab": 50.0}
     pool._client = SimpleNamespace(
         processing=lambda: {"w1": ("anna/x-y=1-123", "other-5"), "w2": ()},
         nthreads=lambda: {"w1": 2, "w2": 3},
     )
-    monkeypatch.setattr(cluster.time, "monotonic", lambda: 47.5)
+    monkeypatch.setattr(jobs.time, "monotonic", lambda: 47.5)
     assert pool.running() == {"anna/x-y=1": 7.5}
     assert pool.workers() == 5
 
@@ -252,9 +251,9 @@ def test_peaks_are_read_where_predictions_are(monkeypatch, tmp_path):
         read.append((folder, name, kind))
         return kind
 
-    monkeypatch.setattr(figures, "read_trial", read_trial)
+    monkeypatch.setattr(results, "read_trial", read_trial)
     monkeypatch.setattr(
-        figures, "_peaks", lambda *_: ({("a", "N"): 3.0}, {("a", "N"): 4.0})
+        results, "_peaks", lambda *_: ({("a", "N"): 3.0}, {("a", "N"): 4.0})
     )
     empty = dict.fromkeys(Row.__dataclass_fields__, "")
 
@@ -268,9 +267,9 @@ def test_peaks_are_read_where_predictions_are(monkeypatch, tmp_path):
         row(phase="foot-ground", trial="t", signal="rmsd.grf_n", folder="f"),
         row(phase="predict", trial="", signal="rmsd.grf_n", folder="f"),
     ]
-    found = figures.peak_rows(SimpleNamespace(out=tmp_path), rows)
+    found = results.peak_rows(SimpleNamespace(out=tmp_path), rows)
     assert read == [(tmp_path / "f", "t", k) for k in ("solution", "measured")]
     assert [(r.signal, r.value, r.unit) for r in found] == [
-        (figures.PREDICTED + "a", 3.0, "N"),
-        (figures.MEASURED + "a", 4.0, "N"),
+        (results.PREDICTED + "a", 3.0, "N"),
+        (results.MEASURED + "a", 4.0, "N"),
     ]

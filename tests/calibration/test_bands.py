@@ -11,8 +11,10 @@ from scipy.linalg import null_space
 
 from drake_exo.calibration import uncertainty as module
 from drake_exo.calibration.error_model import ErrorSizes
-from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.phases import (
+    InteractionCalibration,
+    PredictionProblem,
+)
 from drake_exo.calibration.results import (
     phase_summary,
     write_bands,

@@ -18,9 +18,8 @@ from drake_exo.calibration.wearers import (
     posture_law,
     posture_slope,
 )
-from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.parameters import Posterior
-from drake_exo.contact.strap import Design
+from drake_exo.contact.strap import Assistance, Design, Gains
 from drake_exo.model.plant import nominal_model
 from drake_exo.nlp.program import quadratic_cost
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drake_exo.calibration.audit import audit
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import FootGroundSettings
-from drake_exo.measurement.inverse_dynamics import carried
+from drake_exo.measurement.kinematics import carried
 from drake_exo.measurement.settings import Load
 from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory import synthetic

@@ -6,23 +6,19 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.checks import clock_checks
 from drake_exo.calibration.clocks import (
     Clock,
     Timing,
+    clock_checks,
     clocks_of,
     left,
     retimed,
 )
-from drake_exo.calibration.error_model import (
-    NO_ERRORS,
-    ErrorModel,
-    ErrorSizes,
-)
+from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
 from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.parameters import Posterior
 from drake_exo.measurement.trial import CuffForce
-from drake_exo.report.tables import clocks_table
+from drake_exo.report.gathering import clocks_table
 from drake_exo.study import Study, calibrate_interaction, find_clocks, predict
 
 LAGS = {"encoders": 0.03, "pressure": -0.02}

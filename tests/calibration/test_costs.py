@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorSizes
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.phases import (
+    FootGroundCalibration,
+    InteractionCalibration,
+    PredictionProblem,
+)
 from drake_exo.calibration.problem import foot_turn, torque_terms
 from drake_exo.calibration.settings import (
     FootGroundSettings,

@@ -17,10 +17,7 @@ from drake_exo.calibration.design_result import (
     works,
     worn_norm,
 )
-from drake_exo.calibration.design_variables import (
-    GAINS,
-    design_variables,
-)
+from drake_exo.calibration.design_variables import GAINS, design_variables
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
     CuffFreedom,
@@ -37,10 +34,9 @@ from drake_exo.calibration.wearers import (
     joint_friction,
     sized,
 )
-from drake_exo.contact.assistance import Assistance
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
-from drake_exo.contact.strap import CuffDesign, Design, JointDesign
+from drake_exo.contact.strap import Assistance, CuffDesign, Design, JointDesign
 from drake_exo.errors import InputError
 from drake_exo.measurement.settings import Device, JointDrive
 

@@ -36,8 +36,13 @@ from drake_exo.calibration.settings import (
     JointFreedom,
     Solver,
 )
-from drake_exo.contact.assistance import Assistance, Gains
-from drake_exo.contact.strap import CuffDesign, Design, weight_above
+from drake_exo.contact.strap import (
+    Assistance,
+    CuffDesign,
+    Design,
+    Gains,
+    weight_above,
+)
 from drake_exo.model.plant import nominal_model
 from drake_exo.nlp.program import quadratic_cost
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.error_model import (
-    NO_ERRORS,
-    ErrorModel,
-    ErrorSizes,
+from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
+from drake_exo.calibration.phases import (
+    InteractionCalibration,
+    PredictionProblem,
 )
-from drake_exo.calibration.interaction import InteractionCalibration
-from drake_exo.calibration.prediction import PredictionProblem
 from drake_exo.calibration.results import read_calibration, write_contact
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.uncertainty import bands, posterior
@@ -21,7 +19,7 @@ from drake_exo.collocation.bushing_kernels import BushingKernel
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
 from drake_exo.errors import InputError
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     from_the_ground_up,
     inverse_dynamics,
 )

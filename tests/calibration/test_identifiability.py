@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.calibration.foot_ground import (
+from drake_exo.calibration.phases import (
     FootGroundCalibration,
     pareto_front,
 )
@@ -23,9 +23,9 @@ from drake_exo.cli import sensitivity as command
 from drake_exo.collocation.kernels import (
     FootGroundKernel,
 )
-from drake_exo.files.verdict import save_figure
+from drake_exo.files.output import save_figure
 from drake_exo.report.figures import front_figure
-from drake_exo.report.tables import front_table
+from drake_exo.report.gathering import front_table
 from drake_exo.study import Study
 from drake_exo.virtual_laboratory import synthetic
 

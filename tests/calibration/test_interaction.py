@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from measured_trials import saying
 
-from drake_exo.calibration.audit import audit, between_nodes
-from drake_exo.calibration.scores import rmsd
+from drake_exo.calibration.audit import audit, between_nodes, rmsd
 from drake_exo.calibration.uncertainty import noise_basis, uncertainty
 from drake_exo.cli import main
 from drake_exo.measurement.trial import CuffForce

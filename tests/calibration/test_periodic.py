@@ -7,7 +7,7 @@ import pytest
 from program_bounds import bounds
 
 from drake_exo.calibration.error_model import _squared
-from drake_exo.calibration.periodic import PeriodicStep, _middle, mirrored
+from drake_exo.calibration.phases import PeriodicStep, _middle, mirrored
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.uncertainty import _regulariser
 from drake_exo.collocation.kernels import PoseKernel

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.calibration.scores import rms, rmsd
+from drake_exo.calibration.audit import rms, rmsd
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.cli.predict import load_controller
 from drake_exo.contact.systems import AssistController

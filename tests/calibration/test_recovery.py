@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import Solver
 from drake_exo.virtual_laboratory import synthetic
 

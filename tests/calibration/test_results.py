@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drake_exo.calibration.audit import audit
-from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.phases import PredictionProblem
 from drake_exo.calibration.results import (
     Origin,
     read_calibration,
@@ -20,8 +20,7 @@ from drake_exo.calibration.results import (
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_json
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict, read_json
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from measured_trials import JOINTS, NAMES, moved, seen
 
-from drake_exo.calibration.scores import rms, rmsd, spread
+from drake_exo.calibration.audit import rms, rmsd, spread
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 from drake_exo.calibration.audit import audit
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import FootGroundSettings
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     inverse_dynamics,
     wrench_on_body,
 )

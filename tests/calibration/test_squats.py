@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.calibration.prediction import PredictionProblem
-from drake_exo.calibration.scores import rmsd
+from drake_exo.calibration.audit import rmsd
+from drake_exo.calibration.phases import (
+    FootGroundCalibration,
+    PredictionProblem,
+)
 from drake_exo.study import read_study
 
 pytestmark = pytest.mark.slow

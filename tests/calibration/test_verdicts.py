@@ -19,7 +19,7 @@ from drake_exo.calibration.audit import (
     between_nodes,
 )
 from drake_exo.calibration.error_model import NO_ERRORS
-from drake_exo.calibration.foot_ground import FootGroundCalibration
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import FootGroundSettings, Solver
 from drake_exo.calibration.solving import finer, solve, split
 from drake_exo.cli import main

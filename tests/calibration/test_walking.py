@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.calibration.audit import audit
-from drake_exo.calibration.foot_ground import FootGroundCalibration
-from drake_exo.calibration.periodic import PeriodicStep
-from drake_exo.calibration.prediction import PredictionProblem
+from drake_exo.calibration.audit import audit, rmsd
+from drake_exo.calibration.phases import (
+    FootGroundCalibration,
+    PeriodicStep,
+    PredictionProblem,
+)
 from drake_exo.calibration.problem import measured_feet, torque_terms
-from drake_exo.calibration.scores import rmsd
 from drake_exo.calibration.settings import PredictionSettings
 from drake_exo.calibration.solving import solve
 from drake_exo.calibration.start import settled

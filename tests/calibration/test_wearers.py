@@ -10,12 +10,11 @@ from worn import wearer as worn
 from drake_exo.calibration import wearers
 from drake_exo.calibration.settings import Population, PredictionSettings
 from drake_exo.calibration.wearers import Size, Wearer, assisted, drawn, sized
-from drake_exo.contact.assistance import Assistance, Gains
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactSphere, Posterior
-from drake_exo.contact.strap import Design
+from drake_exo.contact.strap import Assistance, Design, Gains
 from drake_exo.errors import InputError
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import nominal_model
 from drake_exo.model.segments import scale_human

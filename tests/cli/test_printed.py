@@ -22,8 +22,7 @@ from drake_exo.cli import (
 from drake_exo.cli.calibrate import SUMMARY
 from drake_exo.cli.view import REPLAY
 from drake_exo.errors import InputError
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import STOPPED_CODE, Check, Verdict
+from drake_exo.files.output import STOPPED_CODE, Check, Verdict, write_json
 
 
 def cells(line: str) -> list[str]:

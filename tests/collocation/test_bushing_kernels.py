@@ -9,10 +9,8 @@ import pytest
 from drake_exo.collocation.bushing_kernels import (
     BushingKernel,
     CoupledDynamicsKernel,
-    EnergyKernel,
-)
-from drake_exo.collocation.design_kernels import (
     DesignDynamicsKernel,
+    EnergyKernel,
     MovedWeight,
 )
 from drake_exo.collocation.kernels import (

@@ -5,16 +5,14 @@ import pytest
 
 from drake_exo.collocation.bushing_kernels import (
     BushingKernel,
-    slipping,
-    slipping_bends,
-)
-from drake_exo.collocation.design_kernels import (
     CuffKernel,
     DesignDynamicsKernel,
     ForceNormKernel,
     MigrationKernel,
     MovedWeight,
     PressureKernel,
+    slipping,
+    slipping_bends,
 )
 from drake_exo.collocation.kernels import DynamicsKernel, PoseKernel
 from drake_exo.contact.bushing import BushingKinematics

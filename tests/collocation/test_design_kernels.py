@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_exo.collocation.design_kernels import (
+from drake_exo.collocation.bushing_kernels import (
     AssistanceKernel,
     CuffKernel,
     ForceNormKernel,

@@ -7,7 +7,7 @@ from drake_exo.collocation.kernels import (
     DynamicsKernel,
     LoadedDynamicsKernel,
 )
-from drake_exo.measurement.inverse_dynamics import wrench_on_body
+from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 
 TIMES = np.linspace(0.0, 1.0, 12)

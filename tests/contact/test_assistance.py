@@ -5,13 +5,13 @@ import pytest
 from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
 from pydrake.symbolic import Expression, MakeVectorVariable
 
-from drake_exo.contact.assistance import (
+from drake_exo.contact.strap import (
     Assistance,
+    Design,
     GainController,
     GainController_,
     Gains,
 )
-from drake_exo.contact.strap import Design
 
 KNEE, HIP = Gains(0.8, 1.5, 6.0, 0.4), Gains(1.1, -2.0, 0.0, 1.2)
 STATE = np.array([0.9, -0.4, 0.7, -1.1])  # angles, rates

@@ -6,7 +6,7 @@ from pydrake.multibody.tree import MultibodyForces
 from drake_exo.contact.diagram import build_diagram, build_simulator
 from drake_exo.contact.systems import Chair
 from drake_exo.errors import InputError
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     inverse_dynamics,
     wrench_on_body,
 )

@@ -6,17 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.contact.assistance import Assistance, Gains, splines
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import (
     SOFTEST_N_M,
+    Assistance,
     CuffDesign,
     Design,
+    Gains,
     JointDesign,
     device_sdf,
     in_series,
     read_design,
+    splines,
     write_design,
 )
 from drake_exo.errors import InputError

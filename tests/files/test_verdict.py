@@ -6,7 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drake_exo.errors import InputError
-from drake_exo.files.verdict import (
+from drake_exo.files.output import (
     Check,
     Verdict,
     is_accepted,

@@ -19,7 +19,7 @@ from drake_exo.files import schema
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import Table, write_csv_table
 from drake_exo.measurement.filters import derivatives
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.study import StudyFile
 

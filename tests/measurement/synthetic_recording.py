@@ -13,7 +13,7 @@ from drake_exo.files import schema
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import MarkerData, Table
 from drake_exo.measurement.filters import derivatives
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     inverse_dynamics,
     wrench_on_body,
 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     from_the_ground_up,
     inverse_dynamics,
 )

@@ -7,7 +7,7 @@ from synthetic_recording import load as load_study
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.measurement.inverse_dynamics import carried, inverse_dynamics
+from drake_exo.measurement.kinematics import carried, inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Load
 from drake_exo.measurement.trial import Trial

@@ -21,7 +21,7 @@ from drake_exo.files.opensim import read_plates, read_table
 from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import uniform_time
 from drake_exo.measurement.filters import derivatives, resample
-from drake_exo.measurement.inverse_dynamics import (
+from drake_exo.measurement.kinematics import (
     inverse_dynamics,
     wrench_on_body,
 )

@@ -24,9 +24,8 @@ from drake_exo.files.opensim import (
     write_trc,
 )
 from drake_exo.files.tables import read_csv_table, write_csv_table
-from drake_exo.measurement.plausibility import wearer
-from drake_exo.measurement.plausibility.device import misfit
-from drake_exo.measurement.plausibility.evidence import Evidence
+from drake_exo.measurement import plausibility
+from drake_exo.measurement.plausibility import Evidence, misfit
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
 
@@ -350,7 +349,7 @@ def test_what_a_wearer_explains_costs_little():
     """Least squares with priors, by its definition."""
     rng = np.random.default_rng(2)
     first, second = (
-        wearer._Difference(
+        plausibility._Difference(
             rng.normal(size=(12, 3)),
             rng.normal(size=12),
             rng.normal(size=12),
@@ -364,13 +363,13 @@ def test_what_a_wearer_explains_costs_little():
     y = np.r_[first.found, second.found]
     rows = np.vstack([A, np.eye(5)])
     cost = np.linalg.lstsq(rows, np.r_[y, np.zeros(5)], rcond=None)[1]
-    assert wearer._cost(first, second) == pytest.approx(cost[0])
+    assert plausibility._cost(first, second) == pytest.approx(cost[0])
 
 
 def test_what_two_trials_cost_beyond_each_alone(monkeypatch):
     rng = np.random.default_rng(4)
     made = {
-        lag: wearer._Difference(
+        lag: plausibility._Difference(
             rng.normal(size=(12, 3)), rng.normal(size=12),
             rng.normal(size=12), count,
         )
@@ -388,14 +387,14 @@ def test_what_two_trials_cost_beyond_each_alone(monkeypatch):
     def misfit(e, other, reach_s):
         return (0.1 if e.lag in made else np.inf), e.lag
 
-    monkeypatch.setattr(wearer, "misfit", misfit)
+    monkeypatch.setattr(plausibility, "misfit", misfit)
     monkeypatch.setattr(
-        wearer._Difference, "of", staticmethod(lambda e, lag: made[lag])
+        plausibility._Difference, "of", staticmethod(lambda e, lag: made[lag])
     )
-    found = wearer.disagreement(trials)
+    found = plausibility.disagreement(trials)
     first, second = made.values()
-    more = wearer._cost(first, second)
-    more -= wearer._cost(first) + wearer._cost(second)
+    more = plausibility._cost(first, second)
+    more -= plausibility._cost(first) + plausibility._cost(second)
     expected = np.full((3, 3), np.nan)
     expected[0, 1] = expected[1, 0] = more / 10.0
     np.testing.assert_allclose(found, expected)
@@ -406,7 +405,7 @@ def test_a_trial_is_judged_by_the_one_most_like_it(monkeypatch):
         [[np.nan, 0.2, 3.0, np.nan], [0.2, np.nan, 5.0, np.nan],
          [3.0, 5.0, np.nan, np.nan], [np.nan] * 4]
     )  # fmt: skip
-    monkeypatch.setattr(wearer, "disagreement", lambda known: costs)
+    monkeypatch.setattr(plausibility, "disagreement", lambda known: costs)
     trials = [
         SimpleNamespace(
             trial=SimpleNamespace(name=name),
@@ -416,7 +415,7 @@ def test_a_trial_is_judged_by_the_one_most_like_it(monkeypatch):
         )
         for name, angles in zip("abscd", (1, 1, None, 1, 1), strict=True)
     ]
-    assert list(wearer.wearer_checks(trials)) == [
+    assert list(plausibility.wearer_checks(trials)) == [
         ("a", "encoder_stranger", 0.2, 0.45),
         ("b", "encoder_stranger", 0.2, 0.45),
         ("c", "encoder_stranger", 3.0, 0.45),
@@ -429,7 +428,7 @@ def test_what_the_difference_of_device_and_person_depends_on(folder):
     (trial,) = study.trials()
     recording = study.recordings.used(study.file.trials[0])
     e = Evidence(study.file.trials[0], trial, recording, study.subject)
-    found = wearer._Difference.of(e, 0.02)
+    found = plausibility._Difference.of(e, 0.02)
     n, joints = len(trial.times), 3
     d, v, a = recording.angles.motion(trial.start_s + trial.times + 0.02)
     human = trial.q[:, 3:6]  # the foot, then the person

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.measurement.plausibility import body, device, plates
-from drake_exo.measurement.plausibility.evidence import Evidence
+from drake_exo.measurement import plausibility
+from drake_exo.measurement.plausibility import Evidence
 from drake_exo.measurement.sagittal import PlanarWrench
 
 WEIGHT = 700.0
@@ -78,7 +78,7 @@ def standing(worn_kg=0.0, **said):
         ),
     )
     files = SimpleNamespace(forces="s.mot", markers="s.trc")
-    return list(body.standing_checks(subject, files))
+    return list(plausibility.standing_checks(subject, files))
 
 
 def test_what_a_standing_trial_says():
@@ -114,7 +114,7 @@ def test_ranges_are_told_by_the_worse_end(bends, value, limit, holds):
     angles = np.zeros((200, 3))
     angles[INSIDE, 1] = np.deg2rad(np.linspace(*bends, N))
     angles[:40, 1] = 3.0  # before the used part
-    found = list(body._ranges(made(legs={"left": angles})))
+    found = list(plausibility._ranges(made(legs={"left": angles})))
     assert told(found, "knee_range") == [(value, limit, holds)]
     assert "left knee" in found[1].sentence or holds
     assert ("backwards" in found[1].sentence) == (value < -20.0)
@@ -124,11 +124,14 @@ def test_ranges_are_told_by_the_worse_end(bends, value, limit, holds):
 
 def test_markers_are_told_by_their_mean_square():
     rms = {"heel": 0.03, "toe": 0.06, "knee": 0.02}
-    check = body._markers(made(residuals_m=rms))
+    check = plausibility._markers(made(residuals_m=rms))
     mean = np.sqrt((0.03**2 + 0.06**2 + 0.02**2) / 3)
     assert told(check, "markers") == [(mean, 0.05, True)]
     rms["toe"] = 0.09
-    assert "most toe (90 mm)" in body._markers(made(residuals_m=rms)).sentence
+    assert (
+        "most toe (90 mm)"
+        in plausibility._markers(made(residuals_m=rms)).sentence
+    )
 
 
 def test_newton_and_euler_by_hand():
@@ -142,17 +145,19 @@ def test_newton_and_euler_by_hand():
     q[:, 0], q[:, 1] = 0.2, 0.1
     e.trial.q = e.trial.v = e.trial.a = q
     known(e, needed=measured + lost, measured=measured, plates={})
-    found = list(body._dynamics(e))
+    found = list(plausibility._dynamics(e))
     assert told(found, "newton", "euler", "shear_sign") == [
         (30.0, 105.0, True),
         (60.0, 70.0, True),
         (1.0, -0.3, True),
     ]
     known(e, measured=measured * [-1.0, 1.0, 1.0])
-    assert told(list(body._dynamics(e)), "shear_sign") == [(-1.0, -0.3, False)]
+    assert told(list(plausibility._dynamics(e)), "shear_sign") == [
+        (-1.0, -0.3, False)
+    ]
     # 45 N of amplitude are 32 N RMS, more than 14; 15 N are not.
     known(e, needed=measured * [0.3, 1.0, 1.0] + lost)
-    names = [c.name for c in body._dynamics(e)]
+    names = [c.name for c in plausibility._dynamics(e)]
     assert "plausibility.shear_sign" not in names
     # Turned: F_x and M_y change their signs.
     known(e, needed=np.array([[10.0, 600.0, -20.0]] * N))
@@ -167,20 +172,20 @@ def test_newton_and_euler_by_hand():
      (0.5, None), (0.13, None)],
 )  # fmt: skip
 def test_units_are_guessed_within_15_percent(share, unit):
-    found = body._unit_of(share)
+    found = plausibility._unit_of(share)
     assert (unit is None and found is None) or unit in found
 
 
 def test_a_recording_that_ends_in_the_rise():
     """0.3 m/s in its last frame; only where the used part ends there."""
     e = made(hip_z=0.3 * TIME)
-    assert told(body._end(e), "end") == [(0.0, 0.15, True)]
+    assert told(plausibility._end(e), "end") == [(0.0, 0.15, True)]
     vars(e)["inside"] = TIME >= 2.5
-    assert told(body._end(e), "end") == [(0.3, 0.15, False)]
+    assert told(plausibility._end(e), "end") == [(0.3, 0.15, False)]
     vars(e)["inside"] = (TIME >= 2.5) & (TIME < 2.985)
-    assert told(body._end(e), "end") == [(0.3, 0.15, False)]
+    assert told(plausibility._end(e), "end") == [(0.3, 0.15, False)]
     vars(e)["inside"] = (TIME >= 2.5) & (TIME < 2.975)
-    assert told(body._end(e), "end") == [(0.0, 0.15, True)]
+    assert told(plausibility._end(e), "end") == [(0.0, 0.15, True)]
 
 
 def test_legs_against_each_other():
@@ -197,7 +202,7 @@ def test_legs_against_each_other():
     bear = np.zeros((2, N, 6))
     bear[0, :, 2], bear[1, :, 2] = 210.0, 490.0
     known(e, plates={"left": bear[0], "right": bear[1]})
-    found = list(body._legs(e))
+    found = list(plausibility._legs(e))
     assert "right knee" in found[0].sentence
     names = "leg_angles", "feet_apart", "leg_share", "lifted_foot"
     assert told(found, *names) == [
@@ -211,7 +216,7 @@ def test_legs_against_each_other():
     bear[0, 10:20, 2], bear[1, 10:20, 2] = 40.0, 220.0
     bear[0, 20:30, 2], bear[1, 20:30, 2] = 30.0, 200.0
     bear[0, 30:35, 2], bear[1, 30:35, 2] = 500.0, 0.0
-    (found,) = told(list(body._legs(e)), "lifted_foot")
+    (found,) = told(list(plausibility._legs(e)), "lifted_foot")
     assert found == (30.0, 5.0, False)
 
 
@@ -230,7 +235,7 @@ def test_a_foot_that_bears_shows_the_belts_speed():
         "left": SimpleNamespace(force_z=bears),
         "right": SimpleNamespace(force_z=np.zeros(N)),
     }
-    check = body._belt(e)
+    check = plausibility._belt(e)
     assert told(check, "belt") == [(0.9, 0.3, False)]
     assert "belt_speed_m_s: 1.00" in check.sentence
 
@@ -282,7 +287,7 @@ def test_pressure_is_measured_from_the_foots_edges():
     far.trial.q = far.trial.v = far.trial.a = np.zeros((N, 6))
     nothing = np.zeros((N, 3))
     known(far, plates=e.plates, needed=nothing, measured=nothing)
-    assert told(plates._sides(far), "plate_sides") == [(-0.2, 0.0, False)]
+    assert told(plausibility._sides(far), "plate_sides") == [(-0.2, 0.0, False)]
     one = made(feet=shod(left=(0.1, 0.1)))
     known(one, plates={"both": left})
     assert np.isnan(one.sole("both")[:, 2:]).all()
@@ -302,7 +307,7 @@ def test_a_pressure_far_away_is_told_with_its_unit():
     on = {"left": (0.2, 0.1), "right": (0.2, -0.1)}
     wrong = {s: pressed(x=1e3 * x, y=1e3 * y) for s, (x, y) in on.items()}
     known(e, plates=wrong)
-    found = list(plates._pressure(e, "left"))
+    found = list(plausibility._pressure(e, "left"))
     assert "look like millimetres" in found[0].sentence
     assert told(found, "cop_along", "cop_across", "cop_unit") == [
         (200.0 - 0.38, 0.03, False),
@@ -311,9 +316,9 @@ def test_a_pressure_far_away_is_told_with_its_unit():
     ]
     wrong = {s: pressed(x=1e2 * x, y=1e2 * y) for s, (x, y) in on.items()}
     known(e, plates=wrong)
-    assert plates.likely_cause(e).endswith("look like centimetres")
+    assert plausibility.likely_cause(e).endswith("look like centimetres")
     known(e, plates={s: pressed(x=x, y=y) for s, (x, y) in on.items()})
-    assert plates.likely_cause(e) is None
+    assert plausibility.likely_cause(e) is None
     assert e.outside("left")[0] < 0.0
 
 
@@ -332,26 +337,26 @@ def test_plates_that_repeat_themselves():
     F_z[600:1001] = 300.0  # its first sample repeats nothing
     F_z[1200:1240] = 290.0  # 40 ms are too short
     e = forced(F_z, np.linspace(300.0, 800.0, 2000))
-    check = plates._flat(e, "left", F_z)
+    check = plausibility._flat(e, "left", F_z)
     share = 100.0 * 400 / 1500
     assert told(check, "flat_channel") == [(share, 25.0, False)]
     assert "at exactly 300 N for 0.4 s" in check.sentence
     still = forced(F_z, np.linspace(300.0, 340.0, 2000))  # 8 N meanwhile
-    assert told(plates._flat(still, "left", F_z), "flat_channel") == [
+    assert told(plausibility._flat(still, "left", F_z), "flat_channel") == [
         (0.0, 25.0, True)
     ]
-    check = plates._clipped(e, "left", F_z)
+    check = plausibility._clipped(e, "left", F_z)
     assert told(check, "saturated_channel") == [(0.0, 0.0, True)]
     F_z[1300:1401] = 350.0
-    check = plates._clipped(e, "left", F_z)
+    check = plausibility._clipped(e, "left", F_z)
     assert told(check, "saturated_channel") == [(0.1, 0.0, False)]
     # At a slow rate five samples count, however long they are.
     slow = 300.0 + rng.normal(size=40)
     slow[10:15] = 301.0
     e = forced(slow, np.linspace(300.0, 900.0, 40), 20.0)
-    assert plates._repeats(e, slow) == []
+    assert plausibility._repeats(e, slow) == []
     slow[15] = 301.0
-    assert plates._repeats(e, slow) == [(11, 16)]
+    assert plausibility._repeats(e, slow) == [(11, 16)]
 
 
 def test_feet_and_chair_bear_the_body_together():
@@ -362,7 +367,7 @@ def test_feet_and_chair_bear_the_body_together():
     chair = np.where(TIME < 2.0, 250.0, 0.0)
     e.recording.chair = SimpleNamespace(force_z=chair)
     known(e, needed_z=np.full(200, 700.0))
-    assert told(plates._chair(e), "chair") == [(50.0, 105.0, True)]
+    assert told(plausibility._chair(e), "chair") == [(50.0, 105.0, True)]
 
 
 def worn(device_angles, human_angles, lag=0.0):
@@ -398,7 +403,7 @@ def test_encoders_against_the_person_by_hand():
          lambda t: -0.5 * bends(60.0)(t) - 4.0],
         [lambda t: 0.0 * t, bends(40.0), bends(60.0)],
     )  # fmt: skip
-    found = list(device.device_checks(e))
+    found = list(plausibility.device_checks(e))
     assert told(found, "encoder_sign") == [(1.0, 0.5, True), (-1.0, 0.5, False)]
     assert "its sign looks flipped" in " ".join(c.sentence for c in found)
     assert told(found, "encoder_unit") == [(0.8, 0.4, True), (0.5, 0.4, True)]
@@ -422,13 +427,13 @@ def test_encoders_of_each_others_joints():
         [lambda t: 0.0 * t, bends(60.0), bends(40.0)],
         [lambda t: 0.0 * t, bends(40.0), bends(60.0)],
     )
-    (found,) = told(list(device.device_checks(e)), "encoder_joints")
+    (found,) = told(list(plausibility.device_checks(e)), "encoder_joints")
     assert found[1:] == (1.1, False) and found[0].expected > 1e6
     half = worn(
         [lambda t: 0.0 * t, bends(44.0), bends(56.0)],
         [lambda t: 0.0 * t, bends(40.0), bends(60.0)],
     )
-    (found,) = told(list(device.device_checks(half)), "encoder_joints")
+    (found,) = told(list(plausibility.device_checks(half)), "encoder_joints")
     assert found == (4.0 / 16.0, 1.1, True)
 
 
@@ -440,7 +445,7 @@ def test_an_encoder_that_is_frozen_for_a_while():
 
     zero = lambda t: 0.0 * t  # noqa: E731
     e = worn([zero, sticks, zero], [zero, bends(40.0), zero])
-    check = device._frozen(e, 1)
+    check = plausibility._frozen(e, 1)
     assert check.value == pytest.approx(16.0, abs=0.6)
     assert (check.limit, check.holds) == (5.0, False)
 
@@ -449,7 +454,7 @@ def test_an_encoder_that_is_frozen_for_a_while():
         return bends(40.0)(np.where((t > 1.6) & (t < 1.69), 1.6, t))
 
     e = worn([zero, shortly, zero], [zero, bends(40.0), zero])
-    assert device._frozen(e, 1).holds
+    assert plausibility._frozen(e, 1).holds
 
 
 @pytest.mark.parametrize("lag", [0.05, -0.03, 0.08])
@@ -459,7 +464,7 @@ def test_the_lag_of_encoders_is_found_within_60_ms(lag):
 
     zero = lambda t: 0.0 * t  # noqa: E731
     e = worn([zero, swings, zero], [zero, swings, zero], lag)
-    share, found = device.misfit(e, e, 0.06)
+    share, found = plausibility.misfit(e, e, 0.06)
     if abs(lag) < 0.06:
         assert share < 0.01 and found == pytest.approx(lag)
     else:
@@ -468,11 +473,11 @@ def test_the_lag_of_encoders_is_found_within_60_ms(lag):
     angles = e.recording.angles
     for early, ends in ((1.25, True), (1.35, False)):  # of 3.2 s; needed: 2 s
         angles.time = 0.8 - early + np.arange(1200) / 500.0
-        assert np.isfinite(device.misfit(e, e, 0.0)[0]) == ends
+        assert np.isfinite(plausibility.misfit(e, e, 0.0)[0]) == ends
     angles.time = angles.time + 2.2
-    assert device.misfit(e, e, 0.0)[0] == np.inf
+    assert plausibility.misfit(e, e, 0.0)[0] == np.inf
     small = worn([zero] * 3, [zero, lambda t: 0.5 * swings(t) / 50.0, zero])
-    assert device.misfit(small, small, 0.06) == (np.inf, 0.0)
+    assert plausibility.misfit(small, small, 0.06) == (np.inf, 0.0)
 
 
 def test_files_of_two_trials_by_how_they_fit(monkeypatch):
@@ -493,9 +498,9 @@ def test_files_of_two_trials_by_how_they_fit(monkeypatch):
         assert reach == 0.06
         return fits[e.trial.name + other.trial.name], 0.0
 
-    monkeypatch.setattr(device, "misfit", fit)
+    monkeypatch.setattr(plausibility, "misfit", fit)
     a, b = trial("a"), trial("b")
-    found = list(device.between_trials([a, b]))
+    found = list(plausibility.between_trials([a, b]))
     approx = pytest.approx
     assert found[0] == ("a", "encoder_file", approx(1.2), 1.5, True)
     assert found[2] == ("b", "encoder_file", approx(4 / 1.5), 1.5, False)
@@ -504,14 +509,14 @@ def test_files_of_two_trials_by_how_they_fit(monkeypatch):
         (name, "encoder_swap", approx(swap), 1.25) for name in "ab"
     ]
     fits["ba"] = 0.1
-    first, *_ = device.between_trials([a, b])
+    first, *_ = plausibility.between_trials([a, b])
     assert first == ("a", "encoder_file", approx(3.0), 1.5, False)
     fits["ba"] = 0.6
     b.recording.angles.values = a.recording.angles.values
-    first, *_ = device.between_trials([a, b])
+    first, *_ = plausibility.between_trials([a, b])
     assert first == ("a", "encoder_file", approx(0.5), 1.5, False)
     b.files.markers = a.files.markers  # parts of one recording
-    assert list(device.between_trials([a, b])) == []
+    assert list(plausibility.between_trials([a, b])) == []
 
 
 def test_a_lone_foot_is_judged_along_alone():
@@ -521,19 +526,19 @@ def test_a_lone_foot_is_judged_along_alone():
     e.recording.forces = SimpleNamespace(recorded={})
     e.recording.chair = None
     known(e, plates={"both": pressed(x=0.5, y=0.9)})
-    found = list(plates.plate_checks(e))
+    found = list(plausibility.plate_checks(e))
     assert told(found, "cop_along") == [(0.5 - 0.38, 0.03, False)]
     names = [c.name.removeprefix("plausibility.") for c in found]
     assert names == ["cop_along", "cop_unit"]
     known(e, plates={"right": pressed(x=0.5, y=0.9)})
-    assert list(plates.plate_checks(e)) == []  # no markers, no judgement
+    assert list(plausibility.plate_checks(e)) == []  # no markers, no judgement
 
 
 def test_the_most_upright_twentieth_lies_around_where_least_is_bent():
     human = np.abs(np.arange(400.0) - 250.0)[:, None] * [1.0, -1.0, 0.5]
-    found = np.flatnonzero(device._most_upright(human))
+    found = np.flatnonzero(plausibility._most_upright(human))
     assert (found[0], found[-1]) == (240, 260)
-    few = np.flatnonzero(device._most_upright(human[200:260]))
+    few = np.flatnonzero(plausibility._most_upright(human[200:260]))
     assert few.tolist() == [48, 49, 50, 51, 52]
 
 

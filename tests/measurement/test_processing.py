@@ -22,7 +22,7 @@ from drake_exo.files.opensim import (
     write_trc,
 )
 from drake_exo.files.tables import Table
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import load_trials, process
 from drake_exo.measurement.settings import Scaling
 from drake_exo.measurement.subject import fit_subject

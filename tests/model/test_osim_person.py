@@ -9,7 +9,7 @@ from osim_kinematics import Osim, joint_function
 from small_osim import small_osim
 
 from drake_exo.errors import InputError
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.osim_person import read_person

@@ -11,7 +11,7 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
-from drake_exo.measurement.inverse_dynamics import wrench_on_body
+from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.planar_tree import PlanarTree
 

@@ -99,7 +99,7 @@ def test_the_command_and_its_version(installed, tmp_path):
 _MODELS = """
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from drake_exo.model.description import models_path
+from drake_exo.model.description import (models_path)
 from drake_exo.model.plant import build_plant
 
 assert build_plant("coupled").num_positions() == 9

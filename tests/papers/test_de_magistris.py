@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drake_exo.batch.jobs import Ended
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles import pictures
 from drake_exo.soles.load_blocks import LoadBlock, Pattern

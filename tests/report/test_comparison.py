@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from unmarked import unmarked
 
+from drake_exo.calibration.audit import rmsd
 from drake_exo.calibration.results import write_trial
-from drake_exo.calibration.scores import rmsd
 from drake_exo.cli import main
 from drake_exo.errors import InputError
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.report.gathering import _labels, compare
 from drake_exo.virtual_laboratory import synthetic
 

@@ -5,7 +5,7 @@ import pytest
 from undrawn import undrawn
 
 from drake_exo.cli import main
-from drake_exo.report.contact_figures import (
+from drake_exo.report.figures import (
     ContactCurves,
     _up,
     draw_friction,

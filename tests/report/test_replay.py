@@ -11,8 +11,7 @@ from drake_exo.calibration.results import MODEL
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_json, write_json
-from drake_exo.files.verdict import Check
+from drake_exo.files.output import Check, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import Assembly, Person

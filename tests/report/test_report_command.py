@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.results import read_trial, write_trial
-from drake_exo.calibration.scores import rmsd, spread
 from drake_exo.cli import main
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.virtual_laboratory import synthetic
 

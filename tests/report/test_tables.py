@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drake_exo.papers import serrancoli
-from drake_exo.report import tables
+from drake_exo.report import gathering
 from drake_exo.report.gathering import Results
 
 
@@ -63,36 +63,36 @@ EXPECTED = {
 
 
 def test_rmsd_of_every_signal_with_mean_and_sd():
-    text = tables.rmsd_table(SCORES, SPREAD)
+    text = gathering.rmsd_table(SCORES, SPREAD)
     assert header(text) == ["RMSD", "a", "b", "mean", "SD", "measured SD"]
     found = {row[0]: row[1:] for row in cells(text)}
     assert list(found) == list(EXPECTED)
     for name, values in EXPECTED.items():
         for cell, value in zip(found[name], values, strict=True):
             assert cell == ("-" if value is None else f"{value:.2f}")
-    assert "measured SD" not in tables.rmsd_table(SCORES)
+    assert "measured SD" not in gathering.rmsd_table(SCORES)
 
 
 def test_signals_stand_in_the_papers_order():
     names = ["pelvis", "exo_ankle", "hip", "other", "ankle", "thigh"]
     rows = [{"trial": "a", "interaction_n": dict.fromkeys(names, 1.0)}]
-    found = [path[1] for _, path in tables.rmsd_signals(rows)]
+    found = [path[1] for _, path in gathering.rmsd_signals(rows)]
     # Signals of no number, such as a centre of pressure, are none.
     assert found == ["ankle", "hip", "exo_ankle", "pelvis", "thigh", "other"]
 
 
 def test_mean_and_sd_leave_out_what_is_missing():
-    assert tables.mean_and_sd([]) == (None, None)
-    assert tables.mean_and_sd([None, 3.0]) == (3.0, None)
-    mean, sd = tables.mean_and_sd([1.0, None, 2.0, 6.0])
+    assert gathering.mean_and_sd([]) == (None, None)
+    assert gathering.mean_and_sd([None, 3.0]) == (3.0, None)
+    mean, sd = gathering.mean_and_sd([1.0, None, 2.0, 6.0])
     assert (mean, sd) == (3.0, pytest.approx(np.sqrt(7.0)))
 
 
 def test_numbers_have_fixed_decimals_and_gaps_are_dashes():
     rows = [["x", 1.0, None], ["longer", np.nan, -12.346]]
-    text = tables.format_table(["a", "b", "c"], rows)
+    text = gathering.format_table(["a", "b", "c"], rows)
     assert cells(text) == [["x", "1.00", "-"], ["longer", "-", "-12.35"]]
-    assert cells(tables.format_table(["a", "b"], [["x", 0.125]], 1)) == [
+    assert cells(gathering.format_table(["a", "b"], [["x", 0.125]], 1)) == [
         ["x", "0.1"]
     ]
     lines = text.splitlines()
@@ -117,7 +117,7 @@ def parameter(name="thigh.stiffness", **more):
     ],
 )
 def test_parameters_with_interval_bounds_and_remark(more, interval, remark):
-    text = tables.parameters_table([parameter(**more)])
+    text = gathering.parameters_table([parameter(**more)])
     ((name, value, half, lower, upper, unit, said),) = cells(
         text.replace("weakly determined", "weakly           ")
     )
@@ -135,7 +135,7 @@ def test_an_audit_is_one_line_a_trial():
         "simulated_angles_deg": 4.0,
         "simulated_interaction_n": None,
     }
-    text = tables.audit_table([row])
+    text = gathering.audit_table([row])
     assert cells(text)[0] == [
         "rise1",
         "1.25",
@@ -156,11 +156,11 @@ def test_a_front_is_one_line_a_factor():
     values = {k: 1.0 + i for i, k in enumerate(keys)}
     values |= {f"{k}_worst": 10.0 + i for i, k in enumerate(keys)}
     rows = [{"factor": f, "success": f > 0.3, **values} for f in (0.25, 1.0)]
-    first, second = cells(tables.front_table(rows))
+    first, second = cells(gathering.front_table(rows))
     numbers = ["1.00", "10.00", "2.00", "11.00", "3.00", "12.00", "4.00"]
     assert first == ["0.25 (failed)", *numbers, "13.00"]
     assert second == ["1", *numbers, "13.00"]
-    assert [n for n in header(tables.front_table(rows)) if n != "worst"][
+    assert [n for n in header(gathering.front_table(rows)) if n != "worst"][
         1:
     ] == [
         "angles [deg]",

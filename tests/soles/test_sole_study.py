@@ -8,7 +8,7 @@ import pytest
 from small_step import stage, write_case, write_step
 from unmarked import unmarked
 
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict
 from drake_exo.papers import de_magistris as paper
 from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case

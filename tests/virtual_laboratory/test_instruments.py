@@ -16,7 +16,7 @@ from drake_exo.files.tables import plate_axes, read_csv_table
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
-from drake_exo.virtual_laboratory import mats
+from drake_exo.virtual_laboratory import instruments
 from drake_exo.virtual_laboratory.instruments import (
     PLATES,
     Clocks,
@@ -379,13 +379,13 @@ def pressed(tmp_path, monkeypatch):
     def keep(path, time, pressure, mats):
         caught.update(time=time, pressure=pressure, mats=mats)
 
-    monkeypatch.setattr(mats, "_write_asc", keep)
+    monkeypatch.setattr(instruments, "_write_asc", keep)
 
     def record(configuration="pelvis", lag=0.0, steps=False, **more):
-        mats.record_pressure(
+        instruments.record_pressure(
             tmp_path / "a.asc",
             happened(),
-            mats.CONFIGURATIONS[configuration],
+            instruments.CONFIGURATIONS[configuration],
             lag,
             MODEL,
             steps,
@@ -399,9 +399,9 @@ def pressed(tmp_path, monkeypatch):
 def normal_force(pressure, configuration="pelvis"):
     """Of both faces of each segment (N, segments), by summing the cells."""
     found, first = {}, 0
-    for mat in mats.CONFIGURATIONS[configuration]:
+    for mat in instruments.CONFIGURATIONS[configuration]:
         cells = mat.rows * mat.columns
-        _, inward, _, _ = mats.cells(mat, MODEL)
+        _, inward, _, _ = instruments.cells(mat, MODEL)
         part = 2e-4 * pressure[:, first : first + cells] @ inward[:, 0]
         found[mat.segment] = found.get(mat.segment, 0.0) + part
         first += cells
@@ -448,7 +448,7 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
     assert np.abs(coarse - fine).max() <= 1250.0
     assert len(np.unique(steps)) > 3
     high = {"pelvis": 3000.0}
-    monkeypatch.setattr(mats, "_TENSION_N", high)
+    monkeypatch.setattr(instruments, "_TENSION_N", high)
     _, pressed_hard = pressed(steps=True)
     assert pressed_hard.max() == 30000.0
     _, beyond = pressed()
@@ -456,10 +456,10 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
 
 
 def test_pressure_files_are_in_kilopascal(tmp_path):
-    mats.record_pressure(
+    instruments.record_pressure(
         tmp_path / "a.asc",
         happened(),
-        mats.CONFIGURATIONS["pelvis"],
+        instruments.CONFIGURATIONS["pelvis"],
         0.0,
         MODEL,
         True,
@@ -551,7 +551,7 @@ def test_scanned_surfaces_lie_where_their_segment_does():
     q = np.linspace(0.1, 0.9, len(NAMES))
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.0], [0.0, 0.3, 0.4]])
     for segment in ("shank", "thigh", "pelvis"):
-        found = mats._placed(TREE, q, segment)(points)
+        found = instruments._placed(TREE, q, segment)(points)
         for p, (x, y, z) in zip(points, found, strict=True):
             (expected,) = TREE.point_positions(q[None], segment, (p[0], p[2]))
             np.testing.assert_allclose((x, z), expected)
@@ -665,7 +665,7 @@ def test_markers_lie_on_a_body_that_is_the_same_on_both_sides():
 def test_a_scan_is_a_fine_closed_tube(tmp_path):
     """Elliptic, as long as the segment, of triangles of a centimetre."""
     path = tmp_path / "scan.obj"
-    mats._write_surface(path, 0.06, 0.05, 0.4, lambda p: p)
+    instruments._write_surface(path, 0.06, 0.05, 0.4, lambda p: p)
     rows = [line.split() for line in path.read_text().splitlines()]
     v = 1e-3 * np.array([r[1:] for r in rows if r[0] == "v"], float)
     f = np.array([r[1:] for r in rows if r[0] == "f"], int) - 1

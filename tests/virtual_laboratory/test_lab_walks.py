@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 
 import drake_exo as dx
-from drake_exo.calibration.periodic import PeriodicStep, mirrored
+from drake_exo.calibration.phases import PeriodicStep, mirrored
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.contact.parameters import ContactModel, nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.virtual_laboratory import simulation, walking
-from drake_exo.virtual_laboratory.two_legs import draw, write_movements
-from drake_exo.virtual_laboratory.walking import (
+from drake_exo.virtual_laboratory import simulation, two_legs
+from drake_exo.virtual_laboratory.two_legs import (
     WalkingController,
     WalkPlan,
+    draw,
     repeated,
     template,
     vary_walk,
+    write_movements,
 )
 
 PLAN = WalkPlan()
@@ -157,7 +158,7 @@ def test_a_step_repeats_itself_in_a_device(worn):
     """Periodic ends of person and device, cuffs between them."""
     subject = draw(worn, 0, frozenset())
     model, names = subject.model, subject.model.coordinates
-    soles = replace(subject.truth.contact, constants=walking._SMOOTH)
+    soles = replace(subject.truth.contact, constants=two_legs._SMOOTH)
     near = template(model.rigid.tree, soles, PLAN)
     q, v, a = (names.aligned(x) for x in (near.q, near.v, near.a))
     near = replace(near, coordinates=names, q=q, v=v, a=a)
@@ -165,7 +166,7 @@ def test_a_step_repeats_itself_in_a_device(worn):
         ends="periodic",
         speed_m_s=PLAN.speed_m_s,
         torque_limit_nm=300.0,
-        noise=walking._NOISE,
+        noise=two_legs._NOISE,
         solver=Solver(25.0),
     )
     contact = ContactModel(soles, nominal_contact(model).bushings)
@@ -246,7 +247,7 @@ def test_a_foot_is_pressed_by_where_in_its_cycle_it_is(subject):
     q[:, 1] = 0.9
     ankle = tree.point_positions(q, "foot_left", (0.0, 0.0))[:, 0]
     cycle = np.array([0.0, 0.12, 0.3, 0.7])
-    force = walking._borne(tree, q, "left", cycle)
+    force = two_legs._borne(tree, q, "left", cycle)
     np.testing.assert_allclose(
         force.force_z, weight * np.array([0.0, 1.1, 0.78, 0.0])
     )
@@ -291,7 +292,7 @@ def test_a_template_has_the_angles_of_the_book(subject, step):
     ):
         begin = 0.62 if side == "left" else 0.12
         t = 2.0 * (at - begin) * PLAN.step_s
-        for joint, angles in walking._CYCLE.items():
+        for joint, angles in two_legs._CYCLE.items():
             found = np.interp(t, step.times, step.coordinate(f"{joint}_{side}"))
             assert np.rad2deg(found) == pytest.approx(angles[tenth], abs=0.2)
     np.testing.assert_allclose(
@@ -394,10 +395,10 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
         asked.append((trials[0], contact.ground, settings))
         return SimpleNamespace(solve=lambda on_iterate: found)
 
-    monkeypatch.setattr(walking, "_Step", problem)
+    monkeypatch.setattr(two_legs, "_Step", problem)
     plan = replace(PLAN, steps=2, after_s=0.1)
     soles = subject.truth.contact
-    walk = walking.plan_walk(subject.model, soles, plan, "walk")
+    walk = two_legs.plan_walk(subject.model, soles, plan, "walk")
     assert walk.times[-1] == pytest.approx(2 * plan.step_s + 0.1)
     near, ground, settings = asked[0]
     np.testing.assert_array_equal(near.q, step.q)
@@ -412,13 +413,13 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
     assert 10.0 < noise.torque_nm < 100.0 and noise.jerk > 100.0
     found.success = False
     with pytest.raises(InputError, match=r"no step of 1\.20 m/s was found"):
-        walking.plan_walk(subject.model, soles, plan, "walk")
+        two_legs.plan_walk(subject.model, soles, plan, "walk")
 
 
 def test_a_step_stays_within_degrees_of_the_template(subject, step):
     """Of the trunk's lean and the joints; its place is free."""
     names = step.coordinates
-    own = SimpleNamespace(settings=SimpleNamespace(noise=walking._NOISE))
+    own = SimpleNamespace(settings=SimpleNamespace(noise=two_legs._NOISE))
     rows = np.arange(step.q.size).reshape(step.q.shape)
     n = len(step.times)
     movement = SimpleNamespace(
@@ -427,8 +428,8 @@ def test_a_step_stays_within_degrees_of_the_template(subject, step):
         torque=np.arange(n * 6).reshape(n, 6),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(walking, "ground_terms", lambda *_: ["ground"])
-        terms = walking._Step._terms(own, movement, step, None)
+        patch.setattr(two_legs, "ground_terms", lambda *_: ["ground"])
+        terms = two_legs._Step._terms(own, movement, step, None)
     tracked, ground, effort = terms
     assert ground == "ground"
     columns = names.columns(["pelvis_pitch", *names.human])

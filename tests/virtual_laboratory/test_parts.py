@@ -29,15 +29,13 @@ from drake_exo.virtual_laboratory.forces import (
     resting_foot,
 )
 from drake_exo.virtual_laboratory.instruments import (
-    hide,
-    marker_set,
-    study_markers,
-)
-from drake_exo.virtual_laboratory.mats import (
     CELL_AREA_M2,
     CONFIGURATIONS,
     cell_pressures,
     cells,
+    hide,
+    marker_set,
+    study_markers,
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import (

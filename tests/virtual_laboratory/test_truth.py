@@ -18,8 +18,11 @@ from drake_exo.virtual_laboratory.forces import (
     cuff_force,
     seat_wrench,
 )
-from drake_exo.virtual_laboratory.instruments import Faults, Laboratory
-from drake_exo.virtual_laboratory.mats import CONFIGURATIONS
+from drake_exo.virtual_laboratory.instruments import (
+    CONFIGURATIONS,
+    Faults,
+    Laboratory,
+)
 from drake_exo.virtual_laboratory.plan import (
     DeviceController,
     Friction,

@@ -22,7 +22,7 @@ from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.measurement.inverse_dynamics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.mats import cell_directions
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Mat, Scan
@@ -31,7 +31,7 @@ from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import plan, two_legs
 from drake_exo.virtual_laboratory.forces import ground_wrench, resting_foot
-from drake_exo.virtual_laboratory.mats import (
+from drake_exo.virtual_laboratory.instruments import (
     CELL_AREA_M2,
     cell_pressures,
     write_scans,

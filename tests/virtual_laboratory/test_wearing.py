@@ -7,8 +7,13 @@ import pytest
 
 import drake_exo as dx
 from drake_exo.cli import main
-from drake_exo.contact.assistance import Assistance, GainController, Gains
-from drake_exo.contact.strap import CuffDesign, Design
+from drake_exo.contact.strap import (
+    Assistance,
+    CuffDesign,
+    Design,
+    GainController,
+    Gains,
+)
 from drake_exo.errors import InputError
 from drake_exo.virtual_laboratory.campaign import (
     Campaign,

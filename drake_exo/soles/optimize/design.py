@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.files.output import write_json
-from drake_exo.files.verdict import Check, Verdict
+from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.soles.mesh import (
     WALL,
     TetMesh,

@@ -10,8 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_arrays, write_json
-from drake_exo.files.verdict import SOLVED, Check, Verdict
+from drake_exo.files.output import (
+    SOLVED,
+    Check,
+    Verdict,
+    read_arrays,
+    write_json,
+)
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.files.verdict import write_text
+from drake_exo.files.output import write_text
 from drake_exo.soles.contact.finite_strain import (
     FiniteState,
     FiniteStrainSolver,

@@ -1,0 +1,499 @@
+"""The phases posed: contact calibrated (A, B), movements predicted (C).
+
+Serrancoli et al., II-C. Phase A: kinematics, ground reaction and centre of
+pressure are tracked, joint torques minimised; the spheres' parameters are
+shared by all trials; initial and final states are given; human and exoskeleton
+do not touch. Phase B: as Phase A, with the foot-ground contact fixed; the
+bushings' forces are further controls, tied to their law. Joint moments and the
+normal forces that mats measured are tracked, the contact energy of all other
+components is minimised.
+
+Phase C: only the initial and final states are given. C1 tracks ground
+reaction, centre of pressure and joint torques and minimises the contact energy
+of all components; C2 does so with the bushings' stiffness and damping scaled
+(`ContactModel.scaled`). The objective "comfort" tracks nothing: it minimises
+the interaction with bounded effort, for designs that were never measured. So
+does a periodic step of two legs: what ends with left and right exchanged as it
+began could go on for ever.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydrake.systems.framework import System
+
+from drake_exo.calibration.audit import rmsd
+from drake_exo.calibration.error_model import ErrorModel
+from drake_exo.calibration.problem import (
+    Parts,
+    PhaseProblem,
+    PhaseResult,
+    ground_terms,
+    kinematic_terms,
+    normal_force_terms,
+    torque_terms,
+    typical_jerk,
+)
+from drake_exo.calibration.settings import (
+    FootGroundSettings,
+    InteractionSettings,
+    PredictionSettings,
+)
+from drake_exo.collocation.initial_guess import straight_line
+from drake_exo.collocation.kernels import ControllerKernel, SoleKernel
+from drake_exo.collocation.trial_program import (
+    Tracking,
+    TrialProgram,
+    minimised,
+)
+from drake_exo.contact.bushing import COMPONENTS, NORMAL
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactParameter,
+    GroundContact,
+)
+from drake_exo.errors import InputError
+from drake_exo.files.output import Progress
+from drake_exo.files.tables import runs
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.coordinates import Coordinates
+from drake_exo.model.plant import Model
+from drake_exo.nlp.program import AffineKernel
+
+
+class FootGroundCalibration(PhaseProblem):
+    """Phase A posed as a MathematicalProgram.
+
+    Args:
+        model: subject and device.
+        trials: measured.
+        settings: noise, bounds, grid.
+        parameters: to calibrate; those of the settings by default.
+        ground: contact that is known, of a sole; then there are none.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    >>> posed = FootGroundCalibration(model, [trial])
+    >>> posed.program.prog.num_vars() > 1000
+    True
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        settings: FootGroundSettings | None = None,
+        parameters: list[ContactParameter] | None = None,
+        *,
+        ground: GroundContact | None = None,
+        refined: Mapping[str, Parts] | None = None,
+    ):
+        settings = settings or FootGroundSettings()
+        if ground is None:
+            contact = settings.contact(model.spheres)
+            parameters = parameters or settings.parameters(model.spheres)
+        else:
+            contact = ContactModel(ground, jerk=typical_jerk(trials))
+            parameters = []
+        super().__init__(
+            model, trials, contact, parameters, settings, refined=refined
+        )
+
+    def _terms(self, movement, at, effects):
+        noise = self.settings.noise
+        return [
+            *kinematic_terms(movement, at, noise),
+            *ground_terms(movement, at, noise),
+            minimised(movement.torque, noise.torque_nm),
+        ]
+
+
+FRONT_KINDS = ("angles_deg", "velocities_deg_s", "grf_n", "cop_mm")
+
+
+def pareto_front(result: PhaseResult) -> list[dict]:
+    """Calibrate again with the noise of forces scaled by factors.
+
+    Args:
+        result: of Phase A with the settings as they stand, which name the
+            factors.
+
+    Returns:
+        One row for each factor: factor, success, and of each of FRONT_KINDS the
+        mean and the worst RMSD.
+    """
+    problem = result.problem
+    settings, noise = problem.settings, problem.settings.noise
+    rows = []
+    factors = sorted({1.0, *settings.front})
+    progress = Progress("front", total=len(factors))
+    for i, factor in enumerate(factors):
+        found = result
+        if factor != 1.0:
+            scaled = replace(
+                noise,
+                force_n=factor * noise.force_n,
+                cop_m=factor * noise.cop_m,
+            )
+            found = FootGroundCalibration(
+                problem.model,
+                problem.trials,
+                replace(settings, noise=scaled),
+                problem.parameters,
+            ).solve(near=result)
+        rows.append(_row(factor, found))
+        progress.update(f"factor {factor:g}", done=i + 1)
+    return rows
+
+
+def _row(factor: float, found: PhaseResult) -> dict:
+    success = found.success
+    found = found if success else found.unsealed()
+    scores = [
+        rmsd(t, measured)
+        for t, measured in zip(found.trials, found.problem.trials, strict=True)
+    ]
+    row = {"factor": factor, "success": success}
+    for kind in FRONT_KINDS:
+        values = np.hstack(
+            [
+                list(s[kind].values()) if isinstance(s[kind], dict) else s[kind]
+                for s in scores
+            ]
+        )
+        row[kind] = float(np.mean(values))
+        row[f"{kind}_worst"] = float(np.max(values))
+    return row
+
+
+EVERY = list(range(len(COMPONENTS)))
+
+
+class InteractionCalibration(PhaseProblem):
+    """Phase B posed as a MathematicalProgram.
+
+    Args:
+        model: subject and device.
+        trials: measured.
+        contact: of foot and ground, calibrated; its bushings are not used.
+        settings: noise, bounds, grid.
+
+    Raises:
+        InputError: the model has no cuffs.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> posed = InteractionCalibration(made.model, made.trials, made.contact)
+    >>> [p.name for p in posed.parameters][:2]
+    ['shank.origin_x', 'shank.origin_z']
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        contact: ContactModel,
+        settings: InteractionSettings | None = None,
+        *,
+        refined: Mapping[str, Parts] | None = None,
+    ):
+        check_has_cuffs(model)
+        settings = settings or InteractionSettings()
+        super().__init__(
+            model,
+            trials,
+            replace(contact, bushings=settings.bushings(model.cuffs)),
+            settings.parameters(model.cuffs),
+            settings,
+            ErrorModel(model, trials, settings.errors),
+            refined,
+        )
+
+    def _terms(self, movement, at, effects):
+        noise = self.settings.noise
+        return [
+            *kinematic_terms(movement, at, noise, effects),
+            *ground_terms(movement, at, noise),
+            *torque_terms(movement, at, noise, effects),
+            *normal_force_terms(movement, at, noise, effects),
+        ]
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = super()._add(trial)
+        unmeasured = {
+            cuff: [c for c in EVERY if c != NORMAL or cuff not in trial.cuffs]
+            for cuff in self.bushings
+        }
+        self.minimise_energy(movement, unmeasured, self.settings.noise.energy_j)
+        return movement
+
+
+def check_has_cuffs(model: Model) -> None:
+    """Raises InputError if there is nothing to interact with."""
+    if not model.cuffs:
+        raise InputError(
+            f"the study's model is '{model.name}': there is no exoskeleton "
+            "to interact with; use 'model: coupled', or --phase foot-ground"
+        )
+
+
+def check_is_measured(trials: Sequence[Trial]) -> None:
+    """Raises InputError if nothing of the device was measured.
+
+    Without angles, moments and mats there is nothing that cuffs could be
+    calibrated with.
+    """
+    if not any(
+        t.cuffs or t.moments is not None or "encoders" in t.provenance
+        for t in trials
+    ):
+        raise InputError(
+            "nothing of the exoskeleton was measured: no trial has encoders, "
+            "exo_moments or pressure, and the study has no device; say "
+            "'model: human' if none was worn, or use --phase foot-ground"
+        )
+
+
+# An end counts as a second of tracking does: noise of a signal is one size
+# for about that long.
+END_WEIGHT_S = 1.0
+_TOES_RAD = np.deg2rad(3.0)
+
+
+class PredictionProblem(PhaseProblem):
+    """Phase C posed as a MathematicalProgram.
+
+    Args:
+        model: subject and device.
+        trials: their kinematics serve for the end states and duration, and
+            are compared with, not tracked.
+        contact: calibrated.
+        settings: objective, noise, grid.
+        controller: gives the exoskeleton's torques; None where they are
+            measured (tracked) or free.
+
+    >>> from drake_exo.virtual_laboratory import synthetic
+    >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
+    >>> posed = PredictionProblem(made.model, made.trials, made.contact)
+    >>> sorted(posed.bushings)
+    ['pelvis', 'shank', 'thigh']
+
+    Raises:
+        InputError: the model has cuffs, but the contact knows nothing of
+            them; or the controller is none that can be used.
+        ValueError: the settings ask for other ends, see `PeriodicStep`.
+    """
+
+    ends = "measured"
+
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        contact: ContactModel,
+        settings: PredictionSettings | None = None,
+        *,
+        controller: System | None = None,
+        refined: Mapping[str, Parts] | None = None,
+    ):
+        settings = settings or PredictionSettings(ends=self.ends)
+        if settings.ends != self.ends:
+            raise ValueError(f"the settings ask for {settings.ends} ends")
+        if not set(model.cuffs) <= set(contact.bushings):
+            raise InputError(
+                "the calibration holds no interaction parameters; run "
+                "'drake-exo calibrate' without --phase, or with --phase "
+                "interaction"
+            )
+        self._controller = (
+            None
+            if controller is None
+            else ControllerKernel(controller, len(model.coordinates.device))
+        )
+        # A human alone has no use for the cuffs of a calibration.
+        own = {cuff: contact.bushings[cuff] for cuff in model.cuffs}
+        contact = replace(contact, bushings=own)
+        errors = ErrorModel(model, trials, settings.errors, contact.posterior)
+        super().__init__(model, trials, contact, [], settings, errors, refined)
+
+    def _terms(self, movement, at, effects):
+        noise, toes = self.settings.noise, _held_toes(movement, at)
+        if self.settings.objective == "comfort":
+            return [minimised(movement.torque, noise.torque_nm), *toes]
+        return [
+            *ground_terms(movement, at, noise),
+            *torque_terms(movement, at, noise, effects),
+            *toes,
+        ]
+
+    def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
+        super()._hold_ends(movement, at)
+        effects = self._effects(at)
+        if effects is None and len(self.feet) == 1:
+            return
+        # Where feet and joints are free, so are the ends between them.
+        at_ends = np.zeros(len(at.times))
+        at_ends[[0, -1]] = END_WEIGHT_S
+        movement.add_tracking_cost(
+            kinematic_terms(movement, at, self.settings.noise, effects),
+            self.error_variables,
+            at_ends,
+        )
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = super()._add(trial)
+        self._limit(movement)
+        everything = dict.fromkeys(self.bushings, EVERY)
+        self.minimise_energy(movement, everything, self.settings.noise.energy_j)
+        if self._controller is not None:
+            self._drive(movement)
+        return movement
+
+    def _limit(self, movement: TrialProgram) -> None:
+        limit = np.full(movement.torque.size, self.settings.torque_limit_nm)
+        movement.bound(movement.torque.ravel(), -limit, limit)
+
+    def _drive(self, movement: TrialProgram) -> None:
+        """Tie the exoskeleton's torques to the controller."""
+        grid, names = movement.grid, movement.coordinates
+        device = names.device_columns
+        torque = movement.torque[:, names.is_device_joint]
+        self.program.add_constraints(
+            f"{movement.name} controller",
+            self._controller,
+            np.hstack([grid.q[:, device], grid.v[:, device], torque]),
+            data=grid.times[:, None],
+        )
+
+    def _start(self, movement: TrialProgram, trial: Trial) -> Trial:
+        steps = len(self.feet) > 1
+        if self.settings.guess == "line" and steps:
+            raise InputError(
+                "prediction.guess: a line between the ends is no start for "
+                "legs that step; say data, or leave it out"
+            )
+        if steps or self.settings.guess == "data":
+            return super()._start(movement, trial)
+        return straight_line(trial, movement.grid.times)
+
+
+def _held_toes(movement: TrialProgram, at: Trial) -> list[Tracking]:
+    """Hinged toes near the line between their ends.
+
+    They weigh next to nothing and how a plate's force is shared with them is
+    not known: without this they would flutter.
+    """
+    toes = [n for n in at.coordinates.joints if n.startswith("toes")]
+    if not toes:
+        return []
+    columns = at.coordinates.columns(toes)
+    share = (at.times / at.times[-1])[:, None]
+    line = (1.0 - share) * at.q[0, columns] + share * at.q[-1, columns]
+    return [Tracking(movement.grid.q[:, columns], line, _TOES_RAD)]
+
+
+# How far joints turn where nothing else says so, as the American Academy of
+# Orthopaedic Surgeons tells it; ankles bend further under load.
+_RANGES_DEG = {
+    "hip": (-30.0, 120.0),
+    "knee": (0.0, 140.0),
+    "ankle": (-50.0, 35.0),
+    "toes": (-30.0, 70.0),
+}
+
+
+class PeriodicStep(PredictionProblem):
+    """A periodic step posed as a MathematicalProgram.
+
+    Args:
+        model: subject and device.
+        trials: where the search starts, and how long each step lasts.
+        contact: calibrated.
+        settings: speed, clearance, bounds, effort, grid.
+
+    Raises:
+        InputError: the model has one leg for both; or as PredictionProblem.
+    """
+
+    ends = "periodic"
+
+    def _terms(self, movement, at, effects):
+        return [minimised(movement.torque, self.settings.noise.torque_nm)]
+
+    def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
+        grid, names = movement.grid, movement.coordinates
+        x, *_ = names.root_columns
+        other = mirrored(names)
+        speed = self.settings.speed_m_s
+        if speed is None:
+            speed = (at.q[-1, x] - at.q[0, x]) / at.duration
+        ahead = np.zeros(len(names))
+        ahead[x] = speed * at.duration
+        movement.bound(grid.q[0, [x]], at.q[0, [x]], at.q[0, [x]])
+        # The root's accelerations follow from all else.
+        for what, values, rows, gain in (
+            ("positions", grid.q, slice(None), ahead),
+            ("velocities", grid.v, slice(None), 0.0),
+            ("accelerations", grid.a, names.joint_columns, 0.0),
+        ):
+            self.program.add_constraints(
+                f"{movement.name} mirrored {what}",
+                AffineKernel(np.hstack([np.eye(len(names)), -other])[rows]),
+                np.hstack([values[-1], values[0]])[None],
+                gain,
+                gain,
+            )
+
+    def _add(self, trial: Trial) -> TrialProgram:
+        movement = super()._add(trial)
+        grid, names = movement.grid, movement.coordinates
+        at = trial.sample(grid.times)
+        for side, wrench in at.feet.items():
+            foot = f"foot_{side}"
+            swings = _middle(~wrench.is_loaded)
+            if not len(swings):
+                continue
+            kernel = SoleKernel(self.sphere_values(self.contact, foot))
+            self.program.add_constraints(
+                f"{movement.name} clearance of {foot}",
+                kernel,
+                movement.poses[foot][swings],
+                self.settings.clearance_m,
+                np.inf,
+            )
+        for name in names.human:
+            lower, upper = np.deg2rad(_RANGES_DEG[name.split("_")[0]])
+            q, own = grid.q[:, names.index(name)], at.coordinate(name)
+            movement.bound(
+                q,
+                np.full(len(q), min(lower, own.min())),
+                np.full(len(q), max(upper, own.max())),
+            )
+        return movement
+
+
+def mirrored(names: Coordinates) -> np.ndarray:
+    """Matrix (nq, nq) that exchanges left and right.
+
+    Raises:
+        InputError: a coordinate has no other side.
+    """
+    other = {"left": "right", "right": "left"}
+    found = np.zeros((len(names), len(names)))
+    for i, name in enumerate(names.names):
+        parts = [other.get(part, part) for part in name.split("_")]
+        if i >= len(names.root) and parts == name.split("_"):
+            raise InputError(
+                f"prediction.ends: {name} is of both legs at once; a periodic "
+                "step needs two, say human: {legs: two}"
+            )
+        found[i, names.index("_".join(parts))] = 1.0
+    return found
+
+
+def _middle(free: np.ndarray) -> np.ndarray:
+    """The middle half of the longest run of nodes (n,) without load."""
+    longest = max(runs(free), key=lambda r: r[1] - r[0], default=(0, 0))
+    quarter = (longest[1] - longest[0]) // 4
+    return np.arange(longest[0] + quarter, longest[1] - quarter)

@@ -1,0 +1,1115 @@
+"""Whether recordings can be what they are taken for, told before a solve.
+
+The body: mass, posture, ranges of joints, Newton and Euler, both legs. Plates
+against feet: units, sides, axes, channels that do not measure. The device
+against the person: sign, offset and unit of each joint. Encoders against the
+movement that markers saw, by other trials.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from drake_exo.errors import InputError
+from drake_exo.files.output import Check, Verdict
+from drake_exo.files.tables import runs
+from drake_exo.measurement.kinematics import inverse_dynamics
+from drake_exo.measurement.processing import Recording
+from drake_exo.measurement.settings import Standing, TrialFiles
+from drake_exo.measurement.subject import SubjectModel
+from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import SIDES
+
+JOINTS = ("ankle", "knee", "hip")
+# A plate that bears less has no centre of pressure worth a judgement [N].
+LOADED_N = 50.0
+# The foot reaches so far behind its hindmost marker, and its markers so far
+# inside of its edges [m].
+_HEEL_M = 0.03
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One trial, the files that it comes from and its whole recording.
+
+    Attributes:
+        files: names of the files.
+        trial: the used part.
+        recording: what it was cut from.
+        subject: fitted to standing.
+    """
+
+    files: TrialFiles
+    trial: Trial
+    recording: Recording
+    subject: SubjectModel
+
+    def check(
+        self,
+        name: str,
+        value: float,
+        limit: float,
+        unit: str,
+        file: object,
+        sentence: str,
+        holds: bool | None = None,
+    ) -> Check:
+        """A check of this trial, by default that a value is within a limit.
+
+        Args:
+            name: without "plausibility.".
+            value: found.
+            limit: not to be exceeded.
+            unit: of both.
+            file: that the sentence speaks of.
+            sentence: for a check that does not hold.
+            holds: where more than the limit decides.
+        """
+        value = float(value)
+        holds = bool(value <= limit) if holds is None else bool(holds)
+        return Check(
+            f"plausibility.{name}",
+            holds,
+            value,
+            float(limit),
+            unit,
+            self.trial.name,
+            "" if holds else f"{file}: {sentence}",
+        )
+
+    @property
+    def weight(self) -> float:
+        """Body weight with what is rigidly worn [N]."""
+        return self.subject.model.rigid.tree.weight
+
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """The used part of the recording (N,) bool."""
+        time, trial = self.recording.motion.time, self.trial
+        end = trial.start_s + trial.duration
+        return (time >= trial.start_s - 1e-9) & (time <= end + 1e-9)
+
+    @property
+    def body(self) -> list[np.ndarray]:
+        """q, v, a (n, .) of the body without the device."""
+        columns = self.trial.coordinates.body_columns
+        return [
+            x[:, columns] for x in (self.trial.q, self.trial.v, self.trial.a)
+        ]
+
+    def expected(self, body: np.ndarray) -> np.ndarray:
+        """The device's angles or speeds (n, device's) if it moves as the body.
+
+        Args:
+            body: (n, .) positions or velocities of the body.
+        """
+        names = self.trial.coordinates
+        return body[:, -len(names.human) :] @ names.turned_by.T
+
+    @cached_property
+    def needed(self) -> np.ndarray:
+        """F_x, F_z [N] and moment [N m] (n, 3) that motion asks for.
+
+        About the laboratory's origin, of feet and chair together.
+        """
+        tree = self.subject.model.rigid.tree
+        Q = inverse_dynamics(tree, *self.body, {})
+        return tree.ground_reaction(self.body[0], Q)
+
+    @cached_property
+    def needed_z(self) -> np.ndarray:
+        """Vertical force (N,) that the whole recording's motion asks for."""
+        motion, tree = self.recording.motion, self.subject.model.rigid.tree
+        Q = inverse_dynamics(tree, motion.q, motion.v, motion.a, motion.applied)
+        return tree.ground_reaction(motion.q, Q)[:, 1]
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """The same as the plates have it (n, 3)."""
+        trial = self.trial
+        loads = (
+            trial.ground,
+            *trial.chair_loads().values(),
+            *trial.applied.values(),
+        )
+        return sum(w.array for w in loads)
+
+    def pitch_error(self, turned: bool = False) -> float:
+        """RMS moment about the ankle that Euler's law misses [N m].
+
+        Args:
+            turned: as if the plates' axes were turned by half a turn.
+        """
+        measured = self.measured * ([-1.0, 1.0, -1.0] if turned else 1.0)
+        F_x, F_z, moment = (self.needed - measured).T
+        x, z = self.body[0][:, :2].T
+        return float(np.sqrt(np.mean((moment - (z * F_x - x * F_z)) ** 2)))
+
+    @cached_property
+    def plates(self) -> dict[str, np.ndarray]:
+        """Foot -> force and moment (n, 6) about the origin, not levelled."""
+        forces = self.recording.forces
+        time = self.recording.motion.time[self.inside]
+        return {
+            foot: np.column_stack(
+                [np.interp(time, forces.time, x) for x in w.T]
+            )
+            for foot, w in forces.recorded.items()
+            if foot != "chair"
+        }
+
+    @property
+    def has_two_plates(self) -> bool:
+        """Whether each foot has one."""
+        return all(side in self.plates for side in SIDES)
+
+    def loaded(self, foot: str) -> np.ndarray:
+        """Frames (n,) in which a plate bears something."""
+        return self.plates[foot][:, 2] > LOADED_N
+
+    def cop(self, foot: str, turned: bool = False, scale: float = 1.0):
+        """Centre of pressure (k, 2), forward and left, where loaded [m].
+
+        Args:
+            foot: of the plate.
+            turned: as if the plates' axes were turned by half a turn.
+            scale: of lengths.
+        """
+        w = self.plates[foot][self.loaded(foot)]
+        p = np.column_stack([-w[:, 4], w[:, 3]]) / w[:, 2:3]
+        return scale * (-p if turned else p)
+
+    def sole(self, foot: str, plate: str | None = None) -> np.ndarray | None:
+        """Where a foot is: back, front, right, left (k, 4) [m].
+
+        Args:
+            foot: "left", "right" or "both".
+            plate: whose loaded frames are wanted; that of the foot if None.
+
+        Returns:
+            None where the foot's markers are not known. Across, only what
+            markers show counts; a lone leg says nothing of the other's.
+        """
+        feet = self.recording.motion.feet
+        sides = SIDES if foot == "both" else (foot,)
+        known = [feet[s] for s in sides if s in feet]
+        if not known:
+            return None
+        p = np.concatenate(known, axis=1)[self.inside]
+        p = p[self.loaded(plate or foot)]
+        x, y = p[..., 0], p[..., 1]
+        back = x.min(axis=1) - _HEEL_M
+        length = self.subject.model.human.foot.length_m + _HEEL_M
+        front = np.maximum(x.max(axis=1), x.min(axis=1) + length)
+        right, left = y.min(axis=1), y.max(axis=1)
+        if len(known) < len(sides):
+            right, left = np.full((2, len(p)), np.nan)
+        return np.column_stack([back, front, right, left])
+
+    def outside(self, foot: str, **changed) -> tuple[float, float]:
+        """How far the centre of pressure leaves the foot, along and across.
+
+        In 95 % of the loaded frames it is nearer [m]; negative inside, NaN
+        where nothing can be said.
+        """
+        sole = self.sole(foot)
+        if sole is None or not len(sole):
+            return np.nan, np.nan
+        x, y = self.cop(foot, **changed).T
+        along = np.maximum(sole[:, 0] - x, x - sole[:, 1])
+        across = np.maximum(sole[:, 2] - y, y - sole[:, 3])
+        return float(np.quantile(along, 0.95)), float(np.quantile(across, 0.95))
+
+    def off_side(self, **changed) -> float:
+        """How much nearer each plate's pressure is to its own foot [m].
+
+        Negative where it is nearer to the other: mean over both.
+        """
+        nearer = []
+        for side, other in (SIDES, SIDES[::-1]):
+            y = self.cop(side, **changed)[:, 1]
+            own, far = (
+                np.abs(y - self.sole(s, side)[:, 2:].mean(axis=1))
+                for s in (side, other)
+            )
+            nearer.append(np.median(far - own) if len(y) else np.nan)
+        return float(np.nanmean(nearer)) if np.isfinite(nearer).any() else 0.0
+
+    @property
+    def has_both_feet(self) -> bool:
+        """Whether both feet carry markers."""
+        return all(side in self.recording.motion.feet for side in SIDES)
+
+
+LARGEST_ALONG_M = 0.03
+LARGEST_ACROSS_M = 0.05
+_FAR_M = 2.0  # beyond it, a unit is the likelier cause
+_LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2}
+# A plate repeats itself to the last digit only where it does not measure.
+LARGEST_FLAT_SHARE = 0.25  # of the time it is loaded
+_FLAT_SAMPLES, _FLAT_S = 5, 0.05
+_FLAT_N = 20.0
+_MOVES_SHARE = 0.02  # of body weight: the motion asks for another force
+LARGEST_CHAIR_SHARE = 0.15  # of body weight, RMS
+
+
+def plate_checks(e: Evidence) -> Iterator[Check]:
+    """Of the plates in one trial."""
+    for foot in e.plates:
+        if np.isfinite(e.outside(foot)[0]):
+            yield from _pressure(e, foot)
+    if e.has_two_plates and e.has_both_feet:
+        yield _sides(e)
+    for name, w in e.recording.forces.recorded.items():
+        yield _flat(e, name, w[:, 2])
+        yield _clipped(e, name, w[:, 2])
+    if e.recording.chair is not None:
+        yield _chair(e)
+
+
+def likely_cause(e: Evidence) -> str | None:
+    """What would put the centres of pressure under their feet, in words."""
+    if _fits(e):
+        return None
+    knees = [a[e.inside, 1].min() for a in e.recording.motion.legs.values()]
+    if np.rad2deg(min(knees)) < -20.0:
+        return "laboratory.marker_axes look turned round"
+    for unit, scale in _LENGTHS.items():
+        if _fits(e, scale=scale):
+            return f"the points of the force file look like {unit}"
+    exchanged = e.has_two_plates and e.has_both_feet and e.off_side() < 0.0
+    if exchanged and e.pitch_error() <= e.pitch_error(turned=True):
+        return "plates.left and plates.right look exchanged"
+    if _fits(e, turned=True):
+        return "laboratory.force_axes look turned round"
+    return (
+        "check plates, laboratory.force_axes and that markers and plates "
+        "share one origin"
+    )
+
+
+def _fits(e: Evidence, **changed) -> bool:
+    """Whether each centre of pressure would be under its own foot."""
+    for foot in e.plates:
+        along, across = e.outside(foot, **changed)
+        if along > LARGEST_ALONG_M or across > LARGEST_ACROSS_M:
+            return False
+    if e.has_two_plates and e.has_both_feet:
+        return e.off_side(**changed) >= 0.0
+    return True
+
+
+def _pressure(e: Evidence, foot: str) -> Iterator[Check]:
+    along, across = e.outside(foot)
+    cause = likely_cause(e)
+    for name, value, limit, words in (
+        ("cop_along", along, LARGEST_ALONG_M, "in front of or behind"),
+        ("cop_across", across, LARGEST_ACROSS_M, "beside"),
+    ):
+        if not np.isfinite(value):
+            continue
+        yield e.check(
+            name,
+            value,
+            limit,
+            "m",
+            e.files.forces,
+            f"the centre of pressure of plate {foot!r} is {value:.3g} m "
+            f"{words} the foot that its markers show; {cause}",
+        )
+    size = float(np.median(np.abs(e.cop(foot))))
+    is_unit = any(_fits(e, scale=s) for s in _LENGTHS.values())
+    yield e.check(
+        "cop_unit",
+        size,
+        _FAR_M,
+        "m",
+        e.files.forces,
+        f"the centre of pressure of plate {foot!r} is {size:.3g} m from the "
+        f"origin; {cause}",
+        size <= _FAR_M or _fits(e) or not is_unit,
+    )
+
+
+def _sides(e: Evidence) -> Check:
+    nearer = e.off_side()
+    return e.check(
+        "plate_sides",
+        nearer,
+        0.0,
+        "m",
+        e.files.forces,
+        f"the centre of pressure of each plate is {-nearer:.2f} m nearer to "
+        f"the other foot; {likely_cause(e)}",
+        nearer >= 0.0,
+    )
+
+
+def _repeats(e: Evidence, F_z: np.ndarray) -> list[tuple[int, int]]:
+    """Runs in which a loaded plate repeats itself while the body moves."""
+    forces, motion = e.recording.forces, e.recording.motion
+    loaded = np.abs(F_z) > _FLAT_N
+    same = np.r_[False, np.diff(F_z) == 0.0] & loaded
+    least = max(_FLAT_SAMPLES, _FLAT_S * forces.rate_hz)
+    needed = np.interp(forces.time, motion.time, e.needed_z)
+    return [
+        (a, b)
+        for a, b in runs(same)
+        if b - a >= least and np.ptp(needed[a:b]) > _MOVES_SHARE * e.weight
+    ]
+
+
+def _flat(e: Evidence, name: str, F_z: np.ndarray) -> Check:
+    found = _repeats(e, F_z)
+    loaded = max(int((np.abs(F_z) > _FLAT_N).sum()), 1)
+    share = sum(b - a for a, b in found) / loaded
+    longest = max(found, key=lambda run: run[1] - run[0], default=(0, 0))
+    seconds = (longest[1] - longest[0]) / e.recording.forces.rate_hz
+    return e.check(
+        "flat_channel",
+        100.0 * share,
+        100.0 * LARGEST_FLAT_SHARE,
+        "%",
+        e.files.forces,
+        f"plate {name!r} stays at exactly {F_z[longest[0]]:.4g} N for "
+        f"{seconds:.2g} s while the body moves; the channel is a filler, not "
+        "a measurement: leave the plate out of plates or export its signal",
+    )
+
+
+def _clipped(e: Evidence, name: str, F_z: np.ndarray) -> Check:
+    """A peak that is cut off: level on top while the body moves."""
+    top = F_z.max()
+    found = [(a, b) for a, b in _repeats(e, F_z) if F_z[a] == top]
+    longest = max((b - a for a, b in found), default=0)
+    seconds = longest / e.recording.forces.rate_hz
+    return e.check(
+        "saturated_channel",
+        seconds,
+        0.0,
+        "s",
+        e.files.forces,
+        f"plate {name!r} is cut off at {top:.4g} N for {seconds:.2g} s; its "
+        "amplifier is saturated: choose a larger range and record again",
+    )
+
+
+def _chair(e: Evidence) -> Check:
+    """Whether feet and chair together bear the body, seated and rising."""
+    recording = e.recording
+    borne = recording.forces.total(recording.feet) + recording.chair.force_z
+    left = (e.needed_z - borne)[recording.motion.known]
+    rms = float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
+    return e.check(
+        "chair",
+        rms,
+        LARGEST_CHAIR_SHARE * e.weight,
+        "N",
+        e.files.forces,
+        f"feet and chair together miss {rms:.0f} N RMS of what the motion "
+        "asks for over the whole recording; the plate named as plates.chair "
+        "may be another, or not measure",
+    )
+
+
+# How each limit was chosen, and how often it errs: docs/plausibility.md.
+LARGEST_MASS_ERROR = 0.05
+LARGEST_STANDING_DEG = 35.0  # ankle, knee, hip
+LARGEST_STANDING_GAP_M = 0.10
+RANGES_DEG = {"ankle": (-50.0, 60.0), "knee": (-20.0, 165.0)}
+RANGES_DEG["hip"] = (-45.0, 150.0)
+LARGEST_MARKER_RMS_M = 0.05
+LARGEST_FORCE_SHARE = 0.15  # RMS, of body weight
+LARGEST_MOMENT_M = 0.10  # RMS, over body weight
+LEAST_SHEAR_CORRELATION = -0.3
+_SHEAR_SHARE = 0.02  # of body weight: less says nothing of a sign
+LARGEST_LEG_SHARE = 0.65
+LARGEST_FEET_APART_M = 0.10
+LARGEST_LEG_DIFFERENCE_DEG = 15.0
+LARGEST_LIFTED_SHARE = 0.05
+_LIFTED, _STANDS = 0.05, 0.3  # of body weight, on one foot and the other
+LARGEST_END_SPEED_M_S = 0.15
+# Of feet that bear half the body; 0.02 over ground, slow belts start at 0.5.
+LARGEST_STANDING_M_S = 0.3
+# The last two differ by 2 %, less than plates of people do.
+_UNITS = {"kN": 1e-3, "lbf": 1.0 / 4.448, "kgf or daN": 0.1}
+
+
+def standing_checks(
+    subject: SubjectModel, standing: Standing
+) -> Iterator[Check]:
+    """Of the standing trial."""
+    said = subject.report
+    measured, stated = said.get("standing_mass_kg"), said["stated_mass_kg"]
+    if measured is not None and stated is not None:
+        off = measured / stated - 1.0
+        # A unit is told by all that plates bear, the device too.
+        device = subject.model.tree.mass - subject.mass_kg
+        borne = (measured + device) / (stated + device)
+        beyond = "beyond the device " if device > 0.5 else ""
+        yield _of_standing(
+            "mass",
+            100.0 * abs(off),
+            100.0 * LARGEST_MASS_ERROR,
+            "%",
+            f"{standing.forces}: the plates bear {measured:.3g} kg {beyond}in "
+            f"standing, subject.mass_kg says {stated:.3g} kg; "
+            + (_unit_of(borne) or "correct the mass or standing.plates"),
+        )
+    joints = subject.model.coordinates.human
+    angles = dict(zip(joints, said["standing_angles_deg"][1:], strict=True))
+    worst = max(angles, key=lambda name: abs(angles[name]))
+    yield _of_standing(
+        "standing_posture",
+        abs(angles[worst]),
+        LARGEST_STANDING_DEG,
+        "deg",
+        f"{standing.markers}: {worst} at {angles[worst]:.0f} deg in standing; "
+        "laboratory.marker_axes may be wrong, markers.joint_centres may name "
+        "other markers, or this is no upright standing",
+    )
+    if "standing_cop_x_m" in said:
+        gap = said["standing_cop_x_m"] - said["standing_com_x_m"]
+        if "trunk_com_shift_m" in said:
+            gap = said["trunk_com_shift_m"]
+        yield _of_standing(
+            "standing_balance",
+            abs(gap),
+            LARGEST_STANDING_GAP_M,
+            "m",
+            f"{standing.forces}: the centre of pressure is {gap:.2f} m in "
+            "front of the centre of mass in standing; laboratory.force_axes "
+            "or marker_axes may be turned round, or plates and markers have "
+            "another origin",
+        )
+
+
+def _of_standing(name, value, limit, unit, sentence) -> Check:
+    holds = bool(value <= limit)
+    return Check(
+        f"plausibility.{name}",
+        holds,
+        float(value),
+        limit,
+        unit,
+        "standing",
+        "" if holds else sentence,
+    )
+
+
+def body_checks(e: Evidence) -> Iterator[Check]:
+    """Of the body in one trial."""
+    yield from _ranges(e)
+    yield _markers(e)
+    yield from _dynamics(e)
+    if e.subject.model.assembly.human.sides:
+        yield _belt(e)
+    # A step ends in the middle of a movement, and its legs do not move alike.
+    if not e.subject.model.assembly.human.sides:
+        yield _end(e)
+        if e.has_both_feet:
+            yield from _legs(e)
+
+
+def _belt(e: Evidence) -> Check:
+    """Whether feet that bear the body stand."""
+    motion, speeds = e.recording.motion, [np.zeros(0)]
+    for side, markers in motion.feet.items():
+        forward = np.gradient(markers[..., 0].mean(axis=1), motion.time)
+        bears = e.trial.feet[side].force_z > 0.5 * e.weight
+        speeds.append(forward[e.inside][bears])
+    speeds = np.concatenate(speeds)
+    speed = float(np.median(speeds)) if len(speeds) else 0.0
+    belt = e.recording.belt_speed_m_s - speed
+    return e.check(
+        "belt",
+        abs(speed),
+        LARGEST_STANDING_M_S,
+        "m/s",
+        e.files.markers,
+        f"feet that bear the body move at {speed:+.2f} m/s, as on a "
+        f"treadmill; say 'ground: {{belt_speed_m_s: {belt:.2f}}}'",
+    )
+
+
+def _ranges(e: Evidence) -> Iterator[Check]:
+    for side, angles in e.recording.motion.legs.items():
+        deg = np.rad2deg(angles[e.inside])
+        for joint, x in zip(JOINTS, deg.T, strict=True):
+            low, high = RANGES_DEG[joint]
+            bent = x.min() if low - x.min() > x.max() - high else x.max()
+            backwards = joint == "knee" and bent < low
+            yield e.check(
+                f"{joint}_range",
+                bent,
+                low if bent == x.min() else high,
+                "deg",
+                e.files.markers,
+                f"the {side} {joint} turns to {bent:.0f} deg, beyond "
+                f"{low:.0f} to {high:.0f} deg; "
+                + (
+                    "the knee bends backwards: laboratory.marker_axes look "
+                    "turned round"
+                    if backwards
+                    else "check the names of markers and marker_axes"
+                ),
+                low <= x.min() and x.max() <= high,
+            )
+
+
+def _markers(e: Evidence) -> Check:
+    rms = e.recording.motion.residuals_m
+    worst = max(rms, key=rms.get)
+    overall = float(np.sqrt(np.mean(np.square(list(rms.values())))))
+    return e.check(
+        "markers",
+        overall,
+        LARGEST_MARKER_RMS_M,
+        "m",
+        e.files.markers,
+        f"markers lie {1e3 * overall:.0f} mm off a body of rigid segments, "
+        f"most {worst} ({1e3 * rms[worst]:.0f} mm); markers may be exchanged, "
+        "or laboratory.marker_axes wrong",
+    )
+
+
+def _dynamics(e: Evidence) -> Iterator[Check]:
+    missing = e.needed - e.measured
+    rms = np.sqrt(np.mean(missing**2, axis=0))
+    moment = e.pitch_error()
+    force = float(rms[:2].max())
+    borne = float(np.mean(e.measured[:, 1]) / np.mean(e.needed[:, 1]))
+    cause = _unit_of(borne) or likely_cause(e)
+    if cause is None and abs(borne - 1.0) > 0.1:
+        cause = (
+            f"plates bear {100 * borne:.0f} % of what the motion asks for: "
+            "subject.mass_kg, a foot beside its plate, or a part in which "
+            "the chair still bears"
+        )
+    cause = cause or "check subject.mass_kg, plates, axes and clocks"
+    yield e.check(
+        "newton",
+        force,
+        LARGEST_FORCE_SHARE * e.weight,
+        "N",
+        e.files.forces,
+        f"Newton's law misses {force:.0f} N RMS "
+        f"({100 * force / e.weight:.0f} % of body weight); {cause}",
+    )
+    yield e.check(
+        "euler",
+        moment,
+        LARGEST_MOMENT_M * e.weight,
+        "N m",
+        e.files.forces,
+        f"Euler's law misses {moment:.0f} N m RMS about the ankle; {cause}",
+    )
+    needed, measured = e.needed[:, 0], e.measured[:, 0]
+    least = _SHEAR_SHARE * e.weight
+    if np.std(needed) > least and np.std(measured) > 1e-3 * e.weight:
+        found = float(np.corrcoef(needed, measured)[0, 1])
+        yield e.check(
+            "shear_sign",
+            found,
+            LEAST_SHEAR_CORRELATION,
+            "",
+            e.files.forces,
+            f"fore-aft force goes against the motion (correlation {found:.2f})"
+            "; laboratory.force_axes or marker_axes look turned round",
+            found >= LEAST_SHEAR_CORRELATION,
+        )
+
+
+def _unit_of(ratio: float) -> str | None:
+    """A unit of force that explains what plates bear, as a share."""
+    for unit, factor in _UNITS.items():
+        if abs(ratio / factor - 1.0) < 0.15:
+            return f"forces look like {unit}: export newtons"
+    return None
+
+
+def _end(e: Evidence) -> Check:
+    """Whether the recording stops while the body still rises."""
+    motion = e.recording.motion
+    at = np.flatnonzero(e.inside)[-1]
+    hips = np.gradient(motion.hip_z, motion.time)
+    speed = abs(float(hips[at])) if at >= len(motion.time) - 2 else 0.0
+    return e.check(
+        "end",
+        speed,
+        LARGEST_END_SPEED_M_S,
+        "m/s",
+        e.files.forces,
+        f"the recording ends at {motion.time[-1]:g} s while the hips still "
+        f"move at {speed:.2f} m/s; markers or forces stop in the middle of "
+        "the movement: export the whole trial",
+    )
+
+
+def _legs(e: Evidence) -> Iterator[Check]:
+    motion = e.recording.motion
+    left, right = (np.rad2deg(motion.legs[s][e.inside]) for s in SIDES)
+    rms = np.sqrt(np.mean((left - right) ** 2, axis=0))
+    worst = int(np.argmax(rms))
+    one = "the model has one leg, the mean of both"
+    yield e.check(
+        "leg_angles",
+        rms[worst],
+        LARGEST_LEG_DIFFERENCE_DEG,
+        "deg",
+        e.files.markers,
+        f"left and right {JOINTS[worst]} differ by {rms[worst]:.0f} deg RMS, "
+        f"but {one}; this may be walking or a step, or markers of left and "
+        "right exchanged",
+    )
+    x = [motion.ankles[s][e.inside, 0].mean() for s in SIDES]
+    yield e.check(
+        "feet_apart",
+        abs(x[0] - x[1]),
+        LARGEST_FEET_APART_M,
+        "m",
+        e.files.markers,
+        f"the feet stand {1e3 * abs(x[0] - x[1]):.0f} mm apart fore and aft, "
+        f"but {one}; record with the feet side by side",
+    )
+    if e.has_two_plates:
+        yield from _shares(e, one)
+
+
+def _shares(e: Evidence, one: str) -> Iterator[Check]:
+    bear = {side: e.plates[side][:, 2] for side in SIDES}
+    total = np.maximum(bear["left"] + bear["right"], 1.0)
+    share = float(np.mean(bear["left"]) / np.mean(total))
+    most = "left" if share > 0.5 else "right"
+    share = max(share, 1.0 - share)
+    yield e.check(
+        "leg_share",
+        100.0 * share,
+        100.0 * LARGEST_LEG_SHARE,
+        "%",
+        e.files.forces,
+        f"the {most} leg bears {100 * share:.0f} % of the weight, but {one}; "
+        "one foot may stand beside its plate",
+    )
+    lifted = np.zeros(len(total), bool)
+    for side, other in (SIDES, SIDES[::-1]):
+        up = bear[side] < _LIFTED * e.weight
+        lifted |= up & (bear[other] > _STANDS * e.weight)
+    yield e.check(
+        "lifted_foot",
+        100.0 * lifted.mean(),
+        100.0 * LARGEST_LIFTED_SHARE,
+        "%",
+        e.files.forces,
+        f"one foot is in the air for {100 * lifted.mean():.0f} % of the used "
+        f"part, but {one}; this may be walking, not a rise",
+    )
+
+
+LEAST_CORRELATION = 0.5
+GAINS = (0.4, 2.5)
+LARGEST_OFFSET_DEG = 9.0
+LARGEST_MISMATCH = 0.35  # of the joints' speed, at the best lag of clocks
+LARGEST_EXCHANGED = 1.1
+# So much better may encoders fit the movement of another trial.
+LARGEST_RATIO = 1.5
+LARGEST_SWAPPED = 1.25  # and two files the movements of each other
+_REACH_S = 0.06
+LARGEST_FROZEN_DEG = 5.0
+_MOVES_DEG = 10.0  # a joint that moves less says little
+_FAR_DEG = 30.0  # and of speeds, one that moves less
+_UPRIGHT_SHARE = 0.05  # of the trial, around its most upright posture
+_STEP_S = 0.005
+_STILL_DEG_S, _FROZEN_S = 0.5, 0.1  # slower than that, for so long
+
+
+def device_checks(e: Evidence) -> Iterator[Check]:
+    """Of the encoders in one trial."""
+    if e.recording.angles is None:
+        return
+    names = e.trial.coordinates
+    human = np.rad2deg(e.expected(e.body[0]))
+    device = np.rad2deg(e.trial.q[:, names.device_columns])
+    upright = _most_upright(human)
+    for i, name in enumerate(names.device):
+        h, d = human[:, i], device[:, i]
+        if np.ptp(h) > _MOVES_DEG:
+            yield from _follows(e, name, h, d)
+        offset = float(np.mean(d[upright] - h[upright]))
+        yield e.check(
+            "encoder_offset",
+            abs(offset),
+            LARGEST_OFFSET_DEG,
+            "deg",
+            e.files.encoders,
+            f"{name} reads {offset:+.0f} deg off the person's "
+            f"{names.follows(name)} in the most upright posture; the "
+            "encoder's zero is wrong, or it is another joint's",
+        )
+        yield _frozen(e, i)
+    moving = [i for i, h in enumerate(human.T) if np.ptp(h) > _FAR_DEG]
+    yield from _exchanged(e, human, device, moving)
+    if moving:
+        yield _mismatch(e)
+
+
+def _most_upright(human: np.ndarray) -> np.ndarray:
+    """Frames around that in which joints are bent least (n,) bool."""
+    at = int(np.argmin(np.abs(human).sum(axis=1)))
+    reach = max(2, round(0.5 * _UPRIGHT_SHARE * len(human)))
+    return np.abs(np.arange(len(human)) - at) <= reach
+
+
+def _follows(e: Evidence, name: str, h, d) -> Iterator[Check]:
+    moves = np.std(d) > 0.0
+    r = float(np.corrcoef(h, d)[0, 1]) if moves else 0.0
+    yield e.check(
+        "encoder_sign",
+        r,
+        LEAST_CORRELATION,
+        "",
+        e.files.encoders,
+        f"{name} does not follow the person's joint (correlation {r:.2f}); "
+        + (
+            "its sign looks flipped"
+            if r < -LEAST_CORRELATION
+            else "the file may be of another joint or trial"
+        ),
+        r >= LEAST_CORRELATION,
+    )
+    gain = float(np.std(d) / np.std(h))
+    low, high = GAINS
+    yield e.check(
+        "encoder_unit",
+        gain,
+        low if gain < 1.0 else high,
+        "",
+        e.files.encoders,
+        f"{name} moves {gain:.3g} times as far as the person's joint; degrees "
+        "may be taken for radians or the other way round",
+        low <= gain <= high,
+    )
+
+
+def _frozen(e: Evidence, i: int) -> Check:
+    """Whether an encoder stands still while the person moves."""
+    angles, motion = e.recording.angles, e.recording.motion
+    human = e.expected(motion.q)[:, i]
+    human = np.rad2deg(np.interp(angles.time, motion.time, human))
+    speed = np.gradient(np.rad2deg(angles.values[:, i]), angles.time)
+    still = np.abs(speed) < _STILL_DEG_S
+    least = _FROZEN_S / (angles.time[1] - angles.time[0])
+    moved = [np.ptp(human[a:b]) for a, b in runs(still) if b - a >= least]
+    most = max(moved, default=0.0)
+    return e.check(
+        "encoder_frozen",
+        most,
+        LARGEST_FROZEN_DEG,
+        "deg",
+        e.files.encoders,
+        f"{e.trial.coordinates.device[i]} stands still while the person's "
+        f"joint turns by {most:.0f} deg; the channel is flat or saturated",
+    )
+
+
+def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
+    """Whether two encoders fit better the other way round."""
+    names = e.trial.coordinates.device
+    for a, b in combinations(moving, 2):
+        own, other = (
+            float(np.linalg.norm(device[:, pair] - human[:, [a, b]]))
+            for pair in ([a, b], [b, a])
+        )
+        yield e.check(
+            "encoder_joints",
+            own / max(other, 1e-9),
+            LARGEST_EXCHANGED,
+            "",
+            e.files.encoders,
+            f"{names[a]} moves as the joint of {names[b]} should, and the "
+            "other way round; their columns look exchanged",
+        )
+
+
+def misfit(
+    e: Evidence, encoders: Evidence, reach_s: float
+) -> tuple[float, float]:
+    """Share of a person's speed that some encoders do not follow.
+
+    Of all joints that move far; at the best lag of the clocks within
+    `reach_s`. Infinite where the encoders do not cover the movement, or
+    nothing moves far.
+
+    Returns:
+        The share, and that lag [s].
+    """
+    moving = np.ptp(np.rad2deg(e.expected(e.body[0])), axis=0) > _FAR_DEG
+    if not moving.any():
+        return np.inf, 0.0
+    time, v = e.trial.start_s + e.trial.times, e.expected(e.body[1])[:, moving]
+    angles = encoders.recording.angles
+    rates = np.gradient(angles.values[:, moving], angles.time, axis=0)
+    best = np.inf, 0.0
+    for lag in np.arange(-reach_s, reach_s + 1e-9, _STEP_S):
+        t = time + lag
+        if t[0] < angles.time[0] - 0.1 or t[-1] > angles.time[-1] + 0.1:
+            continue
+        d = np.column_stack([np.interp(t, angles.time, x) for x in rates.T])
+        share = float(np.linalg.norm(d - v) / np.linalg.norm(v))
+        best = min(best, (share, float(lag)))
+    return best
+
+
+def _mismatch(e: Evidence) -> Check:
+    found, _ = misfit(e, e, _REACH_S)
+    return e.check(
+        "encoder_motion",
+        100.0 * found,
+        100.0 * LARGEST_MISMATCH,
+        "%",
+        e.files.encoders,
+        f"{100 * found:.0f} % of the joints' speed is not in the "
+        "encoders; the file may be of another trial, or its clock far off",
+    )
+
+
+def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
+    """Whether encoders belong to the trial that names them."""
+    known = [e for e in evidence if e.recording.angles is not None]
+    # Of each movement with each file.
+    fits = np.array([[misfit(e, o, _REACH_S)[0] for o in known] for e in known])
+    for i, e in enumerate(known):
+        others = [
+            j for j, o in enumerate(known) if o.files.markers != e.files.markers
+        ]
+        if not others:
+            continue
+        same = [j for j in others if _equal(e, known[j])]
+        name = known[same[0]].trial.name if same else ""
+        best = min(others, key=lambda j, i=i: fits[j, i])
+        ratio = _ratio(fits[i, i], fits[best, i])
+        yield e.check(
+            "encoder_file",
+            ratio,
+            LARGEST_RATIO,
+            "",
+            e.files.encoders,
+            f"holds the same angles as the file of trial {name}; one of the "
+            "two is another trial's"
+            if same
+            else f"its angles fit the movement of trial "
+            f"{known[best].trial.name} {ratio:.1f} times better; it is "
+            "another trial's file",
+            not same and ratio <= LARGEST_RATIO,
+        )
+        # What cuffs make of all movements alike is in both and cancels.
+        swapped = {
+            j: _ratio(
+                np.hypot(fits[i, i], fits[j, j]),
+                np.hypot(fits[i, j], fits[j, i]),
+            )
+            for j in others
+        }
+        other = max(swapped, key=swapped.get)
+        yield e.check(
+            "encoder_swap",
+            swapped[other],
+            LARGEST_SWAPPED,
+            "",
+            e.files.encoders,
+            f"this trial and {known[other].trial.name} fit "
+            f"{swapped[other]:.2f} times better with each other's encoders; "
+            "the two files look exchanged",
+        )
+
+
+def _ratio(own: float, other: float) -> float:
+    """How much better another file fits; 0 where nothing can be said."""
+    return float(own / max(other, 1e-9)) if np.isfinite(own) else 0.0
+
+
+def _equal(e: Evidence, other: Evidence) -> bool:
+    a, b = (x.recording.angles.values for x in (e, other))
+    return a.shape == b.shape and np.array_equal(a, b)
+
+
+LARGEST_DISAGREEMENT = 0.45  # for each independent sample
+_LAG_REACH_S = 0.06
+_DEG = np.pi / 180.0
+# Standard deviations of what the difference of angles depends on.
+_OFFSET, _SKIN, _BEND = 2.0 * _DEG, 0.03, 0.015  # rad, rad/rad, rad/rad^2
+_WEIGHT = 2.0 * _DEG  # by a segment of the device that lies instead of stands
+_INERTIA = 0.05 * _DEG  # for each rad/s^2
+_FRICTION = 1.0 * _DEG
+_DRIVE = 0.2 * _DEG  # for each N m
+_CLOCK_S = 0.03
+_REST_RAD_S = 0.05  # slower, friction has no direction yet
+_NOISE, _CORRELATED_S = 0.5 * _DEG, 0.1
+
+
+@dataclass(frozen=True)
+class _Difference:
+    """Angles of the device less the person's in one trial, standardised.
+
+    Attributes:
+        by: (n J, sizes) what sizes of standard deviation 1 make of it.
+        by_clock: (n J,) likewise the clock of the trial.
+        found: (n J,) over its noise.
+        count: of independent samples.
+    """
+
+    by: np.ndarray
+    by_clock: np.ndarray
+    found: np.ndarray
+    count: float
+
+    @staticmethod
+    def of(e: Evidence, lag_s: float) -> "_Difference":
+        """With the lag of its clock taken out but for a rest."""
+        trial, tree = e.trial, e.subject.model.tree
+        time, angles = trial.start_s + trial.times, e.recording.angles
+        signal = angles.delayed(lag_s)
+        time = np.clip(time, signal.time[0], signal.time[-1])
+        d, v, a = signal.motion(time)
+        human = e.expected(e.body[0])
+        q = trial.q.copy()
+        q[:, trial.coordinates.device_columns] = d
+        links = [tree.joints[name][1] for name in trial.coordinates.device]
+        pitch = np.column_stack([tree.body_angles(q, body) for body in links])
+        parts = [
+            np.full((len(d), 1), _OFFSET),
+            _SKIN * human,
+            _BEND * human**2,
+            _WEIGHT * np.sin(pitch),
+            _INERTIA * a,
+            _FRICTION * np.tanh(v / _REST_RAD_S),
+        ]
+        if e.recording.moments is not None:
+            drive = trial.moments[:, trial.coordinates.is_device_joint]
+            parts.append(_DRIVE * drive)
+        joints = d.shape[1]
+        step = trial.duration / (len(d) - 1)
+        scale = np.sqrt(step / _CORRELATED_S) / _NOISE
+        return _Difference(
+            scale * np.kron(np.eye(joints), np.hstack(parts)),
+            scale * _CLOCK_S * v.T.ravel(),
+            scale * (d - human).T.ravel(),
+            joints * trial.duration / _CORRELATED_S,
+        )
+
+
+def _cost(*differences: _Difference) -> float:
+    """Least squares with priors, of trials that share all but their clocks."""
+    clocks = [
+        np.where(np.arange(len(differences)) == k, d.by_clock[:, None], 0.0)
+        for k, d in enumerate(differences)
+    ]
+    by = np.hstack([np.vstack([d.by for d in differences]), np.vstack(clocks)])
+    found = np.concatenate([d.found for d in differences])
+    # Of y = A x + e, x and e of unit variance: y' (I + A A')^-1 y.
+    normal = np.eye(by.shape[1]) + by.T @ by
+    explained = by.T @ found
+    return float(found @ found - explained @ np.linalg.solve(normal, explained))
+
+
+def _alike(e: Evidence, other: Evidence) -> bool:
+    """Whether two trials can be compared: movements of their own, both with
+    recorded moments or both without; a drive bends cuffs far more.
+    """
+    driven = [x.recording.moments is not None for x in (e, other)]
+    return e.files.markers != other.files.markers and driven[0] == driven[1]
+
+
+def disagreement(evidence: Sequence[Evidence]) -> np.ndarray:
+    """How much worse two trials are explained together than each alone.
+
+    Args:
+        evidence: (k,) of trials with encoders.
+
+    Returns:
+        (k, k) cost for each independent sample; NaN where nothing can be
+        said, as of a trial with itself.
+    """
+    fits = [misfit(e, e, _LAG_REACH_S) for e in evidence]
+    known = {
+        k: _Difference.of(e, lag)
+        for k, (e, (share, lag)) in enumerate(zip(evidence, fits, strict=True))
+        if np.isfinite(share)
+    }
+    alone = {k: _cost(d) for k, d in known.items()}
+    found = np.full((len(evidence), len(evidence)), np.nan)
+    for i, j in combinations(known, 2):
+        if not _alike(evidence[i], evidence[j]):
+            continue
+        more = _cost(known[i], known[j]) - alone[i] - alone[j]
+        found[i, j] = found[j, i] = more / (known[i].count + known[j].count)
+    return found
+
+
+def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
+    """Of each trial with encoders, against the one that is most like it."""
+    known = [e for e in evidence if e.recording.angles is not None]
+    for e, row in zip(known, disagreement(known), strict=True):
+        if np.isnan(row).all():
+            continue
+        best = int(np.nanargmin(row))
+        others = "every other trial"
+        if np.sum(~np.isnan(row)) == 1:
+            others = f"{known[best].trial.name}, or of the two that one's"
+        yield e.check(
+            "encoder_stranger",
+            row[best],
+            LARGEST_DISAGREEMENT,
+            "",
+            e.files.encoders,
+            f"the device moves against the person otherwise than in {others}; "
+            "the encoders' file may be of a trial that is not in the study",
+        )
+
+
+def plausibility(
+    subject: SubjectModel, standing: Standing, evidence: Sequence[Evidence]
+) -> tuple[Check, ...]:
+    """Judge whether recordings can be what the study takes them for.
+
+    Args:
+        subject: fitted to standing.
+        standing: names its files.
+        evidence: of each trial.
+
+    Returns:
+        Checks by the name of "plausibility." and what was looked at, each
+        with the file and the likely cause where it does not hold.
+    """
+    checks = [*standing_checks(subject, standing)]
+    for e in evidence:
+        checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
+    return (*checks, *between_trials(evidence), *wearer_checks(evidence))
+
+
+def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):
+    """End where a check fails that nobody accepted.
+
+    Args:
+        checks: of `plausibility`.
+        accepted: names, or beginnings of them.
+        study: for the message.
+
+    Raises:
+        InputError: naming the checks, their likely causes and --accept.
+    """
+    refused = Verdict(tuple(checks), tuple(accepted)).refused
+    if not refused:
+        return
+    # One sentence for each name: the same mistake shows in many trials.
+    first = {c.name: c for c in reversed(refused)}
+    told = [f"{c.name} ({c.where}): {c.sentence}" for c in first.values()]
+    names = " ".join(f"--accept {name}" for name in first)
+    raise InputError(
+        f"{study}: recordings are not plausible: {'; '.join(told)}; correct "
+        f"them, see all with 'drake-exo check', or take them with {names}"
+    )
