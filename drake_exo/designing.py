@@ -30,6 +30,7 @@ from drake_exo.calibration.wearers import (
     joint_friction,
     posture_law,
     sized,
+    with_more,
 )
 from drake_exo.contact.bushing import TANGENTIAL
 from drake_exo.contact.parameters import ContactModel
@@ -155,9 +156,7 @@ def wearer(
             ],
             study.model,
             study.prediction.noise.exo_moment_nm,
-        )
-        if told
-        else None,
+        ),
     )
 
 
@@ -264,7 +263,6 @@ def movements(
                 f"trial {trial.name}: the device's torques are not known; "
                 "give exo_moments or device in the study"
             )
-        friction = joint_friction(trial, study.model, contact, study.device)
         answers = {}
         if today is not None:
             who, own = today
@@ -272,7 +270,7 @@ def movements(
         result = _solved(
             OwnMovement(
                 design.model(study.model),
-                [assisted(trial, design, contact, friction)],
+                [_assisted(study, trial, contact, design)],
                 built,
                 phase,
                 answers=answers,
@@ -286,6 +284,50 @@ def movements(
         progress.update(trial.name, len(found))
     progress.close()
     return found
+
+
+def _assisted(
+    study: Study, trial: Trial, contact: ContactModel, design: Design
+) -> Trial:
+    """A study's trial with torques as designed where the device was."""
+    friction = joint_friction(trial, study.model, contact, study.device)
+    return assisted(trial, design, contact, friction)
+
+
+def on_design(
+    study: Study, contact: ContactModel, design: Design
+) -> tuple[Study, ContactModel]:
+    """Study and contact with a design: trials for prediction alone.
+
+    The device's torques are those of the design's forecast: as designed, and
+    as drives answer where the device goes on other cuffs. Where torques are not
+    known, cuffs change alone.
+
+    Raises:
+        InputError: the design is of another device, or a movement cannot be
+            solved.
+    """
+    design.check(study.model)
+    trials = study.trials("prediction")
+    worn = [_assisted(study, trial, contact, design) for trial in trials]
+    if all(trial.moments is not None for trial in trials):
+        before = movements(study, contact, study.design)
+        who = wearer(study.name, study, contact, before)
+        after = movements(study, contact, study.design, design, (who, before))
+        worn = [
+            with_more(
+                own,
+                answer(trial, who, today.trial, design).given(
+                    there.trial, trial.times
+                ),
+            )
+            for own, trial, today, there in zip(
+                worn, trials, before, after, strict=True
+            )
+        ]
+    built = study.alone(worn)
+    built.model = design.model(study.model)
+    return built, design.contact(contact)
 
 
 def how_it_was(

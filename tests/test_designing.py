@@ -27,11 +27,10 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.cli import main
-from drake_exo.cli.predict import on_design
 from drake_exo.contact.parameters import nominal_contact
-from drake_exo.contact.strap import Design, read_design
+from drake_exo.contact.strap import CuffDesign, Design, read_design
 from drake_exo.designed import Designed, Moved, Peak
-from drake_exo.designing import front
+from drake_exo.designing import front, on_design
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import Check, Verdict
@@ -374,6 +373,34 @@ def test_migration_is_what_encoders_tell():
     assert designing.slid(moved[2:], model, contact) == {}
 
 
+def test_a_prediction_s_torques_are_those_of_the_forecast(study, monkeypatch):
+    """They answer where the device goes on other cuffs; the person bears it."""
+    own, contact = study
+    law = {"exo_hip": np.array([0.0, 0.0, 60.0])}
+    monkeypatch.setattr(designing, "posture_law", lambda *args: law)
+    soft = {"pelvis": CuffDesign(strap_normal_n_m=1000.0)}
+    design = Design(soft)
+    built, _ = on_design(own, contact, design)
+    before = designing.movements(own, contact, own.design)
+    who = designing.wearer(own.name, own, contact, before)
+    after = designing.movements(own, contact, own.design, design, (who, before))
+    turn = np.array([-1.0, 1.0, -1.0])  # of the trunk's link, by the joints
+    for trial, given, today, there in zip(
+        own.trials("prediction"), built.trials(), before, after, strict=True
+    ):
+        names = trial.coordinates
+        leant, leans = (
+            m.trial.q[:, names.device_columns] @ turn for m in (today, there)
+        )
+        more = replace(trial, moments=given.moments - trial.moments)
+        at = more.sample(today.trial.times)
+        expected = 60.0 * np.cos(leant) * (leans - leant)
+        assert np.abs(expected).max() > 0.3
+        np.testing.assert_allclose(at.moment("exo_hip"), expected, atol=0.02)
+        np.testing.assert_allclose(at.moment("hip"), -expected, atol=0.02)
+        np.testing.assert_allclose(at.moment("exo_knee"), 0.0, atol=1e-9)
+
+
 def test_drives_are_read_where_encoders_tell_of_the_device(monkeypatch):
     model = nominal_model("coupled")
     own, contact = worn.trial(model), nominal_contact(model)
@@ -391,7 +418,7 @@ def test_drives_are_read_where_encoders_tell_of_the_device(monkeypatch):
     assert noise == study.prediction.noise.exo_moment_nm
     assert [f.shape for f in friction] == 2 * [(len(own.times), 3)]
     blind = designing.wearer("she", study, contact, [Moved(own, None, own)])
-    assert blind.law is None and len(asked) == 1
+    assert blind.name == "she" and asked[1][:2] == ([], [])
 
 
 def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():

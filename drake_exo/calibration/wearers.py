@@ -146,31 +146,46 @@ class Answer:
             CubicSpline(self.times, x)(times) for x in (self.slope, self.angles)
         )
 
+    def given(self, trial: Trial, times: np.ndarray) -> np.ndarray:
+        """What drives give more (k, m) where a device goes as in a trial [N m].
+
+        Args:
+            trial: solved.
+            times: (k,) [s].
+        """
+        slope, angles = self.at(times)
+        q = CubicSpline(trial.times, trial.q)(times)
+        off = q[:, trial.coordinates.device_columns] - angles
+        return np.einsum("nij,nj->ni", slope, off)
+
 
 def posture_law(
     trials: Sequence[Trial],
     friction: Sequence[np.ndarray],
     model: Model,
     noise_nm: float,
-) -> np.ndarray:
+) -> dict[str, np.ndarray]:
     """How a device's drives depend on its posture, as recordings tell it.
 
     A drive that bears weight gives moments in proportion to the sine of the
     inclination of each link from its joint on. They are fitted to all trials,
     besides a constant; where what is left is more than twice the noise of a
-    torque, posture is not what the drive goes by, and nothing is known.
+    torque, posture is not what the drive goes by.
 
     Args:
-        trials: with the device where it truly was, and its torques.
+        trials: with the device where it truly was, and its torques; without
+            any, nothing is known.
         friction: of each, as from `joint_friction`.
         model: subject and device.
         noise_nm: of the device's torques.
 
     Returns:
-        (m, m) torque of each joint by the sine of each link's inclination, up
-        the device [N m]; 0 where nothing is known.
+        Joint -> torque by the sine of each link's inclination (m,), up the
+        device [N m], of each whose drive goes by posture.
     """
-    names = model.coordinates
+    if not trials:
+        return {}
+    names, law = model.coordinates, {}
     drive = np.concatenate(
         [
             t.moments[:, names.is_device_joint] - f
@@ -178,8 +193,6 @@ def posture_law(
         ]
     )
     leant = np.sin(np.concatenate([_inclined(model, t.q) for t in trials]))
-    m = drive.shape[1]
-    law = np.zeros((m, m))
     for i, joint in enumerate(names.device):
         above = links_above(model, joint)
         own = [
@@ -189,7 +202,8 @@ def posture_law(
         found, *_ = np.linalg.lstsq(A, drive[:, i], rcond=None)
         left = drive[:, i] - A @ found
         if np.std(left) <= _EXPLAINED * noise_nm < np.std(drive[:, i]):
-            law[i, own] = found[:-1]
+            law[joint] = np.zeros(len(names.device))
+            law[joint][own] = found[:-1]
     return law
 
 
@@ -214,19 +228,20 @@ def _inclined(model: Model, q: np.ndarray) -> np.ndarray:
 
 
 def posture_slope(
-    model: Model, law: np.ndarray | None, q: np.ndarray
+    model: Model, law: Mapping[str, np.ndarray], q: np.ndarray
 ) -> np.ndarray:
     """Slope (n, m, m) of the drives' torques by the device's angles [N m/rad].
 
     Args:
         model: subject and device.
-        law: as from `posture_law`; None where nothing is known.
+        law: as from `posture_law`.
         q: (n, nq).
     """
-    turning = _turning(model)
-    if law is None:
-        return np.zeros((len(q), *turning.shape))
-    return np.einsum("ik,nk,kj->nij", law, np.cos(_inclined(model, q)), turning)
+    turning, joints = _turning(model), model.coordinates.device
+    rows = np.array([law.get(j, np.zeros(len(joints))) for j in joints])
+    return np.einsum(
+        "ik,nk,kj->nij", rows, np.cos(_inclined(model, q)), turning
+    )
 
 
 def joint_friction(
@@ -290,17 +305,22 @@ def assisted(
     trial = _without(trial, design.removed)
     if trial.moments is None or not design.given:
         return trial
-    names, moments = trial.coordinates, trial.moments.copy()
+    names = trial.coordinates
     share = trial.times / trial.duration
-    drive = moments[:, names.is_device_joint] - friction
+    drive = trial.moments[:, names.is_device_joint] - friction
     angles = _device_angles(trial, contact)
     torques = design.torques(
         names.device, drive, angles, trial.v[:, names.device_columns], share
     )
+    return with_more(trial, torques - drive)
+
+
+def with_more(trial: Trial, torques: np.ndarray) -> Trial:
+    """A trial whose device gives more (n, m) [N m], and the person less."""
+    names, moments = trial.coordinates, trial.moments.copy()
     for i, joint in enumerate(names.device):
-        more = torques[:, i] - drive[:, i]
-        moments[:, names.joint(joint)] += more
-        moments[:, names.joint(names.follows(joint))] -= more
+        moments[:, names.joint(joint)] += torques[:, i]
+        moments[:, names.joint(names.follows(joint))] -= torques[:, i]
     return replace(trial, moments=moments)
 
 
@@ -320,8 +340,7 @@ class Wearer:
         device: as the study file describes it: what its joints' friction is.
         slid: cuff -> its migration today as encoders and markers tell it over
             what the model has; 1 where nothing does.
-        law: of its device's drives, see `posture_law`; None where nothing is
-            known.
+        law: of its device's drives, see `posture_law`.
     """
 
     name: str
@@ -332,7 +351,7 @@ class Wearer:
     differ: Mapping[str, float] = field(default_factory=dict)
     device: Device | None = None
     slid: Mapping[str, float] = field(default_factory=dict)
-    law: np.ndarray | None = None
+    law: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def shown(self, cuff: str) -> float:
         """Factor on the model's force of a cuff for what mats would show."""
@@ -650,9 +669,10 @@ def sized(
                 contact=contact,
                 trials=tuple(moved.trials),
                 is_drawn=True,
-                law=None
-                if wearer.law is None
-                else size.mass * size.height * wearer.law,
+                law={
+                    joint: size.mass * size.height * by
+                    for joint, by in wearer.law.items()
+                },
             )
         )
     return found

@@ -22,14 +22,14 @@ from drake_exo.calibration.results import (
     write_contact,
     write_trial,
 )
-from drake_exo.calibration.wearers import assisted, joint_friction
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,
     report_failure,
 )
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import Design, read_design
+from drake_exo.contact.strap import read_design
+from drake_exo.designing import on_design
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import (
     Check,
@@ -107,7 +107,7 @@ def add_parser(subparsers) -> None:
         type=Path,
         metavar="DIR",
         help="results of 'drake-exo design': predict with its cuffs, and with "
-        "its factors on the device's torques",
+        "the device's torques as they answer on them",
     )
     parser.set_defaults(run=run)
 
@@ -143,30 +143,6 @@ def run(args: argparse.Namespace) -> int:
         )
     print(f"results in {args.out}")
     return code
-
-
-def on_design(
-    study: Study, contact: ContactModel, design: Design
-) -> tuple[Study, ContactModel]:
-    """Study and contact with a design: trials for prediction alone.
-
-    Raises:
-        InputError: the design is of another device.
-    """
-    model = study.model
-    design.check(model)
-    trials = [
-        assisted(
-            trial,
-            design,
-            contact,
-            joint_friction(trial, model, contact, study.device),
-        )
-        for trial in study.trials("prediction")
-    ]
-    built = study.alone(trials)
-    built.model = design.model(model)
-    return built, design.contact(contact)
 
 
 def write_predictions(

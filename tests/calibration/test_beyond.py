@@ -99,7 +99,10 @@ def test_a_controller_acts_at_true_angles(wearer):
 
 
 # Torque of knee and hip by the sine of the links' inclinations [N m].
-LAW = np.array([[0.0, 0.0, 0.0], [0.0, -40.0, -25.0], [0.0, 0.0, 30.0]])
+LAW = {
+    "exo_knee": np.array([0.0, -40.0, -25.0]),
+    "exo_hip": np.array([0.0, 0.0, 30.0]),
+}
 # Of the device's links from the vertical, by its joints: toes up, knees bend
 # backwards.
 TURNS = np.array([[-1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, 1.0, -1.0]])
@@ -108,7 +111,8 @@ TURNS = np.array([[-1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, 1.0, -1.0]])
 def by_posture(trial, q):
     """Torques (n, 3) of the drives of `LAW`."""
     angles = q[:, trial.coordinates.device_columns]
-    return np.sin(angles @ TURNS.T) @ LAW.T
+    rows = np.array([np.zeros(3), *LAW.values()])
+    return np.sin(angles @ TURNS.T) @ rows.T
 
 
 def led(trial, more=0.0):
@@ -139,13 +143,16 @@ def test_recordings_tell_how_drives_go_by_posture(wearer):
     trials = [led(t) for t in trials_of(wearer)]
     friction = [0.7 * np.ones((len(t.times), 3)) for t in trials]
     law = posture_law(trials, friction, model, 0.3)
-    np.testing.assert_allclose(law, LAW, atol=1e-6)
+    assert list(law) == ["exo_knee", "exo_hip"]
+    for joint, by in law.items():
+        np.testing.assert_allclose(by, LAW[joint], atol=1e-6)
     # Torques that posture does not tell to within their noise.
     other = [led(t, np.sin(30.0 * t.times)) for t in trials]
-    assert not posture_law(other, friction, model, 0.3).any()
-    assert posture_law(other, friction, model, 1.0).any()
+    assert posture_law(other, friction, model, 0.3) == {}
+    assert set(posture_law(other, friction, model, 1.0)) == set(LAW)
     # Drives that hardly give more than noise.
-    assert not posture_law(trials, friction, model, 50.0).any()
+    assert posture_law(trials, friction, model, 50.0) == {}
+    assert posture_law([], [], model, 0.3) == {}
 
 
 def test_slope_by_posture_is_that_of_differences(wearer):
@@ -157,7 +164,7 @@ def test_slope_by_posture_is_that_of_differences(wearer):
         step[column] = 1e-6
         change = by_posture(own, own.q + step) - by_posture(own, own.q - step)
         np.testing.assert_allclose(slope[:, :, k], change / 2e-6, atol=1e-6)
-    assert not posture_slope(wearer.model, None, own.q).any()
+    assert not posture_slope(wearer.model, {}, own.q).any()
 
 
 def test_a_forecast_s_torques_answer_as_far_as_the_device_strays(wearer):
