@@ -193,40 +193,48 @@ class GaitProblem:
 
     def __init__(self, gait: Gait, problem: ShapeProblem, p, x, say=str):
         self.gait, self.problem, self.p, self.say = gait, problem, p, say
-        self._known: dict[bytes, tuple] = {}
+        self._known: dict[bytes, tuple[float, np.ndarray]] = {}
+        self._newest: tuple[bytes, ShapeProblem | None] = b"", None
         self.first = x
         # A limit that the shape breaks, by rounding or more, gets no worse.
-        self._least = np.minimum(self.simulated(x)[2], 0.0)
+        self._least = np.minimum(self.simulated(x)[1], 0.0)
 
-    def simulated(self, x) -> tuple[ShapeProblem, float, np.ndarray]:
-        """The shape's problem on this walk, its cost and limits."""
+    def on(self, x) -> ShapeProblem:
+        """The shape's problem on this walk; only the newest is kept."""
         key = x.tobytes()
-        if key not in self._known:
+        if key != self._newest[0]:
             there = replace(
                 self.problem, load=self.gait.load(x), branch=None, _cache={}
             )
             there.limited = self.problem.limited
+            self._newest = key, there
+        return self._newest[1]
+
+    def simulated(self, x) -> tuple[float, np.ndarray]:
+        """Cost and limits of the shape on this walk."""
+        key = x.tobytes()
+        if key not in self._known:
+            there = self.on(x)
             values = there.constraints(self.p)
             kept = values[len(values) - len(there.limited) :]
-            self._known[key] = there, there.cost(self.p), kept
-            self.say(
-                f"gait {len(self._known)}: c/|c0| {self._known[key][1]:+.4f}"
-            )
+            cost = there.cost(self.p)
+            self._known[key] = cost, kept
+            self.say(f"gait {len(self._known)}: c/|c0| {cost:+.4f}")
         return self._known[key]
 
     def cost(self, x) -> float:
         """Of the shape on this walk."""
-        value = self.simulated(x)[1]
+        value = self.simulated(x)[0]
         return value if np.isfinite(value) else _NO_SIMULATION
 
     def limits(self, x) -> np.ndarray:
         """The walk's and the sole's, at least 0 where kept."""
-        kept = np.nan_to_num(self.simulated(x)[2], nan=-1.0) - self._least
+        kept = np.nan_to_num(self.simulated(x)[1], nan=-1.0) - self._least
         return np.concatenate([self.gait.limits(x), kept])
 
     def slopes(self, x) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of cost (G,) and limits."""
-        there = self.simulated(x)[0]
+        there = self.on(x)
         if there.evaluate(self.p) is None:
             own = self.gait.slopes(x)[1]
             count = len(own) + len(self._least)
