@@ -882,6 +882,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
     known = [e for e in evidence if e.recording.angles is not None]
     # Of each movement with each file.
     fits = np.array([[misfit(e, o, _REACH_S)[0] for o in known] for e in known])
+    hidden = _hidden(fits)
     for i, e in enumerate(known):
         others = [
             j for j, o in enumerate(known) if o.files.markers != e.files.markers
@@ -891,7 +892,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
         same = [j for j in others if _equal(e, known[j])]
         name = known[same[0]].trial.name if same else ""
         best = min(others, key=lambda j, i=i: fits[j, i])
-        ratio = _ratio(fits[i, i], fits[best, i])
+        ratio = _ratio(fits[i, i], max(fits[best, i], hidden))
         yield e.check(
             "encoder_file",
             ratio,
@@ -925,6 +926,23 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
             f"{swapped[other]:.2f} times better with each other's encoders; "
             "the two files look exchanged",
         )
+
+
+def _hidden(fits: np.ndarray) -> float:
+    """Share of the speed that this wearer's cuffs hide from half of the files.
+
+    Of each with the movement that it fits best, whichever it is. What fits
+    better still does so by chance: a device may move more like the person in
+    another trial than like the one it leans on.
+
+    Args:
+        fits: (k, k) misfit of each movement with each file.
+    """
+    least = fits.min(axis=0, initial=np.inf)
+    least = least[np.isfinite(least)]
+    if not len(least):
+        return 0.0
+    return float(np.quantile(least, 0.5, method="lower"))
 
 
 def _ratio(own: float, other: float) -> float:

@@ -480,9 +480,8 @@ def test_the_lag_of_encoders_is_found_within_60_ms(lag):
     assert plausibility.misfit(small, small, 0.06) == (np.inf, 0.0)
 
 
-def test_files_of_two_trials_by_how_they_fit(monkeypatch):
-    """Of each movement with each file."""
-    fits = {"aa": 0.3, "ab": 0.15, "ba": 0.25, "bb": 0.4}
+def fitted(monkeypatch, fits):
+    """Trials a, b, ... whose movements miss so much of each file."""
 
     def trial(name):
         return SimpleNamespace(
@@ -499,7 +498,13 @@ def test_files_of_two_trials_by_how_they_fit(monkeypatch):
         return fits[e.trial.name + other.trial.name], 0.0
 
     monkeypatch.setattr(plausibility, "misfit", fit)
-    a, b = trial("a"), trial("b")
+    return [trial(name) for name in sorted({pair[0] for pair in fits})]
+
+
+def test_files_of_two_trials_by_how_they_fit(monkeypatch):
+    """Of each movement with each file."""
+    fits = {"aa": 0.3, "ab": 0.15, "ba": 0.25, "bb": 0.4}
+    a, b = fitted(monkeypatch, fits)
     found = list(plausibility.between_trials([a, b]))
     approx = pytest.approx
     assert found[0] == ("a", "encoder_file", approx(1.2), 1.5, True)
@@ -517,6 +522,23 @@ def test_files_of_two_trials_by_how_they_fit(monkeypatch):
     assert first == ("a", "encoder_file", approx(0.5), 1.5, False)
     b.files.markers = a.files.markers  # parts of one recording
     assert list(plausibility.between_trials([a, b])) == []
+
+
+def test_a_file_that_fits_as_well_as_others_is_its_own_trials(monkeypatch):
+    """However well another movement happens to fit it."""
+    approx = pytest.approx
+    fits = {x + y: 0.05 if x == y else 0.3 for x in "abc" for y in "abc"}
+    fits["ba"] = 0.03
+    trials = fitted(monkeypatch, fits)
+    first, *_ = plausibility.between_trials(trials)
+    assert first == ("a", "encoder_file", approx(1.0), 1.5, True)
+    fits["aa"] = 0.09  # cuffs hide less from the others
+    first, *_ = plausibility.between_trials(trials)
+    assert first == ("a", "encoder_file", approx(1.8), 1.5, False)
+    fits["aa"] = fits["ba"] = fits["ca"] = np.inf  # ends too early
+    first, *_ = plausibility.between_trials(trials)
+    assert first == ("a", "encoder_file", 0.0, 1.5, True)
+    assert list(plausibility.between_trials([])) == []
 
 
 def test_a_lone_foot_is_judged_along_alone():
