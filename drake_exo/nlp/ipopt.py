@@ -395,6 +395,9 @@ def _ipopt_options(options, strategy) -> dict:
         # Its matching takes longer the more rows share a parameter, up to half
         # of a solve, and has never saved an iteration.
         "mumps_permuting_scaling": 0,
+        # Room for pivots put off, of what the analysis foresees, doubled where
+        # it does not do; IPOPT's 1000 is got from the system at each factor.
+        "mumps_mem_percent": 20,
         "fixed_variable_treatment": "make_parameter",
         **(_NEAR if strategy == "near" else {}),
         **options.extra,

@@ -13,6 +13,7 @@ applies the program's variable scaling; a transcription may hand over a sparse B
 whose columns satisfy its linear constraints exactly.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -364,16 +365,18 @@ def quadratic_cost(prog):
     for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
         np.add.at(b, index, binding.evaluator().a())
         c += binding.evaluator().b()
-    bindings = prog.quadratic_costs()
+    bindings, alike = prog.quadratic_costs(), defaultdict(list)
     for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
-        evaluator = binding.evaluator()
-        Q = evaluator.Q()
-        row, column = np.nonzero(Q)
-        rows.append(index[row])
-        columns.append(index[column])
-        values.append(Q[row, column])
-        np.add.at(b, index, evaluator.b())
-        c += evaluator.c()
+        alike[len(index)].append((index, binding.evaluator()))
+    for some in alike.values():
+        index = np.stack([i for i, _ in some])
+        Q = np.stack([evaluator.Q() for _, evaluator in some])
+        cost, row, column = np.nonzero(Q)
+        rows.append(index[cost, row])
+        columns.append(index[cost, column])
+        values.append(Q[cost, row, column])
+        np.add.at(b, index, np.stack([evaluator.b() for _, evaluator in some]))
+        c += sum(evaluator.c() for _, evaluator in some)
     return _sparse(rows, columns, values, (n, n)), b, c
 
 

@@ -379,11 +379,11 @@ class ConstraintRows:
             )
             for b in program.loose_constraints()
         ]
-        blocks = [
+        self.blocks = [
             Block(batch, unknowns.matrix)
             for batch in [*program.constraints, *singles]
+            if not self._satisfied(batch)
         ]
-        self.blocks = [b for b in blocks if not self._satisfied(b)]
         lower, upper = self._add_linear(program)
         batches = [b.batch for b in self.blocks]
         self.lower = np.concatenate(
@@ -418,22 +418,26 @@ class ConstraintRows:
         upper = np.r_[upper, x_upper[has_bound] / unit] - shift
         return lower, upper
 
-    def _satisfied(self, block: "Block") -> bool:
+    def _satisfied(self, batch: Batch) -> bool:
         """Whether a batch holds for every y: then it leaves the problem."""
-        kernel = block.batch.kernel
+        kernel = batch.kernel
         if not hasattr(kernel, "A"):
             return False
-        offset = self._unknowns.offset
-        J = block.jacobian(offset)
-        size = np.abs(kernel.A) @ np.abs(block.local)
-        size = size.max(axis=-1, keepdims=True)
-        if not (np.abs(J) <= _IDENTICALLY_ZERO * size).all():
+        f = kernel.evaluate(self._unknowns.offset[batch.indices], batch.data)
+        off = np.maximum(np.abs(f - batch.lower), np.abs(f - batch.upper))
+        if not (off < _IDENTICALLY_ZERO).all():
             return False
-        f = block.values(offset)
-        return bool(
-            (np.abs(f - block.batch.lower) < _IDENTICALLY_ZERO).all()
-            and (np.abs(f - block.batch.upper) < _IDENTICALLY_ZERO).all()
+        matrix = self._unknowns.matrix
+        row, column = np.nonzero(kernel.A)
+        first = np.arange(len(f))[:, None] * f.shape[1]
+        values = np.broadcast_to(kernel.A[row, column], (len(f), len(row)))
+        place = (first + row).ravel(), batch.indices[:, column].ravel()
+        A = sp.csr_array(
+            (values.ravel(), place), shape=(f.size, matrix.shape[0])
         )
+        largest = np.abs(A @ matrix).max(axis=1).toarray()
+        summed = (np.abs(A) @ np.abs(matrix)).max(axis=1).toarray()
+        return bool((largest <= _IDENTICALLY_ZERO * summed).all())
 
     def numbered_blocks(self):
         """Every block with the slice of the rows that it fills."""
