@@ -289,8 +289,15 @@ def study_front(folder: Path, cases: list[Case]) -> dict:
 
 def line(row: dict) -> str:
     """One line on a finished case."""
+    finer = row.get("finer")
+    on_finer = (
+        "" if finer is None or finer["design"] is None else
+        f"{finer['design']['c']:.4g} on {finer['tets']} tets, "
+        f"{finer['change']:+.1%}; "
+    )  # fmt: skip
     return (
-        f"{row['name']}: c_tr {row['c_tr']:.3g} (×{row['ratio_tr']:.3f}), "
+        f"{row['name']}: c {row['c']:.4g} on {row['tets']} tets, {on_finer}"
+        f"c_tr {row['c_tr']:.3g} (×{row['ratio_tr']:.3f}), "
         f"c_rot {row['c_rot']:.3g} (×{row['ratio_rot']:.3f}), "
         f"{row['volume_cm3']:.0f} cm³, "
         f"{'optimal' if row['optimal'] else row.get('status', '')}, "

@@ -22,6 +22,7 @@ from drake_exo.files.mesh import read_cells
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
@@ -221,12 +222,47 @@ def grid_mesh(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> TetMesh:
         # Mirror the cell along every axis in which its index is odd.
         local = np.abs(corner[None] - parity[:, None, :])
         tets.append(((cell[:, None, :] + local) * stride).sum(axis=2))
-    tets = np.concatenate(tets)
-    x = nodes[tets]
-    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    tets[negative] = tets[negative][:, [0, 2, 1, 3]]
     top = np.flatnonzero(nodes[:, 2] == z[-1])
-    return checked_mesh(nodes, tets, top, "brick")
+    return checked_mesh(nodes, _oriented(nodes, tets), top, "brick")
+
+
+def _oriented(nodes: np.ndarray, tets: list[np.ndarray]) -> np.ndarray:
+    """All of some tets (k, 4) in one array, none of them inside out."""
+    out = np.concatenate(tets)
+    x = nodes[out]
+    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    out[negative] = out[negative][:, [0, 2, 1, 3]]
+    return out
+
+
+def halved(mesh: TetMesh) -> TetMesh:
+    """The same body in elements of half the size, eight for each.
+
+    Four at the corners and four around the shortest diagonal of the
+    octahedron between them (Bey, Computing 55, 1995).
+    """
+    pairs = np.sort(mesh.tets[:, _EDGES], axis=2).reshape(-1, 2)
+    edges, which = np.unique(pairs, axis=0, return_inverse=True)
+    n = len(mesh.nodes)
+    nodes = np.concatenate([mesh.nodes, mesh.nodes[edges].mean(axis=1)])
+    middle = n + which.reshape(-1, 6)
+    tets = [
+        np.column_stack([corner, middle[:, (k == _EDGES).any(axis=1)]])
+        for k, corner in enumerate(mesh.tets.T)
+    ]
+    # The opposite of edge k is 5 - k.
+    across = nodes[middle[:, :3]] - nodes[middle[:, :2:-1]]
+    shortest = np.linalg.norm(across, axis=2).argmin(axis=1)
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        inner = middle[shortest == k]
+        ring = (i, j, 5 - i, 5 - j, i)
+        tets += [inner[:, [k, 5 - k, *ring[q : q + 2]]] for q in range(4)]
+    whole = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
+    rim = mesh.boundary_faces[whole][:, [[0, 1], [1, 2], [2, 0]]]
+    first, second = np.sort(rim, axis=2).reshape(-1, 2).T
+    held = np.isin(edges @ [n, 1], n * first + second)
+    fixed = np.concatenate([mesh.fixed, n + np.flatnonzero(held)])
+    return TetMesh(nodes, _oriented(nodes, tets), fixed)
 
 
 def read_mesh(

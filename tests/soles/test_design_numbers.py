@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.mesh import brick
+from drake_exo.soles.mesh import brick, halved
 from drake_exo.soles.optimize import design as module
 from drake_exo.soles.optimize.design import _at_least_twice
 from drake_exo.soles.optimize.files import Checkpoint
@@ -203,12 +203,22 @@ def test_the_finer_check_is_a_simulation_on_a_finer_brick(design):
     assert found["brick_change"] == finer["brick_change"]
 
 
-def test_no_stage_with_a_brick_is_not_checked(design):
+def test_an_own_mesh_is_checked_in_elements_of_half_the_size(
+    design, monkeypatch
+):
     stages = design.setup.settings.optimize.stages
     own = design.setup.optimizing(
         stages=tuple(replace(s, divisions=None) for s in stages)
     )
-    assert replace(design, setup=own).check_finer() is None
+    given = replace(design, setup=own)
+    finer, mesh = given.check_finer(), own.mesh
+    assert finer["tets"] == 8 * len(mesh.tets)
+    found = replace(own, mesh=halved(mesh)).simulate()
+    assert finer["brick"]["c"] == pytest.approx(found.c, rel=1e-6)
+    wanted = finer["design"]["c"] / given.step.c - 1
+    assert finer["change"] == pytest.approx(wanted, rel=1e-9)
+    monkeypatch.setattr(module, "_MOST", 8 * len(mesh.tets) - 1)
+    assert given.check_finer() is None
 
 
 def test_limits_within_a_hundredth_hold_the_design(design):

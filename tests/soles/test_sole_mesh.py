@@ -10,6 +10,7 @@ from drake_exo.soles.mesh import (
     _ring,
     brick,
     checked_mesh,
+    halved,
     has_star_outline,
     read_mesh,
     write_stl,
@@ -38,6 +39,30 @@ def test_brick_of_even_divisions_is_symmetric():
 
     np.testing.assert_array_equal(key(centres), key(centres * [-1, 1, 1]))
     np.testing.assert_array_equal(key(centres), key(centres * [1, -1, 1]))
+
+
+def test_halved_elements_fill_the_same_body():
+    mesh = brick((0.2, 0.1, 0.03), (4, 3, 2))
+    moved = mesh.nodes + 0.1 * np.sin(40 * mesh.nodes[:, ::-1]) * [
+        0.1, 0.1, 0.02
+    ] * (mesh.nodes[:, 2:] < 0)  # fmt: skip
+    mesh = mesh.with_nodes(moved)
+    found = halved(mesh)
+    assert len(found.tets) == 8 * len(mesh.tets)
+    assert found.volume == pytest.approx(mesh.volume, rel=1e-12)
+    # An eighth each; as good as the worst is, but for the shape within.
+    np.testing.assert_allclose(
+        np.sort(found.volumes), np.sort(np.repeat(mesh.volumes / 8, 8))
+    )
+    assert found.quality().min() > 0.8 * mesh.quality().min()
+    # Conforming: one surface with four triangles for each.
+    assert len(found.boundary_faces) == 4 * len(mesh.boundary_faces)
+    np.testing.assert_allclose(
+        found.areas(found.boundary_faces)[0].sum(axis=0), 0, atol=1e-15
+    )
+    assert set(mesh.fixed) < set(found.fixed)
+    top = np.flatnonzero(found.nodes[:, 2] == 0)
+    assert found.fixed.tolist() == top.tolist()
 
 
 def test_volume_gradient_matches_finite_differences():

@@ -269,7 +269,7 @@ def test_a_design_is_told_where_a_finer_mesh_disagrees():
         assert (found.name, found.level) == ("plausibility.mesh", "note")
         words[change] = found.holds, found.sentence
     assert words[0.01] == (True, "")
-    assert "twice the elements" in words[-0.05][1]
+    assert "too coarse" in words[-0.05][1]
     assert "turns elements" in list(words.values())[-1][1]
     outside = {c.name for c in design.verdict().checks if not c.holds}
     assert "bounds.volume" not in outside

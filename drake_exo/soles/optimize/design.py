@@ -15,6 +15,7 @@ from drake_exo.soles.mesh import (
     WALL,
     TetMesh,
     brick,
+    halved,
     is_watertight,
     mould_triangles,
     write_mould,
@@ -42,7 +43,8 @@ from drake_exo.soles.step.simulation import (
 from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 
 _ACTIVE = 0.01  # of a scaled limit
-_FINER = 0.03  # of c, on twice the elements
+_FINER = 0.03  # of c, on a finer mesh
+_MOST = 200_000  # elements of it: some 4 GB
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 _TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
 
@@ -202,18 +204,22 @@ class Design:
         return (max(costs) - min(costs)) / abs(min(costs))
 
     def check_finer(self) -> dict | None:
-        """The design on a brick of at least twice the tets, beside the brick.
+        """The design on a finer mesh, beside the initial shape.
 
-        `change` and `brick_change` are those of c against the last stage's
-        mesh; NaN where the design turns elements of the finer brick over.
-        None where no stage has a brick of its own.
+        Of a brick one of at least twice the tets, of any other mesh one of
+        eight times as many, see `halved`. `change` and `brick_change` (of the
+        initial shape) are those of c against the last stage's mesh; NaN where
+        the design turns finer elements over. None where they were too many.
         """
-        stages = reversed(self.setup.settings.optimize.stages)
-        divisions = next((s.divisions for s in stages if s.divisions), None)
-        if divisions is None:
+        divisions = self.setup.settings.optimize.stages[-1].divisions
+        own = self.setup.mesh
+        if divisions is not None:
+            size = tuple(np.ptp(own.nodes, axis=0))
+            base = brick(size, _at_least_twice(divisions))
+        elif 8 * len(own.tets) <= _MOST:
+            base = halved(own)
+        else:
             return None
-        size = tuple(np.ptp(self.setup.mesh.nodes, axis=0))
-        base = brick(size, _at_least_twice(divisions))
         shaped = base.with_nodes(
             self.shape.deform(base.nodes, self.coefficients)
         )
@@ -298,10 +304,10 @@ class Design:
                 Check(
                     "plausibility.mesh", holds, None if inverted else change,
                     _FINER, "", name,
-                    "" if holds else "the design turns elements of a mesh "
-                    "of twice as many over" if inverted else
-                    "c on a mesh of twice the elements differs by so much: "
-                    "they are too coarse for the design",
+                    "" if holds else "the design turns elements of a finer "
+                    "mesh over" if inverted else
+                    "c on a finer mesh differs by so much: the elements are "
+                    "too coarse for the design",
                     "note",
                 )
             )  # fmt: skip
