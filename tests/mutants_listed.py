@@ -729,7 +729,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("K_c[..., :3, :3])[..., 0]", "K_c[..., :3, :3])[..., -1]"),
         ("K_c[..., 3:, 3:])[..., -1]", "K_c[..., 3:, 3:])[..., 0]"),
         ("sym = -0.5 * (K_c", "sym = 0.5 * (K_c"),
-        ("[1.0 / length] * 3", "[length] * 3"),
+        ("[1.0 / 0.05] * 3", "[0.05] * 3"),
         (
             "np.linalg.eigvalsh(scaled)[..., 0]",
             "np.linalg.eigvalsh(scaled)[..., -1]",

@@ -408,14 +408,9 @@ def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
 WALL = 0.01  # metres around and below the sole
 
 
-def mould_triangles(mesh: TetMesh, wall: float = WALL) -> np.ndarray:
-    """Outward triangles of the mould's closed surface [m], (f, 3, 3).
-
-    Args:
-        mesh: The sole.
-        wall: Least thickness around and below it [m].
-    """
-    low, high = mesh.nodes.min(axis=0) - wall, mesh.nodes.max(axis=0) + wall
+def mould_triangles(mesh: TetMesh) -> np.ndarray:
+    """Outward triangles of a sole's mould's closed surface [m], (f, 3, 3)."""
+    low, high = mesh.nodes.min(axis=0) - WALL, mesh.nodes.max(axis=0) + WALL
     top = mesh.nodes[mesh.fixed, 2].mean()
     corners = np.array(
         [
@@ -437,7 +432,7 @@ def mould_triangles(mesh: TetMesh, wall: float = WALL) -> np.ndarray:
     return np.concatenate([np.array(sides), _ring(block, rim), cavity])
 
 
-def write_mould(path: Path | str, mesh: TetMesh, wall: float = WALL) -> bool:
+def write_mould(path: Path | str, mesh: TetMesh) -> bool:
     """Write the mould as binary STL in millimetres.
 
     Returns:
@@ -446,7 +441,7 @@ def write_mould(path: Path | str, mesh: TetMesh, wall: float = WALL) -> bool:
     """
     if not has_star_outline(mesh):
         return False
-    write_triangles(path, mould_triangles(mesh, wall))
+    write_triangles(path, mould_triangles(mesh))
     return True
 
 

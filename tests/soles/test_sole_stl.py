@@ -68,10 +68,10 @@ def test_a_missing_triangle_is_noticed(mesh):
 
 
 def test_the_mould_is_a_block_less_the_sole(mesh, tmp_path):
-    assert write_mould(tmp_path / "mould.stl", mesh, wall=0.012)
+    assert write_mould(tmp_path / "mould.stl", mesh)
     _, corners = _read(tmp_path / "mould.stl")
     assert _open_edges(corners) == 0
-    span = np.ptp(mesh.nodes, axis=0) + np.array([0.024, 0.024, 0.012])
+    span = np.ptp(mesh.nodes, axis=0) + np.array([0.02, 0.02, 0.01])
     assert _volume(corners) == pytest.approx(
         1e9 * (np.prod(span) - mesh.volume), rel=1e-5
     )

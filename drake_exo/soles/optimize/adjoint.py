@@ -14,6 +14,7 @@ from drake_exo.soles.elasticity.shape_gradient import compliance_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.rotations import cross
 from drake_exo.soles.step.simulation import StepHistory
+from drake_exo.soles.step.stiffness import STABILITY_SCALE
 
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 
@@ -101,9 +102,9 @@ def singular_terms(K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray):
     return terms
 
 
-def stability_terms(K_c: np.ndarray, factors: np.ndarray, length: float):
+def stability_terms(K_c: np.ndarray, factors: np.ndarray):
     """Terms of Σ factor · min eig(S sym(−K_c) S)."""
-    scale = np.array([1.0] * 3 + [1.0 / length] * 3)
+    scale = STABILITY_SCALE
     terms = [[] for _ in K_c]
     for q in heavy(factors):
         K, factor = K_c[q], factors[q]

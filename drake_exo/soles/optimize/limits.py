@@ -260,8 +260,7 @@ class StabilityLimit:
         """What the adjoint needs."""
         y, slope = self._excess(e)
         share = slope * soft_minimum(y)[1] / self.scale
-        K, length = e.history.K_c, stiffness.STABILITY_LENGTH
-        return Derivative(stability_terms(K, share, length))
+        return Derivative(stability_terms(e.history.K_c, share))
 
 
 @dataclass(frozen=True)

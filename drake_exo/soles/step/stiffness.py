@@ -6,7 +6,8 @@ physical stiffness is −K_c (N/m, N, N, N·m/rad).
 
 import numpy as np
 
-STABILITY_LENGTH = 0.05  # metres; makes the blocks of K_c comparable
+# S: a length of 0.05 m makes the blocks of K_c comparable.
+STABILITY_SCALE = np.array([1.0] * 3 + [1.0 / 0.05] * 3)
 
 
 def sigma_max_translation(K_c: np.ndarray) -> np.ndarray:
@@ -27,16 +28,16 @@ def _singular_values(K: np.ndarray) -> np.ndarray:
     return np.where(fine[..., None], values, np.nan)
 
 
-def stability(K_c: np.ndarray, length: float = STABILITY_LENGTH):
-    """Least eigenvalue of S sym(−K_c) S, S = diag(I, I/L) [N/m].
+def stability(K_c: np.ndarray) -> np.ndarray:
+    """Least eigenvalue of S sym(−K_c) S, S = diag(I, I/L) [N/m], (...).
 
-    Positive is sufficient for stability under a dead wrench (K_c is not
+    L = 0.05 m. Positive is enough for stability under a dead wrench (K_c is not
     symmetric).
     """
-    scale = np.array([1.0] * 3 + [1.0 / length] * 3)
     sym = -0.5 * (K_c + np.swapaxes(K_c, -1, -2))
     fine = np.isfinite(sym).all(axis=(-2, -1))
-    scaled = np.where(fine[..., None, None], scale[:, None] * sym * scale, 0)
+    scaled = np.outer(STABILITY_SCALE, STABILITY_SCALE) * sym
+    scaled = np.where(fine[..., None, None], scaled, 0.0)
     return np.where(fine, np.linalg.eigvalsh(scaled)[..., 0], np.nan)
 
 
