@@ -32,7 +32,7 @@ def test_a_study_runs_its_cases_side_by_side(tmp_path, capsys):
     study = paper.Study("a small step", "all", {"cases": cases})
     verdict, text = study.run(out, 2)
     said = capsys.readouterr().out
-    assert "1-Ref: c_tr" in said and "3-Rubber/optimize: " in said
+    assert "1-Ref: c " in said and "3-Rubber/optimize: " in said
     assert "2-Rot" in text
     (failed,) = (c for c in verdict.checks if c.where == "3-Rubber/optimize")
     assert failed.name == "solved" and failed.sentence
