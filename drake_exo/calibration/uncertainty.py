@@ -24,6 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from drake_exo.calibration.audit import rms
 from drake_exo.calibration.phases import FootGroundCalibration
@@ -152,7 +153,8 @@ def posterior(result: PhaseResult) -> Posterior:
     The normal approximation at the optimum: the inverse of the curvature of
     the cost, which is a sum of squares of errors over their standard
     deviations, noise of each signal being one size for a second, and of
-    priors.
+    priors. The cost of jerk is neither, and its curvature does not count: a
+    device that swings would seem to tell when its encoders were read.
     """
     problem = result.problem
     free = [k for k, p in enumerate(problem.parameters) if p.free]
@@ -167,7 +169,9 @@ def posterior(result: PhaseResult) -> Posterior:
     index = problem.program.indices(variables)
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
-    found = response(program, y, columns, _border(problem)).by_gradient
+    matrix = program.unknowns.matrix
+    jerk = matrix.T @ sp.diags_array(_jerk_weights(problem)) @ matrix
+    found = response(program, y, columns, _border(problem), jerk).by_gradient
     covariance = -unit[:, None] * found[:, columns] * unit
     covariance = 0.5 * (covariance + covariance.T)
     return Posterior(tuple(names), x[index], covariance)
@@ -222,14 +226,21 @@ def _add_ends(R, variables, program, found):
         R[:, node, given] += found.by_bounds[:, rows[given]] / unit
 
 
-def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
-    """Gradient of what tracks no measurement, the prior left out."""
-    x = program.expand(y)
-    g = np.zeros(len(x))
+def _jerk_weights(problem: PhaseProblem) -> np.ndarray:
+    """Curvature (num_vars,) of the cost by each variable's jerk."""
+    found = np.zeros(problem.program.prog.num_vars())
     for movement in problem.movements:
         jerk = problem.program.indices(movement.grid.jerk)
         weights = movement.grid.jerk_weights[:, None]
-        g[jerk] += weights / movement.jerk_sigma**2 * x[jerk]
+        found[jerk] += weights / movement.jerk_sigma**2
+    return found
+
+
+def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
+    """Gradient of what tracks no measurement, the prior left out."""
+    x = program.expand(y)
+    g = _jerk_weights(problem) * x
+    for movement in problem.movements:
         variables, factors, times = movement.damped
         index = problem.program.indices(variables)
         missed = times * np.sum(x[index] * factors, axis=1)

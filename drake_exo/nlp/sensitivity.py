@@ -40,6 +40,7 @@ def response(
     y: np.ndarray,
     unknowns: np.ndarray,
     border: np.ndarray | None = None,
+    without: sp.sparray | None = None,
 ) -> Response:
     """Response of unknowns at an optimum y.
 
@@ -49,8 +50,10 @@ def response(
         unknowns: (m,) indices into y; those at an active bound do not move.
         border: all unknowns that touch everything, see `Optimum`; those
             asked for by default.
+        without: see `Optimum`.
     """
-    optimum = Optimum(problem, y, unknowns if border is None else border)
+    border = unknowns if border is None else border
+    optimum = Optimum(problem, y, border, without)
     free, held = optimum.free, optimum.held
     place = np.full(problem.num_unknowns, -1)
     place[free] = np.arange(len(free))
@@ -73,6 +76,8 @@ class Optimum:
         y: (num_unknowns,).
         border: unknowns that touch everything; without them the system is
             banded in time, and they follow from the Schur complement.
+        without: part (num_unknowns, num_unknowns) of the cost's curvature
+            that is not to count.
 
     Attributes:
         free: unknowns that are not at a bound.
@@ -80,7 +85,11 @@ class Optimum:
     """
 
     def __init__(
-        self, problem: SparseProgram, y: np.ndarray, border: np.ndarray
+        self,
+        problem: SparseProgram,
+        y: np.ndarray,
+        border: np.ndarray,
+        without: sp.sparray | None = None,
     ):
         self._problem, self._y = problem, y
         self.free = free = np.flatnonzero(
@@ -89,7 +98,8 @@ class Optimum:
         g = problem.constraints(y)
         slack = np.minimum(g - problem.g_lower, problem.g_upper - g)
         self.held = held = np.flatnonzero(slack < _ACTIVE)
-        H = _hessian(problem, y)[free][:, free]
+        H = _hessian(problem, y)
+        H = (H if without is None else H - without)[free][:, free]
         A = _jacobian(problem, y)[held][:, free]
         K = sp.block_array(
             [

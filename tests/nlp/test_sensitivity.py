@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SolverOptions
@@ -12,7 +13,7 @@ from drake_exo.nlp.sparse import SparseProgram
 N = 7
 
 
-def _problem(pull=None, rise=0.0, level=1.0):
+def _problem(pull=None, rise=0.0, level=1.0, held=0.0):
     """A chain pulled to a wave, over a ground, with one end held.
 
     Linear in all, so that Gauss-Newton's is the Hessian, and the response is
@@ -35,6 +36,8 @@ def _problem(pull=None, rise=0.0, level=1.0):
         "ground", AffineKernel([[1.0]]), x[3:, None], rise - 0.1, np.inf
     )
     prog.AddBoundingBoxConstraint(-5.0, 0.35, x[1])  # active
+    if held:
+        prog.AddQuadraticCost(held * np.eye(N), np.zeros(N), x)
     if pull is not None:
         prog.AddLinearCost(pull, x)
     for variable in x[::2]:
@@ -104,6 +107,26 @@ def test_some_unknowns_respond_as_among_all(solved):
     )
     np.testing.assert_allclose(
         few.by_bounds, found.by_bounds[[5, 1, 2]], atol=1e-9
+    )
+
+
+def test_curvature_left_out_is_that_of_a_problem_without_it(solved):
+    _, y, found = solved
+    held = BatchedProgram()
+    x = held.prog.NewContinuousVariables(N, "x")
+    held.prog.AddQuadraticCost(3.0 * np.eye(N), np.zeros(N), x)
+    for variable in x[::2]:
+        held.prog.SetVariableScaling(variable, 10.0)
+    more = sp.diags_array(
+        SparseProgram(held).hessian(np.zeros(N), np.zeros(0), 1.0)
+    )
+    stiffer = _problem(held=3.0)
+    counted = response(stiffer, y, np.arange(N))
+    scale = np.abs(found.by_gradient).max()
+    assert np.abs(counted.by_gradient - found.by_gradient).max() > 0.1 * scale
+    without = response(stiffer, y, np.arange(N), without=more)
+    np.testing.assert_allclose(
+        without.by_gradient, found.by_gradient, atol=1e-9 * scale
     )
 
 
