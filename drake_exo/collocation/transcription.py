@@ -71,6 +71,8 @@ class Transcription(ABC):
         self.mesh = even * np.concatenate([*starts, [num_intervals]])
         self._add_to(program)
         for array, size in zip(self._arrays(), _SIZES, strict=True):
+            if size == 1.0:
+                continue  # as it is by itself
             for variable in array.ravel():
                 program.prog.SetVariableScaling(variable, size)
 

@@ -122,11 +122,11 @@ class SparseProgram:
         rows, columns = [coo.row], [coo.col]
         self._entries = []
         for b, place in self.rows.numbered_blocks():
-            entries = np.flatnonzero(b.pattern)
-            self._entries.append(entries)
-            node, out, slot = np.unravel_index(entries, b.pattern.shape)
-            rows.append(place.start + node * b.batch.num_outputs + out)
-            columns.append(b.columns[node, slot])
+            self._entries.append(np.flatnonzero(b.pattern))
+            numbers = np.arange(place.start, place.stop)
+            rows.append(np.repeat(numbers, b.pattern.sum(axis=2).ravel()))
+            every = np.broadcast_to(b.columns[:, None], b.pattern.shape)
+            columns.append(every[b.pattern])
         self.jacobian_structure = (
             np.concatenate(rows).astype(np.int32),
             np.concatenate(columns).astype(np.int32),
