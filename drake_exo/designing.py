@@ -50,6 +50,8 @@ from drake_exo.study import Calibration, Study, contact_of
 
 # Mats and model differ by no more than this factor, or one of them is wrong.
 _DIFFER = 2.0
+# Nor does migration with a device's swing from that without by more than this.
+_SWINGS = 4.0
 
 
 def design(
@@ -187,7 +189,9 @@ def slid(
 ) -> dict[str, float]:
     """Cuff -> its migration as encoders and markers tell it, over the model's.
 
-    At most a factor of 2, as that of `differences`; of trials with encoders.
+    Each the largest of all trials with encoders, as what a design is limited
+    in: after the chair a device swings on its cuffs, in some trials much
+    further than it comes by itself.
 
     Args:
         moved: of one wearer, on the cuffs of today.
@@ -201,13 +205,13 @@ def slid(
         largest = [
             largest_deflection([t], model, contact, cuff) for t in trials
         ]
-        return float(np.mean(largest, axis=0)[TANGENTIAL])
+        return float(np.max(largest, axis=0)[TANGENTIAL])
 
     found = {}
     for cuff in contact.bushings:
         seen = migration(cuff, [m.seen for m in told])
         ratio = seen / migration(cuff, [m.trial for m in told])
-        found[cuff] = float(np.clip(ratio, 1.0 / _DIFFER, _DIFFER))
+        found[cuff] = float(np.clip(ratio, 1.0 / _SWINGS, _SWINGS))
     return found
 
 

@@ -362,13 +362,13 @@ def test_migration_is_what_encoders_tell():
     found = designing.slid(moved, model, contact)
     for cuff in ("thigh", "pelvis"):
         seen, had = (
-            sum(migration(t, cuff) for t in (a, b))
+            max(migration(t, cuff) for t in (a, b))
             for a, b in (
                 (tilted(1.5), tilted(2.4)),
                 (tilted(1.0), tilted(2.0)),
             )
         )
-        assert found[cuff] == pytest.approx(np.clip(seen / had, 0.5, 2.0))
+        assert found[cuff] == pytest.approx(np.clip(seen / had, 0.25, 4.0))
     assert found["pelvis"] != pytest.approx(1.0, abs=0.05)
     assert designing.slid(moved[2:], model, contact) == {}
 
