@@ -155,7 +155,7 @@ TESTS = {
         f"{_SOLES}/test_sole_pictures.py",
         f"{_SOLES}/test_sole_views.py",
     ],
-    "drake_exo/soles/rotations.py": [f"{_SOLES}/test_rotations.py"],
+    "drake_exo/soles/numerics.py": [f"{_SOLES}/test_rotations.py"],
     "drake_exo/soles/step/": [
         f"{_SOLES}/test_step_numbers.py",
         f"{_SOLES}/test_step_verdict.py",

@@ -21,7 +21,7 @@ from drake_exo.soles.loads import (
     read_csv,
     text_lines,
 )
-from drake_exo.soles.rotations import without_yaw
+from drake_exo.soles.numerics import without_yaw
 from drake_exo.soles.walking_pattern import Gait, Robot, plan
 
 Vector3 = tuple[float, float, float]

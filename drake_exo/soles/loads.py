@@ -14,7 +14,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.tables import number_rows, read_text
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
-from drake_exo.soles.rotations import rotation_z
+from drake_exo.soles.numerics import rotation_z
 
 _PAUSE_S = 0.2  # between loads that follow one another
 

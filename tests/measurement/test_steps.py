@@ -18,7 +18,7 @@ from drake_exo.measurement.steps import (
     nearest_rotations,
     recorded_step,
 )
-from drake_exo.soles.rotations import rotation_z, rotations_xyz
+from drake_exo.soles.numerics import rotation_z, rotations_xyz
 from drake_exo.study import StudyFile, read_study
 
 STUDY = """

@@ -12,7 +12,7 @@ from drake_exo.soles import animation
 from drake_exo.soles.animation import SoleMotion, _Box
 from drake_exo.soles.contact.ground import Ground
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import rotations_xyz
+from drake_exo.soles.numerics import rotations_xyz
 
 TIMES = np.array([0.5, 0.6, 0.9])
 

@@ -9,7 +9,7 @@ import pytest
 from drake_exo import soles
 
 LAW = """
-from drake_exo.soles.compiled import njit
+from drake_exo.soles.numerics import njit
 
 @njit()
 def outer(x):
@@ -20,7 +20,7 @@ def inner(x):
     return {factor} * x
 """
 CALLER = """
-from drake_exo.soles.compiled import njit
+from drake_exo.soles.numerics import njit
 from stale_law import outer
 
 @njit()
@@ -66,5 +66,5 @@ def test_what_nobody_edited_is_not_compiled_again(fresh):
 
 def test_no_sole_is_compiled_in_another_way():
     for path in Path(soles.__file__).parent.rglob("*.py"):
-        if path.name != "compiled.py":
+        if path.name != "numerics.py":
             assert "numba.njit" not in path.read_text("utf-8"), path

@@ -18,7 +18,7 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import exp_rotation
+from drake_exo.soles.numerics import exp_rotation
 from drake_exo.soles.step.results import complementarity
 from drake_exo.soles.step.simulation import StepHistory, simulate
 from drake_exo.soles.step.strain_comparison import (

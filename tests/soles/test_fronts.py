@@ -12,7 +12,7 @@ from drake_exo.soles.elasticity.linear import (
     displacement_gradient,
 )
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import exp_rotation
+from drake_exo.soles.numerics import exp_rotation
 from drake_exo.soles.settings import MaterialBlock
 
 

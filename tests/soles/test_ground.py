@@ -15,13 +15,13 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
+from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize.adjoint import (
     load_gradients,
     shape_gradients,
     singular_terms,
 )
 from drake_exo.soles.optimize.files import find_designs
-from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.step.results import complementarity, sole_samples
 from drake_exo.soles.step.simulation import HISTORY, simulate
 from drake_exo.soles.step.strain_comparison import follow

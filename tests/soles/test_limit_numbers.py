@@ -8,6 +8,7 @@ import pytest
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.loads import Load
+from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize import limits as module
 from drake_exo.soles.optimize.limits import (
     Limits,
@@ -20,7 +21,6 @@ from drake_exo.soles.optimize.limits import (
     soft_minimum,
 )
 from drake_exo.soles.optimize.search import stage_problem
-from drake_exo.soles.rotations import rotations_xyz
 
 NAMES = ["volume", "elements", "depth", "height", "draft_deg", "stability",
          "tilt_deg", "strain", "c_rot"]  # fmt: skip

@@ -14,7 +14,7 @@ from drake_exo.soles.load_blocks import (
     stances,
 )
 from drake_exo.soles.loads import Load, read_csv
-from drake_exo.soles.rotations import rotation_z, rotations_xyz
+from drake_exo.soles.numerics import rotation_z, rotations_xyz
 
 COUNT = 6
 

@@ -10,7 +10,7 @@ from drake_exo.soles.elasticity import neo_hookean
 from drake_exo.soles.elasticity.linear import Material, Sole
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import exp_rotation
+from drake_exo.soles.numerics import exp_rotation
 
 MATERIAL = Material("test", 1.0e6, 0.3, 1230.0)
 SIZE = (0.06, 0.04, 0.03)

@@ -9,8 +9,8 @@ import pytest
 from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize.files import read_design
-from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.study import RecordedStep, read_study
 
 CASE = Path(__file__).parents[1] / "cases" / "opencap_step.yaml"

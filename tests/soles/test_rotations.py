@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drake_exo.soles import rotations
+from drake_exo.soles import numerics
 
 
 @pytest.mark.parametrize(
@@ -14,58 +14,58 @@ from drake_exo.soles import rotations
 def test_cross_products_broadcast(a, b):
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=a), rng.normal(size=b)
-    np.testing.assert_allclose(rotations.cross(x, y), np.cross(x, y))
+    np.testing.assert_allclose(numerics.cross(x, y), np.cross(x, y))
 
 
 def test_products_of_matrices():
     a, b = np.random.default_rng(1).normal(size=(2, 3, 3))
     out = np.full((3, 3), 9.0)
-    rotations.multiply(a, b, out)
+    numerics.multiply(a, b, out)
     np.testing.assert_allclose(out, a @ b)
 
 
 def test_angles_and_tilt():
     angles = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, 1.0]])
     R = Rotation.from_euler("XYZ", angles).as_matrix()
-    np.testing.assert_allclose(rotations.angles_xyz(R), angles)
+    np.testing.assert_allclose(numerics.angles_xyz(R), angles)
     z = Rotation.from_matrix(R).apply([0.0, 0.0, 1.0])
     expected = np.degrees(np.arccos(z[:, 2]))
-    np.testing.assert_allclose(rotations.tilt_deg(R), expected)
-    turned = rotations.rotation_z(0.7)
+    np.testing.assert_allclose(numerics.tilt_deg(R), expected)
+    turned = numerics.rotation_z(0.7)
     np.testing.assert_allclose(
         turned, Rotation.from_euler("z", 0.7).as_matrix(), atol=1e-15
     )
-    assert rotations.yaw_of(turned) == pytest.approx(0.7)
+    assert numerics.yaw_of(turned) == pytest.approx(0.7)
 
 
 def test_exponentials_and_hats():
     w = np.array([0.3, -0.5, 0.2])
     expected = Rotation.from_rotvec(w).as_matrix()
-    np.testing.assert_allclose(rotations.exp_rotation(w), expected)
+    np.testing.assert_allclose(numerics.exp_rotation(w), expected)
     v = np.array([1.0, 2.0, -3.0])
-    np.testing.assert_allclose(rotations.hat(w) @ v, np.cross(w, v))
+    np.testing.assert_allclose(numerics.hat(w) @ v, np.cross(w, v))
 
 
 def test_yaw_is_taken_off_behind_roll_and_pitch():
     angles = np.random.default_rng(2).uniform(-1, 1, (2, 5, 3))
-    R = rotations.rotations_xyz(angles)
-    level = rotations.rotations_xyz(angles * [1, 1, 0])
-    np.testing.assert_allclose(rotations.without_yaw(R), level, atol=1e-12)
+    R = numerics.rotations_xyz(angles)
+    level = numerics.rotations_xyz(angles * [1, 1, 0])
+    np.testing.assert_allclose(numerics.without_yaw(R), level, atol=1e-12)
     np.testing.assert_allclose(
-        rotations.without_yaw(R[0, 0]), level[0, 0], atol=1e-12
+        numerics.without_yaw(R[0, 0]), level[0, 0], atol=1e-12
     )
-    assert rotations.yaw_of(R[0, 1]) == pytest.approx(angles[0, 1, 2])
+    assert numerics.yaw_of(R[0, 1]) == pytest.approx(angles[0, 1, 2])
 
 
 def test_angles_vectors_and_matrices_go_round():
     w = np.array([[0.3, -0.5, 0.2], [1.0, 2.0, -0.5], [0.0, 0.0, 1e-9]])
     for v in w:
-        again = rotations.rotation_vector(rotations.exp_rotation(v))
+        again = numerics.rotation_vector(numerics.exp_rotation(v))
         np.testing.assert_allclose(again, v, atol=1e-14)
     angles = np.random.default_rng(3).uniform(-1.5, 1.5, (20, 3))
-    R = rotations.rotations_xyz(angles)
-    np.testing.assert_allclose(rotations.angles_xyz(R), angles)
-    hats = rotations.hat(w)
+    R = numerics.rotations_xyz(angles)
+    np.testing.assert_allclose(numerics.angles_xyz(R), angles)
+    hats = numerics.hat(w)
     np.testing.assert_allclose(hats, -np.swapaxes(hats, 1, 2))
     for v, of in zip(w, hats, strict=True):
         np.testing.assert_allclose(of @ [4.0, 5.0, 6.0], np.cross(v, [4, 5, 6]))

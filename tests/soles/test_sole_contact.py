@@ -14,7 +14,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import exp_rotation, tilt_deg
+from drake_exo.soles.numerics import exp_rotation, tilt_deg
 from drake_exo.soles.step import simulation
 from drake_exo.soles.step.results import Step, complementarity
 from drake_exo.soles.step.simulation import (
@@ -299,7 +299,7 @@ def test_authors_outputs_are_reproduced(data_root, name, weight):
     from scipy.io import loadmat
 
     from drake_exo.soles.mesh import read_mesh
-    from drake_exo.soles.rotations import angles_xyz
+    from drake_exo.soles.numerics import angles_xyz
 
     folder = data_root / "soft_sole_hrp4"
     raw = loadmat(folder / "reference" / f"{name}.mat")

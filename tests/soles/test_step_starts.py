@@ -21,7 +21,7 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import (
+from drake_exo.soles.numerics import (
     exp_rotation,
     rotation_vector,
     rotation_z,

@@ -12,7 +12,7 @@ from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.ground import COLUMNS, Ground
 from drake_exo.soles.contact.newton import Convergence
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.rotations import rotations_xyz
+from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.settings import StartBlock
 from drake_exo.soles.step import results
 from drake_exo.soles.step.results import Step, sole_samples, step_checks

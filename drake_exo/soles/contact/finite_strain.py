@@ -34,7 +34,7 @@ from drake_exo.soles.contact.node_law import (
     project_with_derivative,
 )
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
-from drake_exo.soles.rotations import exp_rotation, hat
+from drake_exo.soles.numerics import exp_rotation, hat
 
 _MAX_TURN, _MAX_SHIFT = 0.1, 0.005  # caps on one Newton step: rad, m
 _HALVINGS = 8

@@ -8,7 +8,6 @@ faithful reference; `contact.ContactSolver` is the default.
 
 import numpy as np
 
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
@@ -20,6 +19,7 @@ from drake_exo.soles.contact.newton import (
     move,
 )
 from drake_exo.soles.contact.node_law import project_node
+from drake_exo.soles.numerics import njit
 
 _LOCAL_STEPS = 60
 _WRENCH_TOLERANCE = 1e-10  # ε4, on the scaled wrench

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from drake_exo.errors import InputError
-from drake_exo.soles.rotations import hat
+from drake_exo.soles.numerics import hat
 
 COLUMNS = ("x_m", "y_m", "z_m")
 ARRAYS = ("ground_x", "ground_y", "ground_z")

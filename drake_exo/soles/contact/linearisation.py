@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf, dpotri
 
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.node_law import (
     ContactLaw,
     firmly_sticking,
@@ -23,7 +22,7 @@ from drake_exo.soles.contact.node_law import (
     project_with_derivative,
 )
 from drake_exo.soles.elasticity.cholesky import mirrored, node_dofs
-from drake_exo.soles.rotations import hat, multiply
+from drake_exo.soles.numerics import hat, multiply, njit
 
 # Borderings accumulate rounding: start afresh after so many.
 _UPDATES_BEFORE_REFRESH = 80

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation, Turn
 from drake_exo.soles.contact.node_law import ContactLaw, project_node
 from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.rotations import (
+from drake_exo.soles.numerics import (
     exp_rotation,
     hat,
+    njit,
     rotation_vector,
     rotation_z,
     yaw_of,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.soles.compiled import njit
+from drake_exo.soles.numerics import njit
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import bsr_matrix, csr_matrix
 
-from drake_exo.soles.compiled import njit
+from drake_exo.soles.numerics import njit
 
 _FEW = 48  # nodes of a leaf
 _BLOCK = 512  # rows that are mirrored at a time

@@ -20,7 +20,6 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.elasticity.cholesky import (
     Front,
     SparseCholesky,
@@ -28,6 +27,7 @@ from drake_exo.soles.elasticity.cholesky import (
     node_dofs,
 )
 from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.numerics import njit
 
 Element = Literal["linear", "smoothed"]
 

@@ -7,8 +7,8 @@ stiffness matrix's own blocks count.
 
 import numpy as np
 
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.elasticity.linear import Sole, average_gradients, groups_of
+from drake_exo.soles.numerics import njit
 
 # Of the largest eigenvalue: what is left out changes a gradient by some 1e-7
 # of its largest entry, and is half of the fields.

@@ -12,7 +12,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.shape_gradient import compliance_gradients
 from drake_exo.soles.loads import Load
-from drake_exo.soles.rotations import cross
+from drake_exo.soles.numerics import cross
 from drake_exo.soles.step.simulation import StepHistory
 from drake_exo.soles.step.stiffness import STABILITY_SCALE
 

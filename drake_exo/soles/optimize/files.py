@@ -12,8 +12,8 @@ from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
 from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize.optimizer import WarmStart
-from drake_exo.soles.rotations import rotations_xyz
 from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import HISTORY

@@ -16,11 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_exo.soles.compiled import njit
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity.linear import Sole, gradient_operators
 from drake_exo.soles.elasticity.shape_gradient import pairs
 from drake_exo.soles.mesh import TetMesh, scatter
+from drake_exo.soles.numerics import multiply, njit
 from drake_exo.soles.optimize.adjoint import (
     ForceTerm,
     heavy,
@@ -28,7 +28,6 @@ from drake_exo.soles.optimize.adjoint import (
     stability_terms,
     tilt_terms,
 )
-from drake_exo.soles.rotations import multiply
 from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.simulation import StepHistory
 

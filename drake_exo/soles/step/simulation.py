@@ -27,7 +27,7 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.rotations import rotation_z, rotations_xyz
+from drake_exo.soles.numerics import rotation_z, rotations_xyz
 
 _MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2

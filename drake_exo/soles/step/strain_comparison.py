@@ -24,7 +24,7 @@ from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
 from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.loads import Load
-from drake_exo.soles.rotations import tilt_deg
+from drake_exo.soles.numerics import tilt_deg
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.results import principal_strains
