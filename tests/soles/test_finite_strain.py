@@ -7,7 +7,10 @@ import pytest
 from as_load import as_load
 from scipy.spatial.transform import Rotation
 
-from drake_exo.soles.contact.finite_strain import FiniteStrainSolver
+from drake_exo.soles.contact.finite_strain import (
+    FiniteStrainSolver,
+    NeoHookeanBody,
+)
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
@@ -16,7 +19,6 @@ from drake_exo.soles.contact.newton import (
 )
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import MATERIALS, Sole
-from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 from drake_exo.soles.step.results import complementarity

@@ -6,9 +6,9 @@ from scipy.sparse.linalg import spsolve
 from scipy.special import lambertw
 from stiffness import stiffness_matrix
 
-from drake_exo.soles.elasticity import neo_hookean
+from drake_exo.soles.contact import finite_strain
+from drake_exo.soles.contact.finite_strain import NeoHookeanBody
 from drake_exo.soles.elasticity.linear import Material, Sole
-from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 
@@ -44,7 +44,7 @@ def _tangent_error(body, u) -> float:
 
 def _cauchy_stress(F, material):
     """σ = P Fᵀ / J."""
-    P = neo_hookean.first_stress(F, material)
+    P = finite_strain.first_stress(F, material)
     return P @ np.swapaxes(F, -1, -2) / np.linalg.det(F)[..., None, None]
 
 
@@ -67,13 +67,13 @@ def test_a_wrong_tangent_is_caught(body, monkeypatch):
 def test_stress_is_the_derivative_of_the_energy():
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.2 * rng.standard_normal((5, 3, 3))
-    P = neo_hookean.first_stress(F, MATERIAL)
+    P = finite_strain.first_stress(F, MATERIAL)
     for i, j in np.ndindex(3, 3):
         h = np.zeros((3, 3))
         h[i, j] = 1e-6
         slope = (
-            neo_hookean.energy(F + h, MATERIAL)
-            - neo_hookean.energy(F - h, MATERIAL)
+            finite_strain.energy(F + h, MATERIAL)
+            - finite_strain.energy(F - h, MATERIAL)
         ) / 2e-6
         np.testing.assert_allclose(P[:, i, j], slope, rtol=1e-6, atol=1e-2)
 

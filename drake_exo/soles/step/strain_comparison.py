@@ -11,6 +11,7 @@ from drake_exo.files.output import write_text
 from drake_exo.soles.contact.finite_strain import (
     FiniteState,
     FiniteStrainSolver,
+    NeoHookeanBody,
 )
 from drake_exo.soles.contact.ground import FLAT, Ground
 from drake_exo.soles.contact.newton import (
@@ -22,7 +23,6 @@ from drake_exo.soles.contact.newton import (
 )
 from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.elasticity.neo_hookean import NeoHookeanBody
 from drake_exo.soles.loads import Load
 from drake_exo.soles.numerics import tilt_deg
 from drake_exo.soles.settings import Setup
