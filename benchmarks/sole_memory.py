@@ -31,7 +31,7 @@ def simulate(divisions, root, results) -> None:
     from drake_exo.papers.de_magistris import SIZE, step_block
     from drake_exo.soles.contact.newton import ContactSolver, Start
     from drake_exo.soles.contact.node_law import ContactLaw
-    from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+    from drake_exo.soles.elasticity import MATERIALS, Sole
     from drake_exo.soles.mesh import brick
     from drake_exo.soles.step import stiffness
     from drake_exo.soles.step.results import largest_strain

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from drake_exo.soles.elasticity.linear import Pattern, assembled
+from drake_exo.soles.elasticity import Pattern, assembled
 
 
 def stiffness_matrix(mesh, material, element="linear") -> csr_matrix:

@@ -18,7 +18,7 @@ from drake_exo.soles.contact.newton import (
     Target,
 )
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 from drake_exo.soles.step.results import complementarity

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.cholesky import _halves, fronts_of, mirrored
-from drake_exo.soles.elasticity.linear import (
+from drake_exo.soles.elasticity import (
     MATERIALS,
     Material,
     Sole,
+    _halves,
     displacement_gradient,
+    fronts_of,
+    mirrored,
 )
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation

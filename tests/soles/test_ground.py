@@ -12,7 +12,7 @@ from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz

@@ -15,7 +15,7 @@ from drake_exo.soles.contact.newton import (
     residual,
 )
 from drake_exo.soles.contact.node_law import ContactLaw, project
-from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 

@@ -9,16 +9,16 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity
 from stiffness import stiffness_matrix
 
 from drake_exo.errors import InputError
-from drake_exo.soles.elasticity.cholesky import node_dofs
-from drake_exo.soles.elasticity.linear import (
+from drake_exo.soles.elasticity import (
     MATERIALS,
     Material,
     Sole,
     displacement_gradient,
     edges_of,
+    energy_gradients,
     node_average,
+    node_dofs,
 )
-from drake_exo.soles.elasticity.shape_gradient import energy_gradients
 from drake_exo.soles.mesh import brick
 
 SIZE = (0.23, 0.13, 0.03)

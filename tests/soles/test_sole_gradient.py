@@ -8,8 +8,7 @@ import pytest
 
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import MATERIALS, Sole
-from drake_exo.soles.elasticity.shape_gradient import energy_gradients
+from drake_exo.soles.elasticity import MATERIALS, Sole, energy_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz

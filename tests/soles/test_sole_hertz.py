@@ -6,7 +6,7 @@ from sole_at_pose import contact_at_pose
 
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import Material, Sole
+from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.mesh import checked_mesh, grid_mesh
 
 E, NU, R, A = 1e6, 0.3, 1.0, 0.09  # a/R = 0.09

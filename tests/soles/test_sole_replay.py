@@ -9,7 +9,7 @@ from drake_exo.errors import InputError
 from drake_exo.soles.animation import SoleMotion, replay_soles
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.settings import MaterialBlock

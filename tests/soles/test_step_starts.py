@@ -18,7 +18,7 @@ from drake_exo.soles.contact.newton import (
     move,
 )
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import MATERIALS, Sole
+from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import (

@@ -10,7 +10,7 @@ import pytest
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.newton import Convergence, State, Target
-from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.step import strain_comparison as module
 from drake_exo.soles.step.results import Step
 from drake_exo.soles.step.strain_comparison import (

@@ -46,7 +46,7 @@ from drake_exo.soles.contact.node_law import (
     project,
     project_with_derivative,
 )
-from drake_exo.soles.elasticity.linear import Material
+from drake_exo.soles.elasticity import Material
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import exp_rotation, hat
 

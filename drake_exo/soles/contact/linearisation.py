@@ -21,7 +21,7 @@ from drake_exo.soles.contact.node_law import (
     project_node,
     project_with_derivative,
 )
-from drake_exo.soles.elasticity.cholesky import mirrored, node_dofs
+from drake_exo.soles.elasticity import mirrored, node_dofs
 from drake_exo.soles.numerics import hat, multiply, njit
 
 # Borderings accumulate rounding: start afresh after so many.

@@ -1,7 +1,7 @@
 """Gradient of stiffness measures with respect to the shape, by the adjoint.
 
 Backwards through the samples (contact and pose), then once through the
-condensation and the elements, see `elasticity/shape_gradient.py`.
+condensation and the elements, see `elasticity.py`.
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
-from drake_exo.soles.elasticity.linear import Sole
-from drake_exo.soles.elasticity.shape_gradient import compliance_gradients
+from drake_exo.soles.elasticity import Sole, compliance_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.numerics import cross
 from drake_exo.soles.step.simulation import StepHistory

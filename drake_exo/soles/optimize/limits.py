@@ -17,8 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_exo.soles.contact.newton import ContactSolver
-from drake_exo.soles.elasticity.linear import Sole, gradient_operators
-from drake_exo.soles.elasticity.shape_gradient import pairs
+from drake_exo.soles.elasticity import Sole, gradient_operators, pairs
 from drake_exo.soles.mesh import TetMesh, scatter
 from drake_exo.soles.numerics import multiply, njit
 from drake_exo.soles.optimize.adjoint import (

@@ -24,7 +24,7 @@ from drake_exo.soles.contact.newton import (
     Target,
 )
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import rotation_z, rotations_xyz

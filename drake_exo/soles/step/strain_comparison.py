@@ -22,7 +22,7 @@ from drake_exo.soles.contact.newton import (
     Target,
 )
 from drake_exo.soles.contact.node_law import ContactLaw
-from drake_exo.soles.elasticity.linear import Sole
+from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.numerics import tilt_deg
 from drake_exo.soles.settings import Setup

@@ -1,0 +1,764 @@
+"""Linear elasticity of the sole, condensed onto contact nodes, and by shape.
+
+K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for linear tetrahedra; the
+fixed nodes do not move; K_ff N = E gives the compliance C = Eᵀ N of the
+nodes that may touch, in the sole frame (paper, (7)-(9)).
+
+The locking-free element "smoothed" takes the deviatoric strain as its
+average around each edge and the dilatation as its average around each node
+(edge- and node-based smoothed finite elements: Nguyen-Thoi, Liu, Lam, Zhang,
+Int. J. Numer. Meth. Engng 78, 2009; node averages: Bonet and Burton, Commun.
+Numer. Meth. Engng 14, 1998). The unknowns stay those of linear tetrahedra,
+and so do the contact nodes.
+
+Sparse Cholesky factorisation by dense fronts. Nested dissection by places
+(George, SIAM J. Numer. Anal. 10, 1973) halves the nodes until few are left; a
+front is what a separator and its neighbours among later ones make of a dense
+matrix (multifrontal method: Duff and Reid, ACM Trans. Math. Softw. 9, 1983).
+Some nodes come last, all together: the inverse of what is left there is the
+compliance between them. Nearly all of the work is in LAPACK and BLAS.
+
+By the node positions: dC = −Nᵀ dK N, so that all that is needed are
+derivatives of wᵀ K w for fields w held at the nodes: all fields together are
+one matrix Σ λ w wᵀ, of which the stiffness matrix's own blocks count.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.sparse import bsr_matrix, csr_matrix, diags
+
+from drake_exo.errors import InputError
+from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.numerics import njit
+
+_FEW = 48  # nodes of a leaf
+_BLOCK = 512  # rows that are mirrored at a time
+
+
+@dataclass(frozen=True)
+class Front:
+    """Nodes eliminated together and those of later fronts beside them.
+
+    Attributes:
+        own: Nodes, (k,).
+        border: Nodes of later fronts that own ones or their descendants
+            touch, (b,), in the order of elimination.
+        children: Numbers of the fronts whose borders end here.
+    """
+
+    own: np.ndarray
+    border: np.ndarray
+    children: list[int]
+
+
+class SparseCholesky:
+    """K = L Lᵀ of a symmetric positive definite matrix.
+
+    Args:
+        K: The matrix of all dofs, blocks of three, (3n, 3n).
+        fronts: What `fronts_of` makes of its pattern.
+
+    Attributes:
+        last_inverse: The block of K⁻¹ of the last nodes' dofs, (3m, 3m).
+
+    Raises:
+        LinAlgError: K is not positive definite.
+    """
+
+    def __init__(self, K: bsr_matrix, fronts: list[Front]):
+        self._count = K.shape[0]
+        self._parts = []  # own dofs, border's dofs, factor, rows below
+        factor = self._eliminate(K, fronts)
+        self._root = node_dofs(fronts[-1].own)
+        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
+        # Symmetric: turned so that its rows lie together in memory.
+        self.last_inverse = mirrored(inverse).T
+
+    def _eliminate(self, K: bsr_matrix, fronts: list[Front]) -> np.ndarray:
+        """All fronts; the last one's lower triangle."""
+        place = np.full(self._count // 3, -1)
+        updates = {}
+        for number, front in enumerate(fronts):
+            both = np.concatenate([front.own, front.border])
+            place[both] = np.arange(len(both))
+            k, b = 3 * len(front.own), 3 * len(front.border)
+            A = np.zeros((k + b, k), order="F")
+            _collect(A, K.indptr, K.indices, K.data, front.own, place)
+            # Lower triangles are enough: borders lie in order.
+            update = np.zeros((b, b), order="F")
+            for child in front.children:
+                where = place[fronts[child].border]
+                _extend(A, update, updates.pop(child), where)
+            place[both] = -1
+            factor, info = dpotrf(A[:k], lower=1, overwrite_a=b == 0)
+            if info:
+                raise np.linalg.LinAlgError("matrix is not positive definite")
+            if b:
+                below = dtrsm(1.0, factor, A[k:], side=1, lower=1, trans_a=1)
+                updates[number] = dsyrk(
+                    -1.0, below, 1.0, update, lower=1, overwrite_c=1
+                )
+                own, border = node_dofs(front.own), node_dofs(front.border)
+                self._parts.append((own, border, factor, below))
+        return factor
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """K⁻¹ b, (3n, c)."""
+        x = np.array(b, dtype=float)
+        for own, border, factor, below in self._parts:
+            y = dtrsm(1.0, factor, x[own], lower=1)
+            x[own] = y
+            x[border] -= below @ y
+        x[self._root] = self.last_inverse @ x[self._root]
+        return self._substituted(x)
+
+    def carry(self, b: np.ndarray) -> np.ndarray:
+        """K⁻¹ of what is b at the last dofs, (3m, c), and zero elsewhere."""
+        x = np.zeros((self._count, b.shape[1]))
+        x[self._root] = self.last_inverse @ b
+        return self._substituted(x)
+
+    def _substituted(self, x: np.ndarray) -> np.ndarray:
+        """Backwards from the last dofs, in place."""
+        for own, border, factor, below in reversed(self._parts):
+            y = x[own] - below.T @ x[border]
+            x[own] = dtrsm(1.0, factor, y, lower=1, trans_a=1)
+        return x
+
+
+def node_dofs(nodes: np.ndarray) -> np.ndarray:
+    """Dofs 3i, 3i+1, 3i+2 of nodes, (3k,)."""
+    return (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
+
+
+@njit()
+def _collect(A, indptr, indices, data, own, place):
+    """The matrix's columns of a front's own nodes: those rows it has."""
+    for j in range(len(own)):
+        for entry in range(indptr[own[j]], indptr[own[j] + 1]):
+            i = place[indices[entry]]
+            if i >= 0:
+                for a in range(3):
+                    for b in range(3):  # the matrix is symmetric
+                        A[3 * i + a, 3 * j + b] = data[entry, b, a]
+
+
+@njit()
+def _extend(A, update, new, where):
+    """Add a child's update to its place in both parts of a front."""
+    k = A.shape[1]
+    for j in range(new.shape[1]):
+        column = 3 * where[j // 3] + j % 3
+        for i in range(j, len(new)):
+            row = 3 * where[i // 3] + i % 3
+            if column < k:
+                A[row, column] += new[i, j]
+            else:
+                update[row - k, column - k] += new[i, j]
+
+
+def mirrored(lower: np.ndarray) -> np.ndarray:
+    """A symmetric matrix from its lower triangle, in place."""
+    n = len(lower)
+    for i in range(0, n, _BLOCK):
+        part = slice(i, min(i + _BLOCK, n))
+        lower[part, part.stop :] = lower[part.stop :, part].T
+        corner = np.tril(lower[part, part])
+        lower[part, part] = corner + np.tril(corner, -1).T
+    return lower
+
+
+def fronts_of(
+    graph: csr_matrix, places: np.ndarray, last: np.ndarray
+) -> list[Front]:
+    """Fronts in the order of elimination.
+
+    Args:
+        graph: Which nodes touch, (n, n).
+        places: Of the nodes, (n, 3).
+        last: Nodes that are eliminated last, together, (m,), m > 0.
+    """
+    others = np.setdiff1d(np.arange(len(places)), last)
+    parts: list[tuple[np.ndarray, list[int]]] = []
+    top = _dissect(graph, places, others, parts)
+    parts.append((last, top))
+    rank = np.empty(len(places), dtype=np.int64)
+    order = np.concatenate([own for own, _ in parts])
+    rank[order] = np.arange(len(order))
+    fronts = []
+    for own, children in parts:
+        near = [graph[own].indices, *(fronts[c].border for c in children)]
+        near = np.unique(np.concatenate(near))
+        near = near[rank[near] > rank[own].max()]
+        border = near[np.argsort(rank[near])]
+        fronts.append(Front(own, border, children))
+    return fronts
+
+
+def _dissect(graph, places, nodes, parts) -> list[int]:
+    """Add the parts of some nodes, separators after what they separate.
+
+    Returns:
+        Numbers of the parts whose borders may lie beyond these nodes.
+    """
+    if len(nodes) == 0:
+        return []
+    halves = None
+    if len(nodes) > _FEW:
+        halves = min(
+            (_halves(graph, places, nodes, axis) for axis in range(3)),
+            key=_cost,
+        )
+    if halves is None or min(len(halves[0]), len(halves[1])) == 0:
+        parts.append((nodes, []))
+        return [len(parts) - 1]
+    low, high, separator = halves
+    below = _dissect(graph, places, low, parts)
+    below += _dissect(graph, places, high, parts)
+    if len(separator) == 0:
+        return below
+    parts.append((separator, below))
+    return [len(parts) - 1]
+
+
+def _cost(halves) -> float:
+    """Of a cut: its nodes over those of the smaller half."""
+    low, high, separator = halves
+    least = min(len(low), len(high))
+    return len(separator) / least if least else np.inf
+
+
+def _halves(graph, places, nodes, axis):
+    """Low and high half along an axis, and the high nodes between them."""
+    x = places[nodes, axis]
+    high = x > np.median(x)
+    is_low = np.zeros(len(places), dtype=np.int32)
+    is_low[nodes[~high]] = 1
+    touching = graph[nodes[high]] @ is_low > 0
+    return nodes[~high], nodes[high][~touching], nodes[high][touching]
+
+
+Element = Literal["linear", "smoothed"]
+
+
+def edges_of(mesh: TetMesh) -> np.ndarray:
+    """Numbers of the edges of every element, (e, 6)."""
+    i, j = np.triu_indices(4, 1)
+    pairs = np.stack([mesh.tets[:, i], mesh.tets[:, j]], axis=-1)
+    pairs = np.sort(pairs, axis=-1).reshape(-1, 2)
+    code = pairs[:, 0] * len(mesh.nodes) + pairs[:, 1]
+    _, owner = np.unique(code, return_inverse=True)
+    return owner.reshape(-1, 6)
+
+
+def node_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
+    """Averages around nodes: matrix (n, e), volumes of nodes [m³], (n,).
+
+    Each element gives an equal part of its volume to its nodes.
+    """
+    part = np.repeat(mesh.volumes / 4, 4)
+    total = np.bincount(mesh.tets.ravel(), part)
+    element = np.repeat(np.arange(len(mesh.tets)), 4)
+    share = csr_matrix(
+        (part, (mesh.tets.ravel(), element)), (len(total), len(mesh.tets))
+    )
+    return (diags(1 / total) @ share).tocsr(), total
+
+
+def gradient_operators(mesh: TetMesh) -> list[csr_matrix]:
+    """∂/∂x, ∂/∂y, ∂/∂z of a nodal field in every element, (e, n) each."""
+    e, n = len(mesh.tets), len(mesh.nodes)
+    rows, cols = np.repeat(np.arange(e), 4), mesh.tets.ravel()
+    return [
+        csr_matrix((mesh.gradients[:, :, k].ravel(), (rows, cols)), (e, n))
+        for k in range(3)
+    ]
+
+
+@dataclass(frozen=True)
+class Material:
+    """An isotropic linear elastic material."""
+
+    name: str
+    youngs_modulus_pa: float
+    poissons_ratio: float
+    density_kg_per_m3: float
+
+    def __post_init__(self):
+        if not self.youngs_modulus_pa > 0:
+            raise InputError(
+                f"material {self.name}: youngs_modulus_pa "
+                f"{self.youngs_modulus_pa} must be above 0"
+            )
+        if not -1.0 < self.poissons_ratio < 0.5:
+            raise InputError(
+                f"material {self.name}: poissons_ratio {self.poissons_ratio} "
+                "must lie between -1 and 0.5 (0.5 is incompressible; use "
+                "0.49 with element smoothed)"
+            )
+        if not self.density_kg_per_m3 > 0:
+            raise InputError(
+                f"material {self.name}: density_kg_per_m3 "
+                f"{self.density_kg_per_m3} must be above 0"
+            )
+
+    @property
+    def shear_modulus(self) -> float:
+        """μ [Pa]."""
+        return self.youngs_modulus_pa / (2 * (1 + self.poissons_ratio))
+
+    @property
+    def lame_lambda(self) -> float:
+        """λ [Pa]."""
+        nu = self.poissons_ratio
+        return self.youngs_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
+
+    @property
+    def bulk_modulus(self) -> float:
+        """κ = λ + 2/3 μ [Pa]."""
+        return self.lame_lambda + 2 / 3 * self.shear_modulus
+
+
+# Young's moduli of the paper's Table 1; butyl's density from its v_max of
+# 1098 cm³ for 1 kg.
+MATERIALS = {
+    "neoprene": Material("neoprene", 1.0e6, 0.3, 1230.0),
+    "butyl": Material("butyl", 1.4e6, 0.3, 1.0 / 1098e-6),
+}
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which blocks of a stiffness matrix there are, wherever the nodes are.
+
+    Attributes:
+        nodes: Rows of the matrix, (k,).
+        around: Elements around every edge and around every node, pairs
+            (indptr, elements); empty for linear elements.
+        graph: Which of its rows touch, (k, k).
+        fronts: In which its nodes are eliminated, contact nodes last.
+    """
+
+    nodes: np.ndarray
+    around: tuple
+    graph: csr_matrix
+    fronts: list[Front]
+
+    @classmethod
+    def of(cls, mesh: TetMesh, nodes: np.ndarray, element: Element):
+        """Of some nodes, the others fixed; contact nodes are among them."""
+        tets, around = mesh.tets, []
+        corners = _incidence(tets, len(mesh.nodes))
+        graph = corners.T @ corners
+        if element == "smoothed":
+            for owner in (edges_of(mesh), tets):
+                shares = _incidence(owner).T.tocsr()
+                around.append((shares.indptr, shares.indices))
+                near = shares @ corners
+                graph = graph + near.T @ near
+        graph = graph.tocsr()[nodes][:, nodes]
+        graph.sort_indices()
+        last = np.searchsorted(nodes, mesh.contact)
+        fronts = fronts_of(graph, mesh.nodes[nodes], last)
+        return cls(nodes, tuple(around), graph, fronts)
+
+
+def _incidence(owner: np.ndarray, count: int | None = None) -> csr_matrix:
+    """Elements (rows) and what they have."""
+    rows = np.repeat(np.arange(len(owner)), owner.shape[1])
+    ones = np.ones(owner.size, dtype=np.int32)
+    count = owner.max() + 1 if count is None else count
+    return csr_matrix((ones, (rows, owner.ravel())), (len(owner), count))
+
+
+def assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
+    """The stiffness of a pattern's nodes, the others fixed [N/m]."""
+    graph = pattern.graph
+    data = np.zeros((graph.nnz, 3, 3))
+    for groups in groups_of(mesh, material, pattern):
+        _assemble(*groups, graph.indptr, graph.indices, data)
+    return bsr_matrix((data, graph.indices, graph.indptr))
+
+
+def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
+    """Groups of elements over which strains are averaged, for compiled code.
+
+    Returns:
+        A tuple for each part of the energy: where each group begins among
+        the elements that follow, (k + 1,); tets; gradients of their shape
+        functions; what an element gives to each of its groups [m³], (e,);
+        μ and λ [Pa]; rows of the nodes in the matrix, -1 where fixed.
+    """
+    shear, bulk = material.shear_modulus, material.bulk_modulus
+    elements = np.arange(len(mesh.tets) + 1, dtype=np.int32)
+    parts = [((elements, elements[:-1]), shear, bulk, 1)]
+    if pattern.around:
+        of_edges, of_nodes = pattern.around
+        parts = [(of_edges, shear, 0.0, 6), (of_nodes, 0.0, bulk, 4)]
+    number = np.full(len(mesh.nodes), -1)
+    number[pattern.nodes] = np.arange(len(pattern.nodes))
+    return [
+        (*around, mesh.tets, mesh.gradients, mesh.volumes / shares,
+         mu, kappa - 2 / 3 * mu, number)
+        for around, mu, kappa, shares in parts
+    ]  # fmt: skip
+
+
+@njit()
+def average_gradients(elements, tets, g, volumes, number, slot, nodes, G):
+    """Σ v g of a group's shape functions [m²], into G by row of nodes.
+
+    Args:
+        elements: Of the group.
+        tets, g, volumes, number: See `groups_of`.
+        slot: -1 everywhere; gets each node's row, to be reset by the caller.
+        nodes, G: Get the nodes' numbers in the matrix, and the gradients.
+
+    Returns:
+        How many rows, the volume Σ v.
+    """
+    count, V = 0, 0.0
+    for e in elements:
+        V += volumes[e]
+        for a in range(4):
+            node = number[tets[e, a]]
+            if node < 0:
+                continue
+            if slot[node] < 0:
+                slot[node] = count
+                nodes[count] = node
+                G[count] = 0.0
+                count += 1
+            for i in range(3):
+                G[slot[node], i] += volumes[e] * g[e, a, i]
+    return count, V
+
+
+@njit()
+def _assemble(
+    start, around, tets, g, volumes, shear, lam, number, indptr, indices, data
+):
+    """Add the groups' energies to a matrix, see `groups_of`."""
+    slot = np.full(len(number), -1)
+    nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
+    for group in range(len(start) - 1):
+        elements = around[start[group] : start[group + 1]]
+        count, V = average_gradients(
+            elements, tets, g, volumes, number, slot, nodes, G
+        )
+        for a in range(count):
+            slot[nodes[a]] = -1
+            low, high = indptr[nodes[a]], indptr[nodes[a] + 1]
+            row = indices[low:high]
+            for b in range(count):
+                entry = low + np.searchsorted(row, nodes[b])
+                dot = 0.0
+                for i in range(3):
+                    dot += G[a, i] * G[b, i]
+                for i in range(3):
+                    data[entry, i, i] += shear * dot / V
+                    for j in range(3):
+                        data[entry, i, j] += (
+                            shear * G[b, i] * G[a, j] + lam * G[a, i] * G[b, j]
+                        ) / V
+
+
+@dataclass(eq=False)
+class Sole:
+    """A meshed sole of one material, ready for contact.
+
+    Attributes:
+        mesh: The mesh at rest.
+        material: Its material.
+        element: "linear" (the paper's) or "smoothed" (locking-free).
+    """
+
+    mesh: TetMesh
+    material: Material
+    element: Element = "linear"
+
+    def with_nodes(self, nodes: np.ndarray) -> "Sole":
+        """The same elements at other places; what these do not change stays."""
+        out = replace(self, mesh=self.mesh.with_nodes(nodes))
+        out.__dict__["pattern"] = self.pattern
+        return out
+
+    @property
+    def free(self) -> np.ndarray:
+        """Nodes that are not fixed to the foot."""
+        return self.pattern.nodes
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """Of its stiffness matrix."""
+        free = np.setdiff1d(np.arange(len(self.mesh.nodes)), self.mesh.fixed)
+        return Pattern.of(self.mesh, free, self.element)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Rest positions of the contact nodes in the sole frame, (m, 3)."""
+        return self.mesh.nodes[self.mesh.contact]
+
+    def solve(self, forces: np.ndarray) -> np.ndarray:
+        """Displacements of the free dofs under forces, both (3 n_f, k)."""
+        return self._factor.solve(forces)
+
+    @cached_property
+    def _factor(self) -> SparseCholesky:
+        K = assembled(self.mesh, self.material, self.pattern)
+        return SparseCholesky(K, self.pattern.fronts)
+
+    def carry(self, forces: np.ndarray) -> np.ndarray:
+        """Free displacements under contact forces: N f = K_ff⁻¹ E f.
+
+        Args:
+            forces: At the contact dofs, sole frame [N], (3m, k).
+
+        Returns:
+            (3 n_f, k).
+        """
+        return self._factor.carry(forces)
+
+    @cached_property
+    def contact_rows(self) -> np.ndarray:
+        """Rows of the contact dofs among the free dofs, (3m,)."""
+        return node_dofs(np.searchsorted(self.free, self.mesh.contact))
+
+    @property
+    def compliance(self) -> np.ndarray:
+        """C = Eᵀ N in the sole frame [m/N], (3m, 3m), symmetric."""
+        return self._factor.last_inverse
+
+    @property
+    def penalty(self) -> float:
+        """Scale r = 1 / median(C_nn) [N/m] of the contact law."""
+        return float(1.0 / np.median(np.diag(self.compliance)[2::3]))
+
+    def displacement(self, f_L: np.ndarray) -> np.ndarray:
+        """Displacement of every node under contact forces (sole frame).
+
+        Args:
+            f_L: Forces at the contact nodes, sole frame [N], (..., m, 3).
+
+        Returns:
+            Displacements [m], sole frame, (..., n, 3).
+        """
+        lead = f_L.shape[:-2]
+        f_L = f_L.reshape(-1, len(self.mesh.contact), 3)
+        u = np.zeros((len(f_L), len(self.mesh.nodes), 3))
+        moved = self.carry(f_L.reshape(len(u), -1).T)
+        u[:, self.free] = moved.T.reshape(len(u), -1, 3)
+        return u.reshape(*lead, -1, 3)
+
+    def strain(self, u: np.ndarray) -> np.ndarray:
+        """Small strain of every element, (..., e, 3, 3).
+
+        With "smoothed", around every node, (..., n, 3, 3): that of a single
+        element has no energy of its own, and scatters.
+        """
+        H = displacement_gradient(self.mesh, u)
+        eps = 0.5 * (H + np.swapaxes(H, -1, -2))
+        if self.element == "linear":
+            return eps
+        flat = np.moveaxis(eps, -3, 0)
+        mean = self.node_average @ flat.reshape(len(flat), -1)
+        return np.moveaxis(mean.reshape(-1, *flat.shape[1:]), 0, -3)
+
+    @cached_property
+    def node_average(self) -> csr_matrix:
+        """Averages around nodes, see `node_average`."""
+        return node_average(self.mesh)[0]
+
+
+def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:
+    """H_ij = ∂u_i/∂X_j in every element, (..., e, 3, 3)."""
+    return np.einsum("...eai,eaj->...eij", u[..., mesh.tets, :], mesh.gradients)
+
+
+# Of the largest eigenvalue: what is left out changes a gradient by some 1e-7
+# of its largest entry, and is half of the fields.
+_NEGLIGIBLE = 1e-7
+
+
+def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
+    """Derivatives of tr(C̄ᵀ C) with C̄ = left rightᵀ by the nodes, (f, n, 3).
+
+    C is symmetric: the eigenvectors of C̄'s symmetric part are all the fields
+    that it takes.
+
+    Args:
+        sole: The condensed sole.
+        terms: Pairs of left and right, (3m, c) each, one for each C̄.
+        held: For each further fields and factors as of `energy_gradients`,
+            whose derivative is added, or None.
+    """
+    forces, factors = zip(
+        *(_forces(sole, *term) for term in terms), strict=True
+    )
+    ends = np.cumsum([f.shape[1] for f in forces])
+    fields = np.split(sole.carry(np.hstack(forces)), ends[:-1], axis=1)
+    both = list(zip(fields, factors, strict=True))
+    for k, more in enumerate(held):
+        if more is not None:
+            both[k] = tuple(
+                np.concatenate(x, axis=-1)
+                for x in zip(both[k], more, strict=True)
+            )
+    return energy_gradients(sole, both)
+
+
+def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
+    """At the contact dofs (3m, k) and factors (k,): those that C̄ takes."""
+    dofs = np.flatnonzero(left.any(axis=1) | right.any(axis=1))
+    left, right = left[dofs], right[dofs]
+    if 2 * left.shape[1] < len(dofs):
+        basis, _ = np.linalg.qr(np.hstack([left, right]))
+        left, right = basis.T @ left, basis.T @ right
+    else:
+        basis = None
+    half = 0.5 * left @ right.T
+    values, vectors = np.linalg.eigh(half + half.T)
+    kept = np.abs(values) > _NEGLIGIBLE * np.abs(values).max(initial=0.0)
+    vectors = vectors[:, kept] if basis is None else basis @ vectors[:, kept]
+    forces = np.zeros((3 * len(sole.mesh.contact), kept.sum()))
+    forces[dofs] = vectors
+    return forces, values[kept]
+
+
+def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fields w and factors λ with Σ λ wᵀ K w = Σ vᵀ K u for any K.
+
+    Args:
+        v, u: Columns are fields, (d, k) each.
+
+    Returns:
+        (d, 2k), (2k,).
+    """
+    sizes = [np.linalg.norm(x, axis=0) for x in (u, v)]
+    there = (sizes[0] > 0) & (sizes[1] > 0)
+    size = sizes[0][there] / sizes[1][there]
+    v, u = size * v[:, there], u[:, there]
+    return np.hstack([u + v, u - v]), np.concatenate([1 / size, -1 / size]) / 4
+
+
+def energy_gradients(sole: Sole, fields: list) -> np.ndarray:
+    """Derivatives of −Σ λ wᵀ K w by the node positions, fields held, (f, n, 3).
+
+    Args:
+        sole: The sole.
+        fields: Pairs of free displacements w (3 n_f, k) and factors λ (k,).
+    """
+    pattern = sole.pattern
+    indptr, indices = pattern.graph.indptr, pattern.graph.indices
+    W = np.empty((len(indices), len(fields), 3, 3))
+    for which, (w, factors) in enumerate(fields):
+        w = np.ascontiguousarray(w).reshape(len(sole.free), 3, -1)
+        _products(indptr, indices, w, factors, W[:, which])
+    out = np.zeros((len(fields), *sole.mesh.nodes.shape))
+    for groups in groups_of(sole.mesh, sole.material, pattern):
+        _add_gradients(*groups, indptr, indices, W, out)
+    return out
+
+
+@njit(fastmath=True)
+def _products(indptr, indices, w, factors, out):
+    """Σ λ w_a w_bᵀ of the matrix's blocks with a <= b, into (nnz, 3, 3)."""
+    for a in range(len(indptr) - 1):
+        x, y, z = factors * w[a, 0], factors * w[a, 1], factors * w[a, 2]
+        for entry in range(indptr[a], indptr[a + 1]):
+            if indices[entry] < a:
+                continue
+            for j in range(3):
+                v = w[indices[entry], j]
+                p = q = r = 0.0
+                for k in range(len(v)):
+                    p += x[k] * v[k]
+                    q += y[k] * v[k]
+                    r += z[k] * v[k]
+                out[entry, 0, j], out[entry, 1, j], out[entry, 2, j] = p, q, r
+
+
+@njit()
+def _add_gradients(
+    start, around, tets, g, volumes, shear, lam, number, indptr, indices, W, out
+):
+    """Add −∂(W : K)/∂X of the groups' energies, see `groups_of`.
+
+    That of a group is Σ G_aᵀ M_ab G_b / V with G = Σ v g, V = Σ v and
+    M = μ (tr W I + Wᵀ) + λ W.
+
+    Args:
+        W: Blocks with a <= b, (nnz, f, 3, 3).
+        out: (f, n, 3).
+    """
+    slot = np.full(len(number), -1)
+    nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
+    by_G = np.empty((len(number), len(out), 3))
+    for group in range(len(start) - 1):
+        elements = around[start[group] : start[group + 1]]
+        count, V = average_gradients(
+            elements, tets, g, volumes, number, slot, nodes, G
+        )
+        by_G[:count] = 0.0
+        for a in range(count):
+            low, high = indptr[nodes[a]], indptr[nodes[a] + 1]
+            row = indices[low:high]
+            for b in range(count):
+                if nodes[b] < nodes[a]:
+                    continue
+                entry = low + np.searchsorted(row, nodes[b])
+                for f in range(len(out)):
+                    w = W[entry, f]
+                    trace = w[0, 0] + w[1, 1] + w[2, 2]
+                    for i in range(3):
+                        for j in range(3):
+                            M = shear * w[j, i] + lam * w[i, j]
+                            if i == j:
+                                M += shear * trace
+                            by_G[a, f, i] += M * G[b, j]
+                            if a != b:
+                                by_G[b, f, j] += M * G[a, i]
+        for f in range(len(out)):
+            energy = 0.0
+            for a in range(count):
+                for i in range(3):
+                    energy += by_G[a, f, i] * G[a, i]
+                    by_G[a, f, i] *= 2 / V
+            _by_places(
+                elements, tets, g, volumes, number, slot,
+                by_G[:, f], -energy / V**2, out[f],
+            )  # fmt: skip
+        for a in range(count):
+            slot[nodes[a]] = -1
+
+
+@njit()
+def _by_places(elements, tets, g, volumes, number, slot, by_G, by_volume, out):
+    """Subtract a group's derivative by the nodes from out (n, 3).
+
+    ∂v = v g_c·dX_c and ∂g_a = −g_c (g_a·dX_c), added up in G and V.
+    """
+    for e in elements:
+        size = by_volume
+        for a in range(4):
+            node = number[tets[e, a]]
+            if node >= 0:
+                for i in range(3):
+                    size += by_G[slot[node], i] * g[e, a, i]
+        for c in range(4):
+            for i in range(3):
+                out[tets[e, c], i] -= volumes[e] * size * g[e, c, i]
+            for a in range(4):
+                node = number[tets[e, a]]
+                if node < 0:
+                    continue
+                along = 0.0
+                for i in range(3):
+                    along += by_G[slot[node], i] * g[e, c, i]
+                for i in range(3):
+                    out[tets[e, c], i] += volumes[e] * along * g[e, a, i]

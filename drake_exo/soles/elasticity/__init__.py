@@ -1,1 +1,0 @@
-"""Deformation of the sole: linear and neo-Hookean."""
