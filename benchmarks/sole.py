@@ -17,8 +17,8 @@ import numpy as np
 
 from drake_exo.papers.de_magistris import SIZE, five_cases, step_block
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import brick

@@ -29,8 +29,8 @@ KEYS = (
 def simulate(divisions, root, results) -> None:
     """One mesh: tets, c_tr, seconds of the processor, most memory [GB]."""
     from drake_exo.papers.de_magistris import SIZE, step_block
+    from drake_exo.soles.contact.law import ContactLaw
     from drake_exo.soles.contact.newton import ContactSolver, Start
-    from drake_exo.soles.contact.node_law import ContactLaw
     from drake_exo.soles.elasticity import MATERIALS, Sole
     from drake_exo.soles.mesh import brick
     from drake_exo.soles.step import stiffness

@@ -123,7 +123,7 @@ TESTS = {
     "drake_exo/soles/contact/finite_strain.py": [
         f"{_SOLES}/test_finite_strain.py"
     ],
-    "drake_exo/soles/contact/ground.py": [
+    "drake_exo/soles/contact/law.py": [
         f"{_SOLES}/test_kept_files.py",
         f"{_SOLES}/test_ground.py",
     ],

@@ -26,7 +26,7 @@ from drake_exo.files.output import (
     stored_mark,
 )
 from drake_exo.player import Arrow, Clip, Page, Surface, write_page
-from drake_exo.soles.contact.ground import ARRAYS, FLAT, Ground
+from drake_exo.soles.contact.law import ARRAYS, FLAT, Ground
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.step.simulation import FIRST_HISTORY, HISTORY
 

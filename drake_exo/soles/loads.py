@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import number_rows, read_text
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.numerics import rotation_z
 

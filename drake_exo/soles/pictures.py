@@ -21,7 +21,7 @@ from matplotlib.tri import Triangulation
 from scipy.spatial import ConvexHull
 
 from drake_exo.files.output import save_figure
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.shape import SphericalSpline

@@ -13,9 +13,8 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.schema import exactly_one, not_negative, positive
-from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
+from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.load_blocks import LoadBlock, StepReader, Vector2, Vector3
 from drake_exo.soles.loads import Load, read_columns

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from drake_exo.soles import animation
 from drake_exo.soles.animation import SoleMotion, _Box
-from drake_exo.soles.contact.ground import Ground
+from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz
 

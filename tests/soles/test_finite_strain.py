@@ -11,13 +11,13 @@ from drake_exo.soles.contact.finite_strain import (
     FiniteStrainSolver,
     NeoHookeanBody,
 )
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
     Start,
     Target,
 )
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.elasticity import (
     MATERIALS,
     Material,

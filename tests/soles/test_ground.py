@@ -9,9 +9,8 @@ from drake_exo.errors import InputError
 from drake_exo.soles.animation import SoleMotion, write_animation
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
-from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
+from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick

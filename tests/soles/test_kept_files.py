@@ -9,7 +9,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
+from drake_exo.soles.contact.law import COLUMNS, FLAT, Ground
 from drake_exo.soles.mesh import write_vtk
 from drake_exo.soles.numerics import angles_xyz, rotations_xyz
 from drake_exo.soles.optimize.files import (

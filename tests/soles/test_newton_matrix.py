@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.contact.gauss_seidel import _gauss_seidel, _scaled, _slip
-from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
+from drake_exo.soles.contact.law import (
+    COLUMNS,
+    FLAT,
+    ContactLaw,
+    Ground,
+    project,
+)
 from drake_exo.soles.contact.linearisation import ActiveSet, blocks
 from drake_exo.soles.contact.newton import (
     ContactSolver,
@@ -14,7 +20,6 @@ from drake_exo.soles.contact.newton import (
     deformed,
     residual,
 )
-from drake_exo.soles.contact.node_law import ContactLaw, project
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation

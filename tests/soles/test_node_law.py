@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.soles.contact.node_law import (
+from drake_exo.soles.contact.law import (
     ContactLaw,
     firmly_sticking,
     project,

@@ -10,8 +10,8 @@ from sole_at_pose import contact_at_pose
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact import newton as contact
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation, tilt_deg

@@ -5,7 +5,7 @@ import pytest
 from sole_at_pose import contact_at_pose
 
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
-from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.mesh import checked_mesh, grid_mesh
 

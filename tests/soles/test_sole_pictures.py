@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from drake_exo.soles import pictures
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.pictures import View

@@ -7,8 +7,8 @@ from page_reader import clip_titles, network_addresses, player_data
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.soles.animation import SoleMotion, replay_soles
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick

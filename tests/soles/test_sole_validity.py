@@ -11,8 +11,8 @@ from unmarked import unmarked
 from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.mesh import brick, read_mesh, write_vtk

@@ -10,7 +10,7 @@ import pytest
 from small_step import write_case, write_step
 
 from drake_exo.soles.case import Case
-from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import Load
 from drake_exo.soles.step import results, stiffness

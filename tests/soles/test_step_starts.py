@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.soles.contact.ground import COLUMNS, FLAT, Ground
+from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
@@ -17,7 +17,6 @@ from drake_exo.soles.contact.newton import (
     line_search,
     move,
 )
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick

@@ -9,7 +9,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.contact.ground import COLUMNS, Ground
+from drake_exo.soles.contact.law import COLUMNS, Ground
 from drake_exo.soles.contact.newton import Convergence
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz

@@ -33,18 +33,19 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import (
+    FLAT,
+    ContactLaw,
+    Ground,
+    project,
+    project_with_derivative,
+)
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     Convergence,
     Target,
     capped,
     line_search,
-)
-from drake_exo.soles.contact.node_law import (
-    ContactLaw,
-    project,
-    project_with_derivative,
 )
 from drake_exo.soles.elasticity import Material
 from drake_exo.soles.mesh import TetMesh

@@ -8,7 +8,7 @@ faithful reference; `contact.ContactSolver` is the default.
 
 import numpy as np
 
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, Ground, project_node
 from drake_exo.soles.contact.newton import (
     MOMENT_SCALE,
     ContactSolver,
@@ -18,7 +18,6 @@ from drake_exo.soles.contact.newton import (
     capped,
     move,
 )
-from drake_exo.soles.contact.node_law import project_node
 from drake_exo.soles.numerics import njit
 
 _LOCAL_STEPS = 60

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf, dpotri
 
-from drake_exo.soles.contact.node_law import (
+from drake_exo.soles.contact.law import (
     ContactLaw,
     firmly_sticking,
     project_node,

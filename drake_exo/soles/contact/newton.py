@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground, project_node
 from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation, Turn
-from drake_exo.soles.contact.node_law import ContactLaw, project_node
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.numerics import (
     exp_rotation,

@@ -8,7 +8,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import read_arrays, read_json, write_json
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
 from drake_exo.soles.mesh import read_mesh

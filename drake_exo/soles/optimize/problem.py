@@ -14,9 +14,8 @@ from typing import Literal
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, scatter

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
-from drake_exo.soles.contact.node_law import ContactLaw
+from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
 from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder

@@ -18,9 +18,8 @@ from drake_exo.files.output import (
     write_json,
 )
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.numerics import angles_xyz, tilt_deg
 from drake_exo.soles.settings import Setup

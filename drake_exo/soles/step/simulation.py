@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.linearisation import Linearisation
 from drake_exo.soles.contact.newton import (
     ContactSolver,
@@ -23,7 +23,6 @@ from drake_exo.soles.contact.newton import (
     State,
     Target,
 )
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh

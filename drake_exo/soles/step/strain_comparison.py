@@ -13,7 +13,7 @@ from drake_exo.soles.contact.finite_strain import (
     FiniteStrainSolver,
     NeoHookeanBody,
 )
-from drake_exo.soles.contact.ground import FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
@@ -21,7 +21,6 @@ from drake_exo.soles.contact.newton import (
     State,
     Target,
 )
-from drake_exo.soles.contact.node_law import ContactLaw
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.numerics import tilt_deg
