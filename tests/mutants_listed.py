@@ -150,7 +150,6 @@ TESTS = {
         f"{_SOLES}/test_problem_parts.py",
     ],
     "drake_exo/soles/optimize/search.py": [f"{_SOLES}/test_search.py"],
-    "drake_exo/soles/optimize/pareto.py": [f"{_SOLES}/test_search.py"],
     "drake_exo/soles/pictures.py": [
         f"{_SOLES}/test_sole_pictures.py",
         f"{_SOLES}/test_sole_views.py",
@@ -684,7 +683,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "self.curvature.update(p, *self.at(p), multipliers)",
         ),
     ],
-    "drake_exo/soles/optimize/pareto.py": [
+    "drake_exo/soles/optimize/search.py": [
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),
     ],

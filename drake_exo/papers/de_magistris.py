@@ -29,7 +29,7 @@ from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
-from drake_exo.soles.optimize.pareto import pareto_front
+from drake_exo.soles.optimize.search import pareto_front
 from drake_exo.soles.settings import (
     STAGES,
     Brick,

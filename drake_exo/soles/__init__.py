@@ -18,7 +18,7 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
         "mesh": ["TetMesh"],
         "optimize.design": ["Design"],
         "optimize.files": ["StoredDesign", "find_designs"],
-        "optimize.pareto": ["pareto_front"],
+        "optimize.search": ["pareto_front"],
         "settings": ["Settings"],
         "shape": ["SphericalSpline"],
         "step.results": ["Step"],

@@ -10,7 +10,7 @@ from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.load_blocks import Pattern
 from drake_exo.soles.mesh import brick
-from drake_exo.soles.optimize import pareto, search
+from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import Checkpoint
 from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.optimize.search import (
@@ -506,8 +506,8 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
         )
         return Optimum(p * 0.99, error=0.25, violation=0.125)
 
-    monkeypatch.setattr(pareto, "minimise", minimise)
-    points = pareto.pareto_front(case, [0.9, 0.6], None, stages)
+    monkeypatch.setattr(search, "minimise", minimise)
+    points = search.pareto_front(case, [0.9, 0.6], None, stages)
     assert [point["floor"] for point in points] == [0.6, 0.9]
     own, low, high = calls
     assert (own[2], low[2], high[2]) == (3, 4, 4)

@@ -13,7 +13,7 @@ from drake_exo.papers import de_magistris as paper
 from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
-from drake_exo.soles.optimize import pareto
+from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import find_designs, read_summary
 from drake_exo.soles.settings import Stage
 
@@ -104,7 +104,7 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path):
     case = Case.read(tmp_path / "case.yaml")
     tiny = [Stage((4, 3, 2), 10, layer, 0.2, 20) for layer in (3e-4, 5e-5)]
     # Far above its own optimum so few elements make the search erratic.
-    (point,) = pareto.pareto_front(case, (0.4,), stages=tiny)
+    (point,) = search.pareto_front(case, (0.4,), stages=tiny)
     assert point["violation"] < 1e-3
     # By the exact law, to the per cent that a limit is checked to.
     assert point["ratio_rot"] > 0.99 * 0.4
