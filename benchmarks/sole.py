@@ -21,13 +21,12 @@ from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
-from drake_exo.soles.mesh import brick
+from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
 from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Setup, Stage
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import simulate
 from drake_exo.soles.step.stiffness import heel_strike_count
 

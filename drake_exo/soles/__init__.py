@@ -15,12 +15,11 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
     {
         "case": ["EXAMPLE", "Case"],
         "loads": ["Load"],
-        "mesh": ["TetMesh"],
+        "mesh": ["SphericalSpline", "TetMesh"],
         "optimize.design": ["Design"],
         "optimize.files": ["StoredDesign", "find_designs"],
         "optimize.search": ["pareto_front"],
         "settings": ["Settings"],
-        "shape": ["SphericalSpline"],
         "step.results": ["Step"],
         "step.strain_comparison": ["compare_strains"],
     },

@@ -23,8 +23,7 @@ from scipy.spatial import ConvexHull
 from drake_exo.files.output import save_figure
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.mesh import SphericalSpline, TetMesh
 
 # Faces that meet at less are shaded as one smooth surface.
 _CREASE = np.cos(np.deg2rad(40.0))

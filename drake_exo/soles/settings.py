@@ -18,9 +18,8 @@ from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.load_blocks import LoadBlock, StepReader, Vector2, Vector3
 from drake_exo.soles.loads import Load, read_columns
-from drake_exo.soles.mesh import TetMesh, brick, read_mesh
+from drake_exo.soles.mesh import SphericalSpline, TetMesh, brick, read_mesh
 from drake_exo.soles.numerics import rotation_z
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.surface import (
     SUFFIXES,
     Unit,

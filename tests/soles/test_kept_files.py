@@ -10,7 +10,7 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.law import COLUMNS, FLAT, Ground
-from drake_exo.soles.mesh import write_vtk
+from drake_exo.soles.mesh import SphericalSpline, write_vtk
 from drake_exo.soles.numerics import angles_xyz, rotations_xyz
 from drake_exo.soles.optimize.files import (
     Checkpoint,
@@ -22,7 +22,6 @@ from drake_exo.soles.optimize.files import (
     write_case,
 )
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import HISTORY
 
 

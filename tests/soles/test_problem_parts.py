@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import brick
+from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.optimize.limits import soft_minimum
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
 from drake_exo.soles.optimize.problem import bends, sample_weights, thinned
-from drake_exo.soles.shape import SphericalSpline
 
 
 def _load(count):

@@ -10,7 +10,7 @@ from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole, energy_gradients
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import brick
+from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize.adjoint import (
     load_gradients,
@@ -20,7 +20,6 @@ from drake_exo.soles.optimize.adjoint import (
 from drake_exo.soles.optimize.limits import Limits, StrainNorm
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.optimize.search import settle
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import largest_strain
 from drake_exo.soles.step.simulation import simulate
 

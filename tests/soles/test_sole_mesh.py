@@ -6,6 +6,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.soles.mesh import (
+    SphericalSpline,
     TetMesh,
     _ring,
     brick,
@@ -16,7 +17,6 @@ from drake_exo.soles.mesh import (
     write_stl,
     write_vtk,
 )
-from drake_exo.soles.shape import SphericalSpline
 
 SIZE = (0.23, 0.13, 0.03)
 

@@ -13,13 +13,12 @@ from drake_exo.errors import InputError
 from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
-from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.mesh import SphericalSpline, brick, read_mesh
 from drake_exo.soles.optimize.files import read_checkpoint
 from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Settings
-from drake_exo.soles.shape import SphericalSpline
 
 pytestmark = pytest.mark.slow
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.mesh import (
+    SphericalSpline,
     brick,
     has_star_outline,
     is_watertight,
@@ -11,7 +12,6 @@ from drake_exo.soles.mesh import (
     write_mould,
     write_stl,
 )
-from drake_exo.soles.shape import SphericalSpline
 
 SIZE = (0.23, 0.13, 0.03)
 

@@ -15,13 +15,12 @@ from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.load_blocks import Constant
-from drake_exo.soles.mesh import brick, read_mesh, write_vtk
+from drake_exo.soles.mesh import SphericalSpline, brick, read_mesh, write_vtk
 from drake_exo.soles.optimize.optimizer import (
     Optimum,
     _Callbacks,
     cost_and_violation,
 )
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)

@@ -6,8 +6,7 @@ from matplotlib.figure import Figure
 
 from drake_exo.soles import pictures
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import brick
-from drake_exo.soles.shape import SphericalSpline
+from drake_exo.soles.mesh import SphericalSpline, brick
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import numpy as np
 from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.soles.mesh import (
     WALL,
+    SphericalSpline,
     TetMesh,
     brick,
     halved,
@@ -33,7 +34,6 @@ from drake_exo.soles.optimize.files import (
 from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.results import Step, write_csv
 from drake_exo.soles.step.simulation import (
     FIRST_HISTORY,

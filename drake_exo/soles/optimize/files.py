@@ -11,11 +11,10 @@ from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
-from drake_exo.soles.mesh import read_mesh
+from drake_exo.soles.mesh import SphericalSpline, read_mesh
 from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.settings import Settings, Setup, StartBlock
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step.simulation import HISTORY
 
 _FILE = "checkpoint.json"

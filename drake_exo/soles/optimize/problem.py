@@ -18,7 +18,7 @@ from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import TetMesh, scatter
+from drake_exo.soles.mesh import SphericalSpline, TetMesh, scatter
 from drake_exo.soles.optimize.adjoint import (
     load_gradients,
     shape_gradients,
@@ -33,7 +33,6 @@ from drake_exo.soles.optimize.limits import (
     active_limits,
     soft_minimum,
 )
-from drake_exo.soles.shape import SphericalSpline
 from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.simulation import (
     StepHistory,
