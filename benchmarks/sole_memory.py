@@ -33,9 +33,13 @@ def simulate(divisions, root, results) -> None:
     from drake_exo.soles.contact.newton import ContactSolver, Start
     from drake_exo.soles.elasticity import MATERIALS, Sole
     from drake_exo.soles.mesh import brick
-    from drake_exo.soles.step import stiffness
     from drake_exo.soles.step.results import largest_strain
-    from drake_exo.soles.step.simulation import simulate
+    from drake_exo.soles.step.simulation import (
+        heel_strike_count,
+        sigma_max_translation,
+        sigma_min_rotation,
+        simulate,
+    )
 
     load = step_block(root).load(root or Path(".")).every(SAMPLES)
     start = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
@@ -48,9 +52,9 @@ def simulate(divisions, root, results) -> None:
     seconds = time.process_time() - began
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     tets = len(sole.mesh.tets)
-    strike = history.K_c[: stiffness.heel_strike_count(SAMPLES)]
-    c_tr = stiffness.sigma_max_translation(strike).sum()
-    c_rot = stiffness.sigma_min_rotation(history.K_c).sum()
+    strike = history.K_c[: heel_strike_count(SAMPLES)]
+    c_tr = sigma_max_translation(strike).sum()
+    c_rot = sigma_min_rotation(history.K_c).sum()
     results.put(
         (tets, c_tr, c_rot, strain, history.failed_steps, seconds, most)
     )

@@ -724,7 +724,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("c_rot / count,", "c_rot,"),
     ],
-    "drake_exo/soles/step/stiffness.py": [
+    "drake_exo/soles/step/simulation.py": [
         ("K_c[..., :3, :3])[..., 0]", "K_c[..., :3, :3])[..., -1]"),
         ("K_c[..., 3:, 3:])[..., -1]", "K_c[..., 3:, 3:])[..., 0]"),
         ("sym = -0.5 * (K_c", "sym = 0.5 * (K_c"),
@@ -740,8 +740,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("phase.start : phase.start + count", "phase"),
         ("by_rot[phase] = share", "by_rot[phase] = 1.0"),
         ("= share\n        by_rot", "= 1.0\n        by_rot"),
-    ],
-    "drake_exo/soles/step/simulation.py": [
         ("[rest] * (steps - q - 1)", "[rest] * (steps - q)"),
         ("pitch - np.arctan2(x, z), yaw", "pitch - np.arctan2(x, z), 0.0"),
     ],

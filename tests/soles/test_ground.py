@@ -178,11 +178,14 @@ def test_finite_strain_stands_on_bumps():
 
 
 def _measure(history, by_tr, by_rot):
-    from drake_exo.soles.step import stiffness
+    from drake_exo.soles.step.simulation import (
+        sigma_max_translation,
+        sigma_min_rotation,
+    )
 
-    return by_tr @ stiffness.sigma_max_translation(
+    return by_tr @ sigma_max_translation(
         history.K_c
-    ) + by_rot @ stiffness.sigma_min_rotation(history.K_c)
+    ) + by_rot @ sigma_min_rotation(history.K_c)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from drake_exo.soles.case import Case
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import Load
-from drake_exo.soles.step import results, stiffness
+from drake_exo.soles.step import results, simulation
 from drake_exo.soles.step.results import Step
 
 
@@ -60,19 +60,19 @@ def test_stiffness_of_known_matrices():
     K[1] = -np.diag([5e4, 1e4, 2e4, 90.0, 80.0, 30.0])
     K[2, :3, 3:] = 7.0  # coupling has no part in either block
     K[3] = np.nan
-    found = stiffness.sigma_max_translation(K)
+    found = simulation.sigma_max_translation(K)
     np.testing.assert_allclose(found, [3e4, 5e4, 0.0, np.nan])
-    found = stiffness.sigma_min_rotation(K)
+    found = simulation.sigma_min_rotation(K)
     np.testing.assert_allclose(found, [20.0, 30.0, 0.0, np.nan])
     # Rotations over (0.05 m)^2: 20 / 0.0025 = 8000 N/m.
-    found = stiffness.stability(K[:2])
+    found = simulation.stability(K[:2])
     np.testing.assert_allclose(found, [8e3, 1e4])
-    assert np.isnan(stiffness.stability(K[3]))
+    assert np.isnan(simulation.stability(K[3]))
     K[0, 0, 1] = 2e4  # the symmetric part alone counts
     sym = np.array([[1e4, -1e4], [-1e4, 3e4]])
     expected = min(np.linalg.eigvalsh(sym)[0], 8e3)
-    assert stiffness.stability(K[0]) == pytest.approx(expected)
-    assert stiffness.stability(-K[1]) == pytest.approx(-5e4)
+    assert simulation.stability(K[0]) == pytest.approx(expected)
+    assert simulation.stability(-K[1]) == pytest.approx(-5e4)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_stiffness_of_known_matrices():
     [(10, 0.1, 1), (19, 0.1, 1), (20, 0.1, 2), (5, 0.1, 1), (9, 0.5, 4)],
 )
 def test_heel_strike_is_the_first_part(samples, fraction, count):
-    assert stiffness.heel_strike_count(samples, fraction) == count
+    assert simulation.heel_strike_count(samples, fraction) == count
 
 
 def test_several_steps_weigh_by_their_shares():
@@ -89,7 +89,7 @@ def test_several_steps_weigh_by_their_shares():
         Constant((0.0, 0.0, 400.0), (0, 0), n).load() for n in (20, 30)
     )
     load = Load.one_after_another([first, second], [1.0, 3.0])
-    by_tr, by_rot = stiffness.sample_weights(load)
+    by_tr, by_rot = simulation.sample_weights(load)
     np.testing.assert_allclose(by_rot, [0.25] * 20 + [0.75] * 30)
     strike = [0.25] * 2 + [0.0] * 18 + [0.75] * 3 + [0.0] * 27
     np.testing.assert_allclose(by_tr, strike)

@@ -27,8 +27,7 @@ from drake_exo.soles.optimize.adjoint import (
     stability_terms,
     tilt_terms,
 )
-from drake_exo.soles.step import stiffness
-from drake_exo.soles.step.simulation import StepHistory
+from drake_exo.soles.step.simulation import StepHistory, stability
 
 # p: what the norm is above the largest strain, 2 to 3 % (6 % of p = 64), is
 # room that a design does not use.
@@ -249,7 +248,7 @@ class StabilityLimit:
     name = "stability"
 
     def _excess(self, e: Evaluation):
-        x = stiffness.stability(e.history.K_c) - self.least
+        x = stability(e.history.K_c) - self.least
         return _saturate(x / self.scale)
 
     def value(self, e: Evaluation) -> float:
@@ -328,7 +327,7 @@ def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
     """
     out = []
     if limits.stability is not None:
-        scale = float(np.min(stiffness.stability(first.history.K_c)))
+        scale = float(np.min(stability(first.history.K_c)))
         out.append(StabilityLimit(limits.stability, scale))
     if limits.tilt_deg is not None:
         out.append(TiltLimit(limits.tilt_deg))

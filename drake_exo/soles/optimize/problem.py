@@ -33,9 +33,11 @@ from drake_exo.soles.optimize.limits import (
     active_limits,
     soft_minimum,
 )
-from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.simulation import (
     StepHistory,
+    heel_strike_count,
+    sigma_max_translation,
+    sigma_min_rotation,
     simulate,
     touches_elsewhere,
 )
@@ -168,16 +170,16 @@ class ShapeProblem:
             sole,
             solver,
             history,
-            float(self.by_tr @ stiffness.sigma_max_translation(history.K_c)),
-            float(self.by_rot @ stiffness.sigma_min_rotation(history.K_c)),
+            float(self.by_tr @ sigma_max_translation(history.K_c)),
+            float(self.by_rot @ sigma_min_rotation(history.K_c)),
             self.counts,
         )
 
     def _costs(self, e: Evaluation) -> np.ndarray:
         """C of every contact phase, times its share, (K,)."""
         K = e.history.K_c
-        c = self.by_tr * stiffness.sigma_max_translation(K)
-        c = c - self.weight * self.by_rot * stiffness.sigma_min_rotation(K)
+        c = self.by_tr * sigma_max_translation(K)
+        c = c - self.weight * self.by_rot * sigma_min_rotation(K)
         return np.add.reduceat(c, self.thinned.begins)
 
     def _combined(self, e: Evaluation) -> tuple[float, np.ndarray]:
@@ -352,7 +354,7 @@ def thinned(total: int, samples: int | None, fraction: float):
     Returns:
         picked (k,), weights in c_tr (k,), weights in c_rot (k,).
     """
-    strike = stiffness.heel_strike_count(total, fraction)
+    strike = heel_strike_count(total, fraction)
     count = min(samples or total, total)
     early = min(strike, max(4, round(count / 3)))
     late = min(total - strike, max(2, count - early))

@@ -23,11 +23,15 @@ from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.numerics import angles_xyz, tilt_deg
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.simulation import (
     HISTORY,
     StepHistory,
+    heel_strike_count,
+    sample_weights,
+    sigma_max_translation,
+    sigma_min_rotation,
     simulate,
+    stability,
     touches_elsewhere,
     write_history,
 )
@@ -276,12 +280,12 @@ class Step:
     @property
     def sigma_max_translation(self) -> np.ndarray:
         """Largest singular value of its translational block [N/m], (N,)."""
-        return stiffness.sigma_max_translation(self.history.K_c)
+        return sigma_max_translation(self.history.K_c)
 
     @property
     def sigma_min_rotation(self) -> np.ndarray:
         """Least singular value of its rotational block [N·m/rad], (N,)."""
-        return stiffness.sigma_min_rotation(self.history.K_c)
+        return sigma_min_rotation(self.history.K_c)
 
     @property
     def stability(self) -> np.ndarray:
@@ -289,7 +293,7 @@ class Step:
 
         Above 0 is sufficient for stability under a dead wrench.
         """
-        return stiffness.stability(self.history.K_c)
+        return stability(self.history.K_c)
 
     @property
     def converged(self) -> np.ndarray:
@@ -306,7 +310,7 @@ class Step:
         """Number of samples of heel strike, the first of the (first) load."""
         fraction = self.setup.settings.cost.heel_strike_fraction
         first = self.setup.load.phases[0]
-        return stiffness.heel_strike_count(first.stop, fraction)
+        return heel_strike_count(first.stop, fraction)
 
     @cached_property
     def costs(self) -> tuple[float, float, float]:
@@ -316,7 +320,7 @@ class Step:
 
     def _sums(self, rows) -> tuple[float, float]:
         fraction = self.setup.settings.cost.heel_strike_fraction
-        by_tr, by_rot = stiffness.sample_weights(self.setup.load, fraction)
+        by_tr, by_rot = sample_weights(self.setup.load, fraction)
         early = rows & (by_tr > 0)
         return (
             float(by_tr[early] @ self.sigma_max_translation[early]),
@@ -332,7 +336,7 @@ class Step:
             rows = load.phase == k
             c_tr, c_rot = (x / share for x in self._sums(rows))
             count = int(rows.sum())
-            strike = stiffness.heel_strike_count(count, fraction)
+            strike = heel_strike_count(count, fraction)
             out.append(
                 {
                     "begins_s": float(self.times[rows][0]),

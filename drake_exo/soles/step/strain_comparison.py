@@ -25,13 +25,16 @@ from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.numerics import tilt_deg
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.step import stiffness
 from drake_exo.soles.step.results import principal_strains
 from drake_exo.soles.step.simulation import (
     StepHistory,
     first_step,
     lead,
+    sample_weights,
+    sigma_max_translation,
+    sigma_min_rotation,
     simulate,
+    stability,
 )
 
 # Parts of the first sample's load at which to enter from small strain.
@@ -195,7 +198,7 @@ def compare_strains(
     sole = Sole(mesh, setup.settings.material.material(), "linear")
     load, start = setup.load, setup.start
     cost = setup.settings.cost
-    by_tr, _ = stiffness.sample_weights(load, cost.heel_strike_fraction)
+    by_tr, _ = sample_weights(load, cost.heel_strike_fraction)
     strike = load.at(np.flatnonzero(by_tr))
     count = len(strike.times)
     law = ContactLaw(setup.settings.contact.friction, sole.penalty)
@@ -246,7 +249,7 @@ def _failures(finite: FiniteHistory) -> list[dict]:
 
 
 def _sum(K_c: np.ndarray) -> float:
-    return float(stiffness.sigma_max_translation(K_c).sum())
+    return float(sigma_max_translation(K_c).sum())
 
 
 def _sample(
@@ -278,9 +281,9 @@ def _sample(
 
 def _stiffnesses(K_c: np.ndarray) -> list[float]:
     return [
-        stiffness.sigma_max_translation(K_c),
-        stiffness.sigma_min_rotation(K_c),
-        stiffness.stability(K_c),
+        sigma_max_translation(K_c),
+        sigma_min_rotation(K_c),
+        stability(K_c),
     ]
 
 
