@@ -120,8 +120,9 @@ TESTS = {
         f"{_SOLES}/test_step_starts.py",
         f"{_SOLES}/test_sole_contact.py",
     ],
-    "drake_exo/soles/contact/finite_strain.py": [
-        f"{_SOLES}/test_finite_strain.py"
+    "drake_exo/soles/finite_strain.py": [
+        f"{_SOLES}/test_finite_strain.py",
+        f"{_SOLES}/test_strain_numbers.py",
     ],
     "drake_exo/soles/contact/law.py": [
         f"{_SOLES}/test_kept_files.py",
@@ -160,9 +161,6 @@ TESTS = {
         f"{_SOLES}/test_step_verdict.py",
     ],
     "drake_exo/soles/step/simulation.py": [f"{_SOLES}/test_step_starts.py"],
-    "drake_exo/soles/step/strain_comparison.py": [
-        f"{_SOLES}/test_strain_numbers.py"
-    ],
     "drake_exo/soles/surface.py": [
         f"{_SOLES}/test_surface_steps.py",
         f"{_SOLES}/test_surface.py",

@@ -19,12 +19,12 @@ from drake_exo.files.output import (
     write_json,
 )
 from drake_exo.papers import de_magistris as paper
+from drake_exo.soles import finite_strain as strains
 from drake_exo.soles.optimize.files import (
     SUMMARY,
     read_checkpoint,
     read_summary,
 )
-from drake_exo.soles.step import strain_comparison as strains
 from drake_exo.soles.step.results import sole_samples, write_csv
 
 

@@ -24,6 +24,7 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
+from drake_exo.soles import finite_strain
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.loads import read_columns
@@ -42,7 +43,6 @@ from drake_exo.soles.settings import (
     Stage,
     StartBlock,
 )
-from drake_exo.soles.step import strain_comparison
 from drake_exo.soles.step.simulation import heel_strike_count
 
 SIZE = (0.23, 0.13, 0.03)
@@ -467,11 +467,11 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
         pictures.save(figure, out / name, mark)
     found = {n: s.get("finite_strain") or {} for n, s in summaries.items()}
     found = {
-        name: strain_comparison.from_json(f)
+        name: finite_strain.from_json(f)
         for name, f in found.items()
         if "samples" in f
     }
-    text = strain_comparison.write_table(out, found, mark) if found else ""
+    text = finite_strain.write_table(out, found, mark) if found else ""
     _write_page(out, designs, [*figures, "front.png"], text)
     return text
 

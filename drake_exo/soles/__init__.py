@@ -21,6 +21,6 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
         "optimize.search": ["pareto_front"],
         "settings": ["Settings"],
         "step.results": ["Step"],
-        "step.strain_comparison": ["compare_strains"],
+        "finite_strain": ["compare_strains"],
     },
 )

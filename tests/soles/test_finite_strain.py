@@ -7,10 +7,6 @@ import pytest
 from as_load import as_load
 from scipy.spatial.transform import Rotation
 
-from drake_exo.soles.contact.finite_strain import (
-    FiniteStrainSolver,
-    NeoHookeanBody,
-)
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import (
     ContactSolver,
@@ -19,15 +15,17 @@ from drake_exo.soles.contact.newton import (
     Target,
 )
 from drake_exo.soles.elasticity import MATERIALS, Sole
+from drake_exo.soles.finite_strain import (
+    FiniteHistory,
+    FiniteStrainSolver,
+    NeoHookeanBody,
+    follow,
+    lead,
+)
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 from drake_exo.soles.step.results import complementarity
 from drake_exo.soles.step.simulation import StepHistory, simulate
-from drake_exo.soles.step.strain_comparison import (
-    FiniteHistory,
-    follow,
-    lead,
-)
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 

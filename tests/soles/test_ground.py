@@ -12,6 +12,7 @@ from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole
+from drake_exo.soles.finite_strain import follow
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz
@@ -23,7 +24,6 @@ from drake_exo.soles.optimize.adjoint import (
 from drake_exo.soles.optimize.files import find_designs
 from drake_exo.soles.step.results import complementarity, sole_samples
 from drake_exo.soles.step.simulation import HISTORY, simulate
-from drake_exo.soles.step.strain_comparison import follow
 
 POINT = np.array([-0.115, 0.0, -0.03])
 

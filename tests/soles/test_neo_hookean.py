@@ -7,8 +7,8 @@ from scipy.special import lambertw
 from stiffness import stiffness_matrix
 
 from drake_exo.soles.contact import finite_strain
-from drake_exo.soles.contact.finite_strain import NeoHookeanBody
 from drake_exo.soles.elasticity import Material, Sole
+from drake_exo.soles.finite_strain import NeoHookeanBody
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 

@@ -10,12 +10,12 @@ from page_reader import player_data
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
+from drake_exo.soles import finite_strain
 from drake_exo.soles.animation import replay_soles
 from drake_exo.soles.case import Case
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import find_designs
-from drake_exo.soles.step import strain_comparison
 
 pytestmark = pytest.mark.slow
 
@@ -92,7 +92,7 @@ def test_a_case_file_is_judged_without_optimising(tmp_path):
 
 def test_whatever_the_elements_both_strains_are_in_linear_ones(tmp_path):
     found = [
-        strain_comparison.compare_strains(Case.read(case))
+        finite_strain.compare_strains(Case.read(case))
         for case in (
             _write_inputs(tmp_path, "one", "smoothed"),
             _write_inputs(tmp_path, "other", "linear"),
@@ -176,7 +176,7 @@ def test_the_start_is_that_of_the_initial_shape(study):
 
 def test_a_collapse_stands_in_the_table():
     row = {"sample": 11, "converged": False, "reached": 0.4}
-    for name in strain_comparison._FIGURES:
+    for name in finite_strain._FIGURES:
         row |= {f"{name}_small": -0.5, f"{name}_finite": float("nan")}
     sole = {
         "heel_strike_samples": 21,
@@ -189,13 +189,13 @@ def test_a_collapse_stands_in_the_table():
              "message": "no equilibrium found beyond 0.400 of the way"}
         ],
     }  # fmt: skip
-    text = strain_comparison.table({"1-Ref": sole})
+    text = finite_strain.table({"1-Ref": sole})
     assert "10 of 21 samples have an equilibrium" in text
     assert "no equilibrium found beyond 0.400" in text
     assert "inside out" in text
     assert "not stable" not in text
     row["stability_n_per_m_finite"] = -1.0
-    assert "not stable at sample 11" in strain_comparison.table({"1-Ref": sole})
+    assert "not stable at sample 11" in finite_strain.table({"1-Ref": sole})
 
 
 def test_a_table_without_rows_is_read(tmp_path):

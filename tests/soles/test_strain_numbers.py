@@ -8,12 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drake_exo.soles import finite_strain as module
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.newton import Convergence, State, Target
 from drake_exo.soles.elasticity import Sole
-from drake_exo.soles.step import strain_comparison as module
-from drake_exo.soles.step.results import Step
-from drake_exo.soles.step.strain_comparison import (
+from drake_exo.soles.finite_strain import (
     _enter,
     compare_strains,
     follow,
@@ -21,6 +20,7 @@ from drake_exo.soles.step.strain_comparison import (
     table,
     write_table,
 )
+from drake_exo.soles.step.results import Step
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,7 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
         axes: Of these planes, rows, the normal last, (m, 3, 3).
         zmp: Desired ZMP on the ground [m], (3,).
         r: Penalty [N/m].
-        mu, epsilon, kappa: The contact law's, see `node_law`.
+        mu, epsilon, kappa: The contact law's, see `law`.
 
     Returns:
         τ = F − r δ in the planes' axes and φ = F − T(τ) (m, 3) [N], arms

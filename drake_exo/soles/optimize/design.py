@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.files.output import Check, Verdict, write_json
+from drake_exo.soles.finite_strain import compare_strains, write_table
 from drake_exo.soles.mesh import (
     WALL,
     SphericalSpline,
@@ -40,7 +41,6 @@ from drake_exo.soles.step.simulation import (
     HISTORY,
     write_history,
 )
-from drake_exo.soles.step.strain_comparison import compare_strains, write_table
 
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh

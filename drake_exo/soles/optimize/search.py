@@ -5,7 +5,7 @@ it, and the best goes on. Stages go from few to all samples, and the smoothing
 layer comes down; each starts from the best design of the one before. Ctrl-C
 leaves the best so far on disk.
 
-The front of c_tr against c_rot: An epsilon-constraint: c_tr alone is minimised
+The front of c_tr against c_rot: an epsilon-constraint: c_tr alone is minimised
 under c_rot >= floor, from the lowest floor to the highest. The first point
 starts from the case's own optimum, each further one from the point before,
 with what was learnt of the curvature. On the coarse mesh with a few samples,
