@@ -27,7 +27,7 @@ from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Setup, Stage
-from drake_exo.soles.step.simulation import heel_strike_count, simulate
+from drake_exo.soles.simulation import heel_strike_count, simulate
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}

@@ -33,8 +33,8 @@ def simulate(divisions, root, results) -> None:
     from drake_exo.soles.contact.newton import ContactSolver, Start
     from drake_exo.soles.elasticity import MATERIALS, Sole
     from drake_exo.soles.mesh import brick
-    from drake_exo.soles.step.results import largest_strain
-    from drake_exo.soles.step.simulation import (
+    from drake_exo.soles.results import largest_strain
+    from drake_exo.soles.simulation import (
         heel_strike_count,
         sigma_max_translation,
         sigma_min_rotation,

@@ -160,7 +160,7 @@ TESTS = {
         f"{_SOLES}/test_step_numbers.py",
         f"{_SOLES}/test_step_verdict.py",
     ],
-    "drake_exo/soles/step/simulation.py": [f"{_SOLES}/test_step_starts.py"],
+    "drake_exo/soles/simulation.py": [f"{_SOLES}/test_step_starts.py"],
     "drake_exo/soles/surface.py": [
         f"{_SOLES}/test_surface_steps.py",
         f"{_SOLES}/test_surface.py",
@@ -691,7 +691,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("d + p[:, 1:] * [-1, 1]", "d + p[:, 1:]"),
         ("lit = _AMBIENT + _DIFFUSE", "lit = _AMBIENT - _DIFFUSE"),
     ],
-    "drake_exo/soles/step/results.py": [
+    "drake_exo/soles/results.py": [
         ("load.force[:, k]", "load.force[:, 0]"),
         ("angles = np.rad2deg(self.angles)", "angles = self.angles"),
         ('"volume_cm3": 1e6 * mesh.volume', '"volume_cm3": 1e3 * mesh.volume'),
@@ -722,7 +722,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("c_rot / count,", "c_rot,"),
     ],
-    "drake_exo/soles/step/simulation.py": [
+    "drake_exo/soles/simulation.py": [
         ("K_c[..., :3, :3])[..., 0]", "K_c[..., :3, :3])[..., -1]"),
         ("K_c[..., 3:, 3:])[..., -1]", "K_c[..., 3:, 3:])[..., 0]"),
         ("sym = -0.5 * (K_c", "sym = 0.5 * (K_c"),

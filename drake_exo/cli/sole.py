@@ -25,7 +25,7 @@ from drake_exo.soles.optimize.files import (
     read_checkpoint,
     read_summary,
 )
-from drake_exo.soles.step.results import sole_samples, write_csv
+from drake_exo.soles.results import sole_samples, write_csv
 
 
 def add_parser(subparsers) -> None:

@@ -43,7 +43,7 @@ from drake_exo.soles.settings import (
     Stage,
     StartBlock,
 )
-from drake_exo.soles.step.simulation import heel_strike_count
+from drake_exo.soles.simulation import heel_strike_count
 
 SIZE = (0.23, 0.13, 0.03)
 AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"

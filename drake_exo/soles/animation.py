@@ -28,7 +28,7 @@ from drake_exo.files.output import (
 from drake_exo.player import Arrow, Clip, Page, Surface, write_page
 from drake_exo.soles.contact.law import ARRAYS, FLAT, Ground
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.step.simulation import FIRST_HISTORY, HISTORY
+from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY
 
 with warnings.catch_warnings():  # its server uses a deprecated part of zmq
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -8,8 +8,8 @@ from drake_exo.files import schema
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.search import optimise
+from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Settings, Setup, StepReader
-from drake_exo.soles.step.results import Step
 
 # A whole case file, small enough for an example.
 EXAMPLE = """

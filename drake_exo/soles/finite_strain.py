@@ -59,9 +59,9 @@ from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import exp_rotation, hat, tilt_deg
+from drake_exo.soles.results import principal_strains
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.step.results import principal_strains
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     StepHistory,
     first_step,
     lead,

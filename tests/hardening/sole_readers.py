@@ -20,7 +20,7 @@ from drake_exo.soles.load_blocks import (
 )
 from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
-from drake_exo.soles.step.simulation import write_history
+from drake_exo.soles.simulation import write_history
 
 
 def _sole_checkpoint(path):

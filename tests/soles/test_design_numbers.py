@@ -13,7 +13,7 @@ from drake_exo.soles.optimize.design import _at_least_twice
 from drake_exo.soles.optimize.files import Checkpoint
 from drake_exo.soles.optimize.limits import Limits
 from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
-from drake_exo.soles.step.results import Step
+from drake_exo.soles.results import Step
 
 
 @pytest.fixture(scope="module")

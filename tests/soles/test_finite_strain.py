@@ -24,8 +24,8 @@ from drake_exo.soles.finite_strain import (
 )
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
-from drake_exo.soles.step.results import complementarity
-from drake_exo.soles.step.simulation import StepHistory, simulate
+from drake_exo.soles.results import complementarity
+from drake_exo.soles.simulation import StepHistory, simulate
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 

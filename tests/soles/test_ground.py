@@ -22,8 +22,8 @@ from drake_exo.soles.optimize.adjoint import (
     singular_terms,
 )
 from drake_exo.soles.optimize.files import find_designs
-from drake_exo.soles.step.results import complementarity, sole_samples
-from drake_exo.soles.step.simulation import HISTORY, simulate
+from drake_exo.soles.results import complementarity, sole_samples
+from drake_exo.soles.simulation import HISTORY, simulate
 
 POINT = np.array([-0.115, 0.0, -0.03])
 
@@ -178,7 +178,7 @@ def test_finite_strain_stands_on_bumps():
 
 
 def _measure(history, by_tr, by_rot):
-    from drake_exo.soles.step.simulation import (
+    from drake_exo.soles.simulation import (
         sigma_max_translation,
         sigma_min_rotation,
     )

@@ -22,7 +22,7 @@ from drake_exo.soles.optimize.files import (
     write_case,
 )
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton
-from drake_exo.soles.step.simulation import HISTORY
+from drake_exo.soles.simulation import HISTORY
 
 
 def _checkpoint(shift=0.0):

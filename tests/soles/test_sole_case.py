@@ -244,6 +244,6 @@ def test_soles_never_load_systems_nor_the_exoskeleton_half():
         "'drake_exo.collocation', 'drake_exo.measurement', "
         "'drake_exo.report'))]\n"
         "assert not bad, bad\n"
-        "assert 'drake_exo.soles.step.simulation' in sys.modules\n"
+        "assert 'drake_exo.soles.simulation' in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -7,6 +7,7 @@ import pytest
 from as_load import as_load
 from sole_at_pose import contact_at_pose
 
+from drake_exo.soles import simulation
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact import newton as contact
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
@@ -15,9 +16,8 @@ from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation, tilt_deg
-from drake_exo.soles.step import simulation
-from drake_exo.soles.step.results import Step, complementarity
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.results import Step, complementarity
+from drake_exo.soles.simulation import (
     _follow_design,
     first_step,
     simulate,

@@ -20,8 +20,8 @@ from drake_exo.soles.optimize.adjoint import (
 from drake_exo.soles.optimize.limits import Limits, StrainNorm
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.optimize.search import settle
-from drake_exo.soles.step.results import largest_strain
-from drake_exo.soles.step.simulation import simulate
+from drake_exo.soles.results import largest_strain
+from drake_exo.soles.simulation import simulate
 
 pytestmark = pytest.mark.slow
 
@@ -77,7 +77,7 @@ class Setting:
 
 
 def _measure(history, by_tr, by_rot):
-    from drake_exo.soles.step.simulation import (
+    from drake_exo.soles.simulation import (
         sigma_max_translation,
         sigma_min_rotation,
     )
@@ -380,7 +380,7 @@ def test_a_trial_that_takes_too_long_is_a_failure(problem, monkeypatch):
     p = np.full(problem.spline.count, 0.96)
     problem.accept(p)
     assert problem.evaluate(0.99 * p) is not None
-    monkeypatch.setattr("drake_exo.soles.step.simulation._PATIENCE", 0.1)
+    monkeypatch.setattr("drake_exo.soles.simulation._PATIENCE", 0.1)
     assert problem.evaluate(0.98 * p) is None
     problem.leave_branch()
     assert problem.evaluate(0.98 * p) is not None

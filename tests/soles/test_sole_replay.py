@@ -13,7 +13,7 @@ from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.settings import MaterialBlock
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     FIRST_HISTORY,
     HISTORY,
     simulate,

@@ -21,7 +21,7 @@ from drake_exo.soles.optimize.optimizer import (
     _Callbacks,
     cost_and_violation,
 )
-from drake_exo.soles.step.simulation import simulate
+from drake_exo.soles.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
@@ -84,7 +84,7 @@ def test_a_sample_too_far_from_the_one_before_is_led_to():
     assert history.statuses()[1] == f"followed in {parts} parts of its time"
     # What led there is not told, but has been: the law holds against the
     # references of the last part, and the stiffness is finite.
-    from drake_exo.soles.step.results import complementarity
+    from drake_exo.soles.results import complementarity
 
     assert complementarity(history, law, START, sole.positions) < 1e-8
     assert np.isfinite(history.K_c).all()

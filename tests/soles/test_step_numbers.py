@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small_step import write_case, write_step
 
+from drake_exo.soles import results, simulation
 from drake_exo.soles.case import Case
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import Load
-from drake_exo.soles.step import results, simulation
-from drake_exo.soles.step.results import Step
+from drake_exo.soles.results import Step
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drake_exo.soles import simulation
 from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import (
     ContactSolver,
@@ -27,8 +28,7 @@ from drake_exo.soles.numerics import (
     rotations_xyz,
     yaw_of,
 )
-from drake_exo.soles.step import simulation
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     StepHistory,
     _alike,
     _distance,

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.soles import results
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.law import COLUMNS, Ground
 from drake_exo.soles.contact.newton import Convergence
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz
+from drake_exo.soles.results import Step, sole_samples, step_checks
 from drake_exo.soles.settings import StartBlock
-from drake_exo.soles.step import results
-from drake_exo.soles.step.results import Step, sole_samples, step_checks
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     HISTORY,
     touches_elsewhere,
     write_history,

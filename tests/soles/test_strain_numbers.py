@@ -20,7 +20,7 @@ from drake_exo.soles.finite_strain import (
     table,
     write_table,
 )
-from drake_exo.soles.step.results import Step
+from drake_exo.soles.results import Step
 
 
 @pytest.fixture(scope="module")

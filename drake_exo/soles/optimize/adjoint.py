@@ -12,7 +12,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity import Sole, compliance_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.numerics import cross
-from drake_exo.soles.step.simulation import STABILITY_SCALE, StepHistory
+from drake_exo.soles.simulation import STABILITY_SCALE, StepHistory
 
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 

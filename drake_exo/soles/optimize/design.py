@@ -34,9 +34,9 @@ from drake_exo.soles.optimize.files import (
 )
 from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.results import Step, write_csv
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.step.results import Step, write_csv
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     FIRST_HISTORY,
     HISTORY,
     write_history,

@@ -15,7 +15,7 @@ from drake_exo.soles.mesh import SphericalSpline, read_mesh
 from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.settings import Settings, Setup, StartBlock
-from drake_exo.soles.step.simulation import HISTORY
+from drake_exo.soles.simulation import HISTORY
 
 _FILE = "checkpoint.json"
 _LARGEST = 1e30

@@ -27,7 +27,7 @@ from drake_exo.soles.optimize.adjoint import (
     stability_terms,
     tilt_terms,
 )
-from drake_exo.soles.step.simulation import StepHistory, stability
+from drake_exo.soles.simulation import StepHistory, stability
 
 # p: what the norm is above the largest strain, 2 to 3 % (6 % of p = 64), is
 # room that a design does not use.

@@ -33,7 +33,7 @@ from drake_exo.soles.optimize.limits import (
     active_limits,
     soft_minimum,
 )
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     StepHistory,
     heel_strike_count,
     sigma_max_translation,

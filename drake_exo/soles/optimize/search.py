@@ -40,8 +40,8 @@ from drake_exo.soles.optimize.optimizer import (
     minimise,
 )
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Settings, Setup, Stage
-from drake_exo.soles.step.results import Step
 from drake_exo.soles.walking_pattern import Gait
 
 _CHECKPOINT_EVERY = 3  # iterations

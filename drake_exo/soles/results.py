@@ -23,7 +23,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.numerics import angles_xyz, tilt_deg
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.step.simulation import (
+from drake_exo.soles.simulation import (
     HISTORY,
     StepHistory,
     heel_strike_count,

@@ -1,1 +1,0 @@
-"""A sole through one contact phase."""
