@@ -121,6 +121,7 @@ TESTS = {
         f"{_SOLES}/test_sole_contact.py",
     ],
     "drake_exo/soles/finite_strain.py": [
+        f"{_SOLES}/test_neo_hookean.py",
         f"{_SOLES}/test_finite_strain.py",
         f"{_SOLES}/test_strain_numbers.py",
     ],
@@ -128,9 +129,8 @@ TESTS = {
         f"{_SOLES}/test_kept_files.py",
         f"{_SOLES}/test_ground.py",
     ],
-    "drake_exo/soles/elasticity/": [
+    "drake_exo/soles/elasticity.py": [
         f"{_SOLES}/test_fronts.py",
-        f"{_SOLES}/test_neo_hookean.py",
         f"{_SOLES}/test_sole_elasticity.py",
     ],
     "drake_exo/soles/load_blocks.py": [f"{_SOLES}/test_load_numbers.py"],
@@ -156,11 +156,14 @@ TESTS = {
         f"{_SOLES}/test_sole_views.py",
     ],
     "drake_exo/soles/numerics.py": [f"{_SOLES}/test_rotations.py"],
-    "drake_exo/soles/step/": [
+    "drake_exo/soles/results.py": [
         f"{_SOLES}/test_step_numbers.py",
         f"{_SOLES}/test_step_verdict.py",
     ],
-    "drake_exo/soles/simulation.py": [f"{_SOLES}/test_step_starts.py"],
+    "drake_exo/soles/simulation.py": [
+        f"{_SOLES}/test_step_starts.py",
+        f"{_SOLES}/test_step_numbers.py",
+    ],
     "drake_exo/soles/surface.py": [
         f"{_SOLES}/test_surface_steps.py",
         f"{_SOLES}/test_surface.py",

@@ -107,4 +107,4 @@ def test_files_are_worth_opening():
         and room_of(path) != "cli"
     ]
     assert not short
-    assert len(FILES) <= 162
+    assert len(FILES) <= 150

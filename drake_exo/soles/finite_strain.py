@@ -1,5 +1,4 @@
-"""Finite strain: a neo-Hookean sole, its contact, heel strike beside small
-strain.
+"""Finite strain: a neo-Hookean sole, its contact, and beside small strain.
 
 The compressible solid on linear tetrahedra, total Lagrangian. Energy per rest
 volume, I1 = tr FᵀF (Bonet and Wood, Nonlinear Continuum Mechanics for Finite
