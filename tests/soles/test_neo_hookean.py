@@ -6,7 +6,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.special import lambertw
 from stiffness import stiffness_matrix
 
-from drake_exo.soles.contact import finite_strain
+from drake_exo.soles import finite_strain
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.finite_strain import NeoHookeanBody
 from drake_exo.soles.mesh import brick
