@@ -29,6 +29,7 @@ _NEARLY_FEASIBLE = 0.2
 _FAR = 2.0
 # Of coefficients and bounds of constraints that hold for every y.
 _IDENTICALLY_ZERO = 1e-9
+_ROUNDING = 1e-12  # of coefficients
 
 
 class SparseProgram:
@@ -502,7 +503,9 @@ class Block:
         self.local = np.zeros((n, n_in, width))
         self.local[node, slot, rank[position]] = rows.data
         structure = np.abs(self.local) > 0
-        if np.ptp(self.local, axis=0).max(initial=0.0) < 1e-14:
+        # Bases of an even grid differ from node to node by rounding.
+        size = np.abs(self.local).max(axis=(0, 2), initial=0.0)[:, None]
+        if (np.ptp(self.local, axis=0) <= _ROUNDING * size).all():
             self.local = self.local[0]
             structure = structure[:1]
         seen = (self.columns >= 0)[:, None, :]
@@ -551,7 +554,12 @@ class Block:
         inputs = self._curved_inputs
         local = self.local[..., inputs, :][..., self._bent_slots]
         H = H[:, inputs[:, None], inputs]
-        return np.swapaxes(local, -1, -2) @ H @ local
+        if local.ndim == 2:  # one large product, as above
+            half = H.reshape(-1, len(inputs)) @ local
+            half = half.reshape(len(z), len(inputs), -1)
+        else:
+            half = H @ local
+        return np.swapaxes(local, -1, -2) @ half
 
 
 def _directional(kernel, z, data, weights, k):
