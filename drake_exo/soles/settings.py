@@ -131,16 +131,11 @@ class Stage:
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
     iterations: int = field(default=40, metadata={"minimum": 0})
-    roughness: float = not_negative("", 1.0)
 
 
 _FINE = (18, 12, 4)
-# Strains and poses depend on the mesh: the fine one from the start. What is
-# rough costs more at first: the search begins among few, smooth shapes.
-STAGES = (
-    Stage(_FINE, 24, 3e-4, 0.2, 30, 10.0),
-    Stage(_FINE, 24, 1e-4, 0.2, 75),
-)
+# Strains and poses depend on the mesh: the fine one from the start.
+STAGES = (Stage(_FINE, 24, 3e-4, 0.2, 30), Stage(_FINE, 24, 1e-4, 0.2, 75))
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 

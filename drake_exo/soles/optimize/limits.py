@@ -29,9 +29,7 @@ from drake_exo.soles.optimize.adjoint import (
 )
 from drake_exo.soles.simulation import StepHistory, stability
 
-# p: what the norm is above the largest strain, 2 to 3 % (6 % of p = 64), is
-# room that a design does not use.
-ORDER = 128
+ORDER = 64  # p
 _BATCH = 32  # samples at a time
 # Strains (Frobenius) below this part of a principal one add less than 1e-13.
 _FAINT = 0.5

@@ -100,7 +100,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
         settings.cost.weight,
         limits_of(settings),
         settings.mesh.element,
-        block.roughness * stage.roughness,
+        block.roughness,
         settings.cost.heel_strike_fraction,
         stage.samples,
         of=settings.cost.of,
