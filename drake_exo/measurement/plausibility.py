@@ -817,8 +817,11 @@ def _frozen(e: Evidence, i: int) -> Check:
 
 
 def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
-    """Whether two encoders fit better the other way round."""
+    """Whether two encoders' movements fit better the other way round."""
     names = e.trial.coordinates.device
+    # An offset is no exchange: that is for `encoder_offset` to tell.
+    human = human - human.mean(axis=0)
+    device = device - device.mean(axis=0)
     for a, b in combinations(moving, 2):
         own, other = (
             float(np.linalg.norm(device[:, pair] - human[:, [a, b]]))

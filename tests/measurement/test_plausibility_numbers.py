@@ -437,6 +437,24 @@ def test_encoders_of_each_others_joints():
     assert found == (4.0 / 16.0, 1.1, True)
 
 
+def test_offsets_of_two_encoders_are_no_exchange():
+    """As they read, the columns are half as far off exchanged."""
+    e = worn(
+        [
+            lambda t: 0.0 * t,
+            lambda t: bends(50.0)(t) - 6.0,
+            lambda t: bends(40.0)(t) + 6.0,
+        ],
+        [lambda t: 0.0 * t, bends(50.0), bends(40.0)],
+    )
+    human, device = e.trial.q[:, 4:6], e.trial.q[:, 7:9]
+    exchanged = np.linalg.norm(device[:, ::-1] - human)
+    assert np.linalg.norm(device - human) > 1.5 * exchanged
+    (found,) = told(list(plausibility.device_checks(e)), "encoder_joints")
+    assert found[0].expected == pytest.approx(0.0, abs=1e-9)
+    assert found[1:] == (1.1, True)
+
+
 def test_an_encoder_that_is_frozen_for_a_while():
     """For 0.2 s in which the knee turns by 16 degrees."""
 
