@@ -211,7 +211,7 @@ def slid(
     for cuff in contact.bushings:
         seen = migration(cuff, [m.seen for m in told])
         ratio = seen / migration(cuff, [m.trial for m in told])
-        found[cuff] = float(np.clip(ratio, 1.0 / _SWINGS, _SWINGS))
+        found[cuff] = float(np.clip(ratio, 1.0, _SWINGS))
     return found
 
 
