@@ -86,7 +86,7 @@ def test_a_design_holds_and_tells_what_it_buys(found):
 
 @pytest.mark.slow
 def test_no_kind_of_variable_alone_costs_less_than_all(found):
-    """Its norm may be less: where a limit on migration is passed, that costs."""
+    """Its norm may be less: migration beyond its limit costs, too."""
     problem = found.found.problem
     for kind in (PLACES.values(), STRAPS.values()):
         held = {
