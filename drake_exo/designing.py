@@ -50,7 +50,7 @@ from drake_exo.study import Calibration, Study, contact_of
 
 # Mats and model differ by no more than this factor, or one of them is wrong.
 _DIFFER = 2.0
-# Nor does migration with a device's swing from that without by more than this.
+# Nor is migration with a device's swing more than this times that without.
 _SWINGS = 4.0
 
 
@@ -191,7 +191,8 @@ def slid(
 
     Each the largest of all trials with encoders, as what a design is limited
     in: after the chair a device swings on its cuffs, in some trials much
-    further than it comes by itself.
+    further than it comes by itself. At least 1: what the model has is not
+    taken back.
 
     Args:
         moved: of one wearer, on the cuffs of today.
@@ -404,15 +405,8 @@ def _parts(made: Designed) -> dict[str, float]:
     """Norm of the forces that each kind of variable reaches alone [N]."""
     problem = made.found.problem
     reached = {"nothing": made.today.norm_n}
-    for kind, names in _KINDS.items():
-        held = {
-            v.name: v.today
-            for v in problem.design
-            if not v.name.partition(".")[2].startswith(names)
-        }
-        alone = DesignProblem(
-            problem.wearers, made.settings, held=held, today=made.today
-        ).solve(on_iterate=SolveWatch(f"{kind} alone"))
+    for kind in _KINDS:
+        alone = _alone(made, kind)
         if alone.solution.success:
             reached[f"{kind} alone"] = alone.norm_n
     if problem.without:
@@ -426,6 +420,19 @@ def _parts(made: Designed) -> dict[str, float]:
         if alone.solution.success:
             reached["fewer cuffs alone"] = alone.norm_n
     return reached | {"all": made.found.norm_n}
+
+
+def _alone(made: Designed, kind: str) -> DesignResult:
+    """The design with one kind of variable free."""
+    problem = made.found.problem
+    held = {
+        v.name: v.today
+        for v in problem.design
+        if not v.name.partition(".")[2].startswith(_KINDS[kind])
+    }
+    return DesignProblem(
+        problem.wearers, made.settings, held=held, today=made.today
+    ).solve(on_iterate=SolveWatch(f"{kind} alone"))
 
 
 def front(
