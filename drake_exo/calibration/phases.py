@@ -141,6 +141,7 @@ def pareto_front(result: PhaseResult) -> list[dict]:
                 problem.trials,
                 replace(settings, noise=scaled),
                 problem.parameters,
+                refined=problem.refined,
             ).solve(near=result)
         rows.append(_row(factor, found))
         progress.update(f"factor {factor:g}", done=i + 1)

@@ -12,7 +12,7 @@ from drake_exo.calibration.phases import (
     FootGroundCalibration,
     pareto_front,
 )
-from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.problem import PhaseProblem, PhaseResult
 from drake_exo.calibration.settings import Solver
 from drake_exo.calibration.uncertainty import (
     analyse,
@@ -123,6 +123,32 @@ def test_a_front_s_failed_solve_is_told(result):
     rows = pareto_front(PhaseResult(problem, result.solution))
     assert [r["success"] for r in rows] == [False, True]
     assert "0.5 (failed)" in front_table(rows)
+
+
+def test_a_front_is_of_the_grid_that_was_found(result, monkeypatch):
+    """Damped and made finer: what does not hold on another tells nothing."""
+    posed, solved = [], PhaseProblem.solve
+
+    def solve(problem, **more):
+        posed.append(problem)
+        return solved(problem, **more)
+
+    (movement,) = result.problem.movements
+    parts = np.ones_like(movement.grid.parts)
+    parts[3] = 2
+    own = replace(result.problem.settings, front=(0.5,))
+    problem = FootGroundCalibration(
+        result.problem.model,
+        result.problem.trials,
+        own,
+        refined={movement.name: parts},
+    )
+    finer = problem.solve(near=result)
+    monkeypatch.setattr(PhaseProblem, "solve", solve)
+    rows = pareto_front(finer)
+    assert all(r["success"] for r in rows)
+    (half,) = posed
+    np.testing.assert_array_equal(half.movements[0].grid.parts, parts)
 
 
 def test_front_trades_kinematics_for_forces(result, tmp_path):
