@@ -124,18 +124,33 @@ class CostBlock:
 
 @dataclass(frozen=True)
 class Stage:
-    """One run of the optimiser."""
+    """One run of the optimiser.
+
+    Attributes:
+        divisions: of a brick; None for the mesh of the case.
+        samples: of the load, thinned; None for all.
+        layer_m, kappa: of the smoothed law.
+        iterations: at most.
+        roughness: factor on that of the case.
+    """
 
     divisions: tuple[int, int, int] | None = None
     samples: int | None = None
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
     iterations: int = field(default=40, metadata={"minimum": 0})
+    roughness: float = not_negative("", 1.0)
 
 
 _FINE = (18, 12, 4)
-# Strains and poses depend on the mesh: the fine one from the start.
-STAGES = (Stage(_FINE, 24, 3e-4, 0.2, 30), Stage(_FINE, 24, 1e-4, 0.2, 75))
+# Strains and poses depend on the mesh: the fine one from the start. Smooth
+# shapes first; the last stage is cut in two, since each begins with what the
+# largest strain truly is.
+STAGES = (
+    Stage(_FINE, 24, 3e-4, 0.2, 30, roughness=10.0),
+    Stage(_FINE, 24, 1e-4, 0.2, 38),
+    Stage(_FINE, 24, 1e-4, 0.2, 37),
+)
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 

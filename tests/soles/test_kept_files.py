@@ -30,7 +30,7 @@ def _checkpoint(shift=0.0):
     root = rng.standard_normal((4, 4))
     return Checkpoint(
         2, 7, rng.standard_normal(4) + shift, rng.standard_normal(4),
-        rng.standard_normal(3), 1e-5, root @ root.T,
+        rng.standard_normal(3), 1e-5, root @ root.T, 0.875,
         ({"cost": -0.5, "violation": 0.25},),
     )  # fmt: skip
 
@@ -41,7 +41,7 @@ def _assert_same(a, b):
         b.iteration,
         b.barrier,
     )
-    assert a.starts == b.starts
+    assert (a.starts, a.strain_scale) == (b.starts, b.strain_scale)
     for name in ("p", "latest", "multipliers", "curvature"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name))
 
@@ -93,6 +93,7 @@ def test_a_checkpoint_of_a_running_stage():
     at = Checkpoint.of(1, 5, best, curvature, before)
     assert (at.stage, at.iteration, at.barrier) == (1, 5, None)
     assert at.latest is best.p and at.starts == before.starts
+    assert at.strain_scale == 0.875
     best.latest = np.zeros(4), np.arange(3.0), 1e-3
     at = Checkpoint.of(1, 5, best, curvature, before)
     np.testing.assert_array_equal(at.latest, np.zeros(4))

@@ -22,6 +22,7 @@ from drake_exo.soles.optimize.search import (
     stage_problem,
     start_design,
 )
+from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Stage
 
 BOUNDS = (0.3, 1.4)
@@ -242,6 +243,50 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     run, _ = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
     assert (run.at.stage, given["left"], given["refining"]) == (1, 5, False)
     assert given["warm"] is None
+
+
+def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
+    """The norm times what an exact run says; kept while the stage lasts."""
+    stage = case.settings.optimize.stages[0]
+    setup = case.optimizing(strain=0.2, stages=(stage, stage))
+    given = []
+
+    def minimise(problem, p, *rest, **more):
+        given.append((problem, p))
+        return Optimum(p, -0.5, trace=[(0, -0.5, 0.0, 0.1)])
+
+    monkeypatch.setattr(search, "minimise", minimise)
+    plain = stage_problem(setup, stage)
+    p = first_design(plain, BOUNDS)
+    step = Step.by_exact_law(
+        setup, setup.sole(plain.deformed(p)), plain.law.penalty
+    )
+    local = step.history.F @ step.history.R
+    largest = max(
+        np.abs(np.linalg.eigvalsh(step.sole.strain(u))).max()
+        for u in step.sole.displacement(local)
+    )
+    search._run_stage(setup, 1, Checkpoint(1, 0, p, p), None, str)
+    index = plain.names().index("strain")
+    (problem, began), norm = given[0], plain.evaluate(p).strain.value
+    assert largest < 0.99 * norm
+    value = problem.constraints(began)[index]
+    assert value == pytest.approx(1.0 - largest / (0.98 * 0.2), rel=1e-9)
+    monkeypatch.setattr(search, "strain_scale", None)
+    at = Checkpoint(1, 2, p, p, strain_scale=0.5)
+    _, problem = search._run_stage(setup, 1, at, None, str)
+    assert problem.limits.strain == pytest.approx(0.98 * 0.2 / 0.5)
+    search._run_stage(setup, 0, Checkpoint(0, 0, p, p), None, str)
+    assert given[-1][0].limits.strain == 0.2
+
+
+def test_what_cannot_be_simulated_scales_nothing(case, problem, monkeypatch):
+    p = first_design(problem, BOUNDS)
+    failed = SimpleNamespace(failed_steps=1, largest_strain=9.0)
+    monkeypatch.setattr(
+        search, "Step", SimpleNamespace(by_exact_law=lambda *more: failed)
+    )
+    assert search.strain_scale(case, problem, p) == 1.0
 
 
 def _fake_run(number, p, cost, violation=0.0):

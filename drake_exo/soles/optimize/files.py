@@ -32,6 +32,8 @@ class Checkpoint:
         multipliers: Of the constraints there.
         barrier: IPOPT's μ to go on with.
         curvature: Learnt Hessian (P, P).
+        strain_scale: Of the design that the stage began with, see
+            `search.strain_scale`.
         starts: Cost and violation that the first stage's starts have led to.
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
@@ -44,6 +46,7 @@ class Checkpoint:
     multipliers: np.ndarray | None = None
     barrier: float | None = None
     curvature: np.ndarray | None = None
+    strain_scale: float = 1.0
     starts: tuple[dict, ...] = ()
     begun: tuple["Checkpoint | None", ...] = ()
 
@@ -66,7 +69,7 @@ class Checkpoint:
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
-            hessian_approximation.matrix, before.starts,
+            hessian_approximation.matrix, before.strain_scale, before.starts,
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -109,6 +112,7 @@ class Checkpoint:
                 "multipliers": self.multipliers,
                 "barrier": self.barrier,
                 "curvature": self.curvature[lower],
+                "strain_scale": self.strain_scale,
                 "starts": self.starts,
             },
         )
@@ -150,6 +154,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             _optional(data["multipliers"], np.array),
             _optional(data["barrier"], float),
             B + np.tril(B, -1).T,
+            float(data.get("strain_scale", 1.0)),
             tuple(data.get("starts") or ()),
         )
         found.check()

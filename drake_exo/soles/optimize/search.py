@@ -48,6 +48,8 @@ _CHECKPOINT_EVERY = 3  # iterations
 _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
 _ROUNDS, _GAIT_ITERATIONS = 2, 20  # of a walk and its sole in turns
 _KEPT = 1e-3  # of a limit
+# Of the strain that is allowed: what a stage changes, its scale does not know.
+_STRAIN_AIM = 0.98
 _NO_SIMULATION = 1e3  # cost where there is none
 _TRIES = 20  # bends that are drawn until one can be simulated
 
@@ -100,7 +102,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
         settings.cost.weight,
         limits_of(settings),
         settings.mesh.element,
-        block.roughness,
+        block.roughness * stage.roughness,
         settings.cost.heel_strike_fraction,
         stage.samples,
         of=settings.cost.of,
@@ -381,11 +383,37 @@ def _keep(at: Checkpoint, out: Path | None) -> None:
         at.write(out)
 
 
+def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
+    """Largest strain of a design over the norm that stands for it.
+
+    By the exact law with all samples: the norm is of all strains, of some
+    samples and of a smoothed law (adaptive scaling, as Le, Norato, Bruns, Ha
+    and Tortorelli 2010 have it for stresses). 1 where one cannot be simulated.
+    """
+    e = problem.evaluate(p)
+    sole = setup.sole(problem.deformed(p))
+    step = Step.by_exact_law(setup, sole, problem.law.penalty)
+    if e is None or step.failed_steps:
+        return 1.0
+    return step.largest_strain / e.strain.value
+
+
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say):
     """One stage from where it stands; its run and its last problem."""
     began, block = time.perf_counter(), setup.settings.optimize
     problem = stage_problem(setup, block.stages[number])
     at.check_fits(problem)
+    if number and problem.limits.strain is not None:
+        if at.iteration == 0:
+            scale = strain_scale(setup, problem, at.p)
+            at = replace(at, strain_scale=scale)
+        largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
+        problem = replace(
+            problem,
+            limits=replace(problem.limits, strain=largest),
+            branch=None,
+            _cache={},
+        )
     bounds = tuple(block.bounds)
     approximation = QuasiNewton(problem.metric, at.curvature)
 
