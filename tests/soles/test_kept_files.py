@@ -75,7 +75,9 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
         _assert_same(found.begun[number], _checkpoint(number))
 
 
-@pytest.mark.parametrize("name", ["stage", "iteration", "coefficients"])
+@pytest.mark.parametrize(
+    "name", ["stage", "iteration", "coefficients", "strain_scale"]
+)
 def test_numbers_that_no_run_writes_are_refused(tmp_path, name):
     _checkpoint().write(tmp_path)
     path = tmp_path / "checkpoint.json"

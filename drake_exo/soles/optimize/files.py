@@ -56,6 +56,7 @@ class Checkpoint:
         sound = (
             self.stage >= 0
             and self.iteration >= 0
+            and 0.0 < self.strain_scale < _LARGEST
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
         )
         if not sound:

@@ -391,9 +391,11 @@ def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
     and Tortorelli 2010 have it for stresses). 1 where one cannot be simulated.
     """
     e = problem.evaluate(p)
+    if e is None:
+        return 1.0
     sole = setup.sole(problem.deformed(p))
     step = Step.by_exact_law(setup, sole, problem.law.penalty)
-    if e is None or step.failed_steps:
+    if step.failed_steps:
         return 1.0
     return step.largest_strain / e.strain.value
 
@@ -408,12 +410,8 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say):
             scale = strain_scale(setup, problem, at.p)
             at = replace(at, strain_scale=scale)
         largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
-        problem = replace(
-            problem,
-            limits=replace(problem.limits, strain=largest),
-            branch=None,
-            _cache={},
-        )
+        limits = replace(problem.limits, strain=largest)
+        problem = replace(problem, limits=limits)
     bounds = tuple(block.bounds)
     approximation = QuasiNewton(problem.metric, at.curvature)
 
