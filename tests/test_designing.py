@@ -385,6 +385,7 @@ def test_migration_is_what_encoders_tell():
     assert designing.slid(moved[2:], model, contact) == {}
 
 
+@pytest.mark.slow
 def test_a_prediction_s_torques_are_those_of_the_forecast(study, monkeypatch):
     """They answer where the device goes on other cuffs; the person bears it."""
     own, contact = study

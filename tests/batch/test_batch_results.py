@@ -245,6 +245,7 @@ def test_limits_of_agreement():
     )
 
 
+@pytest.mark.slow
 def test_figures_where_there_is_enough(tmp_path):
     def row(subject, trial, signal, value):
         return Row(subject, trial, "predict", signal, value, "N", *"hvf")

@@ -150,6 +150,7 @@ def least(model, contact):
     return min(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("removed", [(), ("shank",), ("shank", "thigh")])
 def test_curvature_is_that_of_the_energy_in_drake(removed):
     fewer = Design(dict.fromkeys(removed, CuffDesign(removed=True)))

@@ -98,6 +98,7 @@ def test_other_radii_give_the_same_forces(result):
     assert np.ptp(lowest) < 0.002
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_found(
     study, result, monkeypatch, tmp_path, capsys
 ):

@@ -58,6 +58,7 @@ def design(kind):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [1, 2, 3, 4])
 def test_plates_of_every_type(tmp_path, markers, plate, kind):
     path = tmp_path / "a.c3d"
@@ -79,6 +80,7 @@ def test_plates_of_every_type(tmp_path, markers, plate, kind):
     np.testing.assert_allclose(cop, plate.point, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_markers_come_back(tmp_path, markers):
     path = tmp_path / "a.c3d"
     write_c3d(path, markers)
@@ -92,6 +94,7 @@ def test_markers_come_back(tmp_path, markers):
     assert found.plates == [] and found.analog is None
 
 
+@pytest.mark.slow
 def test_writing_twice_gives_the_same_bytes(tmp_path, markers, plate):
     for name in "ab":
         path = tmp_path / f"{name}.c3d"
@@ -140,6 +143,7 @@ def edited(tmp_path, markers, plate, kind, change):
     return path
 
 
+@pytest.mark.slow
 def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
     def flip(parameters):
         parameters["FORCE_PLATFORM"]["ORIGIN"]["value"] *= -1.0
@@ -151,6 +155,7 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
     )
 
 
+@pytest.mark.slow
 def test_units_of_channels_are_those_that_the_file_names(
     tmp_path, markers, plate
 ):
@@ -196,6 +201,7 @@ def lost_channel(parameters):
     parameters["FORCE_PLATFORM"]["CHANNEL"]["value"] += 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "change", "words"),
     [
@@ -314,6 +320,7 @@ def test_markers_alone(data_root):
     assert np.nanmax(np.abs(found.markers.positions)) < 10.0  # was in mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

@@ -122,6 +122,7 @@ def test_loads_of_a_study(tmp_path):
     assert set(loads) == {"foot", "pelvis", "thigh"}
 
 
+@pytest.mark.slow
 def test_markers_carry_the_mass(tmp_path):
     write_recording(tmp_path, nominal_human(), model="human")
     study = with_loads(tmp_path)

@@ -151,6 +151,7 @@ def test_one_trial_is_like_many(made, loaded):
     np.testing.assert_array_equal(single.q, trials[1].q)
 
 
+@pytest.mark.slow
 def test_window_instead_of_a_rise(made, loaded):
     folder, _, study = made
     subject, _ = loaded
@@ -180,6 +181,7 @@ def test_one_leg_is_doubled(made, loaded):
     np.testing.assert_allclose(trial.ground.force_z, expected, atol=5.0)
 
 
+@pytest.mark.slow
 def test_legs_apart_fore_and_aft(files, loaded):
     """Feet 8 cm apart give what feet side by side give."""
     folder, study = files

@@ -109,6 +109,7 @@ def test_moments_are_the_true_ones(loaded, made):
     assert said["exoskeleton"] == "device model"
 
 
+@pytest.mark.slow
 def test_recorded_moments_come_before_the_model(made, loaded):
     folder, truth, study = made
     recorded = with_trial(study, exo_moments=Path("moments.csv"))
@@ -130,6 +131,7 @@ def test_recorded_moments_come_before_the_model(made, loaded):
     assert "right leg doubled" in doubled.provenance["moments"]["exoskeleton"]
 
 
+@pytest.mark.slow
 def test_without_device_and_recording_the_split_is_unknown(made):
     folder, _, study = made
     _, (trial,) = load(replace(study, device=None), folder)
@@ -245,6 +247,7 @@ def with_mat(study, **changes):
     return with_trial(study, pressure=(file,))
 
 
+@pytest.mark.slow
 def test_mats_push_by_segment_and_one_leg_counts_twice(files):
     folder, study = files
     pressure_csv(folder / "mat.csv", 6)
@@ -256,6 +259,7 @@ def test_mats_push_by_segment_and_one_leg_counts_twice(files):
     assert "left leg measured, doubled" in report
 
 
+@pytest.mark.slow
 def test_refuses_mats_that_are_short_or_of_another_size(files):
     folder, study = files
     pressure_csv(folder / "mat.csv", 6, end=1.6)
@@ -265,6 +269,7 @@ def test_refuses_mats_that_are_short_or_of_another_size(files):
         load(with_mat(study, rows=16, columns=8), folder)
 
 
+@pytest.mark.slow
 def test_refuses_encoders_and_moments_that_are_short(files):
     folder, study = files
     for name in ("exo.csv", "moments.csv"):

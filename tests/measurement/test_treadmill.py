@@ -74,6 +74,7 @@ def test_a_part_starts_and_ends_with_events(walk, data_root):
     assert trial.start_s > lifts[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "window, sentence",
     [

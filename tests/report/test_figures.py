@@ -98,6 +98,7 @@ def test_angles_and_velocities_of_both(trials, found):
                 assert len(drawn) == 4
 
 
+@pytest.mark.slow
 def test_moments_of_every_joint(trials, found):
     rows = panels(figures.moments_figure({"model": found}, trials), 2)
     assert list(rows) == [f"{j.replace('exo_', 'exo. ')} [N m]" for j in JOINTS]
@@ -108,6 +109,7 @@ def test_moments_of_every_joint(trials, found):
             same(drawn["model"], f.times, f.moments[:, k])
 
 
+@pytest.mark.slow
 def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
     half = {
         c: CuffForce.of(0.5 * x.components) for c, x in found[1].cuffs.items()
@@ -136,6 +138,7 @@ def band_of(trial, width: float) -> Bands:
     return Bands(0.0 * trial.q, 0.0 * trial.v, cuffs, {}, trial.q, trial.v)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [1, 2])
 def test_bands_lie_around_the_first_run(trials, found, runs):
     named = dict.fromkeys(["C1", "C2"][:runs], found)

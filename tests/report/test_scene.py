@@ -43,6 +43,7 @@ def test_exoskeleton_may_stand_off_the_human():
     assert np.degrees(q[6:] - q[3:6]) == pytest.approx([1.0, -2.0, 3.0])
 
 
+@pytest.mark.slow
 def test_picture_shows_a_subject_of_the_right_height():
     """Rows that hold colour (shirt, skin) span what the camera sees."""
     scene = Scene(nominal_model("human"), stills=True)

@@ -55,6 +55,7 @@ def test_an_edited_law_is_seen_by_its_callers_in_other_files(fresh):
     assert not found.stats.cache_hits
 
 
+@pytest.mark.slow
 def test_what_nobody_edited_is_not_compiled_again(fresh):
     fresh("2.0")(3.0)
     sys.modules.pop("stale_law")

@@ -293,6 +293,7 @@ def test_pose_in_millimetres_degrees_and_kilonewtons():
     assert nodes.get_ylim()[0] == 0
 
 
+@pytest.mark.slow
 def test_pressure_at_eight_times_of_those_that_converged(mesh):
     load = _load(mesh)
     rng = np.random.default_rng(2)

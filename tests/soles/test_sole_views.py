@@ -92,6 +92,7 @@ def test_a_load_is_drawn_in_millimetres_and_newtons(mesh):
         np.testing.assert_allclose(line.get_data(), (t, force[:, k]))
 
 
+@pytest.mark.slow
 def test_stiffness_of_each_sole_has_room():
     """Kilonewtons a metre since contact; columns as wide for two as for six."""
     t = np.array([0.3, 0.4, 0.6])
