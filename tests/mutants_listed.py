@@ -501,15 +501,13 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "getattr(t.soles[s], w)",
             'getattr(t.soles[s], "force_z")',
         ),
-        (
-            '((Trial.coordinate, "°"), (Trial.velocity, "°/s"))',
-            '((Trial.coordinate, "°/s"), (Trial.velocity, "°"))',
-        ),
+        ('Trial.coordinate, "°")', 'Trial.velocity, "°")'),
+        ('Trial.velocity, "°/s")', 'Trial.velocity, "°")'),
         (
             "width = band.cuffs[cuff][:, NORMAL]",
             "width = band.cuffs[cuff][:, 0]",
         ),
-        ("middle - width,", "middle,"),
+        ("force.normal - width,", "force.normal,"),
         ('y = [r["grf_n"] for r in rows]', 'y = [r["cop_mm"] for r in rows]'),
         ("t = trial.start_s + trial.times", "t = trial.times"),
         ("quality.residual[:, column]", "quality.residual[:, 0]"),
