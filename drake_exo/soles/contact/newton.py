@@ -283,34 +283,27 @@ class ContactSolver:
         state = state.copy()
         if not fixed_pose:
             state.O, state.R = target.turned(state.O, state.R)
+
+        def improved(point):
+            dF, dp = self._direction(point, target, fixed_pose)
+
+            def trial(step):
+                there = move(point.state, step * dF, step * dp, target.point)
+                return self._evaluate(there, target, fixed_pose, scale)
+
+            step = capped(dp, _MAX_TURN, _MAX_SHIFT)
+            return line_search(point, trial, step, _HALVINGS)
+
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
-        history, message = [], ""
-        point = self._evaluate(state, target, fixed_pose, scale)
-        for iteration in range(self.max_iterations + 1):
-            history.append(point.merit)
-            if point.merit <= self.tolerance:
-                state.F[~point.active] = 0.0
-                return state, Convergence(
-                    True, iteration, point.merit, "", history
-                )
-            if iteration == self.max_iterations or _goes_in_circles(history):
-                break
-            try:
-                direction = self._direction(point, target, fixed_pose)
-            except np.linalg.LinAlgError:
-                touching = int(point.active.sum())
-                message = (
-                    f"singular Newton matrix with {touching} nodes in contact"
-                )
-                break
-            point = self._line_search(
-                point, direction, target, fixed_pose, scale
-            )
-            state = point.state
-        self.active.refresh()  # rounding of a way that led nowhere
-        steps = len(history) - 1
-        message = message or f"no convergence in {steps} Newton steps"
-        return state, Convergence(False, steps, history[-1], message, history)
+        point, report = newton(
+            self._evaluate(state, target, fixed_pose, scale), improved,
+            self.tolerance, self.max_iterations,
+        )  # fmt: skip
+        if report.converged:
+            point.state.F[~point.active] = 0.0
+        else:
+            self.active.refresh()  # rounding of a way that led nowhere
+        return point.state, report
 
     def linearise(
         self, state: State, target: Target, P: np.ndarray
@@ -366,32 +359,53 @@ class ContactSolver:
         if stray.any():  # their Newton step is dF = −F: take it at once
             released = state.copy()
             released.F[stray] = 0.0
-            active = point.active
-            point_new = self._evaluate(released, target, fixed_pose, 1.0)
-            point_new.active = active
-            point_new.merit = point.merit
-            point.__dict__.update(point_new.__dict__)
-        lin = self._linearisation(point, target)
-        dF = np.zeros_like(state.F)
-        phi = point.phi[lin.nodes]
-        if fixed_pose:
-            dF[lin.nodes] = lin.solve_forces(phi)
-            return dF, np.zeros(6)
-        turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
-        dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)
+            kept = {"active": point.active, "merit": point.merit}
+            new = self._evaluate(released, target, fixed_pose, 1.0)
+            point.__dict__.update(new.__dict__ | kept)
+        try:
+            lin = self._linearisation(point, target)
+            dF, phi = np.zeros_like(state.F), point.phi[lin.nodes]
+            if fixed_pose:
+                dF[lin.nodes] = lin.solve_forces(phi)
+                return dF, np.zeros(6)
+            turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
+            dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)
+        except np.linalg.LinAlgError:
+            dp = np.full(6, np.nan)
         if not np.isfinite(dp).all():
-            raise np.linalg.LinAlgError
+            touching = point.active.sum()
+            raise np.linalg.LinAlgError(
+                f"singular Newton matrix with {touching} nodes in contact"
+            )
         return dF, dp
 
-    def _line_search(self, point, direction, target, fixed_pose, scale):
-        dF, dp = direction
 
-        def trial(step):
-            there = move(point.state, step * dF, step * dp, target.point)
-            return self._evaluate(there, target, fixed_pose, scale)
+def newton(
+    point, improved, tolerance: float, most: int
+) -> tuple["_Point", Convergence]:
+    """Newton's iterations; the last point and the report.
 
-        step = capped(dp, _MAX_TURN, _MAX_SHIFT)
-        return line_search(point, trial, step, _HALVINGS)
+    Args:
+        point: Where it begins; points have a `merit`.
+        improved: Gives the next point, or raises where there is none.
+        tolerance: On the merit.
+        most: Steps before giving up.
+    """
+    history, message = [point.merit], ""
+    while (
+        point.merit > tolerance or np.isnan(point.merit)
+    ) and len(history) <= most and not _goes_in_circles(history):  # fmt: skip
+        try:
+            point = improved(point)
+        except (np.linalg.LinAlgError, RuntimeError) as error:
+            message = str(error) or "singular Newton matrix"
+            break
+        history.append(point.merit)
+    steps, merit = len(history) - 1, history[-1]
+    if merit <= tolerance:
+        return point, Convergence(True, steps, merit, "", history)
+    message = message or f"no convergence in {steps} Newton steps"
+    return point, Convergence(False, steps, merit, message, history)
 
 
 def capped(dp: np.ndarray, turn: float, shift: float) -> float:
