@@ -33,7 +33,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import bsr_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
-from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.mesh import EDGES, TetMesh
 from drake_exo.soles.numerics import njit
 
 _FEW = 48  # nodes of a leaf
@@ -248,9 +248,7 @@ Element = Literal["linear", "smoothed"]
 
 def edges_of(mesh: TetMesh) -> np.ndarray:
     """Numbers of the edges of every element, (e, 6)."""
-    i, j = np.triu_indices(4, 1)
-    pairs = np.stack([mesh.tets[:, i], mesh.tets[:, j]], axis=-1)
-    pairs = np.sort(pairs, axis=-1).reshape(-1, 2)
+    pairs = np.sort(mesh.tets[:, EDGES], axis=-1).reshape(-1, 2)
     code = pairs[:, 0] * len(mesh.nodes) + pairs[:, 1]
     _, owner = np.unique(code, return_inverse=True)
     return owner.reshape(-1, 6)

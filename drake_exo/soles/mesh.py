@@ -29,7 +29,7 @@ from drake_exo.files.mesh import read_cells
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
@@ -80,6 +80,16 @@ class TetMesh:
         return faces[np.sort(index[count == 1])]
 
     @cached_property
+    def _is_top(self) -> np.ndarray:
+        """Which triangles are wholly on the fixed surface, (f,)."""
+        return np.isin(self.boundary_faces, self.fixed).all(axis=1)
+
+    @property
+    def top_faces(self) -> np.ndarray:
+        """Those triangles."""
+        return self.boundary_faces[self._is_top]
+
+    @cached_property
     def bare(self) -> np.ndarray:
         """Sorted nodes of the surface that are not fixed."""
         return np.setdiff1d(np.unique(self.boundary_faces), self.fixed)
@@ -104,8 +114,7 @@ class TetMesh:
     @cached_property
     def contact_faces(self) -> np.ndarray:
         """Surface triangles that are not wholly on the fixed surface."""
-        fixed = np.isin(self.boundary_faces, self.fixed).all(axis=1)
-        return self.boundary_faces[~fixed]
+        return self.boundary_faces[~self._is_top]
 
     @cached_property
     def contact_areas(self) -> np.ndarray:
@@ -121,8 +130,7 @@ class TetMesh:
 
         These are twice the areas [m²].
         """
-        x = self.nodes[faces]
-        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        area = normals_of(self.nodes[faces])
         return area, np.linalg.norm(area, axis=1)
 
     @cached_property
@@ -165,9 +173,8 @@ class TetMesh:
 
         12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994).
         """
-        x = self.nodes[self.tets]
-        i, j = np.triu_indices(4, 1)
-        l2 = ((x[:, i] - x[:, j]) ** 2).sum(axis=(1, 2))
+        i, j = self.nodes[self.tets[:, EDGES]].transpose(2, 0, 1, 3)
+        l2 = ((i - j) ** 2).sum(axis=(1, 2))
         v = self.volumes
         return 12.0 * np.sign(v) * (3.0 * np.abs(v)) ** (2 / 3) / l2
 
@@ -175,6 +182,17 @@ class TetMesh:
         """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
         x = self.nodes[self.tets]
         return x[:, 1:] - x[:, :1]
+
+
+def normals_of(corners: np.ndarray) -> np.ndarray:
+    """Outward normals of triangles (f, 3, 3), of twice their areas, (f, 3)."""
+    a, b, c = np.swapaxes(corners, 0, 1)
+    return np.cross(b - a, c - a)
+
+
+def face_edges(faces: np.ndarray) -> np.ndarray:
+    """Edges of triangles (f, 3) in the order they go round, (3f, 2)."""
+    return faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
 
 def scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:
@@ -236,8 +254,7 @@ def grid_mesh(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> TetMesh:
 def _oriented(nodes: np.ndarray, tets: list[np.ndarray]) -> np.ndarray:
     """All of some tets (k, 4) in one array, none of them inside out."""
     out = np.concatenate(tets)
-    x = nodes[out]
-    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    negative = np.linalg.det(nodes[out[:, 1:]] - nodes[out[:, :1]]) < 0
     out[negative] = out[negative][:, [0, 2, 1, 3]]
     return out
 
@@ -248,13 +265,13 @@ def halved(mesh: TetMesh) -> TetMesh:
     Four at the corners and four around the shortest diagonal of the
     octahedron between them (Bey, Computing 55, 1995).
     """
-    pairs = np.sort(mesh.tets[:, _EDGES], axis=2).reshape(-1, 2)
+    pairs = np.sort(mesh.tets[:, EDGES], axis=2).reshape(-1, 2)
     edges, which = np.unique(pairs, axis=0, return_inverse=True)
     n = len(mesh.nodes)
     nodes = np.concatenate([mesh.nodes, mesh.nodes[edges].mean(axis=1)])
     middle = n + which.reshape(-1, 6)
     tets = [
-        np.column_stack([corner, middle[:, (k == _EDGES).any(axis=1)]])
+        np.column_stack([corner, middle[:, (k == EDGES).any(axis=1)]])
         for k, corner in enumerate(mesh.tets.T)
     ]
     # The opposite of edge k is 5 - k.
@@ -264,9 +281,7 @@ def halved(mesh: TetMesh) -> TetMesh:
         inner = middle[shortest == k]
         ring = (i, j, 5 - i, 5 - j, i)
         tets += [inner[:, [k, 5 - k, *ring[q : q + 2]]] for q in range(4)]
-    whole = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    rim = mesh.boundary_faces[whole][:, [[0, 1], [1, 2], [2, 0]]]
-    first, second = np.sort(rim, axis=2).reshape(-1, 2).T
+    first, second = np.sort(face_edges(mesh.top_faces), axis=1).T
     held = np.isin(edges @ [n, 1], n * first + second)
     fixed = np.concatenate([mesh.fixed, n + np.flatnonzero(held)])
     return TetMesh(nodes, _oriented(nodes, tets), fixed)
@@ -315,9 +330,7 @@ def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     if abs(z) <= 1e-7 * extent:
         return np.zeros(3)
     low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
-    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    a, b, c = mesh.nodes[mesh.boundary_faces[fixed]].transpose(1, 0, 2)
-    area = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
+    area = 0.5 * mesh.areas(mesh.top_faces)[0][:, 2].sum()
     if 0 < area < _RECTANGLE * np.prod(high - low):
         raise InputError(
             f"{path}: the top is no rectangle, and lies at z = {z:g} m, so "
@@ -361,19 +374,13 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             f"{name}: the mesh falls into {parts} unconnected parts; merge "
             "coincident nodes or remove the loose parts"
         )
-    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    if not fixed.any():
+    if len(mesh.top_faces) == 0:
         raise InputError(
             f"{name}: no Dirichlet surface, since no face lies in the top "
             "plane (highest z); turn the mesh so that the flat surface glued "
             "to the foot is on top"
         )
     return mesh
-
-
-def write_stl(path: Path | str, mesh: TetMesh) -> None:
-    """Write the closed surface as binary STL in millimetres (for printing)."""
-    write_triangles(path, mesh.nodes[mesh.boundary_faces])
 
 
 def write_vtk(path: Path | str, mesh: TetMesh) -> None:
@@ -396,15 +403,11 @@ def is_watertight(corners: np.ndarray) -> bool:
     """
     points = np.float32(1e3 * corners).reshape(-1, 3)
     index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1, 3)
-    edges = np.concatenate([index[:, [0, 1]], index[:, [1, 2]],
-                            index[:, [2, 0]]])  # fmt: skip
+    edges = face_edges(index)
     there, count = np.unique(edges, axis=0, return_counts=True)
     back = np.unique(edges[:, ::-1], axis=0)
-    a, b, c = np.swapaxes(corners, 0, 1)
-    volume = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
-    return bool(
-        np.array_equal(there, back) and (count == 1).all() and volume > 0
-    )
+    closed = np.array_equal(there, back) and (count == 1).all()
+    return bool(closed and np.linalg.det(corners).sum() > 0)
 
 
 def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
@@ -419,14 +422,8 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
     """Outward triangles of a sole's mould's closed surface [m], (f, 3, 3)."""
     low, high = mesh.nodes.min(axis=0) - WALL, mesh.nodes.max(axis=0) + WALL
     top = mesh.nodes[mesh.fixed, 2].mean()
-    corners = np.array(
-        [
-            [low[0], low[1]],
-            [high[0], low[1]],
-            [high[0], high[1]],
-            [low[0], high[1]],
-        ]
-    )
+    (x0, y0), (x1, y1) = low[:2], high[:2]
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     rim = mesh.nodes[_rim(mesh)]
     block = np.column_stack([corners, np.full(4, top)])
     floor = np.column_stack([corners, np.full(4, low[2])])
@@ -454,16 +451,10 @@ def write_mould(path: Path | str, mesh: TetMesh) -> bool:
 
 def _rim(mesh: TetMesh) -> np.ndarray:
     """Nodes around the fixed surface, counter-clockwise from above."""
-    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    faces = mesh.boundary_faces[fixed]
-    edges = np.concatenate(
-        [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
-    )
-    there = {tuple(e) for e in edges.tolist()}
+    there = set(map(tuple, face_edges(mesh.top_faces).tolist()))
     after = {a: b for a, b in there if (b, a) not in there}
-    first = min(after)
-    ring = [first]
-    while after[ring[-1]] != first:
+    ring = [min(after)]
+    while after[ring[-1]] != ring[0]:
         ring.append(after[ring[-1]])
     return np.array(ring)
 

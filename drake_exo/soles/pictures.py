@@ -23,7 +23,8 @@ from scipy.spatial import ConvexHull
 from drake_exo.files.output import save_figure
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import SphericalSpline, TetMesh
+from drake_exo.soles.mesh import EDGES, SphericalSpline, TetMesh, normals_of
+from drake_exo.soles.surface import crossings
 
 # Faces that meet at less are shaded as one smooth surface.
 _CREASE = np.cos(np.deg2rad(40.0))
@@ -100,9 +101,7 @@ def surface(
         colours: RGB of the nodes, (n, 3).
     """
     corners = 1e3 * nodes[faces]
-    across = np.cross(
-        corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    )
+    across = normals_of(corners)
     flat = across / np.linalg.norm(across, axis=1, keepdims=True)
     normals = np.empty_like(corners)
     order = np.argsort(faces.ravel(), kind="stable")
@@ -155,7 +154,7 @@ def extent(nodes: np.ndarray, view: View) -> np.ndarray:
 
 
 _COLOURS = matplotlib.colormaps["coolwarm"]
-_GAP = 14.0  # mm between views
+_GAP, _BETWEEN = 14.0, 24.0  # mm between views, and between soles
 _HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
 _LEAST_ERROR = 1e-8  # errors below are drawn there
 _INCH = 1.0 / 62.0  # inches a millimetre of sole
@@ -221,12 +220,10 @@ def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
         title="ZMP on the sole",
         aspect="equal",
     )
-    for k, (axis, colour) in enumerate(zip("xyz", "rgb", strict=True)):
+    colours = ("red", "green", "blue")
+    for axis, force, colour in zip("xyz", load.force.T, colours, strict=True):
         right.plot(
-            load.times,
-            load.force[:, k],
-            color=f"tab:{dict(r='red', g='green', b='blue')[colour]}",
-            label=f"$F_{axis}$",
+            load.times, force, color=f"tab:{colour}", label=f"$F_{axis}$"
         )
     right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
     right.legend(ncols=3)
@@ -349,9 +346,8 @@ def pressure_figure(
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     """Triangles that look down, as contact-node indices, and their places."""
     faces = mesh.contact_faces
-    x = mesh.nodes[faces]
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    down = normal[:, 2] < -0.3 * np.linalg.norm(normal, axis=1)
+    normal, size = mesh.areas(faces)
+    down = normal[:, 2] < -0.3 * size
     down &= np.isin(faces, mesh.contact).all(axis=1)
     local = np.searchsorted(mesh.contact, faces[down])
     return local[:, [0, 2, 1]], mesh.nodes[mesh.contact][:, :2]
@@ -448,42 +444,6 @@ class DrawnSole:
     change: np.ndarray
 
 
-@dataclass(frozen=True)
-class _Sheet:
-    """Where each view goes: a row a sole, a column a view, one scale.
-
-    Attributes:
-        boxes: Extent of all soles in each view [mm], (2, 2) each.
-        rows: Number of soles.
-    """
-
-    boxes: list[np.ndarray]
-    rows: int
-
-    @property
-    def widths(self) -> np.ndarray:
-        """Of the columns [mm]."""
-        return np.array([np.ptp(b, axis=0)[0] + _GAP for b in self.boxes])
-
-    @property
-    def height(self) -> float:
-        """Of a row [mm]."""
-        return max(np.ptp(b, axis=0)[1] for b in self.boxes) + 24.0
-
-    @property
-    def size(self) -> np.ndarray:
-        """Width and height of the figure [inches]."""
-        tall = _INCH * self.height * self.rows + _FOOT + _HEAD
-        return np.array([_INCH * self.widths.sum(), tall])
-
-    def place(self, row: int, column: int) -> np.ndarray:
-        """Left, bottom, width and height in parts of the figure."""
-        left = _INCH * self.widths[:column].sum()
-        bottom = _FOOT + _INCH * self.height * (self.rows - row - 1)
-        width, height = _INCH * self.widths[column], _INCH * self.height
-        return np.array([left, bottom, width, height]) / np.tile(self.size, 2)
-
-
 def radial_change(
     mesh: TetMesh, spline: SphericalSpline, p: np.ndarray
 ) -> np.ndarray:
@@ -503,71 +463,65 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
         [m.nodes for s in soles for m in (s.mesh, s.initial)]
     )
     boxes = [extent(every, view) for view in VIEWS]
-    sheet = _Sheet(boxes, len(soles))
+    widths, heights = np.transpose([np.ptp(box, axis=0) for box in boxes])
+    widths, height = widths + _GAP, heights.max() + _BETWEEN
+    wide = _INCH * widths.sum()
+    tall = _INCH * height * len(soles) + _FOOT + _HEAD
+    figure = Figure(figsize=(wide, tall), layout="none")
+    axes = figure.subplots(
+        len(soles), len(VIEWS), squeeze=False,
+        width_ratios=widths,
+        gridspec_kw={"left": 0, "right": 1, "wspace": 0, "hspace": 0,
+                     "bottom": _FOOT / tall, "top": 1 - _HEAD / tall},
+    )  # fmt: skip
     largest = max(np.abs(s.change).max() for s in soles)
     norm = TwoSlopeNorm(0.0, -largest, largest)
-    figure = Figure(figsize=sheet.size, layout="none")
-    for row, sole in enumerate(soles):
+    for row, sole in zip(axes, soles, strict=True):
         shape = _coloured(sole, norm)
-        for column, view in enumerate(VIEWS):
-            axis = figure.add_axes(sheet.place(row, column))
-            _view(axis, sole, shape, view, boxes[column], sheet)
+        for axis, view, box in zip(row, VIEWS, boxes, strict=True):
+            draw(axis, shape, view)
+            outline(axis, sole.initial.nodes, view)
             _ends(axis, sole, view)
-        _, bottom, _, height = sheet.place(row, 0)
-        look = {"y": bottom + height, "va": "top"}
+            half = 0.5 * np.array([np.ptp(box[:, 0]) + _GAP, height])
+            low, high = box.mean(axis=0) - half, box.mean(axis=0) + half
+            axis.set(
+                xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal"
+            )
+            axis.set_axis_off()
+        look = {"y": row[0].get_position().y1, "va": "top"}
         figure.text(0.012, s=sole.name, size=11, weight="bold", **look)
         figure.text(0.10, s=sole.caption, size=9, color="0.25", **look)
-    top = 1 - 0.12 / sheet.size[1]
-    for column, view in enumerate(VIEWS):
-        left, _, width, _ = sheet.place(0, column)
-        figure.text(left + 0.5 * width, top, view.name, size=10,
-                    ha="center", va="top")  # fmt: skip
-    _legend(figure, norm, sheet.size)
+    for axis, view in zip(axes[0], VIEWS, strict=True):
+        box = axis.get_position()
+        figure.text(0.5 * (box.x0 + box.x1), 1 - 0.12 / tall, view.name,
+                    size=10, ha="center", va="top")  # fmt: skip
+    _legend(figure, norm, wide, tall)
     return figure
 
 
 def _coloured(sole: DrawnSole, norm) -> Surface:
     colours = _COLOURS(norm(sole.change))[:, :3]
-    shape = surface(
-        sole.mesh.nodes, sole.mesh.boundary_faces, np.asarray(colours)
-    )
-    return shape.refined()
-
-
-def _view(axis, sole, shape, view, box, sheet) -> None:
-    draw(axis, shape, view)
-    outline(axis, sole.initial.nodes, view)
-    middle = box.mean(axis=0)
-    width = np.ptp(box, axis=0)[0] + _GAP
-    axis.set(
-        xlim=middle[0] + 0.5 * np.array([-width, width]),
-        ylim=middle[1] + 0.5 * sheet.height * np.array([-1, 1]),
-        aspect="equal",
-    )
-    axis.set_axis_off()
+    return surface(sole.mesh.nodes, sole.mesh.boundary_faces, colours).refined()
 
 
 def _ends(axis, sole, view) -> None:
     """Write heel and toe, or left and right, under either shape."""
-    low, high = extent(sole.initial.nodes, view)
-    below = min(low[1], extent(sole.mesh.nodes, view)[0][1])
     right = view.axes()[0]
-    words = ("heel", "toe") if abs(right[0]) > 0.9 else ("right", "left")
     if max(np.abs(right)) < 0.9:
         return
-    along = right[0] if abs(right[0]) > 0.9 else right[1]
-    words = words if along > 0 else words[::-1]
-    for x, word, side in zip(
-        (low[0], high[0]), words, ("left", "right"), strict=True
-    ):
-        axis.text(
-            x, below - 3, word, ha=side, va="top", fontsize=8, color="0.4"
-        )
+    is_along = abs(right[0]) > 0.9
+    words = ("heel", "toe") if is_along else ("right", "left")
+    if (right[0] if is_along else right[1]) < 0:
+        words = words[::-1]
+    low, high = extent(sole.initial.nodes, view)
+    below = min(low[1], extent(sole.mesh.nodes, view)[0][1]) - 3
+    look = {"va": "top", "fontsize": 8, "color": "0.4"}
+    axis.text(low[0], below, words[0], ha="left", **look)
+    axis.text(high[0], below, words[1], ha="right", **look)
 
 
-def _legend(figure, norm, size) -> None:
+def _legend(figure, norm, wide: float, total: float) -> None:
     """Colour bar, scale bar and what is dashed."""
-    wide, total = size
     bar = figure.add_axes([0.06, 0.45 / total, 0.3, 0.11 / total])
     figure.colorbar(
         ScalarMappable(norm, _COLOURS),
@@ -653,16 +607,14 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
 
 
 def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
-    faces = mesh.boundary_faces
+    """The sole in a view, what looks upwards of its bare surface in red."""
+    faces = np.concatenate([mesh.top_faces, mesh.contact_faces])
     plain = np.tile(_RUBBER, (len(mesh.nodes), 1))
     shape = surface(mesh.nodes, faces, plain)
-    bare = ~np.isin(faces, mesh.fixed).all(axis=1)
-    across = np.cross(
-        shape.corners[:, 1] - shape.corners[:, 0],
-        shape.corners[:, 2] - shape.corners[:, 0],
-    )
-    up = across[:, 2] > 1e-3 * np.linalg.norm(across, axis=1)
-    shape.colours[bare & up] = _UNDERCUT
+    normal, size = mesh.areas(faces)
+    up = normal[:, 2] > 1e-3 * size
+    up[: len(mesh.top_faces)] = False
+    shape.colours[up] = _UNDERCUT
     draw(axis, shape.refined(), view)
     low, high = extent(mesh.nodes, view)
     axis.set_ylim(low[1] - _MARGIN, high[1] + _MARGIN)
@@ -693,7 +645,7 @@ def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
     x = x[np.abs(np.sign(x[:, :, normal] - at).sum(axis=1)) < 4]
     pieces = []
     for tet in x:
-        ends = tet[np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])]
+        ends = tet[EDGES]
         d = ends[:, :, normal] - at
         cut = (d[:, 0] < 0) != (d[:, 1] < 0)
         if cut.sum() < 3:
@@ -713,27 +665,13 @@ def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
 
 
 def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
-    """Dimension of the sole's thickness above a point of the ground [mm].
+    """Dimension of the sole's thickness above a point (x, y) [mm].
 
-    Args:
-        axis, mesh: Where, and of what.
-        x, y: The point.
-        place, lift: It in the picture, and what z = 0 is there.
+    At `place` in the picture, where z = 0 is at `lift`.
     """
     corners = 1e3 * mesh.nodes[mesh.boundary_faces]
-    a, b, c = (corners[:, k] for k in range(3))
-    point = np.array([x, y, 0.0]) + 1e-4  # off the edges of regular meshes
-
-    def cross(p, q):
-        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-
-    area = cross(b - a, c - a)
-    u, v = cross(b - point, c - point), cross(c - point, a - point)
-    with np.errstate(all="ignore"):
-        weights = np.stack([u, v, area - u - v]) / area
-    inside = (weights >= 0).all(axis=0) & (area != 0)
-    z = np.einsum("kf,kf->f", weights, corners[:, :, 2].T)[inside]
-    if len(z):
+    point = np.array([[x, y]]) + 1e-4  # off the edges of regular meshes
+    for _, (z,) in crossings(corners, point):
         low, high = z.min(), z.max()
         text = f"{high - low:.1f}"
         _dimension(axis, (place, lift + low), (0, high - low), text)

@@ -23,7 +23,13 @@ from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.mesh import read_cells
-from drake_exo.soles.mesh import TetMesh, checked_mesh, grid_mesh
+from drake_exo.soles.mesh import (
+    TetMesh,
+    checked_mesh,
+    face_edges,
+    grid_mesh,
+    normals_of,
+)
 
 
 class MmgError(InputError):
@@ -121,8 +127,7 @@ class Surface:
     @property
     def normals(self) -> np.ndarray:
         """Outward, as long as twice the area [m²], (t, 3)."""
-        a, b, c = np.swapaxes(self.corners, 0, 1)
-        return np.cross(b - a, c - a)
+        return normals_of(self.corners)
 
     @property
     def volume(self) -> float:
@@ -189,9 +194,7 @@ def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_closed(path, nodes, faces) -> None:
     """Refuse holes, and edges that more than two triangles share."""
-    edges = np.concatenate(
-        [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
-    )
+    edges = face_edges(faces)
     key, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
     bad = np.flatnonzero(count != 2)
     if len(bad):
@@ -338,7 +341,7 @@ class _Thickness:
         i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
         places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
         total = np.zeros(len(places))
-        for rows, z in _crossings(self.corners, places):
+        for rows, z in crossings(self.corners, places):
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
@@ -376,7 +379,7 @@ class _Thickness:
         order = np.argsort(which, kind="stable")
         ends = np.searchsorted(which[order], np.arange(len(places) + 1))
         nudge = 1e-7 * np.array([np.pi, np.e])
-        for rows, heights in _crossings(self.corners, places + nudge):
+        for rows, heights in crossings(self.corners, places + nudge):
             for row, own in zip(rows, heights, strict=True):
                 here = order[ends[row] : ends[row + 1]]
                 below = (own[None] > z[here, None]).sum(axis=1)
@@ -384,7 +387,7 @@ class _Thickness:
         return out
 
 
-def _crossings(corners: np.ndarray, places: np.ndarray):
+def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
     Yields:

@@ -21,7 +21,7 @@ from drake_exo.soles.mesh import (
     is_watertight,
     mould_triangles,
     write_mould,
-    write_stl,
+    write_triangles,
     write_vtk,
 )
 from drake_exo.soles.optimize.files import (
@@ -374,7 +374,7 @@ class Design:
                 "undercut": self.mesh.undercut,
             }
         }
-        write_stl(folder / "sole.stl", self.mesh)
+        write_triangles(folder / "sole.stl", self.mesh.nodes[faces])
         if write_mould(folder / "mould.stl", self.mesh):
             told["mould.stl"] = {
                 "watertight": is_watertight(mould_triangles(self.mesh)),

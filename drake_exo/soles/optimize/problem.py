@@ -18,7 +18,12 @@ from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import SphericalSpline, TetMesh, scatter
+from drake_exo.soles.mesh import (
+    SphericalSpline,
+    TetMesh,
+    face_edges,
+    scatter,
+)
 from drake_exo.soles.optimize.adjoint import (
     load_gradients,
     shape_gradients,
@@ -386,7 +391,7 @@ def bends(mesh: TetMesh) -> csr_matrix:
         (k, n); nodes at the rim of the fixed surface have no row.
     """
     faces = mesh.contact_faces
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, 1:], faces[:, [2, 0]]])
+    edges = face_edges(faces)
     n, both = len(mesh.nodes), np.concatenate([edges, edges[:, ::-1]])
     near = csr_matrix((np.ones(len(both)), both.T), shape=(n, n))
     near.data[:] = 1.0  # an edge is met once from either side
