@@ -124,9 +124,7 @@ class Design:
 
     def summary(self) -> dict:
         """What summary.json says of it, but for checks and seconds."""
-        w, first = self.setup.settings.cost.weight, self.first
-        now = self.step.summary()
-        last = self.optima[-1] if self.optima else None
+        now, first = self.step.summary(), self.first
         row = {
             key: now[key]
             for key in (
@@ -141,6 +139,7 @@ class Design:
             mine | {"c_initial": its["c"], "ratio": mine["c"] / its["c"]}
             for mine, its in zip(now["loads"], first.loads(), strict=True)
         ]
+        last = self.optima[-1] if self.optima else None
         row |= {
             "c_tr_initial": first.c_tr,
             "c_rot_initial": first.c_rot,
@@ -155,14 +154,13 @@ class Design:
             **self.setup.ground_told,
         }
         if last is not None:
+            names = self.problem.names()
             row |= {
                 "status": last.status,
                 "optimality_error": last.error,
                 "complementarity": last.complementarity,
                 "violation": last.violation,
-                "multipliers": dict(
-                    zip(self.problem.names(), last.multipliers, strict=True)
-                ),
+                "multipliers": dict(zip(names, last.multipliers, strict=True)),
                 "iterations": [
                     int(o.trace[-1][0] - o.trace[0][0]) if o.trace else 0
                     for o in self.optima
@@ -171,7 +169,7 @@ class Design:
             }
         if self.smoothed is not None:
             c_tr, c_rot = self.smoothed
-            c = c_tr - w * c_rot
+            c = c_tr - now["weight"] * c_rot
             row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
         return row
 
@@ -220,24 +218,21 @@ class Design:
             base = halved(own)
         else:
             return None
-        shaped = base.with_nodes(
-            self.shape.deform(base.nodes, self.coefficients)
-        )
-        soles = [self.setup.sole(mesh) for mesh in (base, shaped)]
-        r, out = soles[0].penalty, {"tets": len(shaped.tets)}
-        for sole, name, key, before in (
-            (soles[0], "brick", "brick_change", self.first),
-            (soles[1], "design", "change", self.step),
+        nodes = self.shape.deform(base.nodes, self.coefficients)
+        first, shaped = map(self.setup.sole, (base, base.with_nodes(nodes)))
+        out = {"tets": len(base.tets)}
+        for name, key, sole, before in (
+            ("brick", "brick_change", first, self.first),
+            ("design", "change", shaped, self.step),
         ):
-            if sole.mesh.volumes.min() <= 0:
-                out[name], out[key] = None, np.nan
-                continue
-            step = Step.by_exact_law(self.setup, sole, r)
-            out[name] = {
-                "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
-                "failed_steps": step.failed_steps,
-            }  # fmt: skip
-            out[key] = step.c / before.c - 1
+            out[name], out[key] = None, np.nan
+            if sole.mesh.volumes.min() > 0:
+                step = Step.by_exact_law(self.setup, sole, first.penalty)
+                out[name] = {
+                    "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
+                    "failed_steps": step.failed_steps,
+                }  # fmt: skip
+                out[key] = step.c / before.c - 1
         return out
 
     def plot(self):
@@ -286,31 +281,31 @@ class Design:
             for what, value, limit, unit, sign in held
             if limit is not None
         ]  # fmt: skip
+
+        def note(what, holds, value, limit, sentence) -> None:
+            said = "" if holds else sentence
+            checks.append(
+                Check(what, holds, value, limit, "", name, said, "note")
+            )
+
         if self.optima:
             last = self.optima[-1]
-            checks.append(
-                Check(
-                    "optimum", bool(last.optimal), where=name, sentence=""
-                    if last.optimal else f"the search ended before it was "
-                    f"optimal ({last.status}); go on with --resume or more "
-                    "--iterations", level="note",
-                )
-            )  # fmt: skip
+            said = (
+                f"the search ended before it was optimal ({last.status}); go "
+                "on with --resume or more --iterations"
+            )
+            note("optimum", bool(last.optimal), None, None, said)
         if finer is not None:
             change = finer["change"]
-            holds = bool(abs(change) <= _FINER)
-            inverted = bool(np.isnan(change))
-            checks.append(
-                Check(
-                    "plausibility.mesh", holds, None if inverted else change,
-                    _FINER, "", name,
-                    "" if holds else "the design turns elements of a finer "
-                    "mesh over" if inverted else
-                    "c on a finer mesh differs by so much: the elements are "
-                    "too coarse for the design",
-                    "note",
-                )
+            value, said = change, (
+                "c on a finer mesh differs by so much: the elements are too "
+                "coarse for the design"
             )  # fmt: skip
+            if np.isnan(change):
+                value = None
+                said = "the design turns elements of a finer mesh over"
+            holds = bool(abs(change) <= _FINER)
+            note("plausibility.mesh", holds, value, _FINER, said)
         return Verdict((*self.step.verdict().checks, *checks), tuple(accepted))
 
     def write(
@@ -429,10 +424,8 @@ def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
 
 def _at_least_twice(divisions) -> tuple[int, int, int]:
     """Divisions with at least twice, and little more, cells."""
-    wanted = 2 * int(np.prod(divisions))
-    finer = [int(np.ceil(2 ** (1 / 3) * n)) for n in divisions]
-    for axis in range(3):
-        fewer = [n - (k == axis) for k, n in enumerate(finer)]
-        if np.prod(fewer) >= wanted:
-            finer = fewer
-    return tuple(finer)
+    finer = np.ceil(2 ** (1 / 3) * np.array(divisions)).astype(int)
+    for one in np.eye(3, dtype=int):
+        if np.prod(finer - one) >= 2 * np.prod(divisions):
+            finer = finer - one
+    return tuple(finer.tolist())

@@ -138,11 +138,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
             for start in starts
             if (start / _FILE).exists()
         }
-        return Checkpoint(
-            begun=tuple(begun.get(k) for k in range(max(begun, default=-1) + 1))
-        )
+        count = max(begun, default=-1) + 1
+        return Checkpoint(begun=tuple(begun.get(k) for k in range(count)))
     remedy = "give the folder of an interrupted run"
     data = read_json(file, remedy)
+
+    def optional(key, kind):
+        return None if data[key] is None else kind(data[key])
+
     try:
         p = np.array(data["coefficients"], dtype=float)
         B = np.zeros((len(p), len(p)))
@@ -152,8 +155,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
             int(data["iteration"]),
             p,
             np.array(data["latest"], dtype=float),
-            _optional(data["multipliers"], np.array),
-            _optional(data["barrier"], float),
+            optional("multipliers", np.array),
+            optional("barrier", float),
             B + np.tril(B, -1).T,
             float(data.get("strain_scale", 1.0)),
             tuple(data.get("starts") or ()),
@@ -164,17 +167,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
     return found
 
 
-def _optional(value, convert):
-    return None if value is None else convert(value)
-
-
-CASE, MESH, STEPS, SUMMARY, DESIGN = (
-    "case.yaml",
-    "sole.vtk",
-    "steps.csv",
-    "summary.json",
-    "design.json",
-)
+CASE, MESH, STEPS = "case.yaml", "sole.vtk", "steps.csv"
+SUMMARY, DESIGN = "summary.json", "design.json"
 _COSTS = ("c_tr", "c_rot", "c", "ratio_tr", "ratio_rot")
 
 

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
 from multiprocessing import get_context
@@ -150,8 +151,7 @@ def optimise(
         optima, seconds, first = [best.optimum], [best.seconds], 1
     for number in range(first, len(stages)):
         run, problem = _run_stage(setup, number, at, out, say)
-        optima.append(run.optimum)
-        seconds.append(run.seconds)
+        optima, seconds = [*optima, run.optimum], [*seconds, run.seconds]
         at = run.at
         _keep(at, out)
     if problem is None:
@@ -294,40 +294,37 @@ def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
     if min(at_once, count) == 1:
         runs = [from_start(*call, say) for call in calls]
     else:
-        context = get_context("spawn")
-        with (
-            context.Manager() as manager,
-            # Interrupted, workers end at once: their checkpoints are on disk.
-            ProcessPoolExecutor(
-                min(at_once, count),
-                context,
-                signal.signal,
-                (signal.SIGINT, signal.SIG_DFL),
-            ) as pool,
-        ):
-            lines = manager.Queue()
-            waiting = [
-                pool.submit(from_start, *call, lines.put) for call in calls
-            ]
-            try:
-                while not all(run.done() for run in waiting):
-                    try:
-                        say(lines.get(timeout=0.2))
-                    except Empty:
-                        continue
-                runs = [run.result() for run in waiting]
-            except BrokenProcessPool:
-                raise InputError(
-                    "optimize.starts: the process of a start was killed, for "
-                    "want of memory perhaps; go on with --resume and --jobs 1"
-                ) from None
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        runs = _side_by_side(calls, say, min(at_once, count))
     if out is not None and count > 1:
         for k in range(count):
             shutil.rmtree(start_folder(out, k), ignore_errors=True)
     return runs
+
+
+def _side_by_side(calls, say, at_once: int) -> list[_Run]:
+    """The starts in processes of their own."""
+    # Interrupted, workers end at once: their checkpoints are on disk.
+    ends_at_once = signal.signal, (signal.SIGINT, signal.SIG_DFL)
+    context = get_context("spawn")
+    with (
+        context.Manager() as manager,
+        ProcessPoolExecutor(at_once, context, *ends_at_once) as pool,
+    ):
+        lines = manager.Queue()
+        waiting = [pool.submit(from_start, *call, lines.put) for call in calls]
+        try:
+            while not all(run.done() for run in waiting):
+                with suppress(Empty):
+                    say(lines.get(timeout=0.2))
+            return [run.result() for run in waiting]
+        except BrokenProcessPool:
+            raise InputError(
+                "optimize.starts: the process of a start was killed, for "
+                "want of memory perhaps; go on with --resume and --jobs 1"
+            ) from None
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def from_start(setup: Setup, start: int, at, out, say) -> _Run:
@@ -545,6 +542,7 @@ def pareto_front(
 
 
 def _point_of_front(setup: Setup, problem, best, floor, base: Step) -> dict:
+    """What front.json says of a point, by the exact law."""
     sole = setup.sole(problem.deformed(best.p))
     step = Step.by_exact_law(setup, sole, problem.law.penalty)
     return {
