@@ -139,6 +139,12 @@ class TetMesh:
         return np.linalg.det(self._edges()) / 6.0
 
     @property
+    def is_block(self) -> bool:
+        """Whether it fills its bounding box, as a brick does."""
+        box = np.prod(np.ptp(self.nodes, axis=0))
+        return bool(abs(self.volume / box - 1) < 1e-6)
+
+    @property
     def volume(self) -> float:
         """Volume of the sole [m³]."""
         return float(self.volumes.sum())

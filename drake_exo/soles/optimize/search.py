@@ -77,14 +77,12 @@ def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
     """The stage's brick in the own mesh's bounding box, or the own mesh."""
     if stage.divisions is None:
         return own
-    size = tuple(np.ptp(own.nodes, axis=0))
-    filled = own.volume / np.prod(size)
-    if abs(filled - 1) > 1e-6:
+    if not own.is_block:
         raise InputError(
             "optimize.stages: divisions need a brick as the initial shape, "
             "and this mesh is none; leave them out"
         )
-    return brick(size, stage.divisions)
+    return brick(tuple(np.ptp(own.nodes, axis=0)), stage.divisions)
 
 
 def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
