@@ -181,7 +181,7 @@ def test_thin_parts_count_a_fifth_of_the_usual():
 def test_elements_are_as_large_as_their_number_asks_for(tets):
     """Of a slab: V = tets · h³ / 36."""
     corners = _brick()
-    share = steps._share(corners, steps._Thickness(corners), tets)
+    share = steps._share(steps._Thickness(corners), tets)
     edge = (36 * np.prod(SIZE) / tets) ** (1 / 3)
     assert share * SIZE[2] == pytest.approx(edge, rel=0.02)
 
