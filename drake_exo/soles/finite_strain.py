@@ -195,11 +195,9 @@ class FiniteStrainSolver:
     """Newton for one neo-Hookean sole and one contact law.
 
     Args:
-        body: The sole.
-        law: The contact law.
+        body, law, ground: The sole, its contact and what it stands on.
         tolerance: On the largest unbalanced nodal force over |F_des|.
         max_iterations: Newton steps before giving up.
-        ground: What it stands on.
     """
 
     def __init__(

@@ -10,8 +10,6 @@ so that the ring between it and the block's edge is filled by going round both.
 A shape is a radial deformation by a B-spline in spherical angles:
 X' = s(p, θ, φ) X with θ = atan2(y, -z), φ = atan2(x, √(y² + z²)) and
 s = Σ p_jk N_j(θ) N_k(φ), degree 2, clamped at ±π/2 (paper, (4) and (5)).
-X' is linear in p, and every point moves along its ray from the sole frame's
-origin.
 """
 
 from dataclasses import dataclass
@@ -214,8 +212,7 @@ def brick(
 ) -> TetMesh:
     """A brick of size (x, y, z) [m] cut into nx·ny·nz cells of six tets.
 
-    Neighbouring cells mirror each other (Kuhn cells by parity), so that with
-    even divisions the mesh has the symmetry of the brick.
+    Neighbouring cells mirror each other (Kuhn cells by parity).
 
     Raises:
         InputError: A size or a division that is not positive.
@@ -350,8 +347,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
     """Build a mesh and refuse what cannot be simulated.
 
     Raises:
-        InputError: Inverted or flat elements, unconnected parts, no
-            Dirichlet surface.
+        InputError: Inverted or flat elements, unconnected parts, no top.
     """
     mesh = TetMesh(
         np.ascontiguousarray(nodes, dtype=float),
@@ -445,9 +441,7 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
 def write_mould(path: Path | str, mesh: TetMesh) -> bool:
     """Write the mould as binary STL in millimetres.
 
-    Returns:
-        False, and no file, where the fixed outline turns back on its way
-        round the origin.
+    False, and no file, where the fixed outline turns back on its way round.
     """
     if not has_star_outline(mesh):
         return False
@@ -524,9 +518,8 @@ class SphericalSpline:
     >>> spline.deform(np.array([[0.1, 0.0, -0.02]]), np.full(spline.count, 1.5))
     array([[ 0.15,  0.  , -0.03]])
 
-    Free coefficients: with n_θ and n_φ knot intervals there are
-    (n_θ + 2)(n_φ + 2) coefficients; each pole's n_θ + 2 are one, which
-    leaves (n_θ + 2) n_φ + 2 (122 at the paper's spacing π/10). With the top
+    Of (n_θ + 2)(n_φ + 2) coefficients each pole's are one, which leaves
+    (n_θ + 2) n_φ + 2 free ones (122 at the paper's spacing π/10). With the top
     surface fixed the first and last θ rows and the poles are 1, which leaves
     n_θ n_φ (100).
 
@@ -592,11 +585,9 @@ class SphericalSpline:
         return tuple(np.flatnonzero(self._full(points).any(axis=0)).tolist())
 
     def _full(self, points: np.ndarray) -> np.ndarray:
-        theta, phi = spherical_angles(points)
-        N_theta = _basis_matrix(theta, self.intervals[0])
-        N_phi = _basis_matrix(phi, self.intervals[1])
-        full = np.einsum("nj,nk->njk", N_theta, N_phi)
-        return full.reshape(len(points), -1)
+        both = zip(spherical_angles(points), self.intervals, strict=True)
+        N_theta, N_phi = (_basis_matrix(angle, n) for angle, n in both)
+        return np.einsum("nj,nk->njk", N_theta, N_phi).reshape(len(points), -1)
 
     def basis(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scale s = M p + s0 at the nodes: M (n, count), s0 (n,)."""
@@ -616,8 +607,6 @@ class SphericalSpline:
 
 def _basis_matrix(angle: np.ndarray, intervals: int) -> np.ndarray:
     knots = np.linspace(-np.pi / 2, np.pi / 2, intervals + 1)
-    t = np.concatenate(
-        [np.full(_DEGREE, knots[0]), knots, np.full(_DEGREE, knots[-1])]
-    )
     inside = np.clip(angle, knots[0], knots[-1])
+    t = np.pad(knots, _DEGREE, mode="edge")
     return BSpline.design_matrix(inside, t, _DEGREE).toarray()

@@ -95,10 +95,7 @@ def surface(
 ) -> Surface:
     """A surface with normals smoothed but for creases.
 
-    Args:
-        nodes: (n, 3) [m].
-        faces: Outward triangles, (f, 3).
-        colours: RGB of the nodes, (n, 3).
+    Of nodes (n, 3) [m], outward triangles (f, 3) and RGB of the nodes (n, 3).
     """
     corners = 1e3 * nodes[faces]
     across = normals_of(corners)
@@ -305,11 +302,8 @@ def pressure_figure(
 ) -> Figure | None:
     """Contact pressure from below at eight samples of the step.
 
-    Args:
-        mesh: Of the sole.
-        load: Of the step.
-        pressure: At the contact nodes [Pa], (N, m).
-        converged: Which samples are to be drawn, (N,); None if there is none.
+    Of pressures at the contact nodes [Pa], (N, m), at samples that converged
+    (N,); None if there is none.
     """
     picked = np.flatnonzero(converged)
     if len(picked) == 0:
@@ -395,9 +389,9 @@ def pareto_figure(
     """c_tr against c_rot, each over its brick's, beside the paper's.
 
     Args:
+        fronts: Label -> points with ratio_tr and ratio_rot.
         rows: Summaries with name, ratio_tr and ratio_rot.
         paper: Name -> (ratio of c_tr, ratio of c_rot).
-        fronts: Label -> points with ratio_tr and ratio_rot.
     """
     figure, axis = panels(1, 1, (6.0, 4.2))
     for k, row in enumerate(rows):
@@ -549,10 +543,7 @@ _CUTS = (0.15, 0.5, 0.85)  # of the length: where it is cut across
 def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
     """A sole as a drawing: views and sections with dimensions in mm.
 
-    Args:
-        mesh: The sole.
-        name: Of the sole.
-        peak: Largest pressure at its contact nodes over the step [Pa], (m,).
+    With the largest pressure at its contact nodes over the step [Pa], (m,).
     """
     nodes = 1e3 * mesh.nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
@@ -636,10 +627,8 @@ def _dimension(axis, start, span, text: str) -> None:
 def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
     """Fill where a plane cuts the sole; corners of its box, None if nowhere.
 
-    Args:
-        normal: 0 for x, 1 for y.
-        at: Where on that axis [mm].
-        flat: From points (k, 3) [mm] to the picture.
+    Across axis `normal` (0: x, 1: y) at a place [mm]; `flat` takes points
+    (k, 3) [mm] to the picture.
     """
     x = 1e3 * mesh.nodes[mesh.tets]
     x = x[np.abs(np.sign(x[:, :, normal] - at).sum(axis=1)) < 4]

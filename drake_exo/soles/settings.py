@@ -349,13 +349,7 @@ class Setup:
         mesh_file: Path | None = None,
         read_step: StepReader | None = None,
     ) -> "Setup":
-        """What settings name, read.
-
-        Args:
-            settings: Of the case.
-            data_root: Folder that their paths are relative to.
-            mesh_file: Used instead of the case's mesh.
-            read_step: Reads a step of a recording.
+        """What settings name, read, paths from a folder; see `Case.read`.
 
         Raises:
             InputError: A file cannot be read, the ZMP leaves the sole, or

@@ -42,7 +42,7 @@ def run_mmg(
     """Nodes (n, 3) and tetrahedra (e, 4) that Mmg makes of a body.
 
     Args:
-        body: Its `nodes` (n, 3) and `tets` (e, 4), and either
+        body: Its `nodes` and `tets` likewise, and either
             `level` (n,): cells are cut where it is zero, with `step` [m],
             their size;
             `size` (n,) [m]: of the new elements' edges, with `gradation`,
@@ -358,12 +358,7 @@ class _Thickness:
         return np.maximum(t, 0.2 * self.usual)
 
     def inside(self, nodes: np.ndarray, lower: float) -> np.ndarray:
-        """Whether points of a grid are inside, (n,).
-
-        Args:
-            nodes: (n, 3) [m].
-            lower: By which they are taken lower [m].
-        """
+        """Whether points (n, 3) [m] of a grid, taken lower, are inside."""
         places, which = np.unique(nodes[:, :2], axis=0, return_inverse=True)
         which, z = which.ravel(), nodes[:, 2] - lower
         out = np.zeros(len(nodes), dtype=bool)
@@ -381,8 +376,7 @@ class _Thickness:
 def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
-    Yields:
-        Rows of places with a like number of crossings, heights (rows, k).
+    Yields rows of places with a like number of crossings, heights (rows, k).
     """
     a, b, c = np.swapaxes(corners, 0, 1)
     e, f = (b - a)[:, :2], (c - a)[:, :2]

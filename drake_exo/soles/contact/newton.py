@@ -27,11 +27,7 @@ from drake_exo.soles.numerics import (
 def deformed(C, lP, R, F):
     """Y = R (lP + C Rᵀ F): places relative to O, world [m], (m, 3).
 
-    Args:
-        C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
-        lP: Their rest positions, sole frame [m], (m, 3).
-        R: Orientation, (3, 3).
-        F: Forces on them, world [N], (m, 3); most are zero.
+    C, lP as in `ContactSolver`, F (m, 3) in the world; most are zero.
     """
     m = len(lP)
     u = np.zeros(3 * m)
@@ -60,13 +56,10 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
     """Residuals of the node law and of the wrench at places P.
 
     Args:
-        P: World places [m], (m, 3).
-        F: World forces [N], (m, 3).
-        Q: References on the ground's planes [m], (m, 3).
-        axes: Of these planes, rows, the normal last, (m, 3, 3).
+        P, F: World places [m] and forces [N], (m, 3) each.
+        Q, axes: As of `Ground.planes`.
         zmp: Desired ZMP on the ground [m], (3,).
-        r: Penalty [N/m].
-        mu, epsilon, kappa: The contact law's, see `law`.
+        r, mu, epsilon, kappa: The contact law's, see `law`.
 
     Returns:
         τ = F − r δ in the planes' axes and φ = F − T(τ) (m, 3) [N], arms
@@ -308,12 +301,7 @@ class ContactSolver:
     def linearise(
         self, state: State, target: Target, P: np.ndarray
     ) -> Linearisation:
-        """Derivatives at a state; references count as frozen.
-
-        Args:
-            state, target: A solution.
-            P: World places of the contact nodes there [m], (m, 3).
-        """
+        """Derivatives at a solution, references frozen, nodes at P (m, 3)."""
         point = self._evaluate(state, target, False, 1.0, P)
         return self._linearisation(point, target)
 
@@ -383,13 +371,10 @@ class ContactSolver:
 def newton(
     point, improved, tolerance: float, most: int
 ) -> tuple["_Point", Convergence]:
-    """Newton's iterations; the last point and the report.
+    """Newton's iterations from a point with a `merit`; the last and a report.
 
-    Args:
-        point: Where it begins; points have a `merit`.
-        improved: Gives the next point, or raises where there is none.
-        tolerance: On the merit.
-        most: Steps before giving up.
+    `improved` gives the next point, or raises where there is none; at most so
+    many steps are taken, until the merit is within the tolerance.
     """
     history, message = [point.merit], ""
     while (
@@ -420,11 +405,7 @@ def capped(dp: np.ndarray, turn: float, shift: float) -> float:
 def line_search(point, trial, step: float, halvings: int):
     """The first point of less merit, halving the step; else the best met.
 
-    Args:
-        point: Where it begins; points have a `merit`.
-        trial: Gives the point that a step leads to.
-        step: The first one's length.
-        halvings: How often it may be halved.
+    `trial` gives the point, with a `merit`, that a step leads to.
     """
     best = None
     for _ in range(halvings + 1):

@@ -407,14 +407,7 @@ class Design:
 
 
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
-    """The design where a search stands, by the exact law.
-
-    Args:
-        setup: Sole and step.
-        problem: The last stage's problem.
-        at: The last checkpoint.
-        optima, seconds: Of every stage.
-    """
+    """The design where a search stands, by the exact law."""
     step, first = (
         Step.by_exact_law(setup, sole, problem.law.penalty)
         for sole in (setup.sole(problem.deformed(at.p)), problem.first.sole)

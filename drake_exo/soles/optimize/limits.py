@@ -297,12 +297,9 @@ class RotationLimit:
 
 
 def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
-    """The limits switched on that need a simulation.
+    """Limits that need a simulation, the brick's for scales.
 
-    Args:
-        limits: What is limited.
-        first: The brick, for scales.
-        by_rot: Factors of the samples in c_rot.
+    `by_rot` are the samples' factors in c_rot.
     """
     out = []
     if limits.stability is not None:

@@ -326,14 +326,10 @@ def _side_by_side(calls, say, at_once: int) -> list[_Run]:
 
 
 def from_start(setup: Setup, start: int, at, out, say) -> _Run:
-    """The first stage from one start, or from where it was interrupted.
+    """The first stage from one start, see `start_design`.
 
-    Args:
-        setup: The initial shape and its step; settings with the stages.
-        start: As in `start_design`.
-        at: Where it was interrupted; None to begin.
-        out: Folder for its checkpoint; None for none.
-        say: Called with one line of progress now and then.
+    `at` is where it was interrupted, None to begin; `out` a folder for its
+    checkpoint, None for none.
     """
     block = setup.settings.optimize
     if out is not None:
