@@ -36,11 +36,7 @@ from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step, write_csv
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.simulation import (
-    FIRST_HISTORY,
-    HISTORY,
-    write_history,
-)
+from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
 
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh

@@ -18,12 +18,7 @@ from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import (
-    SphericalSpline,
-    TetMesh,
-    face_edges,
-    scatter,
-)
+from drake_exo.soles.mesh import SphericalSpline, TetMesh, face_edges, scatter
 from drake_exo.soles.optimize.adjoint import (
     load_gradients,
     shape_gradients,
