@@ -231,8 +231,24 @@ class FiniteStrainSolver:
         def improved(point):
             if not np.isfinite(point.merit):
                 raise np.linalg.LinAlgError("inverted elements at the start")
-            step = self._linearise(point, target).newton_step(target.asked)
-            return self._line_search(point, step, target, scale)
+            R, Z, old = point.state.R, target.point, point.state
+            # That planes turn with the foot, too, Newton's steps do without.
+            turn = target.turn(self.ground, R, self.rest)
+            lin = _Linearisation(self, point, turn and turn.places)
+            du, zeta, dp = lin.newton_step(target.asked)
+            d_tau = self.law.penalty * zeta @ R.T
+
+            def trial(size):
+                turn = exp_rotation(size * dp[3:])
+                u = old.u.copy()
+                u[self.body.free] += size * du
+                O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
+                guess = FiniteState(old.F, u, O, turn @ R)
+                tau = point.tau + size * d_tau
+                return self._evaluate(tau, guess, target, scale)
+
+            step = capped(dp, _MAX_TURN, _MAX_SHIFT)
+            return line_search(point, trial, step, _HALVINGS)
 
         point, report = newton(
             self._evaluate(self._tau(state, target), state, target, scale),
@@ -247,7 +263,7 @@ class FiniteStrainSolver:
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
-        return self._linearise(point, frozen).wrench_response()
+        return _Linearisation(self, point, None).wrench_response()
 
     def _planes(self, target, R):
         """What the contact nodes meet, see `Ground.planes`."""
@@ -281,28 +297,6 @@ class FiniteStrainSolver:
             )
         state = FiniteState(F, u, O, R)
         return _Point(state, tau, axes, arm, balance, wrench, merit / scale)
-
-    def _linearise(self, point, target) -> "_Linearisation":
-        # That planes turn with the foot, too, Newton's steps do without.
-        turn = target.turn(self.ground, point.state.R, self.rest)
-        return _Linearisation(self, point, turn and turn.places)
-
-    def _line_search(self, point, step, target, scale):
-        du, zeta, dp = step
-        Z, old = target.point, point.state
-        d_tau = self.law.penalty * zeta @ old.R.T
-
-        def trial(size):
-            turn = exp_rotation(size * dp[3:])
-            u = old.u.copy()
-            u[self.body.free] += size * du
-            O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
-            guess = FiniteState(old.F, u, O, turn @ old.R)
-            tau = point.tau + size * d_tau
-            return self._evaluate(tau, guess, target, scale)
-
-        step = capped(dp, _MAX_TURN, _MAX_SHIFT)
-        return line_search(point, trial, step, _HALVINGS)
 
 
 @dataclass
@@ -357,12 +351,8 @@ class _Linearisation:
         rhs[s._rows, 3:] -= turned.reshape(3 * m, 3)
         return self._lu.solve(-rhs)
 
-    def _split(self, x):
-        """Node ζ (m, 3, c) of solutions x (3 n_f, c)."""
-        return x[self.solver._rows].reshape(len(self.solver.nodes), 3, -1)
-
     def _wrench_change(self, x, with_pose: bool) -> np.ndarray:
-        zeta = self._split(x)
+        zeta = x[self.solver._rows].reshape(-1, 3, x.shape[1])
         F, arm = self.point.state.F, self.point.arm
         dF = self.solver.law.penalty * self.R @ (self.D @ zeta)
         dP = self.R @ (self.D @ zeta - zeta)

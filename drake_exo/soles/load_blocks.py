@@ -6,7 +6,7 @@ Every block gives a `Load` of the files that it names, relative to a folder.
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -315,19 +315,9 @@ class Pattern(Robot):
         return plan(self).foot_load(self.period_s, self.least_share)
 
 
-class Recorded(Protocol):
-    """A step of a recording, seen from the foot; see `measurement.steps`."""
-
-    name: str
-    times: np.ndarray
-    force: np.ndarray
-    cop: np.ndarray
-    free_moment: np.ndarray
-    rotation: np.ndarray
-
-
-# Reads a step: the study's path, trial, foot, start, end, number, force [N].
-StepReader = Callable[..., Recorded]
+# Reads a step, a `measurement.steps.RecordedStep`, seen from the foot: of the
+# study's path, trial, foot, start, end, number, force [N].
+StepReader = Callable
 _FILES = (
     "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
     "constant",
