@@ -67,8 +67,8 @@ class Design:
         first: The initial shape likewise.
         optima: Outcome of every stage.
         stages_seconds: What each took.
-        starts: Cost and violation that every start of the first stage has
-            led to.
+        starts: Cost and violation that every start has led to, and after
+            which stage.
         seconds: What all of it took.
         gait: The walk that was sought with it: numbers before and after.
     """
@@ -189,9 +189,12 @@ class Design:
 
     @property
     def spread(self) -> float | None:
-        """Of the starts' feasible optima, over the best; None for but one."""
+        """Of the feasible optima that went furthest; None for but one."""
+        stages = [row.get("stage", 1) for row in self.starts]
         costs = [
-            row["cost"] for row in self.starts if row["violation"] <= FEASIBLE
+            row["cost"]
+            for row, stage in zip(self.starts, stages, strict=True)
+            if row["violation"] <= FEASIBLE and stage == max(stages)
         ]
         if len(costs) < 2:
             return None

@@ -1,9 +1,10 @@
 """The search for a shape: several starts, then stage by stage.
 
-The first stage is searched from several starts, the brick and smooth bends of
-it, and the best goes on. Stages go from few to all samples, and the smoothing
-layer comes down; each starts from the best design of the one before. Ctrl-C
-leaves the best so far on disk.
+Stages start from the best design of the one before. Those but the last are
+searched from several starts, the brick and smooth bends of it: after each of
+them the better half goes on (successive halving: Jamieson and Talwalkar,
+AISTATS 2016), into the last stage the best. Ctrl-C leaves the best so far on
+disk.
 
 The front of c_tr against c_rot: an epsilon-constraint: c_tr alone is minimised
 under c_rot >= floor, from the lowest floor to the highest. The first point
@@ -111,7 +112,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
 
 @dataclass
 class _Run:
-    """A first stage from one start: outcome, seconds, where to go on."""
+    """A stage from one start: outcome, seconds, where to go on."""
 
     optimum: Optimum
     seconds: float
@@ -138,23 +139,21 @@ def optimise(
     whole, block = time.perf_counter(), setup.settings.optimize
     stages = block.stages
     at = resume or Checkpoint()
-    optima, seconds, problem = [], [], None
-    first = at.stage
+    runs, problem = [], None
     if at.p is None:
-        runs = _from_starts(setup, out, say, at.begun, at_once)
-        best = min(runs, key=lambda run: run.optimum.rank)
-        rows = [row for run in runs for row in run.at.starts]
-        at = replace(best.at, starts=tuple(rows))
+        runs = race(setup, out, say, at.begun, at_once)
+        at = runs[-1].at
         _keep(at, out)
-        optima, seconds, first = [best.optimum], [best.seconds], 1
-    for number in range(first, len(stages)):
+    for number in range(len(runs) or at.stage, len(stages)):
         run, problem = _run_stage(setup, number, at, out, say)
-        optima, seconds = [*optima, run.optimum], [*seconds, run.seconds]
+        runs.append(run)
         at = run.at
         _keep(at, out)
     if problem is None:
         problem = stage_problem(setup, stages[-1])
-    design = verified(setup, problem, at, optima, seconds)
+    design = verified(
+        setup, problem, at, [r.optimum for r in runs], [r.seconds for r in runs]
+    )
     pattern = setup.settings.load and setup.settings.load.pattern
     if pattern and pattern.free:
         gait = pattern.gait(setup.settings.contact.friction)
@@ -281,32 +280,53 @@ def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
     }
 
 
-def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
-    """The first stage from every start, several at a time."""
-    count = setup.settings.optimize.starts
-    begun = islice(chain(begun, repeat(None)), count)
-    calls = [
-        (setup, k, at, start_folder(out, k) if count > 1 else out)
-        for k, at in enumerate(begun)
-    ]
-    if min(at_once, count) == 1:
-        runs = [from_start(*call, say) for call in calls]
-    else:
-        runs = _side_by_side(calls, say, min(at_once, count))
-    if out is not None and count > 1:
-        for k in range(count):
-            shutil.rmtree(start_folder(out, k), ignore_errors=True)
-    return runs
+def race(
+    setup: Setup, out, say, begun=(), at_once: int = 1, first: int = 0
+) -> list[_Run]:
+    """The stages but the last, from several starts; the runs of the best.
+
+    Args:
+        setup: The initial shape and its step; settings with the stages.
+        out: Folder for one below it for each start; None for none.
+        say: Called with one line of progress now and then.
+        begun: Where starts were interrupted, None for those that were not.
+        at_once: How many at a time.
+        first: Number of the first start.
+    """
+    block = setup.settings.optimize
+    at = dict(enumerate(islice(chain(begun, repeat(None)), block.starts)))
+    folders = {k: start_folder(out, k) if len(at) > 1 else out for k in at}
+    runs, going, rounds = {k: [] for k in at}, list(at), len(block.stages) - 1
+    for number in range(max(rounds, 1)):
+        calls = [(setup, first + k, number, at[k], folders[k]) for k in going]
+        found = _side_by_side(calls, say, at_once)
+        for k, run in zip(going, found, strict=True):
+            runs[k].append(run)
+            at[k] = run.at
+        going.sort(key=lambda k: runs[k][-1].optimum.rank)
+        last = number + 1 >= rounds
+        going = going[: 1 if last else (len(going) + 1) // 2]
+    rows = tuple(at[k].starts[-1] for k in at)
+    best = runs[going[0]]
+    best[-1].at = replace(best[-1].at, starts=rows)
+    if out is not None and len(at) > 1:
+        for folder in folders.values():
+            shutil.rmtree(folder, ignore_errors=True)
+    return best
 
 
 def _side_by_side(calls, say, at_once: int) -> list[_Run]:
-    """The starts in processes of their own."""
+    """What `from_start` makes of some calls, in processes of their own."""
+    if min(at_once, len(calls)) == 1:
+        return [from_start(*call, say) for call in calls]
     # Interrupted, workers end at once: their checkpoints are on disk.
     ends_at_once = signal.signal, (signal.SIGINT, signal.SIG_DFL)
     context = get_context("spawn")
     with (
         context.Manager() as manager,
-        ProcessPoolExecutor(at_once, context, *ends_at_once) as pool,
+        ProcessPoolExecutor(
+            min(at_once, len(calls)), context, *ends_at_once
+        ) as pool,
     ):
         lines = manager.Queue()
         waiting = [pool.submit(from_start, *call, lines.put) for call in calls]
@@ -325,10 +345,10 @@ def _side_by_side(calls, say, at_once: int) -> list[_Run]:
             raise
 
 
-def from_start(setup: Setup, start: int, at, out, say) -> _Run:
-    """The first stage from one start, see `start_design`.
+def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
+    """A stage from one start, see `start_design`.
 
-    `at` is where it was interrupted, None to begin; `out` a folder for its
+    `at` is where it stands, None to begin; `out` a folder for its
     checkpoint, None for none.
     """
     block = setup.settings.optimize
@@ -338,14 +358,20 @@ def from_start(setup: Setup, start: int, at, out, say) -> _Run:
         problem = stage_problem(setup, block.stages[0])
         p = start_design(problem, tuple(block.bounds), start)
         at = Checkpoint(p=p, latest=p)
-    elif at.starts:  # finished before an interruption
-        (row,) = at.starts
-        done = Optimum(at.p, **row, multipliers=at.multipliers)
+    elif len(at.starts) > number:  # finished before an interruption
+        row = at.starts[number]
+        done = Optimum(
+            at.p, row["cost"], violation=row["violation"],
+            multipliers=at.multipliers,
+        )  # fmt: skip
         return _Run(done, 0.0, at)
     prefix = f"start {start + 1}/{block.starts}, " if block.starts > 1 else ""
-    run, _ = _run_stage(setup, 0, at, out, lambda line: say(prefix + line))
-    row = {"cost": run.optimum.cost, "violation": run.optimum.violation}
-    run.at = replace(run.at, starts=(row,))
+    run, _ = _run_stage(setup, number, at, out, lambda line: say(prefix + line))
+    best = run.optimum
+    row = {
+        "stage": number + 1, "cost": best.cost, "violation": best.violation,
+    }  # fmt: skip
+    run.at = replace(run.at, starts=(*run.at.starts, row))
     _keep(run.at, out)
     return run
 
