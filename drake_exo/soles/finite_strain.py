@@ -234,8 +234,11 @@ class FiniteStrainSolver:
             R, Z, old = point.state.R, target.point, point.state
             # That planes turn with the foot, too, Newton's steps do without.
             turn = target.turn(self.ground, R, self.rest)
-            lin = _Linearisation(self, point, turn and turn.places)
-            du, zeta, dp = lin.newton_step(target.asked)
+            try:
+                lin = _Linearisation(self, point, turn and turn.places)
+                du, zeta, dp = lin.newton_step(target.asked)
+            except (np.linalg.LinAlgError, RuntimeError):
+                raise np.linalg.LinAlgError("singular Newton matrix") from None
             d_tau = self.law.penalty * zeta @ R.T
 
             def trial(size):

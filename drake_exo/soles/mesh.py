@@ -412,11 +412,6 @@ def is_watertight(corners: np.ndarray) -> bool:
     return bool(closed and np.linalg.det(corners).sum() > 0)
 
 
-def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
-    """v_max = m / ρ [m³], the paper's (32)."""
-    return mass_kg / density_kg_per_m3
-
-
 WALL = 0.01  # metres around and below the sole
 
 

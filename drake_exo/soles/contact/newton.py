@@ -377,13 +377,15 @@ def newton(
     many steps are taken, until the merit is within the tolerance.
     """
     history, message = [point.merit], ""
-    while (
-        point.merit > tolerance or np.isnan(point.merit)
-    ) and len(history) <= most and not _goes_in_circles(history):  # fmt: skip
+    while not (
+        point.merit <= tolerance  # NaN is not
+        or len(history) > most
+        or _goes_in_circles(history)
+    ):
         try:
             point = improved(point)
-        except (np.linalg.LinAlgError, RuntimeError) as error:
-            message = str(error) or "singular Newton matrix"
+        except np.linalg.LinAlgError as error:
+            message = str(error)
             break
         history.append(point.merit)
     steps, merit = len(history) - 1, history[-1]

@@ -31,7 +31,7 @@ from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
 from drake_exo.soles.contact.law import ContactLaw
-from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
+from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder
 from drake_exo.soles.optimize.limits import Limits
@@ -63,7 +63,7 @@ def limits_of(settings: Settings) -> Limits:
     # A pose that is prescribed does not tip, and no shape changes it.
     held = any(block.pose == "measured" for block in settings.all_loads)
     return Limits(
-        maximum_volume(settings.cost.mass_limit_kg, density),
+        settings.cost.mass_limit_kg / density,
         None if held else block.stability_n_per_m,
         None if held else block.tilt_deg,
         block.strain,
@@ -239,13 +239,12 @@ class GaitProblem:
 
     def slopes(self, x) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of cost (G,) and limits."""
-        there = self.on(x)
+        there, (loads, own) = self.on(x), self.gait.slopes(x)
         if there.evaluate(self.p) is None:
-            own = self.gait.slopes(x)[1]
-            count = len(own) + len(self._least)
-            return np.zeros(len(x)), np.zeros((count, len(x)))
+            return np.zeros(len(x)), np.zeros(
+                (len(own) + len(self._least), len(x))
+            )
         by_load = there.by_load(self.p)
-        loads, own = self.gait.slopes(x)
         soles = np.einsum("fnk,gnk->fg", by_load, loads[:, there.picked])
         return soles[0], np.concatenate([own, soles[1:]])
 
