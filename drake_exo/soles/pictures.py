@@ -26,8 +26,6 @@ from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import EDGES, SphericalSpline, TetMesh, normals_of
 from drake_exo.soles.surface import crossings
 
-# Faces that meet at less are shaded as one smooth surface.
-_CREASE = np.cos(np.deg2rad(40.0))
 _AMBIENT, _DIFFUSE = 0.4, 0.65
 _LIGHT = np.array([-0.4, -0.2, 0.894])  # right, up, towards the viewer
 
@@ -62,69 +60,16 @@ VIEWS = (
 )
 
 
-@dataclass(frozen=True)
-class Surface:
-    """Triangles with colours and smooth normals, ready for any view.
-
-    Attributes:
-        corners: (f, 3, 3) [mm].
-        normals: Unit normals at the corners, (f, 3, 3).
-        colours: At the corners, RGB, (f, 3, 3).
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray
-    colours: np.ndarray
-
-    def refined(self) -> "Surface":
-        """Every triangle cut into four."""
-        cut = [_cut(a) for a in (self.corners, self.normals, self.colours)]
-        cut[1] /= np.linalg.norm(cut[1], axis=2, keepdims=True)
-        return Surface(*cut)
-
-
-def _cut(a: np.ndarray) -> np.ndarray:
-    p, q, r = a[:, 0], a[:, 1], a[:, 2]
-    pq, qr, rp = 0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)
-    parts = [(p, pq, rp), (pq, q, qr), (rp, qr, r), (pq, qr, rp)]
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
-def surface(
-    nodes: np.ndarray, faces: np.ndarray, colours: np.ndarray
-) -> Surface:
-    """A surface with normals smoothed but for creases.
-
-    Of nodes (n, 3) [m], outward triangles (f, 3) and RGB of the nodes (n, 3).
-    """
-    corners = 1e3 * nodes[faces]
-    across = normals_of(corners)
-    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
-    normals = np.empty_like(corners)
-    order = np.argsort(faces.ravel(), kind="stable")
-    ends = np.searchsorted(faces.ravel()[order], np.arange(len(nodes) + 1))
-    for node in range(len(nodes)):
-        mine = order[ends[node] : ends[node + 1]]
-        around = mine // 3
-        smooth = flat[around] @ flat[around].T > _CREASE
-        normals.reshape(-1, 3)[mine] = smooth @ across[around]
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    return Surface(corners, normals, colours[faces])
-
-
-def draw(axis, shape: Surface, view: View) -> None:
-    """Paint a surface into an axis of equal aspect."""
-    frame = view.axes()
-    seen = shape.corners @ frame.T
-    edge = seen[:, 1:, :2] - seen[:, :1, :2]
-    facing = edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0] > 0
-    seen = seen[facing]
+def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
+    """Paint outward triangles (f, 3, 3) [mm] of colours (f, 3), RGB."""
+    seen = corners @ view.axes().T
+    normal = normals_of(seen)
+    facing = normal[:, 2] > 0
+    seen, normal = seen[facing], normal[facing]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    lit = _AMBIENT + _DIFFUSE * np.clip(normal @ _LIGHT, 0.0, 1.0)
     order = np.argsort(seen[:, :, 2].mean(axis=1), kind="stable")
-    light = frame.T @ _LIGHT
-    normal = shape.normals[facing].mean(axis=1)
-    lit = _AMBIENT + _DIFFUSE * np.clip(normal @ light, 0.0, 1.0)
-    colour = shape.colours[facing].mean(axis=1) * lit[:, None]
-    colour = np.clip(colour, 0.0, 1.0)[order]
+    colour = np.clip(colours[facing] * lit[:, None], 0.0, 1.0)[order]
     axis.add_collection(
         PolyCollection(
             seen[order][:, :, :2],
@@ -471,9 +416,10 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
     largest = max(np.abs(s.change).max() for s in soles)
     norm = TwoSlopeNorm(0.0, -largest, largest)
     for row, sole in zip(axes, soles, strict=True):
-        shape = _coloured(sole, norm)
+        corners = 1e3 * sole.mesh.nodes[sole.mesh.boundary_faces]
+        colours = _coloured(sole, norm)
         for axis, view, box in zip(row, VIEWS, boxes, strict=True):
-            draw(axis, shape, view)
+            draw(axis, corners, colours, view)
             outline(axis, sole.initial.nodes, view)
             _ends(axis, sole, view)
             half = 0.5 * np.array([np.ptp(box[:, 0]) + _GAP, height])
@@ -493,9 +439,10 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
     return figure
 
 
-def _coloured(sole: DrawnSole, norm) -> Surface:
-    colours = _COLOURS(norm(sole.change))[:, :3]
-    return surface(sole.mesh.nodes, sole.mesh.boundary_faces, colours).refined()
+def _coloured(sole: DrawnSole, norm) -> np.ndarray:
+    """Colours of its faces by their mean change, (f, 3)."""
+    change = sole.change[sole.mesh.boundary_faces].mean(axis=1)
+    return _COLOURS(norm(change))[:, :3]
 
 
 def _ends(axis, sole, view) -> None:
@@ -600,13 +547,11 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
 def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
     """The sole in a view, what looks upwards of its bare surface in red."""
     faces = np.concatenate([mesh.top_faces, mesh.contact_faces])
-    plain = np.tile(_RUBBER, (len(mesh.nodes), 1))
-    shape = surface(mesh.nodes, faces, plain)
     normal, size = mesh.areas(faces)
     up = normal[:, 2] > 1e-3 * size
     up[: len(mesh.top_faces)] = False
-    shape.colours[up] = _UNDERCUT
-    draw(axis, shape.refined(), view)
+    colours = np.where(up[:, None], _UNDERCUT, _RUBBER)
+    draw(axis, 1e3 * mesh.nodes[faces], colours, view)
     low, high = extent(mesh.nodes, view)
     axis.set_ylim(low[1] - _MARGIN, high[1] + _MARGIN)
     axis.set_title(title)
