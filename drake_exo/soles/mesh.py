@@ -177,8 +177,9 @@ class TetMesh:
 
         12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994).
         """
-        i, j = self.nodes[self.tets[:, EDGES]].transpose(2, 0, 1, 3)
-        l2 = ((i - j) ** 2).sum(axis=(1, 2))
+        i, j = EDGES.T
+        x = self.nodes[self.tets]
+        l2 = ((x[:, i] - x[:, j]) ** 2).sum(axis=(1, 2))
         v = self.volumes
         return 12.0 * np.sign(v) * (3.0 * np.abs(v)) ** (2 / 3) / l2
 
