@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_force
 from drake_exo.contact.parameters import (
@@ -381,10 +380,12 @@ def _deviations(best) -> np.ndarray:
 def _in_plane(samples: Samples) -> Samples:
     """Without roll, yaw and what lies sideways."""
     pitch = np.arcsin(np.clip(samples.rotation[:, 0, 2], -1, 1))
+    c, s, zero, one = np.cos(pitch), np.sin(pitch), 0 * pitch, 0 * pitch + 1
+    turn = np.array([[c, zero, s], [zero, one, zero], [-s, zero, c]])
     return replace(
         samples,
         origin=samples.origin * [1.0, 0.0, 1.0],
-        rotation=Rotation.from_rotvec(np.outer(pitch, [0, 1, 0])).as_matrix(),
+        rotation=np.moveaxis(turn, 2, 0),
         cop=samples.cop * [1.0, 0.0],
     )
 

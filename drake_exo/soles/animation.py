@@ -345,8 +345,11 @@ def _stage(box: _Box, ground: Ground) -> Iterator:
     coarse = [
         np.arange(a, b + 1e-9, _GRID_M) for a, b in zip(low, high, strict=True)
     ]
-    every = 1 if ground.is_flat else round(_GRID_M / _FINE_M)
-    fine = [np.linspace(v[0], v[-1], every * (len(v) - 1) + 1) for v in coarse]
+    every, fine = round(_GRID_M / _FINE_M), coarse
+    if not ground.is_flat:
+        fine = [
+            np.linspace(v[0], v[-1], every * (len(v) - 1) + 1) for v in coarse
+        ]
 
     def lying(x, y, under: float) -> np.ndarray:
         x, y = (v.ravel() for v in np.broadcast_arrays(x, y))
