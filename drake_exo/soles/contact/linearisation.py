@@ -214,13 +214,11 @@ class Linearisation:
         Returns:
             dF and dδ (k, 3, 6), [dF; dΓ] about the ZMP (6, 6).
         """
-        dF, dP = self._pose_response(turn)
-        world = [self._to_world(x) for x in (dF, dP)]
-        return *world, self._pose_wrench(dF, dP, turn)
-
-    def _pose_response(self, turn=None):
         T = self._S_times(self._against_pose(turn))
-        return self._respond(T, np.zeros_like(T), turned=self._law_turned(turn))
+        turned = self._law_turned(turn)
+        both = self._respond(T, np.zeros_like(T), turned=turned)
+        world = [self.R @ x.reshape(len(self.nodes), 3, -1) for x in both]
+        return *world, self._pose_wrench(*both, turn)
 
     def _law_turned(self, turn) -> np.ndarray | None:
         """Of the loose nodes' law residual by planes that turn, (3g, 3).
@@ -260,9 +258,6 @@ class Linearisation:
         T = self.S @ columns
         T[:, -3:] -= _turned_hats(self.R, self.F)
         return T
-
-    def _to_world(self, x: np.ndarray) -> np.ndarray:
-        return self.R @ x.reshape(len(self.nodes), 3, -1)
 
     def _to_sole(self, x: np.ndarray) -> np.ndarray:
         return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
