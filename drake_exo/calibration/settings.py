@@ -432,8 +432,9 @@ class InteractionNoise(TrackingNoise):
         moment_nm: joint moments, human.
         exo_moment_nm: joint moments, exoskeleton.
         normal_force_n: resultant of a pressure mat beyond what `errors`
-            explain: steps of 2.5 kPa on some thirty loaded cells of 2 cm^2
-            are 0.8 N, and no bushing is as linear as its model.
+            explain, as of an error that lasts a second: cells that round to
+            2.5 kPa together are 1 to 5 N off for a sixth of that, and no
+            bushing is as linear as its model.
         energy_j: typical contact energy of a component; what is minimised is
             the square of the energy over this.
 
