@@ -31,6 +31,7 @@ import yaml
 import drake_exo
 from drake_exo.errors import InputError, nearest
 from drake_exo.files import schema
+from drake_exo.files.schema import quantity
 
 STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")
@@ -53,8 +54,8 @@ _LONGEST = 100  # characters of a variant's name
 class SeedRange:
     """Seeds from `first` to `last`, both included."""
 
-    first: int = field(metadata={"minimum": 0})
-    last: int = field(metadata={"minimum": 0})
+    first: int = quantity(None, minimum=0)
+    last: int = quantity(None, minimum=0)
 
     def __post_init__(self):
         if self.last < self.first:
@@ -72,9 +73,9 @@ class Laboratories:
         without: disturbances to switch off.
     """
 
-    seeds: tuple[int, ...] | SeedRange = field(metadata={"minimum": 0})
+    seeds: tuple[int, ...] | SeedRange = quantity(None, minimum=0)
     truth: Literal["wide", "near"] = "wide"
-    trials: int | None = field(default=None, metadata={"minimum": 1})
+    trials: int | None = quantity(None, None, minimum=1)
     without: tuple[str, ...] = ()
 
     def all_seeds(self) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from drake_exo.contact.hunt_crossley import (
     paper_stiffness,
 )
 from drake_exo.errors import InputError, check_fields
+from drake_exo.files.schema import quantity
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
 
@@ -105,11 +106,11 @@ class ContactSphere:
     0.032
     """
 
-    stiffness: float = field(metadata={"unit": "", "above": 0.0})
-    dissipation: float = field(metadata={"unit": "s/m", "minimum": 0.0})
-    x: float = field(metadata={"unit": "m"})
-    z: float = field(metadata={"unit": "m"})
-    radius: float = field(metadata={"unit": "m", "above": 0.0})
+    stiffness: float = quantity("", above=0.0)
+    dissipation: float = quantity("s/m", minimum=0.0)
+    x: float = quantity("m")
+    z: float = quantity("m")
+    radius: float = quantity("m", above=0.0)
 
 
 # Parameters of a sphere in the order of arrays and numeric parameters.

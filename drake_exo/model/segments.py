@@ -27,17 +27,13 @@ from math import isfinite
 from typing import Any, TypeVar
 
 from drake_exo.errors import InputError, check_bounds
+from drake_exo.files.schema import quantity
 
 SEGMENTS = ("foot", "shank", "thigh", "pelvis")
 CUFFED = SEGMENTS[1:]  # segments with a place for a cuff
 
 # Radius of the heel and toe contact spheres when nothing else is said [m].
 CONTACT_RADIUS_M = 0.032
-
-_KILOGRAM = {"unit": "kg", "above": 0.0}
-_METRE = {"unit": "m", "above": 0.0}
-_INERTIA = {"unit": "kg m^2", "above": 0.0}
-_POINT = {"unit": "m"}
 
 
 @dataclass(frozen=True)
@@ -52,10 +48,10 @@ class SegmentParameters:
             pelvis: hip to vertex, exoskeleton's pelvis: its height).
     """
 
-    mass_kg: float = field(metadata=_KILOGRAM)
-    com_m: tuple[float, float] = field(metadata=_POINT)
-    inertia_kg_m2: float = field(metadata=_INERTIA)
-    length_m: float = field(metadata=_METRE)
+    mass_kg: float = quantity("kg", above=0.0)
+    com_m: tuple[float, float] = quantity("m")
+    inertia_kg_m2: float = quantity("kg m^2", above=0.0)
+    length_m: float = quantity("m", above=0.0)
 
 
 class _Chain:
@@ -89,14 +85,14 @@ class HumanParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    ankle_height_m: float = field(metadata=_METRE)
-    heel_m: tuple[float, float] = field(metadata=_POINT)
-    toe_m: tuple[float, float] = field(metadata=_POINT)
-    shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    ankle_height_m: float = quantity("m", above=0.0)
+    heel_m: tuple[float, float] = quantity("m")
+    toe_m: tuple[float, float] = quantity("m")
+    shank_cuff_m: tuple[float, float] = quantity("m")
+    thigh_cuff_m: tuple[float, float] = quantity("m")
+    pelvis_cuff_m: tuple[float, float] = quantity("m")
     toes: SegmentParameters | None = None
-    ball_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    ball_m: tuple[float, float] | None = quantity("m", None)
 
     @property
     def height_m(self) -> float:
@@ -128,13 +124,13 @@ class ExoskeletonParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    heel_m: tuple[float, float] = field(metadata=_POINT)
-    toe_m: tuple[float, float] = field(metadata=_POINT)
-    shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    knee_off_m: tuple[float, float] = field(default=(0.0, 0.0), metadata=_POINT)
-    hip_off_m: tuple[float, float] = field(default=(0.0, 0.0), metadata=_POINT)
+    heel_m: tuple[float, float] = quantity("m")
+    toe_m: tuple[float, float] = quantity("m")
+    shank_cuff_m: tuple[float, float] = quantity("m")
+    thigh_cuff_m: tuple[float, float] = quantity("m")
+    pelvis_cuff_m: tuple[float, float] = quantity("m")
+    knee_off_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    hip_off_m: tuple[float, float] = quantity("m", (0.0, 0.0))
 
 
 def _overrides(name: str, of: type, doc: str) -> type:
@@ -223,7 +219,7 @@ def _point(value: Any, label: str) -> tuple[float, float]:
     if len(value) != 2:
         raise InputError(f"{label} must be two numbers (x, z) in m")
     for coordinate in value:
-        check_bounds(label, coordinate, _POINT)
+        check_bounds(label, coordinate, {"unit": "m"})
     x, z = map(float, value)
     return x, z
 

@@ -12,7 +12,7 @@ command line (`drake-exo contact --out DIR`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib
@@ -30,6 +30,7 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
 from drake_exo.files.output import save_figure, write_json
+from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import DEVICE
@@ -656,23 +657,13 @@ _STYLE = {
 class ContactCurves:
     """What the figures are drawn for."""
 
-    modulus: float = field(default=5e6, metadata={"unit": "N/m²", "above": 0})
-    dissipation: float = field(
-        default=2.0, metadata={"unit": "s/m", "minimum": 0}
-    )
-    radius: float = field(default=0.032, metadata={"unit": "m", "above": 0})
-    static_friction: float = field(
-        default=0.9, metadata={"unit": "", "above": 0}
-    )
-    dynamic_friction: float = field(
-        default=0.6, metadata={"unit": "", "above": 0}
-    )
-    viscous_friction: float = field(
-        default=0.5, metadata={"unit": "s/m", "minimum": 0}
-    )
-    transition_velocity: float = field(
-        default=0.05, metadata={"unit": "m/s", "above": 0}
-    )
+    modulus: float = quantity("N/m²", 5e6, above=0)
+    dissipation: float = quantity("s/m", 2.0, minimum=0)
+    radius: float = quantity("m", 0.032, above=0)
+    static_friction: float = quantity("", 0.9, above=0)
+    dynamic_friction: float = quantity("", 0.6, above=0)
+    viscous_friction: float = quantity("s/m", 0.5, minimum=0)
+    transition_velocity: float = quantity("m/s", 0.05, above=0)
 
     def constants(self, law: str):
         """Constants of a law with these friction values."""

@@ -10,7 +10,7 @@ Who follows it is the subject's controller; the device helps with its own.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 
 from drake_exo.contact.parameters import GroundContact
 from drake_exo.contact.strap import Design
+from drake_exo.files.schema import quantity
 from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -329,7 +330,7 @@ class Friction:
 
     viscous: tuple[float, ...] = (0.0, 0.0, 0.0)
     coulomb: tuple[float, ...] = (0.0, 0.0, 0.0)
-    speed: float = field(default=0.05, metadata={"unit": "rad/s"})
+    speed: float = quantity("rad/s", 0.05)
 
     def torques(self, rates: np.ndarray) -> np.ndarray:
         """Torques (..., joints) at joint rates (..., joints)."""
