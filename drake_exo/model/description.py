@@ -277,7 +277,7 @@ def fit_exoskeleton(
 
     Args:
         human: the wearer.
-        overrides: `ExoskeletonOverrides` or a mapping of the same names.
+        overrides: `ExoskeletonOverrides`.
 
     Raises:
         InputError: impossible override.

@@ -13,7 +13,6 @@ from D. A. Winter, Biomechanics and Motor Control of Human Movement, Fig. 4.1
 (Drillis and Contini): 0.039 of the height.
 """
 
-from collections.abc import Mapping
 from dataclasses import (
     MISSING,
     dataclass,
@@ -170,58 +169,25 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
 
     Args:
         parameters: what scaling gave.
-        overrides: None, an overrides dataclass, or a plain mapping such as
-            `{"shank": {"mass_kg": 6.5}, "heel_m": (-0.05, -0.06)}`. Values
-            that are None are kept as scaled.
+        overrides: of the dataclass above that goes with it; values that are
+            None are kept as scaled. None replaces nothing.
         where: name of the owner for messages, e.g. "human".
 
     Raises:
-        InputError: unknown name, value not finite, or not positive where it
-            must be.
+        InputError: value not finite, or not positive where it must be.
     """
-    known = {f.name: f for f in fields(parameters) if f.default is MISSING}
     changes = {}
-    for name, value in _items(overrides, where):
-        if name not in known:
-            raise InputError(
-                f"{where} has no value '{name}' to override; "
-                f"known are {', '.join(known)}"
-            )
-        if value is None:
-            continue
-        current = getattr(parameters, name)
-        label = f"{where}.{name}"
-        if is_dataclass(current):
-            changes[name] = with_overrides(current, value, label)
-        elif isinstance(current, tuple):
-            changes[name] = _point(value, label)
-        else:
-            check_bounds(label, value, known[name].metadata)
-            changes[name] = float(value)
+    for field_ in () if overrides is None else fields(overrides):
+        name, label = field_.name, f"{where}.{field_.name}"
+        value = getattr(overrides, name)
+        if is_dataclass(value):
+            part = getattr(parameters, name)
+            changes[name] = with_overrides(part, value, label)
+        elif value is not None:
+            for number in value if isinstance(value, tuple) else (value,):
+                check_bounds(label, number, field_.metadata)
+            changes[name] = value
     return replace(parameters, **changes)
-
-
-def _items(overrides: Any, where: str) -> list[tuple[str, Any]]:
-    if overrides is None:
-        return []
-    if isinstance(overrides, Mapping):
-        return list(overrides.items())
-    if is_dataclass(overrides):
-        return [(f.name, getattr(overrides, f.name)) for f in fields(overrides)]
-    raise InputError(
-        f"{where}: overrides are names with values, not {overrides!r}"
-    )
-
-
-def _point(value: Any, label: str) -> tuple[float, float]:
-    if isinstance(value, str) or not hasattr(value, "__len__"):
-        raise InputError(f"{label} must be two numbers (x, z) in m")
-    if len(value) != 2:
-        raise InputError(f"{label} must be two numbers (x, z) in m")
-    for coordinate in value:
-        check_bounds(label, coordinate, {"unit": "m"})
-    x, z = map(float, value)
-    return x, z
 
 
 @dataclass(frozen=True)
@@ -292,10 +258,7 @@ _BELT = 0.060
 
 
 def scale_human(
-    mass_kg: float,
-    height_m: float,
-    sex: str = "male",
-    overrides: Any = None,
+    mass_kg: float, height_m: float, sex: str = "male"
 ) -> HumanParameters:
     """Scale de Leva's mean body to a subject; arms hang at the sides.
 
@@ -306,13 +269,10 @@ def scale_human(
         mass_kg: body mass, without the exoskeleton.
         height_m: stature.
         sex: "male" or "female".
-        overrides: `HumanOverrides` or a mapping of the same names; each value
-            replaces the scaled one and nothing else follows it (a changed
-            segment mass changes the total).
 
     Raises:
         InputError: mass, height or their ratio that no adult has; unknown
-            sex; impossible override.
+            sex.
     """
     _check_subject(mass_kg, height_m, sex)
     rows = DE_LEVA[sex]
@@ -335,7 +295,7 @@ def scale_human(
     thigh = both_legs("thigh", from_lower_joint("thigh"))
     foot_com_x = (rows["foot"].com / 100.0 - _HEEL_BEHIND_ANKLE) * foot_length
     sphere_z = CONTACT_RADIUS_M - ankle_height
-    human = HumanParameters(
+    return HumanParameters(
         foot=both_legs("foot", (foot_com_x, -0.5 * ankle_height)),
         shank=shank,
         thigh=thigh,
@@ -347,7 +307,6 @@ def scale_human(
         thigh_cuff_m=(0.0, _THIGH_CUFF * thigh.length_m),
         pelvis_cuff_m=(0.0, _BELT * height_m),
     )
-    return with_overrides(human, overrides, "human")
 
 
 def _check_subject(mass_kg: float, height_m: float, sex: str) -> None:
