@@ -4,7 +4,7 @@ Its study file says no more than a real laboratory would know.
 """
 
 import signal
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -54,7 +54,6 @@ from drake_exo.virtual_laboratory.truth import (
     write_parameters,
 )
 
-EMPTY = "plates_empty"
 _JOINTS = ("ankle", "knee", "hip")
 
 
@@ -109,26 +108,8 @@ def write_study(
         mats: the section `mats`.
         entries: movements in use.
     """
-    active = laboratory.disturbances
     study = {
-        "subject": {
-            "name": "virtual_subject",
-            "mass_kg": round(truth.human.mass_kg, 3),
-            "height_m": round(truth.human.height_m, 4),
-            "sex": "male",
-        },
-        "model": _model(truth),
-        "gravity_m_s2": truth.model.gravity_m_s2,
-        "filter": {"cutoff_hz": 6.0, "order": 4},
-        "laboratory": laboratory_section(laboratory.files, active),
-        "standing": {
-            **laboratory.motion_files("standing"),
-            "plates": dict(PLATES),
-            **_empty_plates(laboratory),
-            "start_s": 0.5,
-        },
-        "scaling": {"lengths": "markers", "trunk_com": "table"},
-        "markers": study_markers(),
+        **recording_sections(truth, laboratory, _model(truth), PLATES),
         "device": _device(truth, laboratory.faults.friction_share),
         "mats": mats,
         "trials": [_trial(laboratory, entry) for entry in entries],
@@ -136,11 +117,51 @@ def write_study(
         "interaction": interaction_section(),
         "prediction": prediction_section(),
     }
+    write_yaml(path, "A virtual subject in the exoskeleton stands up.", study)
+
+
+def write_yaml(path: Path, title: str, study: dict) -> None:
+    """Write a study file under a line of comment."""
     text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
-    path.write_text(
-        "# A virtual subject in the exoskeleton stands up.\n" + text,
-        encoding="utf-8",
-    )
+    path.write_text(f"# {title}\n{text}", encoding="utf-8")
+
+
+def recording_sections(
+    truth: Truth,
+    laboratory: Laboratory,
+    model: str | dict,
+    plates: Mapping[str, int],
+    cutoff_hz: float = 6.0,
+) -> dict:
+    """The sections from `subject` to `markers`, whatever is recorded.
+
+    Args:
+        truth: mass, height and gravity are taken from it.
+        laboratory: the equipment.
+        model: the section `model`.
+        plates: foot or chair -> number.
+        cutoff_hz: of the filter.
+    """
+    return {
+        "subject": {
+            "name": "virtual_subject",
+            "mass_kg": round(truth.human.mass_kg, 3),
+            "height_m": round(truth.human.height_m, 4),
+            "sex": "male",
+        },
+        "model": model,
+        "gravity_m_s2": truth.model.gravity_m_s2,
+        "filter": {"cutoff_hz": cutoff_hz, "order": 4},
+        "laboratory": _laboratory(laboratory),
+        "standing": {
+            **laboratory.motion_files("standing"),
+            "plates": dict(plates),
+            **laboratory.empty_files,
+            "start_s": 0.5,
+        },
+        "scaling": {"lengths": "markers", "trunk_com": "table"},
+        "markers": study_markers(),
+    }
 
 
 def _model(truth: Truth) -> str | dict:
@@ -155,10 +176,10 @@ def _model(truth: Truth) -> str | dict:
     return {"device": {"weld": dict(known.device.weld)}, "cuffs": cuffs}
 
 
-def laboratory_section(files: str, active: frozenset[str]) -> dict:
-    """The section `laboratory`."""
+def _laboratory(laboratory: Laboratory) -> dict:
     section: dict = {}
-    if files == "c3d":
+    active = laboratory.disturbances
+    if laboratory.files == "c3d":
         axes = {"forward": "x", "up": "z"}
         section |= {"marker_axes": axes, "force_axes": dict(axes)}
     if "gaps" in active:
@@ -171,12 +192,6 @@ def laboratory_section(files: str, active: frozenset[str]) -> dict:
             "estimate_pressure_delay": True,
         }
     return section
-
-
-def _empty_plates(laboratory: Laboratory) -> dict:
-    if "plate_drift" not in laboratory.disturbances:
-        return {}
-    return {"empty_plates": laboratory.motion_files(EMPTY)["forces"]}
 
 
 def _device(truth: Truth, found: tuple[float, ...]) -> dict:
@@ -198,7 +213,7 @@ def _trial(laboratory: Laboratory, entry: Entry) -> dict:
         "use": entry.use,
         **laboratory.motion_files(entry.name),
         "plates": dict(PLATES),
-        **_empty_plates(laboratory),
+        **laboratory.empty_files,
         "encoders": laboratory.device_file(entry.name, "encoders"),
         "pressure": [
             {"file": f"{entry.name}.asc", "mats": [mat.name for mat in mats]}
@@ -523,8 +538,7 @@ class Campaign:
         standing = simulate("standing", self.truth, plan, progress=progress)
         rng = self._rng(2)
         self.laboratory.record_motion(standing, rng, hidden=False)
-        if "plate_drift" in self.active:
-            self.laboratory.record_empty(EMPTY, rng)
+        self.laboratory.record_empty(rng)
         truth = self.folder / "truth"
         write_happened(truth, standing)
         about = {
@@ -674,5 +688,10 @@ def _window(
         gone = _SEEN_GONE_N
         end += rng.uniform(-_SEEN_END_S, _SEEN_END_S)
     start = after_chair(movement, force, gone)
-    frames = np.round(np.array([start, end]) * MARKER_RATE_HZ)
+    return to_frames(start, end)
+
+
+def to_frames(*times: float) -> tuple[float, ...]:
+    """The nearest times of marker frames [s]."""
+    frames = np.round(np.array(times) * MARKER_RATE_HZ)
     return tuple((frames / MARKER_RATE_HZ).tolist())
