@@ -391,7 +391,7 @@ def _follow(
     )
 
 
-def _needed(rigid: Model, motion: Motion) -> np.ndarray:
+def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
     """Vertical force (N,) that somebody must bear by Newton's law [N]."""
     Q = inverse_dynamics(
         rigid.tree, motion.q, motion.v, motion.a, motion.applied
@@ -402,7 +402,9 @@ def _needed(rigid: Model, motion: Motion) -> np.ndarray:
 def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     """Rises, by the chair's plate or else by what the feet leave over."""
     F_z = forces.total(feet)
-    on_chair = _needed(rigid, motion) - F_z if chair is None else chair.force_z
+    on_chair = (
+        needed_force(rigid, motion) - F_z if chair is None else chair.force_z
+    )
     weight = rigid.tree.weight
     return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
 
@@ -420,7 +422,7 @@ def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
     """Lag of the forces, from the rises (or from all loaded frames)."""
     time = motion.time
     feet, chair = forces.at(time), forces.chair_at(time)
-    needed, F_z = _needed(rigid, motion), forces.total(feet)
+    needed, F_z = needed_force(rigid, motion), forces.total(feet)
     reach = laboratory.largest_delay_s
     if chair is not None:  # together they bear the body all the time
         total = F_z + chair.force_z

@@ -164,17 +164,23 @@ def interaction_figure(
         if band is None or trial is None:
             continue
         for ax, cuff in zip(axes[:, column], found.cuffs, strict=True):
-            middle = trial.cuffs[cuff].normal
-            width = band.cuffs[cuff][:, NORMAL]
-            ax.fill_between(
-                trial.times,
-                middle - width,
-                middle + width,
-                color=_SEVERAL[0] if len(runs) > 1 else _ONE[0],
-                alpha=0.15,
-                lw=0.0,
-            )
+            color = _SEVERAL[0] if len(runs) > 1 else _ONE[0]
+            _draw_band(ax, trial, band, cuff, color)
     return figure
+
+
+def _draw_band(ax, trial: Trial, band: Bands, cuff: str, color: str) -> None:
+    """Where a cuff's normal force is with 95 %."""
+    middle = trial.cuffs[cuff].normal
+    width = band.cuffs[cuff][:, NORMAL]
+    ax.fill_between(
+        trial.times,
+        middle - width,
+        middle + width,
+        color=color,
+        alpha=0.15,
+        lw=0.0,
+    )
 
 
 def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
@@ -271,12 +277,9 @@ def _run_curves(trial: Trial, name: str, signals, color, count):
 def _finish(figure: Figure, axes) -> None:
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
-    entries = {}
-    for ax in axes.flat:
-        handles, labels = ax.get_legend_handles_labels()
-        entries |= dict(zip(labels, handles, strict=True))
     # "measured" first, whichever panel shows it.
-    entries = dict(sorted(entries.items(), key=lambda e: e[0] != "measured"))
+    entries = sorted(_entries(axes).items(), key=lambda e: e[0] != "measured")
+    entries = dict(entries)
     figure.align_ylabels()
     columns = min(len(entries), 4)
     legend = 0.1 + 0.22 * -(-len(entries) // columns)  # inches
@@ -296,6 +299,15 @@ def _finish(figure: Figure, axes) -> None:
         ncol=columns,
         frameon=False,
     )
+
+
+def _entries(axes) -> dict[str, object]:
+    """Label -> handle, for a legend of all panels together."""
+    found = {}
+    for ax in axes.flat:
+        handles, labels = ax.get_legend_handles_labels()
+        found |= dict(zip(labels, handles, strict=True))
+    return found
 
 
 def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
@@ -424,10 +436,7 @@ def forces_figure(designed) -> Figure:
             axes[0, column].set_title(before.trial.name, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
         # Not every trial has mats of every cuff.
-        shown: dict[str, object] = {}
-        for axis in axes.flat:
-            lines, labels = axis.get_legend_handles_labels()
-            shown |= dict(zip(labels, lines, strict=True))
+        shown = _entries(axes)
         figure.legend(
             shown.values(),
             shown,
@@ -603,16 +612,7 @@ def _draw(axis, cuff: str, before, after, built) -> None:
             force = trial.cuffs[cuff].normal
             axis.plot(trial.times, force, color=color, lw=1.4, label=label)
     if after.bands is not None and cuff in after.trial.cuffs:
-        width = after.bands.cuffs[cuff][:, NORMAL]
-        force = after.trial.cuffs[cuff].normal
-        axis.fill_between(
-            after.trial.times,
-            force - width,
-            force + width,
-            color=_AFTER,
-            alpha=0.15,
-            lw=0,
-        )
+        _draw_band(axis, after.trial, after.bands, cuff, _AFTER)
     if cuff in before.measured.cuffs:
         axis.plot(
             before.measured.times,
@@ -728,8 +728,6 @@ def measures(curves: ContactCurves) -> dict:
 
 def draw_normal_force(curves: ContactCurves):
     """Figure 8: normal force against indentation, zoom out of contact."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(5.2, 3.6), layout="constrained")
     axes = figure.subplots()
     x = np.linspace(-0.05, 0.02, 2801)
@@ -805,8 +803,6 @@ def _up(value: float) -> float:
 
 def draw_friction(curves: ContactCurves):
     """Figure 9: friction coefficient against v_rel = |slip|/v_t."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(5.2, 3.4), layout="constrained")
     axes = figure.subplots()
     ratio = np.linspace(0.0, 5.0, 1001)
@@ -880,8 +876,6 @@ def write_figures(folder: Path, curves: ContactCurves) -> list[Path]:
     Returns:
         The files written.
     """
-    import matplotlib
-
     files = []
     with matplotlib.rc_context(_STYLE):
         for name, draw in (
