@@ -21,6 +21,7 @@ from drake_exo.calibration.design_result import (
     works,
     worn_norm,
 )
+from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.settings import DesignSettings
 from drake_exo.calibration.uncertainty import Bands
@@ -251,9 +252,7 @@ class Designed:
             if v.is_strap:
                 cuff, _, what = v.name.partition(".")
                 strap = getattr(self.design.cuffs[cuff], what)
-                turns = v.unit.startswith("rad")
-                unit = "N m/rad" if turns else "N/m"
-                row |= {"strap": strap, "strap_unit": unit}
+                row |= {"strap": strap, "strap_unit": _strap_unit(v)}
             rows.append(row)
         for cuff in self.peaks:
             if self.settings.freedom(cuff).removable:
@@ -721,6 +720,10 @@ def _mean(values: Sequence[float]) -> float | None:
 
 def _measured_work(trial: Trial) -> float:
     return 0.0 if trial.moments is None else device_work(trial)
+
+
+def _strap_unit(v: Variable) -> str:
+    return "N m/rad" if v.unit.startswith("rad") else "N/m"
 
 
 def _told(row: dict) -> str:

@@ -173,7 +173,7 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
         total=lambda feet: F_z, at=lambda t: {}, chair_at=lambda t: None,
         source="f.mot",
     )  # fmt: skip
-    monkeypatch.setattr(processing, "_needed", lambda *_: 2.0 * F_z)
+    monkeypatch.setattr(processing, "needed_force", lambda *_: 2.0 * F_z)
     monkeypatch.setattr(processing, "_rises", lambda *_: [])
     monkeypatch.setattr(processing, "force_delay", lambda *said: said)
     lab = SimpleNamespace(largest_delay_s=0.2)
