@@ -605,25 +605,24 @@ def inverse_dynamics(
 
 
 def from_the_ground_up(
-    model: PlanarTree, q: np.ndarray, Q: np.ndarray, top: str = "pelvis"
+    model: PlanarTree, q: np.ndarray, Q: np.ndarray
 ) -> np.ndarray:
-    """Move the unexplained force from the foot to the topmost body.
+    """Move the unexplained force from the foot to the pelvis.
 
     Joint moments then follow from the ground reaction and the segments
     below each joint, as OpenSim computes them; the first three components
-    become zero, and what was there acts on `top` instead.
+    become zero, and what was there acts on the pelvis instead.
 
     Args:
         model: the dynamics.
         q: (N, nq) positions.
         Q: (N, nq) from `inverse_dynamics`.
-        top: body that takes the residual.
 
     Returns:
         (N, nq) with joint moments changed.
     """
     residual = PlanarWrench.of(model.ground_reaction(q, Q))
-    return Q - wrench_on_body(model, q, top, residual)
+    return Q - wrench_on_body(model, q, "pelvis", residual)
 
 
 def carried(

@@ -352,17 +352,9 @@ def _as_modelled(
     floor there.
     """
     ratio = mass / human.mass_kg
-
-    def heavier(segment: SegmentParameters) -> SegmentParameters:
-        return replace(
-            segment,
-            mass_kg=ratio * segment.mass_kg,
-            inertia_kg_m2=ratio * segment.inertia_kg_m2,
-        )
-
-    parts = {name: heavier(getattr(human, name)) for name in SEGMENTS}
+    parts = {name: getattr(human, name).heavier(ratio) for name in SEGMENTS}
     if human.toes is not None:
-        parts["toes"] = heavier(human.toes)
+        parts["toes"] = human.toes.heavier(ratio)
     height = _checked_height(model.ankle_height_m)
     feet = [model.index("foot", side) for side in model.sides]
     level = np.exp(-1j * poses.angles[:, feet].mean())

@@ -52,6 +52,14 @@ class SegmentParameters:
     inertia_kg_m2: float = quantity("kg m^2", above=0.0)
     length_m: float = quantity("m", above=0.0)
 
+    def heavier(self, ratio: float) -> "SegmentParameters":
+        """The same with so many times the mass and the inertia."""
+        return replace(
+            self,
+            mass_kg=ratio * self.mass_kg,
+            inertia_kg_m2=ratio * self.inertia_kg_m2,
+        )
+
 
 class _Chain:
     """What human and exoskeleton share."""

@@ -26,6 +26,7 @@ _STAGES = {
 }
 # Excess that counts, in the variables' typical sizes.
 SIGNIFICANT = 5e-3
+_TOLD = 8  # bounds that gave way
 
 
 def check(
@@ -254,7 +255,7 @@ class ElasticProgram:
         own = factor * self._weight * self._curvature * stretched
         return np.r_[self._problem.hessian(y, multipliers, factor), own]
 
-    def binding(self, y: np.ndarray, count: int = 8) -> list[Excess]:
+    def binding(self, y: np.ndarray) -> list[Excess]:
         """The bounds that gave way most, one for each signal."""
         excess = self.excess(y)
         index = np.r_[
@@ -264,7 +265,7 @@ class ElasticProgram:
         x = self._problem.expand(y)
         found: dict[str, Excess] = {}
         for k in np.argsort(-np.abs(excess)):
-            if abs(excess[k]) < SIGNIFICANT or len(found) == count:
+            if abs(excess[k]) < SIGNIFICANT or len(found) == _TOLD:
                 break
             i = int(index[k])
             program = self._problem.program

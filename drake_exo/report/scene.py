@@ -343,28 +343,6 @@ def write_png(path: Path, colours: np.ndarray) -> None:
     imsave(path, colours, metadata={"Software": None})
 
 
-def write_page(
-    path: Path,
-    model: Model,
-    q: Sequence[float] | None = None,
-    chair_height_m: float | None = None,
-) -> None:
-    """Write a page (static HTML) on which the posed model can be turned.
-
-    Args:
-        path: of the page, about 5 MB; needs no server and no network.
-        model: subject and device.
-        q: (nq,) positions; standing if None.
-        chair_height_m: as for `Scene`.
-    """
-    meshcat = Meshcat()
-    scene = Scene(model, meshcat=meshcat, chair_height_m=chair_height_m)
-    scene.set_pose(scene.upright_pose(STANDING_DEG) if q is None else q)
-    scene.diagram.ForcedPublish(scene.context)
-    set_stage(meshcat)
-    Path(path).write_text(meshcat.StaticHtml())
-
-
 def set_stage(meshcat: Meshcat, view: View = OBLIQUE) -> None:
     """Point the camera of a page; hide axes and grid."""
     for name in ("/Axes", "/Grid"):
