@@ -699,9 +699,7 @@ def calibrate_interaction(
 
 
 def find_clocks(
-    study: Study,
-    trials: Sequence[Trial],
-    contact: Calibration | ContactModel,
+    study: Study, trials: Sequence[Trial], contact: Calibration | ContactModel
 ) -> list[Clock]:
     """Lags of encoders and mats of trials, on cuffs that are calibrated.
 

@@ -458,9 +458,7 @@ def peak_rows(batch: Batch, rows: list[Row]) -> list[Row]:
 
 def _peaks(found: Trial, measured: Trial) -> tuple[dict, dict]:
     """Of signals that both have, by (name, unit)."""
-    signals = {
-        ("ground reaction", "N"): lambda t: t.ground.force_z,
-    }
+    signals = {("ground reaction", "N"): lambda t: t.ground.force_z}
     for cuff in found.cuffs:
         if cuff in measured.cuffs:
             signals[f"normal force {cuff}", "N"] = lambda t, cuff=cuff: (

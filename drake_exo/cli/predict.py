@@ -163,10 +163,7 @@ def write_predictions(
     write_inputs(out, study.model, trials)
     write_contact(out, contact)
     usual = uncalibrated(study.model, contact)
-    how = {
-        "scale_interaction": scale_interaction,
-        "controller": controller,
-    }
+    how = {"scale_interaction": scale_interaction, "controller": controller}
     found: list[Prediction] = []
     baseline: list[Prediction | None] = []
     checks, audits, stopped = list(checks), [], False

@@ -15,11 +15,7 @@ from drake_exo.calibration.uncertainty import (
 )
 from drake_exo.cli.calibrate import add_study_arguments, report_failure
 from drake_exo.errors import InputError
-from drake_exo.files.output import (
-    Progress,
-    prepare_output_folder,
-    write_json,
-)
+from drake_exo.files.output import Progress, prepare_output_folder, write_json
 from drake_exo.report.gathering import format_table
 from drake_exo.study import calibrate_foot_ground, read_study
 

@@ -330,9 +330,6 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     for name, (x, z) in model.cuffs.items():
         preload_x, preload_z = model.preload(name)
         bushings[name] = BushingParameters(
-            origin_x=x,
-            origin_z=z,
-            preload_x=preload_x,
-            preload_z=preload_z,
+            origin_x=x, origin_z=z, preload_x=preload_x, preload_z=preload_z
         )
     return ContactModel(GroundContact(law, spheres).checked(), bushings)

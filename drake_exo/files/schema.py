@@ -72,9 +72,7 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
         raise InputError(f"{name}: is not valid YAML text") from error
     if node is None:
         node = yaml.MappingNode(
-            "tag:yaml.org,2002:map",
-            [],
-            yaml.Mark(name, 0, 0, 0, None, None),
+            "tag:yaml.org,2002:map", [], yaml.Mark(name, 0, 0, 0, None, None)
         )
     return _Reader(name).read(node, cls, "", {})
 

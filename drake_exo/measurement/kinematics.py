@@ -231,9 +231,7 @@ def _joint_centres(standing, markers, frame, sides):
     return {
         side: {
             joint: _mean_point(
-                standing,
-                getattr(markers.joint_centres, joint).of(side),
-                frame,
+                standing, getattr(markers.joint_centres, joint).of(side), frame
             )
             for joint in _JOINTS
         }

@@ -17,10 +17,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData, PlateRecording
 from drake_exo.measurement.events import Contact, contacts
 from drake_exo.measurement.filters import fill_gaps
-from drake_exo.measurement.recording import (
-    plates_under,
-    read_markers,
-)
+from drake_exo.measurement.recording import plates_under, read_markers
 from drake_exo.measurement.sagittal import (
     COP_THRESHOLD_N,
     SagittalFrame,

@@ -393,8 +393,7 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
         heel_m=(human.heel_m[0], sphere_z),
         toe_m=(human.toe_m[0], sphere_z),
         foot=replace(
-            human.foot,
-            com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1]),
+            human.foot, com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1])
         ),
     )
 

@@ -493,10 +493,7 @@ def _segment(
 
 
 def _rewrite_link(
-    model: ET.Element,
-    name: str,
-    segment: SegmentParameters,
-    stretch: _Stretch,
+    model: ET.Element, name: str, segment: SegmentParameters, stretch: _Stretch
 ) -> None:
     link = _link(model, name)
     _set_inertial(_child(link, "inertial"), segment)

@@ -20,19 +20,14 @@ _INFLUENCE = 1e-9
 # Stiffness of the springs against costs of order one, softest first: each
 # solve starts from the last. A bound that is merely active gives way by its
 # multiplier over the stiffness. Limits are tried before given states.
-_STAGES = {
-    ("limit",): (1.0, 30.0, 1e3, 1e5),
-    ("state",): (30.0, 1e3, 1e5),
-}
+_STAGES = {("limit",): (1.0, 30.0, 1e3, 1e5), ("state",): (30.0, 1e3, 1e5)}
 # Excess that counts, in the variables' typical sizes.
 SIGNIFICANT = 5e-3
 _TOLD = 8  # bounds that gave way
 
 
 def check(
-    problem: SparseProgram,
-    guess: np.ndarray,
-    parameters: dict[str, int],
+    problem: SparseProgram, guess: np.ndarray, parameters: dict[str, int]
 ) -> None:
     """Check guess, bounds and the influence of parameters.
 

@@ -334,10 +334,7 @@ def linear_rows(prog):
         A (sparse), lower, upper, and the rows' names.
     """
     rows, columns, values, lower, upper, names = [], [], [], [], [], []
-    bindings = [
-        *prog.linear_constraints(),
-        *prog.linear_equality_constraints(),
-    ]
+    bindings = [*prog.linear_constraints(), *prog.linear_equality_constraints()]
     for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
         evaluator = binding.evaluator()
         A = sp.coo_array(evaluator.get_sparse_A())
@@ -465,8 +462,7 @@ class Unknowns:
         self.lower[: len(kept)] = self.x_lower[kept] / unit
         self.upper[: len(kept)] = self.x_upper[kept] / unit
         self.substituted = np.setdiff1d(
-            np.concatenate([s.variables for s in substitutions] or [[]]),
-            kept,
+            np.concatenate([s.variables for s in substitutions] or [[]]), kept
         ).astype(int)
 
     @property

@@ -117,10 +117,7 @@ def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
             ("CoP $x$ [m]", "cop_x"),
         ):
             rows.append(
-                (
-                    foot + name,
-                    lambda t, s=side, w=what: getattr(t.soles[s], w),
-                )
+                (foot + name, lambda t, s=side, w=what: getattr(t.soles[s], w))
             )
     return _drawn(runs, trials, rows)
 

@@ -126,10 +126,7 @@ class Scene:
             )
             look.UpdateProperty("phong", "diffuse", colour)
             self._scene_graph.AssignRole(
-                self.plant.get_source_id(),
-                geometry,
-                look,
-                RoleAssign.kReplace,
+                self.plant.get_source_id(), geometry, look, RoleAssign.kReplace
             )
 
     def set_pose(self, q: Sequence[float], time_s: float = 0.0) -> None:

@@ -36,11 +36,7 @@ from drake_exo.virtual_laboratory.instruments import (
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan
-from drake_exo.virtual_laboratory.simulation import (
-    PASSIVE,
-    RATE_HZ,
-    simulate,
-)
+from drake_exo.virtual_laboratory.simulation import PASSIVE, RATE_HZ, simulate
 from drake_exo.virtual_laboratory.truth import (
     DISTURBANCES,
     KINDS,
@@ -256,10 +252,7 @@ def foot_ground_section(legs: int = 1) -> dict:
 
 def interaction_section() -> dict:
     """Weights of the second phase."""
-    own = {
-        "exo_angle_deg": 0.1,
-        "exo_velocity_deg_s": 1.0,
-    }
+    own = {"exo_angle_deg": 0.1, "exo_velocity_deg_s": 1.0}
     return {"noise": {**_NOISE, **own, **_FORCE_NOISE}}
 
 
@@ -572,10 +565,7 @@ class Campaign:
             self.planner.rise(plan, seat),
             seat,
             _HELP if assisted else PASSIVE,
-            (
-                plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S,
-                _rise_end(plan),
-            ),
+            (plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S, _rise_end(plan)),
             progress,
             done,
         )

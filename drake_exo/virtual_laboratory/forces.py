@@ -350,10 +350,7 @@ _PASSES = 3
 
 
 def resting_foot(
-    tree: PlanarTree,
-    contact: GroundContact,
-    load: np.ndarray,
-    cop_m: float,
+    tree: PlanarTree, contact: GroundContact, load: np.ndarray, cop_m: float
 ) -> np.ndarray:
     """Foot coordinates x = 0, z, pitch (n, 3) under vertical loads (n,) [N].
 

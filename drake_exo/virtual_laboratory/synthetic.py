@@ -256,8 +256,7 @@ def _made(problem: PhaseProblem, mats) -> list[Trial]:
 
 
 def rises_on_spheres(
-    count: int = 3,
-    nodes_per_second: float = 100.0,
+    count: int = 3, nodes_per_second: float = 100.0
 ) -> tuple[Model, list[Trial]]:
     """The nominal adult alone, rising on the default settings' spheres.
 
@@ -418,10 +417,7 @@ def _on_ground(trial: Trial, model: Model) -> Trial:
 
 
 def noisy(
-    trial: Trial,
-    seed: int,
-    noise: TrackingNoise,
-    cutoff_hz: float = 6.0,
+    trial: Trial, seed: int, noise: TrackingNoise, cutoff_hz: float = 6.0
 ) -> Trial:
     """Add smooth measurement noise of the given standard deviations.
 
