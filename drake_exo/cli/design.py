@@ -127,11 +127,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _laboratory(path: Path) -> dict:
-    """Seed, disturbances and kind of the laboratory beside a study file.
-
-    Raises:
-        InputError: the study comes from no virtual laboratory.
-    """
+    """Seed, disturbances and kind of the laboratory beside a study file."""
     from drake_exo.virtual_laboratory.campaign import read_about
 
     return read_about(path.parent)

@@ -232,11 +232,7 @@ def write_predictions(
 
 
 def _changes(args: argparse.Namespace) -> dict:
-    """What options put in the place of the study's settings.
-
-    Raises:
-        InputError: an option is out of bounds.
-    """
+    """What options put in the place of the study's settings."""
     for name in ("scale_interaction", "torque_limit"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < float("inf"):

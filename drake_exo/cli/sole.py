@@ -175,9 +175,6 @@ def _out_or_source(args, name: str) -> OutputFolder:
     Args:
         args: With the arguments of `_add_source`.
         name: File among the results that earlier ones are known by.
-
-    Raises:
-        InputError: It holds earlier results and --force is not given.
     """
     if args.out is not None:
         return prepare_output_folder(args.out, args.force)

@@ -97,11 +97,7 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
 
 
 def _holds_soles(results: Path) -> bool:
-    """Whether the results under a folder are of soles, or of movements.
-
-    Raises:
-        InputError: they are of both, or a summary cannot be read.
-    """
+    """Whether the results under a folder are of soles, or of movements."""
     halves: dict[bool, Path] = {}
     for path in sorted(results.rglob("summary.json")):
         found = read_json(path, "run the command that wrote it again")

@@ -513,11 +513,7 @@ def _divided(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _ordered(path: str, joints: list[OsimJoint]) -> tuple[OsimJoint, ...]:
-    """Parents before children.
-
-    Raises:
-        InputError: a body hangs from two joints, or from nothing.
-    """
+    """Parents before children."""
     children = [joint.child for joint in joints]
     for child in children:
         if children.count(child) > 1:

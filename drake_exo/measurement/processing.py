@@ -323,11 +323,7 @@ def process(
 
 
 def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
-    """Markers of an OpenSim model that a file does without.
-
-    Raises:
-        InputError: the others do not hold every segment.
-    """
+    """Markers of an OpenSim model that a file does without."""
     absent = tuple(n for n in model.names if n not in recorded.names)
     loose = model.without(absent).loose()
     if loose is not None:
@@ -560,11 +556,7 @@ def _said_of(load: Load) -> str:
 
 
 def _both_feet(files: TrialFiles, feet: dict[str, PlanarWrench]):
-    """Sum of both feet's wrenches.
-
-    Raises:
-        InputError: they were not measured one by one, or one never stood.
-    """
+    """Sum of both feet's wrenches."""
     for side in SIDES:
         if side not in feet:
             raise InputError(
