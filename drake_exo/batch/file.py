@@ -254,9 +254,8 @@ def variant_name(changes: dict[str, Any]) -> str:
     text = ",".join(f"{key}={_value(v)}" for key, v in changes.items())
     if len(text) <= _LONGEST:
         return text
-    from hashlib import sha256
-
-    return text[:_LONGEST] + "~" + sha256(text.encode()).hexdigest()[:8]
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return f"{text[:_LONGEST]}~{digest[:8]}"
 
 
 def _value(value: Any) -> str:
@@ -407,17 +406,15 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
         known = STUDY_STEPS if entry in subjects else CASE_STEPS
         steps = [step for step in known if step in batch.steps]
         if entry.seed is not None:
-            _add(tasks, _laboratory(batch, entry))
+            task = _laboratory(batch, entry)
+            tasks[task.name] = task
         for changes in _variants(batch, entry in soles):
             for step in steps:
                 task = _task(batch, entry, changes, step, root)
                 keys = [tasks[name].key for name in task.needs.values()]
-                _add(tasks, _keyed(task, digests.get(entry, {}), keys))
+                task = _keyed(task, digests.get(entry, {}), keys)
+                tasks[task.name] = task
     return list(tasks.values())
-
-
-def _add(tasks: dict[str, Task], task: Task) -> None:
-    tasks[task.name] = task
 
 
 def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:

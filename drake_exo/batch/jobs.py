@@ -578,16 +578,13 @@ def second_process() -> Iterator[Callable[..., Beside]]:
 
 
 def _name(function: Callable) -> str:
-    return f"{_module(function)}:{function.__name__}"
-
-
-def _module(function: Callable) -> str:
-    """Under which a process imports it; a script goes by another name."""
-    if function.__module__ != "__main__":
-        return function.__module__
-    main = sys.modules["__main__"]
-    spec = getattr(main, "__spec__", None)
-    return Path(main.__file__).stem if spec is None else spec.name
+    """As a process imports it; a script goes by another name."""
+    module = function.__module__
+    if module == "__main__":
+        main = sys.modules[module]
+        spec = getattr(main, "__spec__", None)
+        module = Path(main.__file__).stem if spec is None else spec.name
+    return f"{module}:{function.__name__}"
 
 
 _CONNECT_SECONDS = 60.0  # a scheduler that starts again has that long

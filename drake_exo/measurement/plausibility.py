@@ -16,7 +16,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict
-from drake_exo.files.tables import runs
+from drake_exo.files.tables import between, runs
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import Recording, needed_force
 from drake_exo.measurement.settings import Standing, TrialFiles
@@ -94,9 +94,8 @@ class Evidence:
     @cached_property
     def inside(self) -> np.ndarray:
         """The used part of the recording (N,) bool."""
-        time, trial = self.recording.motion.time, self.trial
-        end = trial.start_s + trial.duration
-        return (time >= trial.start_s - 1e-9) & (time <= end + 1e-9)
+        start, duration = self.trial.start_s, self.trial.duration
+        return between(self.recording.motion.time, start, start + duration)
 
     @property
     def body(self) -> list[np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
-from drake_exo.files.tables import MarkerData
+from drake_exo.files.tables import MarkerData, between
 from drake_exo.measurement.events import (
     Contact,
     FootEvent,
@@ -486,7 +486,7 @@ def cut(
     """
     motion = recording.motion
     start, end, how = _bounds(files, recording)
-    inside = (motion.time >= start - 1e-9) & (motion.time <= end + 1e-9)
+    inside = between(motion.time, start, end)
     if inside.sum() < 2:
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s holds no part of "

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData
+from drake_exo.files.tables import MarkerData, between
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import (
     MarkerModel,
@@ -263,7 +263,7 @@ def _quiet_part(data: MarkerData, standing: Standing) -> MarkerData:
 def _inside(time: np.ndarray, standing: Standing) -> np.ndarray:
     start = -np.inf if standing.start_s is None else standing.start_s
     end = np.inf if standing.end_s is None else standing.end_s
-    return (time >= start - 1e-9) & (time <= end + 1e-9)
+    return between(time, start, end)
 
 
 def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:

@@ -10,10 +10,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import radians
-from pathlib import Path
 
 import numpy as np
-from matplotlib.image import imsave
 from pydrake.geometry import (
     Box,
     ClippingRange,
@@ -332,12 +330,6 @@ class View:
 
 
 OBLIQUE = View()
-
-
-def write_png(path: Path, colours: np.ndarray) -> None:
-    """Write colours (height, width, 3) as a PNG file."""
-    # Without the software's name.
-    imsave(path, colours, metadata={"Software": None})
 
 
 def set_stage(meshcat: Meshcat, view: View = OBLIQUE) -> None:
