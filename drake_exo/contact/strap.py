@@ -12,7 +12,6 @@ which adds a spring and a damper of its own. Each is linear in its coefficients.
 """
 
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
@@ -49,17 +48,11 @@ def gain_parts(today, angle, rate) -> tuple:
     return today, 1.0 + 0.0 * angle, -angle, -rate
 
 
-class _Linear(ABC):
-    """A torque that is linear in its coefficients."""
+class _Linear:
+    """A torque that is linear in its `coefficients` (k,).
 
-    @property
-    @abstractmethod
-    def coefficients(self) -> np.ndarray:
-        """(k,) that the torque is linear in."""
-
-    @abstractmethod
-    def parts(self, today, angle, rate, share) -> np.ndarray:
-        """Torque by each coefficient, (..., k); of what `torque` is of."""
+    `parts` gives the torque by each of them, (..., k), of what `torque` is of.
+    """
 
     def torque(self, today, angle, rate, share) -> np.ndarray:
         """Torque (...) [N m].

@@ -452,20 +452,16 @@ def coordinates(model: Model, markers: MarkerModel, poses: Poses) -> np.ndarray:
     """
     if model.assembly.human.sides:
         return _two_legs(model.rigid.tree, markers, poses)
-    return merge_legs(markers, poses)[0]
+    return merge_legs(markers, poses)
 
 
-def merge_legs(
-    model: MarkerModel, poses: Poses
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def merge_legs(model: MarkerModel, poses: Poses) -> np.ndarray:
     """Coordinates of a body of one leg, both averaged.
 
     Returns:
         q (N, 6): foot_x, foot_z (the ankle's centre) [m], foot_pitch, ankle,
-        knee, hip [rad], and toes where they are hinged; and each side's ankle
-        (N, 2) [m].
+        knee, hip [rad], and toes where they are hinged.
     """
-    ankles = ankle_paths(model, poses)
     angles = {
         s: np.mean(
             [poses.angles[:, model.index(s, side)] for side in model.sides],
@@ -476,11 +472,11 @@ def merge_legs(
     }
     pelvis = poses.angles[:, 0]
     foot, shank, thigh = (angles[s] for s in ("foot", "shank", "thigh"))
-    ankle = np.mean(list(ankles.values()), axis=0)
+    ankle = np.mean(list(ankle_paths(model, poses).values()), axis=0)
     columns = [foot, foot - shank, thigh - shank, thigh - pelvis]
     if "toes" in angles:
         columns.append(angles["toes"] - foot)
-    return np.column_stack([ankle, *columns]), ankles
+    return np.column_stack([ankle, *columns])
 
 
 # In space hips lie fore and aft of each other and legs are spread: one planar
