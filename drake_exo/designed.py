@@ -298,10 +298,7 @@ class Designed:
                 deflection = self._deflection(
                     cuff,
                     Design() if what == "before" else self.design,
-                    {
-                        name: [m.trial for m in own]
-                        for name, own in moved.items()
-                    },
+                    {n: [m.trial for m in own] for n, own in moved.items()},
                 )
                 peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
                 mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])

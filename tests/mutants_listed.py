@@ -663,7 +663,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("gone = _SEEN_GONE_N", "pass"),
         ("found[i] * friction.viscous[i]", "friction.viscous[i]"),
         ('"estimate_encoder_delay": True', '"estimate_encoder_delay": False'),
-        ('"start_s": entry.start_s', '"start_s": entry.end_s'),
+        ('"start_s": start_s', '"start_s": end_s'),
     ],
     "drake_exo/soles/load_blocks.py": [
         ("np.stack([x, -z, y], axis=1)", "np.stack([x, z, y], axis=1)"),

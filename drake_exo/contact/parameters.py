@@ -245,15 +245,11 @@ class ContactModel:
     def units(self) -> dict[str, str]:
         """Units of `values`."""
         found = {}
-        for names, kind in (
-            (self.ground.spheres, ContactSphere),
-            (self.bushings, BushingParameters),
-        ):
-            units = {f.name: f.metadata["unit"] for f in fields(kind)}
-            for name in (v for v in self.values() if v.split(".")[0] in names):
-                found[name] = units[name.split(".")[1]]
-                if not found[name]:
-                    found[name] = STIFFNESS_UNIT[self.ground.law]
+        for name in self.values():
+            group, _, key = name.partition(".")
+            part = self.ground.spheres.get(group) or self.bushings[group]
+            unit = part.__dataclass_fields__[key].metadata["unit"]
+            found[name] = unit or STIFFNESS_UNIT[self.ground.law]
         return found
 
     def fixed(self, group: str) -> list[ContactParameter]:

@@ -67,32 +67,12 @@ _NOISE = {
 _FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 0.3, "energy_j": 1.0}
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A movement that the study uses.
-
-    Attributes:
-        name: of the recording.
-        use: "calibration" or "prediction".
-        configuration: of the mats.
-        assisted: whether the device helped, and recorded its moments.
-        start_s, end_s: used part.
-    """
-
-    name: str
-    use: str
-    configuration: str
-    assisted: bool
-    start_s: float
-    end_s: float
-
-
 def write_study(
     path: Path,
     truth: Truth,
     laboratory: Laboratory,
     mats: dict[str, dict],
-    entries: list[Entry],
+    trials: list[dict],
 ) -> None:
     """Write the study file.
 
@@ -102,13 +82,13 @@ def write_study(
             friction, as far as a bench found it.
         laboratory: the equipment.
         mats: the section `mats`.
-        entries: movements in use.
+        trials: the section `trials`.
     """
     study = {
         **recording_sections(truth, laboratory, _model(truth), PLATES),
         "device": _device(truth, laboratory.faults.friction_share),
         "mats": mats,
-        "trials": [_trial(laboratory, entry) for entry in entries],
+        "trials": trials,
         "foot_ground": foot_ground_section(),
         "interaction": interaction_section(),
         "prediction": prediction_section(),
@@ -200,29 +180,6 @@ def _device(truth: Truth, found: tuple[float, ...]) -> dict:
             "coulomb_speed_rad_s": friction.speed,
         }
     return section
-
-
-def _trial(laboratory: Laboratory, entry: Entry) -> dict:
-    mats = mats_on(laboratory.tree.cuffs, entry.configuration)
-    trial = {
-        "name": entry.name,
-        "use": entry.use,
-        **laboratory.motion_files(entry.name),
-        "plates": dict(PLATES),
-        **laboratory.empty_files,
-        "encoders": laboratory.device_file(entry.name, "encoders"),
-        "pressure": [
-            {"file": f"{entry.name}.asc", "mats": [mat.name for mat in mats]}
-        ]
-        if mats
-        else [],
-        "start_s": entry.start_s,
-        "end_s": entry.end_s,
-    }
-    if entry.assisted:
-        moments = laboratory.device_file(entry.name, "moments")
-        trial["exo_moments"] = moments
-    return trial
 
 
 def foot_ground_section(legs: int = 1) -> dict:
@@ -324,6 +281,38 @@ class Repetition:
             self.trial,
             self.movement,
         ]
+
+
+def trial_section(
+    laboratory: Laboratory,
+    movement: Repetition,
+    start_s: float,
+    end_s: float,
+) -> dict:
+    """What the study says of a movement.
+
+    Args:
+        laboratory: that recorded it.
+        movement: in the assisting device it is predicted, and has moments.
+        start_s, end_s: used part.
+    """
+    mats = mats_on(laboratory.tree.cuffs, movement.configuration)
+    name, assisted = movement.name, movement.mode == "assisted"
+    pressure = {"file": f"{name}.asc", "mats": [mat.name for mat in mats]}
+    trial = {
+        "name": name,
+        "use": "prediction" if assisted else "calibration",
+        **laboratory.motion_files(name),
+        "plates": dict(PLATES),
+        **laboratory.empty_files,
+        "encoders": laboratory.device_file(name, "encoders"),
+        "pressure": [pressure] if mats else [],
+        "start_s": start_s,
+        "end_s": end_s,
+    }
+    if assisted:
+        trial["exo_moments"] = laboratory.device_file(name, "moments")
+    return trial
 
 
 def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
@@ -442,9 +431,9 @@ def read_about(folder: str | Path) -> dict:
         raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
-def _recorded(job, movements, processes, progress) -> list[Entry]:
+def _recorded(job, movements, processes, progress) -> list[dict]:
     """Record all movements; what the study is to say of those in use."""
-    entries: dict[str, Entry] = {}
+    entries: dict[str, dict] = {}
     if processes == 1:
         for done, movement in enumerate(movements):
             entries[movement.name] = job.record(movement, progress, done)
@@ -552,8 +541,8 @@ class Campaign:
         movement: Repetition,
         progress: Progress | None = None,
         done: int | None = None,
-    ) -> Entry:
-        """Simulate a movement and write its files."""
+    ) -> dict:
+        """Simulate a movement, write its files; what the study says of it."""
         plan = RisePlan()
         if "variation" in self.active:
             plan = vary(plan, self._rng(3, *movement.key))
@@ -573,14 +562,7 @@ class Campaign:
         rng = self._rng(6, *movement.key)
         noisy = self.laboratory.faults.noisy_windows
         start, end = _window(happened, plan, rng if noisy else None)
-        return Entry(
-            movement.name,
-            "prediction" if assisted else "calibration",
-            movement.configuration,
-            assisted,
-            start,
-            end,
-        )
+        return trial_section(self.laboratory, movement, start, end)
 
     def _measure(self, happened: Trial, movement: Repetition) -> None:
         rng = self._rng(4, *movement.key)
