@@ -159,6 +159,9 @@ class Study:
         self.filter = filter or Filter()
         self._trials = tuple(trials)
 
+    def __repr__(self) -> str:
+        return f"Study({self.name!r}, {_named(self._trials)})"
+
     def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
         """The trials; of a study file those of one use, or all of them.
 
@@ -282,6 +285,9 @@ class RecordedStudy(Study):
             self.sole.check_worn(file.assembly.human)
         self._loaded: dict[str, Trial] = {}
 
+    def __repr__(self) -> str:
+        return f"Study({self.name!r}, {_named(self.file.trials)})"
+
     @cached_property
     def recordings(self) -> Recordings:
         """What trials are cut from."""
@@ -393,6 +399,17 @@ class Calibration(_Solved):
     study: Study = field(repr=False)
     result: PhaseResult = field(repr=False)
 
+    def __repr__(self) -> str:
+        head = f"Calibration({self.phase!r}, {self.solution.status!r})"
+        if not self.success:
+            return head
+        width = max(len(p.name) for p in self.parameters)
+        rows = [
+            f"  {p.name:<{width}} {p.nominal:.4g} {p.unit}".rstrip()
+            for p in self.parameters
+        ]
+        return "\n".join([head, *rows])
+
     @property
     def contact(self) -> ContactModel:
         """The contact as far as it is known now.
@@ -487,12 +504,19 @@ class Calibration(_Solved):
         return Verdict((*checks, *own), tuple(accepted))
 
     def plot(self) -> Figure:
-        """Joint angles and velocities beside what was measured."""
+        """What was calibrated, beside what was measured.
+
+        Of Phase A the ground reaction, of Phase B the cuffs' normal forces;
+        `plot_trials` draws all there is.
+        """
         from drake_exo.report import figures
 
-        return figures.kinematics_figure(
-            {"model": self.trials}, self.result.problem.trials
+        draw = (
+            figures.ground_reaction_figure
+            if self.phase == "foot-ground"
+            else figures.interaction_figure
         )
+        return draw({"model": self.trials}, self.result.problem.trials)
 
     def summary(self, verdict: Verdict | None = None) -> dict:
         """What summary.json holds.
@@ -601,17 +625,29 @@ class Prediction(_Solved, Trial):
         return bands(self.result)
 
     def plot(self, measured: Trial | None = None) -> Figure:
-        """Joint angles and velocities, beside the measured ones."""
+        """Angles, velocities, forces of cuffs and ground beside the measured.
+
+        Cuffs' forces have their bands of 95 % where a calibration knows them.
+
+        Args:
+            measured: the trial to compare with; the one predicted by default.
+        """
         from drake_exo.report import figures
 
         beside = measured or self.result.problem.trials[0]
-        return figures.kinematics_figure({"predicted": [self]}, [beside])
+        return figures.overview_figure(self, beside, self.bands())
 
     def view(self, meshcat: Meshcat) -> None:
         """Show it as an animation with its ground reaction in meshcat."""
         from drake_exo.report.replay import show_trial
 
         show_trial(meshcat, self.result.problem.model, self)
+
+
+def _named(trials) -> str:
+    """How many, and which."""
+    count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
+    return f"{count}: {', '.join(t.name for t in trials)}"
 
 
 def calibrate_foot_ground(

@@ -501,10 +501,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "getattr(t.soles[s], w)",
             'getattr(t.soles[s], "force_z")',
         ),
-        (
-            '((Trial.coordinate, "°"), (Trial.velocity, "°/s"))',
-            '((Trial.coordinate, "°/s"), (Trial.velocity, "°"))',
-        ),
+        ('Trial.coordinate, "°")', 'Trial.velocity, "°")'),
+        ('Trial.velocity, "°/s")', 'Trial.velocity, "°")'),
         (
             "width = band.cuffs[cuff][:, NORMAL]",
             "width = band.cuffs[cuff][:, 0]",

@@ -213,6 +213,7 @@ class HermiteSimpson(Transcription):
                 f"{self.name} collocation",
                 AffineKernel(_constant_jacobian(some[0], step)),
                 some,
+                np.stack([binding.variables() for binding in some]),
                 zero,
                 zero,
             )

@@ -66,6 +66,13 @@ class PlanarWrench:
     force: np.ndarray
     moment: np.ndarray
 
+    def __repr__(self) -> str:
+        largest = np.abs(self.force).max(axis=0, initial=0.0)
+        return (
+            f"PlanarWrench({len(self.force)} samples, up to "
+            f"{largest[0]:.1f} N fore and aft, {largest[1]:.1f} N vertically)"
+        )
+
     @staticmethod
     def of(array: np.ndarray) -> "PlanarWrench":
         """From F_x, F_z, M_y (N, 3)."""

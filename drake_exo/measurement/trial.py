@@ -39,6 +39,13 @@ class CuffForce:
         tangential, normal, moment = components.T
         return CuffForce(normal, tangential, moment)
 
+    def __repr__(self) -> str:
+        largest = np.abs(self.normal).max(initial=0.0)
+        return (
+            f"CuffForce({len(self.normal)} samples, normal up to "
+            f"{largest:.1f} N)"
+        )
+
     @property
     def components(self) -> np.ndarray:
         """Tangential, normal, rotational (n, 3); NaN where not known."""
@@ -127,6 +134,15 @@ class Trial:
                     f"trial {self.name}: {name} has shape "
                     f"{array.shape}, not {wanted}"
                 )
+
+    def __repr__(self) -> str:
+        # Not the arrays: a notebook shows what its last line is.
+        cuffs = f"; cuffs {', '.join(self.cuffs)}" if self.cuffs else ""
+        return (
+            f"Trial({self.name!r}, {self.source}, {self.duration:.2f} s, "
+            f"{len(self.times)} samples; "
+            f"{', '.join(self.coordinates.names)}{cuffs})"
+        )
 
     def not_finite(self) -> str | None:
         """Name of an array that holds NaN or infinity; None if all is well."""

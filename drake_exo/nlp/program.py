@@ -208,13 +208,20 @@ class BatchedProgram:
             )
             for t in range(len(variables))
         ]
-        return self.register(name, kernel, bindings, lower, upper, data)
+        return self.register(
+            name, kernel, bindings, variables, lower, upper, data
+        )
 
     def register(
-        self, name, kernel, bindings, lower, upper, data=None
+        self, name, kernel, bindings, variables, lower, upper, data=None
     ) -> Batch:
-        """Tell that constraint bindings already in the program are a batch."""
-        variables = np.stack([b.variables() for b in bindings])
+        """Tell that constraint bindings already in the program are a batch.
+
+        Args:
+            bindings: n of them.
+            variables: (n, n_in) of each, in the kernel's order.
+            name, kernel, lower, upper, data: see `add_constraints`.
+        """
         batch = Batch(name, kernel, self.indices(variables), lower, upper, data)
         self.constraints.append(batch)
         self._cover(bindings)

@@ -108,8 +108,12 @@ def plot_trials(
 
 def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Forces and centre of pressure (Fig. 2)."""
+    return _drawn(runs, trials, _ground_rows(trials[0]))
+
+
+def _ground_rows(trial: Trial) -> list[tuple]:
     rows = []
-    for side in trials[0].soles:
+    for side in trial.soles:
         foot = "" if side == "both" else f"{side} "
         for name, what in (
             ("$F_x$ [N]", "force_x"),
@@ -119,23 +123,35 @@ def ground_reaction_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
             rows.append(
                 (foot + name, lambda t, s=side, w=what: getattr(t.soles[s], w))
             )
-    return _drawn(runs, trials, rows)
+    return rows
 
 
 def kinematics_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Joint angles and velocities of human and exoskeleton (Figs. 3, 6)."""
-    names = trials[0].coordinates
+    rows = _angle_rows(trials[0]) + _velocity_rows(trials[0])
+    return _drawn(runs, trials, rows, height=1.35)
+
+
+def _angle_rows(trial: Trial) -> list[tuple]:
+    return _joint_rows(trial, Trial.coordinate, "°")
+
+
+def _velocity_rows(trial: Trial) -> list[tuple]:
+    return _joint_rows(trial, Trial.velocity, "°/s")
+
+
+def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
+    names = trial.coordinates
     beside = {names.follows(name): name for name in names.device}
     rows = []
-    for read, unit in ((Trial.coordinate, "°"), (Trial.velocity, "°/s")):
-        for joint in names.human:
-            signals = [
-                lambda t, name=name, read=read: np.rad2deg(read(t, name))
-                for name in (joint, beside.get(joint))
-                if name
-            ]
-            rows.append((f"{joint} [{unit}]", *signals))
-    return _drawn(runs, trials, rows, height=1.35)
+    for joint in names.human:
+        signals = [
+            lambda t, name=name: np.rad2deg(read(t, name))
+            for name in (joint, beside.get(joint))
+            if name
+        ]
+        rows.append((f"{joint} [{unit}]", *signals))
+    return rows
 
 
 def interaction_figure(
@@ -149,21 +165,28 @@ def interaction_figure(
         bands: around those of the first run, if there are any.
     """
     found = next(t for run in runs.values() for t in run if t is not None)
-
-    def signal(cuff):
-        return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
-
-    rows = [(f"{cuff} [N]", signal(cuff)) for cuff in found.cuffs]
+    rows = _cuff_rows(found)
     figure = _drawn(runs, trials, rows)
     first = next(iter(runs.values()))
     axes = np.reshape(figure.axes, (len(rows), len(trials)))
+    color = _SEVERAL[0] if len(runs) > 1 else _ONE[0]
     for column, (trial, band) in enumerate(zip(first, bands, strict=False)):
-        if band is None or trial is None:
-            continue
-        for ax, cuff in zip(axes[:, column], found.cuffs, strict=True):
-            color = _SEVERAL[0] if len(runs) > 1 else _ONE[0]
-            _draw_band(ax, trial, band, cuff, color)
+        if band is not None and trial is not None:
+            _shade(axes[:, column], trial, band, color)
     return figure
+
+
+def _cuff_rows(found: Trial) -> list[tuple]:
+    def signal(cuff):
+        return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
+
+    return [(f"{cuff} [N]", signal(cuff)) for cuff in found.cuffs]
+
+
+def _shade(axes, trial: Trial, band: Bands, color) -> None:
+    """Bands of normal forces, one cuff after the other."""
+    for ax, cuff in zip(axes, trial.cuffs, strict=True):
+        _draw_band(ax, trial, band, cuff, color)
 
 
 def _draw_band(ax, trial: Trial, band: Bands, cuff: str, color: str) -> None:
@@ -178,6 +201,43 @@ def _draw_band(ax, trial: Trial, band: Bands, cuff: str, color: str) -> None:
         alpha=0.15,
         lw=0.0,
     )
+
+
+def overview_figure(
+    found: Trial, measured: Trial, band: Bands | None = None
+) -> Figure:
+    """One predicted trial beside the measured one.
+
+    Columns hold joint angles, their velocities, normal forces of the cuffs
+    (where there are any) and the ground reaction.
+
+    Args:
+        found: as predicted.
+        measured: the same trial.
+        band: around the cuffs' forces, if there is one.
+    """
+    cuffs = _cuff_rows(found)
+    columns = [_angle_rows(measured), _velocity_rows(measured)]
+    columns += [cuffs] if cuffs else []
+    columns.append(_ground_rows(measured))
+    count = max(map(len, columns))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(2.9 * len(columns), 1.6 * count + 0.6))
+        axes = figure.subplots(count, len(columns), sharex=True, squeeze=False)
+        for rows, column in zip(columns, axes.T, strict=True):
+            for ax in column[len(rows) :]:
+                ax.remove()
+            _fill(column, {"predicted": found}, measured, rows)
+            column[len(rows) - 1].set_xlabel("time [s]")
+            column[len(rows) - 1].tick_params(labelbottom=True)
+        if cuffs and band is not None:
+            _shade(axes[: len(cuffs), 2], found, band, _ONE[0])
+        top = 1.0 - _legend(figure) / figure.get_size_inches()[1]
+        figure.text(0.01, top, measured.name, va="bottom")
+        figure.align_ylabels()
+        figure.tight_layout(rect=(0, 0, 1, top))
+        figure.set_layout_engine(None)
+    return figure
 
 
 def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
@@ -217,34 +277,35 @@ def front_figure(rows: list[dict]) -> Figure:
 
 def _drawn(runs, trials, rows, height=1.9) -> Figure:
     """Panels of rows (label, signal[, the device's]) by trial."""
-    colors = _ONE if len(runs) == 1 else _SEVERAL
     with matplotlib.rc_context(STYLE):
         figure = Figure(
-            figsize=(max(3.0 * len(trials), 4.0), height * len(rows) + 0.6)
+            figsize=(max(3.0 * len(trials), 4.4), height * len(rows) + 0.6)
         )
         axes = figure.subplots(
             len(rows), len(trials), sharex="col", sharey="row", squeeze=False
         )
-        for column, trial in enumerate(trials):
-            axes[0, column].set_title(trial.name)
-            for row, (label, *signals) in enumerate(rows):
-                ax = axes[row, column]
-                curves = _measured_curves(trial, signals)
-                for k, (name, found) in enumerate(runs.items()):
-                    if found[column] is not None:
-                        curves += _run_curves(
-                            found[column],
-                            name,
-                            signals,
-                            colors[k % len(colors)],
-                            len(runs),
-                        )
-                for times, values, style in curves:
-                    ax.plot(times, values, **style)
-                if column == 0:
-                    ax.set_ylabel(label)
+        for k, trial in enumerate(trials):
+            axes[0, k].set_title(trial.name)
+            found = {name: run[k] for name, run in runs.items()}
+            _fill(axes[:, k], found, trial, rows)
+        for ax in axes[:, 1:].flat:
+            ax.set_ylabel("")
         _finish(figure, axes)
     return figure
+
+
+def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
+    """Panels of one trial: as measured, and as each run has it."""
+    colors = _ONE if len(found) == 1 else _SEVERAL
+    for ax, (label, *signals) in zip(axes, rows, strict=False):
+        curves = _measured_curves(trial, signals)
+        for k, (name, solved) in enumerate(found.items()):
+            if solved is not None:
+                color = colors[k % len(colors)]
+                curves += _run_curves(solved, name, signals, color, len(found))
+        for times, values, style in curves:
+            ax.plot(times, values, **style)
+        ax.set_ylabel(label)
 
 
 def _measured_curves(trial: Trial, signals):
@@ -274,13 +335,8 @@ def _run_curves(trial: Trial, name: str, signals, color, count):
 def _finish(figure: Figure, axes) -> None:
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
-    # "measured" first, whichever panel shows it.
-    entries = sorted(_entries(axes).items(), key=lambda e: e[0] != "measured")
-    entries = dict(entries)
     figure.align_ylabels()
-    columns = min(len(entries), 4)
-    legend = 0.1 + 0.22 * -(-len(entries) // columns)  # inches
-    top = 1.0 - legend / figure.get_size_inches()[1]
+    top = 1.0 - _legend(figure) / figure.get_size_inches()[1]
     # Labels hang out of outer panels alone: looking at all takes seconds.
     inner = list(axes[1:-1, 1:].flat)
     for ax in inner:
@@ -289,6 +345,15 @@ def _finish(figure: Figure, axes) -> None:
     for ax in inner:
         ax.set_visible(True)
     figure.set_layout_engine(None)  # saving would lay it out once more
+
+
+def _legend(figure: Figure) -> float:
+    """One legend for all panels, above them; its height [inches]."""
+    # "measured" first, whichever panel shows it.
+    entries = sorted(_entries(figure).items(), key=lambda e: e[0] != "measured")
+    entries = dict(entries)
+    # The longest entry is 2 inches wide.
+    columns = min(len(entries), 4, int(figure.get_size_inches()[0] / 2.0))
     figure.legend(
         entries.values(),
         entries.keys(),
@@ -296,12 +361,13 @@ def _finish(figure: Figure, axes) -> None:
         ncol=columns,
         frameon=False,
     )
+    return 0.1 + 0.22 * -(-len(entries) // columns)
 
 
-def _entries(axes) -> dict[str, object]:
+def _entries(figure: Figure) -> dict[str, object]:
     """Label -> handle, for a legend of all panels together."""
     found = {}
-    for ax in axes.flat:
+    for ax in figure.axes:
         handles, labels = ax.get_legend_handles_labels()
         found |= dict(zip(labels, handles, strict=True))
     return found
@@ -433,7 +499,7 @@ def forces_figure(designed) -> Figure:
             axes[0, column].set_title(before.trial.name, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
         # Not every trial has mats of every cuff.
-        shown = _entries(axes)
+        shown = _entries(figure)
         figure.legend(
             shown.values(),
             shown,

@@ -52,6 +52,11 @@ def test_a_study_needs_no_file(study, made):
     assert study.prediction == dx.PredictionSettings()
 
 
+def test_a_study_shows_its_trials(study):
+    assert repr(study).startswith(f"Study({study.name!r}, ")
+    assert repr(study).endswith(", ".join(t.name for t in study.trials()) + ")")
+
+
 def test_foot_and_ground_are_calibrated(study):
     found = dx.calibrate_foot_ground(study)
     assert found.success and found.phase == "foot-ground"
@@ -71,6 +76,13 @@ def test_cuffs_are_calibrated(cuffs, made):
     assert stiffness.lower < stiffness.nominal < stiffness.upper
     with pytest.raises(dx.InputError, match=r"known are shank\.origin_x"):
         cuffs.parameter("pelvis.stiffness")
+    head, *rows = repr(cuffs).splitlines()
+    assert head == "Calibration('interaction', 'solved')"
+    assert len(rows) == len(cuffs.parameters)
+    value = f"{stiffness.nominal:.4g}"
+    assert ["pelvis.normal_stiffness", value, "N/m"] in map(str.split, rows)
+    labels = [ax.get_ylabel() for ax in cuffs.plot().axes]
+    assert labels == ["shank [N]", "thigh [N]", "pelvis [N]"]
     told = {row["name"]: row for row in cuffs.summary()["parameters"]}
     assert told["pelvis.normal_stiffness"]["half_width_95"] > 0.0
 
@@ -110,7 +122,8 @@ def test_a_prediction_is_scored_audited_and_drawn(found, study):
     checked = found.audit()
     assert checked.trial == "rise1"
     assert checked.simulated_interaction_n < 1.0
-    assert len(found.plot().axes) == 6
+    # Angles, velocities, cuffs and ground reaction, three of each.
+    assert len(found.plot().axes) == 12
     assert set(dx.plot_trials([found], study.trials())) == {
         *("ground_reaction", "kinematics", "interaction", "moments"),
     }

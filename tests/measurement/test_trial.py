@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measured_trials import seen
 
 from drake_exo.errors import InputError
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -232,3 +233,17 @@ def test_a_chair_acts_on_pelvis_and_thighs(trial, whole):
 def test_shapes_are_checked(trial, changes, words):
     with pytest.raises(ValueError, match=f"trial rise1: .*{words}"):
         replace(trial, **changes)
+
+
+def test_a_notebook_shows_a_line_not_the_arrays():
+    trial = seen("rise", 2.0, ("thigh", "pelvis"))
+    shown = repr(trial)
+    assert shown.startswith("Trial('rise', measured, 2.00 s, 201 samples; foot")
+    assert shown.endswith("exo_hip; cuffs thigh, pelvis)")
+    assert repr(trial.cuff("thigh")) == (
+        "CuffForce(201 samples, normal up to 40.0 N)"
+    )
+    assert repr(trial.ground) == (
+        "PlanarWrench(201 samples, up to 20.0 N fore and aft, "
+        "750.0 N vertically)"
+    )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
-from measured_trials import JOINTS, prediction, seen
+from measured_trials import CUFFS, JOINTS, prediction, seen
 from replayed_results import CONTACT, solution
 from replayed_results import MODEL as COUPLED
 
@@ -398,3 +398,37 @@ def test_a_legend_leaves_room_for_the_titles(trials, found):
         titles = [ax.title.get_window_extent(drawn) for ax in figure.axes]
         assert max(t.y1 for t in titles) < legend.y0
         assert all(ax.get_visible() for ax in figure.axes)
+
+
+def test_one_trial_at_a_glance(trials, found):
+    measured, predicted = trials[1], found[1]
+    figure = figures.overview_figure(predicted, measured, band_of(predicted, 4))
+    axes = {ax.get_ylabel(): ax for ax in figure.axes}
+    units = [f"{joint} [{u}]" for u in ("°", "°/s") for joint in JOINTS[:3]]
+    ground = ["$F_x$ [N]", "$F_z$ [N]", "CoP $x$ [m]"]
+    assert set(axes) == {*units, *(f"{cuff} [N]" for cuff in CUFFS), *ground}
+    drawn = lines(axes["thigh [N]"])
+    same(drawn["measured"], measured.times, measured.cuff("thigh").normal)
+    same(drawn["predicted"], predicted.times, predicted.cuff("thigh").normal)
+    for cuff, force in predicted.cuffs.items():
+        (area,) = axes[f"{cuff} [N]"].collections
+        y = area.get_paths()[0].vertices[:, 1]
+        around = [force.normal.min() - 4.0, force.normal.max() + 4.0]
+        np.testing.assert_allclose([y.min(), y.max()], around)
+    assert "measured" not in lines(axes["shank [N]"])
+    assert [t.get_text() for t in figure.texts] == [measured.name]
+
+
+def test_legends_stay_inside_narrow_figures(trials, found):
+    for figure in (
+        figures.kinematics_figure({"predicted": found[:1]}, trials[:1]),
+        figures.overview_figure(found[0], trials[0]),
+    ):
+        FigureCanvasAgg(figure).draw()
+        (legend,) = figure.legends
+        box = legend.get_window_extent()
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.width
+        assert box.y1 <= figure.bbox.height
+        top = max(ax.get_tightbbox().y1 for ax in figure.axes)
+        assert box.y0 >= top
