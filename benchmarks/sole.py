@@ -112,7 +112,7 @@ def gradient(load):
             return shape_gradients(s, v, load, START, h, f)
 
         def strain(s=sole, h=history):
-            return StrainNorm(s, h, np.ones(len(h.K_c))).derivatives().terms
+            return StrainNorm(s, h, np.ones(len(h.K_c))).derivatives()
 
         _, one = timed(lambda t=terms: back([t]))
         _, two = timed(lambda t=terms, o=other: back([t, o]))

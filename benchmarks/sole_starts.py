@@ -21,7 +21,7 @@ import numpy as np
 
 from drake_exo.batch.jobs import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
-from drake_exo.soles.optimize.search import from_start, optimise
+from drake_exo.soles.optimize.search import optimise, race
 from drake_exo.soles.settings import Setup
 
 STARTS = 3
@@ -44,16 +44,11 @@ def best_of_three(root, number, coarse, iterations):
         iterations: of the last stage; None: as it says.
     """
     setup = setup_of(root, coarse).with_iterations(iterations)
-    first = 1 + STARTS * number
-    runs = [
-        from_start(setup, start, None, None, str)
-        for start in range(first, first + STARTS)
-    ]
-    best = min(runs, key=lambda run: run.optimum.rank)
-    design = optimise(setup, None, str, best.at)
+    at = race(setup, None, str, first=1 + STARTS * number)[-1].at
+    design = optimise(setup, None, str, at)
     told = design.summary()
     return {
-        "first_stage": [run.optimum.cost for run in runs],
+        "first_stage": [row["cost"] for row in at.starts],
         "c_over_brick": told["c"] / told["c_initial"],
         "failed_steps": told["failed_steps"],
         "finer_change": (design.check_finer() or {}).get("change"),

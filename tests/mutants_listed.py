@@ -747,7 +747,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("low - 0.3183 * self.step", "low"),
     ],
     "drake_exo/soles/walking_pattern.py": [
-        ("low - offset, high - offset, y", "low + offset, high - offset, y"),
+        ("low, high = low - rows @ p0", "low, high = low + rows @ p0"),
         ("x + s * d", "x + 2 * s * d"),
         (
             "share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))",

@@ -63,7 +63,7 @@ class Samples:
         corners = np.array(
             [[i * x / 2, j * y / 2, -z] for i in (-1, 1) for j in (-1, 1)]
         )
-        lowest = self.origin[:, 2, None] + (corners @ self.rotation[:, 2].T).T
+        lowest = self.origin[:, 2, None] + self.rotation[:, 2] @ corners.T
         return float(max(-lowest.min(), 1e-6))
 
 
@@ -260,18 +260,17 @@ class Reduction:
     def law(self) -> "SoleLaw":
         """What law.yaml says: spheres in the sole's frame."""
         spheres = {}
-        for k, (E, place, half) in enumerate(
-            zip(self.stiffness, self.place, self.interval, strict=True)
-        ):
-            where = zip(("x_m", "y_m", "z_m"), place, half[1:], strict=True)
-            at = {}
-            for name, value, width in where:
-                at |= {name: float(value), f"{name}_95": float(width)}
+        for k, (E, (x, y, z), half) in enumerate(
+            zip(self.stiffness, self.place.tolist(), self.interval.tolist(),
+                strict=True)
+        ):  # fmt: skip
             spheres[f"sphere{k + 1}"] = SoleSphere(
-                float(E), float(np.exp(half[0])), **at
-            )
+                float(E), float(np.exp(half[0])),
+                x_m=x, x_m_95=half[1], y_m=y, y_m_95=half[2],
+                z_m=z, z_m_95=half[3],
+            )  # fmt: skip
         return SoleLaw(
-            tuple(float(x) for x in self.samples.size),
+            tuple(self.samples.size.tolist()),
             spheres,
             self.constants,
             self.planar,
@@ -283,27 +282,18 @@ class Reduction:
 def forces(samples: Samples, stiffness, place, constants):
     """Upward force of every sphere at every pose at rest, and its place.
 
-    Args:
-        samples: the poses.
-        stiffness, place, constants: as in `Reduction`.
+    Stiffness, place and constants are those of `Reduction`.
 
     Returns:
         Forces [N] (N, S), centres in the world [m] (N, S, 3).
     """
-    centre = samples.origin[:, None] + place @ np.swapaxes(
-        samples.rotation, 1, 2
-    )
-    zero = np.zeros(centre.shape[:2])
+    turned = place @ np.swapaxes(samples.rotation, 1, 2)
+    centre = samples.origin[:, None] + turned
+    depth, rest = CONTACT_RADIUS_M - centre[..., 2], np.zeros(centre.shape[:2])
     normal, _ = sphere_force(
-        "simbody",
-        CONTACT_RADIUS_M - centre[..., 2],
-        zero,
-        zero,
-        stiffness,
-        0.0,
-        CONTACT_RADIUS_M,
+        "simbody", depth, rest, rest, stiffness, 0.0, CONTACT_RADIUS_M,
         constants,
-    )
+    )  # fmt: skip
     return normal, centre
 
 
@@ -356,37 +346,47 @@ def reduce_sole(
             [(total - samples.force) / (_FORCE * largest), off.ravel() / _COP_M]
         )
 
-    low = np.tile([np.log(_LOWER_N_M2), -6.0, -6.0, -20.0], (spheres, 1))
-    high = np.tile([np.log(_UPPER_N_M2), 6.0, 6.0, 20.0], (spheres, 1))
-    low = np.r_[np.log(0.003), low[:, columns].ravel()]
-    high = np.r_[np.log(1.0), high[:, columns].ravel()]
-    best = None
-    for guess in _guesses(spheres, columns, samples.depth):
-        found = least_squares(
+    def bound(share, *row):
+        return np.r_[np.log(share), np.tile(np.array(row)[columns], spheres)]
+
+    low = bound(0.003, np.log(_LOWER_N_M2), -6.0, -6.0, -20.0)
+    high = bound(1.0, np.log(_UPPER_N_M2), 6.0, 6.0, 20.0)
+    fits = [
+        least_squares(
             residuals,
             np.clip(guess, low + 1e-6, high - 1e-6),
             bounds=(low, high),
             x_scale="jac",
             max_nfev=300,
         )
-        if best is None or found.cost < best.cost:
-            best = found
-    return _reduction(samples, planar, best, unpacked(best.x), columns, scale)
+        for guess in _guesses(spheres, columns, samples.depth)
+    ]
+    best = min(fits, key=lambda found: found.cost)
+    found = unpacked(best.x)
+    half = np.zeros((spheres, 4))
+    half[:, columns] = _deviations(best)[1:].reshape(spheres, -1)
+    told = _combined(*forces(samples, *found))
+    return Reduction(samples, planar, *found, _SD * half * scale, *told)
+
+
+def _deviations(best) -> np.ndarray:
+    """Gauss–Newton's, the residuals' own scatter as the noise."""
+    information = best.jac.T @ best.jac
+    spare = max(len(best.fun) - len(best.x), 1)
+    covariance = np.linalg.pinv(information) * 2 * best.cost / spare
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def _in_plane(samples: Samples) -> Samples:
     """Without roll, yaw and what lies sideways."""
     pitch = np.arcsin(np.clip(samples.rotation[:, 0, 2], -1, 1))
-    c, s, R = np.cos(pitch), np.sin(pitch), np.zeros_like(samples.rotation)
-    R[:, 0, 0], R[:, 0, 2], R[:, 1, 1] = c, s, 1.0
-    R[:, 2, 0], R[:, 2, 2] = -s, c
-    forward = np.array([1.0, 0.0, 1.0])
-    return Samples(
-        samples.origin * forward,
-        R,
-        samples.force,
-        samples.cop * forward[:2],
-        samples.size,
+    c, s, zero, one = np.cos(pitch), np.sin(pitch), 0 * pitch, 0 * pitch + 1
+    turn = np.array([[c, zero, s], [zero, one, zero], [-s, zero, c]])
+    return replace(
+        samples,
+        origin=samples.origin * [1.0, 0.0, 1.0],
+        rotation=np.moveaxis(turn, 2, 0),
+        cop=samples.cop * [1.0, 0.0],
     )
 
 
@@ -401,23 +401,3 @@ def _guesses(spheres: int, columns, depth: float):
         full[:, 1:3] += 0.7 * rng.standard_normal((spheres, 2))
         share = np.log(min(depth / _USUAL_DEPTH_M, 0.9))
         yield np.r_[share, full[:, columns].ravel()]
-
-
-def _reduction(samples, planar, best, found, columns, scale) -> Reduction:
-    stiffness, place, constants = found
-    spare = max(len(best.fun) - len(best.x), 1)
-    # Gauss–Newton's covariance, the residuals' own scatter as the noise.
-    information = best.jac.T @ best.jac
-    covariance = np.linalg.pinv(information) * 2 * best.cost / spare
-    half = np.zeros((len(stiffness), 4))
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))[1:]
-    half[:, columns] = sd.reshape(len(stiffness), -1)
-    return Reduction(
-        samples,
-        planar,
-        stiffness,
-        place,
-        constants,
-        _SD * half * scale,
-        *_combined(*forces(samples, *found)),
-    )

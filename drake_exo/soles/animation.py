@@ -106,6 +106,7 @@ class SoleMotion:
         times: np.ndarray,
         history,
         ground: Ground = FLAT,
+        mark: str = "",
     ) -> SoleMotion | None:
         """The converged samples of a `StepHistory`; None if there are none."""
         good = history.converged
@@ -113,10 +114,12 @@ class SoleMotion:
             return None
         parts = (times, history.O, history.R, history.P, history.F)
         times, *rest = (part[good] for part in parts)
-        return SoleMotion(title, "", times, mesh, *rest, ground=ground)
+        return SoleMotion(title, "", times, mesh, *rest, mark, ground)
 
     @staticmethod
-    def read(path: Path, title: str, group: str = "") -> SoleMotion | None:
+    def read(
+        path: Path, title: str, group: str = "", mark: str = ""
+    ) -> SoleMotion | None:
         """The same of what `simulation.write_history` wrote.
 
         Raises:
@@ -133,19 +136,18 @@ class SoleMotion:
         nodes, tets, touching = (
             data[name] for name in ("nodes_L", "tets", "contact_nodes")
         )
-        numbers = (times, nodes, *rest)
-        if not all((np.abs(x) < _LARGEST).all() for x in numbers):
+        if not all((np.abs(x) < _LARGEST).all() for x in (times, nodes, *rest)):
             raise InputError(f"{path}: holds gaps; {_AGAIN}")
-        if not (tets.size and tets.min() >= 0 and tets.max() < len(nodes)):
+        is_sound = tets.size and tets.min() >= 0 and tets.max() < len(nodes)
+        if is_sound:
+            bare = TetMesh(nodes, tets, np.array([], int))
+            surface = np.unique(bare.boundary_faces)
+            fixed = np.setdiff1d(surface, touching)
+            is_sound = len(fixed) + len(touching) == len(surface)
+        if not is_sound:
             raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
-        bare = TetMesh(nodes, tets, np.array([], int))
-        surface = np.unique(bare.boundary_faces)
-        fixed = np.setdiff1d(surface, touching)
-        if len(fixed) + len(touching) != len(surface):
-            raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
-        mesh = TetMesh(bare.nodes, bare.tets, fixed)
-        ground = Ground.of_arrays(data)
-        return SoleMotion(title, group, times, mesh, *rest, ground=ground)
+        mesh, ground = replace(bare, fixed=fixed), Ground.of_arrays(data)
+        return SoleMotion(title, group, times, mesh, *rest, mark, ground)
 
     @property
     def surface(self) -> np.ndarray:
@@ -195,11 +197,11 @@ class SoleMotion:
 def write_animation(
     path: Path, motions: Sequence[SoleMotion], title: str
 ) -> None:
-    """Write a page that plays motions of one or several soles.
+    """Write a page that plays motions of soles, the first one at first.
 
     Args:
         path: HTML file; 1 MB and at most 1.5 MB for each motion.
-        motions: the first one is played at first.
+        motions: of one or several soles.
         title: of the page.
     """
     motions = [motion.thinned(_MAX_FRAMES) for motion in motions]
@@ -209,11 +211,9 @@ def write_animation(
     box = _Box.of(motions)
     scene = list(_stage(box, motions[0].ground))
     clips = []
-    for number, (motion, pressure) in enumerate(
-        zip(motions, pressures, strict=True)
-    ):
-        scene.append(_undeformed(number, motion))
-        clips.append(_clip(number, motion, pressure / top, box))
+    for k, (motion, p) in enumerate(zip(motions, pressures, strict=True)):
+        scene.append(_undeformed(k, motion))
+        clips.append(_clip(k, motion, p / top, box))
     viewer = files("meshcat").joinpath("viewer", "dist", "main.min.js")
     stage = _PAGE.format(
         title=html.escape(title),
@@ -265,20 +265,15 @@ def _page(title: str, top: float, box: _Box) -> Page:
         '</div><p class="player-quiet">An arrow of 0.1 m is 500 N; grid: '
         "0.05 m. In front: the underside, as in a mirror.</p>"
     )
+    force = Arrow(
+        "ground", "ground reaction at the ZMP", "#c8102e", _METRES_PER_NEWTON,
+        label="ground", radius_m=0.0025,
+    )  # fmt: skip
     return Page(
         title,
         tuple(target + np.array([-0.30, -0.95, 0.62])),
         tuple(target),
-        arrows=(
-            Arrow(
-                "ground",
-                "ground reaction at the ZMP",
-                "#c8102e",
-                _METRES_PER_NEWTON,
-                label="ground",
-                radius_m=0.0025,
-            ),
-        ),
+        arrows=(force,),
         switches={
             "force": ("/arrows",),
             "ZMP": ("/zmp",),
@@ -296,31 +291,28 @@ def _clip(number: int, motion: SoleMotion, values, box: _Box) -> Clip:
     zmp = motion.zero_moment_point()
     turn = np.roll(Rotation.from_matrix(motion.rotation).as_quat(), 1, axis=1)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(zmp), 1))
-    span = motion.times[-1] - motion.times[0]
+    times = motion.times - motion.times[0]
+    bodies = {
+        "/zmp": np.column_stack([zmp, upright]),
+        f"/undeformed/{number}": np.column_stack([motion.origin, turn]),
+    }
+    mirrored = {f"/underside/{number}": box.mirror}
+    sole = Surface(motion.faces, motion.surface_places(), values, mirrored)
     return Clip(
         motion.title,
         motion.group or "Step",
-        motion.times - motion.times[0],
-        {
-            "/zmp": np.column_stack([zmp, upright]),
-            f"/undeformed/{number}": np.column_stack([motion.origin, turn]),
-        },
+        times,
+        bodies,
         {"ground": np.column_stack([zmp, motion.force.sum(axis=1)])},
-        {
-            f"/sole/{number}": Surface(
-                motion.faces,
-                motion.surface_places(),
-                values,
-                {f"/underside/{number}": box.mirror},
-            )
-        },
-        note=f"{span:.2f} s of contact",
+        {f"/sole/{number}": sole},
+        note=f"{times[-1]:.2f} s of contact",
         mark=motion.mark,
     )
 
 
 def _undeformed(number: int, motion: SoleMotion):
     """The shape at rest, translucent, in the sole's frame."""
+    nodes = motion.mesh.nodes[motion.surface]
     look = geometry.MeshLambertMaterial(
         color=0x3A6EA5,
         opacity=0.2,
@@ -332,13 +324,8 @@ def _undeformed(number: int, motion: SoleMotion):
         polygonOffsetFactor=4,
         polygonOffsetUnits=40,
     )
-    return _mesh(
-        f"undeformed/{number}",
-        geometry.TriangularMeshGeometry(
-            motion.mesh.nodes[motion.surface], motion.faces
-        ),
-        look,
-    )
+    shape = geometry.TriangularMeshGeometry(nodes, motion.faces)
+    return _mesh(f"undeformed/{number}", shape, look)
 
 
 def _mesh(path: str, shape, look, kind=geometry.Mesh):
@@ -358,48 +345,39 @@ def _stage(box: _Box, ground: Ground) -> Iterator:
     coarse = [
         np.arange(a, b + 1e-9, _GRID_M) for a, b in zip(low, high, strict=True)
     ]
-    every = round(_GRID_M / _FINE_M)
-    fine = coarse if ground.is_flat else [
-        np.linspace(v[0], v[-1], every * (len(v) - 1) + 1) for v in coarse
-    ]  # fmt: skip
+    every, fine = round(_GRID_M / _FINE_M), coarse
+    if not ground.is_flat:
+        fine = [
+            np.linspace(v[0], v[-1], every * (len(v) - 1) + 1) for v in coarse
+        ]
 
     def lying(x, y, under: float) -> np.ndarray:
-        places = np.column_stack([x, y])
-        return np.column_stack([places, ground.height(places) - under])
+        x, y = (v.ravel() for v in np.broadcast_arrays(x, y))
+        height = ground.height(np.column_stack([x, y])) - under
+        return np.column_stack([x, y, height])
 
     x, y = np.meshgrid(*fine, indexing="ij")
     corner = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = (
-        part.ravel()
-        for part in (corner[:-1, :-1], corner[1:, :-1],
-                     corner[1:, 1:], corner[:-1, 1:])
-    )  # fmt: skip
+    a, b = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel()
+    c, d = corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     yield _mesh(
         "ground/slab",
-        geometry.TriangularMeshGeometry(
-            lying(x.ravel(), y.ravel(), 8e-4),
-            np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]),
-        ),
+        geometry.TriangularMeshGeometry(lying(x, y, 8e-4), faces),
         geometry.MeshLambertMaterial(color=0xDCDDE0, side=2),
     )
     along = [np.repeat(v, 2)[1:-1] for v in fine]
-    lines = [lying(np.full(len(along[1]), x), along[1], 6e-4)
-             for x in coarse[0]] + [
-        lying(along[0], np.full(len(along[0]), y), 6e-4) for y in coarse[1]
-    ]  # fmt: skip
-    points = np.concatenate(lines)
+    lines = [lying(x, along[1], 6e-4) for x in coarse[0]]
+    lines += [lying(along[0], y, 6e-4) for y in coarse[1]]
     yield _mesh(
         "ground/grid",
-        geometry.PointsGeometry(points.T.astype(np.float32)),
+        geometry.PointsGeometry(np.concatenate(lines).T.astype(np.float32)),
         geometry.LineBasicMaterial(color=0xB4B7BD),
         geometry.LineSegments,
     )
+    look = {"color": 0xC8102E, "depthTest": False, "transparent": True}
     yield _mesh(
-        "zmp/ball",
-        geometry.Sphere(0.005),
-        geometry.MeshBasicMaterial(
-            color=0xC8102E, depthTest=False, transparent=True
-        ),
+        "zmp/ball", geometry.Sphere(0.005), geometry.MeshBasicMaterial(**look)
     )
     for name in ("Grid", "Axes"):
         yield commands.SetProperty("visible", False, ScenePath((name,)))
@@ -419,23 +397,17 @@ def replay_soles(folder: Path, path: Path) -> None:
         InputError: there is no sole that converged, or a file is damaged.
     """
     motions = []
-    for history in sorted(Path(folder).rglob(HISTORY)):
-        name, mark = _told(history.parent)
-        first = history.with_name(FIRST_HISTORY)
-        titles = {history: name}
+    for file in sorted(Path(folder).rglob(HISTORY)):
+        name, mark = _told(file.parent)
+        first = file.with_name(FIRST_HISTORY)
         if first.is_file():
-            titles = {
-                history: f"{name}: optimised",
-                first: f"{name}: initial shape",
-            }
-        motions += [
-            (
-                SoleMotion.read(file, title, name),
-                mark if file == history else "",
-            )
-            for file, title in titles.items()
-        ]
-    shown = [replace(m, mark=mark) for m, mark in motions if m is not None]
+            motions += [
+                SoleMotion.read(file, f"{name}: optimised", name, mark),
+                SoleMotion.read(first, f"{name}: initial shape", name),
+            ]
+        else:
+            motions.append(SoleMotion.read(file, name, name, mark))
+    shown = [motion for motion in motions if motion is not None]
     if not shown:
         raise InputError(
             f"{folder}: holds no {HISTORY} of a sole that converged; give the "
@@ -447,9 +419,7 @@ def replay_soles(folder: Path, path: Path) -> None:
 
 def _told(folder: Path) -> tuple[str, str]:
     """Name of the case in a folder, and the mark of its result."""
-    summary = read_json(
-        folder / "summary.json", "run the command that wrote it again"
-    )
+    summary = read_json(folder / "summary.json", _AGAIN)
     if not isinstance(summary, dict):
         return folder.name, ""
     name = summary.get("name")

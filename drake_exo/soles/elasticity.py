@@ -33,7 +33,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import bsr_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
-from drake_exo.soles.mesh import TetMesh
+from drake_exo.soles.mesh import EDGES, TetMesh
 from drake_exo.soles.numerics import njit
 
 _FEW = 48  # nodes of a leaf
@@ -46,8 +46,7 @@ class Front:
 
     Attributes:
         own: Nodes, (k,).
-        border: Nodes of later fronts that own ones or their descendants
-            touch, (b,), in the order of elimination.
+        border: Later nodes that they or their descendants touch, sorted, (b,).
         children: Numbers of the fronts whose borders end here.
     """
 
@@ -203,26 +202,21 @@ def fronts_of(
 def _dissect(graph, places, nodes, parts) -> list[int]:
     """Add the parts of some nodes, separators after what they separate.
 
-    Returns:
-        Numbers of the parts whose borders may lie beyond these nodes.
+    Numbers of the parts whose borders may lie beyond these nodes.
     """
     if len(nodes) == 0:
         return []
-    halves = None
+    below, own = [], nodes
     if len(nodes) > _FEW:
-        halves = min(
-            (_halves(graph, places, nodes, axis) for axis in range(3)),
-            key=_cost,
-        )
-    if halves is None or min(len(halves[0]), len(halves[1])) == 0:
-        parts.append((nodes, []))
-        return [len(parts) - 1]
-    low, high, separator = halves
-    below = _dissect(graph, places, low, parts)
-    below += _dissect(graph, places, high, parts)
-    if len(separator) == 0:
-        return below
-    parts.append((separator, below))
+        cuts = [_halves(graph, places, nodes, axis) for axis in range(3)]
+        low, high, separator = min(cuts, key=_cost)
+        if min(len(low), len(high)) > 0:
+            below = _dissect(graph, places, low, parts)
+            below += _dissect(graph, places, high, parts)
+            own = separator
+            if len(own) == 0:
+                return below
+    parts.append((own, below))
     return [len(parts) - 1]
 
 
@@ -248,9 +242,7 @@ Element = Literal["linear", "smoothed"]
 
 def edges_of(mesh: TetMesh) -> np.ndarray:
     """Numbers of the edges of every element, (e, 6)."""
-    i, j = np.triu_indices(4, 1)
-    pairs = np.stack([mesh.tets[:, i], mesh.tets[:, j]], axis=-1)
-    pairs = np.sort(pairs, axis=-1).reshape(-1, 2)
+    pairs = np.sort(mesh.tets[:, EDGES], axis=-1).reshape(-1, 2)
     code = pairs[:, 0] * len(mesh.nodes) + pairs[:, 1]
     _, owner = np.unique(code, return_inverse=True)
     return owner.reshape(-1, 6)
@@ -290,21 +282,17 @@ class Material:
     density_kg_per_m3: float
 
     def __post_init__(self):
-        if not self.youngs_modulus_pa > 0:
-            raise InputError(
-                f"material {self.name}: youngs_modulus_pa "
-                f"{self.youngs_modulus_pa} must be above 0"
-            )
+        for key in ("youngs_modulus_pa", "density_kg_per_m3"):
+            if not getattr(self, key) > 0:
+                raise InputError(
+                    f"material {self.name}: {key} {getattr(self, key)} must be "
+                    "above 0"
+                )
         if not -1.0 < self.poissons_ratio < 0.5:
             raise InputError(
                 f"material {self.name}: poissons_ratio {self.poissons_ratio} "
                 "must lie between -1 and 0.5 (0.5 is incompressible; use "
                 "0.49 with element smoothed)"
-            )
-        if not self.density_kg_per_m3 > 0:
-            raise InputError(
-                f"material {self.name}: density_kg_per_m3 "
-                f"{self.density_kg_per_m3} must be above 0"
             )
 
     @property
@@ -413,14 +401,8 @@ def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
 def average_gradients(elements, tets, g, volumes, number, slot, nodes, G):
     """Σ v g of a group's shape functions [m²], into G by row of nodes.
 
-    Args:
-        elements: Of the group.
-        tets, g, volumes, number: See `groups_of`.
-        slot: -1 everywhere; gets each node's row, to be reset by the caller.
-        nodes, G: Get the nodes' numbers in the matrix, and the gradients.
-
-    Returns:
-        How many rows, the volume Σ v.
+    `slot` is -1 everywhere and gets each node's row, to be reset by the
+    caller; `nodes` gets the nodes' numbers. How many rows, the volume Σ v.
     """
     count, V = 0, 0.0
     for e in elements:
@@ -514,13 +496,9 @@ class Sole:
         return SparseCholesky(K, self.pattern.fronts)
 
     def carry(self, forces: np.ndarray) -> np.ndarray:
-        """Free displacements under contact forces: N f = K_ff⁻¹ E f.
+        """Free displacements N f = K_ff⁻¹ E f, (3 n_f, k), of contact forces.
 
-        Args:
-            forces: At the contact dofs, sole frame [N], (3m, k).
-
-        Returns:
-            (3 n_f, k).
+        These are in the sole frame [N], (3m, k).
         """
         return self._factor.carry(forces)
 
@@ -540,13 +518,9 @@ class Sole:
         return float(1.0 / np.median(np.diag(self.compliance)[2::3]))
 
     def displacement(self, f_L: np.ndarray) -> np.ndarray:
-        """Displacement of every node under contact forces (sole frame).
+        """Displacement of every node [m], (..., n, 3), under contact forces.
 
-        Args:
-            f_L: Forces at the contact nodes, sole frame [N], (..., m, 3).
-
-        Returns:
-            Displacements [m], sole frame, (..., n, 3).
+        These are in the sole frame [N], (..., m, 3).
         """
         lead = f_L.shape[:-2]
         f_L = f_L.reshape(-1, len(self.mesh.contact), 3)
@@ -631,13 +605,9 @@ def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
 
 
 def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fields w and factors λ with Σ λ wᵀ K w = Σ vᵀ K u for any K.
+    """Fields w (d, 2k), factors λ: Σ λ wᵀ K w = Σ vᵀ K u for any K.
 
-    Args:
-        v, u: Columns are fields, (d, k) each.
-
-    Returns:
-        (d, 2k), (2k,).
+    Columns of v and u, (d, k) each, are fields.
     """
     sizes = [np.linalg.norm(x, axis=0) for x in (u, v)]
     there = (sizes[0] > 0) & (sizes[1] > 0)
@@ -647,11 +617,9 @@ def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def energy_gradients(sole: Sole, fields: list) -> np.ndarray:
-    """Derivatives of −Σ λ wᵀ K w by the node positions, fields held, (f, n, 3).
+    """By the node positions: −Σ λ wᵀ K w, fields held, (f, n, 3).
 
-    Args:
-        sole: The sole.
-        fields: Pairs of free displacements w (3 n_f, k) and factors λ (k,).
+    Fields are pairs of free displacements w (3 n_f, k) and factors λ (k,).
     """
     pattern = sole.pattern
     indptr, indices = pattern.graph.indptr, pattern.graph.indices

@@ -26,9 +26,8 @@ increment adds Rᵀ(−dzO + hat(P − Z) dω) to du. Eliminating all but the po
 from the Newton matrix of a converged state gives K_c.
 """
 
-import csv
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -53,12 +52,13 @@ from drake_exo.soles.contact.newton import (
     Target,
     capped,
     line_search,
+    newton,
 )
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import exp_rotation, hat, tilt_deg
-from drake_exo.soles.results import principal_strains
+from drake_exo.soles.results import write_csv
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.simulation import (
     StepHistory,
@@ -70,14 +70,6 @@ from drake_exo.soles.simulation import (
     simulate,
     stability,
 )
-
-
-def energy(F: np.ndarray, material: Material) -> np.ndarray:
-    """W [J/m³] of deformation gradients (..., 3, 3); J must be positive."""
-    log_J = np.log(np.linalg.det(F))
-    I1 = (F * F).sum(axis=(-2, -1))
-    shear, lam = material.shear_modulus, material.lame_lambda
-    return 0.5 * shear * (I1 - 3 - 2 * log_J) + 0.5 * lam * log_J**2
 
 
 def first_stress(F: np.ndarray, material: Material) -> np.ndarray:
@@ -203,11 +195,9 @@ class FiniteStrainSolver:
     """Newton for one neo-Hookean sole and one contact law.
 
     Args:
-        body: The sole.
-        law: The contact law.
+        body, law, ground: The sole, its contact and what it stands on.
         tolerance: On the largest unbalanced nodal force over |F_des|.
         max_iterations: Newton steps before giving up.
-        ground: What it stands on.
     """
 
     def __init__(
@@ -237,29 +227,37 @@ class FiniteStrainSolver:
         state = replace(state)
         state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
-        point = self._evaluate(self._tau(state, target), state, target, scale)
-        history = []
-        message = f"no convergence in {self.max_iterations} Newton steps"
-        for iteration in range(self.max_iterations + 1):
-            history.append(point.merit)
-            if point.merit <= self.tolerance:
-                return point.state, Convergence(
-                    True, iteration, point.merit, "", history
-                )
+
+        def improved(point):
             if not np.isfinite(point.merit):
-                message = "inverted elements at the start"
-                break
-            if iteration == self.max_iterations:
-                break
+                raise np.linalg.LinAlgError("inverted elements at the start")
+            R, Z, old = point.state.R, target.point, point.state
+            # That planes turn with the foot, too, Newton's steps do without.
+            turn = target.turn(self.ground, R, self.rest)
             try:
-                step = self._linearise(point, target).newton_step(target.asked)
+                lin = _Linearisation(self, point, turn and turn.places)
+                du, zeta, dp = lin.newton_step(target.asked)
             except (np.linalg.LinAlgError, RuntimeError):
-                message = "singular Newton matrix"
-                break
-            point = self._line_search(point, step, target, scale)
-        return point.state, Convergence(
-            False, len(history) - 1, history[-1], message, history
-        )
+                raise np.linalg.LinAlgError("singular Newton matrix") from None
+            d_tau = self.law.penalty * zeta @ R.T
+
+            def trial(size):
+                turn = exp_rotation(size * dp[3:])
+                u = old.u.copy()
+                u[self.body.free] += size * du
+                O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
+                guess = FiniteState(old.F, u, O, turn @ R)
+                tau = point.tau + size * d_tau
+                return self._evaluate(tau, guess, target, scale)
+
+            step = capped(dp, _MAX_TURN, _MAX_SHIFT)
+            return line_search(point, trial, step, _HALVINGS)
+
+        point, report = newton(
+            self._evaluate(self._tau(state, target), state, target, scale),
+            improved, self.tolerance, self.max_iterations,
+        )  # fmt: skip
+        return point.state, report
 
     def cartesian_stiffness(
         self, state: FiniteState, target: Target
@@ -268,7 +266,7 @@ class FiniteStrainSolver:
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
-        return self._linearise(point, frozen).wrench_response()
+        return _Linearisation(self, point, None).wrench_response()
 
     def _planes(self, target, R):
         """What the contact nodes meet, see `Ground.planes`."""
@@ -302,28 +300,6 @@ class FiniteStrainSolver:
             )
         state = FiniteState(F, u, O, R)
         return _Point(state, tau, axes, arm, balance, wrench, merit / scale)
-
-    def _linearise(self, point, target) -> "_Linearisation":
-        # That planes turn with the foot, too, Newton's steps do without.
-        turn = target.turn(self.ground, point.state.R, self.rest)
-        return _Linearisation(self, point, turn and turn.places)
-
-    def _line_search(self, point, step, target, scale):
-        du, zeta, dp = step
-        Z, old = target.point, point.state
-        d_tau = self.law.penalty * zeta @ old.R.T
-
-        def trial(size):
-            turn = exp_rotation(size * dp[3:])
-            u = old.u.copy()
-            u[self.body.free] += size * du
-            O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
-            guess = FiniteState(old.F, u, O, turn @ old.R)
-            tau = point.tau + size * d_tau
-            return self._evaluate(tau, guess, target, scale)
-
-        step = capped(dp, _MAX_TURN, _MAX_SHIFT)
-        return line_search(point, trial, step, _HALVINGS)
 
 
 @dataclass
@@ -378,12 +354,8 @@ class _Linearisation:
         rhs[s._rows, 3:] -= turned.reshape(3 * m, 3)
         return self._lu.solve(-rhs)
 
-    def _split(self, x):
-        """Node ζ (m, 3, c) of solutions x (3 n_f, c)."""
-        return x[self.solver._rows].reshape(len(self.solver.nodes), 3, -1)
-
     def _wrench_change(self, x, with_pose: bool) -> np.ndarray:
-        zeta = self._split(x)
+        zeta = x[self.solver._rows].reshape(-1, 3, x.shape[1])
         F, arm = self.point.state.F, self.point.arm
         dF = self.solver.law.penalty * self.R @ (self.D @ zeta)
         dP = self.R @ (self.D @ zeta - zeta)
@@ -437,10 +409,17 @@ class FiniteHistory:
             that found an equilibrium, (N,); 1 where converged.
     """
 
-    states: list[FiniteState | None] = field(default_factory=list)
-    K_c: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
-    reports: list[Convergence] = field(default_factory=list)
-    reached: list[float] = field(default_factory=list)
+    states: list[FiniteState | None]
+    K_c: np.ndarray
+    reports: list[Convergence]
+    reached: list[float]
+
+    @classmethod
+    def of_none(cls, count: int) -> "FiniteHistory":
+        """Of samples none of which has been followed."""
+        out = Convergence(False, 0, np.inf, "left out after a failure")
+        K_c = np.full((count, 6, 6), np.nan)
+        return cls([None] * count, K_c, [out] * count, [0.0] * count)
 
     @property
     def converged(self) -> np.ndarray:
@@ -476,38 +455,26 @@ def follow(
     body = NeoHookeanBody(sole.mesh, sole.material)
     solver = FiniteStrainSolver(body, law, ground=ground)
     count = len(load.times)
-    history = FiniteHistory(K_c=np.full((count, 6, 6), np.nan))
+    history = FiniteHistory.of_none(count)
     for q in range(count):
         if q in load.begins:
             target = load.target(q, start, ground)
-            largest = load.largest_force
-            if q:
-                entry = None
             state, report, reached = _enter(
-                sole, solver, target, largest, entry
+                sole, solver, target, load.largest_force, None if q else entry
             )
         else:
             reference = solver.places(state)
             target = load.target(q, reference, ground)
             before = load.target(q - 1, reference, ground)
             state, report, reached = lead(solver, state, before, target)
-        history.states.append(state)
-        history.reports.append(report)
-        history.reached.append(reached)
+        history.states[q], history.reports[q] = state, report
+        history.reached[q] = reached
         if not report.converged:
-            _leave_out(history, count - q - 1)
             break
         history.K_c[q] = solver.cartesian_stiffness(state, target)
         if progress is not None:
             progress(q + 1, count)
     return history
-
-
-def _leave_out(history: FiniteHistory, count: int) -> None:
-    rest = Convergence(False, 0, np.inf, "left out after a failure")
-    history.states += [None] * count
-    history.reports += [rest] * count
-    history.reached += [0.0] * count
 
 
 def _enter(sole, solver, target: Target, largest: float, known: State | None):
@@ -585,7 +552,7 @@ def compare_strains(
     by_tr, _ = sample_weights(load, cost.heel_strike_fraction)
     strike = load.at(np.flatnonzero(by_tr))
     count = len(strike.times)
-    law = ContactLaw(setup.settings.contact.friction, sole.penalty)
+    law = setup.law(sole)
     small = simulate(
         ContactSolver.of(sole, law, ground=setup.ground),
         strike,
@@ -602,8 +569,8 @@ def compare_strains(
     return {
         "heel_strike_samples": count,
         "converged_samples": int(finite.converged.sum()),
-        "c_tr_small": _sum(small.K_c),
-        "c_tr_finite": _sum(finite.K_c),
+        "c_tr_small": float(sigma_max_translation(small.K_c).sum()),
+        "c_tr_finite": float(sigma_max_translation(finite.K_c).sum()),
         "samples": [
             _sample(sole, small, finite, q)
             for q in np.unique([0, count // 2, count - 1])
@@ -632,50 +599,36 @@ def _failures(finite: FiniteHistory) -> list[dict]:
     ]
 
 
-def _sum(K_c: np.ndarray) -> float:
-    return float(sigma_max_translation(K_c).sum())
-
-
 def _sample(
     sole: Sole, small: StepHistory, finite: FiniteHistory, q: int
 ) -> dict:
+    """Figures of one sample by both, NaN where there is no equilibrium."""
     row = {
         "sample": int(q + 1),
         "converged": bool(finite.reports[q].converged),
         "reached": float(finite.reached[q]),
     }
-    numbers = {
-        "small": _stiffnesses(small.K_c[q]),
-        "finite": _stiffnesses(finite.K_c[q]),
-    }
+    shapes = {"small": 3 * [np.nan], "finite": 3 * [np.nan]}
     if small.reports[q].converged:
-        numbers["small"] += _small_shape(sole, small, q)
+        R = small.R[q]
+        eps = np.linalg.eigvalsh(sole.strain(sole.displacement(small.F[q] @ R)))
+        shapes["small"] = [tilt_deg(R), 1 + eps.max(), 1 + eps.min()]
     if finite.reports[q].converged:
         state = finite.states[q]
         body = NeoHookeanBody(sole.mesh, sole.material)
-        numbers["finite"] += [tilt_deg(state.R), *body.stretches(state.u)]
-    for kind in _KINDS:
-        values = numbers[kind] + [np.nan] * (len(_FIGURES) - len(numbers[kind]))
+        shapes["finite"] = [tilt_deg(state.R), *body.stretches(state.u)]
+    for kind, K_c in zip(_KINDS, (small.K_c[q], finite.K_c[q]), strict=True):
+        values = (
+            sigma_max_translation(K_c),
+            sigma_min_rotation(K_c),
+            stability(K_c),
+            *shapes[kind],
+        )
         row |= {
             f"{name}_{kind}": float(value)
             for name, value in zip(_FIGURES, values, strict=True)
         }
     return row
-
-
-def _stiffnesses(K_c: np.ndarray) -> list[float]:
-    return [
-        sigma_max_translation(K_c),
-        sigma_min_rotation(K_c),
-        stability(K_c),
-    ]
-
-
-def _small_shape(sole: Sole, history: StepHistory, q: int) -> list[float]:
-    """Tilt, and one plus the largest and the least principal strain."""
-    u = sole.displacement(history.F[q] @ history.R[q])
-    eps = principal_strains(sole.strain(u))
-    return [tilt_deg(history.R[q]), 1 + eps.max(), 1 + eps.min()]
 
 
 def table(found: dict[str, dict]) -> str:
@@ -695,57 +648,46 @@ def table(found: dict[str, dict]) -> str:
     )
     lines = [head, under, "-" * len(head)]
     for name, sole in found.items():
-        for row in sole["samples"]:
-            lines.append(_line(name, row))
-        lines += _remarks(sole)
-        lines.append("")
+        lines += [_line(name, row) for row in sole["samples"]]
+        lines += [*(f"{'':11s} {said}" for said in _remarks(sole)), ""]
     return "\n".join(lines).rstrip()
 
 
 def _line(name: str, row: dict) -> str:
-    def pair(key, text):
-        return " ".join(text.format(row[f"{key}_{k}"]) for k in _KINDS)
-
-    return " ".join(
-        [
-            f"{name:11s} {row['sample']:6d}",
-            pair("sigma_max_tr_n_per_m", "{:10.3g}"),
-            pair("sigma_min_rot_nm_per_rad", "{:10.3g}"),
-            pair("tilt_deg", "{:6.1f}"),
-            pair("largest_stretch", "{:7.3f}"),
-            pair("least_stretch", "{:7.3f}"),
-        ]
-    )
+    forms = ("10.3g", "10.3g", "6.1f", "7.3f", "7.3f")
+    figures = [figure for figure in _FIGURES if figure != "stability_n_per_m"]
+    numbers = [
+        f"{row[f'{figure}_{kind}']:{form}}"
+        for figure, form in zip(figures, forms, strict=True)
+        for kind in _KINDS
+    ]
+    return " ".join([f"{name:11s} {row['sample']:6d}", *numbers])
 
 
 def _remarks(sole: dict) -> list[str]:
-    lines = [
-        f"{'':11s} c_tr {sole['c_tr_small']:.3g} in small, "
-        f"{sole['c_tr_finite']:.3g} in finite strain"
+    rows = sole["samples"]
+    said = [
+        f"c_tr {sole['c_tr_small']:.3g} in small, {sole['c_tr_finite']:.3g} in "
+        "finite strain"
     ]
     if sole["failures"]:
         first = sole["failures"][0]
-        lines = [
-            f"{'':11s} finite strain: {sole['converged_samples']} of "
+        said = [
+            f"finite strain: {sole['converged_samples']} of "
             f"{sole['heel_strike_samples']} samples have an equilibrium; "
             f"sample {first['sample']}: {first['message']}"
         ]
     loose = [
-        str(row["sample"])
-        for row in sole["samples"]
-        if row["stability_n_per_m_finite"] <= 0
+        str(r["sample"]) for r in rows if r["stability_n_per_m_finite"] <= 0
     ]
     if loose:
-        lines.append(
-            f"{'':11s} finite strain: not stable at sample {', '.join(loose)}"
+        said.append(f"finite strain: not stable at sample {', '.join(loose)}")
+    if any(r["least_stretch_small"] <= 0 for r in rows):
+        said.append(
+            "small strain turns elements inside out (least stretch below 0): "
+            "its figures do not hold here"
         )
-    turned_over = any(r["least_stretch_small"] <= 0 for r in sole["samples"])
-    if turned_over:
-        lines.append(
-            f"{'':11s} small strain turns elements inside out (least "
-            "stretch below 0): its figures do not hold here"
-        )
-    return lines
+    return said
 
 
 def write_table(folder: Path, found: dict[str, dict], mark: str = "") -> str:
@@ -753,19 +695,11 @@ def write_table(folder: Path, found: dict[str, dict], mark: str = "") -> str:
     text = table(found)
     write_text(folder / "finite_strain.txt", text, mark)
     rows = [
-        {"sole": name, **row}
+        {"sole": name} | row
         for name, sole in found.items()
         for row in sole["samples"]
     ]
-    path = folder / TABLE
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(
-            {
-                key: f"{v:.10g}" if isinstance(v, float) else v
-                for key, v in row.items()
-            }
-            for row in rows
-        )
+    write_csv(
+        folder / TABLE, {key: [row[key] for row in rows] for key in rows[0]}
+    )
     return text

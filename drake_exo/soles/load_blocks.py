@@ -6,7 +6,7 @@ Every block gives a `Load` of the files that it names, relative to a folder.
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -64,8 +64,7 @@ class ForcePlate:
     """One plate of an OpenSim `.mot` file (x forward, y up, z right).
 
     Attributes:
-        file: Relative to the case's folder, with columns `<prefix>_vx`,
-            `_px`, `_my` and so on.
+        file: With columns `<prefix>_vx`, `_px`, `_my` and so on.
         prefix: Such as "ground_force_2".
         start_s, end_s: Window.
         origin_m, yaw_rad: Of the sole's frame in the laboratory.
@@ -96,8 +95,7 @@ class ForcePlate:
         keep = _loaded(
             F[:, 2], self.least_force_n,
             f"{path}: {prefix} carries less than {self.least_force_n:g} N "
-            f"from {self.start_s:g} to {self.end_s:g} s; choose another "
-            "window",
+            f"from {self.start_s:g} to {self.end_s:g} s; choose another window",
         )  # fmt: skip
         load = Load(
             time[rows][keep],
@@ -117,12 +115,8 @@ class Playback:
     progress between its places at both ends (`share_double_support`).
 
     Attributes:
-        file: Relative to the case's folder.
-        foot: Left or right.
-        step: Which stance of that foot, counted from 0.
-        mass_kg: The robot's mass.
+        foot, step: Which stance of which foot, counted from 0.
         period_s: Time between rows.
-        gravity_m_per_s2: g.
         ankle_to_centre_m: Sole's centre from the ankle: forward, and outward
             (away from the other foot).
         least_force_n: Samples below are left out at both ends.
@@ -176,32 +170,30 @@ def stances(phase: np.ndarray, mine: int) -> list[tuple[int, int]]:
     Only stances between two double supports that others' single supports
     bound are whole; standing at either end of the file is left out.
     """
+    edges = _edges(phase)
+    return [
+        (int(edges[k - 1]), int(edges[k + 2]))
+        for k in range(2, len(edges) - 3)
+        if phase[edges[k]] == mine
+    ]
+
+
+def _edges(phase: np.ndarray) -> np.ndarray:
+    """Rows at which a phase begins, and the end."""
     change = np.flatnonzero(np.diff(phase)) + 1
-    edges = np.concatenate([[0], change, [len(phase)]])
-    runs = []
-    for k in range(1, len(edges) - 2):
-        before, after = k - 2, k + 2
-        if phase[edges[k]] == mine and before >= 0 and after < len(edges) - 1:
-            runs.append((int(edges[k - 1]), int(edges[k + 2])))
-    return runs
+    return np.concatenate([[0], change, [len(phase)]])
 
 
 def share_double_support(zmp, phase, mine):
-    """Share of the force on one foot and its own ZMP, row by row.
+    """Share of the force on one foot (n,) and its own ZMP (n, 2).
 
     In each double support the total ZMP Z goes from A, under the foot that
     unloads, to B, under the one that loads. With α the progress of Z along
     AB and ρ = Z − (1 − α) A − α B, the feet take (1 − α) at A + ρ and α at
     B + ρ: force and ZMP are continuous and add up to the total.
-
-    Returns:
-        share (n,), ZMP under this foot (n, 2).
     """
-    n = len(zmp)
-    share = (phase == mine).astype(float)
-    own = zmp.copy()
-    change = np.flatnonzero(np.diff(phase)) + 1
-    edges = np.concatenate([[0], change, [n]])
+    share, own = (phase == mine).astype(float), zmp.copy()
+    edges = _edges(phase)
     for k in range(1, len(edges) - 2):
         rows = slice(edges[k], edges[k + 1])
         if phase[edges[k]] != 0:
@@ -232,11 +224,9 @@ class Prediction:
     the ground reaction of both feet and its centre of pressure.
 
     Attributes:
-        file: Relative to the case's folder.
         origin_m: Sole's centre in the laboratory.
         share: Part of the force on this foot.
-        least_force_n: Samples with less on this foot are left out at both
-            ends.
+        least_force_n: Where there is less, both ends are left out.
     """
 
     file: str
@@ -325,19 +315,9 @@ class Pattern(Robot):
         return plan(self).foot_load(self.period_s, self.least_share)
 
 
-class Recorded(Protocol):
-    """A step of a recording, seen from the foot; see `measurement.steps`."""
-
-    name: str
-    times: np.ndarray
-    force: np.ndarray
-    cop: np.ndarray
-    free_moment: np.ndarray
-    rotation: np.ndarray
-
-
-# Reads a step: the study's path, trial, foot, start, end, number, force [N].
-StepReader = Callable[..., Recorded]
+# Reads a step, a `measurement.steps.RecordedStep`, seen from the foot: of the
+# study's path, trial, foot, start, end, number, force [N].
+StepReader = Callable
 _FILES = (
     "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
     "constant",

@@ -64,7 +64,7 @@ class Load:
         for label in ("times", "force", "zmp"):
             values = np.asarray(getattr(self, label), dtype=float)
             object.__setattr__(self, label, values)
-            if not np.isfinite(getattr(self, label)).all():
+            if not np.isfinite(values).all():
                 raise InputError(
                     f"{self.name}: {label} holds NaN or infinity; clean the "
                     "recording"
@@ -74,9 +74,9 @@ class Load:
         step = np.diff(self.times)
         if (step <= 0).any():
             first = int(np.argmax(step <= 0))
-            what = "two samples at one time" if step[first] == 0 else (
-                "time runs backwards"
-            )  # fmt: skip
+            what = "time runs backwards"
+            if step[first] == 0:
+                what = "two samples at one time"
             raise InputError(
                 f"{self.name}: {what} ({self.times[first + 1]:g} s); remove "
                 "the repeated rows"
@@ -87,8 +87,7 @@ class Load:
             raise InputError(
                 f"{self.name}: the vertical force is "
                 f"{self.force[first, 2]:g} N at {self.times[first]:g} s; it "
-                "must be above 0 at every sample, so leave the swing phase "
-                "out"
+                "must be above 0 at every sample, so leave the swing phase out"
             )
 
     def straight(self) -> "Load":
@@ -175,29 +174,26 @@ class Load:
             times.append(load.times + shift)
             end = times[-1][-1]
         counts = [len(load.times) for load in loads]
-        fills = {"free_moment": 0.0, "rotation": np.full((3, 3), np.nan)}
-        joined = {
-            name: _joined([getattr(load, name) for load in loads], counts, fill)
-            for name, fill in fills.items()
-        }
         return cls(
             np.concatenate(times),
             np.concatenate([load.force for load in loads]),
             np.concatenate([load.zmp for load in loads]),
             "; ".join(load.name for load in loads),
-            moments_cut=sum(load.moments_cut for load in loads),
-            begins=tuple(int(n) for n in np.cumsum([0, *counts[:-1]])),
-            weights=tuple(map(float, weights)),
-            **joined,
+            _joined([load.free_moment for load in loads], counts, 0.0),
+            _joined(
+                [load.rotation for load in loads],
+                counts,
+                np.full((3, 3), np.nan),
+            ),
+            sum(load.moments_cut for load in loads),
+            tuple(int(n) for n in np.cumsum([0, *counts[:-1]])),
+            tuple(map(float, weights)),
         )
 
     def target(self, q: int, reference, ground: Ground = FLAT) -> Target:
-        """What a simulation must reach at sample q.
+        """What a simulation must reach at sample q, counted from 0.
 
-        Args:
-            q: Counted from 0.
-            reference: Places at the sample before (m, 3), or a `Start`.
-            ground: That the ZMP is on.
+        From places at the sample before (m, 3), or from a `Start`.
         """
         return Target(
             self.force[q],
@@ -241,12 +237,8 @@ class Load:
     def bearable(self, friction: float, width: float) -> "Load":
         """Free moments cut to what a line of contact across the sole bears.
 
-        A line of length w under an even load turns at μ F_z w / 4. Plates
-        and their filters tell moments at small loads that no ground bears.
-
-        Args:
-            friction: Coulomb's coefficient μ.
-            width: Of the sole [m].
+        A line of length `width` w [m] under an even load turns at μ F_z w / 4.
+        Plates and their filters tell more at small loads than any ground bears.
         """
         if self.free_moment is None:
             return self
@@ -371,12 +363,11 @@ def text_lines(path) -> list[str]:
 
 def numbers_of(path, lines, first: int, columns: int, separator=None):
     """Numbers of the lines from number `first` on, empty ones left out."""
-    rows = (
+    rows = [
         (number, line.split(separator))
         for number, line in enumerate(lines, first)
         if line.strip()
-    )
-    rows = list(rows)
+    ]
     values = number_rows(path, rows, columns)
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):

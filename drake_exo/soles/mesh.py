@@ -10,8 +10,6 @@ so that the ring between it and the block's edge is filled by going round both.
 A shape is a radial deformation by a B-spline in spherical angles:
 X' = s(p, θ, φ) X with θ = atan2(y, -z), φ = atan2(x, √(y² + z²)) and
 s = Σ p_jk N_j(θ) N_k(φ), degree 2, clamped at ±π/2 (paper, (4) and (5)).
-X' is linear in p, and every point moves along its ray from the sole frame's
-origin.
 """
 
 from dataclasses import dataclass
@@ -29,7 +27,7 @@ from drake_exo.files.mesh import read_cells
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
@@ -80,6 +78,16 @@ class TetMesh:
         return faces[np.sort(index[count == 1])]
 
     @cached_property
+    def _is_top(self) -> np.ndarray:
+        """Which triangles are wholly on the fixed surface, (f,)."""
+        return np.isin(self.boundary_faces, self.fixed).all(axis=1)
+
+    @property
+    def top_faces(self) -> np.ndarray:
+        """Those triangles."""
+        return self.boundary_faces[self._is_top]
+
+    @cached_property
     def bare(self) -> np.ndarray:
         """Sorted nodes of the surface that are not fixed."""
         return np.setdiff1d(np.unique(self.boundary_faces), self.fixed)
@@ -104,8 +112,7 @@ class TetMesh:
     @cached_property
     def contact_faces(self) -> np.ndarray:
         """Surface triangles that are not wholly on the fixed surface."""
-        fixed = np.isin(self.boundary_faces, self.fixed).all(axis=1)
-        return self.boundary_faces[~fixed]
+        return self.boundary_faces[~self._is_top]
 
     @cached_property
     def contact_areas(self) -> np.ndarray:
@@ -121,14 +128,19 @@ class TetMesh:
 
         These are twice the areas [m²].
         """
-        x = self.nodes[faces]
-        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        area = normals_of(self.nodes[faces])
         return area, np.linalg.norm(area, axis=1)
 
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed element volumes [m³], (e,)."""
         return np.linalg.det(self._edges()) / 6.0
+
+    @property
+    def is_block(self) -> bool:
+        """Whether it fills its bounding box, as a brick does."""
+        box = np.prod(np.ptp(self.nodes, axis=0))
+        return bool(abs(self.volume / box - 1) < 1e-6)
 
     @property
     def volume(self) -> float:
@@ -165,8 +177,8 @@ class TetMesh:
 
         12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994).
         """
+        i, j = EDGES.T
         x = self.nodes[self.tets]
-        i, j = np.triu_indices(4, 1)
         l2 = ((x[:, i] - x[:, j]) ** 2).sum(axis=(1, 2))
         v = self.volumes
         return 12.0 * np.sign(v) * (3.0 * np.abs(v)) ** (2 / 3) / l2
@@ -175,6 +187,17 @@ class TetMesh:
         """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
         x = self.nodes[self.tets]
         return x[:, 1:] - x[:, :1]
+
+
+def normals_of(corners: np.ndarray) -> np.ndarray:
+    """Outward normals of triangles (f, 3, 3), of twice their areas, (f, 3)."""
+    a, b, c = np.swapaxes(corners, 0, 1)
+    return np.cross(b - a, c - a)
+
+
+def face_edges(faces: np.ndarray) -> np.ndarray:
+    """Edges of triangles (f, 3) in the order they go round, (3f, 2)."""
+    return faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
 
 def scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:
@@ -190,8 +213,7 @@ def brick(
 ) -> TetMesh:
     """A brick of size (x, y, z) [m] cut into nx·ny·nz cells of six tets.
 
-    Neighbouring cells mirror each other (Kuhn cells by parity), so that with
-    even divisions the mesh has the symmetry of the brick.
+    Neighbouring cells mirror each other (Kuhn cells by parity).
 
     Raises:
         InputError: A size or a division that is not positive.
@@ -236,8 +258,7 @@ def grid_mesh(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> TetMesh:
 def _oriented(nodes: np.ndarray, tets: list[np.ndarray]) -> np.ndarray:
     """All of some tets (k, 4) in one array, none of them inside out."""
     out = np.concatenate(tets)
-    x = nodes[out]
-    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    negative = np.linalg.det(nodes[out[:, 1:]] - nodes[out[:, :1]]) < 0
     out[negative] = out[negative][:, [0, 2, 1, 3]]
     return out
 
@@ -248,13 +269,13 @@ def halved(mesh: TetMesh) -> TetMesh:
     Four at the corners and four around the shortest diagonal of the
     octahedron between them (Bey, Computing 55, 1995).
     """
-    pairs = np.sort(mesh.tets[:, _EDGES], axis=2).reshape(-1, 2)
+    pairs = np.sort(mesh.tets[:, EDGES], axis=2).reshape(-1, 2)
     edges, which = np.unique(pairs, axis=0, return_inverse=True)
     n = len(mesh.nodes)
     nodes = np.concatenate([mesh.nodes, mesh.nodes[edges].mean(axis=1)])
     middle = n + which.reshape(-1, 6)
     tets = [
-        np.column_stack([corner, middle[:, (k == _EDGES).any(axis=1)]])
+        np.column_stack([corner, middle[:, (k == EDGES).any(axis=1)]])
         for k, corner in enumerate(mesh.tets.T)
     ]
     # The opposite of edge k is 5 - k.
@@ -264,9 +285,7 @@ def halved(mesh: TetMesh) -> TetMesh:
         inner = middle[shortest == k]
         ring = (i, j, 5 - i, 5 - j, i)
         tets += [inner[:, [k, 5 - k, *ring[q : q + 2]]] for q in range(4)]
-    whole = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    rim = mesh.boundary_faces[whole][:, [[0, 1], [1, 2], [2, 0]]]
-    first, second = np.sort(rim, axis=2).reshape(-1, 2).T
+    first, second = np.sort(face_edges(mesh.top_faces), axis=1).T
     held = np.isin(edges @ [n, 1], n * first + second)
     fixed = np.concatenate([mesh.fixed, n + np.flatnonzero(held)])
     return TetMesh(nodes, _oriented(nodes, tets), fixed)
@@ -315,9 +334,7 @@ def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     if abs(z) <= 1e-7 * extent:
         return np.zeros(3)
     low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
-    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    a, b, c = mesh.nodes[mesh.boundary_faces[fixed]].transpose(1, 0, 2)
-    area = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
+    area = 0.5 * mesh.areas(mesh.top_faces)[0][:, 2].sum()
     if 0 < area < _RECTANGLE * np.prod(high - low):
         raise InputError(
             f"{path}: the top is no rectangle, and lies at z = {z:g} m, so "
@@ -331,8 +348,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
     """Build a mesh and refuse what cannot be simulated.
 
     Raises:
-        InputError: Inverted or flat elements, unconnected parts, no
-            Dirichlet surface.
+        InputError: Inverted or flat elements, unconnected parts, no top.
     """
     mesh = TetMesh(
         np.ascontiguousarray(nodes, dtype=float),
@@ -361,19 +377,13 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             f"{name}: the mesh falls into {parts} unconnected parts; merge "
             "coincident nodes or remove the loose parts"
         )
-    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    if not fixed.any():
+    if len(mesh.top_faces) == 0:
         raise InputError(
             f"{name}: no Dirichlet surface, since no face lies in the top "
             "plane (highest z); turn the mesh so that the flat surface glued "
             "to the foot is on top"
         )
     return mesh
-
-
-def write_stl(path: Path | str, mesh: TetMesh) -> None:
-    """Write the closed surface as binary STL in millimetres (for printing)."""
-    write_triangles(path, mesh.nodes[mesh.boundary_faces])
 
 
 def write_vtk(path: Path | str, mesh: TetMesh) -> None:
@@ -396,20 +406,11 @@ def is_watertight(corners: np.ndarray) -> bool:
     """
     points = np.float32(1e3 * corners).reshape(-1, 3)
     index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1, 3)
-    edges = np.concatenate([index[:, [0, 1]], index[:, [1, 2]],
-                            index[:, [2, 0]]])  # fmt: skip
+    edges = face_edges(index)
     there, count = np.unique(edges, axis=0, return_counts=True)
     back = np.unique(edges[:, ::-1], axis=0)
-    a, b, c = np.swapaxes(corners, 0, 1)
-    volume = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
-    return bool(
-        np.array_equal(there, back) and (count == 1).all() and volume > 0
-    )
-
-
-def maximum_volume(mass_kg: float, density_kg_per_m3: float) -> float:
-    """v_max = m / ρ [m³], the paper's (32)."""
-    return mass_kg / density_kg_per_m3
+    closed = np.array_equal(there, back) and (count == 1).all()
+    return bool(closed and np.linalg.det(corners).sum() > 0)
 
 
 WALL = 0.01  # metres around and below the sole
@@ -419,14 +420,8 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
     """Outward triangles of a sole's mould's closed surface [m], (f, 3, 3)."""
     low, high = mesh.nodes.min(axis=0) - WALL, mesh.nodes.max(axis=0) + WALL
     top = mesh.nodes[mesh.fixed, 2].mean()
-    corners = np.array(
-        [
-            [low[0], low[1]],
-            [high[0], low[1]],
-            [high[0], high[1]],
-            [low[0], high[1]],
-        ]
-    )
+    (x0, y0), (x1, y1) = low[:2], high[:2]
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     rim = mesh.nodes[_rim(mesh)]
     block = np.column_stack([corners, np.full(4, top)])
     floor = np.column_stack([corners, np.full(4, low[2])])
@@ -442,9 +437,7 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
 def write_mould(path: Path | str, mesh: TetMesh) -> bool:
     """Write the mould as binary STL in millimetres.
 
-    Returns:
-        False, and no file, where the fixed outline turns back on its way
-        round the origin.
+    False, and no file, where the fixed outline turns back on its way round.
     """
     if not has_star_outline(mesh):
         return False
@@ -454,16 +447,10 @@ def write_mould(path: Path | str, mesh: TetMesh) -> bool:
 
 def _rim(mesh: TetMesh) -> np.ndarray:
     """Nodes around the fixed surface, counter-clockwise from above."""
-    fixed = np.isin(mesh.boundary_faces, mesh.fixed).all(axis=1)
-    faces = mesh.boundary_faces[fixed]
-    edges = np.concatenate(
-        [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
-    )
-    there = {tuple(e) for e in edges.tolist()}
+    there = set(map(tuple, face_edges(mesh.top_faces).tolist()))
     after = {a: b for a, b in there if (b, a) not in there}
-    first = min(after)
-    ring = [first]
-    while after[ring[-1]] != first:
+    ring = [min(after)]
+    while after[ring[-1]] != ring[0]:
         ring.append(after[ring[-1]])
     return np.array(ring)
 
@@ -527,9 +514,8 @@ class SphericalSpline:
     >>> spline.deform(np.array([[0.1, 0.0, -0.02]]), np.full(spline.count, 1.5))
     array([[ 0.15,  0.  , -0.03]])
 
-    Free coefficients: with n_θ and n_φ knot intervals there are
-    (n_θ + 2)(n_φ + 2) coefficients; each pole's n_θ + 2 are one, which
-    leaves (n_θ + 2) n_φ + 2 (122 at the paper's spacing π/10). With the top
+    Of (n_θ + 2)(n_φ + 2) coefficients each pole's are one, which leaves
+    (n_θ + 2) n_φ + 2 free ones (122 at the paper's spacing π/10). With the top
     surface fixed the first and last θ rows and the poles are 1, which leaves
     n_θ n_φ (100).
 
@@ -595,11 +581,9 @@ class SphericalSpline:
         return tuple(np.flatnonzero(self._full(points).any(axis=0)).tolist())
 
     def _full(self, points: np.ndarray) -> np.ndarray:
-        theta, phi = spherical_angles(points)
-        N_theta = _basis_matrix(theta, self.intervals[0])
-        N_phi = _basis_matrix(phi, self.intervals[1])
-        full = np.einsum("nj,nk->njk", N_theta, N_phi)
-        return full.reshape(len(points), -1)
+        both = zip(spherical_angles(points), self.intervals, strict=True)
+        N_theta, N_phi = (_basis_matrix(angle, n) for angle, n in both)
+        return np.einsum("nj,nk->njk", N_theta, N_phi).reshape(len(points), -1)
 
     def basis(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scale s = M p + s0 at the nodes: M (n, count), s0 (n,)."""
@@ -619,8 +603,6 @@ class SphericalSpline:
 
 def _basis_matrix(angle: np.ndarray, intervals: int) -> np.ndarray:
     knots = np.linspace(-np.pi / 2, np.pi / 2, intervals + 1)
-    t = np.concatenate(
-        [np.full(_DEGREE, knots[0]), knots, np.full(_DEGREE, knots[-1])]
-    )
     inside = np.clip(angle, knots[0], knots[-1])
+    t = np.pad(knots, _DEGREE, mode="edge")
     return BSpline.design_matrix(inside, t, _DEGREE).toarray()

@@ -9,18 +9,12 @@ from scipy.spatial.transform import Rotation
 
 
 def njit(**options) -> Callable[[Callable], Dispatcher]:
-    """A decorator as `numba.njit(cache=True)`.
+    """A decorator as `numba.njit(cache=True)`, with its options.
 
     numba compiles anew when a function's own file has changed. What it calls
     from other modules is compiled into it, so that their files count here,
     too: all whose compiled functions the function's module has imported.
-
-    Args:
-        options: of `numba.njit`.
-
-    Returns:
-        Makes a compiled function of a Python function. Decorate only in
-        modules on disk: numba knows of no other place for its cache.
+    Decorate only in modules on disk: numba knows no other place for its cache.
     """
 
     def compiled(function: Callable) -> Dispatcher:
@@ -43,14 +37,7 @@ def njit(**options) -> Callable[[Callable], Dispatcher]:
 
 
 def hat(v: np.ndarray) -> np.ndarray:
-    """Skew matrices of vectors: the product with b is a × b.
-
-    Args:
-        v: Vectors, shape (..., 3).
-
-    Returns:
-        Matrices, shape (..., 3, 3).
-    """
+    """Skew matrices (..., 3, 3) of vectors (..., 3): times b it is a × b."""
     v = np.asarray(v)
     out = np.zeros((*v.shape[:-1], 3, 3), dtype=v.dtype)
     out[..., 0, 1] = -v[..., 2]

@@ -23,10 +23,9 @@ from scipy.spatial import ConvexHull
 from drake_exo.files.output import save_figure
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import SphericalSpline, TetMesh
+from drake_exo.soles.mesh import EDGES, SphericalSpline, TetMesh, normals_of
+from drake_exo.soles.surface import crossings
 
-# Faces that meet at less are shaded as one smooth surface.
-_CREASE = np.cos(np.deg2rad(40.0))
 _AMBIENT, _DIFFUSE = 0.4, 0.65
 _LIGHT = np.array([-0.4, -0.2, 0.894])  # right, up, towards the viewer
 
@@ -61,74 +60,16 @@ VIEWS = (
 )
 
 
-@dataclass(frozen=True)
-class Surface:
-    """Triangles with colours and smooth normals, ready for any view.
-
-    Attributes:
-        corners: (f, 3, 3) [mm].
-        normals: Unit normals at the corners, (f, 3, 3).
-        colours: At the corners, RGB, (f, 3, 3).
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray
-    colours: np.ndarray
-
-    def refined(self) -> "Surface":
-        """Every triangle cut into four."""
-        cut = [_cut(a) for a in (self.corners, self.normals, self.colours)]
-        cut[1] /= np.linalg.norm(cut[1], axis=2, keepdims=True)
-        return Surface(*cut)
-
-
-def _cut(a: np.ndarray) -> np.ndarray:
-    p, q, r = a[:, 0], a[:, 1], a[:, 2]
-    pq, qr, rp = 0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)
-    parts = [(p, pq, rp), (pq, q, qr), (rp, qr, r), (pq, qr, rp)]
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
-def surface(
-    nodes: np.ndarray, faces: np.ndarray, colours: np.ndarray
-) -> Surface:
-    """A surface with normals smoothed but for creases.
-
-    Args:
-        nodes: (n, 3) [m].
-        faces: Outward triangles, (f, 3).
-        colours: RGB of the nodes, (n, 3).
-    """
-    corners = 1e3 * nodes[faces]
-    across = np.cross(
-        corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    )
-    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
-    normals = np.empty_like(corners)
-    order = np.argsort(faces.ravel(), kind="stable")
-    ends = np.searchsorted(faces.ravel()[order], np.arange(len(nodes) + 1))
-    for node in range(len(nodes)):
-        mine = order[ends[node] : ends[node + 1]]
-        around = mine // 3
-        smooth = flat[around] @ flat[around].T > _CREASE
-        normals.reshape(-1, 3)[mine] = smooth @ across[around]
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    return Surface(corners, normals, colours[faces])
-
-
-def draw(axis, shape: Surface, view: View) -> None:
-    """Paint a surface into an axis of equal aspect."""
-    frame = view.axes()
-    seen = shape.corners @ frame.T
-    edge = seen[:, 1:, :2] - seen[:, :1, :2]
-    facing = edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0] > 0
-    seen = seen[facing]
+def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
+    """Paint outward triangles (f, 3, 3) [mm] of colours (f, 3), RGB."""
+    seen = corners @ view.axes().T
+    normal = normals_of(seen)
+    facing = normal[:, 2] > 0
+    seen, normal = seen[facing], normal[facing]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    lit = _AMBIENT + _DIFFUSE * np.clip(normal @ _LIGHT, 0.0, 1.0)
     order = np.argsort(seen[:, :, 2].mean(axis=1), kind="stable")
-    light = frame.T @ _LIGHT
-    normal = shape.normals[facing].mean(axis=1)
-    lit = _AMBIENT + _DIFFUSE * np.clip(normal @ light, 0.0, 1.0)
-    colour = shape.colours[facing].mean(axis=1) * lit[:, None]
-    colour = np.clip(colour, 0.0, 1.0)[order]
+    colour = np.clip(colours[facing] * lit[:, None], 0.0, 1.0)[order]
     axis.add_collection(
         PolyCollection(
             seen[order][:, :, :2],
@@ -155,7 +96,7 @@ def extent(nodes: np.ndarray, view: View) -> np.ndarray:
 
 
 _COLOURS = matplotlib.colormaps["coolwarm"]
-_GAP = 14.0  # mm between views
+_GAP, _BETWEEN = 14.0, 24.0  # mm between views, and between soles
 _HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
 _LEAST_ERROR = 1e-8  # errors below are drawn there
 _INCH = 1.0 / 62.0  # inches a millimetre of sole
@@ -221,12 +162,10 @@ def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
         title="ZMP on the sole",
         aspect="equal",
     )
-    for k, (axis, colour) in enumerate(zip("xyz", "rgb", strict=True)):
+    colours = ("red", "green", "blue")
+    for axis, force, colour in zip("xyz", load.force.T, colours, strict=True):
         right.plot(
-            load.times,
-            load.force[:, k],
-            color=f"tab:{dict(r='red', g='green', b='blue')[colour]}",
-            label=f"$F_{axis}$",
+            load.times, force, color=f"tab:{colour}", label=f"$F_{axis}$"
         )
     right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
     right.legend(ncols=3)
@@ -308,11 +247,8 @@ def pressure_figure(
 ) -> Figure | None:
     """Contact pressure from below at eight samples of the step.
 
-    Args:
-        mesh: Of the sole.
-        load: Of the step.
-        pressure: At the contact nodes [Pa], (N, m).
-        converged: Which samples are to be drawn, (N,); None if there is none.
+    Of pressures at the contact nodes [Pa], (N, m), at samples that converged
+    (N,); None if there is none.
     """
     picked = np.flatnonzero(converged)
     if len(picked) == 0:
@@ -349,9 +285,8 @@ def pressure_figure(
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     """Triangles that look down, as contact-node indices, and their places."""
     faces = mesh.contact_faces
-    x = mesh.nodes[faces]
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    down = normal[:, 2] < -0.3 * np.linalg.norm(normal, axis=1)
+    normal, size = mesh.areas(faces)
+    down = normal[:, 2] < -0.3 * size
     down &= np.isin(faces, mesh.contact).all(axis=1)
     local = np.searchsorted(mesh.contact, faces[down])
     return local[:, [0, 2, 1]], mesh.nodes[mesh.contact][:, :2]
@@ -399,9 +334,9 @@ def pareto_figure(
     """c_tr against c_rot, each over its brick's, beside the paper's.
 
     Args:
+        fronts: Label -> points with ratio_tr and ratio_rot.
         rows: Summaries with name, ratio_tr and ratio_rot.
         paper: Name -> (ratio of c_tr, ratio of c_rot).
-        fronts: Label -> points with ratio_tr and ratio_rot.
     """
     figure, axis = panels(1, 1, (6.0, 4.2))
     for k, row in enumerate(rows):
@@ -448,42 +383,6 @@ class DrawnSole:
     change: np.ndarray
 
 
-@dataclass(frozen=True)
-class _Sheet:
-    """Where each view goes: a row a sole, a column a view, one scale.
-
-    Attributes:
-        boxes: Extent of all soles in each view [mm], (2, 2) each.
-        rows: Number of soles.
-    """
-
-    boxes: list[np.ndarray]
-    rows: int
-
-    @property
-    def widths(self) -> np.ndarray:
-        """Of the columns [mm]."""
-        return np.array([np.ptp(b, axis=0)[0] + _GAP for b in self.boxes])
-
-    @property
-    def height(self) -> float:
-        """Of a row [mm]."""
-        return max(np.ptp(b, axis=0)[1] for b in self.boxes) + 24.0
-
-    @property
-    def size(self) -> np.ndarray:
-        """Width and height of the figure [inches]."""
-        tall = _INCH * self.height * self.rows + _FOOT + _HEAD
-        return np.array([_INCH * self.widths.sum(), tall])
-
-    def place(self, row: int, column: int) -> np.ndarray:
-        """Left, bottom, width and height in parts of the figure."""
-        left = _INCH * self.widths[:column].sum()
-        bottom = _FOOT + _INCH * self.height * (self.rows - row - 1)
-        width, height = _INCH * self.widths[column], _INCH * self.height
-        return np.array([left, bottom, width, height]) / np.tile(self.size, 2)
-
-
 def radial_change(
     mesh: TetMesh, spline: SphericalSpline, p: np.ndarray
 ) -> np.ndarray:
@@ -503,71 +402,67 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
         [m.nodes for s in soles for m in (s.mesh, s.initial)]
     )
     boxes = [extent(every, view) for view in VIEWS]
-    sheet = _Sheet(boxes, len(soles))
+    widths, heights = np.transpose([np.ptp(box, axis=0) for box in boxes])
+    widths, height = widths + _GAP, heights.max() + _BETWEEN
+    wide = _INCH * widths.sum()
+    tall = _INCH * height * len(soles) + _FOOT + _HEAD
+    figure = Figure(figsize=(wide, tall), layout="none")
+    axes = figure.subplots(
+        len(soles), len(VIEWS), squeeze=False,
+        width_ratios=widths,
+        gridspec_kw={"left": 0, "right": 1, "wspace": 0, "hspace": 0,
+                     "bottom": _FOOT / tall, "top": 1 - _HEAD / tall},
+    )  # fmt: skip
     largest = max(np.abs(s.change).max() for s in soles)
     norm = TwoSlopeNorm(0.0, -largest, largest)
-    figure = Figure(figsize=sheet.size, layout="none")
-    for row, sole in enumerate(soles):
-        shape = _coloured(sole, norm)
-        for column, view in enumerate(VIEWS):
-            axis = figure.add_axes(sheet.place(row, column))
-            _view(axis, sole, shape, view, boxes[column], sheet)
+    for row, sole in zip(axes, soles, strict=True):
+        corners = 1e3 * sole.mesh.nodes[sole.mesh.boundary_faces]
+        colours = _coloured(sole, norm)
+        for axis, view, box in zip(row, VIEWS, boxes, strict=True):
+            draw(axis, corners, colours, view)
+            outline(axis, sole.initial.nodes, view)
             _ends(axis, sole, view)
-        _, bottom, _, height = sheet.place(row, 0)
-        look = {"y": bottom + height, "va": "top"}
+            half = 0.5 * np.array([np.ptp(box[:, 0]) + _GAP, height])
+            low, high = box.mean(axis=0) - half, box.mean(axis=0) + half
+            axis.set(
+                xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal"
+            )
+            axis.set_axis_off()
+        look = {"y": row[0].get_position().y1, "va": "top"}
         figure.text(0.012, s=sole.name, size=11, weight="bold", **look)
         figure.text(0.10, s=sole.caption, size=9, color="0.25", **look)
-    top = 1 - 0.12 / sheet.size[1]
-    for column, view in enumerate(VIEWS):
-        left, _, width, _ = sheet.place(0, column)
-        figure.text(left + 0.5 * width, top, view.name, size=10,
-                    ha="center", va="top")  # fmt: skip
-    _legend(figure, norm, sheet.size)
+    for axis, view in zip(axes[0], VIEWS, strict=True):
+        box = axis.get_position()
+        figure.text(0.5 * (box.x0 + box.x1), 1 - 0.12 / tall, view.name,
+                    size=10, ha="center", va="top")  # fmt: skip
+    _legend(figure, norm, wide, tall)
     return figure
 
 
-def _coloured(sole: DrawnSole, norm) -> Surface:
-    colours = _COLOURS(norm(sole.change))[:, :3]
-    shape = surface(
-        sole.mesh.nodes, sole.mesh.boundary_faces, np.asarray(colours)
-    )
-    return shape.refined()
-
-
-def _view(axis, sole, shape, view, box, sheet) -> None:
-    draw(axis, shape, view)
-    outline(axis, sole.initial.nodes, view)
-    middle = box.mean(axis=0)
-    width = np.ptp(box, axis=0)[0] + _GAP
-    axis.set(
-        xlim=middle[0] + 0.5 * np.array([-width, width]),
-        ylim=middle[1] + 0.5 * sheet.height * np.array([-1, 1]),
-        aspect="equal",
-    )
-    axis.set_axis_off()
+def _coloured(sole: DrawnSole, norm) -> np.ndarray:
+    """Colours of its faces by their mean change, (f, 3)."""
+    change = sole.change[sole.mesh.boundary_faces].mean(axis=1)
+    return _COLOURS(norm(change))[:, :3]
 
 
 def _ends(axis, sole, view) -> None:
     """Write heel and toe, or left and right, under either shape."""
-    low, high = extent(sole.initial.nodes, view)
-    below = min(low[1], extent(sole.mesh.nodes, view)[0][1])
     right = view.axes()[0]
-    words = ("heel", "toe") if abs(right[0]) > 0.9 else ("right", "left")
     if max(np.abs(right)) < 0.9:
         return
-    along = right[0] if abs(right[0]) > 0.9 else right[1]
-    words = words if along > 0 else words[::-1]
-    for x, word, side in zip(
-        (low[0], high[0]), words, ("left", "right"), strict=True
-    ):
-        axis.text(
-            x, below - 3, word, ha=side, va="top", fontsize=8, color="0.4"
-        )
+    is_along = abs(right[0]) > 0.9
+    words = ("heel", "toe") if is_along else ("right", "left")
+    if (right[0] if is_along else right[1]) < 0:
+        words = words[::-1]
+    low, high = extent(sole.initial.nodes, view)
+    below = min(low[1], extent(sole.mesh.nodes, view)[0][1]) - 3
+    look = {"va": "top", "fontsize": 8, "color": "0.4"}
+    axis.text(low[0], below, words[0], ha="left", **look)
+    axis.text(high[0], below, words[1], ha="right", **look)
 
 
-def _legend(figure, norm, size) -> None:
+def _legend(figure, norm, wide: float, total: float) -> None:
     """Colour bar, scale bar and what is dashed."""
-    wide, total = size
     bar = figure.add_axes([0.06, 0.45 / total, 0.3, 0.11 / total])
     figure.colorbar(
         ScalarMappable(norm, _COLOURS),
@@ -595,10 +490,7 @@ _CUTS = (0.15, 0.5, 0.85)  # of the length: where it is cut across
 def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
     """A sole as a drawing: views and sections with dimensions in mm.
 
-    Args:
-        mesh: The sole.
-        name: Of the sole.
-        peak: Largest pressure at its contact nodes over the step [Pa], (m,).
+    With the largest pressure at its contact nodes over the step [Pa], (m,).
     """
     nodes = 1e3 * mesh.nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
@@ -653,17 +545,13 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
 
 
 def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
-    faces = mesh.boundary_faces
-    plain = np.tile(_RUBBER, (len(mesh.nodes), 1))
-    shape = surface(mesh.nodes, faces, plain)
-    bare = ~np.isin(faces, mesh.fixed).all(axis=1)
-    across = np.cross(
-        shape.corners[:, 1] - shape.corners[:, 0],
-        shape.corners[:, 2] - shape.corners[:, 0],
-    )
-    up = across[:, 2] > 1e-3 * np.linalg.norm(across, axis=1)
-    shape.colours[bare & up] = _UNDERCUT
-    draw(axis, shape.refined(), view)
+    """The sole in a view, what looks upwards of its bare surface in red."""
+    faces = np.concatenate([mesh.top_faces, mesh.contact_faces])
+    normal, size = mesh.areas(faces)
+    up = normal[:, 2] > 1e-3 * size
+    up[: len(mesh.top_faces)] = False
+    colours = np.where(up[:, None], _UNDERCUT, _RUBBER)
+    draw(axis, 1e3 * mesh.nodes[faces], colours, view)
     low, high = extent(mesh.nodes, view)
     axis.set_ylim(low[1] - _MARGIN, high[1] + _MARGIN)
     axis.set_title(title)
@@ -684,16 +572,14 @@ def _dimension(axis, start, span, text: str) -> None:
 def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
     """Fill where a plane cuts the sole; corners of its box, None if nowhere.
 
-    Args:
-        normal: 0 for x, 1 for y.
-        at: Where on that axis [mm].
-        flat: From points (k, 3) [mm] to the picture.
+    Across axis `normal` (0: x, 1: y) at a place [mm]; `flat` takes points
+    (k, 3) [mm] to the picture.
     """
     x = 1e3 * mesh.nodes[mesh.tets]
     x = x[np.abs(np.sign(x[:, :, normal] - at).sum(axis=1)) < 4]
     pieces = []
     for tet in x:
-        ends = tet[np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])]
+        ends = tet[EDGES]
         d = ends[:, :, normal] - at
         cut = (d[:, 0] < 0) != (d[:, 1] < 0)
         if cut.sum() < 3:
@@ -713,27 +599,13 @@ def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
 
 
 def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
-    """Dimension of the sole's thickness above a point of the ground [mm].
+    """Dimension of the sole's thickness above a point (x, y) [mm].
 
-    Args:
-        axis, mesh: Where, and of what.
-        x, y: The point.
-        place, lift: It in the picture, and what z = 0 is there.
+    At `place` in the picture, where z = 0 is at `lift`.
     """
     corners = 1e3 * mesh.nodes[mesh.boundary_faces]
-    a, b, c = (corners[:, k] for k in range(3))
-    point = np.array([x, y, 0.0]) + 1e-4  # off the edges of regular meshes
-
-    def cross(p, q):
-        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-
-    area = cross(b - a, c - a)
-    u, v = cross(b - point, c - point), cross(c - point, a - point)
-    with np.errstate(all="ignore"):
-        weights = np.stack([u, v, area - u - v]) / area
-    inside = (weights >= 0).all(axis=0) & (area != 0)
-    z = np.einsum("kf,kf->f", weights, corners[:, :, 2].T)[inside]
-    if len(z):
+    point = np.array([[x, y]]) + 1e-4  # off the edges of regular meshes
+    for _, (z,) in crossings(corners, point):
         low, high = z.min(), z.max()
         text = f"{high - low:.1f}"
         _dimension(axis, (place, lift + low), (0, high - low), text)

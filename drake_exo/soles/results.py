@@ -57,35 +57,41 @@ _TURNED_OVER = (
 
 def step_checks(step) -> tuple[Check, ...]:
     """Checks of a `Step`, see the table in docs/soles.md."""
-    name = step.setup.name
-    checks = [_solved(step)]
-    if not step.converged.any():
+
+    def check(name, holds, value, limit, unit, sentence, level="fail"):
+        said = "" if holds else sentence
+        return Check(
+            name, bool(holds), value, limit, unit, step.setup.name, said, level
+        )
+
+    failed = np.flatnonzero(~step.converged)
+    if not len(failed):
+        checks = [Check(SOLVED, True, where=step.setup.name)]
+    else:
+        q, status = failed[0], step.history.statuses()[failed[0]]
+        said = f"sample {q} at {step.times[q]:g} s: {status}"
+        checks = [
+            check(SOLVED, False, float(len(failed)), 0.0, "samples", said)
+        ]
+    if len(failed) == len(step.times):
         return tuple(checks)
     strain = step.largest_strain
-    beyond_reason = strain >= _INSIDE_OUT
-    limit = _INSIDE_OUT if beyond_reason else SMALL_STRAIN
-    sentence = _TURNED_OVER if beyond_reason else _NOT_SMALL
+    is_worse = strain >= _INSIDE_OUT
+    limit = _INSIDE_OUT if is_worse else SMALL_STRAIN
     checks.append(
-        Check(
-            "plausibility.strain", strain < limit, strain, limit, "", name,
-            "" if strain < limit else sentence,
-            "fail" if beyond_reason else "note",
-        )
+        check("plausibility.strain", strain < limit, strain, limit, "",
+              _TURNED_OVER if is_worse else _NOT_SMALL,
+              "fail" if is_worse else "note")
     )  # fmt: skip
-    for what, holds, value, limit, unit, sentence in _notes(step):
-        said = "" if holds else sentence
-        checks.append(
-            Check(f"plausibility.{what}", bool(holds), value, limit, unit,
-                  name, said, "note")
-        )  # fmt: skip
+    checks += [
+        check(f"plausibility.{name}", *said, "note")
+        for name, *said in _notes(step)
+    ]
     worst = step.complementarity()
-    holds = worst <= _COMPLEMENTARITY
     checks.append(
-        Check(
-            "contact", holds, worst, _COMPLEMENTARITY, "", name,
-            "" if holds else "forces do not obey Signorini's and Coulomb's "
-            "laws: the simulation went wrong",
-        )
+        check("contact", worst <= _COMPLEMENTARITY, worst, _COMPLEMENTARITY,
+              "", "forces do not obey Signorini's and Coulomb's laws: the "
+              "simulation went wrong")
     )  # fmt: skip
     return tuple(checks)
 
@@ -125,17 +131,6 @@ def _notes(step):
         "undercut", undercut <= _UNDERCUT, undercut, _UNDERCUT, "",
         "so much of the bare surface faces upwards: a rigid mould that opens "
         "upwards does not let go of the sole",
-    )  # fmt: skip
-
-
-def _solved(step) -> Check:
-    failed = np.flatnonzero(~step.converged)
-    if not len(failed):
-        return Check(SOLVED, True, where=step.setup.name)
-    q = failed[0]
-    return Check(
-        SOLVED, False, float(len(failed)), 0.0, "samples", step.setup.name,
-        f"sample {q} at {step.times[q]:g} s: {step.history.statuses()[q]}",
     )  # fmt: skip
 
 
@@ -387,11 +382,7 @@ class Step:
         )
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
-        """What the step has to hold, and whether it does.
-
-        Args:
-            accepted: Names of checks that the user accepts.
-        """
+        """What the step has to hold, and whether it does or is accepted."""
         return Verdict(step_checks(self), tuple(accepted))
 
     def table(self) -> dict[str, np.ndarray]:
@@ -476,12 +467,7 @@ class Step:
         }
 
     def plot(self, label: str = "", **beside: "Step"):
-        """Both stiffnesses over time; a matplotlib figure.
-
-        Args:
-            label: Of this step; by default the case's name.
-            beside: Other steps to draw, by label.
-        """
+        """Both stiffnesses over time, and other steps' by label; a figure."""
         # matplotlib takes half a second to load.
         from drake_exo.soles import pictures
 
@@ -506,17 +492,14 @@ class Step:
         """
         from drake_exo.soles.animation import SoleMotion, write_animation
 
-        name = self.setup.name
-        steps = {name: self} | beside
-        motions = [
-            SoleMotion.of(
-                label, s.sole.mesh, s.times, s.history, s.setup.ground
-            )
-            for label, s in steps.items()
-        ]
-        if motions[0] is not None:
-            motions[0] = replace(motions[0], mark=mark)
-        shown = [motion for motion in motions if motion is not None]
+        name, shown = self.setup.name, []
+        for label, step in ({name: self} | beside).items():
+            motion = SoleMotion.of(
+                label, step.sole.mesh, step.times, step.history,
+                step.setup.ground, mark if label == name else "",
+            )  # fmt: skip
+            if motion is not None:
+                shown.append(motion)
         if shown:
             write_animation(Path(path), shown, name)
 
@@ -526,11 +509,9 @@ class Step:
         """All pictures of the step and its animation.
 
         Args:
-            folder: For drawing.png, load.png, stiffness.png, pose.png,
-                pressure.png and animation.html.
+            folder: Where to.
             mark: `Verdict.mark` of what does not hold.
-            label: Of this step in stiffness.png.
-            beside: Other steps there, by label.
+            label: Of this step in stiffness.png, with others `beside` it.
         """
         from drake_exo.soles import pictures
 
@@ -587,22 +568,6 @@ class Step:
         return verdict
 
 
-def principal_strains(eps: np.ndarray) -> np.ndarray:
-    """Eigenvalues of symmetric 3 × 3 matrices, largest first, (..., 3).
-
-    Trigonometric closed form (Smith, Comm. ACM 4, 1961).
-    """
-    q = np.trace(eps, axis1=-2, axis2=-1) / 3
-    dev = eps - q[..., None, None] * np.eye(3)
-    p = np.sqrt((dev**2).sum(axis=(-2, -1)) / 6)
-    safe = np.where(p > 0, p, 1.0)
-    r = np.linalg.det(dev / safe[..., None, None]) / 2
-    phi = np.arccos(np.clip(r, -1.0, 1.0)) / 3
-    angle = phi[..., None] + 2 * np.pi / 3 * np.array([0, 2, 1])
-    values = q[..., None] + 2 * p[..., None] * np.cos(angle)
-    return -np.sort(-values, axis=-1)
-
-
 def largest_strain(sole: Sole, history: StepHistory) -> float:
     """Largest |principal strain| over elements and converged samples."""
     f_L, largest = history.F @ history.R, 0.0
@@ -614,7 +579,7 @@ def largest_strain(sole: Sole, history: StepHistory) -> float:
             norm = np.sqrt((eps**2).sum(axis=(1, 2)))
             able = norm > largest
             if able.any():
-                values = np.abs(principal_strains(eps[able]))
+                values = np.abs(np.linalg.eigvalsh(eps[able]))
                 largest = max(largest, float(values.max()))
     return largest
 
@@ -633,15 +598,13 @@ def complementarity(
     force times gap, force outside the cone, and force not opposite to the
     slip.
     """
-    worst = 0.0
-    before = None
+    worst, before = 0.0, None
     for q in np.flatnonzero(history.converged):
-        if q in begins:
-            before = None
         F, P, R = history.F[q], history.P[q], history.R[q]
+        if before is None or q in begins:
+            before = start.places(R, lP)
         scale = np.linalg.norm(F.sum(axis=0))
-        start_or_before = start.places(R, lP) if before is None else before
-        Q, axes = ground.planes(history.between.get(q, start_or_before))
+        Q, axes = ground.planes(history.between.get(q, before))
         f = np.einsum("kij,kj->ki", axes, F) / scale
         apart = np.einsum("kij,kj->ki", axes, P - Q) * law.penalty / scale
         gap, slip = apart[:, 2], apart[:, :2]
@@ -669,9 +632,9 @@ def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
     """What history.npz of a folder says of the sole as a whole.
 
     Returns:
-        Place of the sole frame (N, 3) [m], its orientation (N, 3, 3), upward
-        force (N,) [N], centre of pressure (N, 2) [m], and the sole's length,
-        width and depth below the frame (3,) [m]; of samples that converged.
+        Of samples that converged: place of the sole frame (N, 3) [m],
+        orientation (N, 3, 3), upward force (N,) [N], centre of pressure (N, 2)
+        [m]; and the sole's length, width, depth below the frame (3,) [m].
 
     Raises:
         InputError: There is no such file, or it is damaged.
@@ -700,10 +663,15 @@ def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
     return O, R, force, cop, size
 
 
-def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
     """Columns of equal length under a header line."""
+
+    def shown(value):
+        is_number = not isinstance(value, str | bool | int)
+        return f"{float(value):.10g}" if is_number else value
+
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):
-            writer.writerow([f"{float(v):.10g}" for v in row])
+            writer.writerow(map(shown, row))

@@ -68,17 +68,18 @@ class MaterialBlock:
     def material(self) -> Material:
         """The material with its numbers filled in."""
         known = MATERIALS.get(self.name)
-        values = []
-        for key in ("youngs_modulus_pa", "poissons_ratio",
-                    "density_kg_per_m3"):  # fmt: skip
-            value = getattr(self, key)
-            if value is None and known is None:
-                raise InputError(
-                    f"material {self.name!r} is not one of "
-                    f"{', '.join(MATERIALS)}; give its {key}"
-                )
-            values.append(getattr(known, key) if value is None else value)
-        return Material(self.name, *values)
+        given = {
+            key: value for key, value in vars(self).items() if key != "name"
+        }
+        missing = [key for key, value in given.items() if value is None]
+        if missing and known is None:
+            raise InputError(
+                f"material {self.name!r} is not one of {', '.join(MATERIALS)}; "
+                f"give its {missing[0]}"
+            )
+        return Material(
+            self.name, **given | {key: getattr(known, key) for key in missing}
+        )
 
 
 @dataclass(frozen=True)
@@ -144,12 +145,12 @@ class Stage:
 
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start. Smooth
-# shapes first; the last stage is cut in two, since each begins with what the
-# largest strain truly is.
+# shapes first; then twice, since each stage begins with what the largest strain
+# truly is, and since the second tells which start is the best.
 STAGES = (
-    Stage(_FINE, 24, 3e-4, 0.2, 30, roughness=10.0),
-    Stage(_FINE, 24, 1e-4, 0.2, 38),
-    Stage(_FINE, 24, 1e-4, 0.2, 37),
+    Stage(_FINE, 24, 3e-4, 0.2, 24, roughness=10.0),
+    Stage(_FINE, 24, 1e-4, 0.2, 28),
+    Stage(_FINE, 24, 1e-4, 0.2, 40),
 )
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
@@ -295,17 +296,12 @@ class Settings:
     def read_mesh(self, root: Path, replacement: Path | None = None) -> TetMesh:
         """The case's mesh, or that of a file given instead."""
         block = self.mesh
-        if replacement is not None:
-            origin = None if block.file is None else block.origin_m
-            return self._from_file(replacement, origin)
-        if block.brick is not None:
+        if replacement is None and block.brick is not None:
             return brick(block.brick.size_m, block.brick.divisions)
-        return self._from_file(root / block.file, block.origin_m)
-
-    def _from_file(self, path: Path, origin) -> TetMesh:
+        path = replacement or root / block.file
+        origin = None if block.file is None else block.origin_m
         if path.suffix.lower() not in SUFFIXES:
             return read_mesh(path, origin)
-        block = self.mesh
         surface = read_surface(path, block.unit)
         return sole_from_surface(surface, block.tets, block.top_m, origin)
 
@@ -318,8 +314,8 @@ class Settings:
         """
         point = self.start.point_in_sole_m
         if point is None:
-            low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-            point = (low[0], 0.5 * (low[1] + high[1]), low[2])
+            (x, low, z), (_, high, _) = mesh.nodes.min(0), mesh.nodes.max(0)
+            point = (x, 0.5 * (low + high), z)
         place = np.array(self.start.point_in_world_m or point[:2])
         height = ground.height(place[None])[0]
         return Start(
@@ -353,19 +349,13 @@ class Setup:
         mesh_file: Path | None = None,
         read_step: StepReader | None = None,
     ) -> "Setup":
-        """What settings name, read.
-
-        Args:
-            settings: Of the case.
-            data_root: Folder that their paths are relative to.
-            mesh_file: Used instead of the case's mesh.
-            read_step: Reads a step of a recording.
+        """What settings name, read, paths from a folder; see `Case.read`.
 
         Raises:
             InputError: A file cannot be read, the ZMP leaves the sole, or
                 the force the friction cone.
         """
-        root = Path(data_root)
+        root, friction = Path(data_root), settings.contact.friction
         mesh = settings.read_mesh(root, mesh_file)
         settings = settings.walking_on(mesh.nodes[mesh.contact, :2])
         ground = settings.ground.read(root) if settings.ground else FLAT
@@ -374,7 +364,7 @@ class Setup:
         ground.check_below(level, "ground.heights")
         up = ground.normal(level)
         width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
-        friction, found = settings.contact.friction, []
+        found = []
         for block in settings.all_loads:
             load = block.load(root, read_step)
             if load.rotation is not None:
@@ -383,10 +373,10 @@ class Setup:
             load.check_inside(level)
             load.check_friction(friction, up)
             found.append(load.bearable(friction, width))
-        weights = [block.weight for block in settings.all_loads]
-        load = Load.one_after_another(found, weights)
-        if not settings.loads:
-            (load,) = found
+        load = found[0]
+        if settings.loads:
+            weights = [block.weight for block in settings.loads]
+            load = Load.one_after_another(found, weights)
         return cls(settings, load, mesh, start, ground)
 
     @property
@@ -400,14 +390,10 @@ class Setup:
         return _level(self.mesh, self.start)
 
     @property
-    def up(self) -> np.ndarray:
-        """Normal of the ground below it on the whole, (3,)."""
-        return self.ground.normal(self.level)
-
-    @property
     def friction_used(self) -> float:
-        """Largest force along over across that ground."""
-        return float(self.load.friction_used(self.up).max())
+        """Largest force along over across the ground on the whole."""
+        up = self.ground.normal(self.level)
+        return float(self.load.friction_used(up).max())
 
     @property
     def ground_told(self) -> dict:
@@ -437,16 +423,16 @@ class Setup:
 
     def with_iterations(self, iterations: int | None) -> "Setup":
         """At most so many in the last stage; None: the case's."""
-        if iterations is None:
-            return self
-        return self._with_last_stage(iterations=iterations)
+        return (
+            self if iterations is None
+            else self._with_last_stage(iterations=iterations)
+        )  # fmt: skip
 
     def on_own_mesh(self) -> "Setup":
         """The last stage on the mesh at hand; all, where it is no brick."""
-        stages = self.settings.optimize.stages
-        block = np.prod(np.ptp(self.mesh.nodes, axis=0))
-        if abs(self.mesh.volume / block - 1) < 1e-6:
+        if self.mesh.is_block:
             return self._with_last_stage(divisions=None)
+        stages = self.settings.optimize.stages
         return self.optimizing(
             stages=tuple(replace(s, divisions=None) for s in stages)
         )

@@ -74,14 +74,10 @@ def heel_strike_count(samples: int, fraction: float = 0.1) -> int:
 def sample_weights(
     load, fraction: float = 0.1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of the samples in c_tr and c_rot, (N,) each.
+    """Factors of a load's samples in c_tr and c_rot, (N,) each.
 
-    Of one contact phase both are plain sums, over heel strike and over all;
-    of several the weighted means of their sums.
-
-    Args:
-        load: The `Load`.
-        fraction: Part of a phase's samples that is heel strike.
+    Of one contact phase both are plain sums, over heel strike (that fraction
+    of its samples) and over all; of several the weighted means of their sums.
     """
     by_tr, by_rot = np.zeros((2, len(load.times)))
     for phase, share in zip(load.phases, load.shares, strict=True):
@@ -107,9 +103,8 @@ HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"
 def candidate_poses(lP: np.ndarray, target: Target, ground) -> list[State]:
     """Poses that lay the rest shape flat on a hull facet, best first.
 
-    Where an orientation is asked for, that alone. Facets whose support holds
-    the ZMP come first, by tilt; then the others, by the distance of the ZMP
-    from the support.
+    Facets whose support holds the ZMP come first, by tilt; then the others, by
+    its distance from the support. An orientation that is asked for is the one.
     """
     start, rotation = target.reference, target.rotation
     if rotation is not None:
@@ -179,8 +174,7 @@ def first_step(
         largest_force: Largest |F| of the phase [N]; pressing in uses at
             least a fifth of it, so that enough nodes touch.
         near: First state of a neighbouring design. A pose turned far from
-            it that does not follow from it either is a leap to another
-            branch, and fails.
+            it that does not follow from it either is a leap, and fails.
         patience: Newton steps after which no other facet is tried.
     """
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
@@ -202,18 +196,16 @@ def _follow_design(solver, target, near, press):
     state, report = solver.solve(near, target)
     if not report.converged:
         unloaded = State(np.zeros_like(solver.lP), near.O.copy(), near.R)
-        laws = [solver.law]
-        state, report = _lead(solver, target, unloaded, press, laws)
+        state, report = _lead(solver, target, unloaded, press, [solver.law])
     return state, report
 
 
 def _cold_start(solver, target, press, patience):
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
     candidates = candidate_poses(solver.lP, target, solver.ground)
-    total, smoother = 0, _smoother(solver.law)
+    total, tried, smoother = 0, 0, _smoother(solver.law)
     # Where the law itself is as smooth, they would fail alike.
     ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
-    tried = 0
     for guess in candidates:
         if total > patience:
             break
@@ -263,8 +255,7 @@ def _lead(solver, target, guess, press, laws):
 def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
     """Lower the sole at fixed orientation until it carries about `press`.
 
-    Returns:
-        State, load that it carries, Newton steps taken.
+    State, load that it carries, Newton steps taken.
     """
     depth, total = 1e-4, 0
     aim = replace(target, force=np.array([0.0, 0.0, press]))
@@ -297,12 +288,8 @@ def follow_load(
 ) -> tuple[State, Convergence]:
     """Newton at the target from a guess, else `lead`.
 
-    Args:
-        solver: Newton solver.
-        state: Solution for `before`.
-        before: Load that `state` carries.
-        target: Load wanted; its references hold all along.
-        guess: Tried first, before `state` itself.
+    From the solution `state` for the load `before`; the references of the
+    load wanted hold all along.
     """
     spent = 0
     if guess is not None:
@@ -318,10 +305,7 @@ def follow_load(
 def lead(solver, state, before: Target, target: Target):
     """From equilibrium at `before` to `target`, bisecting the way.
 
-    Args:
-        solver: In small or finite strain.
-        state: Solution for `before`.
-        before, target: Loads; the target's references hold all along.
+    In small or finite strain; the target's references hold all along.
 
     Returns:
         Last equilibrium, report at the target, part of the way reached.
@@ -352,12 +336,8 @@ def refine_time(
     """To the target by samples in between, the load linear in time.
 
     Unlike `follow_load`, every part is a step of its own: the references are
-    the places where the part before it has left the nodes.
-
-    Args:
-        solver: Newton solver.
-        state, places: Solution for `before`, and the nodes' places there.
-        before, target: Loads at both ends; references are not used.
+    the places where the part before it has left the nodes. `state` and
+    `places` are those of `before`; references of both loads are not used.
 
     Returns:
         The last state that was found; its report: how many parts it took or
@@ -430,12 +410,16 @@ class StepHistory:
 
     def statuses(self) -> list[str]:
         """How every sample was reached, in words."""
+
+        def told(report: Convergence) -> str:
+            if report.parts > 1:
+                return f"followed in {report.parts} parts of its time"
+            return "followed"
+
         return [
-            report.message or ("not followed" if not report.converged else
-            "followed" if report.parts == 1 else
-            f"followed in {report.parts} parts of its time")
-            for report in self.reports
-        ]  # fmt: skip
+            r.message or (told(r) if r.converged else "not followed")
+            for r in self.reports
+        ]
 
 
 def touches_elsewhere(
@@ -541,11 +525,8 @@ def simulate(
                 report.iterations += spent
                 history.between[q] = target.reference
         if state is not None:
-            history.F[q], history.O[q], history.R[q] = (
-                state.F,
-                state.O,
-                state.R,
-            )
+            history.F[q], history.O[q] = state.F, state.O
+            history.R[q] = state.R
             history.P[q] = solver.deformed(state.F, state.R) + state.O
         left -= report.iterations
         if left < 0:

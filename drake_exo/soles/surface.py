@@ -23,7 +23,13 @@ from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.mesh import read_cells
-from drake_exo.soles.mesh import TetMesh, checked_mesh, grid_mesh
+from drake_exo.soles.mesh import (
+    TetMesh,
+    checked_mesh,
+    face_edges,
+    grid_mesh,
+    normals_of,
+)
 
 
 class MmgError(InputError):
@@ -36,7 +42,7 @@ def run_mmg(
     """Nodes (n, 3) and tetrahedra (e, 4) that Mmg makes of a body.
 
     Args:
-        body: Its `nodes` (n, 3) and `tets` (e, 4), and either
+        body: Its `nodes` and `tets` likewise, and either
             `level` (n,): cells are cut where it is zero, with `step` [m],
             their size;
             `size` (n,) [m]: of the new elements' edges, with `gradation`,
@@ -121,8 +127,7 @@ class Surface:
     @property
     def normals(self) -> np.ndarray:
         """Outward, as long as twice the area [m²], (t, 3)."""
-        a, b, c = np.swapaxes(self.corners, 0, 1)
-        return np.cross(b - a, c - a)
+        return normals_of(self.corners)
 
     @property
     def volume(self) -> float:
@@ -189,9 +194,7 @@ def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_closed(path, nodes, faces) -> None:
     """Refuse holes, and edges that more than two triangles share."""
-    edges = np.concatenate(
-        [faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]
-    )
+    edges = face_edges(faces)
     key, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
     bad = np.flatnonzero(count != 2)
     if len(bad):
@@ -273,52 +276,43 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
 
 def _meshed(corners, top, flat: bool, tets: int):
     """Nodes (n, 3) [m] and cells (e, 4) inside, about so many."""
-    low = corners.reshape(-1, 3).min(axis=0)
-    high = corners.reshape(-1, 3).max(axis=0)
+    points = corners.reshape(-1, 3)
     thickness = _Thickness(corners)
-    share = _share(corners, thickness, tets)
+    share = _share(thickness, tets)
     h = _GRID * share * thickness.usual
-    axes = []
-    for axis in range(3):
-        # Beyond the surface but for a flat top, which is the grid's own.
-        above = 0.0 if flat and axis == 2 else 1.5 * h
-        a, b = low[axis] - 1.5 * h, high[axis] + above
-        axes.append(np.linspace(a, b, int(np.ceil((b - a) / h)) + 1))
-    grid = grid_mesh(*axes)
+    low, high = points.min(axis=0) - 1.5 * h, points.max(axis=0) + 1.5 * h
+    if flat:  # the grid's own
+        high[2] = points[:, 2].max()
+    grid = grid_mesh(
+        *(
+            np.linspace(a, b, int(np.ceil((b - a) / h)) + 1)
+            for a, b in zip(low, high, strict=True)
+        )
+    )
     away = _distance(corners[~top] if flat else corners, grid.nodes, h)
     inside = thickness.inside(grid.nodes, flat * 0.01 * h)
     level = np.where(inside, -away, away)
-    cut = run_mmg(
-        {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h},
-        _SECONDS,
-    )
-    nodes, cells = _used(*cut)
-    size = share * thickness.at(nodes)
-    return _onto(
+    nodes, cells = _used(
         *run_mmg(
-            {
-                "nodes": nodes,
-                "tets": cells,
-                "size": np.maximum(size, 0.3 * np.median(size)),
-                "gradation": _GRADATION,
-            },
+            {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h},
             _SECONDS,
-        ),
-        corners,
-        top,
-        flat,
+        )
     )
+    size = share * thickness.at(nodes)
+    size = np.maximum(size, 0.3 * np.median(size))
+    body = {"nodes": nodes, "tets": cells, "size": size}
+    mesh = run_mmg(body | {"gradation": _GRADATION}, _SECONDS)
+    return _onto(*mesh, corners, top, flat)
 
 
-def _share(corners, thickness: "_Thickness", tets: int) -> float:
+def _share(thickness: "_Thickness", tets: int) -> float:
     """Elements' size over thickness for about so many.
 
     A regular tetrahedron of edge h fills h³ / 8.5; Mmg makes them about a
     quarter as large, since the surface wants some finer.
     """
     t = thickness.positive
-    cell = thickness.cell
-    return float((_FILL * (cell * t / t**3).sum() / tets) ** (1 / 3))
+    return float((_FILL * (thickness.cell * t / t**3).sum() / tets) ** (1 / 3))
 
 
 class _Thickness:
@@ -338,7 +332,7 @@ class _Thickness:
         i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
         places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
         total = np.zeros(len(places))
-        for rows, z in _crossings(self.corners, places):
+        for rows, z in crossings(self.corners, places):
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
@@ -364,19 +358,14 @@ class _Thickness:
         return np.maximum(t, 0.2 * self.usual)
 
     def inside(self, nodes: np.ndarray, lower: float) -> np.ndarray:
-        """Whether points of a grid are inside, (n,).
-
-        Args:
-            nodes: (n, 3) [m].
-            lower: By which they are taken lower [m].
-        """
+        """Whether points (n, 3) [m] of a grid, taken lower, are inside."""
         places, which = np.unique(nodes[:, :2], axis=0, return_inverse=True)
         which, z = which.ravel(), nodes[:, 2] - lower
         out = np.zeros(len(nodes), dtype=bool)
         order = np.argsort(which, kind="stable")
         ends = np.searchsorted(which[order], np.arange(len(places) + 1))
         nudge = 1e-7 * np.array([np.pi, np.e])
-        for rows, heights in _crossings(self.corners, places + nudge):
+        for rows, heights in crossings(self.corners, places + nudge):
             for row, own in zip(rows, heights, strict=True):
                 here = order[ends[row] : ends[row + 1]]
                 below = (own[None] > z[here, None]).sum(axis=1)
@@ -384,11 +373,10 @@ class _Thickness:
         return out
 
 
-def _crossings(corners: np.ndarray, places: np.ndarray):
+def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
-    Yields:
-        Rows of places with a like number of crossings, heights (rows, k).
+    Yields rows of places with a like number of crossings, heights (rows, k).
     """
     a, b, c = np.swapaxes(corners, 0, 1)
     e, f = (b - a)[:, :2], (c - a)[:, :2]
@@ -433,21 +421,14 @@ def _distance(corners, points, step: float) -> np.ndarray:
 def _sampled(corners, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Points on triangles about `step` apart, and the triangles they are on."""
     a, b, c = np.swapaxes(corners, 0, 1)
-    longest = np.linalg.norm(np.stack([b - a, c - b, a - c]), axis=2).max(
-        axis=0
-    )
+    sides = np.linalg.norm(np.stack([b - a, c - b, a - c]), axis=2)
+    count = np.ceil(sides.max(axis=0) / step).astype(int).clip(1, 200)
     places, owners = [], []
-    for n in np.unique(
-        count := np.ceil(longest / step).astype(int).clip(1, 200)
-    ):
+    for n in np.unique(count):
         own = np.flatnonzero(count == n)
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-        u, v = (x[i + j <= n] / n for x in (i, j))
-        p = (
-            a[own, None]
-            + u[:, None] * (b - a)[own, None]
-            + v[:, None] * (c - a)[own, None]
-        )
+        u, v = (x[i + j <= n, None] / n for x in (i, j))
+        p = a[own, None] + u * (b - a)[own, None] + v * (c - a)[own, None]
         places.append(p.reshape(-1, 3))
         owners.append(np.repeat(own, len(u)))
     return np.concatenate(places), np.concatenate(owners)
@@ -465,11 +446,9 @@ def _on_triangles(corners, points) -> np.ndarray:
     out = a + u[:, None] * e + v[:, None] * f
     least = np.where(inside, -1.0, np.inf)
     for p, q in ((a, b), (b, c), (c, a)):
-        along = q - p
-        t = ((points - p) * along).sum(1) / np.maximum(
-            (along**2).sum(1), 1e-300
-        )
-        x = p + np.clip(t, 0, 1)[:, None] * along
+        along, size = q - p, np.maximum(((q - p) ** 2).sum(1), 1e-300)
+        t = np.clip(((points - p) * along).sum(1) / size, 0, 1)
+        x = p + t[:, None] * along
         away = np.linalg.norm(x - points, axis=1)
         better = away < least
         out[better], least[better] = x[better], away[better]

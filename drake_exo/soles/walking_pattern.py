@@ -150,12 +150,15 @@ class Pattern:
     com: BSpline
     zmp: BSpline
 
-    def at(self, spline: BSpline, t: np.ndarray) -> np.ndarray:
-        """A spline carried on over the following mirrored step, (n, 2)."""
+    def at(self, spline: BSpline, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """A spline or derivative over it and the mirrored next step, (n, 2)."""
         T = self.robot.step_time_s
         late = t > T
-        out = spline(np.where(late, t - T, t))
-        out[late] = _mirrored(out[late], self.robot)
+        out = spline(np.where(late, t - T, t), order)
+        if order:
+            out[late, 1] *= -1
+        else:
+            out[late] = _mirrored(out[late], self.robot)
         return out
 
     def foot_load(
@@ -171,32 +174,20 @@ class Pattern:
             least: Leave samples out below this part of the weight.
             like: Whose samples are taken, at the same parts of both supports.
         """
-        robot = self.robot
+        robot, other = self.robot, like or self.robot
         T, D = robot.step_time_s, robot.double_support_s
-        other = like or robot
-        ends = np.cumsum([0.0, other.double_support_s,
-                          other.step_time_s - other.double_support_s,
-                          other.double_support_s])  # fmt: skip
-        t = np.arange(0.0, ends[-1] + 1e-9, period)
-        t = np.interp(t, ends, [0.0, D, T, T + D])
-        z, acceleration = self.at(self.zmp, t), self._acceleration(t)
+        step, both = other.step_time_s, other.double_support_s
+        t = np.arange(0.0, step + both + 1e-9, period)
+        t = np.interp(t, [0, both, step, step + both], [0, D, T, T + D])
+        z, acceleration = self.at(self.zmp, t), self.at(self.com, t, 2)
         share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))
-        own = self._own_zmp(t, z)
-        total = robot.mass_kg * np.concatenate(
-            [acceleration, np.full((len(t), 1), robot.gravity_m_per_s2)], axis=1
-        )
+        upward = np.full((len(t), 1), robot.gravity_m_per_s2)
+        total = robot.mass_kg * np.hstack([acceleration, upward])
         keep = share >= least
         return Load(
-            t[keep], (share[:, None] * total)[keep], own[keep],
+            t[keep], (share[:, None] * total)[keep], self._own_zmp(t, z)[keep],
             "walking pattern",
         )  # fmt: skip
-
-    def _acceleration(self, t):
-        T = self.robot.step_time_s
-        late = t > T
-        out = self.com(np.where(late, t - T, t), 2)
-        out[late, 1] *= -1
-        return out
 
     def _own_zmp(self, t, z):
         """Under the right foot: in double support its own line plus ρ/2…
@@ -259,10 +250,7 @@ def plan(robot: Robot) -> Pattern:
     """
     T, D = robot.step_time_s, robot.double_support_s
     omega2 = robot.gravity_m_per_s2 / robot.com_height_m
-    knots = np.concatenate(
-        [np.zeros(_DEGREE), np.linspace(0, T, _PIECES + 1),
-         np.full(_DEGREE, T)]
-    )  # fmt: skip
+    knots = np.pad(np.linspace(0, T, _PIECES + 1), _DEGREE, mode="edge")
     basis = BSpline(knots, np.eye(_PIECES + _DEGREE), _DEGREE)
     t = np.linspace(0, T, _GRID)
     Z = _zmp(basis, omega2, t)
@@ -309,16 +297,15 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
 
     p0 = np.linalg.lstsq(equal, value)[0]
     free = null_space(equal)
-    H, r = A @ free, b - A @ p0
+    H, r, inside = A @ free, b - A @ p0, rows @ free
+    low, high = low - rows @ p0, high - rows @ p0
     scale = np.linalg.norm(H)
     prog = MathematicalProgram()
     y = prog.NewContinuousVariables(free.shape[1], "y")
     prog.AddQuadraticCost(
         2 * H.T @ H / scale**2, -2 * H.T @ r / scale**2, y, is_convex=True
     )
-    offset = rows @ p0
-    inside = rows @ free
-    prog.AddLinearConstraint(rows @ free, low - offset, high - offset, y)
+    prog.AddLinearConstraint(inside, low, high, y)
     result = ClarabelSolver().Solve(prog)
     if not result.is_success():
         raise InputError(
@@ -326,17 +313,15 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
             "back_m to front_m and outer_m to inner_m, or slow the step"
         )
     found = result.GetSolution(y)
-    return p0 + free @ _polished(
-        found, H, r, inside, low - offset, high - offset
-    )
+    return p0 + free @ _polished(found, H, r, inside, low, high)
 
 
 def _polished(y, H, r, rows, low, high) -> np.ndarray:
     """The minimum on the bounds that hold the solver's: it is smooth then."""
-    value = rows @ y
-    near = _NEAR * (high - low)
-    held = np.concatenate([rows[value < low + near], rows[value > high - near]])
-    at = np.concatenate([low[value < low + near], high[value > high - near]])
+    value, near = rows @ y, _NEAR * (high - low)
+    below, above = value < low + near, value > high - near
+    held = np.concatenate([rows[below], rows[above]])
+    at = np.concatenate([low[below], high[above]])
     base = np.linalg.lstsq(held, at)[0] if len(held) else np.zeros(len(y))
     Z = null_space(held) if len(held) else np.eye(len(y))
     exact = base + Z @ np.linalg.lstsq(H @ Z, r - H @ base)[0]
@@ -353,23 +338,20 @@ def _zmp(spline, omega2, at, order=0):
 def _own_rows(basis, omega2, t, T, D):
     """Rows of one foot's ZMP times its share, landing to lift-off."""
     z = partial(_zmp, basis, omega2)
-    landing, off = t[t < D], t[t <= D]
+    landing, alone, off = t[t < D], t[t >= D], t[t <= D]
     forth, back = _progress(off, D)[0], _progress(landing, D)[1]
-    rows = np.concatenate(
-        [
-            z(D)[None] + back * z(D, 1)[None],
-            np.stack([z(s) for s in t[t >= D]]),
-            z(T)[None] + forth * z(T, 1)[None],
-        ]
-    )
-    share = np.concatenate(
-        [
-            smooth_share(landing / D),
-            np.ones(np.count_nonzero(t >= D)),
-            1 - smooth_share(off / D),
-        ]
-    )
-    return share[:, None] * rows, share
+    rows = [
+        z(D) + back * z(D, 1),
+        np.stack([z(s) for s in alone]),
+        z(T) + forth * z(T, 1),
+    ]
+    shares = [
+        smooth_share(landing / D),
+        np.ones(len(alone)),
+        1 - smooth_share(off / D),
+    ]
+    share = np.concatenate(shares)
+    return share[:, None] * np.concatenate(rows), share
 
 
 def _ends(basis, omega2, T, D):
@@ -383,27 +365,18 @@ def _double_support_residual(basis, omega2, t, D):
     z = partial(_zmp, basis, omega2)
     share = smooth_share(t / D)[:, None]
     forth, back = _progress(t, D)
-    a = z(0.0)[None] + forth * z(0.0, 1)[None]
-    b = z(D)[None] + back * z(D, 1)[None]
-    rows = np.stack([z(s) for s in t])
-    return rows - (1 - share) * a - share * b
+    a, b = z(0.0) + forth * z(0.0, 1), z(D) + back * z(D, 1)
+    return np.stack([z(s) for s in t]) - (1 - share) * a - share * b
 
 
 def _as_spline(knots, c: BSpline, omega2: float) -> BSpline:
     """The ZMP z = c − c̈/ω² as one spline of degree 5, repeated knots for C²."""
     inner = knots[_DEGREE:-_DEGREE]
-    multiple = np.concatenate(
-        [
-            np.full(_DEGREE + 1, inner[0]),
-            np.repeat(inner[1:-1], 3),
-            np.full(_DEGREE + 1, inner[-1]),
-        ]
-    )
+    first, last = inner[[0, -1]].repeat(_DEGREE + 1).reshape(2, -1)
+    multiple = np.concatenate([first, np.repeat(inner[1:-1], 3), last])
     count = len(multiple) - _DEGREE - 1
     # Greville points make interpolation of a member of the space exact.
-    sites = np.array(
-        [multiple[i + 1 : i + _DEGREE + 1].mean() for i in range(count)]
-    )
+    sites = [multiple[i + 1 : i + _DEGREE + 1].mean() for i in range(count)]
     sites = np.clip(sites, inner[0], inner[-1])  # rounding
     values = _zmp(c, omega2, sites)
     design = BSpline.design_matrix(sites, multiple, _DEGREE).toarray()
@@ -448,16 +421,14 @@ class Gait:
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Name -> lowest and highest value."""
-        own, found = self.numbers(self.robot), {}
-        for name, (_, low, high) in _REACH.items():
-            if name in self.free or (
-                name == "torque_weight" and "zmp" in self.free
-            ):
-                found[name] = low * own[name], high * own[name]
-        if "zmp" in self.free:
-            for name, by in _AIM.items():
-                found[name] = own[name] - by, own[name] + by
-        return found
+        own, by_zmp = self.numbers(self.robot), "zmp" in self.free
+        found = {
+            name: (low * own[name], high * own[name])
+            for name, (_, low, high) in _REACH.items()
+            if name in self.free or (name == "torque_weight" and by_zmp)
+        }
+        aims = _AIM.items() if by_zmp else ()
+        return found | {n: (own[n] - by, own[n] + by) for n, by in aims}
 
     @staticmethod
     def numbers(robot: Robot) -> dict[str, float]:
@@ -468,22 +439,21 @@ class Gait:
     @property
     def start(self) -> np.ndarray:
         """The case's own walk, (G,)."""
+        own = self.numbers(self.robot)
         return np.array(
             [
-                (self.numbers(self.robot)[name] - low) / (high - low)
-                for name, (low, high) in self.ranges.items()
+                (own[n] - low) / (high - low)
+                for n, (low, high) in self.ranges.items()
             ]
         )
 
     def at(self, x: np.ndarray) -> Robot:
         """The walk of variables (G,)."""
-        values = {
-            name: float(low + share * (high - low))
-            for share, (name, (low, high)) in zip(
-                x, self.ranges.items(), strict=True
-            )
-        }
-        own = self.numbers(self.robot) | values
+        own = self.numbers(self.robot)
+        for share, (name, (low, high)) in zip(
+            x, self.ranges.items(), strict=True
+        ):
+            own[name] = float(low + share * (high - low))
         ankle = own.pop("aim_x"), own.pop("aim_y")
         named = {_REACH[name][0]: value for name, value in own.items()}
         return replace(self.robot, ankle_m=ankle, **named)

@@ -267,22 +267,24 @@ def test_intervals_are_those_of_least_squares():
     best = SimpleNamespace(
         fun=fun, jac=J, x=np.zeros(7), cost=0.5 * np.sum(fun**2)
     )
-    samples = _truth(planar=True)
-    scale = np.array([1.0, 0.026, 0.01, 1e-3])
-    found = reduction._reduction(
-        samples,
-        True,
-        best,
-        (E[:2], PLACE[:2], softened(SHARE)),
-        [0, 1, 3],
-        scale,
-    )
     variance = np.sum(fun**2) / (40 - 7)
     sd = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J)))
-    for k in range(2):
-        expected = 1.96 * sd[1 + 3 * k : 4 + 3 * k] * scale[[0, 1, 3]]
-        np.testing.assert_allclose(found.interval[k, [0, 1, 3]], expected)
-        assert found.interval[k, 2] == 0.0
+    np.testing.assert_allclose(reduction._deviations(best), sd)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planar", [True, False], ids=["plane", "space"])
+def test_intervals_are_in_the_units_of_what_they_are_of(planar, monkeypatch):
+    """A sphere's numbers follow each other; scales are of the sole's size."""
+    columns = [0, 1, 3] if planar else [0, 1, 2, 3]
+    sd = 0.01 * np.arange(1 + 2 * len(columns))
+    monkeypatch.setattr(reduction, "_deviations", lambda best: sd)
+    found = reduction.reduce_sole(_truth(planar=planar), 2, planar)
+    scale = np.array([1.0, 0.1 * SIZE[0], 0.1 * SIZE[1], 1e-3])[columns]
+    expected = 1.96 * sd[1:].reshape(2, -1) * scale
+    np.testing.assert_allclose(found.interval[:, columns], expected)
+    if planar:
+        assert (found.interval[:, 2] == 0.0).all()
 
 
 def test_where_a_centre_of_pressure_counts():

@@ -232,7 +232,9 @@ def test_a_mark_is_the_result_s_not_its_first_shape_s(
     (tmp_path / "b" / animation.FIRST_HISTORY).write_bytes(b"")
     monkeypatch.setattr(
         SoleMotion, "read",
-        lambda file, title, name: replace(motion, title=title, group=name),
+        lambda file, title, name, mark="": replace(
+            motion, title=title, group=name, mark=mark
+        ),
     )  # fmt: skip
     monkeypatch.setattr(
         animation, "_told",

@@ -84,13 +84,17 @@ def test_all_stages_count(design):
 
 def test_the_spread_is_that_of_feasible_starts(design):
     def spread(*rows):
-        starts = tuple({"cost": c, "violation": v} for c, v in rows)
+        names = ("cost", "violation", "stage")
+        starts = tuple(dict(zip(names, r, strict=False)) for r in rows)
         return replace(design, starts=starts).spread
 
     assert spread() is None and spread((-0.5, 0.0)) is None
     assert spread((-0.5, 0.0), (-0.9, 2 * FEASIBLE)) is None
     found = spread((-0.5, 0.0), (-0.4, FEASIBLE), (-0.1, 0.0), (-2.0, 1.0))
     assert found == pytest.approx(0.4 / 0.5)
+    # Costs of other stages, which are rougher, do not count.
+    found = spread((-0.4, 0.0, 2), (-0.5, 0.0, 2), (-0.1, 0.0, 1))
+    assert found == pytest.approx(0.1 / 0.5)
 
 
 def _values(design):

@@ -64,6 +64,14 @@ def test_a_wrong_tangent_is_caught(body, monkeypatch):
     assert _tangent_error(body, _bumpy(body)) > 1e-8
 
 
+def _energy(F):
+    """W [J/m³] of deformation gradients."""
+    log_J = np.log(np.linalg.det(F))
+    I1 = (F * F).sum(axis=(-2, -1))
+    shear, lam = MATERIAL.shear_modulus, MATERIAL.lame_lambda
+    return 0.5 * shear * (I1 - 3 - 2 * log_J) + 0.5 * lam * log_J**2
+
+
 def test_stress_is_the_derivative_of_the_energy():
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.2 * rng.standard_normal((5, 3, 3))
@@ -71,10 +79,7 @@ def test_stress_is_the_derivative_of_the_energy():
     for i, j in np.ndindex(3, 3):
         h = np.zeros((3, 3))
         h[i, j] = 1e-6
-        slope = (
-            finite_strain.energy(F + h, MATERIAL)
-            - finite_strain.energy(F - h, MATERIAL)
-        ) / 2e-6
+        slope = (_energy(F + h) - _energy(F - h)) / 2e-6
         np.testing.assert_allclose(P[:, i, j], slope, rtol=1e-6, atol=1e-2)
 
 

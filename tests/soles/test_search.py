@@ -66,7 +66,9 @@ def test_stages_are_bricks_in_the_own_box(case):
     size = (0.23, 0.13, 0.03)
     np.testing.assert_allclose(found.nodes, brick(size, (5, 2, 4)).nodes)
     assert stage_mesh(case.mesh, replace(stage, divisions=None)) is case.mesh
-    holed = SimpleNamespace(nodes=case.mesh.nodes, volume=0.99999 * 897e-6)
+    nodes = case.mesh.nodes.copy()
+    nodes[0] *= 0.9999  # 8e-6 of the volume
+    holed = case.mesh.with_nodes(nodes)
     with pytest.raises(InputError, match="divisions need a brick"):
         stage_mesh(holed, stage)
 
@@ -300,13 +302,14 @@ def _fake_run(number, p, cost, violation=0.0):
 def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     """Feasible before cheap; starts that were interrupted go on first."""
     block = case.settings.optimize
-    setup = case.optimizing(stages=3 * block.stages, starts=4)
+    setup = case.optimizing(stages=4 * block.stages, starts=4)
     made, clock = [], [1000.0]
     rows = [(5.0, 0.0), (1.0, 0.5), (4.0, 0.0), (6.0, 0.0)]
 
-    def from_start(setup, start, at, out, say):
-        made.append((start, at))
-        return _fake_run(1, f"p{start}", *rows[start])
+    def from_start(setup, start, number, at, out, say):
+        made.append((start, number, at and at.p))
+        cost, violation = rows[start]
+        return _fake_run(number + 1, f"p{start}", cost - number, violation)
 
     def run_stage(setup, number, at, out, say):
         made.append((number, at.p, [row["cost"] for row in at.starts]))
@@ -324,13 +327,14 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     monkeypatch.setattr(search, "verified", verified)
     monkeypatch.setattr(search, "time", SimpleNamespace(
         perf_counter=lambda: clock[0]))  # fmt: skip
-    begun = (Checkpoint(iteration=3), None)
+    begun = (Checkpoint(iteration=3, p="q"), None)
     found = search.optimise(setup, None, str, Checkpoint(begun=begun))
     assert made == [
-        (0, begun[0]), (1, None), (2, None), (3, None),
-        (1, "p2", [5.0, 1.0, 4.0, 6.0]),
-        (2, "p2'", [5.0, 1.0, 4.0, 6.0]),
-        ("problem 2", "p2''", [4.0, 3.0, 3.0], [11.0, 12.0, 13.0]),
+        (0, 0, "q"), (1, 0, None), (2, 0, None), (3, 0, None),
+        (2, 1, "p2"), (0, 1, "p0"),  # the better half
+        (2, 2, "p2"),
+        (3, "p2", [4.0, 1.0, 2.0, 6.0]),
+        ("problem 3", "p2'", [4.0, 3.0, 2.0, 3.0], [11.0, 12.0, 13.0, 14.0]),
     ]  # fmt: skip
     assert found.seconds == 7.0
     # One that was finished is verified on its last stage's problem.
@@ -348,21 +352,28 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     def run_stage(setup, number, at, out, say):
         say("it goes")
         asked.append(at)
-        return _fake_run(1, np.zeros(17), 2.0, 0.5), None
+        run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5)
+        run.at = replace(run.at, starts=at.starts)
+        return run, None
 
     monkeypatch.setattr(search, "_run_stage", run_stage)
     setup = case.optimizing(starts=3)
-    run = search.from_start(setup, 2, None, None, said.append)
+    run = search.from_start(setup, 2, 0, None, None, said.append)
     problem = stage_problem(case, case.settings.optimize.stages[0])
     bounds = tuple(case.settings.optimize.bounds)
     wanted = start_design(problem, bounds, 2)
     np.testing.assert_array_equal(asked[0].p, wanted)
     np.testing.assert_array_equal(asked[0].latest, wanted)
     assert said == ["start 3/3, it goes"]
-    assert run.at.starts == ({"cost": 2.0, "violation": 0.5},)
-    again = search.from_start(setup, 2, run.at, None, said.append)
+    row = {"stage": 1, "cost": 2.0, "violation": 0.5}
+    assert run.at.starts == (row,)
+    again = search.from_start(setup, 2, 0, run.at, None, said.append)
     assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.5)
     assert len(asked) == 1 and again.seconds == 0.0
+    further = search.from_start(setup, 2, 1, run.at, None, said.append)
+    assert asked[1] is run.at
+    row = {"stage": 2, "cost": 1.0, "violation": 0.5}
+    assert further.at.starts == (*run.at.starts, row)
 
 
 # Walk and sole

@@ -58,74 +58,9 @@ def _assert_texts_lie_apart(figure):
 # Surfaces
 
 
-def _pyramid(lean):
-    """Two triangles of areas 3 to 1 on an edge, turned by `lean` [deg]."""
-    c, s = np.cos(np.deg2rad(lean)), np.sin(np.deg2rad(lean))
-    nodes = 1e-3 * np.array([[0, 0, 0], [0, 2, 0], [-3, 0, 0], [c, 0, -s]])
-    return nodes, np.array([[0, 1, 2], [1, 0, 3]])
-
-
-def test_normals_are_weighted_by_area_up_to_a_crease():
-    nodes, faces = _pyramid(39.0)
-    shape = pictures.surface(nodes, faces, np.zeros((4, 3)))
-    lean = np.deg2rad(39.0)
-    flat = np.array([[0, 0, 1], [np.sin(lean), 0, np.cos(lean)]])
-    shared = 3 * flat[0] + flat[1]
-    shared /= np.linalg.norm(shared)
-    wanted = [[shared, shared, flat[0]], [shared, shared, flat[1]]]
-    np.testing.assert_allclose(shape.normals, wanted, atol=1e-12)
-    np.testing.assert_allclose(shape.corners[0], 1e3 * nodes[faces[0]])
-    nodes, faces = _pyramid(41.0)
-    sharp = pictures.surface(nodes, faces, np.zeros((4, 3))).normals
-    np.testing.assert_allclose(sharp[0], 3 * [[0, 0, 1]], atol=1e-12)
-
-
-def test_colours_are_those_of_the_nodes():
-    nodes, faces = _pyramid(0.0)
-    colours = np.arange(12.0).reshape(4, 3)
-    shape = pictures.surface(nodes, faces, colours)
-    np.testing.assert_array_equal(shape.colours, colours[faces])
-
-
-def test_a_finer_surface_is_the_same_surface():
-    """Four parts of each triangle, turned like it; colours as before."""
-    rng = np.random.default_rng(0)
-    corners = rng.standard_normal((5, 3, 3))
-    normals = rng.standard_normal((5, 3, 3)) + np.array([0, 0, 5])
-    slope = rng.standard_normal((3, 3))
-    shape = pictures.Surface(corners, normals, corners @ slope)
-    fine = shape.refined()
-    assert len(fine.corners) == 20
-
-    def areas(corners):
-        a, b, c = np.swapaxes(corners, 0, 1)
-        return np.cross(b - a, c - a)
-
-    parts = areas(fine.corners).reshape(4, 5, 3)
-    for part in parts:
-        np.testing.assert_allclose(part, areas(corners) / 4, atol=1e-12)
-    # Any linear colour of a place stays that place's; no part comes twice.
-    np.testing.assert_allclose(fine.colours, fine.corners @ slope, atol=1e-12)
-    middles = fine.corners.mean(axis=1).reshape(4, 5, 3)
-    assert len(np.unique(middles.round(9).reshape(-1, 3), axis=0)) == 20
-    np.testing.assert_allclose(middles.mean(axis=0), corners.mean(axis=1))
-    length = np.linalg.norm(fine.normals, axis=2)
-    np.testing.assert_allclose(length, 1.0)
-    own = normals[0] / np.linalg.norm(normals[0], axis=1, keepdims=True)
-    np.testing.assert_allclose(fine.normals[0, 0], own[0])
-    between = normals[0, 0] + normals[0, 1]
-    np.testing.assert_allclose(
-        fine.normals[0, 1], between / np.linalg.norm(between)
-    )
-
-
-def _painted(corners, view, normals=None, colour=0.5):
-    corners = np.asarray(corners, float)
-    if normals is None:
-        normals = np.tile([0.0, 0.0, 1.0], (len(corners), 3, 1))
-    shape = pictures.Surface(corners, normals, np.full(corners.shape, colour))
+def _painted(corners, view, colour=0.5):
     axis = Figure().add_subplot()
-    pictures.draw(axis, shape, view)
+    pictures.draw(axis, corners, np.full((len(corners), 3), colour), view)
     (drawn,) = axis.collections
     return [p.vertices[:3] for p in drawn.get_paths()], drawn.get_facecolor()
 
@@ -147,30 +82,29 @@ def test_what_is_nearer_is_painted_over_what_is_farther():
     )
 
 
+def _toward(normal):
+    """A triangle that looks along a vector, (3, 3)."""
+    first = np.cross(normal, [0.3, 1.0, 0.2])
+    return np.stack([0 * first, first, np.cross(normal, first)])
+
+
 def test_what_looks_at_the_light_is_brightest():
     """By the cosine of the angle; what looks away keeps the ambient part."""
     light = np.array([-0.4, -0.2, 0.894])
     beside = np.cross(light, [0, 0, 1.0])
     beside /= np.linalg.norm(beside)
-    triangle = [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]]
     half = 0.5 * light + np.sqrt(0.75) * beside
-    for normal, lit in (
-        (light, 1.05),
-        (-light, 0.4),
-        (beside, 0.4),
-        (half, 0.725),
-    ):
-        _, colour = _painted(triangle, ABOVE, np.tile(normal, (1, 3, 1)))
+    away = np.array([0.95, 0.2, 0.2])
+    for normal, lit in ((light, 1.05), (half, 0.725), (away, 0.4)):
+        _, colour = _painted(_toward(normal)[None], ABOVE)
         np.testing.assert_allclose(colour[0, :3], 0.5 * lit, rtol=2e-3)
+    _, colour = _painted(_toward(light)[None], ABOVE, 0.99)
+    np.testing.assert_array_equal(colour[0, :3], 1.0)
     # The light stays where the viewer is: from the upper left, before him.
     view = pictures.VIEWS[1]
-    right, up, toward = view.axes()
-    corners = [[[0, 0, 0], right, up]]
-    normal = np.tile(-0.4 * right - 0.2 * up + 0.894 * toward, (1, 3, 1))
-    _, colour = _painted(corners, view, normal)
+    lit = np.array([-0.4, -0.2, 0.894]) @ view.axes()
+    _, colour = _painted(_toward(lit)[None], view)
     np.testing.assert_allclose(colour[0, :3], 0.525, rtol=2e-3)
-    _, colour = _painted(triangle, ABOVE, np.tile(light, (1, 3, 1)), 0.99)
-    np.testing.assert_array_equal(colour[0, :3], 1.0)
 
 
 @pytest.mark.parametrize(
@@ -525,17 +459,17 @@ def test_colours_of_a_sole_are_those_of_its_key(sheet, mesh):
     change = np.zeros(len(mesh.nodes))
     change[0], change[1] = 2.0, -2.0
     sole = pictures.DrawnSole("", "", mesh, mesh, change)
-    plain = pictures._coloured(sole, norm)
-    own = {}
-    for corner, colour in zip(
-        plain.corners.reshape(-1, 3), plain.colours.reshape(-1, 3), strict=True
-    ):
-        own[tuple(corner.round(6) + 0.0)] = colour
-    red, grey, blue = (
-        own[tuple((1e3 * mesh.nodes[k]).round(6) + 0.0)] for k in (0, -1, 1)
-    )
-    assert red[0] > 2 * red[2] and blue[2] > 2 * blue[0]
-    assert np.ptp(grey) < 0.02 and grey.min() > 0.8
+    colours, faces = pictures._coloured(sole, norm), mesh.boundary_faces
+    has = [(faces == k).any(axis=1) for k in (0, 1)]
+    red, blue, grey = colours[has[0] & ~has[1]], colours[has[1] & ~has[0]], (
+        colours[~has[0] & ~has[1]]
+    )  # fmt: skip
+    wanted = pictures._COLOURS(norm([2 / 3, -2 / 3, 0.0]))[:, :3]
+    for found, colour in zip((red, blue, grey), wanted, strict=True):
+        assert len(found)
+        np.testing.assert_allclose(found, np.tile(colour, (len(found), 1)))
+    assert red[0, 0] > red[0, 2] and blue[0, 2] > blue[0, 0]
+    assert np.ptp(grey[0]) < 0.02 and grey.min() > 0.8
 
 
 def test_no_change_at_the_origin_and_percent_elsewhere(mesh):
@@ -692,17 +626,18 @@ def test_red_is_a_side_that_looks_up(wider):
     mesh = brick((0.12, 0.06, 0.02), (4, 2, 1))
     nodes = mesh.nodes.copy()
     nodes[:, :2] *= 1 - wider * nodes[:, 2:] / 0.02
-    shape = []
+    drawn = []
     axis = Figure().add_subplot()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pictures, "draw", lambda _, s, __: shape.append(s))
+        patch.setattr(pictures, "draw", lambda *given: drawn.extend(given))
         pictures._shaded(axis, mesh.with_nodes(nodes), ABOVE, "title")
-    colours = shape[0].colours.reshape(-1, 3)
+    _, corners, colours, _ = drawn
+    assert len(corners) == len(mesh.boundary_faces)
     mine = np.isclose(colours, pictures._UNDERCUT).all(axis=1)
     plain = np.isclose(colours, pictures._RUBBER).all(axis=1)
     assert (mine | plain).all()
-    # Twelve quads of the sides, four parts of their two triangles.
-    assert mine.sum() == (12 * 2 * 4 * 3 if wider > 0 else 0)
+    # Twelve quads of the sides, two triangles each.
+    assert mine.sum() == (12 * 2 if wider > 0 else 0)
     low, high = pictures.extent(nodes, ABOVE)
     np.testing.assert_allclose(axis.get_ylim(), [low[1] - 18, high[1] + 18])
 

@@ -33,33 +33,15 @@ def test_the_heel_is_on_the_left_from_below():
 def test_only_what_faces_the_viewer_is_painted(mesh, view, colour):
     """Bottom red, back green: each view shows its own."""
     centre = mesh.nodes[mesh.boundary_faces].mean(axis=1)
-    faces = mesh.boundary_faces
-    shape = pictures.surface(mesh.nodes, faces, np.zeros_like(mesh.nodes))
-    paint = np.full((len(faces), 3, 3), 0.0)
-    paint[centre[:, 2] < -0.0399, :, 0] = 1.0
-    paint[centre[:, 0] < -0.0999, :, 1] = 1.0
-    shape = pictures.Surface(shape.corners, shape.normals, paint)
+    paint = np.zeros_like(centre)
+    paint[centre[:, 2] < -0.0399, 0] = 1.0
+    paint[centre[:, 0] < -0.0999, 1] = 1.0
     axis = Figure().add_subplot()
-    pictures.draw(axis, shape.refined(), view)
+    pictures.draw(axis, mesh.nodes[mesh.boundary_faces], paint, view)
     seen = axis.collections[0].get_facecolor()[:, :3]
     assert (seen[:, colour] > 0.3).all()
     others = [k for k in range(3) if k != colour]
     assert np.abs(seen[:, others]).max() == 0.0
-
-
-def test_creases_stay_sharp_and_flats_smooth(mesh):
-    shape = pictures.surface(
-        mesh.nodes, mesh.boundary_faces, np.zeros_like(mesh.nodes)
-    )
-    # A brick: every corner's normal is its face's.
-    across = np.cross(
-        shape.corners[:, 1] - shape.corners[:, 0],
-        shape.corners[:, 2] - shape.corners[:, 0],
-    )
-    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        shape.normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-12
-    )
 
 
 def test_change_is_radial(mesh):

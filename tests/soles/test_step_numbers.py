@@ -213,16 +213,6 @@ def test_a_step_that_is_not_stable_everywhere_is_not_stable(step):
     assert other.summary()["stable"] is False
 
 
-def test_principal_strains_are_eigenvalues():
-    rng = np.random.default_rng(0)
-    eps = rng.normal(size=(50, 3, 3))
-    eps = eps + eps.swapaxes(1, 2)
-    eps[0] = 0.2 * np.eye(3)
-    found = results.principal_strains(eps)
-    expected = np.linalg.eigvalsh(eps)[:, ::-1]
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
 def complementarity(step, **change) -> float:
     history = replace(step.history, **change)
     return replace(step, history=history).complementarity()

@@ -185,8 +185,7 @@ def test_words_stand_over_their_numbers(compared):
 
 
 def test_what_is_left_out_is_as_long_as_the_rest():
-    history = module.FiniteHistory()
-    module._leave_out(history, 3)
+    history = module.FiniteHistory.of_none(3)
     assert history.states == 3 * [None] and history.reached == 3 * [0.0]
     assert history.converged.tolist() == 3 * [False]
 

@@ -100,7 +100,7 @@ def test_lines_meet_triangles_where_their_planes_say():
     corners = np.concatenate([corners, upright])
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (600, 2))
     found = [[] for _ in places]
-    for rows, heights in steps._crossings(corners, places):
+    for rows, heights in steps.crossings(corners, places):
         for row, own in zip(rows, heights, strict=True):
             assert not found[row]
             found[row] = sorted(own)
@@ -181,7 +181,7 @@ def test_thin_parts_count_a_fifth_of_the_usual():
 def test_elements_are_as_large_as_their_number_asks_for(tets):
     """Of a slab: V = tets · h³ / 36."""
     corners = _brick()
-    share = steps._share(corners, steps._Thickness(corners), tets)
+    share = steps._share(steps._Thickness(corners), tets)
     edge = (36 * np.prod(SIZE) / tets) ** (1 / 3)
     assert share * SIZE[2] == pytest.approx(edge, rel=0.02)
 

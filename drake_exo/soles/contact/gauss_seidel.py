@@ -22,9 +22,8 @@ from drake_exo.soles.numerics import njit
 
 _LOCAL_STEPS = 60
 _WRENCH_TOLERANCE = 1e-10  # ε4, on the scaled wrench
-_RELAXATION = (
-    0.1  # λ of (25): sweeps as exact as that times the wrench's residual
-)
+# λ of (25): sweeps as exact as that times the wrench's residual.
+_RELAXATION = 0.1
 _MAX_SWEEPS = 20000  # over all pose steps of a sample
 
 
@@ -198,22 +197,17 @@ def _slip(Waa, others, mu):
     spread = np.sqrt(
         0.25 * (Waa[0, 0] - Waa[1, 1]) ** 2 + Waa[0, 1] * Waa[1, 0]
     )
-    q_n = 1.0 / Waa[2, 2]
     q_t = (mean - spread) / (mean + spread) ** 2
-    F = np.zeros(3)
+    q = np.array([q_t, q_t, 1.0 / Waa[2, 2]])
+    F, D, T = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
     F[2] = -others[2] / Waa[2, 2]
     J = np.zeros((3, 3))
-    phi = np.zeros(3)
-    D, T, tau = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for _ in range(_LOCAL_STEPS):
-        place = others + _times(Waa, F)
-        tau[2] = F[2] - q_n * place[2]
+        tau = F - q * (others + _times(Waa, F))
         if tau[2] <= 0.0:
             return np.zeros(3)
-        tau[0], tau[1] = F[0] - q_t * place[0], F[1] - q_t * place[1]
         project_node(tau, mu, 0.0, 0.0, T, D)
-        for k in range(3):
-            phi[k] = F[k] - T[k]
+        phi = F - T
         size = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
         if size <= 1e-15 * (abs(F[2]) + 1e-300):
             break
@@ -221,9 +215,8 @@ def _slip(Waa, others, mu):
             for j in range(3):
                 value = 1.0 if i == j else 0.0
                 for k in range(3):
-                    r = q_n if k == 2 else q_t
                     one = 1.0 if k == j else 0.0
-                    value -= D[i, k] * (one - r * Waa[k, j])
+                    value -= D[i, k] * (one - q[k] * Waa[k, j])
                 J[i, j] = value
         F = F - np.linalg.solve(J, phi)
     return F

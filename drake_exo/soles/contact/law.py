@@ -63,10 +63,9 @@ class ContactLaw:
 
 @njit()
 def smooth_plus(x, width):
-    """max(x, 0) with a twice differentiable corner on [-width, width].
+    """max(x, 0) and its slope, the corner twice differentiable.
 
-    Returns:
-        Value and slope; x may be complex (complex-step derivatives).
+    It is on [-width, width]; x may be complex (complex-step derivatives).
     """
     if x.real <= -width:
         return 0.0 * x, 0.0 * x
@@ -241,10 +240,7 @@ class Ground:
         return n / np.linalg.norm(n)
 
     def planes(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What touches the ground below places.
-
-        Args:
-            P: World [m], (m, 3).
+        """What touches the ground below world places P (m, 3) [m].
 
         Returns:
             The places put onto these planes [m], (m, 3); the planes' axes as
@@ -264,10 +260,9 @@ class Ground:
         return P - gap[:, None] * n, axes
 
     def plane_derivatives(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """By the places, of what `planes` returns, (m, 3, 3) each.
+        """By the places, of the places on `planes` and of the planes' turns.
 
-        Returns:
-            Of the places on the planes; of the planes' turns [rad/m].
+        (m, 3, 3) each; turns [rad/m].
         """
         level = np.tile(np.diag([1.0, 1.0, 0.0]), (len(P), 1, 1))
         if self.is_flat:

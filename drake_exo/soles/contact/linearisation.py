@@ -162,8 +162,7 @@ class Linearisation:
         active: Active set with S; used at once, not kept beyond its update.
         law: Contact law.
         R: Foot orientation.
-        arm: P_i − Z_des of the active nodes, world [m], (k, 3).
-        F: Their forces, world [N], (k, 3).
+        arm, F: P_i − Z_des [m] and forces [N], world, (k, 3) each.
         tau: Their τ = F − r δ, in the planes' axes [N], (k, 3).
         axes: Of the planes that they meet, rows, (k, 3, 3).
     """
@@ -190,17 +189,13 @@ class Linearisation:
         self._S_g = blocks(self.S, np.arange(len(self.nodes)), self.loose)
 
     def _respond(self, T, known, phi_g=None, turned=None):
-        """Solve dF = S dδ + S rhs, the sole frame throughout.
+        """Solve dF = S dδ + S rhs for dF and dδ, (3k, c) each, sole frame.
 
         Args:
             T: S times both rhs and the dδ that are known, (3k, c).
             known: These dδ, zero elsewhere, (3k, c); filled.
-            phi_g: Law residual of the loose nodes, (3g,), in the first
-                column.
+            phi_g: Law residual of the loose nodes, (3g,), in the first column.
             turned: Likewise for the turn, (3g, 3), in the last ones.
-
-        Returns:
-            dF and dδ, (3k, c) each.
         """
         if self._lu is None:
             return T, known
@@ -214,21 +209,16 @@ class Linearisation:
         return T + self._S_g @ x, known
 
     def pose_response(self, turn: Turn | None = None):
-        """What unit pose increments (dzO, dω) change.
-
-        Args:
-            turn: Of the planes that nodes meet, if they do.
+        """What unit pose increments (dzO, dω) change, planes turning or not.
 
         Returns:
             dF and dδ (k, 3, 6), [dF; dΓ] about the ZMP (6, 6).
         """
-        dF, dP = self._pose_response(turn)
-        world = [self._to_world(x) for x in (dF, dP)]
-        return *world, self._pose_wrench(dF, dP, turn)
-
-    def _pose_response(self, turn=None):
         T = self._S_times(self._against_pose(turn))
-        return self._respond(T, np.zeros_like(T), turned=self._law_turned(turn))
+        turned = self._law_turned(turn)
+        both = self._respond(T, np.zeros_like(T), turned=turned)
+        world = [self.R @ x.reshape(len(self.nodes), 3, -1) for x in both]
+        return *world, self._pose_wrench(*both, turn)
 
     def _law_turned(self, turn) -> np.ndarray | None:
         """Of the loose nodes' law residual by planes that turn, (3g, 3).
@@ -269,9 +259,6 @@ class Linearisation:
         T[:, -3:] -= _turned_hats(self.R, self.F)
         return T
 
-    def _to_world(self, x: np.ndarray) -> np.ndarray:
-        return self.R @ x.reshape(len(self.nodes), 3, -1)
-
     def _to_sole(self, x: np.ndarray) -> np.ndarray:
         return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
 
@@ -289,15 +276,10 @@ class Linearisation:
         return offset, local[self._g, 0]
 
     def solve(self, phi, wrench, asked, turn=None):
-        """Newton step for law residual phi (k, 3) and wrench residual (6,).
+        """Newton step dF (k, 3), world, and dp = (dzO, dω) (6,).
 
-        Args:
-            phi, wrench: The residuals.
-            asked: Components of wrench and pose that are solved for.
-            turn: Of the planes that nodes meet, if they do.
-
-        Returns:
-            dF (k, 3) world, dp = (dzO, dω) (6,).
+        For law residual phi (k, 3) and wrench residual (6,), in the components
+        of both that are `asked` for, with planes that `turn`, if they do.
         """
         offset, phi_g = self._offset(phi)
         pose = self._against_pose(turn)
@@ -328,10 +310,7 @@ class Linearisation:
         return self
 
     def solve_transposed(self, Sb: np.ndarray):
-        """Solve J_Fᵀ z = b for b given as S b.
-
-        Args:
-            Sb: S times the right-hand sides, world, (c, k, 3).
+        """Solve J_Fᵀ z = b for b given as S b, world, (c, k, 3).
 
         Returns:
             z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e;

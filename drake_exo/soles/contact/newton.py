@@ -27,11 +27,7 @@ from drake_exo.soles.numerics import (
 def deformed(C, lP, R, F):
     """Y = R (lP + C Rᵀ F): places relative to O, world [m], (m, 3).
 
-    Args:
-        C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
-        lP: Their rest positions, sole frame [m], (m, 3).
-        R: Orientation, (3, 3).
-        F: Forces on them, world [N], (m, 3); most are zero.
+    C, lP as in `ContactSolver`, F (m, 3) in the world; most are zero.
     """
     m = len(lP)
     u = np.zeros(3 * m)
@@ -60,13 +56,10 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
     """Residuals of the node law and of the wrench at places P.
 
     Args:
-        P: World places [m], (m, 3).
-        F: World forces [N], (m, 3).
-        Q: References on the ground's planes [m], (m, 3).
-        axes: Of these planes, rows, the normal last, (m, 3, 3).
+        P, F: World places [m] and forces [N], (m, 3) each.
+        Q, axes: As of `Ground.planes`.
         zmp: Desired ZMP on the ground [m], (3,).
-        r: Penalty [N/m].
-        mu, epsilon, kappa: The contact law's, see `law`.
+        r, mu, epsilon, kappa: The contact law's, see `law`.
 
     Returns:
         τ = F − r δ in the planes' axes and φ = F − T(τ) (m, 3) [N], arms
@@ -283,44 +276,32 @@ class ContactSolver:
         state = state.copy()
         if not fixed_pose:
             state.O, state.R = target.turned(state.O, state.R)
+
+        def improved(point):
+            dF, dp = self._direction(point, target, fixed_pose)
+
+            def trial(step):
+                there = move(point.state, step * dF, step * dp, target.point)
+                return self._evaluate(there, target, fixed_pose, scale)
+
+            step = capped(dp, _MAX_TURN, _MAX_SHIFT)
+            return line_search(point, trial, step, _HALVINGS)
+
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
-        history, message = [], ""
-        point = self._evaluate(state, target, fixed_pose, scale)
-        for iteration in range(self.max_iterations + 1):
-            history.append(point.merit)
-            if point.merit <= self.tolerance:
-                state.F[~point.active] = 0.0
-                return state, Convergence(
-                    True, iteration, point.merit, "", history
-                )
-            if iteration == self.max_iterations or _goes_in_circles(history):
-                break
-            try:
-                direction = self._direction(point, target, fixed_pose)
-            except np.linalg.LinAlgError:
-                touching = int(point.active.sum())
-                message = (
-                    f"singular Newton matrix with {touching} nodes in contact"
-                )
-                break
-            point = self._line_search(
-                point, direction, target, fixed_pose, scale
-            )
-            state = point.state
-        self.active.refresh()  # rounding of a way that led nowhere
-        steps = len(history) - 1
-        message = message or f"no convergence in {steps} Newton steps"
-        return state, Convergence(False, steps, history[-1], message, history)
+        point, report = newton(
+            self._evaluate(state, target, fixed_pose, scale), improved,
+            self.tolerance, self.max_iterations,
+        )  # fmt: skip
+        if report.converged:
+            point.state.F[~point.active] = 0.0
+        else:
+            self.active.refresh()  # rounding of a way that led nowhere
+        return point.state, report
 
     def linearise(
         self, state: State, target: Target, P: np.ndarray
     ) -> Linearisation:
-        """Derivatives at a state; references count as frozen.
-
-        Args:
-            state, target: A solution.
-            P: World places of the contact nodes there [m], (m, 3).
-        """
+        """Derivatives at a solution, references frozen, nodes at P (m, 3)."""
         point = self._evaluate(state, target, False, 1.0, P)
         return self._linearisation(point, target)
 
@@ -366,32 +347,52 @@ class ContactSolver:
         if stray.any():  # their Newton step is dF = −F: take it at once
             released = state.copy()
             released.F[stray] = 0.0
-            active = point.active
-            point_new = self._evaluate(released, target, fixed_pose, 1.0)
-            point_new.active = active
-            point_new.merit = point.merit
-            point.__dict__.update(point_new.__dict__)
-        lin = self._linearisation(point, target)
-        dF = np.zeros_like(state.F)
-        phi = point.phi[lin.nodes]
-        if fixed_pose:
-            dF[lin.nodes] = lin.solve_forces(phi)
-            return dF, np.zeros(6)
-        turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
-        dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)
+            kept = {"active": point.active, "merit": point.merit}
+            new = self._evaluate(released, target, fixed_pose, 1.0)
+            point.__dict__.update(new.__dict__ | kept)
+        try:
+            lin = self._linearisation(point, target)
+            dF, phi = np.zeros_like(state.F), point.phi[lin.nodes]
+            if fixed_pose:
+                dF[lin.nodes] = lin.solve_forces(phi)
+                return dF, np.zeros(6)
+            turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
+            dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)
+        except np.linalg.LinAlgError:
+            dp = np.full(6, np.nan)
         if not np.isfinite(dp).all():
-            raise np.linalg.LinAlgError
+            touching = point.active.sum()
+            raise np.linalg.LinAlgError(
+                f"singular Newton matrix with {touching} nodes in contact"
+            )
         return dF, dp
 
-    def _line_search(self, point, direction, target, fixed_pose, scale):
-        dF, dp = direction
 
-        def trial(step):
-            there = move(point.state, step * dF, step * dp, target.point)
-            return self._evaluate(there, target, fixed_pose, scale)
+def newton(
+    point, improved, tolerance: float, most: int
+) -> tuple["_Point", Convergence]:
+    """Newton's iterations from a point with a `merit`; the last and a report.
 
-        step = capped(dp, _MAX_TURN, _MAX_SHIFT)
-        return line_search(point, trial, step, _HALVINGS)
+    `improved` gives the next point, or raises where there is none; at most so
+    many steps are taken, until the merit is within the tolerance.
+    """
+    history, message = [point.merit], ""
+    while not (
+        point.merit <= tolerance  # NaN is not
+        or len(history) > most
+        or _goes_in_circles(history)
+    ):
+        try:
+            point = improved(point)
+        except np.linalg.LinAlgError as error:
+            message = str(error)
+            break
+        history.append(point.merit)
+    steps, merit = len(history) - 1, history[-1]
+    if merit <= tolerance:
+        return point, Convergence(True, steps, merit, "", history)
+    message = message or f"no convergence in {steps} Newton steps"
+    return point, Convergence(False, steps, merit, message, history)
 
 
 def capped(dp: np.ndarray, turn: float, shift: float) -> float:
@@ -406,11 +407,7 @@ def capped(dp: np.ndarray, turn: float, shift: float) -> float:
 def line_search(point, trial, step: float, halvings: int):
     """The first point of less merit, halving the step; else the best met.
 
-    Args:
-        point: Where it begins; points have a `merit`.
-        trial: Gives the point that a step leads to.
-        step: The first one's length.
-        halvings: How often it may be halved.
+    `trial` gives the point, with a `merit`, that a step leads to.
     """
     best = None
     for _ in range(halvings + 1):

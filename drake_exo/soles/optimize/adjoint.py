@@ -4,7 +4,7 @@ Backwards through the samples (contact and pose), then once through the
 condensation and the elements, see `elasticity.py`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,13 +17,28 @@ from drake_exo.soles.simulation import STABILITY_SCALE, StepHistory
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
 
 
-@dataclass(frozen=True)
-class Term:
-    """alpha · uᵀ K_c v of one sample, with u and v held fixed."""
+@dataclass
+class Derivative:
+    """What the adjoint needs of one functional, direct derivatives all.
 
-    alpha: float
-    u: np.ndarray
-    v: np.ndarray
+    Attributes:
+        pairs: Sample -> vectors u and v (6,) with a share uᵀ K_c v in it.
+        by_turn: Sample -> by the foot's turn, (3,).
+        by_force: Sample -> by nodal forces in the sole frame, (m, 3).
+        by_nodes: By the nodes at rest, (n, 3) or 0.
+        fields: Fields and factors of a further part of it, see
+            `energy_gradients`.
+    """
+
+    pairs: dict[int, list] = field(default_factory=dict)
+    by_turn: dict[int, np.ndarray] = field(default_factory=dict)
+    by_force: dict[int, np.ndarray] = field(default_factory=dict)
+    by_nodes: np.ndarray | float = 0.0
+    fields: tuple[np.ndarray, np.ndarray] | None = None
+
+    def acts_on(self, q: int) -> bool:
+        """Whether sample q has a share in it."""
+        return q in self.pairs or q in self.by_turn or q in self.by_force
 
 
 @dataclass
@@ -55,86 +70,47 @@ class Sensitivity:
         self.right.append(right.ravel())
 
 
-@dataclass(frozen=True)
-class TurnTerm:
-    """A functional of one sample's orientation: its derivative by ω."""
-
-    by_turn: np.ndarray
-
-
-@dataclass(frozen=True)
-class ForceTerm:
-    """A functional of one sample's nodal forces.
-
-    Attributes:
-        by_force: Its derivative by the forces in the sole frame, (m, 3).
-    """
-
-    by_force: np.ndarray
-
-    def times(self, factor: float) -> "ForceTerm":
-        """The same for a multiple of the functional."""
-        return ForceTerm(factor * self.by_force)
+def singular_terms(
+    K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray
+) -> Derivative:
+    """Of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot), factors (N,) each."""
+    pairs = {}
+    for q, K in enumerate(K_c):
+        for factor, part, which in (
+            (by_tr[q], slice(0, 3), 0),
+            (by_rot[q], slice(3, 6), 2),
+        ):
+            if factor:
+                U, _, Vt = np.linalg.svd(K[part, part])
+                u, v = np.zeros((2, 6))
+                u[part], v[part] = factor * U[:, which], Vt[which]
+                pairs.setdefault(q, []).append((u, v))
+    return Derivative(pairs)
 
 
-def singular_terms(K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray):
-    """Terms of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot).
-
-    Args:
-        K_c: (N, 6, 6).
-        by_tr, by_rot: Factors at every sample, (N,).
-
-    Returns:
-        For every sample a list of terms.
-    """
-    terms = []
-    for K, tr, rot in zip(K_c, by_tr, by_rot, strict=True):
-        here = []
-        if tr:
-            U, _, Vt = np.linalg.svd(K[:3, :3])
-            here.append(_padded(tr, U[:, 0], Vt[0], slice(0, 3)))
-        if rot:
-            U, _, Vt = np.linalg.svd(K[3:, 3:])
-            here.append(_padded(rot, U[:, 2], Vt[2], slice(3, 6)))
-        terms.append(here)
-    return terms
-
-
-def stability_terms(K_c: np.ndarray, factors: np.ndarray):
-    """Terms of Σ factor · min eig(S sym(−K_c) S)."""
-    scale = STABILITY_SCALE
-    terms = [[] for _ in K_c]
+def stability_terms(K_c: np.ndarray, factors: np.ndarray) -> Derivative:
+    """Of Σ factor · min eig(S sym(−K_c) S)."""
+    pairs, scale = {}, STABILITY_SCALE
     for q in heavy(factors):
-        K, factor = K_c[q], factors[q]
-        sym = -0.5 * (K + K.T) * np.outer(scale, scale)
+        sym = -0.5 * (K_c[q] + K_c[q].T) * np.outer(scale, scale)
         v = scale * np.linalg.eigh(sym)[1][:, 0]
-        terms[q].append(Term(-factor, v, v))
-    return terms
+        pairs[q] = [(-factors[q] * v, v)]
+    return Derivative(pairs)
 
 
-def tilt_terms(R: np.ndarray, factors: np.ndarray):
-    """Terms of Σ factor · R_zz (the cosine of the tilt)."""
-    terms = [[] for _ in R]
+def tilt_terms(R: np.ndarray, factors: np.ndarray) -> Derivative:
+    """Of Σ factor · R_zz (the cosine of the tilt)."""
+    by_turn = {}
     for q in heavy(factors):
         x, y, _ = factors[q] * R[q, :, 2]
-        terms[q].append(TurnTerm(np.array([y, -x, 0.0])))
-    return terms
+        by_turn[q] = np.array([y, -x, 0.0])
+    return Derivative(by_turn=by_turn)
 
 
 def heavy(derivatives: np.ndarray) -> np.ndarray:
-    """Samples that count: soft extremes give most of them next to nothing.
-
-    Args:
-        derivatives: By something of each sample, (N, ...).
-    """
+    """Samples that count, of derivatives (N, ...): soft extremes skip most."""
     size = np.abs(derivatives).reshape(len(derivatives), -1).max(axis=1)
     return np.flatnonzero(size > _NEGLIGIBLE * size.max())
-
-
-def _padded(alpha, u, v, part) -> Term:
-    U, V = np.zeros(6), np.zeros(6)
-    U[part], V[part] = u, v
-    return Term(alpha, U, V)
 
 
 def shape_gradients(
@@ -143,8 +119,7 @@ def shape_gradients(
     load: Load,
     start: Start,
     history: StepHistory,
-    functionals: list[list[list[Term]]],
-    held: list | None = None,
+    functionals: list[Derivative],
 ) -> np.ndarray:
     """Derivative of each functional by all node positions, (f, n, 3).
 
@@ -153,28 +128,23 @@ def shape_gradients(
         solver: The solver of the forward simulation (its law counts).
         load, start: What it was asked for, and how it was held.
         history: Its result, all samples converged.
-        functionals: For each functional and sample a list of terms.
-        held: For each, or None, what `compliance_gradients` adds.
+        functionals: Their direct derivatives.
     """
     sums = _reversed(sole, solver, load, start, history, functionals)
     out = compliance_gradients(
         sole,
         [(np.array(x.left).T, np.array(x.right).T) for x in sums],
-        held or [None] * len(sums),
+        [functional.fields for functional in functionals],
     )
-    for X, total in zip(out, sums, strict=True):
+    for X, total, functional in zip(out, sums, functionals, strict=True):
         X[sole.mesh.contact] += total.lP
+        X += functional.by_nodes
     return out
 
 
-def load_gradients(sole, solver, load, start, history, functionals):
-    """Derivatives by every sample's force and ZMP, (f, N, 5).
-
-    Args:
-        sole, solver, load, start, history, functionals: As `shape_gradients`.
-    """
-    sums = _reversed(sole, solver, load, start, history, functionals)
-    return np.array([total.load for total in sums])
+def load_gradients(*forward) -> np.ndarray:
+    """By every sample's force and ZMP, (f, N, 5); of what the former takes."""
+    return np.array([total.load for total in _reversed(*forward)])
 
 
 def _reversed(sole, solver, load, start, history, functionals):
@@ -183,9 +153,9 @@ def _reversed(sole, solver, load, start, history, functionals):
     sums = [Sensitivity.zero(m, count) for _ in functionals]
     for q in reversed(range(len(load.times))):
         live = [
-            (total, functional[q])
+            (total, functional)
             for total, functional in zip(sums, functionals, strict=True)
-            if functional[q] or total.mu.any()
+            if functional.acts_on(q) or total.mu.any()
         ]
         if not live:
             continue
@@ -217,7 +187,7 @@ class _Step:
         self.rise = ground.slope(target.point[None])[0]
         self.Y = history.P[q] - state.O
 
-    def reverse(self, sums: list[Sensitivity], terms: list[list]) -> None:
+    def reverse(self, sums: list[Sensitivity], direct: list[Derivative]):
         """Add this sample's share; leaves every mu for the one before."""
         R, F = self.state.R, self.lin.F
         c, k, m = len(sums), len(self.nodes), len(self.solver.lP)
@@ -225,16 +195,13 @@ class _Step:
         bP, bF, bQ, bA = np.zeros((4, c, k, 3))
         b_w = np.zeros((c, 3))
         of_stiffness = []
-        for i, own in enumerate(terms):
-            for term in own:
-                if isinstance(term, TurnTerm):
-                    b_w[i] += term.by_turn
-                elif isinstance(term, ForceTerm):
-                    pull = term.by_force[self.nodes] @ R.T
-                    bF[i] += pull
-                    b_w[i] -= cross(F, pull).sum(axis=0)
-                else:
-                    of_stiffness.append((i, term))
+        for i, own in enumerate(direct):
+            b_w[i] += own.by_turn.get(self.q, 0.0)
+            if self.q in own.by_force:
+                pull = own.by_force[self.q][self.nodes] @ R.T
+                bF[i] += pull
+                b_w[i] -= cross(F, pull).sum(axis=0)
+            of_stiffness += [(i, *pair) for pair in own.pairs.get(self.q, ())]
         if of_stiffness:
             self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, bA, b_w)
         if self.turn is not None:
@@ -287,18 +254,18 @@ class _Step:
         return by_point[:2] + by_point[2] * self.rise
 
     def _stiffness_terms(self, sums, terms, bP, bF, bQ, bA, b_w) -> None:
-        """Add direct derivatives of α uᵀ K_c v.
+        """Add direct derivatives of uᵀ K_c v.
 
         Args:
             sums: Of the functionals.
-            terms: Pairs of functional and term.
+            terms: Number of a functional, u and v.
             bP, bF, bQ, bA: By places, forces, references and the turns of
                 their planes, (c, k, 3) each.
             b_w: By the turn, (c, 3).
         """
         lin, R, F, arm = self.lin, self.state.R, self.lin.F, self.lin.arm
-        u = np.array([term.alpha * term.u for _, term in terms])
-        v = np.array([term.v for _, term in terms])
+        owners, *both = zip(*terms, strict=True)
+        u, v = map(np.array, both)
         u_f, u_m = u[:, None, :3], u[:, None, 3:]
         shift, turn = v[:, None, :3], v[:, None, 3:]
         dF, dP = ((x @ v.T).transpose(2, 0, 1) for x in (self.dF, self.dP))
@@ -319,7 +286,7 @@ class _Step:
         by_P = by_arm - r * p
         by_F = cross(u_m, dP) + p - cross(h, turn)
         by_turn = (cross(R_du, b_dP) - cross(gg, h)).sum(axis=1)
-        for i, (functional, _) in enumerate(terms):
+        for i, functional in enumerate(owners):
             bP[functional] += by_P[i]
             # The arm is P − Z.
             by_point = self._on_ground(by_arm[i].sum(axis=0))

@@ -21,7 +21,7 @@ from drake_exo.soles.mesh import (
     is_watertight,
     mould_triangles,
     write_mould,
-    write_stl,
+    write_triangles,
     write_vtk,
 )
 from drake_exo.soles.optimize.files import (
@@ -36,11 +36,7 @@ from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step, write_csv
 from drake_exo.soles.settings import Setup
-from drake_exo.soles.simulation import (
-    FIRST_HISTORY,
-    HISTORY,
-    write_history,
-)
+from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
 
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh
@@ -71,8 +67,8 @@ class Design:
         first: The initial shape likewise.
         optima: Outcome of every stage.
         stages_seconds: What each took.
-        starts: Cost and violation that every start of the first stage has
-            led to.
+        starts: Cost and violation that every start has led to, and after
+            which stage.
         seconds: What all of it took.
         gait: The walk that was sought with it: numbers before and after.
     """
@@ -124,9 +120,7 @@ class Design:
 
     def summary(self) -> dict:
         """What summary.json says of it, but for checks and seconds."""
-        w, first = self.setup.settings.cost.weight, self.first
-        now = self.step.summary()
-        last = self.optima[-1] if self.optima else None
+        now, first = self.step.summary(), self.first
         row = {
             key: now[key]
             for key in (
@@ -141,6 +135,7 @@ class Design:
             mine | {"c_initial": its["c"], "ratio": mine["c"] / its["c"]}
             for mine, its in zip(now["loads"], first.loads(), strict=True)
         ]
+        last = self.optima[-1] if self.optima else None
         row |= {
             "c_tr_initial": first.c_tr,
             "c_rot_initial": first.c_rot,
@@ -155,14 +150,13 @@ class Design:
             **self.setup.ground_told,
         }
         if last is not None:
+            names = self.problem.names()
             row |= {
                 "status": last.status,
                 "optimality_error": last.error,
                 "complementarity": last.complementarity,
                 "violation": last.violation,
-                "multipliers": dict(
-                    zip(self.problem.names(), last.multipliers, strict=True)
-                ),
+                "multipliers": dict(zip(names, last.multipliers, strict=True)),
                 "iterations": [
                     int(o.trace[-1][0] - o.trace[0][0]) if o.trace else 0
                     for o in self.optima
@@ -171,7 +165,7 @@ class Design:
             }
         if self.smoothed is not None:
             c_tr, c_rot = self.smoothed
-            c = c_tr - w * c_rot
+            c = c_tr - now["weight"] * c_rot
             row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
         return row
 
@@ -195,9 +189,12 @@ class Design:
 
     @property
     def spread(self) -> float | None:
-        """Of the starts' feasible optima, over the best; None for but one."""
+        """Of the feasible optima that went furthest; None for but one."""
+        stages = [row.get("stage", 1) for row in self.starts]
         costs = [
-            row["cost"] for row in self.starts if row["violation"] <= FEASIBLE
+            row["cost"]
+            for row, stage in zip(self.starts, stages, strict=True)
+            if row["violation"] <= FEASIBLE and stage == max(stages)
         ]
         if len(costs) < 2:
             return None
@@ -220,24 +217,21 @@ class Design:
             base = halved(own)
         else:
             return None
-        shaped = base.with_nodes(
-            self.shape.deform(base.nodes, self.coefficients)
-        )
-        soles = [self.setup.sole(mesh) for mesh in (base, shaped)]
-        r, out = soles[0].penalty, {"tets": len(shaped.tets)}
-        for sole, name, key, before in (
-            (soles[0], "brick", "brick_change", self.first),
-            (soles[1], "design", "change", self.step),
+        nodes = self.shape.deform(base.nodes, self.coefficients)
+        first, shaped = map(self.setup.sole, (base, base.with_nodes(nodes)))
+        out = {"tets": len(base.tets)}
+        for name, key, sole, before in (
+            ("brick", "brick_change", first, self.first),
+            ("design", "change", shaped, self.step),
         ):
-            if sole.mesh.volumes.min() <= 0:
-                out[name], out[key] = None, np.nan
-                continue
-            step = Step.by_exact_law(self.setup, sole, r)
-            out[name] = {
-                "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
-                "failed_steps": step.failed_steps,
-            }  # fmt: skip
-            out[key] = step.c / before.c - 1
+            out[name], out[key] = None, np.nan
+            if sole.mesh.volumes.min() > 0:
+                step = Step.by_exact_law(self.setup, sole, first.penalty)
+                out[name] = {
+                    "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
+                    "failed_steps": step.failed_steps,
+                }  # fmt: skip
+                out[key] = step.c / before.c - 1
         return out
 
     def plot(self):
@@ -286,31 +280,31 @@ class Design:
             for what, value, limit, unit, sign in held
             if limit is not None
         ]  # fmt: skip
+
+        def note(what, holds, value, limit, sentence) -> None:
+            said = "" if holds else sentence
+            checks.append(
+                Check(what, holds, value, limit, "", name, said, "note")
+            )
+
         if self.optima:
             last = self.optima[-1]
-            checks.append(
-                Check(
-                    "optimum", bool(last.optimal), where=name, sentence=""
-                    if last.optimal else f"the search ended before it was "
-                    f"optimal ({last.status}); go on with --resume or more "
-                    "--iterations", level="note",
-                )
-            )  # fmt: skip
+            said = (
+                f"the search ended before it was optimal ({last.status}); go "
+                "on with --resume or more --iterations"
+            )
+            note("optimum", bool(last.optimal), None, None, said)
         if finer is not None:
             change = finer["change"]
-            holds = bool(abs(change) <= _FINER)
-            inverted = bool(np.isnan(change))
-            checks.append(
-                Check(
-                    "plausibility.mesh", holds, None if inverted else change,
-                    _FINER, "", name,
-                    "" if holds else "the design turns elements of a finer "
-                    "mesh over" if inverted else
-                    "c on a finer mesh differs by so much: the elements are "
-                    "too coarse for the design",
-                    "note",
-                )
+            value, said = change, (
+                "c on a finer mesh differs by so much: the elements are too "
+                "coarse for the design"
             )  # fmt: skip
+            if np.isnan(change):
+                value = None
+                said = "the design turns elements of a finer mesh over"
+            holds = bool(abs(change) <= _FINER)
+            note("plausibility.mesh", holds, value, _FINER, said)
         return Verdict((*self.step.verdict().checks, *checks), tuple(accepted))
 
     def write(
@@ -374,7 +368,7 @@ class Design:
                 "undercut": self.mesh.undercut,
             }
         }
-        write_stl(folder / "sole.stl", self.mesh)
+        write_triangles(folder / "sole.stl", self.mesh.nodes[faces])
         if write_mould(folder / "mould.stl", self.mesh):
             told["mould.stl"] = {
                 "watertight": is_watertight(mould_triangles(self.mesh)),
@@ -412,14 +406,7 @@ class Design:
 
 
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
-    """The design where a search stands, by the exact law.
-
-    Args:
-        setup: Sole and step.
-        problem: The last stage's problem.
-        at: The last checkpoint.
-        optima, seconds: Of every stage.
-    """
+    """The design where a search stands, by the exact law."""
     step, first = (
         Step.by_exact_law(setup, sole, problem.law.penalty)
         for sole in (setup.sole(problem.deformed(at.p)), problem.first.sole)
@@ -429,10 +416,8 @@ def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
 
 def _at_least_twice(divisions) -> tuple[int, int, int]:
     """Divisions with at least twice, and little more, cells."""
-    wanted = 2 * int(np.prod(divisions))
-    finer = [int(np.ceil(2 ** (1 / 3) * n)) for n in divisions]
-    for axis in range(3):
-        fewer = [n - (k == axis) for k, n in enumerate(finer)]
-        if np.prod(fewer) >= wanted:
-            finer = fewer
-    return tuple(finer)
+    finer = np.ceil(2 ** (1 / 3) * np.array(divisions)).astype(int)
+    for one in np.eye(3, dtype=int):
+        if np.prod(finer - one) >= 2 * np.prod(divisions):
+            finer = finer - one
+    return tuple(finer.tolist())

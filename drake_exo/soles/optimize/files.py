@@ -34,7 +34,8 @@ class Checkpoint:
         curvature: Learnt Hessian (P, P).
         strain_scale: Of the design that the stage began with, see
             `search.strain_scale`.
-        starts: Cost and violation that the first stage's starts have led to.
+        starts: Of a start the cost and violation after every stage; of a run
+            those that each of its starts has led to.
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
     """
@@ -138,11 +139,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
             for start in starts
             if (start / _FILE).exists()
         }
-        return Checkpoint(
-            begun=tuple(begun.get(k) for k in range(max(begun, default=-1) + 1))
-        )
+        count = max(begun, default=-1) + 1
+        return Checkpoint(begun=tuple(begun.get(k) for k in range(count)))
     remedy = "give the folder of an interrupted run"
     data = read_json(file, remedy)
+
+    def optional(key, kind):
+        return None if data[key] is None else kind(data[key])
+
     try:
         p = np.array(data["coefficients"], dtype=float)
         B = np.zeros((len(p), len(p)))
@@ -152,8 +156,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
             int(data["iteration"]),
             p,
             np.array(data["latest"], dtype=float),
-            _optional(data["multipliers"], np.array),
-            _optional(data["barrier"], float),
+            optional("multipliers", np.array),
+            optional("barrier", float),
             B + np.tril(B, -1).T,
             float(data.get("strain_scale", 1.0)),
             tuple(data.get("starts") or ()),
@@ -164,17 +168,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
     return found
 
 
-def _optional(value, convert):
-    return None if value is None else convert(value)
-
-
-CASE, MESH, STEPS, SUMMARY, DESIGN = (
-    "case.yaml",
-    "sole.vtk",
-    "steps.csv",
-    "summary.json",
-    "design.json",
-)
+CASE, MESH, STEPS = "case.yaml", "sole.vtk", "steps.csv"
+SUMMARY, DESIGN = "summary.json", "design.json"
 _COSTS = ("c_tr", "c_rot", "c", "ratio_tr", "ratio_rot")
 
 

@@ -21,7 +21,7 @@ from drake_exo.soles.elasticity import Sole, gradient_operators, pairs
 from drake_exo.soles.mesh import TetMesh, scatter
 from drake_exo.soles.numerics import multiply, njit
 from drake_exo.soles.optimize.adjoint import (
-    ForceTerm,
+    Derivative,
     heavy,
     singular_terms,
     stability_terms,
@@ -33,31 +33,6 @@ ORDER = 64  # p
 _BATCH = 32  # samples at a time
 # Strains (Frobenius) below this part of a principal one add less than 1e-13.
 _FAINT = 0.5
-
-
-@dataclass(frozen=True)
-class Derivative:
-    """What the adjoint needs of a limit.
-
-    Attributes:
-        terms: For every sample, see `adjoint`.
-        by_nodes: Direct derivative by the nodes, (n, 3) or 0.
-        fields: Fields and factors of a further part of it, see
-            `energy_gradients`.
-    """
-
-    terms: list[list]
-    by_nodes: np.ndarray | float = 0.0
-    fields: tuple[np.ndarray, np.ndarray] | None = None
-
-    def times(self, factor: float) -> "Derivative":
-        """Of a multiple of the limit; its terms are forces'."""
-        w, factors = self.fields
-        return Derivative(
-            [[term.times(factor) for term in row] for row in self.terms],
-            factor * self.by_nodes,
-            (w, factor * factors),
-        )
 
 
 @dataclass
@@ -111,8 +86,8 @@ class StrainNorm:
         self._q, self._e = q[keep], e[keep]
         self._H, self._eps = H[keep], eps[keep]
 
-    def derivatives(self) -> "Derivative":
-        """By the nodal forces and, at fixed forces, by the node positions."""
+    def derivatives(self, factor: float = 1.0) -> Derivative:
+        """By nodal forces and, these held, by the nodes, times a factor."""
         sole, mesh = self.sole, self.sole.mesh
         by_nodes = np.zeros_like(mesh.nodes)
         if sole.element == "linear":
@@ -132,10 +107,16 @@ class StrainNorm:
         free = sole.free
         u = self._u[kept][:, free].reshape(len(kept), -1).T
         v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
-        terms = [[] for _ in self._u]
-        for q, column in zip(kept, v[sole.contact_rows].T, strict=True):
-            terms[q].append(ForceTerm(column.reshape(-1, 3)))
-        return Derivative(terms, by_nodes, pairs(v, u))
+        by_force = {
+            q: factor * column.reshape(-1, 3)
+            for q, column in zip(kept, v[sole.contact_rows].T, strict=True)
+        }
+        fields, factors = pairs(v, u)
+        return Derivative(
+            by_force=by_force,
+            by_nodes=factor * by_nodes,
+            fields=(fields, factor * factors),
+        )
 
     def _elements_around(self, by_nodes: np.ndarray):
         """Samples, elements, their H and ∂Φ/∂ε, of the nodes that count.
@@ -257,7 +238,7 @@ class StabilityLimit:
         """What the adjoint needs."""
         y, slope = self._excess(e)
         share = slope * soft_minimum(y)[1] / self.scale
-        return Derivative(stability_terms(e.history.K_c, share))
+        return stability_terms(e.history.K_c, share)
 
 
 @dataclass(frozen=True)
@@ -278,7 +259,7 @@ class TiltLimit:
     def derivative(self, e: Evaluation) -> Derivative:
         """What the adjoint needs."""
         share = self._excess(e)[1] / _TILT_SCALE
-        return Derivative(tilt_terms(e.history.R, share))
+        return tilt_terms(e.history.R, share)
 
 
 @dataclass(frozen=True)
@@ -294,7 +275,7 @@ class StrainLimit:
 
     def derivative(self, e: Evaluation) -> Derivative:
         """What the adjoint needs."""
-        return e.strain.derivatives().times(-1.0 / self.largest)
+        return e.strain.derivatives(-1.0 / self.largest)
 
 
 @dataclass(frozen=True)
@@ -312,16 +293,13 @@ class RotationLimit:
     def derivative(self, e: Evaluation) -> Derivative:
         """What the adjoint needs."""
         K, factors = e.history.K_c, self.by_rot / self.least
-        return Derivative(singular_terms(K, np.zeros(len(K)), factors))
+        return singular_terms(K, np.zeros(len(K)), factors)
 
 
 def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
-    """The limits switched on that need a simulation.
+    """Limits that need a simulation, the brick's for scales.
 
-    Args:
-        limits: What is limited.
-        first: The brick, for scales.
-        by_rot: Factors of the samples in c_rot.
+    `by_rot` are the samples' factors in c_rot.
     """
     out = []
     if limits.stability is not None:

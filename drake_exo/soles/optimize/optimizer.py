@@ -36,13 +36,10 @@ class QuasiNewton:
         self._last = None
 
     def update(self, p, gradient, jacobian, multipliers) -> None:
-        """Learn from an accepted point.
+        """Learn from an accepted point p (P,).
 
-        Args:
-            p: The point, (P,).
-            gradient: Of the cost, (P,).
-            jacobian: Of the constraints, (m, P).
-            multipliers: Of the constraints, (m,); the same at both points.
+        By gradient (P,) of the cost and Jacobian (m, P) of the constraints;
+        multipliers (m,) of these are the same at both points.
         """
         last, self._last = self._last, (p.copy(), gradient, jacobian)
         if last is None or np.array_equal(p, last[0]):

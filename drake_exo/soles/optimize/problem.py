@@ -18,14 +18,13 @@ from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import SphericalSpline, TetMesh, scatter
+from drake_exo.soles.mesh import SphericalSpline, TetMesh, face_edges, scatter
 from drake_exo.soles.optimize.adjoint import (
     load_gradients,
     shape_gradients,
     singular_terms,
 )
 from drake_exo.soles.optimize.limits import (
-    Derivative,
     Evaluation,
     Limits,
     RotationLimit,
@@ -242,22 +241,9 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
-        parts = [
-            Derivative(self._cost_terms(e)),
-            *(limit.derivative(e) for limit in self.limited),
-        ]
-        X = shape_gradients(
-            e.sole,
-            e.solver,
-            self.thinned,
-            self.start,
-            e.history,
-            [part.terms for part in parts],
-            [part.fields for part in parts],
-        )
         rows = [
-            self.by_coefficients(x + part.by_nodes)
-            for x, part in zip(X, parts, strict=True)
+            self.by_coefficients(X)
+            for X in shape_gradients(*self._backwards(e))
         ]
         volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
         elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
@@ -274,18 +260,16 @@ class ShapeProblem:
 
         Of the samples that are simulated; limits in the order of `limited`.
         """
-        e = self.evaluate(p)
-        parts = [self._cost_terms(e)]
-        parts += [limit.derivative(e).terms for limit in self.limited]
-        return load_gradients(
-            e.sole, e.solver, self.thinned, self.start, e.history, parts
-        )
+        return load_gradients(*self._backwards(self.evaluate(p)))
 
-    def _cost_terms(self, e: Evaluation):
+    def _backwards(self, e: Evaluation) -> tuple:
+        """What the adjoint takes: the step, and cost and limits of it."""
         by_c = self._combined(e)[1][self.thinned.phase]
-        return singular_terms(
+        cost = singular_terms(
             e.history.K_c, self.by_tr * by_c, -self.weight * self.by_rot * by_c
         )
+        parts = [cost, *(limit.derivative(e) for limit in self.limited)]
+        return e.sole, e.solver, self.thinned, self.start, e.history, parts
 
     def regularization(self, p: np.ndarray):
         """Of the shape: value, gradient (P,), Hessian (P, P)."""
@@ -386,7 +370,7 @@ def bends(mesh: TetMesh) -> csr_matrix:
         (k, n); nodes at the rim of the fixed surface have no row.
     """
     faces = mesh.contact_faces
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, 1:], faces[:, [2, 0]]])
+    edges = face_edges(faces)
     n, both = len(mesh.nodes), np.concatenate([edges, edges[:, ::-1]])
     near = csr_matrix((np.ones(len(both)), both.T), shape=(n, n))
     near.data[:] = 1.0  # an edge is met once from either side

@@ -1,9 +1,10 @@
 """The search for a shape: several starts, then stage by stage.
 
-The first stage is searched from several starts, the brick and smooth bends of
-it, and the best goes on. Stages go from few to all samples, and the smoothing
-layer comes down; each starts from the best design of the one before. Ctrl-C
-leaves the best so far on disk.
+Stages start from the best design of the one before. Those but the last are
+searched from several starts, the brick and smooth bends of it: after each of
+them the better half goes on (successive halving: Jamieson and Talwalkar,
+AISTATS 2016), into the last stage the best. Ctrl-C leaves the best so far on
+disk.
 
 The front of c_tr against c_rot: an epsilon-constraint: c_tr alone is minimised
 under c_rot >= floor, from the lowest floor to the highest. The first point
@@ -18,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
 from multiprocessing import get_context
@@ -29,7 +31,7 @@ from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
 from drake_exo.soles.contact.law import ContactLaw
-from drake_exo.soles.mesh import TetMesh, brick, maximum_volume
+from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder
 from drake_exo.soles.optimize.limits import Limits
@@ -61,7 +63,7 @@ def limits_of(settings: Settings) -> Limits:
     # A pose that is prescribed does not tip, and no shape changes it.
     held = any(block.pose == "measured" for block in settings.all_loads)
     return Limits(
-        maximum_volume(settings.cost.mass_limit_kg, density),
+        settings.cost.mass_limit_kg / density,
         None if held else block.stability_n_per_m,
         None if held else block.tilt_deg,
         block.strain,
@@ -76,14 +78,12 @@ def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
     """The stage's brick in the own mesh's bounding box, or the own mesh."""
     if stage.divisions is None:
         return own
-    size = tuple(np.ptp(own.nodes, axis=0))
-    filled = own.volume / np.prod(size)
-    if abs(filled - 1) > 1e-6:
+    if not own.is_block:
         raise InputError(
             "optimize.stages: divisions need a brick as the initial shape, "
             "and this mesh is none; leave them out"
         )
-    return brick(size, stage.divisions)
+    return brick(tuple(np.ptp(own.nodes, axis=0)), stage.divisions)
 
 
 def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
@@ -112,7 +112,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
 
 @dataclass
 class _Run:
-    """A first stage from one start: outcome, seconds, where to go on."""
+    """A stage from one start: outcome, seconds, where to go on."""
 
     optimum: Optimum
     seconds: float
@@ -139,24 +139,21 @@ def optimise(
     whole, block = time.perf_counter(), setup.settings.optimize
     stages = block.stages
     at = resume or Checkpoint()
-    optima, seconds, problem = [], [], None
-    first = at.stage
+    runs, problem = [], None
     if at.p is None:
-        runs = _from_starts(setup, out, say, at.begun, at_once)
-        best = min(runs, key=lambda run: run.optimum.rank)
-        rows = [row for run in runs for row in run.at.starts]
-        at = replace(best.at, starts=tuple(rows))
+        runs = race(setup, out, say, at.begun, at_once)
+        at = runs[-1].at
         _keep(at, out)
-        optima, seconds, first = [best.optimum], [best.seconds], 1
-    for number in range(first, len(stages)):
+    for number in range(len(runs) or at.stage, len(stages)):
         run, problem = _run_stage(setup, number, at, out, say)
-        optima.append(run.optimum)
-        seconds.append(run.seconds)
+        runs.append(run)
         at = run.at
         _keep(at, out)
     if problem is None:
         problem = stage_problem(setup, stages[-1])
-    design = verified(setup, problem, at, optima, seconds)
+    design = verified(
+        setup, problem, at, [r.optimum for r in runs], [r.seconds for r in runs]
+    )
     pattern = setup.settings.load and setup.settings.load.pattern
     if pattern and pattern.free:
         gait = pattern.gait(setup.settings.contact.friction)
@@ -242,13 +239,12 @@ class GaitProblem:
 
     def slopes(self, x) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of cost (G,) and limits."""
-        there = self.on(x)
+        there, (loads, own) = self.on(x), self.gait.slopes(x)
         if there.evaluate(self.p) is None:
-            own = self.gait.slopes(x)[1]
-            count = len(own) + len(self._least)
-            return np.zeros(len(x)), np.zeros((count, len(x)))
+            return np.zeros(len(x)), np.zeros(
+                (len(own) + len(self._least), len(x))
+            )
         by_load = there.by_load(self.p)
-        loads, own = self.gait.slopes(x)
         soles = np.einsum("fnk,gnk->fg", by_load, loads[:, there.picked])
         return soles[0], np.concatenate([own, soles[1:]])
 
@@ -283,62 +279,76 @@ def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
     }
 
 
-def _from_starts(setup, out, say, begun, at_once: int) -> list[_Run]:
-    """The first stage from every start, several at a time."""
-    count = setup.settings.optimize.starts
-    begun = islice(chain(begun, repeat(None)), count)
-    calls = [
-        (setup, k, at, start_folder(out, k) if count > 1 else out)
-        for k, at in enumerate(begun)
-    ]
-    if min(at_once, count) == 1:
-        runs = [from_start(*call, say) for call in calls]
-    else:
-        context = get_context("spawn")
-        with (
-            context.Manager() as manager,
-            # Interrupted, workers end at once: their checkpoints are on disk.
-            ProcessPoolExecutor(
-                min(at_once, count),
-                context,
-                signal.signal,
-                (signal.SIGINT, signal.SIG_DFL),
-            ) as pool,
-        ):
-            lines = manager.Queue()
-            waiting = [
-                pool.submit(from_start, *call, lines.put) for call in calls
-            ]
-            try:
-                while not all(run.done() for run in waiting):
-                    try:
-                        say(lines.get(timeout=0.2))
-                    except Empty:
-                        continue
-                runs = [run.result() for run in waiting]
-            except BrokenProcessPool:
-                raise InputError(
-                    "optimize.starts: the process of a start was killed, for "
-                    "want of memory perhaps; go on with --resume and --jobs 1"
-                ) from None
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    if out is not None and count > 1:
-        for k in range(count):
-            shutil.rmtree(start_folder(out, k), ignore_errors=True)
-    return runs
-
-
-def from_start(setup: Setup, start: int, at, out, say) -> _Run:
-    """The first stage from one start, or from where it was interrupted.
+def race(
+    setup: Setup, out, say, begun=(), at_once: int = 1, first: int = 0
+) -> list[_Run]:
+    """The stages but the last, from several starts; the runs of the best.
 
     Args:
         setup: The initial shape and its step; settings with the stages.
-        start: As in `start_design`.
-        at: Where it was interrupted; None to begin.
-        out: Folder for its checkpoint; None for none.
+        out: Folder for one below it for each start; None for none.
         say: Called with one line of progress now and then.
+        begun: Where starts were interrupted, None for those that were not.
+        at_once: How many at a time.
+        first: Number of the first start.
+    """
+    block = setup.settings.optimize
+    at = dict(enumerate(islice(chain(begun, repeat(None)), block.starts)))
+    folders = {k: start_folder(out, k) if len(at) > 1 else out for k in at}
+    runs, going, rounds = {k: [] for k in at}, list(at), len(block.stages) - 1
+    for number in range(max(rounds, 1)):
+        calls = [(setup, first + k, number, at[k], folders[k]) for k in going]
+        found = _side_by_side(calls, say, at_once)
+        for k, run in zip(going, found, strict=True):
+            runs[k].append(run)
+            at[k] = run.at
+        going.sort(key=lambda k: runs[k][-1].optimum.rank)
+        last = number + 1 >= rounds
+        going = going[: 1 if last else (len(going) + 1) // 2]
+    rows = tuple(at[k].starts[-1] for k in at)
+    best = runs[going[0]]
+    best[-1].at = replace(best[-1].at, starts=rows)
+    if out is not None and len(at) > 1:
+        for folder in folders.values():
+            shutil.rmtree(folder, ignore_errors=True)
+    return best
+
+
+def _side_by_side(calls, say, at_once: int) -> list[_Run]:
+    """What `from_start` makes of some calls, in processes of their own."""
+    if min(at_once, len(calls)) == 1:
+        return [from_start(*call, say) for call in calls]
+    # Interrupted, workers end at once: their checkpoints are on disk.
+    ends_at_once = signal.signal, (signal.SIGINT, signal.SIG_DFL)
+    context = get_context("spawn")
+    with (
+        context.Manager() as manager,
+        ProcessPoolExecutor(
+            min(at_once, len(calls)), context, *ends_at_once
+        ) as pool,
+    ):
+        lines = manager.Queue()
+        waiting = [pool.submit(from_start, *call, lines.put) for call in calls]
+        try:
+            while not all(run.done() for run in waiting):
+                with suppress(Empty):
+                    say(lines.get(timeout=0.2))
+            return [run.result() for run in waiting]
+        except BrokenProcessPool:
+            raise InputError(
+                "optimize.starts: the process of a start was killed, for "
+                "want of memory perhaps; go on with --resume and --jobs 1"
+            ) from None
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
+    """A stage from one start, see `start_design`.
+
+    `at` is where it stands, None to begin; `out` a folder for its
+    checkpoint, None for none.
     """
     block = setup.settings.optimize
     if out is not None:
@@ -347,14 +357,20 @@ def from_start(setup: Setup, start: int, at, out, say) -> _Run:
         problem = stage_problem(setup, block.stages[0])
         p = start_design(problem, tuple(block.bounds), start)
         at = Checkpoint(p=p, latest=p)
-    elif at.starts:  # finished before an interruption
-        (row,) = at.starts
-        done = Optimum(at.p, **row, multipliers=at.multipliers)
+    elif len(at.starts) > number:  # finished before an interruption
+        row = at.starts[number]
+        done = Optimum(
+            at.p, row["cost"], violation=row["violation"],
+            multipliers=at.multipliers,
+        )  # fmt: skip
         return _Run(done, 0.0, at)
     prefix = f"start {start + 1}/{block.starts}, " if block.starts > 1 else ""
-    run, _ = _run_stage(setup, 0, at, out, lambda line: say(prefix + line))
-    row = {"cost": run.optimum.cost, "violation": run.optimum.violation}
-    run.at = replace(run.at, starts=(row,))
+    run, _ = _run_stage(setup, number, at, out, lambda line: say(prefix + line))
+    best = run.optimum
+    row = {
+        "stage": number + 1, "cost": best.cost, "violation": best.violation,
+    }  # fmt: skip
+    run.at = replace(run.at, starts=(*run.at.starts, row))
     _keep(run.at, out)
     return run
 
@@ -545,6 +561,7 @@ def pareto_front(
 
 
 def _point_of_front(setup: Setup, problem, best, floor, base: Step) -> dict:
+    """What front.json says of a point, by the exact law."""
     sole = setup.sole(problem.deformed(best.p))
     step = Step.by_exact_law(setup, sole, problem.law.penalty)
     return {
