@@ -190,7 +190,7 @@ def friction_moments(device: Device, tree: PlanarTree, v) -> np.ndarray:
     viscous, dry, speed = _of_joints(
         device, names, "viscous_nm_s", "coulomb_nm", "coulomb_speed_rad_s"
     )
-    rates = v[:, names.device_columns]
+    rates = np.take(v, names.device_columns, axis=1)  # row by row, as v
     return -viscous * rates - dry * np.tanh(rates / speed)
 
 
