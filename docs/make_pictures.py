@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.image import imsave
 
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.scene import (
@@ -10,10 +11,14 @@ from drake_exo.report.scene import (
     SEATED_DEG,
     STANDING_DEG,
     Scene,
-    write_png,
 )
 
 _FOLDER = Path(__file__).parent / "pictures"
+
+
+def write_png(path: Path, colours: np.ndarray) -> None:
+    """Write colours (height, width, 3) without the software's name."""
+    imsave(path, colours, metadata={"Software": None})
 
 
 def main() -> None:

@@ -6,9 +6,9 @@ beside those that were measured once it was built.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -247,7 +247,7 @@ class Designed:
                 "upper": v.upper,
                 "at_bound": v.at_bound(value),
                 "slope_today": self.slopes.get(v.name),
-                "extrapolated": self._is_extrapolated(v, value),
+                "extrapolated": v.unit == "m" and abs(value) > _KNOWN_M,
             }
             if v.is_strap:
                 cuff, _, what = v.name.partition(".")
@@ -270,9 +270,6 @@ class Designed:
                     }
                 )
         return rows
-
-    def _is_extrapolated(self, v: Variable, value: float) -> bool:
-        return v.unit == "m" and abs(value) > _KNOWN_M
 
     def felt(self) -> list[dict]:
         """What every cuff does to the person, before and after.
@@ -301,10 +298,7 @@ class Designed:
                 deflection = self._deflection(
                     cuff,
                     Design() if what == "before" else self.design,
-                    {
-                        name: [m.trial for m in own]
-                        for name, own in moved.items()
-                    },
+                    {n: [m.trial for m in own] for n, own in moved.items()},
                 )
                 peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
                 mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])
@@ -373,73 +367,68 @@ class Designed:
     def checks(self) -> tuple[Check, ...]:
         """What the design has to hold."""
         solution = self.solution
-        found = [
-            *self.inputs,
-            Check(SOLVED, solution.success, sentence=_failed(solution)),
-        ]
+        said = ""
         if not self.success:
-            return tuple(found)
-        s = self.support
-        limit = 3.0
+            said = f"{solution.status}: {solution.explain()}"
+        solved = Check(SOLVED, solution.success, sentence=said)
+        if not self.success:
+            return (*self.inputs, solved)
+        return (*self.inputs, solved, *self._goals(), *self._notes())
+
+    def _goals(self) -> Iterator[Check]:
+        """What a design that was found has to reach."""
+        s, limit = self.support, 3.0
         change = 100.0 * abs(s["after"] / s["before"] - 1.0)
-        found.append(
-            Check(
-                "design.support",
-                change <= limit or self.settings.limits.support is None,
-                change,
-                limit,
-                "%",
-                sentence="the device's work is not that of today: tighten "
-                "design.limits.support",
-            )
+        yield Check(
+            "design.support",
+            change <= limit or self.settings.limits.support is None,
+            change,
+            limit,
+            "%",
+            sentence="the device's work is not that of today: tighten "
+            "design.limits.support",
         )
-        promised = self.found.norm_n
+        most = (1.0 + _KEPT) * self.found.norm_n
         forecast = forecast_norm(self.found, self.after)
-        found.append(
-            Check(
-                "design.forecast",
-                forecast <= (1.0 + _KEPT) * promised,
-                forecast,
-                (1.0 + _KEPT) * promised,
-                "N",
-                sentence="the person's movement would have to change for what "
-                "the design promised: lower design.own_angle_deg or weight",
-            )
+        yield Check(
+            "design.forecast",
+            forecast <= most,
+            forecast,
+            most,
+            "N",
+            sentence="the person's movement would have to change for what "
+            "the design promised: lower design.own_angle_deg or weight",
         )
-        largest, today = (
-            max(getattr(p, what) for p in self.peaks.values())
-            for what in ("forecast_after", "today")
-        )
-        found.append(
-            Check(
-                "design.better",
-                largest < today,
-                largest,
-                today,
-                "N",
-                sentence="the largest force does not fall: give the design "
-                "more freedom or wider limits",
-            )
+        largest = max(p.forecast_after for p in self.peaks.values())
+        today = max(p.today for p in self.peaks.values())
+        yield Check(
+            "design.better",
+            largest < today,
+            largest,
+            today,
+            "N",
+            sentence="the largest force does not fall: give the design "
+            "more freedom or wider limits",
         )
         held = self._hold()
-        found.append(
-            Check(
-                "design.attached",
-                held.stiffness > 0.0,
-                held.stiffness,
-                0.0,
-                "N m/rad",
-                held.joint,
-                "the device hangs loose: its weight pushes it off by more "
-                "than its cuffs hold it; leave less to slides and hinges",
-            )
+        yield Check(
+            "design.attached",
+            held.stiffness > 0.0,
+            held.stiffness,
+            0.0,
+            "N m/rad",
+            held.joint,
+            "the device hangs loose: its weight pushes it off by more "
+            "than its cuffs hold it; leave less to slides and hinges",
         )
+
+    def _notes(self) -> Iterator[Check]:
+        """What is told of it."""
+        note = partial(Check, level="note")
         for cuff, peak in self.peaks.items():
             value = peak.measured_after
-            if value is None:
-                continue
-            found.append(
-                Check(
+            if value is not None:
+                yield note(
                     "design.measured",
                     peak.forecast_low <= value <= peak.forecast_high,
                     value,
@@ -447,65 +436,35 @@ class Designed:
                     "N",
                     cuff,
                     "as built it bears what its forecast's band does not hold",
-                    "note",
                 )
-            )
+        note = partial(note, holds=False)
         most = self.settings.limits.migration_mm
         for row in self.felt():
             value = row["after"]["migration_mm"]
             if most is not None and value > (1.0 + _BOLD) * most:
-                found.append(
-                    Check(
-                        "design.migration",
-                        False,
-                        value,
-                        most,
-                        "mm",
-                        row["cuff"],
-                        "deflects along the limb by more than its limit, "
-                        f"{row['before']['migration_mm']:.1f} mm today: "
-                        "the design comes no nearer under its other limits",
-                        "note",
-                    )
+                yield note(
+                    "design.migration",
+                    value=value,
+                    limit=most,
+                    unit="mm",
+                    where=row["cuff"],
+                    sentence="deflects along the limb by more than its limit, "
+                    f"{row['before']['migration_mm']:.1f} mm today: "
+                    "the design comes no nearer under its other limits",
                 )
         for row in self.variables():
+            at = {k: row[k] for k in ("value", "unit")}
+            at["where"] = row["name"]
             if row["at_bound"]:
-                found.append(
-                    Check(
-                        "design.bounds",
-                        False,
-                        row["value"],
-                        where=row["name"],
-                        unit=row["unit"],
-                        sentence="is at a bound: what is beyond was not "
-                        "asked for",
-                        level="note",
-                    )
-                )
+                said = "is at a bound: what is beyond was not asked for"
+                yield note("design.bounds", **at, sentence=said)
             if row["extrapolated"]:
-                found.append(
-                    Check(
-                        "design.extrapolation",
-                        False,
-                        row["value"],
-                        _KNOWN_M,
-                        row["unit"],
-                        row["name"],
-                        "moves a cuff to where nothing was calibrated",
-                        "note",
-                    )
-                )
+                said = "moves a cuff to where nothing was calibrated"
+                at["limit"] = _KNOWN_M
+                yield note("design.extrapolation", **at, sentence=said)
         for cuff in self.softened():
-            found.append(
-                Check(
-                    "design.extrapolation",
-                    False,
-                    where=cuff,
-                    sentence="deflects further than in any trial of today",
-                    level="note",
-                )
-            )
-        return tuple(found)
+            said = "deflects further than in any trial of today"
+            yield note("design.extrapolation", where=cuff, sentence=said)
 
     def _hold(self) -> Hold:
         """By how much the built cuffs hold the device in the forecast."""
@@ -776,9 +735,3 @@ def _told(row: dict) -> str:
         return f"{1e3 * row['value']:+.1f} mm"
     unit = "" if row["unit"] == "1" else f" {row['unit']}"
     return f"{row['value']:.3f}{unit}"
-
-
-def _failed(solution: Solution) -> str:
-    if solution.success:
-        return ""
-    return f"{solution.status}: {solution.explain()}"

@@ -362,8 +362,24 @@ or directory); check the path
     return RecordedStudy(file, root)
 
 
+class _Solved:
+    """What has the result of a solve."""
+
+    result: PhaseResult
+
+    @property
+    def solution(self) -> Solution:
+        """State of the solve."""
+        return self.result.solution
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.result.success
+
+
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(_Solved):
     """What Phase A or B found; see `calibrate_foot_ground`.
 
     Attributes:
@@ -393,16 +409,6 @@ class Calibration:
             for p in self.parameters
         ]
         return "\n".join([head, *rows])
-
-    @property
-    def solution(self) -> Solution:
-        """State of the solve."""
-        return self.result.solution
-
-    @property
-    def success(self) -> bool:
-        """Whether the solver met its tolerances."""
-        return self.result.success
 
     @property
     def contact(self) -> ContactModel:
@@ -573,7 +579,7 @@ _SIGNALS = frozenset(("q", "v", "a", "ground", "moments", "cuffs", "jerk"))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Prediction(Trial):
+class Prediction(_Solved, Trial):
     """A predicted trial: see Trial for its signals.
 
     Signals of a failed solve raise SealedSolutionError until
@@ -604,16 +610,6 @@ class Prediction(Trial):
         if name in _SIGNALS:
             object.__getattribute__(self, "result").solution.check()
         return super().__getattribute__(name)
-
-    @property
-    def solution(self) -> Solution:
-        """State of the solve."""
-        return self.result.solution
-
-    @property
-    def success(self) -> bool:
-        """Whether the solver met its tolerances."""
-        return self.result.success
 
     def rmsd(self, measured: Trial) -> dict:
         """Differences from the trial as measured; see `audit.rmsd`."""
@@ -739,9 +735,7 @@ def calibrate_interaction(
 
 
 def find_clocks(
-    study: Study,
-    trials: Sequence[Trial],
-    contact: Calibration | ContactModel,
+    study: Study, trials: Sequence[Trial], contact: Calibration | ContactModel
 ) -> list[Clock]:
     """Lags of encoders and mats of trials, on cuffs that are calibrated.
 

@@ -507,7 +507,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "width = band.cuffs[cuff][:, NORMAL]",
             "width = band.cuffs[cuff][:, 0]",
         ),
-        ("force.normal - width,", "force.normal,"),
+        ("middle - width,", "middle,"),
         ('y = [r["grf_n"] for r in rows]', 'y = [r["cop_mm"] for r in rows]'),
         ("t = trial.start_s + trial.times", "t = trial.times"),
         ("quality.residual[:, column]", "quality.residual[:, 0]"),
@@ -661,7 +661,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("gone = _SEEN_GONE_N", "pass"),
         ("found[i] * friction.viscous[i]", "friction.viscous[i]"),
         ('"estimate_encoder_delay": True', '"estimate_encoder_delay": False'),
-        ('"start_s": entry.start_s', '"start_s": entry.end_s'),
+        ('"start_s": start_s', '"start_s": end_s'),
     ],
     "drake_exo/soles/load_blocks.py": [
         ("np.stack([x, -z, y], axis=1)", "np.stack([x, z, y], axis=1)"),

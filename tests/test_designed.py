@@ -416,7 +416,9 @@ def test_studies_of_one_name_are_numbered():
 
 def test_a_failed_solve_says_why():
     off = SimpleNamespace(success=False, status="no", explain=lambda: "far")
-    assert designed._failed(off) == "no: far"
+    found = SimpleNamespace(solution=off)
+    (check,) = designed.Designed(SETTINGS, None, found, {}, {}).checks()
+    assert (check.holds, check.sentence) == (False, "no: far")
     assert (
         designed._strap_unit(Variable("a.b", "rad/(N m)", 0, 1, 0, 1))
         == "N m/rad"

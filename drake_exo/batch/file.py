@@ -31,6 +31,7 @@ import yaml
 import drake_exo
 from drake_exo.errors import InputError, nearest
 from drake_exo.files import schema
+from drake_exo.files.schema import quantity
 
 STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")
@@ -53,8 +54,8 @@ _LONGEST = 100  # characters of a variant's name
 class SeedRange:
     """Seeds from `first` to `last`, both included."""
 
-    first: int = field(metadata={"minimum": 0})
-    last: int = field(metadata={"minimum": 0})
+    first: int = quantity(None, minimum=0)
+    last: int = quantity(None, minimum=0)
 
     def __post_init__(self):
         if self.last < self.first:
@@ -72,9 +73,9 @@ class Laboratories:
         without: disturbances to switch off.
     """
 
-    seeds: tuple[int, ...] | SeedRange = field(metadata={"minimum": 0})
+    seeds: tuple[int, ...] | SeedRange = quantity(None, minimum=0)
     truth: Literal["wide", "near"] = "wide"
-    trials: int | None = field(default=None, metadata={"minimum": 1})
+    trials: int | None = quantity(None, None, minimum=1)
     without: tuple[str, ...] = ()
 
     def all_seeds(self) -> tuple[int, ...]:
@@ -253,9 +254,8 @@ def variant_name(changes: dict[str, Any]) -> str:
     text = ",".join(f"{key}={_value(v)}" for key, v in changes.items())
     if len(text) <= _LONGEST:
         return text
-    from hashlib import sha256
-
-    return text[:_LONGEST] + "~" + sha256(text.encode()).hexdigest()[:8]
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return f"{text[:_LONGEST]}~{digest[:8]}"
 
 
 def _value(value: Any) -> str:
@@ -406,17 +406,15 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
         known = STUDY_STEPS if entry in subjects else CASE_STEPS
         steps = [step for step in known if step in batch.steps]
         if entry.seed is not None:
-            _add(tasks, _laboratory(batch, entry))
+            task = _laboratory(batch, entry)
+            tasks[task.name] = task
         for changes in _variants(batch, entry in soles):
             for step in steps:
                 task = _task(batch, entry, changes, step, root)
                 keys = [tasks[name].key for name in task.needs.values()]
-                _add(tasks, _keyed(task, digests.get(entry, {}), keys))
+                task = _keyed(task, digests.get(entry, {}), keys)
+                tasks[task.name] = task
     return list(tasks.values())
-
-
-def _add(tasks: dict[str, Task], task: Task) -> None:
-    tasks[task.name] = task
 
 
 def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:

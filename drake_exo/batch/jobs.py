@@ -27,6 +27,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any, Literal, Protocol, TextIO
@@ -87,7 +88,13 @@ class Ended:
 
 
 class Pool(Protocol):
-    """What runs jobs."""
+    """What runs jobs, and is closed at the end of a `with`."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
 
     def room(self) -> int:
         """How many more jobs it takes now."""
@@ -185,16 +192,13 @@ def _chains(jobs: Sequence[Job]) -> dict[str, int]:
                 raise InputError(f"{job.name} needs {need!r}, which is no job")
             followers[need].append(job.name)
     found: dict[str, int] = {}
-    # From the ends on; whatever is left at the end needs itself.
-    left = list(followers)
-    while left:
-        ready = [n for n in left if all(f in found for f in followers[n])]
-        if not ready:
-            raise InputError(f"{left[0]} needs itself, by way of others")
-        for name in ready:
+    try:
+        for name in TopologicalSorter(followers).static_order():
             behind = (found[f] for f in followers[name])
             found[name] = 1 + max(behind, default=0)
-        left = [n for n in left if n not in found]
+    except CycleError as error:
+        name = error.args[1][0]
+        raise InputError(f"{name} needs itself, by way of others") from error
     return found
 
 
@@ -422,7 +426,7 @@ class Worker:
             self._process = None
 
 
-class Processes:
+class Processes(Pool):
     """Workers on this machine; see `jobs.Pool`.
 
     Args:
@@ -432,12 +436,6 @@ class Processes:
 
     def __init__(self, workers: int, memory_mb: int | None = None):
         self._workers = [Worker(memory_mb) for _ in range(workers)]
-
-    def __enter__(self) -> Processes:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     def room(self) -> int:
         """See `jobs.Pool`."""
@@ -578,16 +576,13 @@ def second_process() -> Iterator[Callable[..., Beside]]:
 
 
 def _name(function: Callable) -> str:
-    return f"{_module(function)}:{function.__name__}"
-
-
-def _module(function: Callable) -> str:
-    """Under which a process imports it; a script goes by another name."""
-    if function.__module__ != "__main__":
-        return function.__module__
-    main = sys.modules["__main__"]
-    spec = getattr(main, "__spec__", None)
-    return Path(main.__file__).stem if spec is None else spec.name
+    """As a process imports it; a script goes by another name."""
+    module = function.__module__
+    if module == "__main__":
+        main = sys.modules[module]
+        spec = getattr(main, "__spec__", None)
+        module = Path(main.__file__).stem if spec is None else spec.name
+    return f"{module}:{function.__name__}"
 
 
 _CONNECT_SECONDS = 60.0  # a scheduler that starts again has that long
@@ -607,7 +602,7 @@ def run_on_worker(job: Job, memory_mb: int | None) -> Ended:
     return ended
 
 
-class Cluster:
+class Cluster(Pool):
     """Workers behind a Dask scheduler; see `jobs.Pool`.
 
     Args:
@@ -636,12 +631,6 @@ class Cluster:
         self._futures: dict = {}
         self._done: queue.SimpleQueue = queue.SimpleQueue()
         self._client = self._connect()
-
-    def __enter__(self) -> Cluster:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     @property
     def dashboard(self) -> str:

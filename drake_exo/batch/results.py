@@ -16,7 +16,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -200,7 +200,7 @@ def write_table(folder: Path, rows: list[Row]) -> list[str]:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for row in rows:
-        writer.writerow("" if x is None else x for x in astuple_of(row))
+        writer.writerow("" if x is None else x for x in astuple(row))
     replace_file(folder / "results.csv", text.getvalue().encode())
     try:
         import pyarrow
@@ -215,11 +215,6 @@ def write_table(folder: Path, rows: list[Row]) -> list[str]:
     pyarrow.parquet.write_table(table, sink)
     replace_file(folder / "results.parquet", sink.getvalue().to_pybytes())
     return ["results.csv", "results.parquet"]
-
-
-def astuple_of(row: Row) -> tuple:
-    """The row's cells in the order of `COLUMNS`."""
-    return tuple(getattr(row, name) for name in COLUMNS)
 
 
 def replace_file(path: Path, data: bytes) -> None:
@@ -381,9 +376,6 @@ def write_results(batch: Batch) -> list[str]:
     rows = rows_of(batch)
     pictures: dict[str, str] = {}
     if any(row.phase == "predict" and row.trial for row in rows):
-        # Half a second to import, which only predictions need.
-        from drake_exo.batch.results import draw_figures, peak_rows
-
         rows += peak_rows(batch, rows)
         pictures = draw_figures(batch.out, rows)
     names = write_table(batch.out, rows)
@@ -458,9 +450,7 @@ def peak_rows(batch: Batch, rows: list[Row]) -> list[Row]:
 
 def _peaks(found: Trial, measured: Trial) -> tuple[dict, dict]:
     """Of signals that both have, by (name, unit)."""
-    signals = {
-        ("ground reaction", "N"): lambda t: t.ground.force_z,
-    }
+    signals = {("ground reaction", "N"): lambda t: t.ground.force_z}
     for cuff in found.cuffs:
         if cuff in measured.cuffs:
             signals[f"normal force {cuff}", "N"] = lambda t, cuff=cuff: (

@@ -5,6 +5,7 @@ import errno
 import importlib
 import os
 import sys
+from pathlib import Path
 
 # Before numpy loads its BLAS: matrices here are small, two threads are slower
 # than one where the cores have other work, and sums would depend on how many
@@ -46,6 +47,40 @@ _NO_ROOM = (
     errno.EPERM,
     errno.EIO,
 )
+
+
+def add_study(parser: argparse.ArgumentParser, **options) -> None:
+    """Add what every command on a study reads."""
+    parser.add_argument("study", type=Path, metavar="STUDY.yaml", **options)
+    parser.add_argument(
+        "--data-root",
+        type=Path,
+        help="folder that the study's relative paths start from; by default "
+        "the study file's own",
+    )
+
+
+def add_out(
+    parser: argparse.ArgumentParser,
+    force: str = "replace results in --out",
+    **options,
+) -> None:
+    """Add --out, with argparse's options, and --force, with its help."""
+    parser.add_argument("--out", type=Path, **options)
+    parser.add_argument("--force", action="store_true", help=force)
+
+
+def add_accept(parser: argparse.ArgumentParser) -> None:
+    """Add --accept, which every command that ends with checks has."""
+    parser.add_argument(
+        "--accept",
+        action="append",
+        default=[],
+        metavar="CHECK",
+        help="take a result although this check does not hold, such as "
+        "audit or plausibility.mass; a beginning of dotted names, or all; "
+        "may be given several times, and is recorded",
+    )
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -15,7 +15,7 @@ from drake_exo.calibration.phases import (
     pareto_front,
 )
 from drake_exo.calibration.results import read_calibration
-from drake_exo.cli.options import add_accept
+from drake_exo.cli import add_accept, add_out, add_study
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.files.output import (
     FAILS_CODE,
@@ -89,17 +89,8 @@ def add_study_arguments(
         parser: of the command.
         resume: whether it can continue where it was cut off.
     """
-    parser.add_argument("study", type=Path, metavar="STUDY.yaml")
-    parser.add_argument(
-        "--data-root",
-        type=Path,
-        help="folder that the study's relative paths start from; by default "
-        "the study file's own",
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in --out"
-    )
+    add_study(parser)
+    add_out(parser, required=True)
     add_accept(parser)
     if resume:
         parser.add_argument(

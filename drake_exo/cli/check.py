@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from drake_exo.cli.options import add_accept
+from drake_exo.cli import add_accept, add_out, add_study
 from drake_exo.files.output import (
     Progress,
     Verdict,
@@ -23,19 +23,8 @@ def add_parser(subparsers) -> None:
         help="read and clean a study's recordings and report their quality",
         description=__doc__,
     )
-    parser.add_argument("study", type=Path, metavar="STUDY.yaml")
-    parser.add_argument(
-        "--data-root",
-        type=Path,
-        help="folder that the study's relative paths start from; by default "
-        "the study file's own",
-    )
-    parser.add_argument(
-        "--out", type=Path, help="folder for report, pictures and trials"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in --out"
-    )
+    add_study(parser)
+    add_out(parser, help="folder for report, pictures and trials")
     add_accept(parser)
     parser.set_defaults(run=run)
 

@@ -7,6 +7,7 @@ settings; with --out also as files, with figures of all of them overlaid.
 import argparse
 from pathlib import Path
 
+from drake_exo.cli import add_out
 from drake_exo.files.output import (
     joined_mark,
     prepare_output_folder,
@@ -23,10 +24,7 @@ def add_parser(subparsers) -> None:
         description=__doc__,
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="DIR")
-    parser.add_argument("--out", type=Path, help="folder for table and figures")
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in --out"
-    )
+    add_out(parser, help="folder for table and figures")
     parser.set_defaults(run=run)
 
 

@@ -1,8 +1,8 @@
 """`drake-exo contact`: the contact laws drawn, Figures 8 and 9 of the paper."""
 
 from argparse import Namespace
-from pathlib import Path
 
+from drake_exo.cli import add_out
 from drake_exo.errors import InputError, check_fields
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.report.figures import ContactCurves, write_figures
@@ -13,10 +13,7 @@ def add_parser(subparsers) -> None:
     parser = subparsers.add_parser(
         "contact", help="draw the contact laws (Figures 8 and 9 of the paper)"
     )
-    parser.add_argument("--out", required=True, help="folder for the figures")
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in the folder"
-    )
+    add_out(parser, required=True, help="folder for the figures")
     for name, item in ContactCurves.__dataclass_fields__.items():
         unit = item.metadata["unit"]
         parser.add_argument(
@@ -41,4 +38,4 @@ def run(args: Namespace) -> None:
         )
     with prepare_output_folder(args.out, args.force) as folder:
         for file in write_figures(folder, curves):
-            print(Path(args.out) / file.name)
+            print(args.out / file.name)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from drake_exo.batch.jobs import Beside, second_process
 from drake_exo.calibration.clocks import Clock
+from drake_exo.cli import add_out
 from drake_exo.cli.calibrate import write_interaction
 from drake_exo.cli.lab import PROCESSES
 from drake_exo.cli.predict import write_predictions
@@ -41,10 +42,7 @@ def add_parser(subparsers) -> None:
         help="virtual campaign, calibration, prediction and report",
         description=__doc__,
     )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in --out"
-    )
+    add_out(parser, required=True)
     parser.set_defaults(run=run)
 
 

@@ -10,8 +10,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from drake_exo.cli import add_accept, add_out, add_study
 from drake_exo.cli.calibrate import report_failure
-from drake_exo.cli.options import add_accept
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.designed import Designed
 from drake_exo.designing import built, design, front
@@ -31,8 +31,6 @@ from drake_exo.study import (
     read_study,
 )
 
-_TRUTH = "truth"
-
 
 def add_parser(subparsers) -> None:
     """Add `design` to the command line."""
@@ -41,7 +39,7 @@ def add_parser(subparsers) -> None:
         help="design cuffs and assistance with calibrated contact",
         description=__doc__,
     )
-    parser.add_argument("study", type=Path, nargs="+", metavar="STUDY.yaml")
+    add_study(parser, nargs="+")
     parser.add_argument(
         "--calibration",
         type=Path,
@@ -50,11 +48,7 @@ def add_parser(subparsers) -> None:
         metavar="DIR",
         help="results of 'drake-exo calibrate', one for each study",
     )
-    parser.add_argument("--data-root", type=Path, help="as in other commands")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in --out"
-    )
+    add_out(parser, required=True)
     parser.add_argument(
         "--response",
         choices=["own", "free"],
@@ -133,11 +127,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _laboratory(path: Path) -> dict:
-    """Seed, disturbances and kind of the laboratory beside a study file.
-
-    Raises:
-        InputError: the study comes from no virtual laboratory.
-    """
+    """Seed, disturbances and kind of the laboratory beside a study file."""
     from drake_exo.virtual_laboratory.campaign import read_about
 
     return read_about(path.parent)

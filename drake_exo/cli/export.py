@@ -7,7 +7,7 @@ was read from, and writes states and ground forces of the movements beside it.
 import argparse
 from pathlib import Path
 
-from drake_exo.cli.options import add_accept
+from drake_exo.cli import add_accept, add_out
 
 
 def add_parser(subparsers) -> None:
@@ -25,11 +25,11 @@ def add_parser(subparsers) -> None:
     opensim.add_argument(
         "--model", type=Path, required=True, help="the scaled .osim file"
     )
-    opensim.add_argument(
-        "--out", type=Path, required=True, help="the .osim file to write"
-    )
-    opensim.add_argument(
-        "--force", action="store_true", help="replace files that are there"
+    add_out(
+        opensim,
+        "replace files that are there",
+        required=True,
+        help="the .osim file to write",
     )
     add_accept(opensim)
     parser.set_defaults(run=run)

@@ -3,6 +3,7 @@
 import argparse
 import os
 
+from drake_exo.cli import add_out
 from drake_exo.contact.strap import read_design
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder
@@ -14,9 +15,8 @@ from drake_exo.virtual_laboratory.campaign import (
 from drake_exo.virtual_laboratory.truth import DISTURBANCES, KINDS
 from drake_exo.virtual_laboratory.two_legs import MOVEMENTS, write_movements
 
-PROCESSES = min(
-    os.cpu_count() or 1, 2
-)  # a core for each; more memory is not worth it
+# A core for each; more memory is not worth it.
+PROCESSES = min(os.cpu_count() or 1, 2)
 
 
 def add_parser(subparsers) -> None:
@@ -30,10 +30,7 @@ def add_parser(subparsers) -> None:
         + "".join(f"  {k}: {v}\n" for k, v in DISTURBANCES.items()),
     )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", required=True, metavar="DIR")
-    parser.add_argument(
-        "--force", action="store_true", help="replace results in DIR"
-    )
+    add_out(parser, "replace results in DIR", required=True, metavar="DIR")
     parser.add_argument(
         "--trials",
         type=int,

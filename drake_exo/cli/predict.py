@@ -163,10 +163,7 @@ def write_predictions(
     write_inputs(out, study.model, trials)
     write_contact(out, contact)
     usual = uncalibrated(study.model, contact)
-    how = {
-        "scale_interaction": scale_interaction,
-        "controller": controller,
-    }
+    how = {"scale_interaction": scale_interaction, "controller": controller}
     found: list[Prediction] = []
     baseline: list[Prediction | None] = []
     checks, audits, stopped = list(checks), [], False
@@ -235,11 +232,7 @@ def write_predictions(
 
 
 def _changes(args: argparse.Namespace) -> dict:
-    """What options put in the place of the study's settings.
-
-    Raises:
-        InputError: an option is out of bounds.
-    """
+    """What options put in the place of the study's settings."""
     for name in ("scale_interaction", "torque_limit"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < float("inf"):

@@ -10,7 +10,7 @@ import argparse
 import csv
 from pathlib import Path
 
-from drake_exo.cli.options import add_accept
+from drake_exo.cli import add_accept, add_out
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.papers.serrancoli import draw_figures, tables
 from drake_exo.report.gathering import Results, check_one_study, gather
@@ -24,11 +24,11 @@ def add_parser(subparsers) -> None:
         description=__doc__,
     )
     parser.add_argument("results", type=Path, metavar="DIR")
-    parser.add_argument(
-        "--out", type=Path, help="instead of DIR/report", metavar="FOLDER"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace an earlier report"
+    add_out(
+        parser,
+        "replace an earlier report",
+        help="instead of DIR/report",
+        metavar="FOLDER",
     )
     add_accept(parser)
     parser.set_defaults(run=run)

@@ -6,7 +6,6 @@ spheres' centres moved.
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 
@@ -14,14 +13,9 @@ from drake_exo.calibration.uncertainty import (
     contact_sensitivity,
     radius_profile,
 )
-from drake_exo.cli.calibrate import report_failure
-from drake_exo.cli.options import add_accept
+from drake_exo.cli.calibrate import add_study_arguments, report_failure
 from drake_exo.errors import InputError
-from drake_exo.files.output import (
-    Progress,
-    prepare_output_folder,
-    write_json,
-)
+from drake_exo.files.output import Progress, prepare_output_folder, write_json
 from drake_exo.report.gathering import format_table
 from drake_exo.study import calibrate_foot_ground, read_study
 
@@ -33,11 +27,7 @@ def add_parser(subparsers) -> None:
         help="which contact parameters the data determine",
         description=__doc__,
     )
-    parser.add_argument("study", type=Path, metavar="STUDY.yaml")
-    parser.add_argument("--data-root", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--force", action="store_true")
-    add_accept(parser)
+    add_study_arguments(parser, resume=False)
     parser.set_defaults(run=run)
 
 

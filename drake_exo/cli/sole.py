@@ -5,7 +5,7 @@ from argparse import ArgumentTypeError
 from pathlib import Path
 
 from drake_exo import soles
-from drake_exo.cli.options import add_accept
+from drake_exo.cli import add_accept, add_out
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import (
@@ -64,7 +64,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--front", action="store_true", help=front)
     _add_jobs(parser, "cases at a time")
     _add_files(parser)
-    _add_out(parser, required=True, help="folder for the results")
+    add_out(parser, required=True, help="folder for the results")
     parser = job("front", _front, "front of c_tr against c_rot")
     _add_case(parser)
     _add_limits(parser, ("all", "none"))
@@ -85,14 +85,14 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--planar", action="store_true", help="pitch and forward alone"
     )
-    _add_out(parser, required=True, help="law.yaml to write")
+    add_out(parser, required=True, help="law.yaml to write")
 
 
 def _add_case(parser) -> None:
     """A case file, what it names, and where results go."""
     parser.add_argument("case", type=Path, metavar="CASE.yaml")
     _add_files(parser)
-    _add_out(parser, required=True, help="folder for the results")
+    add_out(parser, required=True, help="folder for the results")
 
 
 def _add_files(parser) -> None:
@@ -111,14 +111,8 @@ def _add_files(parser) -> None:
 def _add_source(parser, help: str) -> None:
     """A folder that an optimisation left, and where what follows goes."""
     parser.add_argument("source", type=Path, metavar="DIR", help=help)
-    _add_out(parser, help="folder for the results (default: DIR)")
-
-
-def _add_out(parser, **options) -> None:
-    parser.add_argument("--out", type=Path, **options)
-    parser.add_argument(
-        "--force", action="store_true", help="replace earlier results"
-    )
+    again = "folder for the results (default: DIR)"
+    add_out(parser, "replace earlier results", help=again)
 
 
 def _add_limits(parser, choices) -> None:
@@ -181,9 +175,6 @@ def _out_or_source(args, name: str) -> OutputFolder:
     Args:
         args: With the arguments of `_add_source`.
         name: File among the results that earlier ones are known by.
-
-    Raises:
-        InputError: It holds earlier results and --force is not given.
     """
     if args.out is not None:
         return prepare_output_folder(args.out, args.force)

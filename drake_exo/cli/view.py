@@ -17,7 +17,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from drake_exo.cli.options import add_accept
+from drake_exo.cli import add_accept, add_out
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_json
 
@@ -32,14 +32,11 @@ def add_parser(subparsers) -> None:
         description=__doc__,
     )
     parser.add_argument("results", type=Path, metavar="DIR")
-    parser.add_argument(
-        "--out",
-        type=Path,
+    add_out(
+        parser,
+        "replace an earlier FILE.html",
         metavar="FILE.html",
         help="save the page there and end, instead of serving it",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace an earlier FILE.html"
     )
     parser.add_argument(
         "--no-browser",
@@ -100,11 +97,7 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
 
 
 def _holds_soles(results: Path) -> bool:
-    """Whether the results under a folder are of soles, or of movements.
-
-    Raises:
-        InputError: they are of both, or a summary cannot be read.
-    """
+    """Whether the results under a folder are of soles, or of movements."""
     halves: dict[bool, Path] = {}
     for path in sorted(results.rglob("summary.json")):
         found = read_json(path, "run the command that wrote it again")

@@ -23,12 +23,13 @@ frames in the world, angle counter-clockwise seen from the right side.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from drake_exo.contact.scalars import any_scalar, cos, sin, sqrt
+from drake_exo.files.schema import quantity
 from drake_exo.model.planar_tree import PlanarTree
 
 COMPONENTS = ("tangential", "normal", "rotation")
@@ -42,10 +43,6 @@ CALIBRATED = (
     "rotational_stiffness",
     "slip",
 )
-
-
-def _parameter(default: float, unit: str, **bounds):
-    return field(default=default, metadata={"unit": unit, **bounds})
 
 
 @dataclass(frozen=True)
@@ -62,18 +59,18 @@ class BushingParameters:
     7000.0
     """
 
-    origin_x: float = _parameter(0.0, "m")
-    origin_z: float = _parameter(0.0, "m")
-    tangential_stiffness: float = _parameter(2000.0, "N/m", minimum=0.0)
-    normal_stiffness: float = _parameter(5000.0, "N/m", minimum=0.0)
-    rotational_stiffness: float = _parameter(50.0, "N m/rad", minimum=0.0)
-    tangential_damping: float = _parameter(10.0, "N s/m", minimum=0.0)
-    normal_damping: float = _parameter(10.0, "N s/m", minimum=0.0)
-    rotational_damping: float = _parameter(0.1, "N m s/rad", minimum=0.0)
-    preload_x: float = _parameter(0.0, "m")
-    preload_z: float = _parameter(0.0, "m")
-    preload_angle: float = _parameter(0.0, "rad")
-    slip: float = _parameter(0.0, "1/N", minimum=0.0)
+    origin_x: float = quantity("m", 0.0)
+    origin_z: float = quantity("m", 0.0)
+    tangential_stiffness: float = quantity("N/m", 2000.0, minimum=0.0)
+    normal_stiffness: float = quantity("N/m", 5000.0, minimum=0.0)
+    rotational_stiffness: float = quantity("N m/rad", 50.0, minimum=0.0)
+    tangential_damping: float = quantity("N s/m", 10.0, minimum=0.0)
+    normal_damping: float = quantity("N s/m", 10.0, minimum=0.0)
+    rotational_damping: float = quantity("N m s/rad", 0.1, minimum=0.0)
+    preload_x: float = quantity("m", 0.0)
+    preload_z: float = quantity("m", 0.0)
+    preload_angle: float = quantity("rad", 0.0)
+    slip: float = quantity("1/N", 0.0, minimum=0.0)
 
     @property
     def stiffness(self) -> tuple:

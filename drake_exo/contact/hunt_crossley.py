@@ -25,7 +25,7 @@ iteration, so intermediate results are shared. Tests hold them to complex-step
 derivatives of the laws.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -40,10 +40,7 @@ from drake_exo.contact.scalars import (
     tanh,
 )
 from drake_exo.errors import InputError
-
-
-def _constant(default: float, unit: str, **bounds):
-    return field(default=default, metadata={"unit": unit, **bounds})
+from drake_exo.files.schema import quantity
 
 
 @dataclass(frozen=True)
@@ -65,17 +62,17 @@ class PaperConstants:
     - epsilon = 10 µm/s only makes √(v²) differentiable at rest.
     """
 
-    static_friction: float = _constant(0.8, "1", minimum=0.0)
-    dynamic_friction: float = _constant(0.8, "1", minimum=0.0)
-    viscous_friction: float = _constant(0.5, "s/m", minimum=0.0)
-    transition_velocity: float = _constant(0.05, "m/s", above=0.0)
-    hertz_sharpness: float = _constant(300.0, "1/m", above=0.0)
-    damping_sharpness: float = _constant(300.0, "s/m", above=0.0)
-    slope_sharpness: float = _constant(20.0, "1/m", above=0.0)
-    slope_force: float = _constant(1.0, "N", minimum=0.0)
-    slope_rate_sharpness: float = _constant(50.0, "s/m", above=0.0)
-    indentation_smoothing: float = _constant(1e-5, "m", above=0.0)
-    slip_smoothing: float = _constant(1e-5, "m/s", above=0.0)
+    static_friction: float = quantity("1", 0.8, minimum=0.0)
+    dynamic_friction: float = quantity("1", 0.8, minimum=0.0)
+    viscous_friction: float = quantity("s/m", 0.5, minimum=0.0)
+    transition_velocity: float = quantity("m/s", 0.05, above=0.0)
+    hertz_sharpness: float = quantity("1/m", 300.0, above=0.0)
+    damping_sharpness: float = quantity("s/m", 300.0, above=0.0)
+    slope_sharpness: float = quantity("1/m", 20.0, above=0.0)
+    slope_force: float = quantity("N", 1.0, minimum=0.0)
+    slope_rate_sharpness: float = quantity("s/m", 50.0, above=0.0)
+    indentation_smoothing: float = quantity("m", 1e-5, above=0.0)
+    slip_smoothing: float = quantity("m/s", 1e-5, above=0.0)
 
 
 @dataclass(frozen=True)
@@ -92,14 +89,14 @@ class SimbodyConstants:
     slides crosses it within milliseconds, and no grid follows.
     """
 
-    static_friction: float = _constant(0.8, "1", minimum=0.0)
-    dynamic_friction: float = _constant(0.8, "1", minimum=0.0)
-    viscous_friction: float = _constant(0.5, "s/m", minimum=0.0)
-    transition_velocity: float = _constant(0.05, "m/s", above=0.0)
-    constant_contact_force: float = _constant(1e-5, "m², m²/s²", above=0.0)
-    hertz_smoothing: float = _constant(300.0, "1/m", above=0.0)
-    hunt_crossley_smoothing: float = _constant(50.0, "s/m", above=0.0)
-    friction_rounding: float = _constant(0.0, "1", minimum=0.0)
+    static_friction: float = quantity("1", 0.8, minimum=0.0)
+    dynamic_friction: float = quantity("1", 0.8, minimum=0.0)
+    viscous_friction: float = quantity("s/m", 0.5, minimum=0.0)
+    transition_velocity: float = quantity("m/s", 0.05, above=0.0)
+    constant_contact_force: float = quantity("m², m²/s²", 1e-5, above=0.0)
+    hertz_smoothing: float = quantity("1/m", 300.0, above=0.0)
+    hunt_crossley_smoothing: float = quantity("s/m", 50.0, above=0.0)
+    friction_rounding: float = quantity("1", 0.0, minimum=0.0)
 
 
 Constants = PaperConstants | SimbodyConstants

@@ -18,6 +18,7 @@ from drake_exo.contact.hunt_crossley import (
     paper_stiffness,
 )
 from drake_exo.errors import InputError, check_fields
+from drake_exo.files.schema import quantity
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
 
@@ -105,11 +106,11 @@ class ContactSphere:
     0.032
     """
 
-    stiffness: float = field(metadata={"unit": "", "above": 0.0})
-    dissipation: float = field(metadata={"unit": "s/m", "minimum": 0.0})
-    x: float = field(metadata={"unit": "m"})
-    z: float = field(metadata={"unit": "m"})
-    radius: float = field(metadata={"unit": "m", "above": 0.0})
+    stiffness: float = quantity("", above=0.0)
+    dissipation: float = quantity("s/m", minimum=0.0)
+    x: float = quantity("m")
+    z: float = quantity("m")
+    radius: float = quantity("m", above=0.0)
 
 
 # Parameters of a sphere in the order of arrays and numeric parameters.
@@ -244,15 +245,11 @@ class ContactModel:
     def units(self) -> dict[str, str]:
         """Units of `values`."""
         found = {}
-        for names, kind in (
-            (self.ground.spheres, ContactSphere),
-            (self.bushings, BushingParameters),
-        ):
-            units = {f.name: f.metadata["unit"] for f in fields(kind)}
-            for name in (v for v in self.values() if v.split(".")[0] in names):
-                found[name] = units[name.split(".")[1]]
-                if not found[name]:
-                    found[name] = STIFFNESS_UNIT[self.ground.law]
+        for name in self.values():
+            group, _, key = name.partition(".")
+            part = self.ground.spheres.get(group) or self.bushings[group]
+            unit = part.__dataclass_fields__[key].metadata["unit"]
+            found[name] = unit or STIFFNESS_UNIT[self.ground.law]
         return found
 
     def fixed(self, group: str) -> list[ContactParameter]:
@@ -329,9 +326,6 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     for name, (x, z) in model.cuffs.items():
         preload_x, preload_z = model.preload(name)
         bushings[name] = BushingParameters(
-            origin_x=x,
-            origin_z=z,
-            preload_x=preload_x,
-            preload_z=preload_z,
+            origin_x=x, origin_z=z, preload_x=preload_x, preload_z=preload_z
         )
     return ContactModel(GroundContact(law, spheres).checked(), bushings)

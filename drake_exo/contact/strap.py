@@ -12,7 +12,6 @@ which adds a spring and a damper of its own. Each is linear in its coefficients.
 """
 
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.files.schema import quantity
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,
@@ -48,17 +48,11 @@ def gain_parts(today, angle, rate) -> tuple:
     return today, 1.0 + 0.0 * angle, -angle, -rate
 
 
-class _Linear(ABC):
-    """A torque that is linear in its coefficients."""
+class _Linear:
+    """A torque that is linear in its `coefficients` (k,).
 
-    @property
-    @abstractmethod
-    def coefficients(self) -> np.ndarray:
-        """(k,) that the torque is linear in."""
-
-    @abstractmethod
-    def parts(self, today, angle, rate, share) -> np.ndarray:
-        """Torque by each coefficient, (..., k); of what `torque` is of."""
+    `parts` gives the torque by each of them, (..., k), of what `torque` is of.
+    """
 
     def torque(self, today, angle, rate, share) -> np.ndarray:
         """Torque (...) [N m].
@@ -91,14 +85,10 @@ class Gains(_Linear):
     array([3.])
     """
 
-    support: float = field(default=1.0, metadata={"unit": "1", "minimum": 0.0})
-    constant_nm: float = field(default=0.0, metadata={"unit": "N m"})
-    stiffness_nm_rad: float = field(
-        default=0.0, metadata={"unit": "N m/rad", "minimum": 0.0}
-    )
-    damping_nm_s_rad: float = field(
-        default=0.0, metadata={"unit": "N m s/rad", "minimum": 0.0}
-    )
+    support: float = quantity("1", 1.0, minimum=0.0)
+    constant_nm: float = quantity("N m", 0.0)
+    stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
+    damping_nm_s_rad: float = quantity("N m s/rad", 0.0, minimum=0.0)
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -131,10 +121,8 @@ class Assistance(_Linear):
     array([1. , 1.5])
     """
 
-    angle_deg: tuple[float, ...] = field(
-        default=(0.0,), metadata={"unit": "deg"}
-    )
-    factor: tuple[float, ...] = field(default=(1.0,), metadata={"minimum": 0.0})
+    angle_deg: tuple[float, ...] = quantity("deg", (0.0,))
+    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0)
     over: Literal["angle", "movement"] = "angle"
 
     def __post_init__(self):
@@ -249,8 +237,6 @@ SOFTEST_N_M = 1000.0
 SOFTEST_NM_RAD = 5.0
 # From here on, a strap adds next to nothing to what tissue gives.
 STIFF = {"N/m": 5e5, "N m/rad": 5e3}
-_STRAP = {"unit": "N/m", "minimum": SOFTEST_N_M}
-_SHARE = {"unit": "1", "minimum": 0.0, "maximum": 1.0}
 # A cuff's stiffness -> the strap that is in series with it.
 STRAPS = {
     "tangential_stiffness": "strap_tangential_n_m",
@@ -301,17 +287,19 @@ class CuffDesign:
     """
 
     removed: bool = False
-    along_m: float = field(default=0.0, metadata={"unit": "m"})
-    across_m: float = field(default=0.0, metadata={"unit": "m"})
-    preload_along_m: float = field(default=0.0, metadata={"unit": "m"})
-    preload_across_m: float = field(default=0.0, metadata={"unit": "m"})
-    area: float = field(default=1.0, metadata={"unit": "1", "above": 0.0})
-    slide: float = field(default=0.0, metadata=_SHARE)
-    hinge: float = field(default=0.0, metadata=_SHARE)
-    strap_tangential_n_m: float | None = field(default=None, metadata=_STRAP)
-    strap_normal_n_m: float | None = field(default=None, metadata=_STRAP)
-    strap_rotational_nm_rad: float | None = field(
-        default=None, metadata={"unit": "N m/rad", "minimum": SOFTEST_NM_RAD}
+    along_m: float = quantity("m", 0.0)
+    across_m: float = quantity("m", 0.0)
+    preload_along_m: float = quantity("m", 0.0)
+    preload_across_m: float = quantity("m", 0.0)
+    area: float = quantity("1", 1.0, above=0.0)
+    slide: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
+    hinge: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
+    strap_tangential_n_m: float | None = quantity(
+        "N/m", None, minimum=SOFTEST_N_M
+    )
+    strap_normal_n_m: float | None = quantity("N/m", None, minimum=SOFTEST_N_M)
+    strap_rotational_nm_rad: float | None = quantity(
+        "N m/rad", None, minimum=SOFTEST_NM_RAD
     )
 
     def built(self, cuff: BushingParameters) -> BushingParameters:
@@ -344,8 +332,8 @@ class JointDesign:
             above moves along.
     """
 
-    along_m: float = field(default=0.0, metadata={"unit": "m"})
-    across_m: float = field(default=0.0, metadata={"unit": "m"})
+    along_m: float = quantity("m", 0.0)
+    across_m: float = quantity("m", 0.0)
 
 
 @dataclass(frozen=True)

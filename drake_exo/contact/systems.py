@@ -48,10 +48,7 @@ from drake_exo.contact.hunt_crossley import (
     SphereWrench,
     sphere_wrench,
 )
-from drake_exo.contact.parameters import (
-    ContactSphere,
-    GroundContact,
-)
+from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import arctan2, sin
 from drake_exo.errors import InputError, check_fields
 

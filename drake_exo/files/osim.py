@@ -513,11 +513,7 @@ def _divided(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _ordered(path: str, joints: list[OsimJoint]) -> tuple[OsimJoint, ...]:
-    """Parents before children.
-
-    Raises:
-        InputError: a body hangs from two joints, or from nothing.
-    """
+    """Parents before children."""
     children = [joint.child for joint in joints]
     for child in children:
         if children.count(child) > 1:
@@ -629,7 +625,8 @@ def text_of(values: Iterable[float]) -> str:
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
-def _element(kind: str, name: str, children: dict[str, str]) -> ET.Element:
+def _element(kind: str, name: str, **children: str) -> ET.Element:
+    """An element of texts."""
     made = ET.Element(kind, name=name)
     for tag, text in children.items():
         ET.SubElement(made, tag).text = text
@@ -650,11 +647,9 @@ def body(name: str, mass_kg: float, com_m, inertia_kg_m2) -> ET.Element:
     return _element(
         "Body",
         name,
-        {
-            "mass": repr(float(mass_kg)),
-            "mass_center": text_of(com_m),
-            "inertia": text_of(six),
-        },
+        mass=repr(float(mass_kg)),
+        mass_center=text_of(com_m),
+        inertia=text_of(six),
     )
 
 
@@ -664,17 +659,14 @@ def _frames(owner: ET.Element, ends: dict[str, tuple[str, Pose]]) -> None:
     for name, (on, pose) in ends.items():
         angles = Rotation.from_matrix(pose.R).as_euler("XYZ")
         angles = np.where(np.abs(angles) < _TINY, 0.0, angles)
-        frames.append(
-            _element(
-                "PhysicalOffsetFrame",
-                name,
-                {
-                    "socket_parent": f"/bodyset/{on}",
-                    "translation": text_of(pose.p),
-                    "orientation": text_of(angles),
-                },
-            )
+        frame = _element(
+            "PhysicalOffsetFrame",
+            name,
+            socket_parent=f"/bodyset/{on}",
+            translation=text_of(pose.p),
+            orientation=text_of(angles),
         )
+        frames.append(frame)
 
 
 def joint(
@@ -700,11 +692,9 @@ def half_space(name: str) -> ET.Element:
     return _element(
         "ContactHalfSpace",
         name,
-        {
-            "socket_frame": "/ground",
-            "location": "0 0 0",
-            "orientation": text_of([0.0, 0.0, -0.5 * np.pi]),
-        },
+        socket_frame="/ground",
+        location="0 0 0",
+        orientation=text_of([0.0, 0.0, -0.5 * np.pi]),
     )
 
 
@@ -713,12 +703,10 @@ def sphere(name: str, on: str, place_m, radius_m: float) -> ET.Element:
     return _element(
         "ContactSphere",
         name,
-        {
-            "socket_frame": f"/bodyset/{on}",
-            "location": text_of(place_m),
-            "orientation": "0 0 0",
-            "radius": repr(float(radius_m)),
-        },
+        socket_frame=f"/bodyset/{on}",
+        location=text_of(place_m),
+        orientation="0 0 0",
+        radius=repr(float(radius_m)),
     )
 
 
@@ -735,11 +723,9 @@ def sphere_force(
     return _element(
         "SmoothSphereHalfSpaceForce",
         name,
-        {
-            "socket_sphere": f"/contactgeometryset/{on}",
-            "socket_half_space": f"/contactgeometryset/{ground}",
-            **{key: repr(float(value)) for key, value in values.items()},
-        },
+        socket_sphere=f"/contactgeometryset/{on}",
+        socket_half_space=f"/contactgeometryset/{ground}",
+        **{key: repr(float(value)) for key, value in values.items()},
     )
 
 

@@ -162,11 +162,7 @@ def _release(folder: Path, lock: int) -> None:
 
 
 def _locked(folder: Path) -> int:
-    """Descriptor of the folder's lock.
-
-    Raises:
-        InputError: another run holds it.
-    """
+    """Descriptor of the folder's lock."""
     path = folder / LOCK
     while True:
         lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)

@@ -4,12 +4,12 @@ Every mistake is reported in one sentence with the file and the line: unknown
 keys (with the nearest known one), duplicate and missing keys, wrong types,
 numbers that are not finite or out of bounds.
 
-Bounds stand in a field's metadata (`errors.check_bounds`) and are checked for
-the value itself or, in a list, tuple or dict, for each element:
+Unit and bounds stand in a field's metadata and are checked for the value itself
+or, in a list, tuple or dict, for each element:
 
-    mass_kg: float = field(metadata={"unit": "kg", "above": 0.0})
+    mass_kg: float = quantity("kg", above=0.0)
 
-where "key" is the name in the file, if it is another one than the field's.
+There "key" is the name in the file, if it is another one than the field's.
 
 A dataclass may check several fields together by raising `InputError` or
 `ValueError` in `__post_init__`.
@@ -72,9 +72,7 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
         raise InputError(f"{name}: is not valid YAML text") from error
     if node is None:
         node = yaml.MappingNode(
-            "tag:yaml.org,2002:map",
-            [],
-            yaml.Mark(name, 0, 0, 0, None, None),
+            "tag:yaml.org,2002:map", [], yaml.Mark(name, 0, 0, 0, None, None)
         )
     return _Reader(name).read(node, cls, "", {})
 
@@ -309,16 +307,22 @@ class _Reader:
         )
 
 
+def quantity(
+    unit: str | None, default: Any = dataclasses.MISSING, **bounds: float
+) -> Any:
+    """A field in a unit, within bounds as `errors.check_bounds` names them."""
+    metadata = {"unit": unit, **bounds}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
 def positive(unit: str, default=None) -> Any:
     """A field of settings above 0."""
-    meta = {"unit": unit, "above": 0.0}
-    return dataclasses.field(default=default, metadata=meta)
+    return quantity(unit, default, above=0.0)
 
 
 def not_negative(unit: str, default: float) -> Any:
     """A field of settings of at least 0."""
-    meta = {"unit": unit, "minimum": 0.0}
-    return dataclasses.field(default=default, metadata=meta)
+    return quantity(unit, default, minimum=0.0)
 
 
 def exactly_one(block, names) -> None:

@@ -283,6 +283,11 @@ def check_gaps(source, what, time, values) -> None:
         )
 
 
+def between(time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
+    """Samples (N,) bool from start to end, both included but for rounding."""
+    return (time >= start_s - 1e-9) & (time <= end_s + 1e-9)
+
+
 def runs(mask: np.ndarray) -> list[list[int]]:
     """Start and end of each run of True in a (N,) bool."""
     edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))

@@ -27,6 +27,7 @@ from drake_exo.measurement.filters import (
 )
 from drake_exo.measurement.settings import Device, Filter, Legs
 from drake_exo.model.assembly import SIDES
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 
 _MOMENT = "_moment"
@@ -170,31 +171,30 @@ def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
         tree: dynamics of human and exoskeleton as two chains.
         q, v, a: (N, nq) motion.
     """
-    names = tree.coordinates
-    moments = np.zeros((len(q), len(names.device)))
+    names, columns = tree.coordinates, tree.coordinates.device_columns
+    inertia, stiffness, rest_deg = _of_joints(
+        device, names, "inertia_kg_m2", "stiffness_nm_rad", "rest_deg"
+    )
+    moments = np.zeros((len(q), len(columns)))
     if device.carries_itself:
-        needed = tree.inverse_dynamics(q, v, a)[:, names.device_columns]
+        needed = tree.inverse_dynamics(q, v, a)[:, columns]
         moments += device.carries_itself * needed
-    for i, (name, k) in enumerate(
-        zip(names.device, names.device_columns, strict=True)
-    ):
-        joint = device.of(name, names.follows(name))
-        moments[:, i] -= joint.inertia_kg_m2 * a[:, k]
-        moments[:, i] -= joint.stiffness_nm_rad * (
-            q[:, k] - np.deg2rad(joint.rest_deg)
-        )
+    moments -= inertia * a[:, columns]
+    moments -= stiffness * (q[:, columns] - np.deg2rad(rest_deg))
     return moments + friction_moments(device, tree, v)
 
 
 def friction_moments(device: Device, tree: PlanarTree, v) -> np.ndarray:
     """The part (N, joints) of `drive_moments` that is friction."""
     names = tree.coordinates
-    moments = np.zeros((len(v), len(names.device)))
-    for i, (name, k) in enumerate(
-        zip(names.device, names.device_columns, strict=True)
-    ):
-        joint, rate = device.of(name, names.follows(name)), v[:, k]
-        moments[:, i] = -joint.viscous_nm_s * rate - joint.coulomb_nm * (
-            np.tanh(rate / joint.coulomb_speed_rad_s)
-        )
-    return moments
+    viscous, dry, speed = _of_joints(
+        device, names, "viscous_nm_s", "coulomb_nm", "coulomb_speed_rad_s"
+    )
+    rates = np.take(v, names.device_columns, axis=1)  # row by row, as v
+    return -viscous * rates - dry * np.tanh(rates / speed)
+
+
+def _of_joints(device: Device, names: Coordinates, *keys: str):
+    """What was identified of the device's joints, an array (joints,) a key."""
+    joints = [device.of(name, names.follows(name)) for name in names.device]
+    return [np.array([getattr(joint, k) for joint in joints]) for k in keys]

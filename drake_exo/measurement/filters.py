@@ -19,7 +19,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData, missing_column, runs
+from drake_exo.files.tables import MarkerData, between, missing_column, runs
 
 MIN_FRAMES = 20
 MIN_RATE_OVER_CUTOFF = 4.0
@@ -206,7 +206,7 @@ class Gaps:
         return f"marker without a value: {text}"
 
     def _inside(self, start_s: float, end_s: float) -> np.ndarray:
-        return (self.time >= start_s - 1e-9) & (self.time <= end_s + 1e-9)
+        return between(self.time, start_s, end_s)
 
     def _is_too_long(self, start: int, end: int) -> bool:
         at_end = start == 0 or end == len(self.time)

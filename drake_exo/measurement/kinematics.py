@@ -231,9 +231,7 @@ def _joint_centres(standing, markers, frame, sides):
     return {
         side: {
             joint: _mean_point(
-                standing,
-                getattr(markers.joint_centres, joint).of(side),
-                frame,
+                standing, getattr(markers.joint_centres, joint).of(side), frame
             )
             for joint in _JOINTS
         }
@@ -454,20 +452,16 @@ def coordinates(model: Model, markers: MarkerModel, poses: Poses) -> np.ndarray:
     """
     if model.assembly.human.sides:
         return _two_legs(model.rigid.tree, markers, poses)
-    return merge_legs(markers, poses)[0]
+    return merge_legs(markers, poses)
 
 
-def merge_legs(
-    model: MarkerModel, poses: Poses
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def merge_legs(model: MarkerModel, poses: Poses) -> np.ndarray:
     """Coordinates of a body of one leg, both averaged.
 
     Returns:
         q (N, 6): foot_x, foot_z (the ankle's centre) [m], foot_pitch, ankle,
-        knee, hip [rad], and toes where they are hinged; and each side's ankle
-        (N, 2) [m].
+        knee, hip [rad], and toes where they are hinged.
     """
-    ankles = ankle_paths(model, poses)
     angles = {
         s: np.mean(
             [poses.angles[:, model.index(s, side)] for side in model.sides],
@@ -478,11 +472,11 @@ def merge_legs(
     }
     pelvis = poses.angles[:, 0]
     foot, shank, thigh = (angles[s] for s in ("foot", "shank", "thigh"))
-    ankle = np.mean(list(ankles.values()), axis=0)
+    ankle = np.mean(list(ankle_paths(model, poses).values()), axis=0)
     columns = [foot, foot - shank, thigh - shank, thigh - pelvis]
     if "toes" in angles:
         columns.append(angles["toes"] - foot)
-    return np.column_stack([ankle, *columns]), ankles
+    return np.column_stack([ankle, *columns])
 
 
 # In space hips lie fore and aft of each other and legs are spread: one planar
@@ -605,25 +599,24 @@ def inverse_dynamics(
 
 
 def from_the_ground_up(
-    model: PlanarTree, q: np.ndarray, Q: np.ndarray, top: str = "pelvis"
+    model: PlanarTree, q: np.ndarray, Q: np.ndarray
 ) -> np.ndarray:
-    """Move the unexplained force from the foot to the topmost body.
+    """Move the unexplained force from the foot to the pelvis.
 
     Joint moments then follow from the ground reaction and the segments
     below each joint, as OpenSim computes them; the first three components
-    become zero, and what was there acts on `top` instead.
+    become zero, and what was there acts on the pelvis instead.
 
     Args:
         model: the dynamics.
         q: (N, nq) positions.
         Q: (N, nq) from `inverse_dynamics`.
-        top: body that takes the residual.
 
     Returns:
         (N, nq) with joint moments changed.
     """
     residual = PlanarWrench.of(model.ground_reaction(q, Q))
-    return Q - wrench_on_body(model, q, top, residual)
+    return Q - wrench_on_body(model, q, "pelvis", residual)
 
 
 def carried(

@@ -16,9 +16,9 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict
-from drake_exo.files.tables import runs
+from drake_exo.files.tables import between, runs
 from drake_exo.measurement.kinematics import inverse_dynamics
-from drake_exo.measurement.processing import Recording
+from drake_exo.measurement.processing import Recording, needed_force
 from drake_exo.measurement.settings import Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
@@ -30,6 +30,20 @@ LOADED_N = 50.0
 # The foot reaches so far behind its hindmost marker, and its markers so far
 # inside of its edges [m].
 _HEEL_M = 0.03
+
+
+def _judged(name, value, limit, unit, where, sentence, holds=None) -> Check:
+    """A check, by default that a value is within a limit."""
+    holds = bool(value <= limit if holds is None else holds)
+    return Check(
+        f"plausibility.{name}",
+        holds,
+        float(value),
+        float(limit),
+        unit,
+        where,
+        "" if holds else sentence,
+    )
 
 
 @dataclass(frozen=True)
@@ -69,17 +83,8 @@ class Evidence:
             sentence: for a check that does not hold.
             holds: where more than the limit decides.
         """
-        value = float(value)
-        holds = bool(value <= limit) if holds is None else bool(holds)
-        return Check(
-            f"plausibility.{name}",
-            holds,
-            value,
-            float(limit),
-            unit,
-            self.trial.name,
-            "" if holds else f"{file}: {sentence}",
-        )
+        where, sentence = self.trial.name, f"{file}: {sentence}"
+        return _judged(name, value, limit, unit, where, sentence, holds)
 
     @property
     def weight(self) -> float:
@@ -89,9 +94,8 @@ class Evidence:
     @cached_property
     def inside(self) -> np.ndarray:
         """The used part of the recording (N,) bool."""
-        time, trial = self.recording.motion.time, self.trial
-        end = trial.start_s + trial.duration
-        return (time >= trial.start_s - 1e-9) & (time <= end + 1e-9)
+        start, duration = self.trial.start_s, self.trial.duration
+        return between(self.recording.motion.time, start, start + duration)
 
     @property
     def body(self) -> list[np.ndarray]:
@@ -123,9 +127,7 @@ class Evidence:
     @cached_property
     def needed_z(self) -> np.ndarray:
         """Vertical force (N,) that the whole recording's motion asks for."""
-        motion, tree = self.recording.motion, self.subject.model.rigid.tree
-        Q = inverse_dynamics(tree, motion.q, motion.v, motion.a, motion.applied)
-        return tree.ground_reaction(motion.q, Q)[:, 1]
+        return needed_force(self.subject.model.rigid, self.recording.motion)
 
     @cached_property
     def measured(self) -> np.ndarray:
@@ -451,11 +453,12 @@ def standing_checks(
         device = subject.model.tree.mass - subject.mass_kg
         borne = (measured + device) / (stated + device)
         beyond = "beyond the device " if device > 0.5 else ""
-        yield _of_standing(
+        yield _judged(
             "mass",
             100.0 * abs(off),
             100.0 * LARGEST_MASS_ERROR,
             "%",
+            "standing",
             f"{standing.forces}: the plates bear {measured:.3g} kg {beyond}in "
             f"standing, subject.mass_kg says {stated:.3g} kg; "
             + (_unit_of(borne) or "correct the mass or standing.plates"),
@@ -463,11 +466,12 @@ def standing_checks(
     joints = subject.model.coordinates.human
     angles = dict(zip(joints, said["standing_angles_deg"][1:], strict=True))
     worst = max(angles, key=lambda name: abs(angles[name]))
-    yield _of_standing(
+    yield _judged(
         "standing_posture",
         abs(angles[worst]),
         LARGEST_STANDING_DEG,
         "deg",
+        "standing",
         f"{standing.markers}: {worst} at {angles[worst]:.0f} deg in standing; "
         "laboratory.marker_axes may be wrong, markers.joint_centres may name "
         "other markers, or this is no upright standing",
@@ -476,29 +480,17 @@ def standing_checks(
         gap = said["standing_cop_x_m"] - said["standing_com_x_m"]
         if "trunk_com_shift_m" in said:
             gap = said["trunk_com_shift_m"]
-        yield _of_standing(
+        yield _judged(
             "standing_balance",
             abs(gap),
             LARGEST_STANDING_GAP_M,
             "m",
+            "standing",
             f"{standing.forces}: the centre of pressure is {gap:.2f} m in "
             "front of the centre of mass in standing; laboratory.force_axes "
             "or marker_axes may be turned round, or plates and markers have "
             "another origin",
         )
-
-
-def _of_standing(name, value, limit, unit, sentence) -> Check:
-    holds = bool(value <= limit)
-    return Check(
-        f"plausibility.{name}",
-        holds,
-        float(value),
-        limit,
-        unit,
-        "standing",
-        "" if holds else sentence,
-    )
 
 
 def body_checks(e: Evidence) -> Iterator[Check]:

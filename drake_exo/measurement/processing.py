@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
-from drake_exo.files.tables import MarkerData
+from drake_exo.files.tables import MarkerData, between
 from drake_exo.measurement.events import (
     Contact,
     FootEvent,
@@ -323,11 +323,7 @@ def process(
 
 
 def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
-    """Markers of an OpenSim model that a file does without.
-
-    Raises:
-        InputError: the others do not hold every segment.
-    """
+    """Markers of an OpenSim model that a file does without."""
     absent = tuple(n for n in model.names if n not in recorded.names)
     loose = model.without(absent).loose()
     if loose is not None:
@@ -391,7 +387,7 @@ def _follow(
     )
 
 
-def _needed(rigid: Model, motion: Motion) -> np.ndarray:
+def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
     """Vertical force (N,) that somebody must bear by Newton's law [N]."""
     Q = inverse_dynamics(
         rigid.tree, motion.q, motion.v, motion.a, motion.applied
@@ -402,7 +398,9 @@ def _needed(rigid: Model, motion: Motion) -> np.ndarray:
 def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     """Rises, by the chair's plate or else by what the feet leave over."""
     F_z = forces.total(feet)
-    on_chair = _needed(rigid, motion) - F_z if chair is None else chair.force_z
+    on_chair = (
+        needed_force(rigid, motion) - F_z if chair is None else chair.force_z
+    )
     weight = rigid.tree.weight
     return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
 
@@ -420,7 +418,7 @@ def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
     """Lag of the forces, from the rises (or from all loaded frames)."""
     time = motion.time
     feet, chair = forces.at(time), forces.chair_at(time)
-    needed, F_z = _needed(rigid, motion), forces.total(feet)
+    needed, F_z = needed_force(rigid, motion), forces.total(feet)
     reach = laboratory.largest_delay_s
     if chair is not None:  # together they bear the body all the time
         total = F_z + chair.force_z
@@ -488,7 +486,7 @@ def cut(
     """
     motion = recording.motion
     start, end, how = _bounds(files, recording)
-    inside = (motion.time >= start - 1e-9) & (motion.time <= end + 1e-9)
+    inside = between(motion.time, start, end)
     if inside.sum() < 2:
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s holds no part of "
@@ -558,11 +556,7 @@ def _said_of(load: Load) -> str:
 
 
 def _both_feet(files: TrialFiles, feet: dict[str, PlanarWrench]):
-    """Sum of both feet's wrenches.
-
-    Raises:
-        InputError: they were not measured one by one, or one never stood.
-    """
+    """Sum of both feet's wrenches."""
     for side in SIDES:
         if side not in feet:
             raise InputError(

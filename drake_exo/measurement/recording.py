@@ -15,6 +15,7 @@ from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
+    between,
     runs,
     uniform_time,
 )
@@ -475,9 +476,7 @@ def common_time(
     Raises:
         InputError: the files do not overlap, or for too short a time.
     """
-    inside = (markers.time >= forces.time[0] - 1e-9) & (
-        markers.time <= forces.time[-1] + 1e-9
-    )
+    inside = between(markers.time, forces.time[0], forces.time[-1])
     if not inside.any():
         raise InputError(
             f"{forces.source}: forces ({_span(forces.time)}) and markers "

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError, check_file_name
+from drake_exo.files.schema import quantity
 from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
@@ -21,7 +22,6 @@ from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
-_SECONDS = {"unit": "s"}
 Legs = Literal["left", "right", "both"]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Point = tuple[float, float, float]
@@ -65,22 +65,12 @@ class JointDrive:
         rest_deg: angle at which that spring is slack.
     """
 
-    inertia_kg_m2: float = field(
-        default=0.0, metadata={"unit": "kg m^2", "minimum": 0.0}
-    )
-    viscous_nm_s: float = field(
-        default=0.0, metadata={"unit": "N m s/rad", "minimum": 0.0}
-    )
-    coulomb_nm: float = field(
-        default=0.0, metadata={"unit": "N m", "minimum": 0.0}
-    )
-    coulomb_speed_rad_s: float = field(
-        default=0.05, metadata={"unit": "rad/s", "above": 0.0}
-    )
-    stiffness_nm_rad: float = field(
-        default=0.0, metadata={"unit": "N m/rad", "minimum": 0.0}
-    )
-    rest_deg: float = field(default=0.0, metadata={"unit": "deg"})
+    inertia_kg_m2: float = quantity("kg m^2", 0.0, minimum=0.0)
+    viscous_nm_s: float = quantity("N m s/rad", 0.0, minimum=0.0)
+    coulomb_nm: float = quantity("N m", 0.0, minimum=0.0)
+    coulomb_speed_rad_s: float = quantity("rad/s", 0.05, above=0.0)
+    stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
+    rest_deg: float = quantity("deg", 0.0)
 
 
 @dataclass(frozen=True)
@@ -103,9 +93,7 @@ class Device:
     knee: JointDrive = JointDrive()
     hip: JointDrive = JointDrive()
     joints: dict[str, JointDrive] = field(default_factory=dict)
-    carries_itself: float = field(
-        default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
-    )
+    carries_itself: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
 
     def of(self, joint: str, beside: str) -> JointDrive:
         """Dynamics of a joint that sits beside one of the person's."""
@@ -157,11 +145,9 @@ class Mat:
     """
 
     segment: str
-    rows: int = field(metadata={"minimum": 1})
-    columns: int = field(metadata={"minimum": 1})
-    cell_area_m2: float = field(
-        metadata={"unit": "m^2", "above": 0.0, "maximum": 0.01}
-    )
+    rows: int = quantity(None, minimum=1)
+    columns: int = quantity(None, minimum=1)
+    cell_area_m2: float = quantity("m^2", above=0.0, maximum=0.01)
     legs: Legs = "both"
     scan: Scan | None = None
     plane_normal: Point | None = None
@@ -200,12 +186,8 @@ class Subject:
     """
 
     name: str
-    height_m: float = field(
-        metadata={"unit": "m", "above": 0.0, "maximum": 3.0}
-    )
-    mass_kg: float | None = field(
-        default=None, metadata={"unit": "kg", "above": 0.0}
-    )
+    height_m: float = quantity("m", above=0.0, maximum=3.0)
+    mass_kg: float | None = quantity("kg", None, above=0.0)
     sex: Literal["male", "female"] = "male"
     segments: HumanOverrides = field(default_factory=HumanOverrides)
 
@@ -236,26 +218,18 @@ class Laboratory:
 
     marker_axes: Axes = field(default_factory=Axes)
     force_axes: Axes = field(default_factory=Axes)
-    force_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    force_delay_s: float = quantity("s", 0.0)
     estimate_force_delay: bool = False
     forces_act_on: Literal["body", "plate"] = "body"
-    fill_gaps_s: float = field(
-        default=0.0, metadata={"unit": "s", "minimum": 0.0}
-    )
-    encoder_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    fill_gaps_s: float = quantity("s", 0.0, minimum=0.0)
+    encoder_delay_s: float = quantity("s", 0.0)
     estimate_encoder_delay: bool = True
-    pressure_delay_s: float = field(default=0.0, metadata=_SECONDS)
+    pressure_delay_s: float = quantity("s", 0.0)
     estimate_pressure_delay: bool = True
-    largest_delay_s: float = field(
-        default=0.05, metadata={"unit": "s", "above": 0.0, "maximum": 1.0}
-    )
+    largest_delay_s: float = quantity("s", 0.05, above=0.0, maximum=1.0)
     remove_plate_drift: bool = False
-    hold_cop_below_n: float = field(
-        default=0.0, metadata={"unit": "N", "minimum": 0.0}
-    )
-    chair_on_thighs: float = field(
-        default=0.0, metadata={"minimum": 0.0, "maximum": 1.0}
-    )
+    hold_cop_below_n: float = quantity("N", 0.0, minimum=0.0)
+    chair_on_thighs: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
 
 
 @dataclass(frozen=True)
@@ -271,7 +245,7 @@ class Ground:
     1.24
     """
 
-    belt_speed_m_s: float = field(default=0.0, metadata={"unit": "m/s"})
+    belt_speed_m_s: float = quantity("m/s", 0.0)
 
 
 @dataclass(frozen=True)
@@ -338,14 +312,10 @@ class Plates:
         chair: under the chair, whose weight is tared.
     """
 
-    left: int | tuple[int, ...] | None = field(
-        default=None, metadata={"minimum": 1}
-    )
-    right: int | tuple[int, ...] | None = field(
-        default=None, metadata={"minimum": 1}
-    )
-    both: int | None = field(default=None, metadata={"minimum": 1})
-    chair: int | None = field(default=None, metadata={"minimum": 1})
+    left: int | tuple[int, ...] | None = quantity(None, None, minimum=1)
+    right: int | tuple[int, ...] | None = quantity(None, None, minimum=1)
+    both: int | None = quantity(None, None, minimum=1)
+    chair: int | None = quantity(None, None, minimum=1)
 
     def __post_init__(self):
         if (self.both is None) == (self.left is None and self.right is None):
@@ -390,8 +360,8 @@ class Standing:
     forces: Path | None = None
     plates: Plates | None = None
     empty_plates: Path | None = None
-    start_s: float | None = field(default=None, metadata=_SECONDS)
-    end_s: float | None = field(default=None, metadata=_SECONDS)
+    start_s: float | None = quantity("s", None)
+    end_s: float | None = quantity("s", None)
     marker_axes: Axes | None = None
 
     def __post_init__(self):
@@ -409,8 +379,8 @@ class Filter:
         order: in effect, after both passes; each pass has half of it.
     """
 
-    cutoff_hz: float = field(default=6.0, metadata={"unit": "Hz", "above": 0})
-    order: int = field(default=4, metadata={"minimum": 2, "maximum": 12})
+    cutoff_hz: float = quantity("Hz", 6.0, above=0)
+    order: int = quantity(None, 4, minimum=2, maximum=12)
 
     def __post_init__(self):
         if self.order % 2:
@@ -463,20 +433,14 @@ class Load:
     """
 
     body: str
-    mass_kg: float | None = field(
-        default=None, metadata={"unit": "kg", "above": 0.0, "maximum": 500.0}
-    )
+    mass_kg: float | None = quantity("kg", None, above=0.0, maximum=500.0)
     markers: tuple[str, ...] = ()
-    at_m: tuple[float, float] | None = field(
-        default=None, metadata={"unit": "m"}
-    )
-    from_s: float | None = field(default=None, metadata=_SECONDS)
-    to_s: float | None = field(default=None, metadata=_SECONDS)
-    over_s: float = field(
-        default=0.2, metadata={"unit": "s", "above": 0.0, "maximum": 10.0}
-    )
+    at_m: tuple[float, float] | None = quantity("m", None)
+    from_s: float | None = quantity("s", None)
+    to_s: float | None = quantity("s", None)
+    over_s: float = quantity("s", 0.2, above=0.0, maximum=10.0)
     forces: Path | None = None
-    plate: int = field(default=1, metadata={"minimum": 1})
+    plate: int = quantity(None, 1, minimum=1)
 
     def __post_init__(self):
         if (self.mass_kg is None) == (self.forces is None):
@@ -527,10 +491,10 @@ class TrialFiles:
     exo_moments: Path | None = None
     pressure: tuple[PressureFile, ...] = ()
     empty_plates: Path | None = None
-    rise: int | None = field(default=None, metadata={"minimum": 1})
-    seated_s: float = field(default=0.0, metadata={"unit": "s", "minimum": 0.0})
-    start_s: float | None = field(default=None, metadata=_SECONDS)
-    end_s: float | None = field(default=None, metadata=_SECONDS)
+    rise: int | None = quantity(None, None, minimum=1)
+    seated_s: float = quantity("s", 0.0, minimum=0.0)
+    start_s: float | None = quantity("s", None)
+    end_s: float | None = quantity("s", None)
     begin: str | None = field(default=None, metadata={"key": "from"})
     end: str | None = field(default=None, metadata={"key": "to"})
     loads: tuple[Load, ...] = ()
@@ -582,9 +546,7 @@ class RecordingSettings:
     )
     device: Device | None = None
     mats: dict[str, Mat] = field(default_factory=dict)
-    gravity_m_s2: float = field(
-        default=9.81, metadata={"unit": "m/s^2", "above": 0.0}
-    )
+    gravity_m_s2: float = quantity("m/s^2", 9.81, above=0.0)
     ground: Ground = Ground()
     laboratory: Laboratory = Laboratory()
     filter: Filter = Filter()

@@ -14,20 +14,16 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData, PlateRecording
+from drake_exo.files.tables import MarkerData, PlateRecording, between
 from drake_exo.measurement.events import Contact, contacts
 from drake_exo.measurement.filters import fill_gaps
-from drake_exo.measurement.recording import (
-    plates_under,
-    read_markers,
-)
+from drake_exo.measurement.recording import plates_under, read_markers
 from drake_exo.measurement.sagittal import (
     COP_THRESHOLD_N,
     SagittalFrame,
     spatial_wrench,
 )
 from drake_exo.measurement.settings import (
-    Laboratory,
     RecordingSettings,
     Side,
     TrialFiles,
@@ -107,7 +103,8 @@ def recorded_step(
             f"trial {trial}: no plate is the {foot} foot's alone; name it in "
             f"plates.{foot}"
         )
-    frame, sign = lab.force_axes.frame, _sign(lab)
+    frame = lab.force_axes.frame
+    sign = -1.0 if lab.forces_act_on == "plate" else 1.0
     each = [sign * spatial_wrench(plate, frame) for plate in plates]
     time = time - lab.force_delay_s
     found = contacts(time, sum(each)[:, 2], least_force_n)
@@ -118,7 +115,7 @@ def recorded_step(
     used = int(np.argmax([w[:, 2].max() for w in each]))
     height = _surface(plates[used], each[used], frame)
     markers = _foot_markers(settings, root, files, foot, contact)
-    inside = (markers.time >= first - 1e-9) & (markers.time <= last + 1e-9)
+    inside = between(markers.time, first, last)
     wrench = _at_frames(time, sum(each), markers)
     inside &= wrench[:, 2] >= least_force_n
     if inside.sum() < 2:
@@ -145,10 +142,6 @@ def _trial(settings: RecordingSettings, name: str) -> TrialFiles:
     return settings.trials[names.index(name)]
 
 
-def _sign(laboratory: Laboratory) -> float:
-    return -1.0 if laboratory.forces_act_on == "plate" else 1.0
-
-
 def _chosen(every, start, end, number, where) -> Contact:
     fitting = [
         c
@@ -168,7 +161,7 @@ def _chosen(every, start, end, number, where) -> Contact:
 
 def _check_one_plate(time, each, part, numbers, where) -> None:
     """Refuse a step in which a second plate of the foot is loaded."""
-    inside = (time >= part[0] - 1e-9) & (time <= part[1] + 1e-9)
+    inside = between(time, *part)
     loaded = [inside & (w[:, 2] >= COP_THRESHOLD_N) for w in each]
     used = [i for i, here in enumerate(loaded) if here.any()]
     if len(used) > 1:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData
+from drake_exo.files.tables import MarkerData, between
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import (
     MarkerModel,
@@ -263,7 +263,7 @@ def _quiet_part(data: MarkerData, standing: Standing) -> MarkerData:
 def _inside(time: np.ndarray, standing: Standing) -> np.ndarray:
     start = -np.inf if standing.start_s is None else standing.start_s
     end = np.inf if standing.end_s is None else standing.end_s
-    return (time >= start - 1e-9) & (time <= end + 1e-9)
+    return between(time, start, end)
 
 
 def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
@@ -352,17 +352,9 @@ def _as_modelled(
     floor there.
     """
     ratio = mass / human.mass_kg
-
-    def heavier(segment: SegmentParameters) -> SegmentParameters:
-        return replace(
-            segment,
-            mass_kg=ratio * segment.mass_kg,
-            inertia_kg_m2=ratio * segment.inertia_kg_m2,
-        )
-
-    parts = {name: heavier(getattr(human, name)) for name in SEGMENTS}
+    parts = {name: getattr(human, name).heavier(ratio) for name in SEGMENTS}
     if human.toes is not None:
-        parts["toes"] = heavier(human.toes)
+        parts["toes"] = human.toes.heavier(ratio)
     height = _checked_height(model.ankle_height_m)
     feet = [model.index("foot", side) for side in model.sides]
     level = np.exp(-1j * poses.angles[:, feet].mean())
@@ -401,8 +393,7 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
         heel_m=(human.heel_m[0], sphere_z),
         toe_m=(human.toe_m[0], sphere_z),
         foot=replace(
-            human.foot,
-            com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1]),
+            human.foot, com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1])
         ),
     )
 

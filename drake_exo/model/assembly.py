@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from drake_exo.errors import InputError
+from drake_exo.files.schema import quantity
 from drake_exo.model.segments import CUFFED
 
 Legs = Literal["one", "two"]
@@ -98,8 +99,8 @@ class Weld:
     """
 
     to: str
-    at_m: Point = field(default=(0.0, 0.0), metadata={"unit": "m"})
-    pitch_deg: float = field(default=0.0, metadata={"unit": "deg"})
+    at_m: Point = quantity("m", (0.0, 0.0))
+    pitch_deg: float = quantity("deg", 0.0)
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ class CuffLinks:
 
     human: str
     device: str
-    at_m: Point | None = field(default=None, metadata={"unit": "m"})
+    at_m: Point | None = quantity("m", None)
     open: bool = False
 
 

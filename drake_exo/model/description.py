@@ -206,10 +206,10 @@ def _cut_toes(model: ET.Element, human: HumanParameters) -> None:
 
 def _set_inertial(inertial: ET.Element, segment: SegmentParameters) -> None:
     x, z = segment.com_m
-    inertial.find("pose").text = f"{float(x)!r} 0 {float(z)!r} 0 0 0"
-    inertial.find("mass").text = repr(float(segment.mass_kg))
+    _set_pose(inertial, np.array([x, 0, z, 0, 0, 0]))
+    _child(inertial, "mass").text = repr(float(segment.mass_kg))
     for axis in ("ixx", "iyy", "izz"):
-        moment = inertial.find(f"inertia/{axis}")
+        moment = _child(inertial, f"inertia/{axis}")
         moment.text = repr(float(segment.inertia_kg_m2))
 
 
@@ -277,7 +277,7 @@ def fit_exoskeleton(
 
     Args:
         human: the wearer.
-        overrides: `ExoskeletonOverrides` or a mapping of the same names.
+        overrides: `ExoskeletonOverrides`.
 
     Raises:
         InputError: impossible override.
@@ -493,19 +493,10 @@ def _segment(
 
 
 def _rewrite_link(
-    model: ET.Element,
-    name: str,
-    segment: SegmentParameters,
-    stretch: _Stretch,
+    model: ET.Element, name: str, segment: SegmentParameters, stretch: _Stretch
 ) -> None:
     link = _link(model, name)
-    inertial = _child(link, "inertial")
-    x, z = segment.com_m
-    _set_pose(inertial, np.array([x, 0, z, 0, 0, 0]))
-    _child(inertial, "mass").text = repr(float(segment.mass_kg))
-    for axis in ("ixx", "iyy", "izz"):
-        moment = _child(inertial, f"inertia/{axis}")
-        moment.text = repr(float(segment.inertia_kg_m2))
+    _set_inertial(_child(link, "inertial"), segment)
     for visual in link.findall("visual"):
         _stretch_visual(visual, stretch)
     for frame in model.findall(f"model/frame[@attached_to='{name}']"):

@@ -124,9 +124,6 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
     """Take products that no body has out of a link's inertia, and say so.
 
     In the plane the moment about y alone counts.
-
-    Raises:
-        InputError: its moments alone are those of no body, or it has no mass.
     """
     inertia = link.find("inertial/inertia")
     if inertia is None:
@@ -222,11 +219,7 @@ def _rename(root: ET.Element, old: str, new: str) -> None:
 
 
 def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
-    """The document, and its element that holds links and joints.
-
-    Raises:
-        InputError: it is no XML, or holds not exactly one model.
-    """
+    """The document, and its element that holds links and joints."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:

@@ -260,7 +260,7 @@ def _read_tree(plant: MultibodyPlant) -> PlanarTree:
     context = plant.CreateDefaultContext()
     bodies = [
         plant.get_body(index)
-        for index in _body_indices(plant)
+        for index in map(BodyIndex, range(1, plant.num_bodies()))
         if not plant.IsAnchored(plant.get_body(index))
     ]
     turns, offsets = _angles(plant, context, bodies)
@@ -326,10 +326,6 @@ def _joints(plant) -> dict[str, tuple[str, str]]:
         for j in joints
         if j.num_positions() == 1
     }
-
-
-def _body_indices(plant):
-    return [BodyIndex(i) for i in range(1, plant.num_bodies())]
 
 
 def _angles(plant, context, bodies):

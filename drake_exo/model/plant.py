@@ -112,16 +112,18 @@ class Model:
                 f"a model of kind {self.name!r} needs an exoskeleton; "
                 "give one, or choose 'human'"
             )
+        if self.exoskeleton is not None and not self.assembly.is_fitted:
+            raise InputError(
+                f"a model of kind {self.name!r} takes no exoskeleton; leave it "
+                "out, or choose 'coupled'"
+            )
         check_bounds("gravity_m_s2", self.gravity_m_s2, {"minimum": 0.0})
 
     @property
     def assembly(self) -> Assembly:
         """What it is put together of."""
-        return (
-            self.kind
-            if isinstance(self.kind, Assembly)
-            else (ASSEMBLIES[self.kind])
-        )
+        named = not isinstance(self.kind, Assembly)
+        return ASSEMBLIES[self.kind] if named else self.kind
 
     @property
     def name(self) -> str:
@@ -252,14 +254,27 @@ class Model:
         return device_x - x, device_z - z
 
     def plant(self, plant: MultibodyPlant | None = None) -> MultibodyPlant:
-        """A new plant; or added to the one given, see `build_plant`."""
-        return build_plant(
-            self.kind,
-            self.human,
-            self.exoskeleton,
-            gravity=self.gravity_m_s2,
-            plant=plant,
-        )
+        """The model as a plant.
+
+        Positions and velocities are x, z and pitch of the root, then the
+        hinges of the human, then those of the device.
+
+        Args:
+            plant: an unfinalized plant to add to, such as one registered with
+                a SceneGraph; it is left unfinalized. If None, a continuous
+                plant is made, and finalized.
+
+        Returns:
+            The plant, the given one or the new one.
+
+        Raises:
+            InputError: the device does not fit the description.
+        """
+        if plant is not None:
+            return _added(self, plant)
+        plant = _added(self, MultibodyPlant(0.0))
+        plant.Finalize()
+        return plant
 
 
 def nominal_model(kind: Kind = "coupled") -> Model:
@@ -273,59 +288,13 @@ def nominal_model(kind: Kind = "coupled") -> Model:
     return Model(kind, human, None if alone else fit_exoskeleton(human))
 
 
-def build_plant(
-    kind: str | Assembly,
-    human: HumanParameters | None = None,
-    exoskeleton: ExoskeletonParameters | None = None,
-    *,
-    gravity: float = GRAVITY,
-    plant: MultibodyPlant | None = None,
-) -> MultibodyPlant:
-    """Build the human, with or without the exoskeleton, as a plant.
-
-    Positions and velocities are x, z and pitch of the root, then the hinges
-    of the human, then those of the device.
-
-    Args:
-        kind: "coupled" (human and exoskeleton are two chains on one foot,
-            9 DOF), "rigid" (the exoskeleton's links welded to the human's,
-            6 DOF) or "human" (6 DOF); or what it is put together of.
-        human: the subject; the nominal adult if None.
-        exoskeleton: the device; fitted to the human if None. Must be None for
-            the kind "human".
-        gravity: magnitude of gravity, downwards [m/s²].
-        plant: an unfinalized plant to add to, such as one registered with a
-            SceneGraph; it is left unfinalized. If None, a continuous plant is
-            made, and finalized.
-
-    Returns:
-        The plant, the given one or the new one.
-
-    Raises:
-        ValueError: unknown kind, negative gravity, or an exoskeleton for a
-            plant without one.
-        InputError: the device does not fit the description.
-    """
-    if isinstance(kind, Assembly):
-        assembly = kind
-    elif kind in KINDS:
-        assembly = ASSEMBLIES[kind]
-    else:
-        raise ValueError(
-            f"kind must be one of {', '.join(KINDS)}, not {kind!r}"
-        )
-    if exoskeleton is not None and not assembly.is_fitted:
-        raise ValueError("a plant of this kind takes no exoskeleton")
-    if not gravity >= 0.0:
-        raise ValueError(
-            f"gravity must be a magnitude in m/s², not {gravity!r}"
-        )
-    ours = plant is None
-    plant = MultibodyPlant(0.0) if ours else plant
-    human = human or nominal_human()
-    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -gravity])
+def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
+    """The plant with all of a model in it."""
+    gravity = [0.0, 0.0, -model.gravity_m_s2]
+    plant.mutable_gravity_field().set_gravity_vector(gravity)
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(models_path() / "package.xml"))
+    assembly, human = model.assembly, model.human
     text = human_sdf(human, assembly.human)
     (body,) = parser.AddModelsFromString(text, "sdf")
     _add_human_joints(plant, body, assembly)
@@ -333,8 +302,8 @@ def build_plant(
     if device is not None:
         text = device.text
         if assembly.is_fitted:
-            exoskeleton = exoskeleton or fit_exoskeleton(human)
-            text = hinged(exoskeleton_sdf(exoskeleton, body_width(human)))
+            width = body_width(human)
+            text = hinged(exoskeleton_sdf(model.exoskeleton, width))
         # Human first: Drake numbers positions in the order joints are added.
         worn = add_device(parser, plant, device, text)
         _weld(plant, body, worn, device)
@@ -343,8 +312,6 @@ def build_plant(
             _add_cuffs(plant, body, worn, assembly, human)
     if plant.geometry_source_is_registered():
         _draw_ground(plant)
-    if ours:
-        plant.Finalize()
     return plant
 
 

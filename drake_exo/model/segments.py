@@ -13,7 +13,6 @@ from D. A. Winter, Biomechanics and Motor Control of Human Movement, Fig. 4.1
 (Drillis and Contini): 0.039 of the height.
 """
 
-from collections.abc import Mapping
 from dataclasses import (
     MISSING,
     dataclass,
@@ -27,17 +26,13 @@ from math import isfinite
 from typing import Any, TypeVar
 
 from drake_exo.errors import InputError, check_bounds
+from drake_exo.files.schema import quantity
 
 SEGMENTS = ("foot", "shank", "thigh", "pelvis")
 CUFFED = SEGMENTS[1:]  # segments with a place for a cuff
 
 # Radius of the heel and toe contact spheres when nothing else is said [m].
 CONTACT_RADIUS_M = 0.032
-
-_KILOGRAM = {"unit": "kg", "above": 0.0}
-_METRE = {"unit": "m", "above": 0.0}
-_INERTIA = {"unit": "kg m^2", "above": 0.0}
-_POINT = {"unit": "m"}
 
 
 @dataclass(frozen=True)
@@ -52,10 +47,18 @@ class SegmentParameters:
             pelvis: hip to vertex, exoskeleton's pelvis: its height).
     """
 
-    mass_kg: float = field(metadata=_KILOGRAM)
-    com_m: tuple[float, float] = field(metadata=_POINT)
-    inertia_kg_m2: float = field(metadata=_INERTIA)
-    length_m: float = field(metadata=_METRE)
+    mass_kg: float = quantity("kg", above=0.0)
+    com_m: tuple[float, float] = quantity("m")
+    inertia_kg_m2: float = quantity("kg m^2", above=0.0)
+    length_m: float = quantity("m", above=0.0)
+
+    def heavier(self, ratio: float) -> "SegmentParameters":
+        """The same with so many times the mass and the inertia."""
+        return replace(
+            self,
+            mass_kg=ratio * self.mass_kg,
+            inertia_kg_m2=ratio * self.inertia_kg_m2,
+        )
 
 
 class _Chain:
@@ -89,14 +92,14 @@ class HumanParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    ankle_height_m: float = field(metadata=_METRE)
-    heel_m: tuple[float, float] = field(metadata=_POINT)
-    toe_m: tuple[float, float] = field(metadata=_POINT)
-    shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
+    ankle_height_m: float = quantity("m", above=0.0)
+    heel_m: tuple[float, float] = quantity("m")
+    toe_m: tuple[float, float] = quantity("m")
+    shank_cuff_m: tuple[float, float] = quantity("m")
+    thigh_cuff_m: tuple[float, float] = quantity("m")
+    pelvis_cuff_m: tuple[float, float] = quantity("m")
     toes: SegmentParameters | None = None
-    ball_m: tuple[float, float] | None = field(default=None, metadata=_POINT)
+    ball_m: tuple[float, float] | None = quantity("m", None)
 
     @property
     def height_m(self) -> float:
@@ -128,13 +131,13 @@ class ExoskeletonParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    heel_m: tuple[float, float] = field(metadata=_POINT)
-    toe_m: tuple[float, float] = field(metadata=_POINT)
-    shank_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    thigh_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    pelvis_cuff_m: tuple[float, float] = field(metadata=_POINT)
-    knee_off_m: tuple[float, float] = field(default=(0.0, 0.0), metadata=_POINT)
-    hip_off_m: tuple[float, float] = field(default=(0.0, 0.0), metadata=_POINT)
+    heel_m: tuple[float, float] = quantity("m")
+    toe_m: tuple[float, float] = quantity("m")
+    shank_cuff_m: tuple[float, float] = quantity("m")
+    thigh_cuff_m: tuple[float, float] = quantity("m")
+    pelvis_cuff_m: tuple[float, float] = quantity("m")
+    knee_off_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    hip_off_m: tuple[float, float] = quantity("m", (0.0, 0.0))
 
 
 def _overrides(name: str, of: type, doc: str) -> type:
@@ -174,58 +177,25 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
 
     Args:
         parameters: what scaling gave.
-        overrides: None, an overrides dataclass, or a plain mapping such as
-            `{"shank": {"mass_kg": 6.5}, "heel_m": (-0.05, -0.06)}`. Values
-            that are None are kept as scaled.
+        overrides: of the dataclass above that goes with it; values that are
+            None are kept as scaled. None replaces nothing.
         where: name of the owner for messages, e.g. "human".
 
     Raises:
-        InputError: unknown name, value not finite, or not positive where it
-            must be.
+        InputError: value not finite, or not positive where it must be.
     """
-    known = {f.name: f for f in fields(parameters) if f.default is MISSING}
     changes = {}
-    for name, value in _items(overrides, where):
-        if name not in known:
-            raise InputError(
-                f"{where} has no value '{name}' to override; "
-                f"known are {', '.join(known)}"
-            )
-        if value is None:
-            continue
-        current = getattr(parameters, name)
-        label = f"{where}.{name}"
-        if is_dataclass(current):
-            changes[name] = with_overrides(current, value, label)
-        elif isinstance(current, tuple):
-            changes[name] = _point(value, label)
-        else:
-            check_bounds(label, value, known[name].metadata)
-            changes[name] = float(value)
+    for field_ in () if overrides is None else fields(overrides):
+        name, label = field_.name, f"{where}.{field_.name}"
+        value = getattr(overrides, name)
+        if is_dataclass(value):
+            part = getattr(parameters, name)
+            changes[name] = with_overrides(part, value, label)
+        elif value is not None:
+            for number in value if isinstance(value, tuple) else (value,):
+                check_bounds(label, number, field_.metadata)
+            changes[name] = value
     return replace(parameters, **changes)
-
-
-def _items(overrides: Any, where: str) -> list[tuple[str, Any]]:
-    if overrides is None:
-        return []
-    if isinstance(overrides, Mapping):
-        return list(overrides.items())
-    if is_dataclass(overrides):
-        return [(f.name, getattr(overrides, f.name)) for f in fields(overrides)]
-    raise InputError(
-        f"{where}: overrides are names with values, not {overrides!r}"
-    )
-
-
-def _point(value: Any, label: str) -> tuple[float, float]:
-    if isinstance(value, str) or not hasattr(value, "__len__"):
-        raise InputError(f"{label} must be two numbers (x, z) in m")
-    if len(value) != 2:
-        raise InputError(f"{label} must be two numbers (x, z) in m")
-    for coordinate in value:
-        check_bounds(label, coordinate, _POINT)
-    x, z = map(float, value)
-    return x, z
 
 
 @dataclass(frozen=True)
@@ -296,10 +266,7 @@ _BELT = 0.060
 
 
 def scale_human(
-    mass_kg: float,
-    height_m: float,
-    sex: str = "male",
-    overrides: Any = None,
+    mass_kg: float, height_m: float, sex: str = "male"
 ) -> HumanParameters:
     """Scale de Leva's mean body to a subject; arms hang at the sides.
 
@@ -310,13 +277,10 @@ def scale_human(
         mass_kg: body mass, without the exoskeleton.
         height_m: stature.
         sex: "male" or "female".
-        overrides: `HumanOverrides` or a mapping of the same names; each value
-            replaces the scaled one and nothing else follows it (a changed
-            segment mass changes the total).
 
     Raises:
         InputError: mass, height or their ratio that no adult has; unknown
-            sex; impossible override.
+            sex.
     """
     _check_subject(mass_kg, height_m, sex)
     rows = DE_LEVA[sex]
@@ -339,7 +303,7 @@ def scale_human(
     thigh = both_legs("thigh", from_lower_joint("thigh"))
     foot_com_x = (rows["foot"].com / 100.0 - _HEEL_BEHIND_ANKLE) * foot_length
     sphere_z = CONTACT_RADIUS_M - ankle_height
-    human = HumanParameters(
+    return HumanParameters(
         foot=both_legs("foot", (foot_com_x, -0.5 * ankle_height)),
         shank=shank,
         thigh=thigh,
@@ -351,7 +315,6 @@ def scale_human(
         thigh_cuff_m=(0.0, _THIGH_CUFF * thigh.length_m),
         pelvis_cuff_m=(0.0, _BELT * height_m),
     )
-    return with_overrides(human, overrides, "human")
 
 
 def _check_subject(mass_kg: float, height_m: float, sex: str) -> None:

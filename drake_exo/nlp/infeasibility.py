@@ -20,18 +20,14 @@ _INFLUENCE = 1e-9
 # Stiffness of the springs against costs of order one, softest first: each
 # solve starts from the last. A bound that is merely active gives way by its
 # multiplier over the stiffness. Limits are tried before given states.
-_STAGES = {
-    ("limit",): (1.0, 30.0, 1e3, 1e5),
-    ("state",): (30.0, 1e3, 1e5),
-}
+_STAGES = {("limit",): (1.0, 30.0, 1e3, 1e5), ("state",): (30.0, 1e3, 1e5)}
 # Excess that counts, in the variables' typical sizes.
 SIGNIFICANT = 5e-3
+_TOLD = 8  # bounds that gave way
 
 
 def check(
-    problem: SparseProgram,
-    guess: np.ndarray,
-    parameters: dict[str, int],
+    problem: SparseProgram, guess: np.ndarray, parameters: dict[str, int]
 ) -> None:
     """Check guess, bounds and the influence of parameters.
 
@@ -254,7 +250,7 @@ class ElasticProgram:
         own = factor * self._weight * self._curvature * stretched
         return np.r_[self._problem.hessian(y, multipliers, factor), own]
 
-    def binding(self, y: np.ndarray, count: int = 8) -> list[Excess]:
+    def binding(self, y: np.ndarray) -> list[Excess]:
         """The bounds that gave way most, one for each signal."""
         excess = self.excess(y)
         index = np.r_[
@@ -264,7 +260,7 @@ class ElasticProgram:
         x = self._problem.expand(y)
         found: dict[str, Excess] = {}
         for k in np.argsort(-np.abs(excess)):
-            if abs(excess[k]) < SIGNIFICANT or len(found) == count:
+            if abs(excess[k]) < SIGNIFICANT or len(found) == _TOLD:
                 break
             i = int(index[k])
             program = self._problem.program

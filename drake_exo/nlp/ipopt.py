@@ -80,12 +80,7 @@ class SolverOptions:
 
     tolerance: float = 1e-6
     max_iterations: int = 300
-    strategies: tuple[str, ...] = (
-        "adaptive",
-        "monotone",
-        "exact",
-        "patient",
-    )
+    strategies: tuple[str, ...] = ("adaptive", "monotone", "exact", "patient")
     pivot_order: int = 6
     extra: dict = field(default_factory=dict)
 

@@ -299,19 +299,20 @@ def nonlinear_constraints(prog):
         *prog.linear_equality_constraints(),
         *prog.bounding_box_constraints(),
     ]
-    kept = [b.evaluator() for b in linear]
-    skip = set(map(id, kept))
-    return [
-        b for b in prog.GetAllConstraints() if id(b.evaluator()) not in skip
-    ]
+    return _others(prog.GetAllConstraints(), linear)
 
 
 def nonlinear_costs(prog):
     """Bindings of costs that are neither linear nor quadratic."""
     quadratic = [*prog.linear_costs(), *prog.quadratic_costs()]
-    kept = [b.evaluator() for b in quadratic]
+    return _others(prog.GetAllCosts(), quadratic)
+
+
+def _others(every, known) -> list:
+    """Bindings that are not among those known."""
+    kept = [b.evaluator() for b in known]  # alive, so that ids are their own
     skip = set(map(id, kept))
-    return [b for b in prog.GetAllCosts() if id(b.evaluator()) not in skip]
+    return [b for b in every if id(b.evaluator()) not in skip]
 
 
 def variable_bounds(prog) -> tuple[np.ndarray, np.ndarray]:
@@ -341,10 +342,7 @@ def linear_rows(prog):
         A (sparse), lower, upper, and the rows' names.
     """
     rows, columns, values, lower, upper, names = [], [], [], [], [], []
-    bindings = [
-        *prog.linear_constraints(),
-        *prog.linear_equality_constraints(),
-    ]
+    bindings = [*prog.linear_constraints(), *prog.linear_equality_constraints()]
     for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
         evaluator = binding.evaluator()
         A = sp.coo_array(evaluator.get_sparse_A())
@@ -472,8 +470,7 @@ class Unknowns:
         self.lower[: len(kept)] = self.x_lower[kept] / unit
         self.upper[: len(kept)] = self.x_upper[kept] / unit
         self.substituted = np.setdiff1d(
-            np.concatenate([s.variables for s in substitutions] or [[]]),
-            kept,
+            np.concatenate([s.variables for s in substitutions] or [[]]), kept
         ).astype(int)
 
     @property

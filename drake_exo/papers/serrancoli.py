@@ -139,6 +139,11 @@ def _starts(runs: dict[str, Results]) -> list[str]:
 
 def _changes(runs: dict[str, Results]) -> list[str]:
     """How much worse the scaled interaction predicts, force by force."""
+
+    def mean(run: Results, name: str) -> float | None:
+        path = "interaction_n", name
+        return mean_and_sd([lookup(s, path) for s in run.summary["rmsd"]])[0]
+
     base = runs.get("C1")
     texts = []
     for label, run in runs.items():
@@ -146,15 +151,7 @@ def _changes(runs: dict[str, Results]) -> list[str]:
             continue
         rows = []
         for name in ("pelvis", "thigh", "shank"):
-            pair = [
-                mean_and_sd(
-                    [
-                        lookup(s, ("interaction_n", name))
-                        for s in r.summary["rmsd"]
-                    ]
-                )[0]
-                for r in (base, run)
-            ]
+            pair = mean(base, name), mean(run, name)
             if None not in pair:
                 rows.append([name, *pair, pair[1] / pair[0]])
         if rows:

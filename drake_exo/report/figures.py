@@ -12,7 +12,7 @@ command line (`drake-exo contact --out DIR`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib
@@ -30,6 +30,7 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
 from drake_exo.files.output import save_figure, write_json
+from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import DEVICE
@@ -120,10 +121,7 @@ def _ground_rows(trial: Trial) -> list[tuple]:
             ("CoP $x$ [m]", "cop_x"),
         ):
             rows.append(
-                (
-                    foot + name,
-                    lambda t, s=side, w=what: getattr(t.soles[s], w),
-                )
+                (foot + name, lambda t, s=side, w=what: getattr(t.soles[s], w))
             )
     return rows
 
@@ -187,16 +185,22 @@ def _cuff_rows(found: Trial) -> list[tuple]:
 
 def _shade(axes, trial: Trial, band: Bands, color) -> None:
     """Bands of normal forces, one cuff after the other."""
-    for ax, (cuff, force) in zip(axes, trial.cuffs.items(), strict=True):
-        width = band.cuffs[cuff][:, NORMAL]
-        ax.fill_between(
-            trial.times,
-            force.normal - width,
-            force.normal + width,
-            color=color,
-            alpha=0.15,
-            lw=0.0,
-        )
+    for ax, cuff in zip(axes, trial.cuffs, strict=True):
+        _draw_band(ax, trial, band, cuff, color)
+
+
+def _draw_band(ax, trial: Trial, band: Bands, cuff: str, color: str) -> None:
+    """Where a cuff's normal force is with 95 %."""
+    middle = trial.cuffs[cuff].normal
+    width = band.cuffs[cuff][:, NORMAL]
+    ax.fill_between(
+        trial.times,
+        middle - width,
+        middle + width,
+        color=color,
+        alpha=0.15,
+        lw=0.0,
+    )
 
 
 def overview_figure(
@@ -345,12 +349,9 @@ def _finish(figure: Figure, axes) -> None:
 
 def _legend(figure: Figure) -> float:
     """One legend for all panels, above them; its height [inches]."""
-    entries = {}
-    for ax in figure.axes:
-        handles, labels = ax.get_legend_handles_labels()
-        entries |= dict(zip(labels, handles, strict=True))
     # "measured" first, whichever panel shows it.
-    entries = dict(sorted(entries.items(), key=lambda e: e[0] != "measured"))
+    entries = sorted(_entries(figure).items(), key=lambda e: e[0] != "measured")
+    entries = dict(entries)
     # The longest entry is 2 inches wide.
     columns = min(len(entries), 4, int(figure.get_size_inches()[0] / 2.0))
     figure.legend(
@@ -361,6 +362,15 @@ def _legend(figure: Figure) -> float:
         frameon=False,
     )
     return 0.1 + 0.22 * -(-len(entries) // columns)
+
+
+def _entries(figure: Figure) -> dict[str, object]:
+    """Label -> handle, for a legend of all panels together."""
+    found = {}
+    for ax in figure.axes:
+        handles, labels = ax.get_legend_handles_labels()
+        found |= dict(zip(labels, handles, strict=True))
+    return found
 
 
 def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
@@ -489,10 +499,7 @@ def forces_figure(designed) -> Figure:
             axes[0, column].set_title(before.trial.name, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
         # Not every trial has mats of every cuff.
-        shown: dict[str, object] = {}
-        for axis in axes.flat:
-            lines, labels = axis.get_legend_handles_labels()
-            shown |= dict(zip(labels, lines, strict=True))
+        shown = _entries(figure)
         figure.legend(
             shown.values(),
             shown,
@@ -668,16 +675,7 @@ def _draw(axis, cuff: str, before, after, built) -> None:
             force = trial.cuffs[cuff].normal
             axis.plot(trial.times, force, color=color, lw=1.4, label=label)
     if after.bands is not None and cuff in after.trial.cuffs:
-        width = after.bands.cuffs[cuff][:, NORMAL]
-        force = after.trial.cuffs[cuff].normal
-        axis.fill_between(
-            after.trial.times,
-            force - width,
-            force + width,
-            color=_AFTER,
-            alpha=0.15,
-            lw=0,
-        )
+        _draw_band(axis, after.trial, after.bands, cuff, _AFTER)
     if cuff in before.measured.cuffs:
         axis.plot(
             before.measured.times,
@@ -722,23 +720,13 @@ _STYLE = {
 class ContactCurves:
     """What the figures are drawn for."""
 
-    modulus: float = field(default=5e6, metadata={"unit": "N/m²", "above": 0})
-    dissipation: float = field(
-        default=2.0, metadata={"unit": "s/m", "minimum": 0}
-    )
-    radius: float = field(default=0.032, metadata={"unit": "m", "above": 0})
-    static_friction: float = field(
-        default=0.9, metadata={"unit": "", "above": 0}
-    )
-    dynamic_friction: float = field(
-        default=0.6, metadata={"unit": "", "above": 0}
-    )
-    viscous_friction: float = field(
-        default=0.5, metadata={"unit": "s/m", "minimum": 0}
-    )
-    transition_velocity: float = field(
-        default=0.05, metadata={"unit": "m/s", "above": 0}
-    )
+    modulus: float = quantity("N/m²", 5e6, above=0)
+    dissipation: float = quantity("s/m", 2.0, minimum=0)
+    radius: float = quantity("m", 0.032, above=0)
+    static_friction: float = quantity("", 0.9, above=0)
+    dynamic_friction: float = quantity("", 0.6, above=0)
+    viscous_friction: float = quantity("s/m", 0.5, minimum=0)
+    transition_velocity: float = quantity("m/s", 0.05, above=0)
 
     def constants(self, law: str):
         """Constants of a law with these friction values."""
@@ -803,8 +791,6 @@ def measures(curves: ContactCurves) -> dict:
 
 def draw_normal_force(curves: ContactCurves):
     """Figure 8: normal force against indentation, zoom out of contact."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(5.2, 3.6), layout="constrained")
     axes = figure.subplots()
     x = np.linspace(-0.05, 0.02, 2801)
@@ -880,8 +866,6 @@ def _up(value: float) -> float:
 
 def draw_friction(curves: ContactCurves):
     """Figure 9: friction coefficient against v_rel = |slip|/v_t."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(5.2, 3.4), layout="constrained")
     axes = figure.subplots()
     ratio = np.linspace(0.0, 5.0, 1001)
@@ -955,8 +939,6 @@ def write_figures(folder: Path, curves: ContactCurves) -> list[Path]:
     Returns:
         The files written.
     """
-    import matplotlib
-
     files = []
     with matplotlib.rc_context(_STYLE):
         for name, draw in (

@@ -235,12 +235,8 @@ class Comparison:
 
     def marks(self) -> dict[str, str]:
         """Label -> mark of each result that does not hold."""
-        marks = [stored_mark(r.summary) for r in self.results]
-        return {
-            label: mark
-            for label, mark in zip(self.labels, marks, strict=True)
-            if mark
-        }
+        pairs = zip(self.labels, self.results, strict=True)
+        return {label: r.mark for label, r in pairs if r.mark}
 
     def _table(self, rows: dict[str, list[str]]) -> str:
         count = max(map(len, rows.values())) - len(self.labels)

@@ -261,9 +261,6 @@ def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
     Newton's method, all states at once; `q` holds the first guess. Rows of
     `target` and `rate` are x, y, the angle in the plane, z, and the x and y of
     the frame's z axis, which is to stay normal to the plane.
-
-    Raises:
-        InputError: the model cannot reach it.
     """
     n = len(target)
 
@@ -583,12 +580,7 @@ def export_opensim(
 
 
 def _carried(folder: Path, model: Model, person: OsimPerson):
-    """Factor of the masses, and shift of the trunk's centre of mass.
-
-    Raises:
-        InputError: other values of the person were changed, or it is of
-            another model.
-    """
+    """Factor of the masses, and shift of the trunk's centre of mass."""
     ours, theirs = model.human, person.human
     factor = ours.mass_kg / theirs.mass_kg
     shift = np.subtract(ours.pelvis.com_m, theirs.pelvis.com_m)

@@ -10,10 +10,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import radians
-from pathlib import Path
 
 import numpy as np
-from matplotlib.image import imsave
 from pydrake.geometry import (
     Box,
     ClippingRange,
@@ -126,10 +124,7 @@ class Scene:
             )
             look.UpdateProperty("phong", "diffuse", colour)
             self._scene_graph.AssignRole(
-                self.plant.get_source_id(),
-                geometry,
-                look,
-                RoleAssign.kReplace,
+                self.plant.get_source_id(), geometry, look, RoleAssign.kReplace
             )
 
     def set_pose(self, q: Sequence[float], time_s: float = 0.0) -> None:
@@ -335,34 +330,6 @@ class View:
 
 
 OBLIQUE = View()
-
-
-def write_png(path: Path, colours: np.ndarray) -> None:
-    """Write colours (height, width, 3) as a PNG file."""
-    # Without the software's name.
-    imsave(path, colours, metadata={"Software": None})
-
-
-def write_page(
-    path: Path,
-    model: Model,
-    q: Sequence[float] | None = None,
-    chair_height_m: float | None = None,
-) -> None:
-    """Write a page (static HTML) on which the posed model can be turned.
-
-    Args:
-        path: of the page, about 5 MB; needs no server and no network.
-        model: subject and device.
-        q: (nq,) positions; standing if None.
-        chair_height_m: as for `Scene`.
-    """
-    meshcat = Meshcat()
-    scene = Scene(model, meshcat=meshcat, chair_height_m=chair_height_m)
-    scene.set_pose(scene.upright_pose(STANDING_DEG) if q is None else q)
-    scene.diagram.ForcedPublish(scene.context)
-    set_stage(meshcat)
-    Path(path).write_text(meshcat.StaticHtml())
 
 
 def set_stage(meshcat: Meshcat, view: View = OBLIQUE) -> None:

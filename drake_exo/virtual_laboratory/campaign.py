@@ -4,7 +4,7 @@ Its study file says no more than a real laboratory would know.
 """
 
 import signal
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -36,11 +36,7 @@ from drake_exo.virtual_laboratory.instruments import (
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan
-from drake_exo.virtual_laboratory.simulation import (
-    PASSIVE,
-    RATE_HZ,
-    simulate,
-)
+from drake_exo.virtual_laboratory.simulation import PASSIVE, RATE_HZ, simulate
 from drake_exo.virtual_laboratory.truth import (
     DISTURBANCES,
     KINDS,
@@ -54,7 +50,6 @@ from drake_exo.virtual_laboratory.truth import (
     write_parameters,
 )
 
-EMPTY = "plates_empty"
 _JOINTS = ("ankle", "knee", "hip")
 
 
@@ -72,32 +67,12 @@ _NOISE = {
 _FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 0.3, "energy_j": 1.0}
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A movement that the study uses.
-
-    Attributes:
-        name: of the recording.
-        use: "calibration" or "prediction".
-        configuration: of the mats.
-        assisted: whether the device helped, and recorded its moments.
-        start_s, end_s: used part.
-    """
-
-    name: str
-    use: str
-    configuration: str
-    assisted: bool
-    start_s: float
-    end_s: float
-
-
 def write_study(
     path: Path,
     truth: Truth,
     laboratory: Laboratory,
     mats: dict[str, dict],
-    entries: list[Entry],
+    trials: list[dict],
 ) -> None:
     """Write the study file.
 
@@ -107,40 +82,62 @@ def write_study(
             friction, as far as a bench found it.
         laboratory: the equipment.
         mats: the section `mats`.
-        entries: movements in use.
+        trials: the section `trials`.
     """
-    active = laboratory.disturbances
     study = {
+        **recording_sections(truth, laboratory, _model(truth), PLATES),
+        "device": _device(truth, laboratory.faults.friction_share),
+        "mats": mats,
+        "trials": trials,
+        "foot_ground": foot_ground_section(),
+        "interaction": interaction_section(),
+        "prediction": prediction_section(),
+    }
+    write_yaml(path, "A virtual subject in the exoskeleton stands up.", study)
+
+
+def write_yaml(path: Path, title: str, study: dict) -> None:
+    """Write a study file under a line of comment."""
+    text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
+    path.write_text(f"# {title}\n{text}", encoding="utf-8")
+
+
+def recording_sections(
+    truth: Truth,
+    laboratory: Laboratory,
+    model: str | dict,
+    plates: Mapping[str, int],
+    cutoff_hz: float = 6.0,
+) -> dict:
+    """The sections from `subject` to `markers`, whatever is recorded.
+
+    Args:
+        truth: mass, height and gravity are taken from it.
+        laboratory: the equipment.
+        model: the section `model`.
+        plates: foot or chair -> number.
+        cutoff_hz: of the filter.
+    """
+    return {
         "subject": {
             "name": "virtual_subject",
             "mass_kg": round(truth.human.mass_kg, 3),
             "height_m": round(truth.human.height_m, 4),
             "sex": "male",
         },
-        "model": _model(truth),
+        "model": model,
         "gravity_m_s2": truth.model.gravity_m_s2,
-        "filter": {"cutoff_hz": 6.0, "order": 4},
-        "laboratory": laboratory_section(laboratory.files, active),
+        "filter": {"cutoff_hz": cutoff_hz, "order": 4},
+        "laboratory": _laboratory(laboratory),
         "standing": {
             **laboratory.motion_files("standing"),
-            "plates": dict(PLATES),
-            **_empty_plates(laboratory),
+            "plates": dict(plates),
+            **laboratory.empty_files,
             "start_s": 0.5,
         },
         "scaling": {"lengths": "markers", "trunk_com": "table"},
         "markers": study_markers(),
-        "device": _device(truth, laboratory.faults.friction_share),
-        "mats": mats,
-        "trials": [_trial(laboratory, entry) for entry in entries],
-        "foot_ground": foot_ground_section(),
-        "interaction": interaction_section(),
-        "prediction": prediction_section(),
     }
-    text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
-    path.write_text(
-        "# A virtual subject in the exoskeleton stands up.\n" + text,
-        encoding="utf-8",
-    )
 
 
 def _model(truth: Truth) -> str | dict:
@@ -155,10 +152,10 @@ def _model(truth: Truth) -> str | dict:
     return {"device": {"weld": dict(known.device.weld)}, "cuffs": cuffs}
 
 
-def laboratory_section(files: str, active: frozenset[str]) -> dict:
-    """The section `laboratory`."""
+def _laboratory(laboratory: Laboratory) -> dict:
     section: dict = {}
-    if files == "c3d":
+    active = laboratory.disturbances
+    if laboratory.files == "c3d":
         axes = {"forward": "x", "up": "z"}
         section |= {"marker_axes": axes, "force_axes": dict(axes)}
     if "gaps" in active:
@@ -173,12 +170,6 @@ def laboratory_section(files: str, active: frozenset[str]) -> dict:
     return section
 
 
-def _empty_plates(laboratory: Laboratory) -> dict:
-    if "plate_drift" not in laboratory.disturbances:
-        return {}
-    return {"empty_plates": laboratory.motion_files(EMPTY)["forces"]}
-
-
 def _device(truth: Truth, found: tuple[float, ...]) -> dict:
     friction = truth.friction
     section: dict = {"encoder_legs": "both", "moment_legs": "both"}
@@ -189,29 +180,6 @@ def _device(truth: Truth, found: tuple[float, ...]) -> dict:
             "coulomb_speed_rad_s": friction.speed,
         }
     return section
-
-
-def _trial(laboratory: Laboratory, entry: Entry) -> dict:
-    mats = mats_on(laboratory.tree.cuffs, entry.configuration)
-    trial = {
-        "name": entry.name,
-        "use": entry.use,
-        **laboratory.motion_files(entry.name),
-        "plates": dict(PLATES),
-        **_empty_plates(laboratory),
-        "encoders": laboratory.device_file(entry.name, "encoders"),
-        "pressure": [
-            {"file": f"{entry.name}.asc", "mats": [mat.name for mat in mats]}
-        ]
-        if mats
-        else [],
-        "start_s": entry.start_s,
-        "end_s": entry.end_s,
-    }
-    if entry.assisted:
-        moments = laboratory.device_file(entry.name, "moments")
-        trial["exo_moments"] = moments
-    return trial
 
 
 def foot_ground_section(legs: int = 1) -> dict:
@@ -241,10 +209,7 @@ def foot_ground_section(legs: int = 1) -> dict:
 
 def interaction_section() -> dict:
     """Weights of the second phase."""
-    own = {
-        "exo_angle_deg": 0.1,
-        "exo_velocity_deg_s": 1.0,
-    }
+    own = {"exo_angle_deg": 0.1, "exo_velocity_deg_s": 1.0}
     return {"noise": {**_NOISE, **own, **_FORCE_NOISE}}
 
 
@@ -316,6 +281,38 @@ class Repetition:
             self.trial,
             self.movement,
         ]
+
+
+def trial_section(
+    laboratory: Laboratory,
+    movement: Repetition,
+    start_s: float,
+    end_s: float,
+) -> dict:
+    """What the study says of a movement.
+
+    Args:
+        laboratory: that recorded it.
+        movement: in the assisting device it is predicted, and has moments.
+        start_s, end_s: used part.
+    """
+    mats = mats_on(laboratory.tree.cuffs, movement.configuration)
+    name, assisted = movement.name, movement.mode == "assisted"
+    pressure = {"file": f"{name}.asc", "mats": [mat.name for mat in mats]}
+    trial = {
+        "name": name,
+        "use": "prediction" if assisted else "calibration",
+        **laboratory.motion_files(name),
+        "plates": dict(PLATES),
+        **laboratory.empty_files,
+        "encoders": laboratory.device_file(name, "encoders"),
+        "pressure": [pressure] if mats else [],
+        "start_s": start_s,
+        "end_s": end_s,
+    }
+    if assisted:
+        trial["exo_moments"] = laboratory.device_file(name, "moments")
+    return trial
 
 
 def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
@@ -434,9 +431,9 @@ def read_about(folder: str | Path) -> dict:
         raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
-def _recorded(job, movements, processes, progress) -> list[Entry]:
+def _recorded(job, movements, processes, progress) -> list[dict]:
     """Record all movements; what the study is to say of those in use."""
-    entries: dict[str, Entry] = {}
+    entries: dict[str, dict] = {}
     if processes == 1:
         for done, movement in enumerate(movements):
             entries[movement.name] = job.record(movement, progress, done)
@@ -523,8 +520,7 @@ class Campaign:
         standing = simulate("standing", self.truth, plan, progress=progress)
         rng = self._rng(2)
         self.laboratory.record_motion(standing, rng, hidden=False)
-        if "plate_drift" in self.active:
-            self.laboratory.record_empty(EMPTY, rng)
+        self.laboratory.record_empty(rng)
         truth = self.folder / "truth"
         write_happened(truth, standing)
         about = {
@@ -545,8 +541,8 @@ class Campaign:
         movement: Repetition,
         progress: Progress | None = None,
         done: int | None = None,
-    ) -> Entry:
-        """Simulate a movement and write its files."""
+    ) -> dict:
+        """Simulate a movement, write its files; what the study says of it."""
         plan = RisePlan()
         if "variation" in self.active:
             plan = vary(plan, self._rng(3, *movement.key))
@@ -558,10 +554,7 @@ class Campaign:
             self.planner.rise(plan, seat),
             seat,
             _HELP if assisted else PASSIVE,
-            (
-                plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S,
-                _rise_end(plan),
-            ),
+            (plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S, _rise_end(plan)),
             progress,
             done,
         )
@@ -569,14 +562,7 @@ class Campaign:
         rng = self._rng(6, *movement.key)
         noisy = self.laboratory.faults.noisy_windows
         start, end = _window(happened, plan, rng if noisy else None)
-        return Entry(
-            movement.name,
-            "prediction" if assisted else "calibration",
-            movement.configuration,
-            assisted,
-            start,
-            end,
-        )
+        return trial_section(self.laboratory, movement, start, end)
 
     def _measure(self, happened: Trial, movement: Repetition) -> None:
         rng = self._rng(4, *movement.key)
@@ -674,5 +660,10 @@ def _window(
         gone = _SEEN_GONE_N
         end += rng.uniform(-_SEEN_END_S, _SEEN_END_S)
     start = after_chair(movement, force, gone)
-    frames = np.round(np.array([start, end]) * MARKER_RATE_HZ)
+    return to_frames(start, end)
+
+
+def to_frames(*times: float) -> tuple[float, ...]:
+    """The nearest times of marker frames [s]."""
+    frames = np.round(np.array(times) * MARKER_RATE_HZ)
     return tuple((frames / MARKER_RATE_HZ).tolist())

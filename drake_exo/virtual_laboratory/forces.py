@@ -36,6 +36,7 @@ from drake_exo.contact.systems import (
     read_bodies,
     to_body,
 )
+from drake_exo.files.schema import quantity
 from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
@@ -56,8 +57,8 @@ class Cuff:
     """
 
     bushing: BushingParameters
-    progression: float = field(default=0.0, metadata={"unit": "1/m"})
-    slip: float = field(default=0.0, metadata={"unit": "1/N"})
+    progression: float = quantity("1/m", 0.0)
+    slip: float = quantity("1/N", 0.0)
 
 
 def cuff_force(cuff: Cuff, deflection, rate) -> Components:
@@ -349,10 +350,7 @@ _PASSES = 3
 
 
 def resting_foot(
-    tree: PlanarTree,
-    contact: GroundContact,
-    load: np.ndarray,
-    cop_m: float,
+    tree: PlanarTree, contact: GroundContact, load: np.ndarray, cop_m: float
 ) -> np.ndarray:
     """Foot coordinates x = 0, z, pitch (n, 3) under vertical loads (n,) [N].
 

@@ -311,7 +311,7 @@ _MOMENT_NOISE_NM = 0.2
 _OFFSET = np.array([2.0, 4.0, 0.5])  # F_x, F_z [N], M_y [N m]
 _DRIFT = np.array([0.5, 1.5, 0.2])  # over a recording
 _WIDE_DRIFT = np.array([2.0, 5.0, 0.5])
-_EMPTY_S = 2.0
+_EMPTY, _EMPTY_S = "plates_empty", 2.0  # its recording
 _ANGLE_NOISE = np.deg2rad(0.02)
 _ANGLE_STEP = np.deg2rad(0.01)
 _EXO_MOMENT_NOISE_NM = 0.1
@@ -468,15 +468,24 @@ class Laboratory:
         wrenches["chair"] = movement.chair
         self._write(movement.name, p, self._disturbed(wrenches, rng))
 
-    def record_empty(self, name: str, rng) -> None:
-        """Write the plates with nothing on them."""
+    @property
+    def empty_files(self) -> dict[str, str]:
+        """What a study says of plates with nothing on them, if they drift."""
+        if "plate_drift" not in self.disturbances:
+            return {}
+        return {"empty_plates": self.motion_files(_EMPTY)["forces"]}
+
+    def record_empty(self, rng) -> None:
+        """Write the plates with nothing on them, if they drift."""
+        if not self.empty_files:
+            return
         n = round(_EMPTY_S * RATE_HZ) + 1
         nothing = PlanarWrench(np.zeros((n, 2)), np.zeros(n))
         plates = self._disturbed(dict.fromkeys(PLATES, nothing), rng, 0.0)
         frames = (n - 1) // _PER_FRAME + 1
         corner = np.zeros((frames, 1, 3))
         alone = replace(self, markers={"FLOOR": Marker("world", 0, 0, 0)})
-        alone._write(name, corner, plates)
+        alone._write(_EMPTY, corner, plates)
 
     def _disturbed(self, wrenches, rng, drift=1.0) -> list[PlateRecording]:
         plates = []

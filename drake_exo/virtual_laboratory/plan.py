@@ -10,7 +10,7 @@ Who follows it is the subject's controller; the device helps with its own.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 
 from drake_exo.contact.parameters import GroundContact
 from drake_exo.contact.strap import Design
+from drake_exo.files.schema import quantity
 from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -96,6 +97,12 @@ class RisePlan:
         """Length of the whole recording [s]."""
         return self.quiet_s + self.lean_s + self.rise_s + self.stand_s
 
+    @property
+    def times(self) -> np.ndarray:
+        """Nodes (n,) of the plan [s]."""
+        count = round(self.duration / _NODE_S) + 1
+        return np.linspace(0.0, self.duration, count)
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -153,15 +160,13 @@ class Planner:
 
     def rise(self, plan: RisePlan, seat: SeatParameters) -> Reference:
         """A sit-to-stand from a chair made for its seated posture."""
-        times = np.linspace(
-            0.0, plan.duration, round(plan.duration / _NODE_S) + 1
-        )
+        times = plan.times
         begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
         share = self._seated(plan)[1] * (
             1.0 - minimum_jerk((times - begin) / (end - begin))[0]
         )
         foot = self._foot(self.weight * (1.0 - share), plan.cop_m)
-        return self._solve(plan, seat, times, foot, share)
+        return self._solve(plan, seat, foot, share)
 
     def squat(self, plan: RisePlan) -> Reference:
         """From standing to the leant posture and back, without a chair.
@@ -170,12 +175,9 @@ class Planner:
             plan: whose lean_s and rise_s are the ways down and up; its seated
                 posture is another standing one.
         """
-        times = np.linspace(
-            0.0, plan.duration, round(plan.duration / _NODE_S) + 1
-        )
-        none = np.zeros(len(times))
+        none = np.zeros(len(plan.times))
         foot = self._foot(self.weight + none, plan.cop_m)
-        return self._solve(plan, None, times, foot, none)
+        return self._solve(plan, None, foot, none)
 
     def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
         """Seated coordinates (1, 6), and the chair's share of the weight."""
@@ -192,12 +194,12 @@ class Planner:
     def _foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
         return resting_foot(self.tree, self.contact, load, cop_m)
 
-    def _solve(self, plan, seat, times, foot, wanted) -> Reference:
+    def _solve(self, plan, seat, foot, wanted) -> Reference:
         """Least squares for the joints' coefficients.
 
         The foot (n, 3) and the chair's share (n,) of the weight are given.
         """
-        basis = _basis(plan.duration)
+        basis, times = _basis(plan.duration), plan.times
         B, B_v, B_a, B_j = (basis.derivative(k)(times) for k in range(4))
         spline = make_interp_spline(times, foot, k=_DEGREE)
         foot_v, foot_a = (spline.derivative(k)(times) for k in (1, 2))
@@ -329,7 +331,7 @@ class Friction:
 
     viscous: tuple[float, ...] = (0.0, 0.0, 0.0)
     coulomb: tuple[float, ...] = (0.0, 0.0, 0.0)
-    speed: float = field(default=0.05, metadata={"unit": "rad/s"})
+    speed: float = quantity("rad/s", 0.05)
 
     def torques(self, rates: np.ndarray) -> np.ndarray:
         """Torques (..., joints) at joint rates (..., joints)."""

@@ -33,17 +33,13 @@ from drake_exo.calibration.settings import (
 from drake_exo.collocation.initial_guess import settle_foot
 from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.collocation.trial_program import Tracking, minimised
-from drake_exo.contact.parameters import (
-    ContactModel,
-    ContactParameter,
-)
+from drake_exo.contact.parameters import ContactModel, ContactParameter
 from drake_exo.measurement.filters import low_pass, minimum_jerk
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model, nominal_model
 
-# Knots of the drawn path per second, and margins of filtered noise.
 __all__ = [
     "INSTRUMENT_NOISE",
     "RisesInDevice",
@@ -52,6 +48,7 @@ __all__ = [
     "rises_in_device",
     "rises_on_spheres",
 ]
+# Knots of the drawn path per second, and margins of filtered noise.
 _KNOTS = 40.0
 _MARGIN_S = 1.0
 # Loose on the foot and on forces, which the contact decides.
@@ -259,18 +256,13 @@ def _made(problem: PhaseProblem, mats) -> list[Trial]:
 
 
 def rises_on_spheres(
-    count: int = 3,
-    nodes_per_second: float = 100.0,
-    duration_s: float = 1.5,
-    seed: int = 0,
+    count: int = 3, nodes_per_second: float = 100.0
 ) -> tuple[Model, list[Trial]]:
     """The nominal adult alone, rising on the default settings' spheres.
 
     Args:
         count: of trials, named rise1, rise2, ...
         nodes_per_second: of the grid on which they are exact.
-        duration_s: of each.
-        seed: of the random numbers.
 
     >>> model, trials = rises_on_spheres(1, nodes_per_second=40)
     >>> trials[0].name, model.kind
@@ -279,8 +271,7 @@ def rises_on_spheres(
     model = nominal_model("human")
     settings = FootGroundSettings(solver=Solver(nodes_per_second))
     truth = settings.parameters(model.spheres)
-    drawn = rises(count, duration_s, seed)
-    return model, consistent(model, drawn, truth, settings)
+    return model, consistent(model, rises(count), truth, settings)
 
 
 @dataclass(frozen=True)
@@ -373,7 +364,6 @@ def rises_in_device(
     count: int = 3,
     nodes_per_second: float = 50.0,
     duration_s: float = 1.5,
-    seed: int = 0,
     model: Model | None = None,
 ) -> RisesInDevice:
     """The nominal adult rises in a passive exoskeleton on known cuffs.
@@ -386,7 +376,6 @@ def rises_in_device(
             device have theirs always.
         nodes_per_second: of its grid.
         duration_s: of each movement.
-        seed: of the rises.
         model: one leg in a device; the shipped one by default.
 
     Raises:
@@ -410,7 +399,7 @@ def rises_in_device(
     ).with_values(truth)
     drawn = [
         _on_ground(draw(model.tree, rise), model)
-        for rise in rises(count, duration_s, seed)
+        for rise in rises(count, duration_s)
     ]
     problem = _PassiveDevice(model, drawn, contact, [], settings)
     cycle = MATS if model.assembly.is_fitted else (tuple(model.cuffs),)
@@ -428,10 +417,7 @@ def _on_ground(trial: Trial, model: Model) -> Trial:
 
 
 def noisy(
-    trial: Trial,
-    seed: int,
-    noise: TrackingNoise,
-    cutoff_hz: float = 6.0,
+    trial: Trial, seed: int, noise: TrackingNoise, cutoff_hz: float = 6.0
 ) -> Trial:
     """Add smooth measurement noise of the given standard deviations.
 

@@ -306,15 +306,7 @@ def other_masses(human: HumanParameters, rng) -> HumanParameters:
     parts["pelvis"] = human.pelvis
     factors["pelvis"] = 1.0 + rest / human.pelvis.mass_kg
     return replace(
-        human,
-        **{
-            name: replace(
-                part,
-                mass_kg=factors[name] * part.mass_kg,
-                inertia_kg_m2=factors[name] * part.inertia_kg_m2,
-            )
-            for name, part in parts.items()
-        },
+        human, **{n: part.heavier(factors[n]) for n, part in parts.items()}
     )
 
 

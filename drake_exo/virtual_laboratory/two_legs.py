@@ -50,18 +50,18 @@ from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import HumanParameters
 from drake_exo.virtual_laboratory.campaign import (
-    EMPTY,
     after_chair,
     foot_ground_section,
     interaction_section,
-    laboratory_section,
     prediction_section,
+    recording_sections,
+    to_frames,
     vary,
     write_happened,
+    write_yaml,
 )
 from drake_exo.virtual_laboratory.forces import levelled, resting_foot
 from drake_exo.virtual_laboratory.instruments import (
-    MARKER_RATE_HZ,
     PLATES,
     Faults,
     Laboratory,
@@ -72,7 +72,6 @@ from drake_exo.virtual_laboratory.instruments import (
     mats_of,
     record_pressure,
     slides,
-    study_markers,
     write_scans,
 )
 from drake_exo.virtual_laboratory.plan import (
@@ -103,6 +102,7 @@ MOVEMENTS = ("rise", "squat", "walk")
 # What acts of the disturbances: those of a wide truth do not.
 ACTING = (*TRUTH, *MEASUREMENT)
 _STANDING_S = 2.0
+_PLATES = {side: PLATES[side] for side in SIDES}
 _VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
 # Knees stay bent: a straight leg cannot give way to the other one.
 _STANDING = Posture(shank=9.0, knee=14.0, trunk=2.0)
@@ -217,16 +217,8 @@ def write_movements(
     about = {"seed": seed, "disturbances": active, "left_share": left_share}
     write_parameters(folder / "truth", subject.truth, about)
     path = folder / "study.yaml"
-    path.write_text(
-        f"# A virtual subject of two legs: {movement}.\n"
-        + yaml.dump(
-            _study(subject, laboratory, movement, mats, entries),
-            sort_keys=False,
-            default_flow_style=None,
-            width=78,
-        ),
-        encoding="utf-8",
-    )
+    study = _study(subject, laboratory, movement, mats, entries)
+    write_yaml(path, f"A virtual subject of two legs: {movement}.", study)
     return path
 
 
@@ -341,8 +333,7 @@ def _stand(subject: TwoLegs, laboratory: Laboratory, seed, tell) -> dict:
     happened = _happens("standing", subject, plan, None, 0.5, tell, None)
     rng = np.random.default_rng([seed, 22])
     laboratory.record_motion(happened, rng, hidden=False)
-    if "plate_drift" in laboratory.disturbances:
-        laboratory.record_empty(EMPTY, rng)
+    laboratory.record_empty(rng)
     return write_scans(
         laboratory.folder, subject.model, happened.q[-1], subject.mats
     )
@@ -399,8 +390,8 @@ def _record(
     return {
         "name": name,
         **used,
-        "plates": {side: PLATES[side] for side in SIDES},
-        **_empty(laboratory),
+        "plates": dict(_PLATES),
+        **laboratory.empty_files,
         **window,
     }
 
@@ -423,11 +414,8 @@ def _stands(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
     begin = plan.quiet_s - _QUIET_S
     if seat is not None:
         begin = after_chair(happened)
-    start, end = np.round(np.array([begin, end]) * MARKER_RATE_HZ)
-    return happened, {
-        "start_s": float(start / MARKER_RATE_HZ),
-        "end_s": float(end / MARKER_RATE_HZ),
-    }
+    start, end = to_frames(begin, end)
+    return happened, {"start_s": start, "end_s": end}
 
 
 def _walks(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
@@ -455,12 +443,6 @@ def _walks(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
     return happened, {"start_s": start, "end_s": end}
 
 
-def _empty(laboratory: Laboratory) -> dict:
-    if "plate_drift" not in laboratory.disturbances:
-        return {}
-    return {"empty_plates": laboratory.motion_files(EMPTY)["forces"]}
-
-
 def _study(
     subject: TwoLegs, laboratory: Laboratory, movement: str, mats, entries
 ) -> dict:
@@ -468,32 +450,14 @@ def _study(
     for k, entry in enumerate(entries):
         last = k > 0 and k == len(entries) - 1
         entry["use"] = "prediction" if last else "calibration"
-    human, model = subject.truth.human, subject.files
-    walks = movement == "walk"
+    model, walks = subject.files, movement == "walk"
     if walks:  # three spheres let a foot roll
         spheres = ["heel", "ball", "toe"]
         model = model | {"ground": {f"foot_{s}": spheres for s in SIDES}}
     study = {
-        "subject": {
-            "name": "virtual_subject",
-            "mass_kg": round(human.mass_kg, 3),
-            "height_m": round(human.height_m, 4),
-            "sex": "male",
-        },
-        "model": model,
-        "gravity_m_s2": subject.model.gravity_m_s2,
-        "filter": {"cutoff_hz": 10.0 if walks else 6.0, "order": 4},
-        "laboratory": laboratory_section(
-            laboratory.files, laboratory.disturbances
+        **recording_sections(
+            subject.truth, laboratory, model, _PLATES, 10.0 if walks else 6.0
         ),
-        "standing": {
-            **laboratory.motion_files("standing"),
-            "plates": {side: PLATES[side] for side in SIDES},
-            **_empty(laboratory),
-            "start_s": 0.5,
-        },
-        "scaling": {"lengths": "markers", "trunk_com": "table"},
-        "markers": study_markers(),
         **({"mats": mats} if mats else {}),
         "trials": entries,
         "foot_ground": foot_ground_section(legs=2),

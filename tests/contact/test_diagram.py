@@ -347,7 +347,7 @@ def test_ports_of_each_kind():
 def test_a_cuff_that_is_off_preloads_the_bushing():
     human = nominal_human()
     x, z = human.thigh_cuff_m
-    device = fit_exoskeleton(human, {"thigh_cuff_m": (x + 0.004, z)})
+    device = replace(fit_exoskeleton(human), thigh_cuff_m=(x + 0.004, z))
     model = build_diagram(Model("coupled", human, device))
     context = model.diagram.CreateDefaultContext()
     deflections = model.diagram.GetOutputPort("deflections").Eval(context)

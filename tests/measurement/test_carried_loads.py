@@ -1,5 +1,7 @@
 """What a person carries: wrenches, moments, the study's keys."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_recording import POINTS, write_recording
@@ -12,7 +14,7 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Load
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.description import nominal_human
-from drake_exo.model.segments import SegmentParameters, with_overrides
+from drake_exo.model.segments import SegmentParameters
 from drake_exo.study import StudyFile, read_study
 
 KG, AT = 12.0, (0.25, 0.35)
@@ -33,7 +35,7 @@ def heavier(human):
     inertia = trunk.inertia_kg_m2 + trunk.mass_kg * off(trunk.com_m)
     inertia += KG * off(AT)
     whole = SegmentParameters(mass, tuple(com), inertia, trunk.length_m)
-    return with_overrides(human, {"pelvis": vars(whole)}, "human")
+    return replace(human, pelvis=whole)
 
 
 def test_a_mass_on_the_trunk_is_a_heavier_trunk():

@@ -12,6 +12,7 @@ from drake_exo.files.opensim import read_table
 from drake_exo.measurement import kinematics
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.kinematics import (
+    ankle_paths,
     build_marker_model,
     merge_legs,
     residual_rms,
@@ -59,7 +60,7 @@ def test_plants_own_motion_comes_back(tree, human, model):
     q[:, 2] = 0.1 * np.sin(time)
     data = marker_data(tree, human, time, q)
     poses = solve_poses(model, FRAME.points(data.of(model.names)))
-    found, ankles = merge_legs(model, poses)
+    found, ankles = merge_legs(model, poses), ankle_paths(model, poses)
     np.testing.assert_allclose(found, q, atol=1e-8)
     np.testing.assert_allclose(ankles["left"], q[:, :2], atol=1e-9)
     assert max(residual_rms(model, poses).values()) < 1e-8
@@ -92,7 +93,7 @@ def test_any_axes_of_the_laboratory(
     q = motion(time, human)
     data = turned(marker_data(tree, human, time, q))
     poses = solve_poses(model, frame.points(data.of(model.names)))
-    np.testing.assert_allclose(merge_legs(model, poses)[0], q, atol=1e-8)
+    np.testing.assert_allclose(merge_legs(model, poses), q, atol=1e-8)
 
 
 def test_angles_of_the_legs_are_averaged(tree, human, model):
@@ -112,7 +113,7 @@ def test_angles_of_the_legs_are_averaged(tree, human, model):
     p = np.where(left[None, :, None], a.positions, b.positions)
     data = replace(a, positions=p)
     poses = solve_poses(model, FRAME.points(data.of(model.names)))
-    found, ankles = merge_legs(model, poses)
+    found, ankles = merge_legs(model, poses), ankle_paths(model, poses)
     np.testing.assert_allclose(found, 0.5 * (q + bent), atol=1e-8)
     np.testing.assert_allclose(ankles["right"], bent[:, :2], atol=1e-9)
 
@@ -136,7 +137,7 @@ def test_one_leg_alone(tree, human, markers):
     q = motion(np.array([0.0, 2.0]), human)
     data = marker_data(tree, human, np.array([0.0, 2.0]), q)
     poses = solve_poses(model, FRAME.points(data.of(model.names)))
-    np.testing.assert_allclose(merge_legs(model, poses)[0], q, atol=1e-8)
+    np.testing.assert_allclose(merge_legs(model, poses), q, atol=1e-8)
 
 
 def test_a_marker_without_weight_has_no_say(tree, human, markers):
@@ -146,7 +147,7 @@ def test_a_marker_without_weight_has_no_say(tree, human, markers):
     data = marker_data(tree, human, np.array([2.0]), q)
     data.positions[:, data.names.index("L_sh1"), 0] += 0.1
     poses = solve_poses(model, FRAME.points(data.of(model.names)))
-    np.testing.assert_allclose(merge_legs(model, poses)[0], q, atol=1e-8)
+    np.testing.assert_allclose(merge_legs(model, poses), q, atol=1e-8)
     assert residual_rms(model, poses)["L_sh1"] == pytest.approx(0.1)
 
 
@@ -318,7 +319,7 @@ def test_each_leg_has_its_own_angles(tree, human, model):
                 [foot - shank, thigh - shank, thigh - at["pelvis"]]
             ),
         )
-    mean = kinematics.merge_legs(model, poses)[0][:, 3:]
+    mean = kinematics.merge_legs(model, poses)[:, 3:]
     np.testing.assert_allclose(mean, 0.5 * (found["left"] + found["right"]))
 
 
@@ -346,7 +347,7 @@ def test_toes_are_counted_from_the_foot(tree, human, markers):
         ankles={"left": np.zeros(5, complex)},
         index=lambda s, side: segments.index(f"{s}_{side}"),
     )
-    q, _ = kinematics.merge_legs(
+    q = kinematics.merge_legs(
         model, kinematics.Poses(np.array([1.0 + 2.0j]), angles, None)
     )
     np.testing.assert_allclose(q, [[1.0, 2.0, 0.4, 0.7, 0.5, 0.1, 0.5]])

@@ -103,7 +103,7 @@ def test_a_trunk_is_moved_until_standing_is_in_balance(kind):
 def weighed(assembly, stated, force):
     settings = SimpleNamespace(
         assembly=assembly,
-        exoskeleton={},
+        exoskeleton=None,
         gravity_m_s2=10.0,
         subject=SimpleNamespace(mass_kg=stated),
         standing=SimpleNamespace(forces="s.mot"),
@@ -142,7 +142,7 @@ def test_the_ball_of_a_measured_foot_is_a_spheres_radius_above_the_floor():
     """In front of the ankle as tables say."""
     settings = SimpleNamespace(
         assembly=Assembly(Person("two", "hinged")),
-        subject=SimpleNamespace(height_m=1.75, sex="male", segments={}),
+        subject=SimpleNamespace(height_m=1.75, sex="male", segments=None),
         laboratory=SimpleNamespace(
             marker_axes=SimpleNamespace(
                 frame=SimpleNamespace(points=lambda p: p[..., [0, 2]])
@@ -173,7 +173,7 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
         total=lambda feet: F_z, at=lambda t: {}, chair_at=lambda t: None,
         source="f.mot",
     )  # fmt: skip
-    monkeypatch.setattr(processing, "_needed", lambda *_: 2.0 * F_z)
+    monkeypatch.setattr(processing, "needed_force", lambda *_: 2.0 * F_z)
     monkeypatch.setattr(processing, "_rises", lambda *_: [])
     monkeypatch.setattr(processing, "force_delay", lambda *said: said)
     lab = SimpleNamespace(largest_delay_s=0.2)

@@ -11,11 +11,25 @@ from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.analysis import Simulator
 
+from drake_exo.errors import InputError
 from drake_exo.model.description import fit_exoskeleton, models_path
-from drake_exo.model.plant import KINDS, build_plant, nominal_model
-from drake_exo.model.segments import scale_human
+from drake_exo.model.plant import KINDS, Model, nominal_model
+from drake_exo.model.segments import (
+    ExoskeletonOverrides,
+    HumanOverrides,
+    SegmentOverrides,
+    scale_human,
+    with_overrides,
+)
 
 COUPLED = nominal_model("coupled").coordinates
+
+
+def build_plant(kind, human=None, exoskeleton=None, plant=None, **gravity):
+    human = human or scale_human(70.0, 1.75)
+    if kind != "human":
+        exoskeleton = exoskeleton or fit_exoskeleton(human)
+    return Model(kind, human, exoskeleton, **gravity).plant(plant)
 
 
 def aligned(body):
@@ -184,22 +198,26 @@ OPENSIM_EXO = {
 def overrides(table):
     names = ("mass_kg", "com_m", "inertia_kg_m2", "length_m")
     return {
-        segment: dict(zip(names, values, strict=True))
+        segment: SegmentOverrides(**dict(zip(names, values, strict=True)))
         for segment, values in table.items()
     }
 
 
 def opensim_plant():
-    human = scale_human(70.0, 1.75, overrides=overrides(OPENSIM_HUMAN))
+    human = with_overrides(
+        scale_human(70.0, 1.75),
+        HumanOverrides(**overrides(OPENSIM_HUMAN)),
+        "human",
+    )
     exoskeleton = fit_exoskeleton(
         human,
-        {
+        ExoskeletonOverrides(
             **overrides(OPENSIM_EXO),
-            "heel_m": (-0.045, -0.058),
-            "toe_m": (0.165, -0.055),
-        },
+            heel_m=(-0.045, -0.058),
+            toe_m=(0.165, -0.055),
+        ),
     )
-    return build_plant("coupled", human, exoskeleton, gravity=9.80665)
+    return build_plant("coupled", human, exoskeleton, gravity_m_s2=9.80665)
 
 
 def contact_generalized_forces(plant, q, sphere, force, radius):
@@ -268,7 +286,7 @@ def test_energy_of_a_falling_tumbling_chain_is_kept(kind):
 
 
 def test_centre_of_mass_falls_with_the_set_gravity():
-    plant = build_plant("coupled", gravity=1.62)
+    plant = build_plant("coupled", gravity_m_s2=1.62)
     context = plant.CreateDefaultContext()
     forces = plant.CalcGravityGeneralizedForces(context)
     assert forces[1] == pytest.approx(-85.0 * 1.62)
@@ -361,16 +379,16 @@ def test_model_files_are_found_by_package_url():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"kind": "planar"}, "kind must be one of"),
-        ({"kind": "rigid", "gravity": -9.81}, "magnitude"),
+        ({"kind": "planar"}, "no model 'planar'"),
+        ({"kind": "rigid", "gravity_m_s2": -9.81}, "at least 0"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(InputError, match=words):
         build_plant(**arguments)
 
 
 def test_human_plant_takes_no_exoskeleton():
     device = fit_exoskeleton(scale_human(70.0, 1.75))
-    with pytest.raises(ValueError, match="no exoskeleton"):
+    with pytest.raises(InputError, match="no exoskeleton"):
         build_plant("human", exoskeleton=device)

@@ -100,9 +100,9 @@ _MODELS = """
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from drake_exo.model.description import (models_path)
-from drake_exo.model.plant import build_plant
+from drake_exo.model.plant import nominal_model
 
-assert build_plant("coupled").num_positions() == 9
+assert nominal_model("coupled").plant().num_positions() == 9
 plant = MultibodyPlant(0.0)
 parser = Parser(plant)
 parser.package_map().AddPackageXml(str(models_path() / "package.xml"))

@@ -11,8 +11,6 @@ from drake_exo.report.scene import (
     HALFWAY_DEG,
     STANDING_DEG,
     Scene,
-    write_page,
-    write_png,
 )
 
 
@@ -55,21 +53,6 @@ def test_picture_shows_a_subject_of_the_right_height():
     rows = np.flatnonzero(coloured.any(axis=1))
     assert 0.5 * 160 < np.ptp(rows) < 0.9 * 160
     assert (picture[0] == 255).all()  # white above the head
-
-
-def test_picture_is_written_as_png(tmp_path):
-    write_png(tmp_path / "a.png", np.zeros((4, 6, 3), dtype=np.uint8))
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_page_is_small_and_repeats_itself(tmp_path):
-    for name in ("a", "b"):
-        path = tmp_path / f"{name}.html"
-        write_page(path, nominal_model(), chair_height_m=0.43)
-    page = (tmp_path / "a.html").read_bytes()
-    assert page == (tmp_path / "b.html").read_bytes()
-    assert 1e6 < len(page) < 20e6
 
 
 def test_pose_of_another_plant_is_refused():

@@ -377,13 +377,14 @@ def test_a_movement_is_helped_from_the_chair_to_the_stand(job, monkeypatch):
     ):
         entry = job.record(campaign.Repetition(mode, "legs", 5))
         name, meant, seat, share, span, *_ = job.asked[-1]
-        assert name == entry.name == f"{mode}_legs_5_3"
+        assert name == entry["name"] == f"{mode}_legs_5_3"
         assert meant == (plan, "seat") and seat == "seat"
         assert share == help_share
         assert span == pytest.approx((0.3 + 0.6 + 0.08, 0.3 + 0.6 + 0.9 + 0.1))
-        assert entry.use == ("prediction" if entry.assisted else "calibration")
+        use = "prediction" if "exo_moments" in entry else "calibration"
+        assert entry["use"] == use and (mode == "assisted") == any(share)
         # The chair's last millisecond, 80 ms later, to the frame.
-        assert (entry.start_s, entry.end_s) == (1.48, 1.9)
+        assert (entry["start_s"], entry["end_s"]) == (1.48, 1.9)
 
 
 def test_scans_are_taken_at_the_end_of_standing(job):

@@ -297,7 +297,7 @@ def test_plates_have_an_offset_that_drifts(tmp_path):
 def test_empty_plates_show_the_offset_without_drift(tmp_path):
     made = laboratory(tmp_path, "plate_drift")
     # The copy that writes shares the dictionary of what was written.
-    made.record_empty("empty", np.random.default_rng(0))
+    made.record_empty(np.random.default_rng(0))
     for number, plate in enumerate(made.written["plates"], 1):
         shown = wrench(plate)
         assert shown.shape == (2001, 3)  # two seconds

@@ -384,8 +384,11 @@ def written_study(tmp_path, active, files="c3d", **faults):
         Faults(**faults),
     )
     entries = [
-        campaign.Entry("one", "calibration", "pelvis", False, 1.25, 2.5),
-        campaign.Entry("two", "prediction", "legs", True, 1.0, 2.0),
+        campaign.trial_section(laboratory, movement, *window)
+        for movement, window in (
+            (campaign.Repetition("passive", "pelvis", 4), (1.25, 2.5)),
+            (campaign.Repetition("assisted", "legs", 3), (1.0, 2.0)),
+        )
     ]
     path = tmp_path / "study.yaml"
     campaign.write_study(path, made, laboratory, {}, entries)
@@ -417,7 +420,7 @@ def test_the_study_tells_what_a_laboratory_knows(tmp_path):
     assert (one["start_s"], one["end_s"]) == (1.25, 2.5)
     assert (one["use"], two["use"]) == ("calibration", "prediction")
     assert "exo_moments" not in one
-    assert two["exo_moments"] == "two_moments.csv"
+    assert two["exo_moments"] == "assisted_legs_3_3_moments.csv"
     assert one["pressure"][0]["mats"] == ["pelvis_front", "pelvis_back"]
     assert two["plates"] == {"left": 1, "right": 2, "chair": 3}
     noise = {p: study[p]["noise"] for p in ("foot_ground", "interaction")}
@@ -429,7 +432,7 @@ def test_the_study_tells_what_a_laboratory_knows(tmp_path):
     _, plain = written_study(tmp_path, [], "opensim")
     assert plain["laboratory"] == {}
     assert "empty_plates" not in plain["trials"][0]
-    assert plain["trials"][1]["exo_moments"] == "two_moments.mot"
+    assert plain["trials"][1]["exo_moments"] == "assisted_legs_3_3_moments.mot"
 
 
 def reference() -> Reference:

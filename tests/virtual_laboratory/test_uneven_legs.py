@@ -33,6 +33,8 @@ from drake_exo.virtual_laboratory import plan, two_legs
 from drake_exo.virtual_laboratory.forces import ground_wrench, resting_foot
 from drake_exo.virtual_laboratory.instruments import (
     CELL_AREA_M2,
+    Faults,
+    Laboratory,
     cell_pressures,
     write_scans,
 )
@@ -346,10 +348,13 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
 
 def written(subject, movement, active=()):
     """The study of three movements by such a subject."""
-    laboratory = SimpleNamespace(
+    nothing = {"markers": {}, "slide": None, "offsets": {}, "tree": None}
+    laboratory = Laboratory(
+        Path(),
         files="c3d",
         disturbances=frozenset(active),
-        motion_files=lambda name: {"forces": f"{name}.c3d"},
+        faults=Faults(),
+        **nothing,
     )
     entries = [{"name": f"{movement}_{k}"} for k in (1, 2, 3)]
     return two_legs._study(subject, laboratory, movement, {}, entries)
@@ -434,7 +439,9 @@ def test_who_stands_is_scanned_at_the_end(worn, tmp_path, monkeypatch):
         two_legs, "write_scans", lambda folder, model, q, mats: (q, mats)
     )
     laboratory = SimpleNamespace(
-        folder=tmp_path, disturbances=(), record_motion=lambda *_, **__: None
+        folder=tmp_path,
+        record_motion=lambda *_, **__: None,
+        record_empty=lambda *_: None,
     )
     q, mats = two_legs._stand(subject, laboratory, 3, None)
     ((name, plan, seat, help_share),) = asked
