@@ -54,8 +54,7 @@ _JOINTS = ("ankle", "knee", "hip")
 
 
 # Standard deviation of each signal as it reaches a phase: markers slide on
-# skin, the foot's do not; mats resolve 2.5 kPa on some thirty loaded cells of
-# 2 cm^2: 0.8 N a sample, less than half of it after the filter.
+# skin, the foot's do not.
 _NOISE = {
     "angle_deg": 0.5,
     "velocity_deg_s": 4.0,

@@ -256,13 +256,18 @@ def _made(problem: PhaseProblem, mats) -> list[Trial]:
 
 
 def rises_on_spheres(
-    count: int = 3, nodes_per_second: float = 100.0
+    count: int = 3,
+    nodes_per_second: float = 100.0,
+    duration_s: float = 1.5,
+    seed: int = 0,
 ) -> tuple[Model, list[Trial]]:
     """The nominal adult alone, rising on the default settings' spheres.
 
     Args:
         count: of trials, named rise1, rise2, ...
         nodes_per_second: of the grid on which they are exact.
+        duration_s: of each.
+        seed: of the random numbers.
 
     >>> model, trials = rises_on_spheres(1, nodes_per_second=40)
     >>> trials[0].name, model.kind
@@ -271,7 +276,8 @@ def rises_on_spheres(
     model = nominal_model("human")
     settings = FootGroundSettings(solver=Solver(nodes_per_second))
     truth = settings.parameters(model.spheres)
-    return model, consistent(model, rises(count), truth, settings)
+    drawn = rises(count, duration_s, seed)
+    return model, consistent(model, drawn, truth, settings)
 
 
 @dataclass(frozen=True)
@@ -364,6 +370,7 @@ def rises_in_device(
     count: int = 3,
     nodes_per_second: float = 50.0,
     duration_s: float = 1.5,
+    seed: int = 0,
     model: Model | None = None,
 ) -> RisesInDevice:
     """The nominal adult rises in a passive exoskeleton on known cuffs.
@@ -376,6 +383,7 @@ def rises_in_device(
             device have theirs always.
         nodes_per_second: of its grid.
         duration_s: of each movement.
+        seed: of the rises.
         model: one leg in a device; the shipped one by default.
 
     Raises:
@@ -399,7 +407,7 @@ def rises_in_device(
     ).with_values(truth)
     drawn = [
         _on_ground(draw(model.tree, rise), model)
-        for rise in rises(count, duration_s)
+        for rise in rises(count, duration_s, seed)
     ]
     problem = _PassiveDevice(model, drawn, contact, [], settings)
     cycle = MATS if model.assembly.is_fitted else (tuple(model.cuffs),)
