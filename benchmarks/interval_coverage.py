@@ -13,8 +13,8 @@ from functools import cache
 
 import numpy as np
 
-from drake_exo.batch.jobs import run_calls
 from drake_exo.calibration.uncertainty import uncertainty
+from drake_exo.jobs.engine import run_calls
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
     noisy,

@@ -25,7 +25,6 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.batch.jobs import run_calls
 from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import (
     FootGroundSettings,
@@ -33,6 +32,7 @@ from drake_exo.calibration.settings import (
     Solver,
     SphereSettings,
 )
+from drake_exo.jobs.engine import run_calls
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.gathering import format_table
 from drake_exo.study import read_study

@@ -21,7 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from drake_exo.batch.jobs import Cluster, Job, run_jobs
+from drake_exo.jobs.engine import Cluster, Job, run_jobs
 from drake_exo.report.gathering import format_table
 
 # Many workers in one process, on one event loop: what sleeps needs no more.
@@ -53,7 +53,7 @@ class SleepingCluster(Cluster):
 
 
 def _sleep(job: Job):
-    from drake_exo.batch.jobs import Ended
+    from drake_exo.jobs.engine import Ended
 
     time.sleep(job.arguments["seconds"])
     return Ended(job.name, "done", "holds", seconds=job.arguments["seconds"])

@@ -25,12 +25,12 @@ from scipy.linalg import toeplitz
 from scipy.stats import norm
 
 import drake_exo as dx
-from drake_exo.batch.jobs import run_calls
 from drake_exo.calibration.audit import rms
 from drake_exo.calibration.clocks import LARGEST_DOUBT_S, Clock
 from drake_exo.calibration.error_model import ErrorSizes
 from drake_exo.files.opensim import read_table
 from drake_exo.files.output import read_json
+from drake_exo.jobs.engine import run_calls
 from drake_exo.measurement.filters import low_pass
 from drake_exo.study import uncalibrated
 

@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drake_exo.batch.jobs import run_calls
+from drake_exo.jobs.engine import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
 from drake_exo.soles.optimize.search import optimise, race
 from drake_exo.soles.settings import Setup

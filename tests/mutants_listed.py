@@ -8,6 +8,7 @@ _SOLES = "tests/soles"
 TESTS = {
     "drake_exo/": ["tests/test_api.py", "tests/test_study.py"],
     "drake_exo/batch/": ["tests/batch"],
+    "drake_exo/jobs/": ["tests/jobs", "tests/batch"],
     "drake_exo/calibration/": _CALIBRATION,
     "drake_exo/calibration/audit.py": [
         "tests/calibration/test_audit.py",

@@ -35,9 +35,9 @@ from drake_exo.batch.file import (
     read_batch,
     tasks_of,
 )
-from drake_exo.batch.jobs import BatchProgress, Ended, Job, Pool, run_jobs
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.output import MANIFEST, write_json
+from drake_exo.jobs.engine import BatchProgress, Ended, Job, Pool, run_jobs
 
 TASK, TIMING = "task.json", "timing.json"
 DRAFTS = ".drafts"

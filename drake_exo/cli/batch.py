@@ -8,9 +8,9 @@ import argparse
 import os
 from pathlib import Path
 
-from drake_exo.batch.jobs import Processes
 from drake_exo.batch.results import is_told, write_results
 from drake_exo.batch.run import Batch, run_batch
+from drake_exo.jobs.engine import Processes
 
 _PARSE = "drake_exo.cli:parse"
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     def open_pool():
         if args.scheduler is None:
             return Processes(args.workers, args.memory)
-        from drake_exo.batch.jobs import Cluster
+        from drake_exo.jobs.engine import Cluster
 
         cluster = Cluster(args.scheduler, args.memory)
         print(f"{cluster.workers()} workers", flush=True)

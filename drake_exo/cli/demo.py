@@ -13,7 +13,6 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 
-from drake_exo.batch.jobs import Beside, second_process
 from drake_exo.calibration.clocks import Clock
 from drake_exo.cli import add_out
 from drake_exo.cli.calibrate import write_interaction
@@ -28,6 +27,7 @@ from drake_exo.files.output import (
     OutputFolder,
     prepare_output_folder,
 )
+from drake_exo.jobs.engine import Beside, second_process
 from drake_exo.report.gathering import gather
 from drake_exo.study import Study, find_clocks, read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from drake_exo.batch.jobs import BatchProgress, Ended, Job, Processes, run_jobs
 from drake_exo.files.output import (
     Check,
     Progress,
@@ -24,6 +23,7 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
+from drake_exo.jobs.engine import BatchProgress, Ended, Job, Processes, run_jobs
 from drake_exo.soles import finite_strain
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern

@@ -9,13 +9,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from drake_exo.batch import jobs, process_child, results, run
+from drake_exo.batch import results, run
 from drake_exo.batch.file import Task, variant_name
-from drake_exo.batch.jobs import Ended, Job, Worker
 from drake_exo.batch.results import Row
 from drake_exo.batch.run import outcome
 from drake_exo.errors import InputError
 from drake_exo.files.output import HOLDS, write_json
+from drake_exo.jobs import engine as jobs
+from drake_exo.jobs import process_child
+from drake_exo.jobs.engine import Ended, Job, Worker
 
 CALIBRATE = Task(
     "anna/calibrate", "anna", "", "calibrate", source=Path("/b/anna.yaml"),

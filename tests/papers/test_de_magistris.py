@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.batch.jobs import Ended
 from drake_exo.files.output import Check, Verdict
+from drake_exo.jobs.engine import Ended
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles import pictures
 from drake_exo.soles.load_blocks import LoadBlock, Pattern

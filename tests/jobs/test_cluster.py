@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from drake_exo.batch.jobs import Cluster, Job, run_jobs
 from drake_exo.errors import InputError
+from drake_exo.jobs.engine import Cluster, Job, run_jobs
 
 pytestmark = pytest.mark.slow
 HERE = "example_jobs:"

@@ -8,13 +8,13 @@ import time
 import example_jobs
 import pytest
 
-from drake_exo.batch.jobs import run_calls, second_process
 from drake_exo.errors import InputError
+from drake_exo.jobs.engine import run_calls, second_process
 
 pytestmark = pytest.mark.slow
 
 SCRIPT = """
-from drake_exo.batch.jobs import run_calls
+from drake_exo.jobs.engine import run_calls
 
 def square(x):
     return x * x

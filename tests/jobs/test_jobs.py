@@ -11,7 +11,8 @@ import time
 import numpy as np
 import pytest
 
-from drake_exo.batch.jobs import (
+from drake_exo.errors import InputError
+from drake_exo.jobs.engine import (
     ATTEMPTS,
     BatchProgress,
     Ended,
@@ -19,7 +20,6 @@ from drake_exo.batch.jobs import (
     Processes,
     run_jobs,
 )
-from drake_exo.errors import InputError
 
 HERE = "example_jobs:"
 
@@ -178,8 +178,8 @@ def test_memory_is_bounded_and_the_job_named():
 def test_a_worker_ends_with_its_master():
     script = (
         "import sys, time\n"
-        "from drake_exo.batch.jobs import Job\n"
-        "from drake_exo.batch.jobs import Worker\n"
+        "from drake_exo.jobs.engine import Job\n"
+        "from drake_exo.jobs.engine import Worker\n"
         "w = Worker()\n"
         "w.start(Job('nap', 'example_jobs:sleep', {'seconds': 60}))\n"
         "print(w._process.pid, flush=True)\n"

@@ -346,7 +346,7 @@ class Worker:
         # out the same wherever a job runs.
         env = os.environ | dict.fromkeys(_THREADS, "1")
         env["PYTHONPATH"] = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        command = [sys.executable, "-m", "drake_exo.batch.process_child"]
+        command = [sys.executable, "-m", "drake_exo.jobs.process_child"]
         if self.memory_mb is not None:
             command.append(str(self.memory_mb))
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 (outlives this)
@@ -427,7 +427,7 @@ class Worker:
 
 
 class Processes(Pool):
-    """Workers on this machine; see `jobs.Pool`.
+    """Workers on this machine; see `Pool`.
 
     Args:
         workers: processes at once.
@@ -438,15 +438,15 @@ class Processes(Pool):
         self._workers = [Worker(memory_mb) for _ in range(workers)]
 
     def room(self) -> int:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         return sum(w.job is None for w in self._workers)
 
     def start(self, job: Job) -> None:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         next(w for w in self._workers if w.job is None).start(job)
 
     def wait(self, seconds: float) -> list[Ended]:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         busy = {w.pipe: w for w in self._workers if w.job is not None}
         ended = []
         for pipe in wait_for(list(busy), seconds):
@@ -459,12 +459,12 @@ class Processes(Pool):
         return ended
 
     def running(self) -> dict[str, float]:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         now = time.monotonic()
         return {w.job.name: now - w.since for w in self._workers if w.job}
 
     def workers(self) -> int:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         return len(self._workers)
 
     def interrupt(self) -> None:
@@ -473,7 +473,7 @@ class Processes(Pool):
             worker.interrupt()
 
     def close(self) -> None:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         for worker in self._workers:
             worker.close()
 
@@ -603,7 +603,7 @@ def run_on_worker(job: Job, memory_mb: int | None) -> Ended:
 
 
 class Cluster(Pool):
-    """Workers behind a Dask scheduler; see `jobs.Pool`.
+    """Workers behind a Dask scheduler; see `Pool`.
 
     Args:
         address: of the scheduler, tcp://HOST:PORT, or tls:// with
@@ -660,7 +660,7 @@ class Cluster(Pool):
         return 2**31
 
     def start(self, job: Job) -> None:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         self._jobs[job.name] = job
         self._since[job.name] = time.monotonic()
         self._submit(job)
@@ -677,7 +677,7 @@ class Cluster(Pool):
         future.add_done_callback(self._done.put)
 
     def wait(self, seconds: float) -> list[Ended]:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         if self._client.status != "running":
             self._begin_again()
         ended = []
@@ -721,13 +721,13 @@ class Cluster(Pool):
         return found
 
     def workers(self) -> int:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         with contextlib.suppress(OSError, TimeoutError, ValueError):
             return sum(self._client.nthreads().values())
         return 1
 
     def close(self) -> None:
-        """See `jobs.Pool`."""
+        """See `Pool`."""
         with contextlib.suppress(OSError, TimeoutError):
             self._client.cancel(list(self._futures), force=True)
             self._client.close(timeout=2)

@@ -1,4 +1,4 @@
-"""A process that runs one job after the other; see `jobs.Worker`.
+"""A process that runs one job after the other; see `engine.Worker`.
 
 Jobs come as pickles on standard input, answers go back on what was standard
 output; what a job prints goes to standard error.

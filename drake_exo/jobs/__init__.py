@@ -1,0 +1,1 @@
+"""Jobs that need each other, on processes of this machine or a cluster."""
