@@ -21,7 +21,7 @@ import numpy as np
 
 from drake_exo.jobs.engine import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
-from drake_exo.soles.optimize.search import optimise, race
+from drake_exo.soles.optimize.search import optimise
 from drake_exo.soles.settings import Setup
 
 STARTS = 3
@@ -44,11 +44,10 @@ def best_of_three(root, number, coarse, iterations):
         iterations: of the last stage; None: as it says.
     """
     setup = setup_of(root, coarse).with_iterations(iterations)
-    at = race(setup, None, str, first=1 + STARTS * number)[-1].at
-    design = optimise(setup, None, str, at)
+    design = optimise(setup, None, str, first=1 + STARTS * number)
     told = design.summary()
     return {
-        "first_stage": [row["cost"] for row in at.starts],
+        "first_stage": [row["cost"] for row in design.starts],
         "c_over_brick": told["c"] / told["c_initial"],
         "failed_steps": told["failed_steps"],
         "finer_change": (design.check_finer() or {}).get("change"),

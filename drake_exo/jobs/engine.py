@@ -26,7 +26,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
@@ -34,6 +34,7 @@ from typing import Any, Literal, Protocol, TextIO
 
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import Progress
+from drake_exo.jobs.process_child import function_of
 
 POLL_SECONDS = 1.0
 _SHOWN = 8  # running jobs that progress names one by one
@@ -50,6 +51,7 @@ class Job:
         function: "module:name".
         arguments: of the call, by name; they are pickled.
         needs: names of jobs that must have been done before.
+        given: argument that gets what they returned, by name; none if None.
         log: file whose last line tells how far it is; None if there is none.
     """
 
@@ -57,7 +59,12 @@ class Job:
     function: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
+    given: str | None = None
     log: str | None = None
+
+    def told(self, **more) -> Job:
+        """With more arguments."""
+        return replace(self, arguments={**self.arguments, **more})
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,19 @@ class Ended:
     seconds: float = 0.0
     host: str = ""
     attempts: int = 0
+
+    def result(self) -> Any:
+        """What the function returned.
+
+        Raises:
+            InputError: as the function did.
+            RuntimeError: whatever else ended it.
+        """
+        if self.state == "failed" and not self.trace:
+            raise InputError(self.error)
+        if self.state != "done":
+            raise RuntimeError(f"{self.name}: {self.error}\n{self.trace}")
+        return self.value
 
 
 class Pool(Protocol):
@@ -119,7 +139,7 @@ def run_jobs(
     jobs: Sequence[Job],
     pool: Pool,
     on_end: Callable[[Ended], None] | None = None,
-    progress: BatchProgress | None = None,
+    progress: BatchProgress | Heard | None = None,
 ) -> dict[str, Ended]:
     """Run jobs as those that they need are done.
 
@@ -168,11 +188,19 @@ def _begin(waiting, ended, pool, end) -> list[Job]:
             reason = f"not begun: {lacking[0]} was not done"
             end(Ended(job.name, "skipped", error=reason))
         elif room > 0 and all(n in ended for n in job.needs):
-            pool.start(job)
+            pool.start(_given(job, ended))
             room -= 1
         else:
             left.append(job)
     return left
+
+
+def _given(job: Job, ended: Mapping[str, Ended]) -> Job:
+    """The job with what those that it needs have returned."""
+    if job.given is None:
+        return job
+    values = {name: ended[name].value for name in job.needs}
+    return job.told(**{job.given: values})
 
 
 def _failed(row: Ended) -> bool:
@@ -251,13 +279,57 @@ class BatchProgress:
         logs = {job.name: job.log for job in jobs}
         oldest = sorted(running.items(), key=lambda item: -item[1])
         lines += [
-            f"  {name}, {seconds:.0f} s{_last_line(logs[name])}"
+            f"  {name}, {seconds:.0f} s{_told(logs[name])}"
             for name, seconds in oldest[:_SHOWN]
         ]
         if len(oldest) > _SHOWN:
             lines.append(f"  and {len(oldest) - _SHOWN} more")
         print("\n".join(lines), file=self.stream, flush=True)
         return True
+
+
+@dataclass(frozen=True)
+class Log:
+    """Adds lines to a file, from whatever process.
+
+    Attributes:
+        path: of the file.
+    """
+
+    path: str
+
+    def __call__(self, line: str) -> None:
+        """Add one."""
+        with open(self.path, "a", encoding="utf-8") as file:
+            file.write(f"{line}\n")
+
+
+def logged(jobs: Sequence[Job], folder: Path) -> list[Job]:
+    """Jobs each with an argument `say`, whose lines go to logs in a folder."""
+    logs = [str(folder / f"{k}.log") for k in range(len(jobs))]
+    return [
+        replace(job.told(say=Log(log)), log=log)
+        for job, log in zip(jobs, logs, strict=True)
+    ]
+
+
+class Heard:
+    """Passes on what jobs said last; progress for `run_jobs`.
+
+    Args:
+        say: called with a line.
+    """
+
+    def __init__(self, say: Callable[[str], object]):
+        self._say, self._last = say, {}
+
+    def update(self, ended, pool: Pool, jobs: Sequence[Job]) -> None:
+        """Say what is new."""
+        for job in jobs:
+            line = last_line(job.log) if job.log else ""
+            if line and line != self._last.get(job.name):
+                self._last[job.name] = line
+                self._say(line)
 
 
 def _left_seconds(ended, running, jobs, workers) -> float | None:
@@ -290,10 +362,14 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
 
 
-def _last_line(log: str | None) -> str:
+def _told(log: str | None) -> str:
     """What a running job printed last, short."""
-    if log is None:
-        return ""
+    line = "" if log is None else last_line(log)
+    return f": {line[:70]}" if line else ""
+
+
+def last_line(log: str) -> str:
+    """Of a job's log; empty where there is none yet."""
     try:
         with Path(log).open("rb") as file:
             file.seek(0, 2)
@@ -301,7 +377,7 @@ def _last_line(log: str | None) -> str:
             lines = file.read().decode("utf-8", "replace").strip().splitlines()
     except OSError:
         return ""
-    return f": {lines[-1].strip()[:70]}" if lines else ""
+    return lines[-1].strip() if lines else ""
 
 
 ATTEMPTS = 3  # of a job whose process ends under it
@@ -478,6 +554,38 @@ class Processes(Pool):
             worker.close()
 
 
+class Here(Pool):
+    """The process that asks, one job at a time; what a job raises is raised."""
+
+    def __init__(self):
+        self._job: Job | None = None
+
+    def room(self) -> int:
+        """See `Pool`."""
+        return int(self._job is None)
+
+    def start(self, job: Job) -> None:
+        """See `Pool`; `wait` makes the call."""
+        self._job = job
+
+    def wait(self, seconds: float) -> list[Ended]:
+        """See `Pool`."""
+        job, self._job = self._job, None
+        value = function_of(job.function)(**job.arguments)
+        return [Ended(job.name, "done", value, attempts=1)]
+
+    def running(self) -> dict[str, float]:
+        """See `Pool`."""
+        return {}
+
+    def workers(self) -> int:
+        """See `Pool`."""
+        return 1
+
+    def close(self) -> None:
+        """See `Pool`."""
+
+
 _LEAVE_SECONDS = 20.0  # that a call may take to write what it has
 
 
@@ -543,12 +651,7 @@ class Beside:
         while not ended:
             ended = self._pool.wait(POLL_SECONDS)
             progress.update("at work in another process")
-        (row,) = ended
-        if row.state != "done":
-            if row.state == "failed" and not row.trace:
-                raise InputError(row.error)
-            raise RuntimeError(f"{self._name}: {row.error}\n{row.trace}")
-        return row.value
+        return ended[0].result()
 
     def stop(self) -> None:
         """Ctrl-C for the call, which leaves what it has so far."""

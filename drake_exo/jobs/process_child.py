@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 
 from drake_exo.errors import InputError, reason
 
@@ -25,14 +26,19 @@ def bound_memory(megabytes: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
+def function_of(name: str) -> Callable:
+    """The function of "module:name"."""
+    module, _, name = name.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
 def call(function: str, arguments: dict) -> dict:
     """Answer of a job: state, value or error and trace, seconds, host."""
     start = time.perf_counter()
     answer = {"state": "failed", "host": socket.gethostname()}
     try:
-        module, _, name = function.partition(":")
-        found = getattr(importlib.import_module(module), name)
-        answer |= {"state": "done", "value": found(**arguments)}
+        value = function_of(function)(**arguments)
+        answer |= {"state": "done", "value": value}
     except InputError as error:
         answer["error"] = str(error)
     except MemoryError:

@@ -8,13 +8,12 @@ import base64
 import html
 import time
 from collections.abc import Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from drake_exo.files.output import (
     Check,
-    Progress,
     Verdict,
     joined_mark,
     read_json,
@@ -23,14 +22,25 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
-from drake_exo.jobs.engine import BatchProgress, Ended, Job, Processes, run_jobs
+from drake_exo.jobs.engine import (
+    BatchProgress,
+    Ended,
+    Job,
+    Processes,
+    logged,
+    run_jobs,
+)
 from drake_exo.soles import finite_strain
 from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
-from drake_exo.soles.optimize.search import pareto_front
+from drake_exo.soles.optimize.search import (
+    finished,
+    pareto_front,
+    search_jobs,
+)
 from drake_exo.soles.settings import (
     STAGES,
     Brick,
@@ -70,6 +80,7 @@ _WHOLE = "1-Ref"  # the case with the whole front
 UNLIMITED = "unlimited"
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
 _FRONT, SOLES = "front.json", "soles.png"
+_TOLD = ("/optimize", "/front")  # jobs whose end is worth a line
 
 
 def step_block(root: Path | None) -> LoadBlock:
@@ -185,12 +196,11 @@ class Study:
             for key, cases in self.variants.items()
             for case in cases
         ]
-        jobs = [
-            _job("optimize", out, *one, accepted=tuple(accepted))
-            for one in every
-        ]
+        jobs = []
+        for folder, case in every:
+            jobs += _search(out, folder, case, tuple(accepted))
         if with_front:
-            jobs += [_job("front", out, *one) for one in every]
+            jobs += [_front(out, *one) for one in every]
         summary |= {"load": self.source, "limits": self.limits}
 
         def note() -> None:
@@ -206,20 +216,33 @@ class Study:
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / SUMMARY, summary)
 
+        ended: dict[str, Ended] = {}
+        needs = {job.name: job.needs for job in jobs}
+
+        def cause(row: Ended) -> str:
+            """What went wrong, in a stage before if it was not begun."""
+            while row.state == "skipped":
+                before = (ended[name] for name in needs[row.name])
+                row = next(r for r in before if r.state != "done")
+            return row.error
+
         def end(row: Ended) -> None:
-            print(row.value or f"{row.name}: {row.error}", flush=True)
-            note()
+            ended[row.name] = row
+            if row.name.endswith(_TOLD):
+                print(row.value or f"{row.name}: {cause(row)}", flush=True)
+                note()
 
         try:
-            with Processes(at_once) as pool:
-                ended = run_jobs(jobs, pool, end, BatchProgress("study"))
+            with Processes(at_once) as pool, TemporaryDirectory() as logs:
+                jobs = logged(jobs, Path(logs))
+                run_jobs(jobs, pool, end, BatchProgress("study"))
         except KeyboardInterrupt:
             note()
             raise
         checks = [
-            Check("solved", False, where=row.name, sentence=row.error)
+            Check("solved", False, where=row.name, sentence=cause(row))
             for row in ended.values()
-            if row.state != "done"
+            if row.state != "done" and row.name.endswith(_TOLD)
         ]
         for row in (row for key in self.variants for row in summary[key]):
             checks += stored(row).checks
@@ -231,33 +254,34 @@ class Study:
         return verdict, text
 
 
-def _job(kind: str, out: Path, folder: Path, case: Case, **more) -> Job:
-    """A case's optimisation, or its part of the front."""
+def _search(out: Path, folder: Path, case: Case, accepted) -> list[Job]:
+    """The stages of a case, then its design."""
     folder.mkdir(parents=True, exist_ok=True)
-    log = folder / f"{kind}.log"
-    return Job(
-        f"{folder.relative_to(out).as_posix()}/{kind}",
-        f"{__name__}:{kind}_job",
-        {"folder": folder, "case": case, "log": log} | more,
-        log=str(log),
-    )
+    name = f"{folder.relative_to(out).as_posix()}/"
+    jobs = search_jobs(case, folder, name=name)
+    what = {"folder": folder, "case": case, "accepted": accepted}
+    last = Job(
+        f"{name}optimize", f"{__name__}:optimize_job", what,
+        (jobs[-1].name,), "search",
+    )  # fmt: skip
+    return [*jobs, last]
 
 
-@contextmanager
-def _saying(case: Case, log: Path):
-    """What a job says, to a file that the study reads while it runs."""
-    with log.open("w", encoding="utf-8") as file:
-        yield Progress(case.name, interval_seconds=2.0, stream=file).update
-    log.unlink()
+def _front(out: Path, folder: Path, case: Case) -> Job:
+    """A case's part of the front."""
+    name = f"{folder.relative_to(out).as_posix()}/front"
+    what = {"folder": folder, "case": case}
+    return Job(name, f"{__name__}:front_job", what)
 
 
-def optimize_job(folder: Path, case: Case, log: Path, accepted=()) -> str:
-    """One design, in a process of its own; the line on it."""
-    with _saying(case, log) as say:
-        return line(case.optimize(folder, say).write(folder, say, accepted))
+def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
+    """The design that a search has found, written; the line on it."""
+    (found,) = search.values()
+    design = finished(case, found, say)
+    return line(design.write(folder, say, accepted))
 
 
-def front_job(folder: Path, case: Case, log: Path) -> str:
+def front_job(folder: Path, case: Case, say) -> str:
     """Write a case's part of a study: front.json; says how many points.
 
     The front of 1-Ref; of every other case the paper's own ratio.
@@ -266,8 +290,7 @@ def front_job(folder: Path, case: Case, log: Path) -> str:
     floors = FLOORS
     if case.name != _WHOLE:
         floors = (rot / rot0,)
-    with _saying(case, log) as say:
-        points = pareto_front(case, floors, say)
+    points = pareto_front(case, floors, say)
     points[0]["paper_ratio_tr"] = tr / tr0
     write_json(folder / _FRONT, points)
     return f"{case.name}: {len(points)} points of the front"

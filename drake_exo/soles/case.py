@@ -107,8 +107,7 @@ class Case(Setup):
                 already.
             say: Called with one line of progress now and then.
             resume: Earlier checkpoint to go on from, or the folder it is in.
-            at_once: Processes for the starts; above 1 a script needs
-                `if __name__ == "__main__":`.
+            at_once: Processes for the starts; with 1 this one makes all.
 
         Raises:
             InputError: The checkpoint is damaged or of another case.

@@ -12,6 +12,12 @@ def add(a, b):
     return a + b
 
 
+def total(values, say):
+    say(f"{len(values)} values")
+    say(f"of {', '.join(values)}")
+    return sum(values.values())
+
+
 def sleep(seconds):
     time.sleep(seconds)
     return seconds

@@ -2,6 +2,7 @@
 
 import io
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -16,8 +17,11 @@ from drake_exo.jobs.engine import (
     ATTEMPTS,
     BatchProgress,
     Ended,
+    Heard,
+    Here,
     Job,
     Processes,
+    logged,
     run_jobs,
 )
 
@@ -101,6 +105,66 @@ def test_graphs_that_are_none(needs, words):
 def test_two_of_one_name():
     with pytest.raises(InputError, match="two jobs"):
         run_jobs([Job("a", ""), Job("a", "")], Recorded())
+
+
+def sums():
+    """Two, then their total, then its triple."""
+    jobs = [job(name, "add", a=1, b=b) for name, b in (("x", 2), ("y", 3))]
+    jobs.append(Job("t", HERE + "total", {}, ("x", "y"), "values"))
+    return [*jobs, Job("u", HERE + "total", {}, ("t", "x", "y"), "values")]
+
+
+def test_a_job_is_given_what_those_before_it_returned():
+    """In the order in which it names them; others get nothing more."""
+    said = []
+    plain, further = sums()[:2], [j.told(say=said.append) for j in sums()[2:]]
+    with Here() as pool:
+        ended = run_jobs(plain + further, pool)
+    assert [row.value for row in ended.values()] == [3, 4, 7, 14]
+    assert said == ["2 values", "of x, y", "3 values", "of t, x, y"]
+    assert {row.state for row in ended.values()} == {"done"}
+
+
+def test_here_a_failure_is_raised():
+    with pytest.raises(KeyError, match="ours"), Here() as pool:
+        run_jobs([job("broken", "fail"), job("next", "add")], pool)
+
+
+def test_what_jobs_say_last_is_heard_once(tmp_path):
+    first, second = logged([Job("a", "", {"b": 1}), Job("c", "")], tmp_path)
+    assert first.log != second.log and first.arguments["b"] == 1
+    said = []
+    heard = Heard(said.append)
+    heard.update({}, None, [first, second, Job("silent", "")])
+    assert said == []
+    for line in ("one", "two"):
+        pickle.loads(pickle.dumps(first.arguments["say"]))(line)
+    second.arguments["say"]("three")
+    for _ in range(2):
+        heard.update({}, None, [first, second])
+    assert said == ["two", "three"]
+    first.arguments["say"]("four")
+    heard.update({}, None, [first, second])
+    assert said[2:] == ["four"]
+
+
+def test_what_a_job_came_to():
+    assert Ended("a", "done", 3).result() == 3
+    with pytest.raises(InputError, match="wrong; mend it"):
+        Ended("a", "failed", error="wrong; mend it").result()
+    for state, trace in (("failed", "in fail"), ("lost", ""), ("skipped", "")):
+        with pytest.raises(RuntimeError, match="a: no end"):
+            Ended("a", state, error="no end", trace=trace).result()
+
+
+@pytest.mark.slow
+def test_values_are_given_to_other_processes(pool, tmp_path):
+    plain, said = sums()[:2], []
+    ended = run_jobs(
+        plain + logged(sums()[2:], tmp_path), pool, None, Heard(said.append)
+    )
+    assert [row.value for row in ended.values()] == [3, 4, 7, 14]
+    assert said == ["of x, y", "of t, x, y"]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drake_exo.files.output import Check, Verdict
-from drake_exo.jobs.engine import Ended
+from drake_exo.jobs.engine import Ended, Job
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles import pictures
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
@@ -45,7 +45,7 @@ def test_the_five_cases_differ_in_one_thing_each():
 
 
 @pytest.fixture
-def ran(tmp_path, monkeypatch):
+def ran(tmp_path, monkeypatch, capsys):
     """A study whose jobs write what they would; how it ended."""
     cases = {
         key: [SimpleNamespace(name=name) for name in ("1-Ref", "2-Rot")]
@@ -57,23 +57,30 @@ def ran(tmp_path, monkeypatch):
         ended = {}
         for job in jobs:
             seen.jobs.append(job.name)
-            folder = job.arguments["folder"]
-            lost = job.name == "2-Rot/optimize"
-            if job.name.endswith("optimize") and not lost:
+            folder = job.arguments.get("folder")
+            lost = job.name.startswith("2-Rot/stage")
+            skipped = job.name == "2-Rot/optimize"
+            if job.name.endswith("optimize") and not skipped:
                 name = f"{folder.parent.name}/{folder.name}"
                 row = {"name": folder.name, "of": name}
                 row |= Verdict((Check("solved", True, where=name),)).summary()
                 (folder / "summary.json").write_text(json.dumps(row))
-            state = "failed" if lost else "done"
-            ended[job.name] = Ended(job.name, state, "fine", "no end")
+            state = "failed" if lost else "skipped" if skipped else "done"
+            why = "no end" if lost else "not begun"
+            value = "fine" if state == "done" else None
+            ended[job.name] = Ended(job.name, state, value, why)
             end(ended[job.name])
         return ended
 
     def told(word):
         return lambda rows: f"{word} of {len(rows)}"
 
+    def search_jobs(case, folder, name):
+        return [Job(f"{name}stage {k}", "") for k in (1, 2)]
+
     for name, value in (
         ("run_jobs", run_jobs),
+        ("search_jobs", search_jobs),
         ("table", told("table")),
         ("certainty_table", told("certainty")),
         ("front_table", told("front")),
@@ -88,13 +95,15 @@ def ran(tmp_path, monkeypatch):
     out.mkdir()
     study = paper.Study("a step", "both", cases)
     seen.verdict, seen.text = study.run(out, 1, with_front=True)
+    seen.said = capsys.readouterr().out
     seen.out, seen.summary = out, json.loads((out / "summary.json").read_text())
     return seen
 
 
 def test_a_study_has_a_folder_a_case_and_one_for_those_without_limits(ran):
     cases = ("1-Ref", "2-Rot", "unlimited/1-Ref", "unlimited/2-Rot")
-    assert ran.jobs == [f"{c}/optimize" for c in cases] + [
+    kinds = ("stage 1", "stage 2", "optimize")
+    assert ran.jobs == [f"{c}/{kind}" for c in cases for kind in kinds] + [
         f"{c}/front" for c in cases
     ]
     assert [r["of"] for r in ran.summary["cases"]] == ["out/1-Ref"]
@@ -116,6 +125,10 @@ def test_who_failed_and_who_holds_is_in_the_verdict(ran):
         "unlimited/1-Ref": True,
         "unlimited/2-Rot": True,
     }
+    (failed,) = (c for c in ran.verdict.checks if not c.holds)
+    assert failed.sentence == "no end"
+    assert "2-Rot/optimize: no end\n" in ran.said
+    assert ran.said.count("fine\n") == 7 and "stage" not in ran.said
     assert ran.summary["verdict"] == ran.verdict.summary()["verdict"]
 
 

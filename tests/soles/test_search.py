@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.jobs.engine import Here
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.load_blocks import Pattern
 from drake_exo.soles.mesh import brick
@@ -277,9 +278,10 @@ def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     monkeypatch.setattr(search, "strain_scale", None)
     at = Checkpoint(1, 2, p, p, strain_scale=0.5)
     _, problem = search._run_stage(setup, 1, at, None, str)
-    assert problem.limits.strain == pytest.approx(0.98 * 0.2 / 0.5)
+    assert problem.strain_norm == pytest.approx(0.98 * 0.2 / 0.5)
+    assert problem.limits.strain == 0.2
     search._run_stage(setup, 0, Checkpoint(0, 0, p, p), None, str)
-    assert given[-1][0].limits.strain == 0.2
+    assert given[-1][0].strain_norm is None
 
 
 def test_what_cannot_be_simulated_scales_nothing(case, problem, monkeypatch):
@@ -317,6 +319,9 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
         run.at = replace(run.at, starts=at.starts)
         return run, f"problem {number}"
 
+    def scaled(problem, at):
+        return problem, at.p
+
     def verified(setup, problem, at, optima, seconds):
         clock[0] += 7.0
         made.append((problem, at.p, [o.cost for o in optima], seconds))
@@ -325,33 +330,47 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     monkeypatch.setattr(search, "from_start", from_start)
     monkeypatch.setattr(search, "_run_stage", run_stage)
     monkeypatch.setattr(search, "verified", verified)
+    monkeypatch.setattr(search, "_scaled", scaled)
+    monkeypatch.setattr(search, "stage_problem", lambda setup, stage: stage)
     monkeypatch.setattr(search, "time", SimpleNamespace(
         perf_counter=lambda: clock[0]))  # fmt: skip
     begun = (Checkpoint(iteration=3, p="q"), None)
+    last = setup.settings.optimize.stages[-1], "p2'"
     found = search.optimise(setup, None, str, Checkpoint(begun=begun))
     assert made == [
         (0, 0, "q"), (1, 0, None), (2, 0, None), (3, 0, None),
         (2, 1, "p2"), (0, 1, "p0"),  # the better half
         (2, 2, "p2"),
         (3, "p2", [4.0, 1.0, 2.0, 6.0]),
-        ("problem 3", "p2'", [4.0, 3.0, 2.0, 3.0], [11.0, 12.0, 13.0, 14.0]),
+        (last, "p2'", [4.0, 3.0, 2.0, 3.0], [11.0, 12.0, 13.0, 14.0]),
     ]  # fmt: skip
     assert found.seconds == 7.0
     # One that was finished is verified on its last stage's problem.
     made.clear()
-    monkeypatch.setattr(search, "stage_problem", lambda setup, stage: stage)
     last = replace(block.stages[0], layer_m=2e-4)
     setup = case.optimizing(stages=(*block.stages, last))
     search.optimise(setup, None, str, Checkpoint(stage=2, p="p"))
-    assert made == [(last, "p", [], [])]
+    assert made == [((last, "p"), "p", [], [])]
+    # What a study tells: the stages of all starts, and the rest.
+    setup = case.optimizing(stages=2 * block.stages, starts=2)
+    with Here() as pool:
+        jobs = [j.told(say=str) for j in search.search_jobs(setup, None)]
+        ended = search.run_jobs(jobs, pool)
+    names = ["1/stage 1", "2/stage 1", "last stage"]
+    assert [job.name for job in jobs] == names
+    whole = ended["last stage"].value
+    assert whole.seconds == 11.0 + 11.0 + 12.0
+    assert search.finished(setup, whole, str).seconds == 34.0 + 7.0
 
 
 def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     asked, said = [], []
 
-    def run_stage(setup, number, at, out, say):
+    def run_stage(setup, number, at, out, say, problem):
         say("it goes")
         asked.append(at)
+        # That of its first design, if it has just begun.
+        assert (problem is None) == (at.iteration + at.stage > 0)
         run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5)
         run.at = replace(run.at, starts=at.starts)
         return run, None

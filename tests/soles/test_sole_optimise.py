@@ -1,7 +1,8 @@
 """The command `sole optimize` and the five cases."""
 
 import json
-import multiprocessing
+import os
+import signal
 from pathlib import Path
 
 import meshio
@@ -127,9 +128,11 @@ def test_a_start_whose_process_is_killed_is_told(folder, tmp_path):
     case = Case.read(tmp_path / "case.yaml", folder)
 
     def kill(line):
-        for child in multiprocessing.active_children():
-            if child.name.startswith("SpawnProcess"):
-                child.kill()
+        threads = Path("/proc/self/task").iterdir()
+        for child in " ".join(
+            (thread / "children").read_text() for thread in threads
+        ).split():
+            os.kill(int(child), signal.SIGKILL)
 
     with pytest.raises(InputError, match="process of a start was killed"):
         case.optimize(tmp_path, kill, at_once=2)

@@ -72,6 +72,8 @@ class ShapeProblem:
         first: The initial shape, for the scales; by default simulated on
             the mesh.
         ground: That it walks on.
+        strain_norm: Its limit, see `limits.StrainNorm`; by default that of
+            the largest strain.
     """
 
     mesh: TetMesh
@@ -90,6 +92,7 @@ class ShapeProblem:
     branch: StepHistory | None = None
     first: Evaluation | None = None
     ground: Ground = FLAT
+    strain_norm: float | None = None
     evaluations: int = 0
     failures: int = 0
     _cache: dict = field(default_factory=dict)
@@ -115,7 +118,9 @@ class ShapeProblem:
         if self.first is None:
             raise RuntimeError("the initial shape cannot be simulated")
         self.scales = np.abs(self._costs(self.first))
-        self.limited = active_limits(self.limits, self.first, self.by_rot)
+        strain = self.strain_norm or self.limits.strain
+        limits = replace(self.limits, strain=strain)
+        self.limited = active_limits(limits, self.first, self.by_rot)
 
     def add_rotation_floor(self, least: float) -> None:
         """Limit c_rot from below [N·m/rad]."""

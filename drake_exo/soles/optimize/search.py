@@ -14,22 +14,26 @@ verified by the exact law there with all samples.
 """
 
 import shutil
-import signal
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
-from multiprocessing import get_context
 from pathlib import Path
-from queue import Empty
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
+from drake_exo.jobs.engine import (
+    Ended,
+    Heard,
+    Here,
+    Job,
+    Processes,
+    logged,
+    run_jobs,
+)
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.optimize.design import Design, verified
@@ -119,12 +123,41 @@ class _Run:
     at: Checkpoint
 
 
+@dataclass
+class _Racer:
+    """A start, by its number, and its stages so far."""
+
+    start: int
+    runs: list[_Run]
+
+    @property
+    def rank(self) -> tuple:
+        """Those that went further first, then by their newest optimum."""
+        return -len(self.runs), *self.runs[-1].optimum.rank
+
+
+@dataclass
+class Found:
+    """What a search has come to.
+
+    Attributes:
+        runs: Stages of the best start.
+        at: Where it stands.
+        seconds: What the stages of all starts took.
+    """
+
+    runs: list[_Run]
+    at: Checkpoint
+    seconds: float = 0.0
+
+
 def optimise(
     setup: Setup,
     out: Path | None,
     say: Callable[[str], object],
     resume: Checkpoint | None = None,
     at_once: int = 1,
+    first: int = 0,
 ) -> Design:
     """Run the case's stages.
 
@@ -134,31 +167,144 @@ def optimise(
             they are searched; None for none.
         say: Called with one line of progress now and then.
         resume: An earlier checkpoint to go on from.
-        at_once: Processes for the starts.
+        at_once: Processes for the starts; with 1 this one makes them all.
+        first: Number of the first start.
     """
-    whole, block = time.perf_counter(), setup.settings.optimize
-    stages = block.stages
-    at = resume or Checkpoint()
-    runs, problem = [], None
+    began = time.perf_counter()
+    jobs = search_jobs(setup, out, resume, first)
+
+    def end(row: Ended) -> None:
+        if row.state == "lost":
+            raise InputError(
+                "optimize.starts: the process of a start was killed, for "
+                "want of memory perhaps; go on with --resume and --jobs 1"
+            )
+        row.result()
+
+    with TemporaryDirectory() as logs:
+        if at_once == 1:
+            jobs, pool = [job.told(say=say) for job in jobs], Here()
+        else:
+            jobs, pool = logged(jobs, Path(logs)), Processes(at_once)
+        with pool:
+            ended = run_jobs(jobs, pool, end, Heard(say))
+    design = finished(setup, ended[jobs[-1].name].value, say)
+    design.seconds = time.perf_counter() - began
+    return design
+
+
+def search_jobs(
+    setup: Setup,
+    out: Path | None,
+    resume: Checkpoint | None = None,
+    first: int = 0,
+    name: str = "",
+) -> list[Job]:
+    """The stages of a case as jobs, the last of which returns what is `Found`.
+
+    Each takes an argument `say` more, called with one line of progress now
+    and then; `name` begins their names, the others are those of `optimise`.
+    """
+    block, at = setup.settings.optimize, resume or Checkpoint()
+    jobs, here = [], {"setup": setup, "out": out}
+
+    def add(title: str, function: Callable, **arguments) -> Job:
+        needs = tuple(job.name for job in jobs)
+        return Job(
+            name + title, f"{__name__}:{function.__name__}",
+            here | arguments, needs, given="before" if needs else None,
+        )  # fmt: skip
+
     if at.p is None:
-        runs = race(setup, out, say, at.begun, at_once)
-        at = runs[-1].at
+        begun = list(islice(chain(at.begun, repeat(None)), block.starts))
+        for number in range(max(len(block.stages) - 1, 1)):
+            jobs += [
+                add(
+                    f"{place + 1}/stage {number + 1}", race,
+                    number=number, place=place, begun=at_start, first=first,
+                )
+                for place, at_start in enumerate(begun)
+            ]  # fmt: skip
+            begun = begun[: (len(begun) + 1) // 2]
+    return [*jobs, add("last stage", go_on, at=at)]
+
+
+def race(
+    setup: Setup,
+    out,
+    number: int,
+    place: int,
+    begun,
+    first: int,
+    say,
+    before=(),
+) -> _Racer:
+    """One of the stages but the last, from one of several starts.
+
+    Args:
+        setup: The initial shape and its step; settings with the stages.
+        out: Folder for one below it for each start; None for none.
+        number: Of the stage, from 0.
+        place: Of the start, after the stage before.
+        begun: Where it was interrupted in the first stage, if it was.
+        first: Number of the first start.
+        say: Called with one line of progress now and then.
+        before: What the jobs of earlier stages returned, by name.
+    """
+    racer = _Racer(place, [])
+    if before:
+        racer = sorted(_racers(before), key=lambda r: r.rank)[place]
+    at = racer.runs[-1].at if racer.runs else begun
+    if setup.settings.optimize.starts > 1:
+        out = start_folder(out, racer.start)
+    run = from_start(setup, first + racer.start, number, at, out, say)
+    return replace(racer, runs=[*racer.runs, run])
+
+
+def _racers(before) -> list[_Racer]:
+    """All starts, as far as they went."""
+    return list({racer.start: racer for racer in before.values()}.values())
+
+
+def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
+    """The stages that are left to a checkpoint, or to the best of a race."""
+    found = Found([], at)
+    if before:
+        racers = _racers(before)
+        runs = min(racers, key=lambda racer: racer.rank).runs
+        rows = tuple(racer.runs[-1].at.starts[-1] for racer in racers)
+        every = (run.seconds for racer in racers for run in racer.runs)
+        at = replace(runs[-1].at, starts=rows)
+        found = Found(runs, at, sum(every))
         _keep(at, out)
-    for number in range(len(runs) or at.stage, len(stages)):
-        run, problem = _run_stage(setup, number, at, out, say)
-        runs.append(run)
-        at = run.at
-        _keep(at, out)
-    if problem is None:
-        problem = stage_problem(setup, stages[-1])
+        if out is not None:
+            for racer in racers:
+                folder = start_folder(out, racer.start)
+                shutil.rmtree(folder, ignore_errors=True)
+    for number in range(
+        len(found.runs) or at.stage, len(setup.settings.optimize.stages)
+    ):
+        run, _ = _run_stage(setup, number, found.at, out, say)
+        found = Found([*found.runs, run], run.at, found.seconds + run.seconds)
+        _keep(found.at, out)
+    return found
+
+
+def finished(setup: Setup, found: Found, say) -> Design:
+    """The design of a search; with its walk, where that is free."""
+    began, stages = time.perf_counter(), setup.settings.optimize.stages
+    problem = stage_problem(setup, stages[-1])
+    if len(stages) > 1:
+        problem = _scaled(problem, found.at)
     design = verified(
-        setup, problem, at, [r.optimum for r in runs], [r.seconds for r in runs]
-    )
+        setup, problem, found.at, [run.optimum for run in found.runs],
+        [run.seconds for run in found.runs],
+    )  # fmt: skip
     pattern = setup.settings.load and setup.settings.load.pattern
     if pattern and pattern.free:
         gait = pattern.gait(setup.settings.contact.friction)
-        design = _with_gait(gait, design, at, say)
-    design.seconds = time.perf_counter() - whole
+        design = _with_gait(gait, design, found.at, say)
+    design.seconds = found.seconds + time.perf_counter() - began
     return design
 
 
@@ -279,71 +425,6 @@ def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
     }
 
 
-def race(
-    setup: Setup, out, say, begun=(), at_once: int = 1, first: int = 0
-) -> list[_Run]:
-    """The stages but the last, from several starts; the runs of the best.
-
-    Args:
-        setup: The initial shape and its step; settings with the stages.
-        out: Folder for one below it for each start; None for none.
-        say: Called with one line of progress now and then.
-        begun: Where starts were interrupted, None for those that were not.
-        at_once: How many at a time.
-        first: Number of the first start.
-    """
-    block = setup.settings.optimize
-    at = dict(enumerate(islice(chain(begun, repeat(None)), block.starts)))
-    folders = {k: start_folder(out, k) if len(at) > 1 else out for k in at}
-    runs, going, rounds = {k: [] for k in at}, list(at), len(block.stages) - 1
-    for number in range(max(rounds, 1)):
-        calls = [(setup, first + k, number, at[k], folders[k]) for k in going]
-        found = _side_by_side(calls, say, at_once)
-        for k, run in zip(going, found, strict=True):
-            runs[k].append(run)
-            at[k] = run.at
-        going.sort(key=lambda k: runs[k][-1].optimum.rank)
-        last = number + 1 >= rounds
-        going = going[: 1 if last else (len(going) + 1) // 2]
-    rows = tuple(at[k].starts[-1] for k in at)
-    best = runs[going[0]]
-    best[-1].at = replace(best[-1].at, starts=rows)
-    if out is not None and len(at) > 1:
-        for folder in folders.values():
-            shutil.rmtree(folder, ignore_errors=True)
-    return best
-
-
-def _side_by_side(calls, say, at_once: int) -> list[_Run]:
-    """What `from_start` makes of some calls, in processes of their own."""
-    if min(at_once, len(calls)) == 1:
-        return [from_start(*call, say) for call in calls]
-    # Interrupted, workers end at once: their checkpoints are on disk.
-    ends_at_once = signal.signal, (signal.SIGINT, signal.SIG_DFL)
-    context = get_context("spawn")
-    with (
-        context.Manager() as manager,
-        ProcessPoolExecutor(
-            min(at_once, len(calls)), context, *ends_at_once
-        ) as pool,
-    ):
-        lines = manager.Queue()
-        waiting = [pool.submit(from_start, *call, lines.put) for call in calls]
-        try:
-            while not all(run.done() for run in waiting):
-                with suppress(Empty):
-                    say(lines.get(timeout=0.2))
-            return [run.result() for run in waiting]
-        except BrokenProcessPool:
-            raise InputError(
-                "optimize.starts: the process of a start was killed, for "
-                "want of memory perhaps; go on with --resume and --jobs 1"
-            ) from None
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
 def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
     """A stage from one start, see `start_design`.
 
@@ -353,6 +434,7 @@ def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
     block = setup.settings.optimize
     if out is not None:
         out.mkdir(exist_ok=True)
+    problem = None
     if at is None:
         problem = stage_problem(setup, block.stages[0])
         p = start_design(problem, tuple(block.bounds), start)
@@ -365,7 +447,9 @@ def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
         )  # fmt: skip
         return _Run(done, 0.0, at)
     prefix = f"start {start + 1}/{block.starts}, " if block.starts > 1 else ""
-    run, _ = _run_stage(setup, number, at, out, lambda line: say(prefix + line))
+    run, _ = _run_stage(
+        setup, number, at, out, lambda line: say(prefix + line), problem
+    )
     best = run.optimum
     row = {
         "stage": number + 1, "cost": best.cost, "violation": best.violation,
@@ -416,18 +500,24 @@ def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
     return step.largest_strain / e.strain.value
 
 
-def _run_stage(setup: Setup, number, at: Checkpoint, out, say):
+def _scaled(problem: ShapeProblem, at: Checkpoint) -> ShapeProblem:
+    """With a limit on the norm of strains that stands for the largest one's."""
+    if problem.limits.strain is None:
+        return problem
+    largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
+    return replace(problem, strain_norm=largest)
+
+
+def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     """One stage from where it stands; its run and its last problem."""
     began, block = time.perf_counter(), setup.settings.optimize
-    problem = stage_problem(setup, block.stages[number])
+    problem = problem or stage_problem(setup, block.stages[number])
     at.check_fits(problem)
-    if number and problem.limits.strain is not None:
-        if at.iteration == 0:
+    if number:
+        if at.iteration == 0 and problem.limits.strain is not None:
             scale = strain_scale(setup, problem, at.p)
             at = replace(at, strain_scale=scale)
-        largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
-        limits = replace(problem.limits, strain=largest)
-        problem = replace(problem, limits=limits)
+        problem = _scaled(problem, at)
     bounds = tuple(block.bounds)
     approximation = QuasiNewton(problem.metric, at.curvature)
 
