@@ -684,6 +684,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
     ],
     "drake_exo/soles/optimize/search.py": [
+        ("return -len(self.runs), *self", "return 0, *self"),
+        ("_STRAIN_AIM * problem.limits.strain", "problem.limits.strain"),
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),
     ],
@@ -828,6 +830,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/papers/de_magistris.py": [
         ("name: (tr / tr0, rot / rot0)", "name: (tr0 / tr, rot / rot0)"),
+    ],
+    "drake_exo/jobs/engine.py": [
+        ("return job.told(**{job.given: values})", "return job"),
+        ("line != self._last.get(job.name)", "True"),
     ],
     "drake_exo/cli/sensitivity.py": [
         ('r[f"{s}.z"] - r[f"{s}.radius"],', 'r[f"{s}.z"],'),

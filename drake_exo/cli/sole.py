@@ -62,7 +62,7 @@ def add_parser(subparsers) -> None:
     add_accept(parser)
     front = "also the front of c_tr against c_rot, coarse"
     parser.add_argument("--front", action="store_true", help=front)
-    _add_jobs(parser, "cases at a time")
+    _add_jobs(parser, "stages of starts at a time")
     _add_files(parser)
     add_out(parser, required=True, help="folder for the results")
     parser = job("front", _front, "front of c_tr against c_rot")

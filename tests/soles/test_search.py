@@ -301,6 +301,14 @@ def _fake_run(number, p, cost, violation=0.0):
     )
 
 
+def test_a_start_that_went_further_is_ahead():
+    near = search._Racer(0, [_fake_run(1, "p", 1.0)])
+    runs = [_fake_run(1, "q", 5.0), _fake_run(2, "q", 4.0)]
+    lost, far = search._Racer(2, runs[:1]), search._Racer(1, runs)
+    order = sorted([near, lost, far], key=lambda racer: racer.rank)
+    assert [racer.start for racer in order] == [1, 0, 2]
+
+
 def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     """Feasible before cheap; starts that were interrupted go on first."""
     block = case.settings.optimize
