@@ -508,9 +508,14 @@ class Processes(Pool):
     Args:
         workers: processes at once.
         memory_mb: that each may use; no bound if None.
+
+    Raises:
+        InputError: there would be none.
     """
 
     def __init__(self, workers: int, memory_mb: int | None = None):
+        if workers < 1:
+            raise InputError(f"{workers} processes do no work; give 1 or more")
         self._workers = [Worker(memory_mb) for _ in range(workers)]
 
     def room(self) -> int:

@@ -157,6 +157,11 @@ def test_what_a_job_came_to():
             Ended("a", state, error="no end", trace=trace).result()
 
 
+def test_no_processes_are_refused():
+    with pytest.raises(InputError, match="0 processes do no work"):
+        Processes(0)
+
+
 @pytest.mark.slow
 def test_values_are_given_to_other_processes(pool, tmp_path):
     plain, said = sums()[:2], []
