@@ -33,7 +33,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import bsr_matrix, csr_matrix, diags
 
 from drake_exo.errors import InputError
-from drake_exo.soles.mesh import EDGES, TetMesh
+from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import njit
 
 _FEW = 48  # nodes of a leaf
@@ -240,14 +240,6 @@ def _halves(graph, places, nodes, axis):
 Element = Literal["linear", "smoothed"]
 
 
-def edges_of(mesh: TetMesh) -> np.ndarray:
-    """Numbers of the edges of every element, (e, 6)."""
-    pairs = np.sort(mesh.tets[:, EDGES], axis=-1).reshape(-1, 2)
-    code = pairs[:, 0] * len(mesh.nodes) + pairs[:, 1]
-    _, owner = np.unique(code, return_inverse=True)
-    return owner.reshape(-1, 6)
-
-
 def node_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
     """Averages around nodes: matrix (n, e), volumes of nodes [m³], (n,).
 
@@ -344,7 +336,7 @@ class Pattern:
         corners = _incidence(tets, len(mesh.nodes))
         graph = corners.T @ corners
         if element == "smoothed":
-            for owner in (edges_of(mesh), tets):
+            for owner in (mesh.edges()[1], tets):
                 shares = _incidence(owner).T.tocsr()
                 around.append((shares.indptr, shares.indices))
                 near = shares @ corners

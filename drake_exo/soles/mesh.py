@@ -134,7 +134,7 @@ class TetMesh:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed element volumes [m³], (e,)."""
-        return np.linalg.det(self._edges()) / 6.0
+        return np.linalg.det(self._spans()) / 6.0
 
     @property
     def is_block(self) -> bool:
@@ -150,7 +150,7 @@ class TetMesh:
     @cached_property
     def gradients(self) -> np.ndarray:
         """Gradients g_a of the shape functions [1/m], (e, 4, 3)."""
-        inverse = np.linalg.inv(self._edges())  # columns: g_1 g_2 g_3
+        inverse = np.linalg.inv(self._spans())  # columns: g_1 g_2 g_3
         g = np.empty((len(self.tets), 4, 3))
         g[:, 1:] = inverse.transpose(0, 2, 1)
         g[:, 0] = -g[:, 1:].sum(axis=1)
@@ -183,7 +183,14 @@ class TetMesh:
         v = self.volumes
         return 12.0 * np.sign(v) * (3.0 * np.abs(v)) ** (2 / 3) / l2
 
-    def _edges(self) -> np.ndarray:
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes of every edge, lower first, (k, 2); each tet's six, (e, 6)."""
+        pairs = np.sort(self.tets[:, EDGES], axis=-1).reshape(-1, 2)
+        n = len(self.nodes)
+        code, owner = np.unique(pairs @ [n, 1], return_inverse=True)
+        return np.column_stack(divmod(code, n)), owner.reshape(-1, 6)
+
+    def _spans(self) -> np.ndarray:
         """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
         x = self.nodes[self.tets]
         return x[:, 1:] - x[:, :1]
@@ -269,11 +276,10 @@ def halved(mesh: TetMesh) -> TetMesh:
     Four at the corners and four around the shortest diagonal of the
     octahedron between them (Bey, Computing 55, 1995).
     """
-    pairs = np.sort(mesh.tets[:, EDGES], axis=2).reshape(-1, 2)
-    edges, which = np.unique(pairs, axis=0, return_inverse=True)
+    edges, which = mesh.edges()
     n = len(mesh.nodes)
     nodes = np.concatenate([mesh.nodes, mesh.nodes[edges].mean(axis=1)])
-    middle = n + which.reshape(-1, 6)
+    middle = n + which
     tets = [
         np.column_stack([corner, middle[:, (k == EDGES).any(axis=1)]])
         for k, corner in enumerate(mesh.tets.T)
