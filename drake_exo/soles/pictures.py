@@ -83,10 +83,14 @@ def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
 
 def outline(axis, nodes: np.ndarray, view: View) -> None:
     """Dashed silhouette of the convex hull of nodes [m]."""
-    flat = 1e3 * nodes @ view.axes()[:2].T
-    ring = flat[ConvexHull(flat).vertices]
-    ring = np.concatenate([ring, ring[:1]])
+    ring = _ring(1e3 * nodes @ view.axes()[:2].T)
     axis.plot(*ring.T, color="0.25", lw=0.8, ls=(0, (4, 3)))
+
+
+def _ring(points: np.ndarray) -> np.ndarray:
+    """Closed line around points (n, 2)."""
+    ring = ConvexHull(points).vertices
+    return points[np.append(ring, ring[0])]
 
 
 def extent(nodes: np.ndarray, view: View) -> np.ndarray:
@@ -137,10 +141,9 @@ def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
     """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
     outline = mesh.nodes[mesh.contact][:, :2]
-    ring = ConvexHull(outline).vertices
-    ring = np.append(ring, ring[0])
-    left.fill(*(1e3 * outline[ring].T), color="0.93", zorder=0)
-    left.plot(*(1e3 * outline[ring].T), color="0.5", lw=1)
+    ring = 1e3 * _ring(outline)
+    left.fill(*ring.T, color="0.93", zorder=0)
+    left.plot(*ring.T, color="0.5", lw=1)
     if not ground.is_flat:
         beside = 1.1 * np.stack([outline.min(axis=0), outline.max(axis=0)]).T
         heights = left.contour(

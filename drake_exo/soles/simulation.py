@@ -79,12 +79,9 @@ def sample_weights(
     Of one contact phase both are plain sums, over heel strike (that fraction
     of its samples) and over all; of several the weighted means of their sums.
     """
-    by_tr, by_rot = np.zeros((2, len(load.times)))
-    for phase, share in zip(load.phases, load.shares, strict=True):
-        count = heel_strike_count(phase.stop - phase.start, fraction)
-        by_tr[phase.start : phase.start + count] = share
-        by_rot[phase] = share
-    return by_tr, by_rot
+    counts, share = np.bincount(load.phase), load.shares[load.phase]
+    early = [np.arange(n) < heel_strike_count(n, fraction) for n in counts]
+    return np.concatenate(early) * share, share
 
 
 _MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over

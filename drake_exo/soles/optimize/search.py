@@ -242,13 +242,10 @@ def race(
     """One of the stages but the last, from one of several starts.
 
     Args:
-        setup: The initial shape and its step; settings with the stages.
-        out: Folder for one below it for each start; None for none.
+        setup, out, first, say: Those of `optimise`.
         number: Of the stage, from 0.
         place: Of the start, after the stage before.
-        begun: Where it was interrupted in the first stage, if it was.
-        first: Number of the first start.
-        say: Called with one line of progress now and then.
+        begun: Where a start was interrupted, if it was.
         before: What the jobs of earlier stages returned, by name.
     """
     racer = _Racer(place, [])
