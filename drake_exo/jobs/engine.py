@@ -316,16 +316,20 @@ def logged(jobs: Sequence[Job], folder: Path) -> list[Job]:
 class Heard:
     """Passes on what jobs said last; progress for `run_jobs`.
 
+    The first and the last job take turns at speaking first, since of lines at
+    one time `Progress` shows the first alone.
+
     Args:
         say: called with a line.
     """
 
     def __init__(self, say: Callable[[str], object]):
-        self._say, self._last = say, {}
+        self._say, self._last, self._way = say, {}, -1
 
     def update(self, ended, pool: Pool, jobs: Sequence[Job]) -> None:
         """Say what is new."""
-        for job in jobs:
+        self._way = -self._way
+        for job in jobs[:: self._way]:
             line = last_line(job.log) if job.log else ""
             if line and line != self._last.get(job.name):
                 self._last[job.name] = line

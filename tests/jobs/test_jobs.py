@@ -142,10 +142,15 @@ def test_what_jobs_say_last_is_heard_once(tmp_path):
     second.arguments["say"]("three")
     for _ in range(2):
         heard.update({}, None, [first, second])
-    assert said == ["two", "three"]
-    first.arguments["say"]("four")
+    assert said == ["three", "two"]
+    second.arguments["say"]("four")
     heard.update({}, None, [first, second])
     assert said[2:] == ["four"]
+    for word in ("five", "six"):
+        first.arguments["say"](word)
+        second.arguments["say"](word + "ty")
+        heard.update({}, None, [first, second])
+    assert said[3:] == ["five", "fivety", "sixty", "six"]
 
 
 def test_what_a_job_came_to():
