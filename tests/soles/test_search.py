@@ -357,7 +357,9 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     made.clear()
     last = replace(block.stages[0], layer_m=2e-4)
     setup = case.optimizing(stages=(*block.stages, last))
-    search.optimise(setup, None, str, Checkpoint(stage=2, p="p"))
+    # Alone it takes no other process.
+    monkeypatch.setattr(search, "Processes", None)
+    search.optimise(setup, None, str, Checkpoint(stage=2, p="p"), at_once=2)
     assert made == [((last, "p"), "p", [], [])]
     # What a study tells: the stages of all starts, and the rest.
     setup = case.optimizing(stages=2 * block.stages, starts=2)

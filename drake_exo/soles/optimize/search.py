@@ -182,7 +182,8 @@ def optimise(
         row.result()
 
     with TemporaryDirectory() as logs:
-        if at_once == 1:
+        # A single start, or one that goes on, needs no other process.
+        if min(at_once, sum(not job.needs for job in jobs)) == 1:
             jobs, pool = [job.told(say=say) for job in jobs], Here()
         else:
             jobs, pool = logged(jobs, Path(logs)), Processes(at_once)
