@@ -51,16 +51,17 @@ class Job:
         function: "module:name".
         arguments: of the call, by name; they are pickled.
         needs: names of jobs that must have been done before.
-        given: argument that gets what they returned, by name; none if None.
         log: file whose last line tells how far it is; None if there is none.
+        given: argument that gets what the needed ones returned, by name; none
+            if None.
     """
 
     name: str
     function: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
-    given: str | None = None
     log: str | None = None
+    given: str | None = None
 
     def told(self, **more) -> Job:
         """With more arguments."""

@@ -262,7 +262,7 @@ def _search(out: Path, folder: Path, case: Case, accepted) -> list[Job]:
     what = {"folder": folder, "case": case, "accepted": accepted}
     last = Job(
         f"{name}optimize", f"{__name__}:optimize_job", what,
-        (jobs[-1].name,), "search",
+        (jobs[-1].name,), given="search",
     )  # fmt: skip
     return [*jobs, last]
 

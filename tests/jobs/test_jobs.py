@@ -110,8 +110,11 @@ def test_two_of_one_name():
 def sums():
     """Two, then their total, then its triple."""
     jobs = [job(name, "add", a=1, b=b) for name, b in (("x", 2), ("y", 3))]
-    jobs.append(Job("t", HERE + "total", {}, ("x", "y"), "values"))
-    return [*jobs, Job("u", HERE + "total", {}, ("t", "x", "y"), "values")]
+    jobs.append(Job("t", HERE + "total", {}, ("x", "y"), given="values"))
+    return [
+        *jobs,
+        Job("u", HERE + "total", {}, ("t", "x", "y"), given="values"),
+    ]
 
 
 def test_a_job_is_given_what_those_before_it_returned():
