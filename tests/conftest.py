@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+# As the command does: a run in a process of its own has the same digits.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 _DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
