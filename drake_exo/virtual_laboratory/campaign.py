@@ -207,9 +207,14 @@ def foot_ground_section(legs: int = 1) -> dict:
 
 
 def interaction_section() -> dict:
-    """Weights of the second phase."""
+    """Weights of the second phase.
+
+    A device that moves nobody has the moments of its own friction: with the
+    share of it that is unknown they are right to 0.1 N m.
+    """
     own = {"exo_angle_deg": 0.1, "exo_velocity_deg_s": 1.0}
-    return {"noise": {**_NOISE, **own, **_FORCE_NOISE}}
+    forces = _FORCE_NOISE | {"exo_moment_nm": 0.1}
+    return {"noise": {**_NOISE, **own, **forces}}
 
 
 def prediction_section() -> dict:
