@@ -23,6 +23,7 @@ REFINEMENTS = 4
 _AT_ONCE = 4.0  # parts of an interval
 _AIM = 0.5  # of what is allowed: a finer grid misses elsewhere
 _CHECKPOINT_SECONDS = 2.0
+_SAME = 1e-6  # of bounds and costs, scaled: another machine, the same study
 
 
 class SolveWatch:
@@ -31,14 +32,14 @@ class SolveWatch:
     Args:
         title: begins every line.
         checkpoint: file that keeps the newest iterate, if any.
-        fingerprint: of the problem, kept with it.
+        fingerprint: of the problem, kept with it; see `SparseProgram`.
     """
 
     def __init__(
         self,
         title: str,
         checkpoint: Path | None = None,
-        fingerprint: str = "",
+        fingerprint: tuple[str, np.ndarray] | None = None,
     ):
         self._progress = Progress(title)
         self._checkpoint = checkpoint
@@ -59,7 +60,8 @@ class SolveWatch:
             return
         self._saved = now
         draft = self._checkpoint.with_name("checkpoint.tmp.npz")
-        np.savez(draft, x=iterate.x, fingerprint=self._fingerprint)
+        structure, values = self._fingerprint
+        np.savez(draft, x=iterate.x, structure=structure, values=values)
         draft.replace(self._checkpoint)
 
 
@@ -197,14 +199,24 @@ def _solve_first(
     return problem.solve(guess, watch, near)
 
 
-def read_checkpoint(path: Path, fingerprint: str, size: int) -> np.ndarray:
+def read_checkpoint(
+    path: Path, fingerprint: tuple[str, np.ndarray], size: int
+) -> np.ndarray:
     """The iterate (size,) that a run with the same fingerprint left.
 
     Raises:
         InputError: it is damaged, or of another problem.
     """
     arrays = read_arrays(path, "leave out --resume to start afresh")
-    if str(arrays.get("fingerprint")) != fingerprint:
+    structure, values = fingerprint
+    own = arrays.get("values")
+    if (
+        str(arrays.get("structure")) != structure
+        or own is None
+        or own.dtype != float
+        or own.shape != values.shape
+        or not np.allclose(own, values, _SAME, _SAME)
+    ):
         raise InputError(
             f"{path}: is of another study or other settings; leave out "
             "--resume to start afresh"

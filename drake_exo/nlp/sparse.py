@@ -164,20 +164,26 @@ class SparseProgram:
         hit = np.isin(self.unknowns.variable_of(columns), labelled)
         return columns[hit], self.rows.bounding(labelled)
 
-    def fingerprint(self) -> str:
-        """Digest of bounds, costs and structure: what a checkpoint is of."""
+    def fingerprint(self) -> tuple[str, np.ndarray]:
+        """What a checkpoint is of: digest of structure; bounds and costs.
+
+        The latter are numbers (k,), since their last digits are not the same
+        on every machine.
+        """
         digest = hashlib.sha256()
-        for part in (
-            self.y_lower,
-            self.y_upper,
-            self.g_lower,
-            self.g_upper,
-            self._b,
-            self._hessian.constant,
-            *self.jacobian_structure,
-        ):
+        for part in self.jacobian_structure:
             digest.update(np.ascontiguousarray(part).tobytes())
-        return digest.hexdigest()
+        values = np.concatenate(
+            [
+                self.y_lower,
+                self.y_upper,
+                self.g_lower,
+                self.g_upper,
+                self._b,
+                self._hessian.constant,
+            ]
+        )
+        return digest.hexdigest(), values
 
     # -- evaluation -------------------------------------------------------
 

@@ -8,8 +8,10 @@ import pytest
 from undrawn import undrawn
 
 from drake_exo.calibration.results import write_contact
+from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
+from drake_exo.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +62,22 @@ def test_a_limit_too_low_fails_with_names(
 def test_a_checkpoint_of_another_problem_is_refused(command, tmp_path, capsys):
     out = tmp_path / "other"
     out.mkdir()
-    np.savez(out / "checkpoint.npz", x=np.zeros(3), fingerprint="another")
+    np.savez(out / "checkpoint.npz", x=np.zeros(3), structure="another")
     again = [*command("calibrate"), "--out", str(out), "--resume"]
     assert main(again) == 2
     error = capsys.readouterr().err
     assert "--resume" in error and error.count("\n") == 1
+
+
+def test_a_checkpoint_of_another_machine_is_taken(tmp_path):
+    """Last digits of the same study differ; those of another study do more."""
+    path, x = tmp_path / "checkpoint.npz", np.arange(4.0)
+    values = np.array([-np.inf, 0.0, 3.0, np.inf])
+    np.savez(path, x=x, structure="a", values=values * (1.0 + 1e-13))
+    np.testing.assert_array_equal(read_checkpoint(path, ("a", values), 4), x)
+    for other in (("b", values), ("a", values[:3]), ("a", values + 1e-3)):
+        with pytest.raises(InputError, match="another study"):
+            read_checkpoint(path, other, 4)
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def _summary() -> dict:
 
 def results() -> dict:
     iterate = io.BytesIO()
-    np.savez(iterate, x=np.arange(5.0), fingerprint="abc")
+    np.savez(iterate, x=np.arange(5.0), structure="abc", values=np.ones(3))
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         write_trial(folder, _trial("solved"))
@@ -161,7 +161,7 @@ def results() -> dict:
             "checkpoint.npz",
             "npz",
             iterate.getvalue(),
-            lambda p: read_checkpoint(p, "abc", 5),
+            lambda p: read_checkpoint(p, ("abc", np.ones(3)), 5),
         ),
         "solution": solution[".json"],
         "solution numbers": solution[".npz"],
