@@ -83,6 +83,7 @@ class Ended:
         seconds: of the last attempt.
         host: where that was.
         attempts: how often it was begun.
+        cause: error of the job for which it was skipped.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Ended:
     seconds: float = 0.0
     host: str = ""
     attempts: int = 0
+    cause: str = ""
 
     def result(self) -> Any:
         """What the function returned.
@@ -187,7 +189,8 @@ def _begin(waiting, ended, pool, end) -> list[Job]:
         lacking = [n for n in job.needs if n in ended and _failed(ended[n])]
         if lacking:
             reason = f"not begun: {lacking[0]} was not done"
-            end(Ended(job.name, "skipped", error=reason))
+            cause = ended[lacking[0]].cause or ended[lacking[0]].error
+            end(Ended(job.name, "skipped", error=reason, cause=cause))
         elif room > 0 and all(n in ended for n in job.needs):
             pool.start(_given(job, ended))
             room -= 1

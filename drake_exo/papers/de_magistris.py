@@ -216,31 +216,26 @@ class Study:
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / SUMMARY, summary)
 
-        ended: dict[str, Ended] = {}
-        needs = {job.name: job.needs for job in jobs}
-
-        def cause(row: Ended) -> str:
-            """What went wrong, in a stage before if it was not begun."""
-            while row.state == "skipped":
-                before = (ended[name] for name in needs[row.name])
-                row = next(r for r in before if r.state != "done")
-            return row.error
-
         def end(row: Ended) -> None:
-            ended[row.name] = row
             if row.name.endswith(_TOLD):
-                print(row.value or f"{row.name}: {cause(row)}", flush=True)
+                error = row.cause or row.error
+                print(row.value or f"{row.name}: {error}", flush=True)
                 note()
 
         try:
             with Processes(at_once) as pool, TemporaryDirectory() as logs:
                 jobs = logged(jobs, Path(logs))
-                run_jobs(jobs, pool, end, BatchProgress("study"))
+                ended = run_jobs(jobs, pool, end, BatchProgress("study"))
         except KeyboardInterrupt:
             note()
             raise
         checks = [
-            Check("solved", False, where=row.name, sentence=cause(row))
+            Check(
+                "solved",
+                False,
+                where=row.name,
+                sentence=row.cause or row.error,
+            )
             for row in ended.values()
             if row.state != "done" and row.name.endswith(_TOLD)
         ]

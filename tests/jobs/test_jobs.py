@@ -53,7 +53,9 @@ class Recorded:
 
     def wait(self, seconds):
         name, self.now = self.now, None
-        return [Ended(name, "failed" if "bad" in name else "done", 1)]
+        if "bad" in name:
+            return [Ended(name, "failed", 1, "torn")]
+        return [Ended(name, "done", 1)]
 
     def running(self):
         return {self.now: 5.0} if self.now else {}
@@ -89,6 +91,7 @@ def test_what_needs_a_failure_is_skipped_and_the_rest_goes_on():
         *("failed", "skipped", "skipped", "done"),
     ]
     assert "bad was not done" in ended["next"].error
+    assert ended["next"].cause == ended["last"].cause == "torn"
     assert {row.name for row in told} == set(ended)
 
 

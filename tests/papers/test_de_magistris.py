@@ -68,7 +68,8 @@ def ran(tmp_path, monkeypatch, capsys):
             state = "failed" if lost else "skipped" if skipped else "done"
             why = "no end" if lost else "not begun"
             value = "fine" if state == "done" else None
-            ended[job.name] = Ended(job.name, state, value, why)
+            cause = "no end" if skipped else ""
+            ended[job.name] = Ended(job.name, state, value, why, cause=cause)
             end(ended[job.name])
         return ended
 
