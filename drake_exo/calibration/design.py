@@ -82,7 +82,7 @@ from drake_exo.nlp.sparse import SparseProgram
 # Jerk in a design, against what is typical.
 _LOOSE = 10.0
 # Cost of a change by its typical size: what buys nothing is not changed.
-_LEAST_GAIN = 2e-4
+_LEAST_GAIN = 1e-3
 # A force that is felt, at least, so that the objective has a scale.
 _LEAST_SCALE_N = 5.0
 # Cost of all that migration is beyond its limit today, against all forces':
