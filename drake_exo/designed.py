@@ -223,10 +223,10 @@ class Designed:
 
     @cached_property
     def slopes(self) -> dict[str, float]:
-        """Change of the cost for a step of each variable from today."""
-        slopes = self.today.slopes()
+        """Change of the objective for a step of each variable from today."""
+        slopes, weight = self.today.slopes(), self.today.problem.settings.weight
         return {
-            v.name: slopes[v.name] * v.size
+            v.name: slopes[v.name] * v.size / weight
             for v in self.found.problem.design
             if v.name in slopes
         }

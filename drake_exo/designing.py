@@ -100,7 +100,7 @@ def design(
         before[name] = movements(own, contact, settings)
         wearers.append(wearer(name, own, contact, before[name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]
-    today = DesignProblem(everybody, settings, held=True).solve(
+    today = DesignProblem.of_today(everybody, settings).solve(
         on_iterate=SolveWatch("today")
     )
     if not today.solution.success:

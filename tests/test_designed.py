@@ -110,10 +110,11 @@ def test_values_of_the_design_are_told(made):
 
 def test_slopes_are_for_a_step_of_typical_size(made, monkeypatch):
     told = {v.name: 3.0 for v in made.found.problem.design}
-    today = SimpleNamespace(slopes=lambda: told)
+    settings = SimpleNamespace(settings=SimpleNamespace(weight=0.5))
+    today = SimpleNamespace(slopes=lambda: told, problem=settings)
     own = Designed.slopes.func(SimpleNamespace(today=today, found=made.found))
-    assert own["thigh.along_m"] == pytest.approx(3.0 * 0.01)
-    assert own["thigh.area"] == pytest.approx(3.0 * 0.1)
+    assert own["thigh.along_m"] == pytest.approx(6.0 * 0.01)
+    assert own["thigh.area"] == pytest.approx(6.0 * 0.1)
 
 
 def test_what_is_felt_is_of_the_largest_forces(made, felt):

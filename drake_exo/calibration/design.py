@@ -88,6 +88,9 @@ _LEAST_SCALE_N = 5.0
 # Cost of all that migration is beyond its limit today, against all forces':
 # the limit comes first wherever it can be kept.
 _BEYOND = 5.0
+# The objective's weight where nothing changes: forces of the own movement, not
+# those of a device that swings to please them.
+_LIGHT = 0.1
 # Places of a cuff that every design has, see BushingKinematics.
 _NUM_PLACES = 2 + len(PRELOADS)
 
@@ -648,6 +651,20 @@ class DesignProblem:
         )
         self.parts = [_Wearing(w, posed, self.program) for w in wearing]
         self.build_seconds = time.perf_counter() - start
+
+    @classmethod
+    def of_today(
+        cls, wearers: Sequence[Wearer], settings: DesignSettings | None = None
+    ) -> DesignProblem:
+        """Nothing changed: what a design is measured against.
+
+        Where people move as before, the objective hardly counts; where they
+        answer freely, they please it today as they will on the design.
+        """
+        settings = settings or DesignSettings()
+        if settings.response == "own":
+            settings = replace(settings, weight=_LIGHT)
+        return cls(wearers, settings, held=True)
 
     def _variable(self, v: Variable):
         prog = self.program.prog

@@ -839,7 +839,7 @@ class DesignSettings:
     objective: Literal["peak", "mean"] = "peak"
     order: float = field(default=8.0, metadata={"minimum": 4.0})
     shear_weight: float = field(default=0.25, metadata={"minimum": 0.0})
-    weight: float = positive("1", 2.0)
+    weight: float = positive("1", 10.0)
     response: Literal["own", "free"] = "own"
     own_angle_deg: float = positive("deg", 0.02)
     effort_nm: float = positive("N m", 2000.0)

@@ -259,7 +259,7 @@ def test_cuffs_on_two_legs_are_designed(worn):
     assert moved.success
     wearer = Wearer("somebody", model, contact, tuple(moved.trials))
     settings = DesignSettings(points=1, solver=solver)
-    today = DesignProblem([wearer], settings, held=True).solve()
+    today = DesignProblem.of_today([wearer], settings).solve()
     found = DesignProblem([wearer], settings, today=today).solve()
     assert today.solution.success and found.solution.success
     # What is filled from one solution is nearly the other.
