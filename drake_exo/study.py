@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -157,7 +157,9 @@ class Study:
         self.prediction = prediction or PredictionSettings()
         self.design = design or DesignSettings()
         self.filter = filter or Filter()
-        self._trials = tuple(trials)
+        if not isinstance(model, Model):
+            raise InputError(f"model is {model!r:.60}; give a drake_exo.Model")
+        self._trials = _checked(trials)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"
@@ -305,6 +307,10 @@ class RecordedStudy(Study):
 
     def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
         """See Study."""
+        if use not in (None, *get_args(Use)):
+            raise InputError(
+                f"use is {use!r}; give one of {', '.join(get_args(Use))}"
+            )
         files = tuple(t for t in self.file.trials if use in (None, t.use))
         if not files:
             raise InputError(
@@ -644,6 +650,23 @@ class Prediction(_Solved, Trial):
         show_trial(meshcat, self.result.problem.model, self)
 
 
+def _checked(trials) -> tuple[Trial, ...]:
+    """Trials that somebody gives.
+
+    Raises:
+        InputError: there are none, or they are something else.
+    """
+    if isinstance(trials, Trial | str):
+        raise InputError(f"{trials!r:.60} is no list of trials; give several")
+    found = tuple(trials)
+    if not found:
+        raise InputError("there are no trials; give at least one")
+    for trial in found:
+        if not isinstance(trial, Trial):
+            raise InputError(f"{trial!r:.60} is no trial; give a Trial")
+    return found
+
+
 def _named(trials) -> str:
     """How many, and which."""
     count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
@@ -677,7 +700,7 @@ def calibrate_foot_ground(
     >>> contact.success, contact.parameter("heel.x").unit
     (True, 'm')
     """
-    trials = study.trials("calibration") if trials is None else trials
+    trials = study.trials("calibration") if trials is None else _checked(trials)
 
     def pose(refined):
         return FootGroundCalibration(
@@ -719,7 +742,7 @@ def calibrate_interaction(
     (True, 'N/m')
     """
     check_has_cuffs(study.model)
-    trials = study.trials("calibration") if trials is None else trials
+    trials = study.trials("calibration") if trials is None else _checked(trials)
     check_is_measured(trials)
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
@@ -835,6 +858,7 @@ def predict(
     (True, True)
     """
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
+    _checked([trial])
     known = contact_of(contact)
     if clocks is None:
         timing, clocks = _timing(study, trial, known)
@@ -884,8 +908,19 @@ def uncalibrated(
 
 
 def contact_of(contact: Calibration | ContactModel) -> ContactModel:
-    """The contact itself, of a calibration or as it is."""
-    return contact.contact if isinstance(contact, Calibration) else contact
+    """The contact itself, of a calibration or as it is.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if isinstance(contact, Calibration):
+        return contact.contact
+    if not isinstance(contact, ContactModel):
+        raise InputError(
+            f"contact is {contact!r:.60}; give a calibration, or what "
+            "drake_exo.read_contact returns"
+        )
+    return contact
 
 
 def _known(value: float) -> float | None:

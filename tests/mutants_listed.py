@@ -228,6 +228,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/calibration/design.py": [
         (
+            "settings = replace(settings, weight=_LIGHT)",
+            "settings = replace(settings, weight=10.0)",
+        ),
+        (
             "np.sqrt(settings.weight * share[used])[:, None]",
             "(settings.weight * share[used])[:, None]",
         ),

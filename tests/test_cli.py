@@ -33,6 +33,7 @@ def test_what_a_command_returns():
         (OSError(errno.ENOSPC, "No space"), 2, "results: cannot be written"),
         (OSError(errno.EROFS, "Read-only", "x/y"), 2, "x/y: cannot be written"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError("Unable to allocate 6 GiB"), 2, "allocate 6 GiB"),
     ],
 )
 def test_one_sentence(error, code, words, capsys):

@@ -511,16 +511,19 @@ def write_bands(
     write_table(path, table, _titled("Bands of 95 %", mark))
 
 
+_SOURCES = ("solution", "measured", "before", "after")
+
+
 def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
     """Read what `write_trial` wrote, or the measured trial beside it.
 
     Args:
         folder: of the results.
         name: of the trial.
-        source: "solution" or "measured".
+        source: "solution" or "measured"; of a design "before" or "after".
 
     Raises:
-        InputError: it is missing or damaged.
+        InputError: it is missing or damaged, or there is no such source.
 
     >>> import tempfile
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -530,4 +533,8 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
     ...     read_trial(folder, "rise1", "measured").duration
     1.5
     """
+    if source not in _SOURCES:
+        raise InputError(
+            f"source is {source!r}; give one of {', '.join(_SOURCES)}"
+        )
     return Trial.load(Path(folder) / f"{source}_{name}")

@@ -122,6 +122,13 @@ def _run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 2
+    except MemoryError as error:
+        print(
+            f"drake-exo: error: more memory is needed than there is ({error}); "
+            "give a coarser mesh or grid, or fewer samples",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
         print("drake-exo: interrupted", file=sys.stderr)
         return 130

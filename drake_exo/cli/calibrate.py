@@ -115,7 +115,10 @@ def run(args: argparse.Namespace) -> int:
         if args.calibration is not None:
             contact, made_of = study.calibrated(args.calibration, args.accept)
             checks += made_of
-    with prepare_output_folder(args.out, args.force, args.resume) as out:
+    folder = prepare_output_folder(
+        args.out, args.force, args.resume, [args.calibration]
+    )
+    with folder as out:
         done = _finished(out) if args.resume else None
         if done is not None:
             print(f"{args.out} is complete; nothing to resume")
@@ -130,7 +133,8 @@ def run(args: argparse.Namespace) -> int:
             code = write_interaction(
                 study, out, args.resume, contact, checks, args.accept
             )
-    print(f"results in {args.out}")
+        folder.end(code)
+    print(f"results in {folder.path}")
     return code
 
 

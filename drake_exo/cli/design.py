@@ -104,11 +104,12 @@ def run(args: argparse.Namespace) -> int:
         if args.response:
             study.design = replace(study.design, response=args.response)
     laboratory = _laboratory(args.study[0]) if args.verify else None
-    with prepare_output_folder(args.out, args.force) as out:
+    folder = prepare_output_folder(args.out, args.force, reads=args.calibration)
+    with folder as out:
         if not contacts:
             found = calibrate_interaction(studies[0])
             if not found.success:
-                return report_failure(found.solution)
+                return folder.end(report_failure(found.solution))
             contacts = [found]
             checks += found.verdict().checks
         made = design(studies, contacts, parts=args.parts)
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
             made = _built(made, studies[0], laboratory, out)
         verdict = made.write(out, args.accept)
         if not made.success:
-            return report_failure(made.solution)
+            return folder.end(report_failure(made.solution))
         print(made.table())
         if args.front:
             _write_front(made, out)

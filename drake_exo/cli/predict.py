@@ -32,6 +32,7 @@ from drake_exo.contact.strap import read_design
 from drake_exo.designing import on_design
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import (
+    SOLVED,
     Check,
     Verdict,
     prepare_output_folder,
@@ -128,7 +129,10 @@ def run(args: argparse.Namespace) -> int:
         # Of the cuffs that were worn.
         clocks = find_clocks(study, study.trials("prediction"), contact)
         study, contact = on_design(study, contact, read_design(args.design))
-    with prepare_output_folder(args.out, args.force, args.resume) as out:
+    folder = prepare_output_folder(
+        args.out, args.force, args.resume, [args.calibration, args.design]
+    )
+    with folder as out:
         code = write_predictions(
             study,
             contact,
@@ -141,7 +145,8 @@ def run(args: argparse.Namespace) -> int:
             accepted=args.accept,
             clocks=clocks,
         )
-    print(f"results in {args.out}")
+        folder.end(code)
+    print(f"results in {folder.path}")
     return code
 
 
@@ -170,29 +175,37 @@ def write_predictions(
     for trial in trials:
         folder = out / f"unfinished_{trial.name}"
         folder.mkdir(exist_ok=True)
-        prediction = predict(
-            study,
-            trial,
-            contact,
-            folder=folder,
-            resume=resume,
-            clocks=clocks,
-            **how,
-        )
-        found.append(prediction)
         beside, audited = None, []
-        if prediction.success:
-            folder.rmdir()
-            audited = [prediction.audit()]
-            if study.model.cuffs:
-                # Nominal cuffs do not tell a clock.
-                beside = predict(
-                    study, trial, usual, near=prediction, clocks=(), **how
-                )
-                stopped = beside.solution.was_stopped
-        else:
+        try:
+            prediction = predict(
+                study,
+                trial,
+                contact,
+                folder=folder,
+                resume=resume,
+                clocks=clocks,
+                **how,
+            )
+            if prediction.success:
+                audited = [prediction.audit()]
+                if study.model.cuffs:
+                    # Nominal cuffs do not tell a clock.
+                    beside = predict(
+                        study, trial, usual, near=prediction, clocks=(), **how
+                    )
+                    stopped = beside.solution.was_stopped
+        except KeyboardInterrupt:
+            # Between solves; what is finished is written all the same.
+            stopped = True
+            checks.append(Check(SOLVED, False, where=trial.name))
+            break
+        finally:
+            if not any(folder.iterdir()):
+                folder.rmdir()
+        if not prediction.success:
             print(trial.name, end=": ")
             stopped = report_failure(prediction.solution) == STOPPED_CODE
+        found.append(prediction)
         baseline.append(beside)
         audits += audited
         checks += phase_checks(prediction.result, audited, prediction.clocks)
@@ -277,7 +290,9 @@ def load_controller(name: str | None) -> System | None:
 
 def _summary(study: Study, found: list[Prediction], trials) -> dict:
     solves = [{"trial": p.name, **solve_summary(p.solution)} for p in found]
-    failed = [s for s in solves if not s["success"]]
+    failed = [s["status"] for s in solves if not s["success"]]
+    if len(solves) < len(trials):
+        failed.append("stopped by the user")
     total = {
         key: sum(s[key] for s in solves)
         for key in (
@@ -293,8 +308,8 @@ def _summary(study: Study, found: list[Prediction], trials) -> dict:
         "phase": "prediction",
         "subject": study.name,
         "objective": study.prediction.objective,
-        "success": len(solves) == len(trials) and not failed,
-        "status": failed[0]["status"] if failed else "solved",
+        "success": not failed,
+        "status": failed[0] if failed else "solved",
         **total,
         "solves": solves,
         "settings": asdict(study.prediction),

@@ -40,14 +40,15 @@ def run(args: argparse.Namespace) -> int:
             "give foot_ground.law: simbody"
         )
     plausible = study.gate("calibration", args.accept)
-    with prepare_output_folder(args.out, args.force) as out:
+    folder = prepare_output_folder(args.out, args.force)
+    with folder as out:
         calibrated = calibrate_foot_ground(study)
         verdict = calibrated.verdict(plausible, args.accept)
         write_json(
             out / "summary.json", {"subject": study.name} | verdict.summary()
         )
         if not calibrated.success:
-            return report_failure(calibrated.solution)
+            return folder.end(report_failure(calibrated.solution))
         result = calibrated.result
         found = contact_sensitivity(result)
         progress = Progress("sensitivity")

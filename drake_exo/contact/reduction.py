@@ -315,8 +315,10 @@ def reduce_sole(
         planar: pitch and forward alone, as an exoskeleton's foot knows them.
 
     Raises:
-        InputError: fewer samples than unknowns.
+        InputError: no spheres, or fewer samples than unknowns.
     """
+    if spheres < 1:
+        raise InputError(f"{spheres} spheres bear nothing; take 1 or more")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     unknowns = spheres * len(columns) + 1
     known = len(samples.force)

@@ -35,6 +35,8 @@ from drake_exo.files.tables import read_bytes
 # Names what a run wrote, so that replacing results never removes files that
 # somebody else put into the folder.
 MANIFEST = ".drake_exo_files"
+# In it while a run writes into a folder that was empty: all there is its own.
+_WHOLE = "*"
 # Held while a run writes; the system lets go of it when the process ends,
 # however that is.
 LOCK = ".drake_exo_lock"
@@ -52,31 +54,43 @@ class OutputFolder:
     A fresh folder is written in place, so an interrupted run leaves its best
     so far there. With results already present (`force`), the new ones grow in
     `NAME.partial` beside it and replace the old ones at the end; a run that
-    fails leaves the old results untouched and its own in `NAME.partial`.
+    fails, or is stopped, leaves the old results untouched and its own in
+    `NAME.partial`.
     """
 
     def __init__(self, target: Path, path: Path, lock: int):
         self.target = target
         self.path = path
         self._lock = lock
+        self._final = True
+        # What somebody else put there is nobody's to remove.
+        self._others = _files(path) - _own(path)
 
     def __enter__(self) -> Path:
         return self.path
 
     def __exit__(self, kind, value, traceback) -> None:
         try:
-            if kind is None:
+            if kind is None and (self._final or self.path == self.target):
                 self.commit()
             elif self.path == self.target:
                 # What ended the run matters more than a full disk.
                 with contextlib.suppress(OSError):
-                    _write_manifest(self.target, _files(self.target))
+                    _write_manifest(self.target, self._written())
         finally:
             _release(self.target, self._lock)
 
+    def end(self, code: int) -> int:
+        """The command's exit code; what was not solved replaces nothing."""
+        self._final = code in (0, FAILS_CODE)
+        return code
+
+    def _written(self) -> set[str]:
+        return _files(self.path) - self._others
+
     def commit(self) -> None:
         """Make the results final: replace old ones, note what was written."""
-        written = _files(self.path)
+        written = self._written()
         if self.path != self.target:
             for name in _read_manifest(self.target) - written:
                 (self.target / name).unlink(missing_ok=True)
@@ -90,7 +104,10 @@ class OutputFolder:
 
 
 def prepare_output_folder(
-    path: str | Path, force: bool = False, resume: bool = False
+    path: str | Path,
+    force: bool = False,
+    resume: bool = False,
+    reads: Iterable[str | Path | None] = (),
 ) -> OutputFolder:
     """Create the folder `path` for results; see `OutputFolder`.
 
@@ -98,12 +115,20 @@ def prepare_output_folder(
         path: the folder.
         force: replace results in it.
         resume: go on in it, or in what a run with `force` left of its own.
+        reads: folders that the run is made of.
 
     Raises:
-        InputError: it already holds files and `force` is not set, it cannot
-            be created, or another run is writing there.
+        InputError: it already holds files and `force` is not set, one of
+            `reads` lies in it, it cannot be created, or another run is
+            writing there.
     """
     target = Path(path)
+    for source in filter(None, reads):
+        if Path(source).resolve().is_relative_to(target.resolve()):
+            raise InputError(
+                f"{target}: --out would replace {source}, which is read; "
+                "choose another folder for --out"
+            )
     try:
         if target.exists() and not target.is_dir():
             raise InputError(f"{target}: is a file; give a folder for --out")
@@ -136,7 +161,7 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
         shutil.rmtree(partial, ignore_errors=True)
     place = partial if occupied else target
     place.mkdir(parents=True, exist_ok=True)
-    _write_manifest(place, set())  # before hours of work, not after
+    _write_manifest(place, {_WHOLE})  # before hours of work, not after
     return place
 
 
@@ -185,6 +210,12 @@ def _read_manifest(folder: Path) -> set[str]:
     place = folder / MANIFEST
     lines = place.read_text("utf-8").splitlines() if place.is_file() else []
     return {line for line in lines if line and _is_inside(folder, line)}
+
+
+def _own(folder: Path) -> set[str]:
+    """What runs have written into a folder, finished or not."""
+    listed = _read_manifest(folder)
+    return _files(folder) if _WHOLE in listed else listed
 
 
 def _is_inside(folder: Path, name: str) -> bool:
@@ -526,6 +557,12 @@ class Verdict:
             accepted = is_accepted(c.name, self.accepted)
             line = f"  {'accepted' if accepted else 'FAILS'}  {_told(c)}"
             lines.append(f"{_RED}{line}{_PLAIN}" if color else line)
+        names = [c.name for c in self.checks]
+        lines += [
+            f"  note  --accept {word}: no check has that name"
+            for word in self.accepted
+            if not any(is_accepted(name, [word]) for name in names)
+        ]
         if self.refused and self.word != UNSOLVED:
             names = dict.fromkeys(c.name for c in self.refused)
             options = " ".join(f"--accept {name}" for name in names)

@@ -16,6 +16,7 @@ A dataclass may check several fields together by raising `InputError` or
 """
 
 import dataclasses
+import re
 import types
 import typing
 from collections.abc import Mapping
@@ -173,8 +174,11 @@ class _Reader:
         try:
             return cls(**values)
         except (InputError, ValueError) as error:
+            # A sentence that begins with a key is told where that stands.
+            named = re.match(r"\w*", str(error)).group()
             raise self.error(
-                node, f"{where + ': ' if where else ''}{error}"
+                items.get(named, [node])[0],
+                f"{where + ': ' if where else ''}{error}",
             ) from error
 
     def _union(

@@ -346,6 +346,12 @@ def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:
         )
     recording = read_novel_asc(path)
     if all(name in recording.groups for name in names):
+        for name in recording.groups:
+            if name in mats and name not in names:
+                raise InputError(
+                    f"{path}: holds the mat {name}, too; name it in "
+                    "pressure.mats, or leave it out of the study's mats"
+                )
         return recording
     groups = split(path, recording.pressure.shape[1], sizes)
     return replace(recording, groups=groups)

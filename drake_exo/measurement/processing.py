@@ -481,8 +481,8 @@ def cut(
     """Cut one trial out of a processed recording.
 
     Raises:
-        InputError: no such rise, a part outside the recording, or encoders,
-            moments or mats that do not cover it.
+        InputError: no such rise, a part outside the recording or too short
+            for the filter, or encoders, moments or mats that do not cover it.
     """
     motion = recording.motion
     start, end, how = _bounds(files, recording)
@@ -492,6 +492,12 @@ def cut(
             f"trial {files.name}: {start:g} to {end:g} s holds no part of "
             f"the recording ({motion.time[0]:g} to {motion.time[-1]:g} s); "
             "correct start_s and end_s"
+        )
+    if end - start < 1.0 / settings.filter.cutoff_hz:
+        raise InputError(
+            f"trial {files.name}: {start:g} to {end:g} s is shorter than a "
+            f"period of what the filter leaves ({settings.filter.cutoff_hz:g} "
+            "Hz); give a longer part by start_s and end_s"
         )
     feet = {foot: w.cut(inside) for foot, w in recording.feet.items()}
     if subject.model.assembly.human.sides:

@@ -171,6 +171,14 @@ class PressureFile:
     file: Path
     mats: tuple[str, ...]
 
+    def __post_init__(self):
+        for name in self.mats:
+            if self.mats.count(name) > 1:
+                raise InputError(
+                    f"pressure.mats names {name} more than once, and its force "
+                    "would count as often; name it once"
+                )
+
 
 @dataclass(frozen=True)
 class Subject:

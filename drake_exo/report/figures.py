@@ -29,6 +29,7 @@ from drake_exo.contact.hunt_crossley import (
     sphere_force_derivatives,
 )
 from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
+from drake_exo.errors import InputError
 from drake_exo.files.output import save_figure, write_json
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
@@ -92,6 +93,11 @@ def plot_trials(
     >>> list(plot_trials(trials, trials))
     ['ground_reaction', 'kinematics']
     """
+    if not found or len(found) != len(measured):
+        raise InputError(
+            f"there are {len(found)} trials found and {len(measured)} "
+            "measured; give as many of each, and one at least"
+        )
     runs: Runs = {"model": found}
     if any(t is not None for t in uncalibrated):
         runs = {"calibrated": found, "uncalibrated": uncalibrated}

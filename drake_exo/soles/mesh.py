@@ -12,6 +12,7 @@ X' = s(p, θ, φ) X with θ = atan2(y, -z), φ = atan2(x, √(y² + z²)) and
 s = Σ p_jk N_j(θ) N_k(φ), degree 2, clamped at ±π/2 (paper, (4) and (5)).
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +33,7 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
 _UPWARDS = 1e-3  # of a face's normal: beyond rounding
+_MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
 
 
@@ -223,12 +225,18 @@ def brick(
     Neighbouring cells mirror each other (Kuhn cells by parity).
 
     Raises:
-        InputError: A size or a division that is not positive.
+        InputError: A size or a division that is not positive, or too many
+            divisions for any memory.
     """
     if min(size) <= 0 or min(divisions) < 1:
         raise InputError(
             f"brick: size {size} and divisions {divisions} must be positive; "
             "give metres and whole numbers of cells"
+        )
+    if (count := 6 * math.prod(divisions)) > _MOST_TETS:
+        raise InputError(
+            f"brick: divisions {tuple(divisions)} make {count} tets, more than "
+            f"{_MOST_TETS}; give fewer cells"
         )
     axes = [
         np.linspace(-0.5, 0.5, divisions[0] + 1) * size[0],

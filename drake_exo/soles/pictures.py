@@ -75,7 +75,7 @@ def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
             seen[order][:, :, :2],
             facecolors=colour,
             edgecolors=colour,
-            linewidths=0.3,
+            linewidths=0.8,
             rasterized=True,
         )
     )
@@ -595,7 +595,7 @@ def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
     if not pieces:
         return None
     axis.add_collection(
-        PolyCollection(pieces, facecolors=_RUBBER, edgecolors=_RUBBER, lw=0.5)
+        PolyCollection(pieces, facecolors=_RUBBER, edgecolors=_RUBBER, lw=0.8)
     )
     every = np.concatenate(pieces)
     return np.stack([every.min(axis=0), every.max(axis=0)])

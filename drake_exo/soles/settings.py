@@ -422,7 +422,16 @@ class Setup:
         )
 
     def with_iterations(self, iterations: int | None) -> "Setup":
-        """At most so many in the last stage; None: the case's."""
+        """At most so many in the last stage; None: the case's.
+
+        Raises:
+            InputError: that is no whole number from 0 on.
+        """
+        whole = isinstance(iterations, int | np.integer)
+        if iterations is not None and not (whole and iterations >= 0):
+            raise InputError(
+                f"iterations is {iterations!r}; give a whole number from 0 on"
+            )
         return (
             self if iterations is None
             else self._with_last_stage(iterations=iterations)

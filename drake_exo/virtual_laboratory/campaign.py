@@ -379,8 +379,8 @@ def write_campaign(
 
     Raises:
         InputError: unknown disturbance, kind of files or truth, negative
-            seed, an impossible number of trials, or a design of another
-            device.
+            seed, an impossible number of trials, a design of another
+            device, or a folder that holds a study already.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -400,6 +400,10 @@ def write_campaign(
             raise InputError(
                 f"{what} is {value!r}; give one of {', '.join(known)}"
             )
+    if (Path(folder) / "study.yaml").exists():
+        raise InputError(
+            f"{folder}: holds a study already; choose another folder"
+        )
     active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
     job = Campaign(Path(folder), seed, active, files, truth, design)
     (job.folder / "truth").mkdir(parents=True, exist_ok=True)

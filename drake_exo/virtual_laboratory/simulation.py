@@ -98,7 +98,8 @@ def simulate(
                     "another seed, or a lighter device"
                 )
         if progress:
-            progress.update(f"{name}, {time:.2f} of {end:.2f} s", done)
+            now = max(time, 0.0)  # before it begins, it settles
+            progress.update(f"{name}, {now:.2f} of {end:.2f} s", done)
 
     motion = integrate(built.diagram, context, end, tell)
     if motion.t_max < end:

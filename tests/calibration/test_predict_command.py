@@ -12,6 +12,7 @@ from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
+from drake_exo.study import Prediction
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +36,30 @@ def test_unseen_rises_are_predicted(summary):
         assert set(row["moments_nm"]) == {"ankle", "knee", "hip"}
         assert row["interaction_n"] == {}
     assert all(row["holds"] for row in summary["audit"])
+
+
+@pytest.mark.slow
+def test_ctrl_c_between_solves_keeps_what_is_finished(
+    command, calibrated, tmp_path, monkeypatch
+):
+    """While the second trial is audited, no solver hears it."""
+    audits = iter([Prediction.audit])
+
+    def audit(self):
+        for own in audits:
+            return own(self)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Prediction, "audit", audit)
+    out = tmp_path / "c1"
+    more = ["--calibration", str(calibrated), "--out", str(out)]
+    with undrawn():
+        assert main([*command("predict"), *more]) == 130
+    found = json.loads((out / "summary.json").read_text("utf-8"))
+    assert found["success"] is False and found["verdict"] == "not solved"
+    assert [row["trial"] for row in found["rmsd"]] == ["rise4"]
+    assert (out / "solution_rise4.npz").is_file()
+    assert not (out / "unfinished_rise4").exists()
 
 
 @pytest.mark.slow

@@ -218,7 +218,19 @@ def test_input_of_the_api_is_told(study, made):
     with pytest.raises(dx.InputError, match="needs an exoskeleton"):
         dx.Model("coupled", made.model.human)
     with pytest.raises(dx.InputError, match="there are no trials"):
-        dx.calibrate_foot_ground(dx.Study(made.model, []))
+        dx.Study(made.model, [])
+    with pytest.raises(dx.InputError, match="model is 'coupled'; give a"):
+        dx.Study("coupled", made.trials)
+    with pytest.raises(dx.InputError, match="'rise1' is no trial"):
+        dx.predict(study, "rise1", made.contact)
+    with pytest.raises(dx.InputError, match="contact is None; give a"):
+        dx.predict(study, trial, None)
+    with pytest.raises(dx.InputError, match="is no list of trials"):
+        dx.calibrate_foot_ground(study, trial)
+    with pytest.raises(dx.InputError, match="'a' is no trial"):
+        dx.calibrate_interaction(study, ["a"], made.contact)
+    with pytest.raises(dx.InputError, match="0 trials found and 1 measured"):
+        dx.plot_trials([], [trial])
 
 
 @pytest.fixture(scope="module")

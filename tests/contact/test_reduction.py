@@ -112,6 +112,8 @@ def test_too_few_samples_are_refused():
     )  # fmt: skip
     with pytest.raises(InputError, match="fewer spheres"):
         reduce_sole(few, 3)
+    with pytest.raises(InputError, match="take 1 or more"):
+        reduce_sole(few, 0)
     # A centre of pressure tells nothing where hardly anything bears.
     force = np.where(np.arange(len(whole.force)) < 2, whole.force, 1e-9)
     with pytest.raises(InputError, match="fewer spheres"):

@@ -1,5 +1,6 @@
 import io
 import json
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -233,3 +234,61 @@ def test_contents_that_differ_beyond_six_digits_are_the_same():
     ]
     assert len({one, *others}) == 5
     assert checksum([3.0]) != checksum([4.0])
+
+
+def test_resuming_does_not_make_others_files_its_own(tmp_path):
+    """As a study beside its results: a later --force leaves it."""
+    target = tmp_path / "out"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+    (target / "study.yaml").write_text("mine")
+    with prepare_output_folder(target, resume=True) as folder:
+        (folder / "two.txt").write_text("more")
+    with prepare_output_folder(target, force=True):
+        pass
+    assert not (target / "one.txt").exists()
+    assert not (target / "two.txt").exists()
+    assert (target / "study.yaml").read_text() == "mine"
+
+
+def test_what_a_killed_run_left_is_its_own(tmp_path):
+    target = tmp_path / "out"
+    folder = prepare_output_folder(target)
+    (folder.path / "one.txt").write_text("so far")
+    os.close(folder._lock)  # as the system does
+    with prepare_output_folder(target, resume=True):
+        pass
+    with prepare_output_folder(target, force=True):
+        pass
+    assert not (target / "one.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("code", "kept"), [(0, "new"), (3, "new"), (1, "old"), (130, "old")]
+)
+def test_what_is_not_solved_replaces_nothing(tmp_path, code, kept):
+    target = tmp_path / "out"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+    folder = prepare_output_folder(target, force=True)
+    with folder as place:
+        (place / "one.txt").write_text("new")
+        assert folder.end(code) == code
+    assert (target / "one.txt").read_text() == kept
+    assert (folder.path / "one.txt").read_text() == "new"
+    # The first run into a folder stays there, solved or not.
+    first = prepare_output_folder(tmp_path / "first")
+    with first as place:
+        (place / "one.txt").write_text("first")
+        first.end(code)
+    assert (tmp_path / "first/one.txt").read_text() == "first"
+
+
+def test_what_is_read_is_not_replaced(tmp_path):
+    target = tmp_path / "out"
+    with prepare_output_folder(target / "foot_ground") as folder:
+        (folder / "one.txt").write_text("old")
+    for source in (target, target / "foot_ground"):
+        with pytest.raises(InputError, match="is read; choose another"):
+            prepare_output_folder(target, force=True, reads=[None, source])
+    prepare_output_folder(target / "next", reads=[target]).__exit__(*[None] * 3)

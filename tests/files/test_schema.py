@@ -192,7 +192,8 @@ def test_post_init_complaints_carry_file_and_line():
         window: Window
 
     text = "\nwindow:\n  start_s: 2\n  end_s: 1\n"
-    with pytest.raises(InputError, match=r"f:3: window: end_s must be after"):
+    # Where the key stands that the sentence begins with.
+    with pytest.raises(InputError, match=r"f:4: window: end_s must be after"):
         schema.load_text(text, Outer, "f")
 
 

@@ -48,6 +48,12 @@ def test_an_accepted_result_keeps_its_mark():
     assert Verdict((SOLVED, NOTE)).mark == ""
 
 
+def test_what_is_accepted_and_was_never_checked_is_told():
+    text = Verdict((SOLVED, AUDIT), ("auditt", "audit", "all")).text()
+    assert "--accept auditt: no check has that name" in text
+    assert text.count("no check has that name") == 1
+
+
 def test_failures_come_last_and_red():
     text = Verdict((AUDIT, SOLVED, NOTE)).text(color=True)
     last = text.splitlines()[-2]

@@ -357,6 +357,38 @@ def test_novel_export_without_a_mask(folder):
         read_mat_forces((file,), {"m": wrong}, folder, FILTER)
 
 
+def test_every_mat_of_a_file_counts_once(folder):
+    head = [
+        "file name:  x.sol\tdate/time  01.01.26",
+        "sensor type:  S2140",
+        "total time [secs]:  2.0\ttime per frame [secs]:  0.02\t"
+        "scanning rate [Hz]:   50",
+        "pressure values in  kPa",
+        "",
+        "mask definition:",
+        *(f"{name}: 1,2,3,4,5,6," for name in ("m", "n")),
+        "",
+        "\t".join(["time[secs]", *map(str, [*range(1, 7)] * 2)]),
+    ]
+    rows = ["\t".join([f"{t + 0.02:.3f}", *["20.000"] * 12]) for t in TIME]
+    (folder / "p.asc").write_text("\n".join([*head, *rows]) + "\n")
+
+    def read(names, mats):
+        file = PressureFile(Path("p.asc"), names)
+        return read_mat_forces(
+            (file,), dict.fromkeys(mats, FLAT), folder, FILTER
+        )
+
+    assert [mat.name for mat in read(("n", "m"), "mn")] == ["n", "m"]
+    # One that the study does not know is nobody's.
+    (alone,) = read(("m",), "m")
+    np.testing.assert_allclose(alone.normal, 24.0, rtol=1e-9)
+    with pytest.raises(InputError, match=r"p\.asc: holds the mat n, too"):
+        read(("m",), "mn")
+    with pytest.raises(InputError, match="names m more than once"):
+        PressureFile(Path("p.asc"), ("m", "n", "m"))
+
+
 def test_refuses_a_matrix_of_the_wrong_size(folder):
     write_pressure(folder / "p.csv", FLAT)
     with pytest.raises(InputError, match=r"p\.csv.* 6 cells.*m 4 x 3"):

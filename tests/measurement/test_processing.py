@@ -166,6 +166,9 @@ def test_window_instead_of_a_rise(made, loaded):
     (trial,) = load_trials(study, folder, subject, (files,))
     assert time_of(trial)[-1] == pytest.approx(3.0)
     assert trial.start_s == trial.provenance["part"]["seat_off_s"]
+    files = replace(study.trials[0], rise=None, start_s=2.0, end_s=2.1)
+    with pytest.raises(InputError, match=r"shorter than a period .* \(6 Hz\)"):
+        load_trials(study, folder, subject, (files,))
 
 
 def test_one_leg_is_doubled(made, loaded):

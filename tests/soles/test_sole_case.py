@@ -11,7 +11,7 @@ import pytest
 
 from drake_exo import cli
 from drake_exo.errors import InputError
-from drake_exo.soles.case import Case
+from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.load_blocks import (
     Constant,
     ForcePlate,
@@ -247,3 +247,10 @@ def test_soles_never_load_systems_nor_the_exoskeleton_half():
         "assert 'drake_exo.soles.simulation' in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("iterations", [-1, 2.5, "a"])
+def test_iterations_are_a_whole_number(iterations):
+    case = Case.from_text(EXAMPLE)
+    with pytest.raises(InputError, match="give a whole number from 0 on"):
+        case.with_iterations(iterations)

@@ -328,3 +328,8 @@ def test_flat_elements_are_flat_beside_the_usual_one(part, sound):
     else:
         with pytest.raises(InputError, match=r"1 of 10369 .* flat"):
             checked_mesh(nodes, tets, mesh.fixed, "m")
+
+
+def test_a_brick_of_too_many_tets_is_refused():
+    with pytest.raises(InputError, match="make 5382000 tets, more than"):
+        brick((0.23, 0.13, 0.03), (230, 130, 30))

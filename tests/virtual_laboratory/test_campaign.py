@@ -277,7 +277,11 @@ def test_bad_requests_are_refused(tmp_path, arguments, message):
 
 
 def test_results_are_not_overwritten(tmp_path, capsys):
-    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "study.yaml").write_text("mine")
+    with pytest.raises(InputError, match="holds a study already"):
+        write_campaign(tmp_path, seed=1, trials=1)
+    assert [p.name for p in tmp_path.iterdir()] == ["study.yaml"]
+    (tmp_path / "study.yaml").rename(tmp_path / "notes.txt")
     assert main(["lab", "--out", str(tmp_path)]) == 2
     assert "--force" in capsys.readouterr().err
 
