@@ -437,12 +437,19 @@ def _forces(ax, trial: Trial, t) -> None:
     _finish_axes(ax, "forces on the body", "N")
 
 
+_MARKERS = 24  # as many names as can be read, the farthest
+
+
 def _markers(ax, quality: TrialQuality) -> None:
-    items = sorted(quality.marker_rms_m.items(), key=lambda item: item[1])
+    every = sorted(quality.marker_rms_m.items(), key=lambda item: item[1])
+    items = every[-_MARKERS:]
     values = [1e3 * value for _, value in items]
     ax.barh(range(len(items)), values, color="0.6")
-    ax.set_yticks(range(len(items)), [name for name, _ in items], fontsize=5)
-    ax.set_title("markers' distance from the model", fontsize=9)
+    ax.set_yticks(range(len(items)), [name for name, _ in items], fontsize=6)
+    title = "markers' distance from the model"
+    if len(items) < len(every):
+        title += f", {len(items)} of {len(every)}"
+    ax.set_title(title, fontsize=9)
     ax.set_xlabel("mm")
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
@@ -68,8 +69,11 @@ class Case(Setup):
             InputError: With file, line, key and remedy; or the ZMP leaves
                 the sole.
         """
-        root = data_root or Path(path).parent
-        case = cls.open(Settings.read(path), root, mesh_file, read_step)
+        root, settings = data_root or Path(path).parent, Settings.read(path)
+        try:
+            case = cls.open(settings, root, mesh_file, read_step)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
         return case if mesh_file is None else case.on_own_mesh()
 
     @classmethod

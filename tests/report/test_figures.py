@@ -227,6 +227,11 @@ def test_quality_shows_what_was_loaded():
     assert [b.get_width() for b in markers.patches] == [3.0, 12.0]
     names = [label.get_text() for label in markers.get_yticklabels()]
     assert names == ["GOOD", "WORSE"]
+    many = {f"M{k}": 1e-3 * k for k in range(60)}
+    figure = figures.quality_figure(trial, replace(quality, marker_rms_m=many))
+    last = figure.axes[-1]
+    assert last.get_title() == "markers' distance from the model, 24 of 60"
+    assert last.get_yticklabels()[-1].get_text() == "M59"
     units = {title: ax.get_ylabel() for title, ax in panels.items()}
     assert (units["angles"], units["joint moments"]) == ("deg", "N m")
     nothing = replace(trial, moments=None, cuffs={}, chair=None)

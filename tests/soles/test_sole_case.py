@@ -254,3 +254,12 @@ def test_iterations_are_a_whole_number(iterations):
     case = Case.from_text(EXAMPLE)
     with pytest.raises(InputError, match="give a whole number from 0 on"):
         case.with_iterations(iterations)
+
+
+def test_what_a_case_asks_for_in_vain_names_its_file(tmp_path):
+    path = tmp_path / "case.yaml"
+    path.write_text(EXAMPLE.replace("10, 0, 400", "10, 0, -4"))
+    with pytest.raises(
+        InputError, match=r"case\.yaml: constant load: .* above"
+    ):
+        Case.read(path)
