@@ -98,7 +98,10 @@ def _of_c3d(path: Path) -> list[Section]:
 
 def _of_table(path: Path) -> list[Section]:
     table = read_table(path)
-    angles = {True: "angles in degrees", False: "angles in radians"}
+    angles = {
+        True: "angles in degrees, else in SI units",
+        False: "angles in radians, else in SI units",
+    }
     said = angles.get(table.in_degrees, "the header says no unit of angles")
     found = []
     if has_plates(table):
@@ -115,10 +118,31 @@ def _of_csv(path: Path) -> list[Section]:
     if "Format Version" in first:
         return [_markers(read_markers_csv(path))]
     cells = first.split(",")
+    if [cell.strip() for cell in cells[:2]] == ["row", "column"]:
+        return [_places(path, lines)]
     if ";" in cells[0]:
         whole = {"cells": (1, len(cells) - 1)}
         return [_pressure(read_pressure_csv(path, whole))]
     return [_channels(read_csv_table(path), "in SI units, angles in radians")]
+
+
+def _places(path: Path, lines: list[str]) -> Section:
+    """Where a mat's cells lie."""
+    try:
+        rows = [line.split(",") for line in lines[1:] if line.strip()]
+        table = np.array(rows, float).reshape(-1, 5)
+        low, high = table[:, 2:].min(axis=0), table[:, 2:].max(axis=0)
+    except ValueError as error:
+        raise InputError(
+            f"{path}: holds no row, column, x, y and z of cells; export again"
+        ) from error
+    count, across = (len(set(table[:, k])) for k in (0, 1))
+    spans = [
+        f"{axis}: {a:.4g} to {b:.4g}"
+        for axis, a, b in zip("xyz", low, high, strict=True)
+    ]
+    title = f"{count} by {across} cells of a mat, in the scan's unit"
+    return Section(title, tuple(spans))
 
 
 def _of_mesh(path: Path) -> list[Section]:

@@ -215,8 +215,9 @@ def place_cells(
             what, source = "cell", root / scan.cells
         raise InputError(
             f"{source}: {what} {int(off.argmax()) + 1} of the mat "
-            f"lies {off.max():.3g} m off the scanned surface; give it in the "
-            "scan's own unit and axes"
+            f"lies {off.max():.3g} m off the scanned surface "
+            f"({surface.source}); give the whole scan, and both in its own "
+            "unit and axes"
         )
     if scan.cells is not None:
         return on

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drake_exo.cli import main
+from drake_exo.errors import InputError
 from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.inspection import inspect, text_of
 from drake_exo.files.opensim import write_table, write_trc
@@ -79,7 +80,10 @@ def test_tables_say_their_unit_of_angles(tmp_path):
     table = Table(TIME, ("knee", "hip"), values, True)
     write_table(tmp_path / "a.mot", table)
     found = text(tmp_path / "a.mot")
-    assert "2 channels, angles in degrees, 100 Hz, 0 to 1.99 s" in found
+    assert (
+        "2 channels, angles in degrees, else in SI units, 100 Hz, 0 to 1.99 s"
+        in found
+    )
     assert "knee: 0 to 90" in found and "hip: 5 throughout" in found
     names = [f"ground_force_1_{k}{a}" for k in "vp" for a in "xyz"]
     force = np.zeros((200, 6))
@@ -97,6 +101,14 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     (tmp_path / "p.csv").write_text("\n".join(rows) + "\n")
     found = text(tmp_path / "p.csv")
     assert "cells: 3 cells, up to 19.9 kPa, 1 of them pressed" in found
+    rows = ["row,column,x,y,z", "1,1,20.5,75,703", "1,2,21,75,717"]
+    (tmp_path / "cells.csv").write_text("\n".join(rows) + "\n")
+    found = text(tmp_path / "cells.csv")
+    assert "1 by 2 cells of a mat, in the scan's unit" in found
+    assert "z: 703 to 717" in found
+    (tmp_path / "cells.csv").write_text("row,column,x,y,z\n1,1,a,2,3\n")
+    with pytest.raises(InputError, match=r"cells\.csv: holds no row, column"):
+        inspect(tmp_path / "cells.csv")
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "vtk"])
