@@ -39,6 +39,7 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
+from drake_exo.nlp.ipopt import STOPPED_BY_USER
 from drake_exo.report.figures import draw_figures
 from drake_exo.report.gathering import (
     audit_table,
@@ -292,7 +293,7 @@ def _summary(study: Study, found: list[Prediction], trials) -> dict:
     solves = [{"trial": p.name, **solve_summary(p.solution)} for p in found]
     failed = [s["status"] for s in solves if not s["success"]]
     if len(solves) < len(trials):
-        failed.append("stopped by the user")
+        failed.append(STOPPED_BY_USER)
     total = {
         key: sum(s[key] for s in solves)
         for key in (

@@ -24,6 +24,8 @@ from drake_exo.nlp.program import (
 )
 from drake_exo.nlp.sparse import SparseProgram
 
+# The status of what the user ended.
+STOPPED_BY_USER = "stopped by the user"
 # IPOPT's ApplicationReturnStatus.
 _STATUS = {
     0: "solved",
@@ -31,7 +33,7 @@ _STATUS = {
     2: "converged to a point of local infeasibility",
     3: "search direction becomes too small",
     4: "iterates diverge",
-    5: "stopped by the user",
+    5: STOPPED_BY_USER,
     6: "feasible point found",
     -1: "maximum number of iterations exceeded",
     -2: "restoration failed",
@@ -161,7 +163,7 @@ class Solution:
     @property
     def was_stopped(self) -> bool:
         """Whether the user ended it."""
-        return self.status == _STATUS[5]
+        return self.status == STOPPED_BY_USER
 
     @property
     def is_sealed(self) -> bool:
@@ -271,7 +273,7 @@ def solve(
     elapsed = time.perf_counter() - start
     solution = _solution(problem, y, objective, status, watch, total, elapsed)
     if not solution.success and stop.is_set():
-        solution.status = _STATUS[_STOPPED]
+        solution.status = STOPPED_BY_USER
     elif watch.gave_up and status == _STOPPED:
         solution.status = "no progress"
     if binding and not solution.success:

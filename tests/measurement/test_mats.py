@@ -337,7 +337,8 @@ def test_two_mats_in_one_file_keep_their_columns(folder):
     np.testing.assert_allclose(back.normal, 0.0, atol=1e-9)
 
 
-def test_novel_export_without_a_mask(folder):
+def write_novel(path, cells, masks=()):
+    """Novel's .asc with 20 kPa on every one of some cells, by their numbers."""
     head = [
         "file name:  x.sol\tdate/time  01.01.26",
         "sensor type:  S2140",
@@ -345,10 +346,16 @@ def test_novel_export_without_a_mask(folder):
         "scanning rate [Hz]:   50",
         "pressure values in  kPa",
         "",
-        "\t".join(["time[secs]", *map(str, range(1, 7))]),
+        *masks,
+        "\t".join(["time[secs]", *map(str, cells)]),
     ]
-    rows = ["\t".join([f"{t + 0.02:.3f}", *["20.000"] * 6]) for t in TIME]
-    (folder / "p.asc").write_text("\n".join([*head, *rows]) + "\n")
+    pressed = ["20.000"] * len(cells)
+    rows = ["\t".join([f"{t + 0.02:.3f}", *pressed]) for t in TIME]
+    path.write_text("\n".join([*head, *rows]) + "\n")
+
+
+def test_novel_export_without_a_mask(folder):
+    write_novel(folder / "p.asc", range(1, 7))
     file = PressureFile(Path("p.asc"), ("m",))
     (found,) = read_mat_forces((file,), {"m": FLAT}, folder, FILTER)
     np.testing.assert_allclose(found.normal, 24.0, rtol=1e-9)
@@ -358,20 +365,9 @@ def test_novel_export_without_a_mask(folder):
 
 
 def test_every_mat_of_a_file_counts_once(folder):
-    head = [
-        "file name:  x.sol\tdate/time  01.01.26",
-        "sensor type:  S2140",
-        "total time [secs]:  2.0\ttime per frame [secs]:  0.02\t"
-        "scanning rate [Hz]:   50",
-        "pressure values in  kPa",
-        "",
-        "mask definition:",
-        *(f"{name}: 1,2,3,4,5,6," for name in ("m", "n")),
-        "",
-        "\t".join(["time[secs]", *map(str, [*range(1, 7)] * 2)]),
-    ]
-    rows = ["\t".join([f"{t + 0.02:.3f}", *["20.000"] * 12]) for t in TIME]
-    (folder / "p.asc").write_text("\n".join([*head, *rows]) + "\n")
+    masks = [f"{name}: 1,2,3,4,5,6," for name in ("m", "n")]
+    cells = [*range(1, 7)] * 2
+    write_novel(folder / "p.asc", cells, ["mask definition:", *masks, ""])
 
     def read(names, mats):
         file = PressureFile(Path("p.asc"), names)
