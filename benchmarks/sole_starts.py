@@ -1,12 +1,13 @@
 """How far the optimum of a sole depends on where the search starts.
 
 The case 1-Ref with all limits, searched as `sole optimize` does from three
-starts, as often as asked, each time from three smooth random shapes of its own
-(never the brick). Prints what each comes to, of the brick's c on the same mesh
-by the exact law, and how far the best and the worst are apart.
+starts, as often as asked: from the brick and two smooth random bends of it,
+each time others; with --bends from three bends, never the brick. Prints what
+each comes to, of the brick's c on the same mesh by the exact law, and how far
+the best and the worst are apart.
 
 python benchmarks/sole_starts.py [--json] [--data-root DIR] [--times 10]
-    [--coarse] [--iterations N] [--workers N]
+    [--bends] [--coarse] [--iterations N] [--workers N]
 """
 
 import argparse
@@ -34,17 +35,25 @@ def setup_of(root, coarse):
     return Setup.open(settings, root)
 
 
-def best_of_three(root, number, coarse, iterations):
+def starts_of(number, bends):
+    """Shapes of the starts of a search, by its number, from 0."""
+    if bends:
+        return [1 + STARTS * number + k for k in range(STARTS)]
+    further = STARTS - 1
+    return [0, *(1 + further * number + k for k in range(further))]
+
+
+def best_of_three(root, bends, coarse, iterations):
     """What one search comes to.
 
     Args:
         root: of the data.
-        number: of the search, from 0.
+        bends: shapes of its starts.
         coarse: two coarse stages.
         iterations: of the last stage; None: as it says.
     """
     setup = setup_of(root, coarse).with_iterations(iterations)
-    design = optimise(setup, None, str, first=1 + STARTS * number)
+    design = optimise(setup, None, str, bends=bends)
     told = design.summary()
     return {
         "first_stage": [row["cost"] for row in design.starts],
@@ -60,13 +69,14 @@ def main():
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--data-root", type=Path)
     parser.add_argument("--times", type=int, default=10)
+    parser.add_argument("--bends", action="store_true", help="no brick")
     parser.add_argument("--coarse", action="store_true")
     parser.add_argument("--iterations", type=int, help="of the last stage")
     args = parser.parse_args()
     calls = [
         {
             "root": args.data_root or Path("."),
-            "number": number,
+            "bends": starts_of(number, args.bends),
             "coarse": args.coarse,
             "iterations": args.iterations,
         }

@@ -313,10 +313,11 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     """Feasible before cheap; starts that were interrupted go on first."""
     block = case.settings.optimize
     setup = case.optimizing(stages=4 * block.stages, starts=4)
-    made, clock = [], [1000.0]
+    made, said, clock = [], [], [1000.0]
     rows = [(5.0, 0.0), (1.0, 0.5), (4.0, 0.0), (6.0, 0.0)]
 
     def from_start(setup, start, number, at, out, say):
+        said.append(say("it goes"))
         made.append((start, number, at and at.p))
         cost, violation = rows[start]
         return _fake_run(number + 1, f"p{start}", cost - number, violation)
@@ -353,6 +354,12 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
         (last, "p2'", [4.0, 3.0, 2.0, 3.0], [11.0, 12.0, 13.0, 14.0]),
     ]  # fmt: skip
     assert found.seconds == 7.0
+    places = [1, 2, 3, 4, 3, 1, 3]
+    assert said == [f"start {k}/4, it goes" for k in places]
+    # Others than the first shapes, none of them the brick.
+    made.clear()
+    search.optimise(setup, None, str, bends=(3, 2, 1, 0))
+    assert [row[0] for row in made[:6]] == [3, 2, 1, 0, 2, 0]
     # One that was finished is verified on its last stage's problem.
     made.clear()
     last = replace(block.stages[0], layer_m=2e-4)
@@ -393,7 +400,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     wanted = start_design(problem, bounds, 2)
     np.testing.assert_array_equal(asked[0].p, wanted)
     np.testing.assert_array_equal(asked[0].latest, wanted)
-    assert said == ["start 3/3, it goes"]
+    assert said == ["it goes"]
     row = {"stage": 1, "cost": 2.0, "violation": 0.5}
     assert run.at.starts == (row,)
     again = search.from_start(setup, 2, 0, run.at, None, said.append)

@@ -157,7 +157,7 @@ def optimise(
     say: Callable[[str], object],
     resume: Checkpoint | None = None,
     at_once: int = 1,
-    first: int = 0,
+    bends: Sequence[int] | None = None,
 ) -> Design:
     """Run the case's stages.
 
@@ -168,10 +168,11 @@ def optimise(
         say: Called with one line of progress now and then.
         resume: An earlier checkpoint to go on from.
         at_once: Processes for the starts; with 1 this one makes them all.
-        first: Number of the first start.
+        bends: Shape of each start, see `start_design`; the brick and the
+            first bends by themselves.
     """
     began = time.perf_counter()
-    jobs = search_jobs(setup, out, resume, first)
+    jobs = search_jobs(setup, out, resume, bends)
 
     def end(row: Ended) -> None:
         if row.state == "lost":
@@ -198,7 +199,7 @@ def search_jobs(
     setup: Setup,
     out: Path | None,
     resume: Checkpoint | None = None,
-    first: int = 0,
+    bends: Sequence[int] | None = None,
     name: str = "",
 ) -> list[Job]:
     """The stages of a case as jobs, the last of which returns what is `Found`.
@@ -217,12 +218,13 @@ def search_jobs(
         )  # fmt: skip
 
     if at.p is None:
+        bends = tuple(range(block.starts) if bends is None else bends)
         begun = list(islice(chain(at.begun, repeat(None)), block.starts))
         for number in range(max(len(block.stages) - 1, 1)):
             jobs += [
                 add(
                     f"{place + 1}/stage {number + 1}", race,
-                    number=number, place=place, begun=at_start, first=first,
+                    number=number, place=place, begun=at_start, bends=bends,
                 )
                 for place, at_start in enumerate(begun)
             ]  # fmt: skip
@@ -236,14 +238,14 @@ def race(
     number: int,
     place: int,
     begun,
-    first: int,
+    bends: Sequence[int],
     say,
     before=(),
 ) -> _Racer:
     """One of the stages but the last, from one of several starts.
 
     Args:
-        setup, out, first, say: Those of `optimise`.
+        setup, out, bends, say: Those of `optimise`.
         number: Of the stage, from 0.
         place: Of the start, after the stage before.
         begun: Where a start was interrupted, if it was.
@@ -252,10 +254,15 @@ def race(
     racer = _Racer(place, [])
     if before:
         racer = sorted(_racers(before), key=lambda r: r.rank)[place]
-    at = racer.runs[-1].at if racer.runs else begun
-    if setup.settings.optimize.starts > 1:
+    at, prefix = racer.runs[-1].at if racer.runs else begun, ""
+    starts = setup.settings.optimize.starts
+    if starts > 1:
         out = start_folder(out, racer.start)
-    run = from_start(setup, first + racer.start, number, at, out, say)
+        prefix = f"start {racer.start + 1}/{starts}, "
+    run = from_start(
+        setup, bends[racer.start], number, at, out,
+        lambda line: say(prefix + line),
+    )  # fmt: skip
     return replace(racer, runs=[*racer.runs, run])
 
 
@@ -423,7 +430,7 @@ def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
     }
 
 
-def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
+def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     """A stage from one start, see `start_design`.
 
     `at` is where it stands, None to begin; `out` a folder for its
@@ -435,7 +442,7 @@ def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
     problem = None
     if at is None:
         problem = stage_problem(setup, block.stages[0])
-        p = start_design(problem, tuple(block.bounds), start)
+        p = start_design(problem, tuple(block.bounds), bend)
         at = Checkpoint(p=p, latest=p)
     elif len(at.starts) > number:  # finished before an interruption
         row = at.starts[number]
@@ -444,10 +451,7 @@ def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
             multipliers=at.multipliers,
         )  # fmt: skip
         return _Run(done, 0.0, at)
-    prefix = f"start {start + 1}/{block.starts}, " if block.starts > 1 else ""
-    run, _ = _run_stage(
-        setup, number, at, out, lambda line: say(prefix + line), problem
-    )
+    run, _ = _run_stage(setup, number, at, out, say, problem)
     best = run.optimum
     row = {
         "stage": number + 1, "cost": best.cost, "violation": best.violation,
@@ -457,11 +461,11 @@ def from_start(setup: Setup, start: int, number: int, at, out, say) -> _Run:
     return run
 
 
-def start_design(problem: ShapeProblem, bounds, start: int) -> np.ndarray:
-    """The brick (start 0) or a smooth random bend of it, within the volume."""
-    if start == 0:
+def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
+    """The brick (bend 0) or a smooth random bend of it, within the volume."""
+    if bend == 0:
         return first_design(problem, bounds)
-    rng = np.random.default_rng(start)
+    rng = np.random.default_rng(bend)
     T, p0 = problem.spline.free_map()
     grids = [np.linspace(0, np.pi, n + 2) for n in problem.spline.intervals]
     waves = [np.cos(np.outer(grid, np.arange(_WAVES))) for grid in grids]
