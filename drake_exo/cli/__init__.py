@@ -15,26 +15,26 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from drake_exo import __version__
 from drake_exo.errors import InputError
 
-# Each module offers `add_parser(subparsers)`, which sets `run=function(args)`
-# as a default. Modules are imported on demand: `drake-exo sole` must not load
-# the exoskeleton half, nor pay for it.
+# Each has a module here with `add_arguments(parser)`, which sets
+# `run=function(args)` as a default. It is imported on demand: `drake-exo sole`
+# must not load the exoskeleton half, nor `drake-exo --help` either of them.
 _COMMANDS = {
-    "inspect": "drake_exo.cli.inspect",
-    "check": "drake_exo.cli.check",
-    "calibrate": "drake_exo.cli.calibrate",
-    "predict": "drake_exo.cli.predict",
-    "design": "drake_exo.cli.design",
-    "crossvalidate": "drake_exo.cli.crossvalidate",
-    "report": "drake_exo.cli.report",
-    "sensitivity": "drake_exo.cli.sensitivity",
-    "contact": "drake_exo.cli.contact",
-    "demo": "drake_exo.cli.demo",
-    "lab": "drake_exo.cli.lab",
-    "sole": "drake_exo.cli.sole",
-    "batch": "drake_exo.cli.batch",
-    "compare": "drake_exo.cli.compare",
-    "export": "drake_exo.cli.export",
-    "view": "drake_exo.cli.view",
+    "inspect": "list what recorded files hold",
+    "check": "read and clean a study's recordings and report their quality",
+    "calibrate": "calibrate contact models from a study's recordings",
+    "predict": "predict movement and interaction with calibrated contact",
+    "design": "design cuffs and assistance with calibrated contact",
+    "crossvalidate": "leave each calibration trial out and predict it",
+    "report": "tables and figures of the paper from results",
+    "sensitivity": "which contact parameters the data determine",
+    "contact": "draw the contact laws (Figures 8 and 9 of the paper)",
+    "demo": "virtual campaign, calibration, prediction and report",
+    "lab": "simulate a measurement campaign with known truth",
+    "sole": "simulate and optimise compliant soles",
+    "batch": "many studies, seeds, cases and settings on many processes",
+    "compare": "results of two or more folders side by side",
+    "export": "results for other programs",
+    "view": "replay results in a browser, or save the page",
 }
 
 # What a full or read-only disk answers; anything else is a mistake of ours.
@@ -94,9 +94,12 @@ def parse(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--version", action="version", version=__version__)
     subparsers = parser.add_subparsers(dest="command", required=True)
     wanted = next((a for a in argv if not a.startswith("-")), None)
-    names = [wanted] if wanted in _COMMANDS else list(_COMMANDS)
-    for name in names:
-        importlib.import_module(_COMMANDS[name]).add_parser(subparsers)
+    for name, told in _COMMANDS.items():
+        command = subparsers.add_parser(name, help=told)
+        if name == wanted:
+            module = importlib.import_module(f"{__name__}.{name}")
+            command.description = module.__doc__
+            module.add_arguments(command)
     return parser.parse_args(argv)
 
 

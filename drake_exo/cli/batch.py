@@ -15,13 +15,8 @@ from drake_exo.jobs.engine import Processes
 _PARSE = "drake_exo.cli:parse"
 
 
-def add_parser(subparsers) -> None:
-    """Add `batch` to the command line."""
-    parser = subparsers.add_parser(
-        "batch",
-        help="many studies, seeds, cases and settings on many processes",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     parser.add_argument("batch", type=Path, metavar="BATCH.yaml")
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for all results"

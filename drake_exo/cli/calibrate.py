@@ -51,13 +51,8 @@ from drake_exo.study import (
 FOOT_GROUND, SUMMARY = "foot_ground", "summary.json"
 
 
-def add_parser(subparsers) -> None:
-    """Add `calibrate` to the command line."""
-    parser = subparsers.add_parser(
-        "calibrate",
-        help="calibrate contact models from a study's recordings",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     parser.add_argument(
         "--phase",
         choices=["foot-ground", "interaction"],

@@ -16,13 +16,8 @@ from drake_exo.measurement.quality import Quality, text_of
 from drake_exo.study import RecordedStudy, read_study
 
 
-def add_parser(subparsers) -> None:
-    """Add `check` to the command line."""
-    parser = subparsers.add_parser(
-        "check",
-        help="read and clean a study's recordings and report their quality",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     add_study(parser)
     add_out(parser, help="folder for report, pictures and trials")
     add_accept(parser)

@@ -16,13 +16,8 @@ from drake_exo.files.output import (
 from drake_exo.report.gathering import compare
 
 
-def add_parser(subparsers) -> None:
-    """Add `compare` to the command line."""
-    parser = subparsers.add_parser(
-        "compare",
-        help="results of two or more folders side by side",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     parser.add_argument("results", type=Path, nargs="+", metavar="DIR")
     add_out(parser, help="folder for table and figures")
     parser.set_defaults(run=run)

@@ -1,6 +1,6 @@
 """`drake-exo contact`: the contact laws drawn, Figures 8 and 9 of the paper."""
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 
 from drake_exo.cli import add_out
 from drake_exo.errors import InputError, check_fields
@@ -8,11 +8,8 @@ from drake_exo.files.output import prepare_output_folder
 from drake_exo.report.figures import ContactCurves, write_figures
 
 
-def add_parser(subparsers) -> None:
-    """Adds the subcommand `contact`."""
-    parser = subparsers.add_parser(
-        "contact", help="draw the contact laws (Figures 8 and 9 of the paper)"
-    )
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add what the command takes."""
     add_out(parser, required=True, help="folder for the figures")
     for name, item in ContactCurves.__dataclass_fields__.items():
         unit = item.metadata["unit"]

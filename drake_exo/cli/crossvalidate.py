@@ -31,13 +31,8 @@ from drake_exo.study import (
 )
 
 
-def add_parser(subparsers) -> None:
-    """Add `crossvalidate` to the command line."""
-    parser = subparsers.add_parser(
-        "crossvalidate",
-        help="leave each calibration trial out and predict it",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     add_study_arguments(parser, resume=False)
     parser.set_defaults(run=run)
 

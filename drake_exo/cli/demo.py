@@ -35,13 +35,8 @@ from drake_exo.virtual_laboratory.campaign import write_campaign
 _SEED = 1
 
 
-def add_parser(subparsers) -> None:
-    """Add `demo` to the command line."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="virtual campaign, calibration, prediction and report",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     add_out(parser, required=True)
     parser.set_defaults(run=run)
 

@@ -32,13 +32,8 @@ from drake_exo.study import (
 )
 
 
-def add_parser(subparsers) -> None:
-    """Add `design` to the command line."""
-    parser = subparsers.add_parser(
-        "design",
-        help="design cuffs and assistance with calibrated contact",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     add_study(parser, nargs="+")
     parser.add_argument(
         "--calibration",

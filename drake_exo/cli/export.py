@@ -10,11 +10,8 @@ from pathlib import Path
 from drake_exo.cli import add_accept, add_out
 
 
-def add_parser(subparsers) -> None:
-    """Add `export` to the command line."""
-    parser = subparsers.add_parser(
-        "export", help="results for other programs", description=__doc__
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     kinds = parser.add_subparsers(dest="kind", required=True)
     opensim = kinds.add_parser(
         "opensim", help="an OpenSim model with calibrated contacts"

@@ -10,11 +10,8 @@ from pathlib import Path
 from drake_exo.files.inspection import inspect, text_of
 
 
-def add_parser(subparsers) -> None:
-    """Add `inspect` to the command line."""
-    parser = subparsers.add_parser(
-        "inspect", help="list what recorded files hold", description=__doc__
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     parser.add_argument("file", type=Path, nargs="+", metavar="FILE")
     parser.set_defaults(run=run)
 

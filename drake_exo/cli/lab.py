@@ -19,15 +19,12 @@ from drake_exo.virtual_laboratory.two_legs import MOVEMENTS, write_movements
 PROCESSES = min(os.cpu_count() or 1, 2)
 
 
-def add_parser(subparsers) -> None:
-    """Declare the command and its options."""
-    parser = subparsers.add_parser(
-        "lab",
-        help="simulate a measurement campaign with known truth",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Simulate a measurement campaign with known truth.",
-        epilog="disturbances:\n"
-        + "".join(f"  {k}: {v}\n" for k, v in DISTURBANCES.items()),
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = "Simulate a measurement campaign with known truth."
+    parser.epilog = "disturbances:\n" + "".join(
+        f"  {k}: {v}\n" for k, v in DISTURBANCES.items()
     )
     parser.add_argument("--seed", type=int, default=0)
     add_out(parser, "replace results in DIR", required=True, metavar="DIR")

@@ -65,13 +65,8 @@ _FORMER = {
 }
 
 
-def add_parser(subparsers) -> None:
-    """Add `predict` to the command line."""
-    parser = subparsers.add_parser(
-        "predict",
-        help="predict movement and interaction with calibrated contact",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     add_study_arguments(parser)
     parser.add_argument(
         "--calibration",

@@ -16,13 +16,8 @@ from drake_exo.papers.serrancoli import draw_figures, tables
 from drake_exo.report.gathering import Results, check_one_study, gather
 
 
-def add_parser(subparsers) -> None:
-    """Add `report` to the command line."""
-    parser = subparsers.add_parser(
-        "report",
-        help="tables and figures of the paper from results",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     parser.add_argument("results", type=Path, metavar="DIR")
     add_out(
         parser,

@@ -20,13 +20,8 @@ from drake_exo.report.gathering import format_table
 from drake_exo.study import calibrate_foot_ground, read_study
 
 
-def add_parser(subparsers) -> None:
-    """Add `sensitivity` to the command line."""
-    parser = subparsers.add_parser(
-        "sensitivity",
-        help="which contact parameters the data determine",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     add_study_arguments(parser, resume=False)
     parser.set_defaults(run=run)
 

@@ -1,7 +1,7 @@
 """The command `drake-exo sole`: simulate and optimise compliant soles."""
 
 import time
-from argparse import ArgumentTypeError
+from argparse import ArgumentParser, ArgumentTypeError
 from pathlib import Path
 
 from drake_exo import soles
@@ -28,11 +28,8 @@ from drake_exo.soles.optimize.files import (
 from drake_exo.soles.results import sole_samples, write_csv
 
 
-def add_parser(subparsers) -> None:
-    """Offer the jobs of `sole` to the command line."""
-    sole = subparsers.add_parser(
-        "sole", help="simulate and optimise compliant soles"
-    )
+def add_arguments(sole: ArgumentParser) -> None:
+    """Add what the command takes."""
     jobs = sole.add_subparsers(dest="job", required=True)
 
     def job(name: str, run, help: str):

@@ -24,13 +24,8 @@ from drake_exo.files.output import read_json
 REPLAY = "replay.html"
 
 
-def add_parser(subparsers) -> None:
-    """Add `view` to the command line."""
-    parser = subparsers.add_parser(
-        "view",
-        help="replay results in a browser, or save the page",
-        description=__doc__,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
     parser.add_argument("results", type=Path, metavar="DIR")
     add_out(
         parser,
