@@ -17,6 +17,7 @@ from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.numerics import rotation_z
 
 _PAUSE_S = 0.2  # between loads that follow one another
+_MOST_SAMPLES = 100_000  # of a load; each is a system to solve
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,11 @@ class Load:
                 )
         if len(self.times) == 0:
             raise InputError(f"{self.name}: no samples; widen the window")
+        if (count := len(self.times)) > _MOST_SAMPLES:
+            raise InputError(
+                f"{self.name}: {count} samples, more than {_MOST_SAMPLES}; "
+                "give fewer, 0.005 s apart for a step"
+            )
         step = np.diff(self.times)
         if (step <= 0).any():
             first = int(np.argmax(step <= 0))

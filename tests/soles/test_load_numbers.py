@@ -172,6 +172,7 @@ def test_a_zmp_outside_is_told_by_how_much():
         ([0, 1, 2], [5, -3, 0], "is -3 N at 1 s"),
         ([0, 1, np.nan], [1, 1, 1], "times holds NaN"),
         ([], [], "no samples"),
+        (range(100_001), [1] * 100_001, "100001 samples, more than 100000"),
     ],
 )
 def test_bad_samples_are_named(times, up, sentence):
