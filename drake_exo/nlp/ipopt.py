@@ -423,8 +423,8 @@ def _attempt(problem, y0, options, watch):
         problem.num_constraints,
         _finite(problem.g_lower),
         _finite(problem.g_upper),
-        problem.jacobian_structure,
-        problem.hessian_structure,
+        _listed(problem.jacobian_structure),
+        _listed(problem.hessian_structure),
         problem.objective,
         gradient,
         constraints,
@@ -437,6 +437,11 @@ def _attempt(problem, y0, options, watch):
     with np.errstate(all="ignore"):
         y, objective, status = nlp.solve(y0.copy())
     return y, objective, status
+
+
+def _listed(structure):
+    """Rows and columns as ipyopt reads them ten times faster than arrays."""
+    return tuple(part.tolist() for part in structure)
 
 
 def _finite(bounds):
