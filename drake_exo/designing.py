@@ -16,7 +16,7 @@ from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import DesignResult, works
 from drake_exo.calibration.design_variables import GAINS, design_of
-from drake_exo.calibration.phases import check_has_cuffs
+from drake_exo.calibration.phases import check_has_cuffs, check_knows_cuffs
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.settings import DesignSettings, PredictionSettings
 from drake_exo.calibration.solving import SolveWatch
@@ -42,7 +42,8 @@ from drake_exo.designed import (
     largest_deflection,
     largest_force,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_type
+from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -81,10 +82,12 @@ def design(
     >>> found.success, found.peaks["thigh"].forecast_after < 100.0
     (True, True)
     """
-    studies = [study] if isinstance(study, Study) else list(study)
+    studies = [study] if not isinstance(study, Sequence) else list(study)
+    for one in studies:
+        check_type(one, Study, "study")
     contacts = (
         [calibration]
-        if isinstance(calibration, Calibration | ContactModel)
+        if not isinstance(calibration, Sequence)
         else list(calibration)
     )
     if len(studies) != len(contacts):
@@ -92,6 +95,8 @@ def design(
             f"there are {len(studies)} studies and {len(contacts)} "
             "calibrations; give one --calibration for each study"
         )
+    if settings is not None:
+        schema.check(settings, DesignSettings, "settings")
     settings = settings or studies[0].design
     names = _names(studies)
     before, wearers = {}, []
@@ -254,6 +259,7 @@ def movements(
         InputError: a movement cannot be solved; or likewise.
     """
     check_has_cuffs(study.model)
+    check_knows_cuffs(contact, study.model)
     is_today, design = design is None, design or Design()
     design.check(study.model)
     trials = study.trials("prediction")

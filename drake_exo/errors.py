@@ -60,6 +60,16 @@ def check_bounds(
             raise InputError(f"{where} is {found}, but must be {words} {bound}")
 
 
+def check_type(value: object, cls: type, what: str) -> None:
+    """Refuse what is of another class, with how the value begins.
+
+    Raises:
+        InputError: naming the argument.
+    """
+    if not isinstance(value, cls):
+        raise InputError(f"{what} is {value!r:.60}; give a {cls.__name__}")
+
+
 def check_fields(values: object, what: str) -> None:
     """Refuse a dataclass of numbers of which one is out of bounds.
 

@@ -63,7 +63,7 @@ from drake_exo.contact.parameters import (
     Posterior,
     nominal_contact,
 )
-from drake_exo.errors import InputError, check_bounds
+from drake_exo.errors import InputError, check_bounds, check_type
 from drake_exo.files import schema
 from drake_exo.files.output import (
     Check,
@@ -113,6 +113,15 @@ class StudyFile(RecordingSettings):
         self.foot_ground.law_constants()
 
 
+SETTINGS = {
+    "foot_ground": FootGroundSettings,
+    "interaction": InteractionSettings,
+    "prediction": PredictionSettings,
+    "design": DesignSettings,
+    "filter": Filter,
+}
+
+
 class Study:
     """A subject with its trials, and the settings of the phases.
 
@@ -157,8 +166,9 @@ class Study:
         self.prediction = prediction or PredictionSettings()
         self.design = design or DesignSettings()
         self.filter = filter or Filter()
-        if not isinstance(model, Model):
-            raise InputError(f"model is {model!r:.60}; give a drake_exo.Model")
+        check_type(model, Model, "model")
+        for what, cls in SETTINGS.items():
+            schema.check(getattr(self, what), cls, what)
         self._trials = _checked(trials)
 
     def __repr__(self) -> str:
@@ -619,6 +629,7 @@ class Prediction(_Solved, Trial):
 
     def rmsd(self, measured: Trial) -> dict:
         """Differences from the trial as measured; see `audit.rmsd`."""
+        check_type(measured, Trial, "measured")
         return audit.rmsd(self, measured)
 
     def audit(self) -> Audit:
@@ -641,6 +652,7 @@ class Prediction(_Solved, Trial):
         from drake_exo.report import figures
 
         beside = measured or self.result.problem.trials[0]
+        check_type(beside, Trial, "measured")
         return figures.overview_figure(self, beside, self.bands())
 
     def view(self, meshcat: Meshcat) -> None:
@@ -873,6 +885,8 @@ def predict(
     if study.sole is not None:
         scaled = replace(scaled, ground=study.ground)
 
+    if settings is not None:
+        schema.check(settings, PredictionSettings, "settings")
     settings = settings or study.prediction
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
 

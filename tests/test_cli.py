@@ -18,12 +18,34 @@ def ending(error, **arguments):
     def run(args):
         raise error
 
-    return cli._run(argparse.Namespace(run=run, **arguments))
+    return cli._run(lambda: argparse.Namespace(run=run, **arguments))
 
 
 def test_what_a_command_returns():
-    assert cli._run(argparse.Namespace(run=lambda args: None)) == 0
-    assert cli._run(argparse.Namespace(run=lambda args: 1)) == 1
+    for found, code in ((None, 0), (1, 1)):
+        args = argparse.Namespace(run=lambda args, found=found: found)
+        assert cli._run(lambda args=args: args) == code
+
+
+def test_ctrl_c_while_a_command_is_imported(capsys):
+    def parsed():
+        raise KeyboardInterrupt
+
+    assert cli._run(parsed) == 130
+    assert capsys.readouterr().err == "drake-exo: interrupted\n"
+
+
+def test_help_imports_no_command():
+    code = "import sys; from drake_exo import cli; cli.main(['--help'])"
+    code = (
+        "import atexit, sys\n"
+        "atexit.register(lambda: print('pydrake' in sys.modules))\n" + code
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert all(name in said for name in cli._COMMANDS)
+    assert said.endswith("False\n")
 
 
 @pytest.mark.parametrize(

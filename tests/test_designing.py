@@ -532,6 +532,24 @@ def test_studies_and_calibrations_must_match(study):
         dx.design(own, [contact, contact])
 
 
+def test_what_is_asked_in_python_is_checked(study):
+    own, contact = study
+    ground = replace(contact, bushings={})
+    with pytest.raises(InputError, match="holds no interaction parameters"):
+        dx.design(own, ground)
+    with pytest.raises(InputError, match="settings: points"):
+        dx.design(own, contact, DesignSettings(points=0))
+    with pytest.raises(InputError, match="study is None; give a Study"):
+        dx.design(None, contact)
+    with pytest.raises(InputError, match="settings: torque_limit_nm is"):
+        dx.predict(
+            own, own.trials()[0], contact,
+            settings=dx.PredictionSettings(torque_limit_nm=np.nan),
+        )  # fmt: skip
+    with pytest.raises(InputError, match=r"foot_ground is Pred.*FootGroundS"):
+        dx.Study(own.model, own.trials(), foot_ground=dx.PredictionSettings())
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

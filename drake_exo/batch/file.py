@@ -20,10 +20,10 @@ import os
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import yaml
@@ -222,11 +222,15 @@ def entries(batch: BatchFile, folder: Path) -> tuple[list[Entry], list[Entry]]:
     for entry in subjects + soles:
         if entry.name in known:
             raise InputError(
-                f"{known[entry.name].path or 'laboratories'} and {entry.path} "
-                f"would both be called {entry.name!r}; rename one"
+                f"{_told(known[entry.name])} and {_told(entry)} would both be "
+                f"called {entry.name!r}; rename one"
             )
         known[entry.name] = entry
     return subjects, soles
+
+
+def _told(entry: Entry) -> str:
+    return str(entry.path or "laboratories")
 
 
 def _found(patterns, folder: Path, key: str) -> list[Entry]:
@@ -396,12 +400,17 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
         folder: that it stands in.
 
     Raises:
-        InputError: see `file.entries`.
+        InputError: see `entries`; or results would lie in another's folder.
     """
     subjects, soles = entries(batch, folder)
     root = None if batch.data_root is None else folder / batch.data_root
+    if root is not None and not root.is_dir():
+        raise InputError(f"data_root: {batch.data_root} is no folder")
     tasks: dict[str, Task] = {}
     digests = {e: _digests(e.path, root) for e in subjects + soles if e.path}
+    further = {
+        step: _of_options(words) for step, words in batch.options.items()
+    }
     for entry in subjects + soles:
         known = STUDY_STEPS if entry in subjects else CASE_STEPS
         steps = [step for step in known if step in batch.steps]
@@ -409,11 +418,20 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
             task = _laboratory(batch, entry)
             tasks[task.name] = task
         for changes in _variants(batch, entry in soles):
+            base = root or (entry.path.parent if entry.path else folder)
+            own = digests.get(entry, {}) | _named(changes, base)
             for step in steps:
                 task = _task(batch, entry, changes, step, root)
                 keys = [tasks[name].key for name in task.needs.values()]
-                task = _keyed(task, digests.get(entry, {}), keys)
+                task = _keyed(task, own | further.get(step, {}), keys)
                 tasks[task.name] = task
+    for task in tasks.values():
+        for above in map(str, PurePosixPath(task.name).parents):
+            if above in tasks:
+                raise InputError(
+                    f"results of {task.entry!r} would lie among those of "
+                    f"{tasks[above].entry!r}, in {above}; rename one's folder"
+                )
     return list(tasks.values())
 
 
@@ -509,10 +527,20 @@ def _digests(path: Path, root: Path | None) -> dict[str, str]:
         tree = yaml.load(path.read_bytes(), Loader=_Loader)
     except (OSError, yaml.YAMLError, ValueError):
         return found  # its task says what is wrong
-    base = path.parent if root is None else root
-    for word in sorted(set(_words(tree))):
-        found[word] = _digest(base / word)
+    return found | _named(tree, path.parent if root is None else root)
+
+
+def _named(tree, base: Path) -> dict[str, str]:
+    """Digests of files that words of a tree name, from a folder."""
+    found = {word: _digest(base / word) for word in sorted(set(_words(tree)))}
     return {word: digest for word, digest in found.items() if digest}
+
+
+def _of_options(options: Sequence[str]) -> dict[str, str]:
+    """Digests of the files and folders that a command's options name."""
+    paths = [Path(option.rpartition("=")[2]) for option in options]
+    inside = [q for p in paths if p.is_dir() for q in sorted(p.rglob("*"))]
+    return _named([str(path) for path in (*paths, *inside)], Path())
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -46,6 +46,7 @@ _UNITS = {
     "_deg_s": "deg/s",
     "_deg": "deg",
     "_nm": "N m",
+    "_kpa": "kPa",
     "_mm": "mm",
     "_kg": "kg",
     "_m": "m",
@@ -153,7 +154,18 @@ def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
         yield "", name, p["value"], p["unit"]
         if p.get("half_width_95") is not None:
             yield "", f"{name}.half_width_95", p["half_width_95"], p["unit"]
-    apart = {*_OF_TRIALS, "folds", "parameters", "checks", "foot_ground"}
+    for v in summary.get("variables") or []:  # of a design
+        yield "", f"variables.{v['name']}", v["value"], v["unit"]
+        yield "", f"variables.{v['name']}.today", v["today"], v["unit"]
+    for felt in summary.get("felt") or []:
+        yield from _leaves("", felt, f"felt.{felt['cuff']}")
+    for when, energy in (summary.get("support") or {}).items():
+        if energy is not None:
+            yield "", f"support.{when}", energy, "J"
+    apart = {
+        *(*_OF_TRIALS, "folds", "parameters", "checks", "foot_ground"),
+        *("variables", "felt", "support"),
+    }
     rest = {k: v for k, v in summary.items() if k not in apart}
     yield from _leaves("", rest, "")
 
@@ -178,12 +190,13 @@ def _is_number(value) -> bool:
 
 
 def unit_of(signal: str) -> str:
-    """By the last part of a dotted name that tells one.
+    """By the last part of a dotted name that tells one; shares have none.
 
     >>> unit_of("rmsd.velocities_deg_s.exo_hip"), unit_of("rmsd.cop_mm")
     ('deg/s', 'mm')
     """
-    for part in reversed(signal.split(".")):
+    parts = signal.split(".")
+    for part in reversed(parts if parts[0] != "band_coverage" else ()):
         for end, unit in _UNITS.items():
             if part.endswith(end):
                 return unit
@@ -477,20 +490,30 @@ def limits_of_agreement(differences) -> tuple[float, float, float]:
     return bias, bias - 1.96 * sd, bias + 1.96 * sd
 
 
+_MOST_VARIANTS = 6  # with pictures of their own, which the page holds
+
+
 def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
-    """Draw what there is enough of.
+    """Draw what there is enough of, for each variant by itself.
 
     Returns:
         Name of each file -> what it shows.
     """
     drawn = {}
-    mark = _mark(rows)
-    with matplotlib.rc_context(STYLE):
-        for name, (draw, shows) in _FIGURES.items():
-            figure = draw(rows)
-            if figure is not None:
-                save_figure(out / name, figure, mark)
-                drawn[name] = shows
+    variants = list(dict.fromkeys(row.variant for row in rows))
+    for variant in variants[:_MOST_VARIANTS]:
+        own = [row for row in rows if row.variant == variant]
+        end = f"_{variant}" if len(variants) > 1 else ""
+        with matplotlib.rc_context(STYLE):
+            for name, (draw, shows) in _FIGURES.items():
+                figure = draw(own)
+                if figure is not None:
+                    if end:
+                        figure.suptitle(variant, fontsize=9)
+                        figure.tight_layout()
+                    name = name.replace(".png", f"{end}.png")
+                    save_figure(out / name, figure, _mark(own))
+                    drawn[name] = f"{variant}: {shows}" if end else shows
     return drawn
 
 

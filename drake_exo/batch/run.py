@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import importlib
+import io
 import json
 import os
 import shutil
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_exo.batch.file import (
+    BUILDS_ON,
     LAB,
     BatchFile,
     Task,
@@ -161,22 +163,22 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
 
 def _run(task, out, draft, earlier, parse) -> tuple[int, str]:
     """Exit code, and the sentence that goes with it."""
-    module, _, name = parse.partition(":")
-    parse_command = getattr(importlib.import_module(module), name)
     try:
-        args = parse_command(_command(task, out, draft, earlier))
+        args = _function(parse)(_command(task, out, draft, earlier))
         code = args.run(args) or 0
     except InputError as error:
         _raise_if_full(error)
         return 2, str(error)
-    except SystemExit:
-        # Of the parser, which has said why.
-        said = _last_line(log_of(task, out)).removeprefix("drake-exo: ")
-        return 2, f"options of {task.step}: {said}"
     except OSError as error:
         _raise_if_full(error)
         raise
     return code, _why(draft / "out", code, log_of(task, out))
+
+
+def _function(place: str) -> Callable:
+    """What "module:name" stands for."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
@@ -391,6 +393,7 @@ def run_batch(
     todo = [task for task in tasks if task.name not in done]
     if todo:
         _check_sweep(batch, path)
+        _check_options(batch, path, _function(parse))
     _prepare(out, tasks)
     ended: dict[str, Ended] = {}
     interrupted = False
@@ -434,6 +437,27 @@ def _check_sweep(batch: BatchFile, path: Path) -> None:
             check_key(file_class(is_sole(key)), key)
         except InputError as error:
             raise InputError(f"{path.name}: {error}") from error
+
+
+def _check_options(batch: BatchFile, path: Path, parse: Callable) -> None:
+    """Refuse options that a command does not have, likewise."""
+    for step, options in batch.options.items():
+        given = ["--calibration", "DIR"] if step in BUILDS_ON else []
+        command = [*step.split(), "FILE", "--out", "DIR", *given, *options]
+        said = io.StringIO()
+        try:
+            with (
+                contextlib.redirect_stderr(said),
+                contextlib.redirect_stdout(io.StringIO()),
+            ):
+                parse(command)
+        except SystemExit as error:
+            text = said.getvalue().strip().splitlines()
+            why = text[-1].rpartition("error: ")[2] if error.code else "help"
+            raise InputError(
+                f"{path.name}: options of {step}: {why}; see "
+                f"'drake-exo {step} --help'"
+            ) from error
 
 
 def _prepare(out: Path, tasks: list[Task]) -> None:

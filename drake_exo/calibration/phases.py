@@ -239,6 +239,16 @@ def check_has_cuffs(model: Model) -> None:
         )
 
 
+def check_knows_cuffs(contact: ContactModel, model: Model) -> None:
+    """Raises InputError if the model has cuffs that the contact lacks."""
+    if not set(model.cuffs) <= set(contact.bushings):
+        raise InputError(
+            "the calibration holds no interaction parameters; run "
+            "'drake-exo calibrate' without --phase, or with --phase "
+            "interaction"
+        )
+
+
 def check_is_measured(trials: Sequence[Trial]) -> None:
     """Raises InputError if nothing of the device was measured.
 
@@ -301,12 +311,7 @@ class PredictionProblem(PhaseProblem):
         settings = settings or PredictionSettings(ends=self.ends)
         if settings.ends != self.ends:
             raise ValueError(f"the settings ask for {settings.ends} ends")
-        if not set(model.cuffs) <= set(contact.bushings):
-            raise InputError(
-                "the calibration holds no interaction parameters; run "
-                "'drake-exo calibrate' without --phase, or with --phase "
-                "interaction"
-            )
+        check_knows_cuffs(contact, model)
         self._controller = (
             None
             if controller is None

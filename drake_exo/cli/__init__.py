@@ -5,6 +5,7 @@ import errno
 import importlib
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 # Before numpy loads its BLAS: matrices here are small, two threads are slower
@@ -85,7 +86,7 @@ def add_accept(parser: argparse.ArgumentParser) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one subcommand and return its exit code (2 for bad input)."""
-    return _run(parse(sys.argv[1:] if argv is None else argv))
+    return _run(lambda: parse(sys.argv[1:] if argv is None else argv))
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
@@ -103,9 +104,11 @@ def parse(argv: list[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _run(args: argparse.Namespace) -> int:
-    """Run what was parsed; say in a sentence what a user can act upon."""
+def _run(parsed: Callable[[], argparse.Namespace]) -> int:
+    """Run a command; say in a sentence what a user can act upon."""
+    args = None
     try:
+        args = parsed()  # which imports the command, for a second or two
         return args.run(args) or 0
     except InputError as error:
         print(f"drake-exo: error: {error}", file=sys.stderr)

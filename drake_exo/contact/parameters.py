@@ -17,7 +17,7 @@ from drake_exo.contact.hunt_crossley import (
     checked_constants,
     paper_stiffness,
 )
-from drake_exo.errors import InputError, check_fields
+from drake_exo.errors import InputError, check_fields, check_type
 from drake_exo.files.schema import quantity
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
@@ -313,6 +313,7 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     >>> list(nominal_contact(nominal_model("human")).ground.spheres)
     ['heel', 'toe']
     """
+    check_type(model, Model, "model")
     stiffness = NOMINAL_MODULUS
     if law == "paper":
         stiffness = paper_stiffness(NOMINAL_MODULUS)

@@ -23,9 +23,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import numpy as np
 import yaml
 
-from drake_exo.errors import InputError, check_bounds, nearest
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_type,
+    first_line,
+    nearest,
+)
 
 T = TypeVar("T")
 
@@ -78,6 +85,27 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
     return _Reader(name).read(node, cls, "", {})
 
 
+def check(settings: T, cls: type[T], name: str) -> T:
+    """Settings made in Python, if a file could say them as well.
+
+    Raises:
+        InputError: they are none of `cls`, or hold what it does not allow.
+    """
+    check_type(settings, cls, name)
+    try:
+        load_text(dump_text(settings), cls, name)
+    except InputError as error:
+        # There are no lines.
+        raise InputError(
+            re.sub(r":\d+: ", ": ", str(error), count=1)
+        ) from error
+    except yaml.YAMLError as error:
+        raise InputError(
+            f"{name}: {first_line(str(error.args[-1]))}"
+        ) from error
+    return settings
+
+
 def dump_text(obj: Any) -> str:
     """YAML text of a dataclass instance, which `load_text` reads back."""
     return yaml.safe_dump(
@@ -97,6 +125,8 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     return str(value) if isinstance(value, Path) else value
 
 

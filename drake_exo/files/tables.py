@@ -421,7 +421,7 @@ def read_csv_table(path: str | Path) -> Table:
     lines = [s for s in read_text(path).splitlines() if s.strip()]
     if len(lines) < 3:
         raise InputError(f"{path}: holds fewer than two samples")
-    names, factors = _header(path, lines[0].split(","))
+    names, factors = _header(path, comma_separated(path, lines[0]))
     rows = [(i, line.split(",")) for i, line in enumerate(lines[1:], 2)]
     values = number_rows(path, rows, len(names))
     values = values * factors
@@ -429,6 +429,21 @@ def read_csv_table(path: str | Path) -> Table:
     return Table(
         values[:, 0], tuple(names[1:]), values[:, 1:], False, str(path)
     )
+
+
+def comma_separated(path, header: str) -> list[str]:
+    """Cells of a CSV file's first line.
+
+    Raises:
+        InputError: something else than commas separates them.
+    """
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header and "," not in header:
+            raise InputError(
+                f"{path}:1: {name} separate the columns; export it with "
+                "commas between columns and decimal points"
+            )
+    return header.split(",")
 
 
 def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:

@@ -509,7 +509,9 @@ def forces_figure(designed) -> Figure:
                     out = cuff in designed.design.removed
                     end = ",\nleft out" if out else ""
                     axis.set_ylabel(f"{cuff} [N]{end}")
-            axes[0, column].set_title(before.trial.name, fontsize=8)
+            several = f"{name}\n" if len(wearers) > 1 else ""
+            title = f"{several}{before.trial.name}"
+            axes[0, column].set_title(title, fontsize=8)
             axes[-1, column].set_xlabel("time [s]")
         # Not every trial has mats of every cuff.
         shown = _entries(figure)

@@ -19,7 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.calibration.results import read_contact, read_model, read_trial
+from drake_exo.calibration.results import (
+    read_calibration,
+    read_model,
+    read_trial,
+)
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import ContactModel
@@ -27,6 +31,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import osim as xml
 from drake_exo.files.opensim import write_table
 from drake_exo.files.osim import OsimModel, Pose, read_osim
+from drake_exo.files.output import read_json, stored
 from drake_exo.files.tables import Table
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import Person
@@ -486,6 +491,16 @@ class Export:
     difference_n: dict[str, float]
 
 
+def _contact(folder: Path, accept: Sequence[str]) -> ContactModel:
+    """Of a calibration, or of a prediction, that holds."""
+    found, path = read_calibration(folder), folder / "summary.json"
+    if found.origin is None and path.is_file():
+        verdict = stored(read_json(path, "run 'drake-exo predict' again"))
+        if verdict is not None:
+            return found.taken(verdict.failing, accept)
+    return found.taken([found.own_check], accept)
+
+
 def export_opensim(
     folder: str | Path,
     model_file: str | Path,
@@ -506,7 +521,7 @@ def export_opensim(
         InputError: something cannot be carried over, or is there already.
     """
     folder, out = Path(folder), Path(out)
-    contact, model = read_contact(folder, accept), read_model(folder)
+    contact, model = _contact(folder, accept), read_model(folder)
     if contact.ground.law != "simbody":
         raise InputError(
             f"{folder}: its foot-ground law is {contact.ground.law!r}, which "

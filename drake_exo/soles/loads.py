@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import number_rows, read_text
+from drake_exo.files.tables import comma_separated, number_rows, read_text
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.numerics import rotation_z
@@ -80,12 +80,12 @@ class Load:
         step = np.diff(self.times)
         if (step <= 0).any():
             first = int(np.argmax(step <= 0))
-            what = "time runs backwards"
+            what, remedy = "time runs backwards", "sort the rows by time"
             if step[first] == 0:
                 what = "two samples at one time"
+                remedy = "remove the repeated rows"
             raise InputError(
-                f"{self.name}: {what} ({self.times[first + 1]:g} s); remove "
-                "the repeated rows"
+                f"{self.name}: {what} ({self.times[first + 1]:g} s); {remedy}"
             )
         low = self.force[:, 2] <= 0
         if low.any():
@@ -349,7 +349,7 @@ def read_columns(path, needed=()) -> dict[str, np.ndarray]:
         InputError: It cannot be read, a name is missing, or a row is damaged.
     """
     head, *lines = text_lines(path) or [""]
-    names = [name.strip() for name in head.split(",")]
+    names = [name.strip() for name in comma_separated(path, head)]
     missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(

@@ -392,6 +392,8 @@ def write_campaign(
         movements = [m for m in movements if m.mode == "assisted"]
     if seed < 0:
         raise InputError(f"seed is {seed}; give a number from 0 on")
+    if processes < 1:
+        raise InputError(f"processes is {processes}; give 1 or more")
     for what, value, known in (
         ("files", files, FILES),
         ("truth", truth, KINDS),

@@ -76,6 +76,32 @@ def test_two_of_one_name(folder):
         entries(batch(text), folder)
 
 
+def test_a_folder_of_data_that_is_none(folder):
+    text = "steps: [check]\nstudies: ['*/study.yaml']\ndata_root: nix"
+    with pytest.raises(InputError, match="data_root: nix is no folder"):
+        tasks_of(batch(text), folder)
+
+
+def test_results_never_lie_among_those_of_another(folder):
+    """One of them would be replaced with the other."""
+    (folder / "anna" / "check.yaml").write_text("")
+    text = "steps: [check]\nstudies: ['anna/*.yaml']"
+    with pytest.raises(InputError, match="'anna/check' would lie among those"):
+        tasks_of(batch(text), folder)
+    (folder / "anna" / "check.yaml").rename(folder / "anna" / "other.yaml")
+    names = ["anna/other/check", "anna/check"]
+    assert [t.name for t in tasks_of(batch(text), folder)] == names
+
+
+def test_a_seed_and_a_study_of_one_name(folder):
+    (folder / "seed_1.yaml").write_text("")
+    text = "steps: [check]\nstudies: [seed_1.yaml]\nlaboratories: {seeds: [1]}"
+    with pytest.raises(
+        InputError, match=r"seed_1\.yaml and laboratories would"
+    ):
+        entries(batch(text), folder)
+
+
 def test_the_graph():
     text = """
 steps: [check, calibrate, predict, design]
@@ -150,6 +176,26 @@ def test_keys_follow_contents_alone(folder):
     options = "steps: [check]\nstudies: ['bert/*.yaml']\n"
     changed = keys(folder, options + "options: {check: [--accept, all]}")
     assert changed["bert/check"] != first["bert/check"]
+
+
+def test_files_of_a_sweep_and_of_options_count(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "bert" / "b.trc").write_text("1")
+    (folder / "cuffs").mkdir()
+    (folder / "cuffs" / "design.yaml").write_text("1")
+    text = (
+        "steps: [check]\nstudies: ['bert/*.yaml']\n"
+        "sweep: {standing.m: [a.trc, b.trc]}\n"
+        "options: {check: [--design=cuffs]}"
+    )
+    first = keys(folder, text)
+    a, b = (f"bert/standing.m={x}.trc/check" for x in "ab")
+    (folder / "bert" / "b.trc").write_text("2")
+    second = keys(folder, text)
+    assert second[a] == first[a] and second[b] != first[b]
+    (folder / "cuffs" / "design.yaml").write_text("2")
+    third = keys(folder, text)
+    assert third[a] != second[a] and third[b] != second[b]
 
 
 STUDY = """

@@ -97,6 +97,26 @@ def test_units():
     assert unit_of("rmsd.velocities_deg_s.hip") == "deg/s"
     assert unit_of("rmsd.moments_nm.knee") == "N m"
     assert unit_of("iterations") == ""
+    assert unit_of("felt.thigh.before.pressure_kpa") == "kPa"
+    assert unit_of("band_coverage.angles_deg.exo_hip") == ""
+
+
+def test_numbers_of_a_design():
+    variable = {"name": "thigh.along_m", "value": 0.1, "today": 0.0,
+                "unit": "m", "at_bound": True}  # fmt: skip
+    found = results._summary(
+        {
+            "variables": [variable],
+            "felt": [{"cuff": "thigh", "after": {"shear_n": 3.0}}],
+            "support": {"before": 90.0, "measured_after": None},
+        }
+    )
+    assert list(found) == [
+        ("", "variables.thigh.along_m", 0.1, "m"),
+        ("", "variables.thigh.along_m.today", 0.0, "m"),
+        ("", "felt.thigh.after.shear_n", 3.0, "N"),
+        ("", "support.before", 90.0, "J"),
+    ]
 
 
 def test_csv_is_read_back(batch):
@@ -262,6 +282,18 @@ def test_figures_where_there_is_enough(tmp_path):
     ]
     assert (tmp_path / "bland_altman.png").read_bytes().startswith(b"\x89PNG")
     assert draw_figures(tmp_path, []) == {}
+
+
+@pytest.mark.slow
+def test_each_variant_has_figures_of_its_own(tmp_path):
+    rows = [
+        replace(_row("a", "1", "rmsd.grf_n.vertical", 5.0), variant=v)
+        for v in ("m=1", "m=2")
+    ]
+    drawn = draw_figures(tmp_path, rows)
+    assert list(drawn) == ["over_subjects_m=1.png", "over_subjects_m=2.png"]
+    assert drawn["over_subjects_m=2.png"].startswith("m=2: RMSD")
+    assert all((tmp_path / name).is_file() for name in drawn)
 
 
 def _row(subject, trial, signal, value):

@@ -8,9 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from drake_exo.batch import run
 from drake_exo.batch.file import Task
-from drake_exo.batch.run import TASK, TIMING, read_outcome, run_task
+from drake_exo.batch.run import (
+    TASK,
+    TIMING,
+    read_outcome,
+    run_batch,
+    run_task,
+)
 from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 
@@ -166,15 +171,22 @@ def test_damaged_task_files_are_none(tmp_path):
 
 
 @pytest.mark.slow
-def test_sentences_of_the_parser(tmp_path):
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("[--no-such]", "unrecognized arguments: --no-such"),
+        ("[--help]", "options of check: help"),
+    ],
+)
+def test_options_are_parsed_before_anything_runs(tmp_path, options, words):
     from drake_exo import cli
 
-    task = replace(TASK_OF_BERT, options=("--no-such",))
-    with pytest.raises(InputError, match="unrecognized arguments"):
-        run_task(
-            vars(task), str(tmp_path), f"{cli.__name__}:parse", str(tmp_path)
-        )
-    found = read_outcome(tmp_path / "bert" / "check")
-    assert found.code == 2
-    assert found.sentence.startswith("options of check: error: unrecognized")
-    assert run.TASK in {p.name for p in (tmp_path / "bert/check").iterdir()}
+    path = tmp_path / "b.yaml"
+    path.write_text(
+        "steps: [check]\nlaboratories: {seeds: [1]}\n"
+        f"options: {{check: {options}}}"
+    )
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match=words):
+        run_batch(path, out, lambda: None, f"{cli.__name__}:parse")
+    assert not out.exists()

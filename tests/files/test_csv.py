@@ -41,6 +41,8 @@ def test_comes_back_as_written(tmp_path):
         ("10,45,2", "10,x,2", "text among numbers"),
         ("10,45,2", "0,45,2", "time does not increase"),
         ("10,45,2\n", "", "fewer than two"),
+        (",", ";", ":1: semicolons separate the columns"),
+        (",", "\t", ":1: tabs separate the columns"),
     ],
 )
 def test_refuses(tmp_path, old, new, words):

@@ -3,6 +3,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
@@ -214,3 +215,28 @@ def test_loads_file(tmp_path):
     path = tmp_path / "study.yaml"
     path.write_text(GOOD)
     assert schema.load(path, Study).subject.name == "S4"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"model": "foo"}, "settings: model must be one of coupled, human"),
+        ({"start_s": float("nan")}, "settings: start_s is .*finite"),
+        ({"order": 1}, "settings: order is 1, but must be at least 2"),
+        ({"order": "3"}, "settings: order must be a whole number"),
+        ({"filter": Segment(2.0)}, r"filter\.length_m is 2"),
+        ({"folder": object()}, "settings: .*object object"),
+    ],
+)
+def test_settings_made_in_python_are_held_to_the_same(changes, words):
+    made = schema.load_text(GOOD, Study)
+    assert schema.check(made, Study, "settings") is made
+    numbers = dataclasses.replace(made, start_s=np.float64(0.1))
+    schema.check(numbers, Study, "settings")
+    with pytest.raises(InputError, match=words):
+        schema.check(dataclasses.replace(made, **changes), Study, "settings")
+
+
+def test_settings_of_another_class_are_refused():
+    with pytest.raises(InputError, match=r"settings is .*order.*; give a St"):
+        schema.check({"order": 2}, Study, "settings")

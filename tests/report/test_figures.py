@@ -282,7 +282,7 @@ def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
     figure = figures.forces_figure(made)
     axes = np.reshape(figure.axes, (2, 2))
     for column, (name, m) in enumerate(zip("ab", trials, strict=True)):
-        assert axes[0, column].get_title() == m.name
+        assert axes[0, column].get_title() == f"{name}\n{m.name}"
         assert axes[1, column].get_xlabel() == "time [s]"
         assert not axes[0, column].get_xlabel()
         for row, cuff in enumerate(("thigh", "pelvis")):

@@ -1,6 +1,6 @@
 """Contacts, cuffs and device in an OpenSim model, against OpenSim's forces."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +18,7 @@ from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.osim import OsimCoupler, OsimFile, Pose, read_osim
+from drake_exo.files.output import Check, write_json
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import (
@@ -517,7 +518,18 @@ def test_the_command(case, capsys):
     words += ["--out", str(out)]
     assert main(words) == 2
     assert "is refused" in capsys.readouterr().err
-    assert main([*words, "--accept", "provenance"]) == 0
+    # A prediction's own checks count, not where its contact comes from.
+    off = Check("audit", False, sentence="off by 3 N")
+    for checks, code in (([off], 2), ([replace(off, holds=True)], 0)):
+        found = {"checks": [asdict(c) for c in checks]}
+        write_json(one.folder / "summary.json", found)
+        assert main([*words, "--force"]) == code
+        if code:
+            said = capsys.readouterr().err
+            assert "is refused: off by 3 N" in said and "--accept audit" in said
+    (one.folder / "summary.json").unlink()
+    capsys.readouterr()
+    assert main([*words, "--force", "--accept", "provenance"]) == 0
     said = capsys.readouterr().out
     assert "a: a foot's force by the exported numbers and states" in said
     assert str(out) in said
