@@ -538,7 +538,8 @@ def _named(tree, base: Path) -> dict[str, str]:
 
 def _of_options(options: Sequence[str]) -> dict[str, str]:
     """Digests of the files and folders that a command's options name."""
-    paths = [Path(option.rpartition("=")[2]) for option in options]
+    words = [option.rpartition("=")[2] for option in options]
+    paths = [Path(word) for word in words if word]
     inside = [q for p in paths if p.is_dir() for q in sorted(p.rglob("*"))]
     return _named([str(path) for path in (*paths, *inside)], Path())
 

@@ -41,7 +41,7 @@ from drake_exo.contact.systems import (
     FootGroundContact,
     HumanExoskeletonBushings,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_type
 from drake_exo.model.plant import Model
 
 # Ports that a force or controller may have as inputs, fed by the diagram.
@@ -158,6 +158,7 @@ def build_simulator(
     >>> simulator.get_integrator().get_target_accuracy()
     0.001
     """
+    check_type(model, ExoskeletonDiagram, "model")
     simulator = Simulator(model.diagram, context)
     config = SimulatorConfig(
         integration_scheme=integrator,

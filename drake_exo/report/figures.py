@@ -29,7 +29,7 @@ from drake_exo.contact.hunt_crossley import (
     sphere_force_derivatives,
 )
 from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_type
 from drake_exo.files.output import save_figure, write_json
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
@@ -93,6 +93,8 @@ def plot_trials(
     >>> list(plot_trials(trials, trials))
     ['ground_reaction', 'kinematics']
     """
+    check_type(found, Sequence, "found")
+    check_type(measured, Sequence, "measured")
     if not found or len(found) != len(measured):
         raise InputError(
             f"there are {len(found)} trials found and {len(measured)} "

@@ -231,6 +231,12 @@ def test_input_of_the_api_is_told(study, made):
         dx.calibrate_interaction(study, ["a"], made.contact)
     with pytest.raises(dx.InputError, match="0 trials found and 1 measured"):
         dx.plot_trials([], [trial])
+    with pytest.raises(dx.InputError, match="give a Sequence"):
+        dx.plot_trials(trial, trial)
+    with pytest.raises(dx.InputError, match=r"model is .*give a Exo"):
+        dx.build_simulator(study.model)
+    with pytest.raises(dx.InputError, match=r"model is Study.*give a Model"):
+        dx.nominal_contact(study)
 
 
 @pytest.fixture(scope="module")
