@@ -113,12 +113,18 @@ def dump_text(obj: Any) -> str:
     )
 
 
-def _plain(value: Any) -> Any:
-    """Dataclasses, tuples and paths as what YAML has of its own."""
+def _plain(value: Any, hint: Any = None) -> Any:
+    """Dataclasses, tuples and paths as what YAML has of its own.
+
+    Of a subclass of what is declared, what is declared.
+    """
     if dataclasses.is_dataclass(value):
+        known = dataclasses.is_dataclass(hint) and isinstance(value, hint)
+        cls = hint if known else type(value)
+        hints = typing.get_type_hints(cls)
         return {
-            _key(f): _plain(getattr(value, f.name))
-            for f in dataclasses.fields(value)
+            _key(f): _plain(getattr(value, f.name), hints[f.name])
+            for f in dataclasses.fields(cls)
             if f.init
         }
     if isinstance(value, Mapping):

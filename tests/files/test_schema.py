@@ -240,3 +240,17 @@ def test_settings_made_in_python_are_held_to_the_same(changes, words):
 def test_settings_of_another_class_are_refused():
     with pytest.raises(InputError, match=r"settings is .*order.*; give a St"):
         schema.check({"order": 2}, Study, "settings")
+
+
+def test_a_subclass_does_for_what_it_inherits():
+    @dataclass(frozen=True)
+    class Longer(Segment):
+        more: float = 3.0
+
+    @dataclass(frozen=True)
+    class Holder:
+        segment: Segment = field(default_factory=Segment)
+
+    schema.check(Holder(Longer()), Holder, "h")
+    with pytest.raises(InputError, match=r"h: segment\.length_m is 7"):
+        schema.check(Holder(Longer(7.0)), Holder, "h")
