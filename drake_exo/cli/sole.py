@@ -10,6 +10,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import (
     SOLVED,
+    STOPPED_CODE,
     Check,
     OutputFolder,
     Progress,
@@ -125,7 +126,7 @@ def _add_limits(parser, choices) -> None:
 
 def _add_jobs(parser, what: str) -> None:
     parser.add_argument(
-        "--jobs", type=int, default=2, help=f"{what} (default: 2)"
+        "--jobs", type=_positive, default=2, help=f"{what} (default: 2)"
     )
 
 
@@ -144,6 +145,12 @@ def _count(text: str) -> int:
     if not (text.isascii() and text.isdigit()):
         raise ArgumentTypeError(f"{text!r} is no whole number from 0 on")
     return int(text)
+
+
+def _positive(text: str) -> int:
+    if (count := _count(text)) == 0:
+        raise ArgumentTypeError("0 does no work; give 1 or more")
+    return count
 
 
 def _read_case(args, path: Path) -> soles.Case:
@@ -183,6 +190,13 @@ def _out_or_source(args, name: str) -> OutputFolder:
     return prepare_output_folder(args.source, resume=True)
 
 
+def _read_by(args, case: soles.Case) -> list[Path]:
+    """What must not lie in --out."""
+    root = args.data_root or args.case.parent
+    mesh = case.settings.mesh.file
+    return [args.case, *filter(None, [args.mesh, mesh and root / mesh])]
+
+
 def _progress(name: str, total: int | None = None) -> Progress:
     return Progress(name, total, interval_seconds=2.0)
 
@@ -193,7 +207,9 @@ def _simulate(args) -> int:
     case = _case(args)
     seconds = {"mesh_seconds": round(time.perf_counter() - began, 4)}
     progress = _progress(case.name, len(case.load.times))
-    with prepare_output_folder(args.out, args.force) as out:
+    with prepare_output_folder(
+        args.out, args.force, reads=_read_by(args, case)
+    ) as out:
         step = case.simulate(lambda done, _: progress.update("samples", done))
         verdict = step.write(out, seconds, args.accept)
     name = case.name
@@ -212,8 +228,18 @@ def _optimize(args) -> int:
     say = _progress(case.name).update
     # Refused before there is a folder.
     resume = read_checkpoint(args.resume) if args.resume else None
-    with prepare_output_folder(args.out, args.force) as out:
-        design = case.optimize(out, say, resume, args.jobs)
+    with prepare_output_folder(
+        args.out, args.force, reads=_read_by(args, case)
+    ) as out:
+        try:
+            design = case.optimize(out, say, resume, args.jobs)
+        except KeyboardInterrupt:
+            print(
+                f"{case.name}: stopped; go on with --resume {out} and another "
+                "--out",
+                flush=True,
+            )
+            raise
         row = design.write(out, say, args.accept)
     verdict = stored(row)
     print(paper.line(row))
@@ -240,9 +266,18 @@ def _study(args) -> int:
 def _front(args) -> int:
     """The front of one case; 0 where every point simulates."""
     case = _case(args)
-    with prepare_output_folder(args.out, args.force) as out:
+    folder = prepare_output_folder(
+        args.out, args.force, reads=_read_by(args, case)
+    )
+    with folder as out:
         say = _progress(f"{case.name}, front").update
-        points = soles.pareto_front(case, paper.FLOORS, say)
+        points, stopped = [], False
+        try:
+            soles.pareto_front(case, paper.FLOORS, say, points=points)
+        except KeyboardInterrupt:
+            if not points:
+                raise
+            stopped = True
         checks = [
             Check(
                 SOLVED, not p["failed_steps"], p["failed_steps"], 0, "samples",
@@ -254,10 +289,14 @@ def _front(args) -> int:
         summary = {"name": case.name, "front": points} | verdict.summary()
         write_json(out / SUMMARY, summary)
         paper.draw_front(out, {"front": points}, mark=verdict.mark)
+        code = STOPPED_CODE if stopped else verdict.exit_code
+        folder.end(code)
     print(paper.front_table(points))
     print(verdict.text())
-    print(f"{case.name}: results in {args.out}")
-    return verdict.exit_code
+    print(f"{case.name}: results in {folder.path}")
+    if stopped:
+        print(f"stopped by the user after {len(points)} points")
+    return code
 
 
 def _strain(args) -> int:
@@ -284,15 +323,24 @@ def _reduce(args) -> int:
     # SciPy's optimiser takes a moment to load.
     from drake_exo.contact import reduction
 
-    if args.out.exists() and not args.force:
-        raise InputError(f"{args.out}: is there already; give --force")
+    rows = args.out.with_suffix(".csv")
+    if rows == args.out or args.out.is_dir():
+        raise InputError(f"{args.out}: give a .yaml file for --out")
+    for path in (args.out, rows):
+        if path.exists() and not args.force:
+            raise InputError(f"{path}: is there already; give --force")
     samples = reduction.Samples(*sole_samples(args.source))
     found = reduction.reduce_sole(samples, args.spheres, args.planar)
     law = found.law()
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(schema.dump_text(law), encoding="utf-8")
-    rows = args.out.with_suffix(".csv")
-    write_csv(rows, found.table())
+    try:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(schema.dump_text(law), encoding="utf-8")
+        write_csv(rows, found.table())
+    except OSError as error:
+        raise InputError(
+            f"{args.out}: cannot be written ({error.strerror}); choose "
+            "another place for --out"
+        ) from error
     where = "the plane" if args.planar else "space"
     print(
         f"{args.spheres} spheres in {where}: force "

@@ -52,6 +52,8 @@ def read_cells(
         raise InputError(
             f"{path}: is not a readable mesh ({reason(error)}); {remedy}"
         ) from error
+    if nodes.size == 0:
+        raise InputError(f"{path}: is empty or cut off; {remedy}")
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) == 0:
         raise InputError(f"{path}: its nodes are not in space; {remedy}")
     if not (np.abs(nodes) < 1e9).all():

@@ -613,7 +613,7 @@ def save_figure(path: Path, figure: Figure, mark: str = "") -> None:
 
 def _draw_mark(figure: Figure, mark: str) -> None:
     width, height = figure.get_size_inches()
-    style = {"color": "#c8102e", "ha": "center"}
+    style = {"color": "#c8102e", "ha": "center", "parse_math": False}
     figure.text(
         0.5,
         0.5,

@@ -41,6 +41,7 @@ from drake_exo.soles.optimize.search import (
     pareto_front,
     search_jobs,
 )
+from drake_exo.soles.results import strikes
 from drake_exo.soles.settings import (
     STAGES,
     Brick,
@@ -53,7 +54,6 @@ from drake_exo.soles.settings import (
     Stage,
     StartBlock,
 )
-from drake_exo.soles.simulation import heel_strike_count
 
 SIZE = (0.23, 0.13, 0.03)
 AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
@@ -570,8 +570,4 @@ def _stiffness(designs: list[StoredDesign]):
         }
         for design in designs
     }
-    first = designs[0].setup
-    strike = heel_strike_count(
-        len(first.load.times), first.settings.cost.heel_strike_fraction
-    )
-    return pictures.stiffness_figure(soles, strike)
+    return pictures.stiffness_figure(soles, strikes(designs[0].setup))

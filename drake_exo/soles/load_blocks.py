@@ -282,7 +282,7 @@ class Constant:
 
     force_n: Vector3
     zmp_m: Vector2
-    samples: int = field(default=1, metadata={"minimum": 1})
+    samples: int = field(default=1, metadata={"minimum": 1, "maximum": 1e5})
 
     def load(self, root: Path | None = None) -> Load:
         """As a load."""

@@ -330,11 +330,19 @@ def read_csv(path) -> Load:
     )
     if "load" not in table:
         return load
-    _, begins = np.unique(table["load"], return_index=True)
+    number, weight = table["load"], table.get("weight", np.ones(len(t)))
+    if number[0] != 0 or not np.isin(np.diff(number), (0, 1)).all():
+        raise InputError(
+            f"{path}: column 'load' has to count from 0 on, each number in "
+            "rows that follow one another"
+        )
+    _, begins = np.unique(number, return_index=True)
+    if not (weight[begins] > 0).all():
+        raise InputError(f"{path}: column 'weight' has to be above 0")
     return replace(
         load,
         begins=tuple(map(int, begins)),
-        weights=tuple(map(float, table["weight"][begins])),
+        weights=tuple(map(float, weight[begins])),
     )
 
 
@@ -350,6 +358,11 @@ def read_columns(path, needed=()) -> dict[str, np.ndarray]:
     """
     head, *lines = text_lines(path) or [""]
     names = [name.strip() for name in comma_separated(path, head)]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{path}:1: two columns are named {name!r}; rename one"
+            )
     missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(

@@ -31,7 +31,7 @@ FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
-_LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
+LEAST_LENGTH, LARGEST_LENGTH = 0.01, 2.0
 _UPWARDS = 1e-3  # of a face's normal: beyond rounding
 _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
@@ -378,7 +378,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
         )
     i, j = tets[:, [0, 0, 0]].ravel(), tets[:, 1:].ravel()
     size = np.ptp(nodes, axis=0)
-    if not _LEAST_LENGTH < size.max() < _LARGEST_LENGTH:
+    if not LEAST_LENGTH < size.max() < LARGEST_LENGTH:
         numbers = " x ".join(f"{x:g}" for x in size)
         raise InputError(
             f"{name}: the sole is {numbers} m large, and lengths are in "

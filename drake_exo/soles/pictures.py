@@ -7,7 +7,7 @@ orthographic: faces that look away are dropped, the others painted from far to
 near. Every view has the same scale, in millimetres.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -155,7 +155,8 @@ def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
         *(1e3 * load.zmp.T), c=load.times, s=9, cmap="viridis", zorder=3
     )
     figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
-    left.plot(*(1e3 * load.zmp[0]), "o", mfc="none", mec="k", ms=9)
+    struck = 1e3 * load.zmp[list(load.begins)]
+    left.plot(*struck.T, "o", mfc="none", mec="k", ms=9)
     left.annotate(
         "heel strike", 1e3 * load.zmp[0], (8, 5), textcoords="offset points"
     )
@@ -168,11 +169,22 @@ def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
     colours = ("red", "green", "blue")
     for axis, force, colour in zip("xyz", load.force.T, colours, strict=True):
         right.plot(
-            load.times, force, color=f"tab:{colour}", label=f"$F_{axis}$"
-        )
+            *_apart(load.begins, load.times, force),
+            color=f"tab:{colour}", label=f"$F_{axis}$",
+        )  # fmt: skip
     right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
     right.legend(ncols=3)
     return figure
+
+
+def _apart(begins: Sequence[int], *columns: np.ndarray) -> list[np.ndarray]:
+    """Values (N,) of loads with a gap in front of each but the first."""
+    return [np.insert(c.astype(float), begins[1:], np.nan) for c in columns]
+
+
+def _as_written(name: str) -> str:
+    """A name without formulas."""
+    return name.replace("$", r"\$")
 
 
 def _columns(count: int, height: float, **shared):
@@ -182,14 +194,18 @@ def _columns(count: int, height: float, **shared):
 
 
 @style()
-def stiffness_figure(soles: Mapping[str, Mapping[str, tuple]], strike: int):
+def stiffness_figure(
+    soles: Mapping[str, Mapping[str, tuple]], strikes: Sequence[tuple[int, int]]
+):
     """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13).
 
     Args:
         soles: Name -> label -> (times [s], σ_max [N/m], σ_min [N·m/rad]), each
             (N,); what is called "initial" stays in the background.
-        strike: How many of the times are heel strike.
+        strikes: First time of heel strike, and first one after it, of every
+            load.
     """
+    begins = [first for first, _ in strikes]
     figure, axes = _columns(len(soles), 5.4, sharex=True, sharey="row")
     for column, (name, curves) in enumerate(soles.items()):
         for label, (times, *both) in curves.items():
@@ -200,13 +216,21 @@ def stiffness_figure(soles: Mapping[str, Mapping[str, tuple]], strike: int):
             for axis, values, scale in zip(
                 axes[:, column], both, (1e-3, 1.0), strict=True
             ):
-                axis.plot(t, scale * values, label=label, **look)
+                axis.plot(
+                    *_apart(begins, t, scale * values),
+                    label=_as_written(label),
+                    **look,
+                )
         for axis in axes[:, column]:
-            axis.axvspan(t[0], t[strike - 1], color="tab:orange", alpha=0.15,
-                         lw=0, label="heel strike")  # fmt: skip
+            for k, (first, end) in enumerate(strikes):
+                axis.axvspan(
+                    t[first], t[end - 1], color="tab:orange", alpha=0.15,
+                    lw=0, label="" if k else "heel strike",
+                )  # fmt: skip
             axis.margins(x=0.01)
-        axes[0, column].set_title(name)
-        axes[1, column].set_xlabel("time since contact [s]")
+        axes[0, column].set_title(_as_written(name))
+        which = "contact" if len(strikes) == 1 else "the first contact"
+        axes[1, column].set_xlabel(f"time since {which} [s]")
     axes[0, 0].legend(fontsize=8)
     for axis in axes[:, 0]:
         axis.set_ylim(0, None)
@@ -218,26 +242,32 @@ def stiffness_figure(soles: Mapping[str, Mapping[str, tuple]], strike: int):
 @style()
 def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
     """Pose, stability and nodes in contact over time."""
-    t = columns["time_s"]
+    begins = [0]
+    if "load" in columns:
+        begins += list(np.flatnonzero(np.diff(columns["load"])) + 1)
+
+    def draw(axis, values, **look):
+        axis.plot(*_apart(begins, columns["time_s"], values), **look)
+
     figure, axes = panels(2, 2, (9.0, 6.0), sharex=True)
     (place, turn), (stable, nodes) = axes
     for axis in "xyz":
         values = columns[f"origin_{axis}_m"]
         offset = values[0] if axis == "z" else 0.0
         label = f"{axis} − {1e3 * offset:.1f} mm" if offset else axis
-        place.plot(t, 1e3 * (values - offset), label=label)
+        draw(place, 1e3 * (values - offset), label=label)
     place.set(ylabel="origin [mm]", title="Place of the foot")
     for name in ("roll", "pitch", "yaw"):
-        turn.plot(t, columns[f"{name}_deg"], label=name)
+        draw(turn, columns[f"{name}_deg"], label=name)
     turn.set(ylabel="angle [°]", title="Orientation (Rx·Ry·Rz)")
-    stable.plot(t, 1e-3 * columns["stability_n_per_m"], color="k")
+    draw(stable, 1e-3 * columns["stability_n_per_m"], color="k")
     stable.axhline(0.0, color="tab:red", lw=1, ls="--")
     stable.set(
         xlabel="time [s]",
         ylabel="[kN/m]",
         title=r"Stability: least eigenvalue of $S\,\mathrm{sym}(-K_c)\,S$",
     )
-    nodes.plot(t, columns["nodes_in_contact"], color="k")
+    draw(nodes, columns["nodes_in_contact"], color="k")
     nodes.set(xlabel="time [s]", title="Nodes in contact", ylim=(0, None))
     place.legend()
     turn.legend()
@@ -271,7 +301,7 @@ def pressure_figure(
             vmax=top,
         )
         axis.plot(*(1e3 * load.zmp[q]), "+", color="cyan", ms=9, mew=2)
-        axis.set_title(f"{load.times[q] - load.times[0]:.3f} s")
+        axis.set_title(f"{load.times[q]:.3f} s")
         axis.set_aspect("equal")
         axis.grid(False)
     for axis in axes[-1]:
@@ -305,7 +335,7 @@ def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
     figure, axes = _columns(len(histories), 5.0, sharex="col")
     for column, (name, trace) in enumerate(histories.items()):
         cost, error = axes[:, column]
-        cost.set_title(name)
+        cost.set_title(_as_written(name))
         error.set_xlabel("iteration")
         x = np.arange(len(trace["stage"]))
         if len(x) == 0:
@@ -345,7 +375,7 @@ def pareto_figure(
     for k, row in enumerate(rows):
         colour = f"C{k}"
         axis.plot(row["ratio_tr"], row["ratio_rot"], "o", color=colour,
-                  label=row["name"])  # fmt: skip
+                  label=_as_written(row["name"]))  # fmt: skip
         if paper and row["name"] in paper:
             axis.plot(*paper[row["name"]], "x", color=colour, mew=2)
     if rows:
@@ -432,8 +462,12 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
             )
             axis.set_axis_off()
         look = {"y": row[0].get_position().y1, "va": "top"}
-        figure.text(0.012, s=sole.name, size=11, weight="bold", **look)
-        figure.text(0.10, s=sole.caption, size=9, color="0.25", **look)
+        name = figure.text(
+            0.012, s=_as_written(sole.name), size=11, weight="bold", **look
+        )
+        end = name.get_window_extent().x1 / figure.bbox.width
+        beside = max(0.10, end + 0.02)
+        figure.text(beside, s=sole.caption, size=9, color="0.25", **look)
     for axis, view in zip(axes[0], VIEWS, strict=True):
         box = axis.get_position()
         figure.text(0.5 * (box.x0 + box.x1), 1 - 0.12 / tall, view.name,
@@ -541,7 +575,7 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
     across.set_ylim(low[2] - 2 * apart - 16, 8)
     _peak(figure, pressed, mesh, peak)
     figure.suptitle(
-        f"{name}: {length:.0f} × {width:.0f} × {height:.0f} mm, "
+        f"{_as_written(name)}: {length:.0f} × {width:.0f} × {height:.0f} mm, "
         f"{1e6 * mesh.volume:.0f} cm³ (dimensions in mm)"
     )
     return figure

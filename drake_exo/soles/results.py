@@ -303,9 +303,7 @@ class Step:
     @property
     def heel_strike(self) -> int:
         """Number of samples of heel strike, the first of the (first) load."""
-        fraction = self.setup.settings.cost.heel_strike_fraction
-        first = self.setup.load.phases[0]
-        return heel_strike_count(first.stop, fraction)
+        return strikes(self.setup)[0][1]
 
     @cached_property
     def costs(self) -> tuple[float, float, float]:
@@ -477,7 +475,7 @@ class Step:
             for label, s in steps.items()
         }
         return pictures.stiffness_figure(
-            {self.setup.name: curves}, self.heel_strike
+            {self.setup.name: curves}, strikes(self.setup)
         )
 
     def write_animation(
@@ -568,10 +566,21 @@ class Step:
         return verdict
 
 
+def strikes(setup: Setup) -> list[tuple[int, int]]:
+    """First sample of heel strike, and first one after it, of every load."""
+    fraction = setup.settings.cost.heel_strike_fraction
+    return [
+        (p.start, p.start + heel_strike_count(p.stop - p.start, fraction))
+        for p in setup.load.phases
+    ]
+
+
 def largest_strain(sole: Sole, history: StepHistory) -> float:
     """Largest |principal strain| over elements and converged samples."""
     f_L, largest = history.F @ history.R, 0.0
     good = np.flatnonzero(history.converged)
+    if len(good) == 0:
+        return largest
     for part in np.array_split(good, max(1, len(good) // _TOGETHER)):
         for u in sole.displacement(f_L[part]):
             eps = sole.strain(u)

@@ -12,7 +12,12 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.schema import exactly_one, not_negative, positive
+from drake_exo.files.schema import (
+    exactly_one,
+    not_negative,
+    positive,
+    quantity,
+)
 from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
@@ -54,6 +59,11 @@ class MeshBlock:
 
     def __post_init__(self):
         exactly_one(self, ("file", "brick"))
+        for name in ("unit", "origin_m", "top_m"):
+            if self.brick is not None and getattr(self, name) is not None:
+                raise InputError(
+                    f"{name} is a file's, not a brick's; remove it"
+                )
 
 
 @dataclass(frozen=True)
@@ -162,8 +172,8 @@ class ShapeBlock:
 
     symmetric: bool = False
     fixed_m: tuple[tuple[Vector3, Vector3], ...] = ()
-    least_depth_m: float | None = positive("m")
-    largest_height_m: float | None = positive("m")
+    least_depth_m: float | None = quantity("m", None, above=0.0, below=1.0)
+    largest_height_m: float | None = quantity("m", None, above=0.0, below=1.0)
     draft_deg: float | None = field(
         default=None, metadata={"unit": "°", "minimum": 0.0, "below": 45.0}
     )
@@ -313,9 +323,15 @@ class Settings:
         has it.
         """
         point = self.start.point_in_sole_m
+        least, largest = mesh.nodes.min(0), mesh.nodes.max(0)
         if point is None:
-            (x, low, z), (_, high, _) = mesh.nodes.min(0), mesh.nodes.max(0)
-            point = (x, 0.5 * (low + high), z)
+            point = (least[0], 0.5 * (least[1] + largest[1]), least[2])
+        off = np.abs(point - np.clip(point, least, largest)).max()
+        if off > (largest - least).max():
+            raise InputError(
+                f"start.point_in_sole_m: {off:g} m off the sole; give a point "
+                "of it, in metres in its frame"
+            )
         place = np.array(self.start.point_in_world_m or point[:2])
         height = ground.height(place[None])[0]
         return Start(

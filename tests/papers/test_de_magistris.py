@@ -243,7 +243,7 @@ def test_stiffness_is_drawn_of_both_shapes_up_to_heel_strike(
             )
             (tmp_path / name / file).write_text(text)
         setup = SimpleNamespace(
-            load=SimpleNamespace(times=np.arange(50.0 * (k + 1))),
+            load=SimpleNamespace(phases=[slice(0, 50 * (k + 1))]),
             settings=SimpleNamespace(
                 cost=SimpleNamespace(heel_strike_fraction=0.2)
             ),
@@ -252,8 +252,8 @@ def test_stiffness_is_drawn_of_both_shapes_up_to_heel_strike(
             SimpleNamespace(name=name, folder=tmp_path / name, setup=setup)
         )
     monkeypatch.setattr(pictures, "stiffness_figure", lambda *said: said)
-    soles, strike = paper._stiffness(designs)
-    assert strike == 10
+    soles, strikes = paper._stiffness(designs)
+    assert strikes == [(0, 10)]
     assert list(soles) == ["a", "b"]
     for k, name in enumerate("ab"):
         for label, size in (("initial", 1.0), ("optimised", 2.0)):

@@ -56,5 +56,5 @@ def test_the_pages_example_runs(tmp_path, monkeypatch):
     (tmp_path / "case.yaml").write_text(soles.EXAMPLE)
     monkeypatch.chdir(tmp_path)
     exec(block, {})
-    for name in ("step.html", "sole.stl", "summary.json"):
+    for name in ("step.html", "best/sole.stl", "best/summary.json"):
         assert (tmp_path / name).stat().st_size > 1000

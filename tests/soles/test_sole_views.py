@@ -82,7 +82,7 @@ def test_stiffness_of_each_sole_has_room():
     curves = {"initial": (t, tr, rot), "optimised": (t, 2 * tr, 3 * rot)}
     for count in (1, 2, 6):
         figure = pictures.stiffness_figure(
-            {f"sole {k}": curves for k in range(count)}, strike=2
+            {f"sole {k}": curves for k in range(count)}, strikes=[(0, 2)]
         )
         above, below = figure.axes[:count], figure.axes[count:]
         assert figure.get_figwidth() / count >= 2.7

@@ -217,7 +217,7 @@ def test_what_is_drawn_is_the_step_s(two, tmp_path, monkeypatch):
     peak = two.pressure.max(axis=0)
     np.testing.assert_array_equal(made["drawing"][2], peak)
     ((curves,), strike) = made["stiffness"][0].values(), made["stiffness"][1]
-    assert list(curves) == ["first", "mine"] and strike == 2
+    assert list(curves) == ["first", "mine"] and strike == [(0, 2), (20, 21)]
     times, tr, rot = curves["mine"]
     np.testing.assert_array_equal(times, two.times)
     np.testing.assert_array_equal(tr, two.sigma_max_translation)

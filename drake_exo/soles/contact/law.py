@@ -144,6 +144,7 @@ COLUMNS = ("x_m", "y_m", "z_m")
 ARRAYS = ("ground_x", "ground_y", "ground_z")
 _LEAST = 4  # grid lines along an axis, for cubic pieces
 _STEEPEST = 1.0  # 45°
+_WIDEST_M = 1.0  # between grid lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +183,12 @@ class Ground:
             raise InputError(
                 f"{name}: a grid of {count[0]} x {count[1]} points is too "
                 f"small; give at least {_LEAST} x {_LEAST}"
+            )
+        apart = max(np.diff(lines_x).max(), np.diff(lines_y).max())
+        if apart > _WIDEST_M:
+            raise InputError(
+                f"{name}: its points lie up to {apart:g} m apart, and a sole "
+                "would see none of it; places are in metres"
             )
         slopes = np.hypot(*np.gradient(heights, lines_x, lines_y))
         if slopes.max() > _STEEPEST:

@@ -318,11 +318,12 @@ class Design:
         The design is checked on a finer mesh and in finite strain before.
 
         Args:
-            folder: Where to; it is there already.
+            folder: Where to; made if it is not there.
             say: Called with one line of progress now and then.
             accepted: Names of checks that the user accepts.
         """
         folder, began = Path(folder), time.perf_counter()
+        folder.mkdir(parents=True, exist_ok=True)
         row, finer = self.summary(), self.check_finer()
         verdict = self.verdict(accepted, finer)
         row |= verdict.summary() | {"finer": finer}

@@ -229,7 +229,7 @@ class StoredDesign:
 
 
 def write_case(folder: Path, settings: Settings, start: Start) -> Settings:
-    """Write the case beside its design, as `sole simulate` reads it.
+    """Write the case beside its design; its paths stay as they were.
 
     The start is written out: its default depends on the initial mesh, which
     the folder does not hold.

@@ -592,6 +592,7 @@ def pareto_front(
     floors: Sequence[float],
     say: Callable[[str], object] | None = None,
     stages: tuple[Stage, Stage] = FRONT_STAGES,
+    points: list[dict] | None = None,
 ) -> list[dict]:
     """Least c_tr for every floor of c_rot, lowest first.
 
@@ -607,6 +608,7 @@ def pareto_front(
         floors: Of c_rot, over the initial shape's.
         say: Called with one line of progress now and then.
         stages: For the case's own optimum, and for every point.
+        points: Filled as they are found, where somebody may stop it.
 
     Returns:
         For every floor: case, floor, c_tr [N/m], c_rot [N·m/rad] and their
@@ -641,7 +643,8 @@ def pareto_front(
     p = found(problem, p, stages[0], "own optimum", own).p
     cost = replace(setup.settings.cost, weight=0.0)
     alone = replace(free, settings=replace(free.settings, cost=cost))
-    points, approximation = [], QuasiNewton(problem.metric)
+    points = [] if points is None else points
+    approximation = QuasiNewton(problem.metric)
     for floor in sorted(floors):
         problem = stage_problem(alone, stages[1])
         problem.add_rotation_floor(_AIM * floor * problem.first.c_rot)

@@ -1,0 +1,141 @@
+"""What is asked for in vain is refused, and what is the user's stays so."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_step import stage, write_case, write_step
+
+import drake_exo as dx
+from drake_exo.cli import main
+from drake_exo.cli import sole as command
+from drake_exo.errors import InputError
+from drake_exo.files import schema
+from drake_exo.soles.contact.law import Ground
+from drake_exo.soles.load_blocks import Constant
+from drake_exo.soles.loads import read_csv
+from drake_exo.soles.settings import MeshBlock, ShapeBlock
+
+HEAD = "time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"
+
+
+@pytest.fixture
+def case(tmp_path):
+    """A folder with a case and its step."""
+    write_step(tmp_path / "load.csv", 4)
+    write_case(tmp_path / "case.yaml", stages=[stage(4, 1e-4, 1)] * 2)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("further", "rows", "words"),
+    [
+        ("force_z_n", "9", "two columns are named 'force_z_n'"),
+        ("load,weight", "1,1 0,1", "'load' has to count from 0 on"),
+        ("load,weight", "0,1 1,1 0,1", "'load' has to count from 0 on"),
+        ("load,weight", "0,1 1,0", "'weight' has to be above 0"),
+    ],
+)
+def test_columns_of_loads(tmp_path, further, rows, words):
+    path = tmp_path / "l.csv"
+    lines = [f"{k},0,0,300,0,0,{row}" for k, row in enumerate(rows.split())]
+    path.write_text("\n".join([f"{HEAD},{further}", *lines]))
+    with pytest.raises(InputError, match=words):
+        read_csv(path)
+
+
+def test_loads_without_weights_weigh_the_same(tmp_path):
+    path = tmp_path / "l.csv"
+    lines = [f"{k},0,0,300,0,0,{k // 2}" for k in range(4)]
+    path.write_text("\n".join([f"{HEAD},load", *lines]))
+    found = read_csv(path)
+    assert found.begins == (0, 2) and found.weights == (1.0, 1.0)
+
+
+def test_ground_in_millimetres():
+    x, y = (v.ravel() for v in np.meshgrid(*[50.0 * np.arange(5)] * 2))
+    table = {"x_m": x, "y_m": y, "z_m": 0.0 * x}
+    with pytest.raises(InputError, match="lie up to 50 m apart"):
+        Ground.of_table(table, "g.csv")
+    Ground.of_table(table | {"x_m": x / 1e3, "y_m": y / 1e3}, "g.csv")
+
+
+def test_lengths_and_keys_of_a_case():
+    with pytest.raises(InputError, match=r"unit is a file's, not a brick's"):
+        MeshBlock(brick=object(), unit="mm")
+    made = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    start = replace(made.settings.start, point_in_sole_m=(-115.0, 0.0, -30.0))
+    off = replace(made.settings, start=start)
+    with pytest.raises(InputError, match=r"point_in_sole_m: 114\.\d+ m off"):
+        off.start_pose(made.mesh)
+    text = "least_depth_m: 25"
+    with pytest.raises(InputError, match="least_depth_m is 25, but must be be"):
+        schema.load_text(text, ShapeBlock)
+    text = "force_n: [0, 0, 9]\nzmp_m: [0, 0]\nsamples: 1000000000"
+    with pytest.raises(InputError, match="samples is 1000000000, but must be"):
+        schema.load_text(text, Constant)
+
+
+def test_an_empty_surface(case):
+    (case / "sole.stl").write_text("")
+    words = ["sole", "simulate", str(case / "case.yaml"), "--out"]
+    words += [str(case / "out"), "--mesh", str(case / "sole.stl")]
+    assert main(words) == 2
+
+
+def test_a_case_is_never_replaced(case, capsys):
+    before = (case / "case.yaml").read_bytes()
+    words = ["sole", "optimize", str(case / "case.yaml"), "--out", str(case)]
+    assert main([*words, "--force"]) == 2
+    assert "case.yaml, which is read" in capsys.readouterr().err
+    assert (case / "case.yaml").read_bytes() == before
+
+
+def test_no_process_does_no_work(case, capsys):
+    words = ["sole", "optimize", str(case / "case.yaml"), "--jobs", "0"]
+    with pytest.raises(SystemExit):
+        main([*words, "--out", str(case / "out")])
+    assert "--jobs: 0 does no work" in capsys.readouterr().err
+    assert not (case / "out").exists()
+
+
+def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
+    point = {"case": "small", "floor": 0.9, "c_tr": 1.0, "c_rot": 2.0,
+             "ratio_tr": 0.5, "ratio_rot": 0.9, "optimality_error": 0.1,
+             "violation": 0.0, "failed_steps": 0,
+             "coefficients": [1.0]}  # fmt: skip
+
+    def stopped(setup, floors, say, points):
+        points.append(point)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command.soles, "pareto_front", stopped, raising=False)
+    words = ["sole", "front", str(case / "case.yaml"), "--out"]
+    assert main([*words, str(case / "out")]) == 130
+    assert "stopped by the user after 1 points" in capsys.readouterr().out
+    told = json.loads((case / "out" / "summary.json").read_text())
+    assert told["front"] == [point]
+
+
+def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):
+    def stopped(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(dx.soles.Case, "optimize", stopped)
+    words = ["sole", "optimize", str(case / "case.yaml"), "--out"]
+    assert main([*words, str(case / "out")]) == 130
+    assert f"go on with --resume {case / 'out'}" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_step_without_any_solution_is_told(case):
+    """Pressed at the very edge; and a name that is no formula."""
+    write_case(case / "case.yaml", name=r"sole $\foo{$")
+    (case / "load.csv").write_text(f"{HEAD}\n0,0,0,800,-0.1149,0.0649\n")
+    out = case / "out"
+    words = ["sole", "simulate", str(case / "case.yaml"), "--out", str(out)]
+    assert main(words) == 1
+    told = json.loads((out / "summary.json").read_text())
+    assert told["verdict"] == "not solved"
+    assert (out / "stiffness.png").is_file()
