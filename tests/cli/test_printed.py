@@ -227,9 +227,13 @@ def test_the_mesh_is_timed_by_itself(monkeypatch, tmp_path, capsys):
     case = SimpleNamespace(
         name="a", load=SimpleNamespace(times=range(4)),
         simulate=lambda tell: step,
+        settings=SimpleNamespace(mesh=SimpleNamespace(file=None)),
     )  # fmt: skip
     monkeypatch.setattr(sole, "_case", lambda args: case)
-    args = Namespace(out=tmp_path / "o", force=False, accept=())
+    args = Namespace(
+        out=tmp_path / "o", force=False, accept=(), mesh=None,
+        case=tmp_path / "case.yaml", data_root=None,
+    )  # fmt: skip
     sole._simulate(args)
     assert written[0][1] == {"mesh_seconds": 2.25}
     assert "4 steps" in capsys.readouterr().out
