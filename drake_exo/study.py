@@ -113,13 +113,18 @@ class StudyFile(RecordingSettings):
         self.foot_ground.law_constants()
 
 
-SETTINGS = {
-    "foot_ground": FootGroundSettings,
-    "interaction": InteractionSettings,
-    "prediction": PredictionSettings,
-    "design": DesignSettings,
-    "filter": Filter,
-}
+def checked(given, cls: type, what: str, usual=None):
+    """Settings that somebody gives, see `schema.check`; else the usual ones.
+
+    Args:
+        given: of the class, or None.
+        cls: of the settings.
+        what: the argument's name.
+        usual: those that hold otherwise; by default the class's own.
+    """
+    if given is None:
+        return usual or cls()
+    return schema.check(given, cls, what)
 
 
 class Study:
@@ -161,14 +166,16 @@ class Study:
         self.sole = sole
         self.device = device
         self.name = name
-        self.foot_ground = foot_ground or FootGroundSettings()
-        self.interaction = interaction or InteractionSettings()
-        self.prediction = prediction or PredictionSettings()
-        self.design = design or DesignSettings()
-        self.filter = filter or Filter()
         check_type(model, Model, "model")
-        for what, cls in SETTINGS.items():
-            schema.check(getattr(self, what), cls, what)
+        self.foot_ground = checked(
+            foot_ground, FootGroundSettings, "foot_ground"
+        )
+        self.interaction = checked(
+            interaction, InteractionSettings, "interaction"
+        )
+        self.prediction = checked(prediction, PredictionSettings, "prediction")
+        self.design = checked(design, DesignSettings, "design")
+        self.filter = checked(filter, Filter, "filter")
         self._trials = _checked(trials)
 
     def __repr__(self) -> str:
@@ -885,9 +892,9 @@ def predict(
     if study.sole is not None:
         scaled = replace(scaled, ground=study.ground)
 
-    if settings is not None:
-        schema.check(settings, PredictionSettings, "settings")
-    settings = settings or study.prediction
+    settings = checked(
+        settings, PredictionSettings, "settings", study.prediction
+    )
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
 
     def pose(refined):

@@ -190,11 +190,12 @@ def _out_or_source(args, name: str) -> OutputFolder:
     return prepare_output_folder(args.source, resume=True)
 
 
-def _read_by(args, case: soles.Case) -> list[Path]:
-    """What must not lie in --out."""
+def _out_of(args, case: soles.Case) -> OutputFolder:
+    """The folder --out, in which nothing of the case may lie."""
     root = args.data_root or args.case.parent
     mesh = case.settings.mesh.file
-    return [args.case, *filter(None, [args.mesh, mesh and root / mesh])]
+    reads = [args.case, args.mesh, mesh and root / mesh]
+    return prepare_output_folder(args.out, args.force, reads=reads)
 
 
 def _progress(name: str, total: int | None = None) -> Progress:
@@ -207,9 +208,7 @@ def _simulate(args) -> int:
     case = _case(args)
     seconds = {"mesh_seconds": round(time.perf_counter() - began, 4)}
     progress = _progress(case.name, len(case.load.times))
-    with prepare_output_folder(
-        args.out, args.force, reads=_read_by(args, case)
-    ) as out:
+    with _out_of(args, case) as out:
         step = case.simulate(lambda done, _: progress.update("samples", done))
         verdict = step.write(out, seconds, args.accept)
     name = case.name
@@ -228,9 +227,7 @@ def _optimize(args) -> int:
     say = _progress(case.name).update
     # Refused before there is a folder.
     resume = read_checkpoint(args.resume) if args.resume else None
-    with prepare_output_folder(
-        args.out, args.force, reads=_read_by(args, case)
-    ) as out:
+    with _out_of(args, case) as out:
         try:
             design = case.optimize(out, say, resume, args.jobs)
         except KeyboardInterrupt:
@@ -266,9 +263,7 @@ def _study(args) -> int:
 def _front(args) -> int:
     """The front of one case; 0 where every point simulates."""
     case = _case(args)
-    folder = prepare_output_folder(
-        args.out, args.force, reads=_read_by(args, case)
-    )
+    folder = _out_of(args, case)
     with folder as out:
         say = _progress(f"{case.name}, front").update
         points, stopped = [], False

@@ -18,6 +18,7 @@ from drake_exo.files.tables import (
     Table,
     check_gaps,
     check_increasing,
+    check_names,
     frame_rate,
     number_rows,
     read_text,
@@ -54,7 +55,7 @@ def read_table(path: str | Path) -> Table:
         raise InputError(
             f"{path}:{rest[0] + 1}: the first column must be 'time'"
         )
-    _check_names(path, rest[0] + 1, names)
+    check_names(path, rest[0] + 1, names)
     rows = [(i + 1, lines[i].split()) for i in rest[1:]]
     values = number_rows(path, rows, len(names))
     _check_count(path, header.get("nrows"), len(rows), "nRows", "rows")
@@ -83,7 +84,7 @@ def read_trc(path: str | Path) -> MarkerData:
     scale = _length_unit(path, header.get("units"))
     cells = [cell.strip() for cell in lines[3].split("\t")]
     names = [cell for cell in cells if cell][2:]
-    _check_names(path, 4, names)
+    check_names(path, 4, names)
     _check_count(
         path, header.get("nummarkers"), len(names), "NumMarkers", "marker names"
     )
@@ -254,14 +255,6 @@ def _length_unit(path, unit: str | None) -> float:
             f"{path}: Units in the header is {unit!r}; write m, cm or mm"
         )
     return LENGTHS[unit.lower()]
-
-
-def _check_names(path, line: int, names: list[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"{path}:{line}: two columns are named {name!r}; rename one"
-            )
 
 
 def _check_count(path, text: str | None, count: int, key, what) -> None:

@@ -446,6 +446,16 @@ def comma_separated(path, header: str) -> list[str]:
     return header.split(",")
 
 
+def check_names(path, line: int, names: list[str]) -> None:
+    """Refuse names of columns, in a line of a file, that are there twice."""
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{path}:{line}: two columns are named {shown(name)!r}; "
+                "rename one"
+            )
+
+
 def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
     names, factors = [], []
     for cell in cells:
@@ -457,13 +467,9 @@ def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
                 f"known; write it as 'name [unit]' with one of "
                 f"{', '.join(UNITS)}"
             )
-        if match["name"] in names:
-            raise InputError(
-                f"{path}:1: two columns are named "
-                f"{shown(match['name'])!r}; rename one"
-            )
         names.append(match["name"])
         factors.append(UNITS[unit])
+    check_names(path, 1, names)
     if names[0].lower() != "time":
         raise InputError(f"{path}:1: the first column must be 'time [s]'")
     return names, np.array(factors)

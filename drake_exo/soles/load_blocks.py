@@ -15,6 +15,7 @@ from drake_exo.files.opensim import read_table
 from drake_exo.files.schema import exactly_one, positive
 from drake_exo.files.tables import missing_column
 from drake_exo.soles.loads import (
+    MOST_SAMPLES,
     Load,
     numbers_of,
     read_columns,
@@ -282,7 +283,9 @@ class Constant:
 
     force_n: Vector3
     zmp_m: Vector2
-    samples: int = field(default=1, metadata={"minimum": 1, "maximum": 1e5})
+    samples: int = field(
+        default=1, metadata={"minimum": 1, "maximum": MOST_SAMPLES}
+    )
 
     def load(self, root: Path | None = None) -> Load:
         """As a load."""

@@ -11,13 +11,18 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import comma_separated, number_rows, read_text
+from drake_exo.files.tables import (
+    check_names,
+    comma_separated,
+    number_rows,
+    read_text,
+)
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.numerics import rotation_z
 
 _PAUSE_S = 0.2  # between loads that follow one another
-_MOST_SAMPLES = 100_000  # of a load; each is a system to solve
+MOST_SAMPLES = 100_000  # of a load; each is a system to solve
 
 
 @dataclass(frozen=True)
@@ -72,9 +77,9 @@ class Load:
                 )
         if len(self.times) == 0:
             raise InputError(f"{self.name}: no samples; widen the window")
-        if (count := len(self.times)) > _MOST_SAMPLES:
+        if (count := len(self.times)) > MOST_SAMPLES:
             raise InputError(
-                f"{self.name}: {count} samples, more than {_MOST_SAMPLES}; "
+                f"{self.name}: {count} samples, more than {MOST_SAMPLES}; "
                 "give fewer, 0.005 s apart for a step"
             )
         step = np.diff(self.times)
@@ -358,11 +363,7 @@ def read_columns(path, needed=()) -> dict[str, np.ndarray]:
     """
     head, *lines = text_lines(path) or [""]
     names = [name.strip() for name in comma_separated(path, head)]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"{path}:1: two columns are named {name!r}; rename one"
-            )
+    check_names(path, 1, names)
     missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(

@@ -31,7 +31,7 @@ FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
-LEAST_LENGTH, LARGEST_LENGTH = 0.01, 2.0
+_LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
 _UPWARDS = 1e-3  # of a face's normal: beyond rounding
 _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
@@ -358,6 +358,20 @@ def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     return np.array([*(0.5 * (low + high)), z])
 
 
+def check_size(places: np.ndarray, name: str, end: str) -> None:
+    """Refuse places (k, 3) [m] that reach over less or more than any sole.
+
+    Args:
+        places: On the sole.
+        name: Of its file.
+        end: Of the sentence: why, and what to do.
+    """
+    size = np.ptp(places, axis=0)
+    if not _LEAST_LENGTH < size.max() < _LARGEST_LENGTH:
+        numbers = " x ".join(f"{x:g}" for x in size)
+        raise InputError(f"{name}: the sole is {numbers} m large{end}")
+
+
 def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
     """Build a mesh and refuse what cannot be simulated.
 
@@ -377,13 +391,10 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             f"flat (first: element {bad[0]}); remesh"
         )
     i, j = tets[:, [0, 0, 0]].ravel(), tets[:, 1:].ravel()
-    size = np.ptp(nodes, axis=0)
-    if not LEAST_LENGTH < size.max() < LARGEST_LENGTH:
-        numbers = " x ".join(f"{x:g}" for x in size)
-        raise InputError(
-            f"{name}: the sole is {numbers} m large, and lengths are in "
-            "metres; scale it (millimetres by 0.001)"
-        )
+    check_size(
+        nodes, name, ", and lengths are in metres; scale it (millimetres by "
+        "0.001)",
+    )  # fmt: skip
     graph = coo_matrix((np.ones(len(i)), (i, j)), shape=2 * (len(nodes),))
     parts, _ = connected_components(graph, directed=False)
     if parts > 1:

@@ -323,13 +323,11 @@ class Step:
     def loads(self) -> list[dict]:
         """Figures of every contact phase, as they are in summary.json."""
         load, w = self.setup.load, self.setup.settings.cost.weight
-        fraction = self.setup.settings.cost.heel_strike_fraction
-        out = []
+        early, out = strikes(self.setup), []
         for k, share in enumerate(load.shares):
             rows = load.phase == k
             c_tr, c_rot = (x / share for x in self._sums(rows))
-            count = int(rows.sum())
-            strike = heel_strike_count(count, fraction)
+            count, strike = int(rows.sum()), early[k][1] - early[k][0]
             out.append(
                 {
                     "begins_s": float(self.times[rows][0]),

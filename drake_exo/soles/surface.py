@@ -24,9 +24,8 @@ from scipy.spatial import cKDTree
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.mesh import read_cells
 from drake_exo.soles.mesh import (
-    LARGEST_LENGTH,
-    LEAST_LENGTH,
     TetMesh,
+    check_size,
     checked_mesh,
     face_edges,
     grid_mesh,
@@ -234,13 +233,8 @@ def sole_from_surface(
     Raises:
         InputError: No flat top is found, or it cannot be meshed.
     """
-    size = np.ptp(surface.corners.reshape(-1, 3), axis=0)
-    if not LEAST_LENGTH < size.max() < LARGEST_LENGTH:
-        numbers = " x ".join(f"{x:g}" for x in size)
-        raise InputError(
-            f"{surface.name}: the sole is {numbers} m large by mesh.unit; "
-            "correct that"
-        )
+    places, end = surface.corners.reshape(-1, 3), " by mesh.unit; correct that"
+    check_size(places, surface.name, end)
     top = _top_faces(surface, top_m)
     place = surface.corners[top].reshape(-1, 3)
     low, high = place.min(axis=0), place.max(axis=0)
