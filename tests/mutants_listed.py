@@ -752,6 +752,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/soles/surface.py": [
         ("flat * 0.01 * h", "flat * 0.01"),
         ("low - 0.3183 * self.step", "low"),
+        (
+            "order[shared[which[order]] == 2] // 3",
+            "order[shared[which[order]] == 2] // 2",
+        ),
     ],
     "drake_exo/soles/walking_pattern.py": [
         ("low, high = low - rows @ p0", "low, high = low + rows @ p0"),

@@ -118,6 +118,11 @@ class Case(Setup):
         """
         if isinstance(resume, Path | str):
             resume = read_checkpoint(Path(resume))
+        if resume is not None and resume.case not in ("", self.name):
+            raise InputError(
+                f"--resume: the checkpoint is of the case {resume.case!r}, "
+                f"this one is {self.name!r}; give the case that was begun"
+            )
         folder = None if folder is None else Path(folder)
         say = say or (lambda text: None)
         return optimise(self, folder, say, resume, at_once)

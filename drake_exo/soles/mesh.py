@@ -32,7 +32,8 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
-_UPWARDS = 1e-3  # of a face's normal: beyond rounding
+_DOWNWARDS = 1e-3  # of a face's normal: beyond rounding
+UPWARDS = 0.0175  # of a face's normal: a degree, vertical sides as meshed
 _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
 
@@ -102,7 +103,7 @@ class TetMesh:
         `touching_everywhere`.
         """
         area, size = self.areas(self.contact_faces)
-        down = area[:, 2] < -_UPWARDS * size
+        down = area[:, 2] < -_DOWNWARDS * size
         return np.setdiff1d(self.contact_faces[down], self.fixed)
 
     def touching_everywhere(self) -> "TetMesh":
@@ -160,12 +161,12 @@ class TetMesh:
 
     @property
     def undercut(self) -> float:
-        """Part of the bare surface that faces upwards [0, 1].
+        """Part of the bare surface that faces upwards by over 1° [0, 1].
 
         A mould that opens upwards does not let go of it.
         """
         area, size = self.areas(self.contact_faces)
-        up = area[:, 2] > _UPWARDS * size
+        up = area[:, 2] > UPWARDS * size
         return float(size[up].sum() / size.sum())
 
     def volume_gradient(self) -> np.ndarray:

@@ -23,7 +23,13 @@ from scipy.spatial import ConvexHull
 from drake_exo.files.output import save_figure
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import EDGES, SphericalSpline, TetMesh, normals_of
+from drake_exo.soles.mesh import (
+    EDGES,
+    UPWARDS,
+    SphericalSpline,
+    TetMesh,
+    normals_of,
+)
 from drake_exo.soles.surface import crossings
 
 _AMBIENT, _DIFFUSE = 0.4, 0.65
@@ -585,7 +591,7 @@ def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
     """The sole in a view, what looks upwards of its bare surface in red."""
     faces = np.concatenate([mesh.top_faces, mesh.contact_faces])
     normal, size = mesh.areas(faces)
-    up = normal[:, 2] > 1e-3 * size
+    up = normal[:, 2] > UPWARDS * size
     up[: len(mesh.top_faces)] = False
     colours = np.where(up[:, None], _UNDERCUT, _RUBBER)
     draw(axis, 1e3 * mesh.nodes[faces], colours, view)

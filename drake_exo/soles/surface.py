@@ -1,9 +1,10 @@
 """From a closed surface (STL, OBJ) to the tetrahedra of a sole.
 
 The surface becomes the zero level of a signed distance on a grid, which Mmg
-cuts (Dapogny, Dobrzynski, Frey, J. Comput. Phys. 262, 2014); the cells inside
-are meshed anew, their size in proportion to the local thickness, and their
-surface nodes are moved onto the surface. A flat top is a face of the grid, so
+cuts (Dapogny, Dobrzynski, Frey, J. Comput. Phys. 262, 2014); the nodes of what
+is inside are moved onto the surface and its sharp edges, which a level set cuts
+off. It is meshed anew, its cells' size in proportion to the local thickness,
+and the surface nodes are moved once more. A flat top is a face of the grid, so
 that it stays flat and its rim sharp.
 
 Mmg works in a process of its own, this module run as a script, since there are
@@ -19,6 +20,8 @@ from typing import Literal
 from zipfile import BadZipFile
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError, first_line
@@ -110,7 +113,11 @@ _GRID = 0.5  # of an element's size: cells that are cut
 _SECONDS = 120  # of processor time for Mmg
 _GRADATION = 1.3
 _FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
-_SHORTER = 12  # times that nodes are moved half as far
+_SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
+_PATCH = 4.0  # least area of a patch, in squares of a typical size
+_THERE = 0.3  # of a typical size: a node that is on an edge already
+_LEAST_QUALITY = 0.3  # of elements whose nodes are moved
+_SHORTER = 12  # times that a move is halved
 
 
 @dataclass(frozen=True)
@@ -301,6 +308,7 @@ def _meshed(corners, top, flat: bool, tets: int):
             _SECONDS,
         )
     )
+    nodes, cells = _onto(nodes, cells, corners, top, flat)
     size = share * thickness.at(nodes)
     size = np.maximum(size, 0.3 * np.median(size))
     body = {"nodes": nodes, "tets": cells, "size": size}
@@ -403,21 +411,27 @@ def crossings(corners: np.ndarray, places: np.ndarray):
         yield rows, z[starts[rows, None] + np.arange(k)]
 
 
-def _nearest(corners, points, step: float) -> np.ndarray:
-    """Nearest points on triangles (t, 3, 3) to points (n, 3), (n, 3)."""
+def _nearest(corners, points, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """On triangles (t, 3, 3) what is nearest to points (n, 3).
+
+    Returns:
+        Points (n, 3) and the triangles that they lie on (n,).
+    """
     samples, owner = _sampled(corners, step)
     _, near = cKDTree(samples).query(points, k=min(6, len(samples)))
     best, least = points.copy(), np.full(len(points), np.inf)
-    for column in near.reshape(len(points), -1).T:
-        p = _on_triangles(corners[owner[column]], points)
+    on = np.zeros(len(points), int)
+    for column in owner[near.reshape(len(points), -1).T]:
+        p = _on_triangles(corners[column], points)
         away = np.linalg.norm(p - points, axis=1)
         better = away < least
         best[better], least[better] = p[better], away[better]
-    return best
+        on[better] = column[better]
+    return best, on
 
 
 def _distance(corners, points, step: float) -> np.ndarray:
-    near = _nearest(corners, points, 0.5 * step)
+    near, _ = _nearest(corners, points, 0.5 * step)
     return np.linalg.norm(near - points, axis=1)
 
 
@@ -445,7 +459,7 @@ def _on_triangles(corners, points) -> np.ndarray:
     de, df = (d * e).sum(1), (d * f).sum(1)
     det = np.maximum(ee * ff - ef**2, 1e-300)
     u, v = (ff * de - ef * df) / det, (ee * df - ef * de) / det
-    inside = (u >= 0) & (v >= 0) & (u + v <= 1)
+    inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (det > 1e-12 * ee * ff)
     out = a + u[:, None] * e + v[:, None] * f
     least = np.where(inside, -1.0, np.inf)
     for p, q in ((a, b), (b, c), (c, a)):
@@ -470,7 +484,8 @@ def _onto(nodes, cells, corners, top, flat):
     skin = np.unique(mesh.boundary_faces)
     aim = nodes.copy()
     size = np.cbrt(np.median(mesh.volumes))
-    aim[skin] = _nearest(corners, nodes[skin], size)
+    aim[skin], on = _nearest(corners, nodes[skin], size)
+    free = np.ones(len(skin), dtype=bool)
     if flat:
         height = corners[top][:, :, 2].max()
         up = skin[np.abs(nodes[skin, 2] - height) < 1e-6]
@@ -478,18 +493,98 @@ def _onto(nodes, cells, corners, top, flat):
         aim[up] = nodes[up]
         # A rim moves within the top, onto the sides' upper edge.
         sides = corners[~top]
-        moved = _nearest(sides, nodes[rim], size)
+        moved, _ = _nearest(sides, nodes[rim], size)
         aim[rim, :2] = moved[:, :2]
         aim[up, 2] = height
-    # Each node goes as far as the elements around it allow.
-    floor, part = 0.1 * mesh.volumes, np.ones((len(nodes), 1))
-    for _ in range(_SHORTER):
-        new = nodes + part * (aim - nodes)
-        worn = TetMesh(new, cells, mesh.fixed).volumes < floor
-        if not worn.any():
-            return new, cells
-        part[np.unique(cells[worn])] *= 0.5
+        free = ~np.isin(skin, up)
+    _onto_edges(aim, skin, np.where(free, on, -1), corners, size, mesh)
+    # Each node goes as far as the elements around it allow, and again where
+    # those beside it have moved.
+    floor = np.minimum(0.9 * mesh.quality(), _LEAST_QUALITY)
+    for _ in range(2):
+        part = np.ones((len(nodes), 1))
+        for _ in range(_SHORTER):
+            new = nodes + part * (aim - nodes)
+            worn = TetMesh(new, cells, mesh.fixed).quality() < floor
+            if not worn.any():
+                nodes = new
+                break
+            part[np.unique(cells[worn])] *= 0.5
     return nodes, cells
+
+
+def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
+    """Move nodes beside sharp edges onto them, and onto their corners.
+
+    A level set cuts edges off: some of its faces have nodes on two patches of
+    the surface (t, 3, 3). Those on the larger patch are moved; so that none of
+    the faces shrinks to nothing, the others stay. Nodes of the skin lie on
+    triangles `on`, -1 for those that only corners move.
+    """
+    patch, ends, points = _sharp(corners, size)
+    if not len(ends):
+        return
+    own, edge = np.full(len(aim), -1), aim.copy()
+    own[skin[on >= 0]] = patch[on[on >= 0]]
+    edge[skin], _ = _nearest(ends[:, [0, 1, 1]], aim[skin], size)
+    away = np.linalg.norm(edge - aim, axis=1)
+    # What is there already belongs to both patches.
+    there = (away < _THERE * size) & (own >= 0)
+    aim[there], own[there] = edge[there], -1
+    a, b = face_edges(mesh.boundary_faces).T
+    a, b = np.where(own[a] <= own[b], [a, b], [b, a])
+    across = (own[a] >= 0) & (own[a] < own[b])
+    a, b = a[across], b[across]
+    a = a[away[a] < np.linalg.norm(aim[b] - aim[a], axis=1)]
+    aim[a] = edge[a]
+    away, near = cKDTree(aim[skin]).query(points)
+    aim[skin[near[away < size]]] = points[away < size]
+
+
+def _sharp(corners, size: float):
+    """Smooth patches of a surface, and what lies between them.
+
+    Args:
+        corners: Of its triangles [m], (t, 3, 3).
+        size: Patches of few such squares do not count [m].
+
+    Returns:
+        Patch of each triangle, counted by falling area, -1 for none (t,);
+        ends of edges between two (k, 2, 3) and points where edges of several
+        patches meet (m, 3) [m].
+    """
+    places = corners.reshape(-1, 3)
+    step = 1e-6 * np.ptp(places, axis=0).max()
+    _, first, at = np.unique(
+        np.round(places / step), axis=0, return_index=True, return_inverse=True
+    )
+    edges, which, shared = np.unique(
+        np.sort(face_edges(first[at].reshape(-1, 3)), axis=1), axis=0,
+        return_inverse=True, return_counts=True,
+    )  # fmt: skip
+    order = np.argsort(which, kind="stable")
+    pair = (order[shared[which[order]] == 2] // 3).reshape(-1, 2)
+    ends = places[edges[shared == 2]]
+    area = normals_of(corners)
+    large = np.linalg.norm(area, axis=1)
+    n = area / np.maximum(large, 1e-300)[:, None]
+    joined = pair[(n[pair[:, 0]] * n[pair[:, 1]]).sum(axis=1) > _SHARP]
+    graph = coo_array(
+        (np.ones(len(joined)), joined.T), shape=2 * (len(corners),)
+    )
+    number, patch = connected_components(graph, directed=False)
+    areas = 0.5 * np.bincount(patch, large, number)
+    rank = np.empty(number, int)
+    rank[np.argsort(-areas, kind="stable")] = np.arange(number)
+    patch = np.where(areas < _PATCH * size**2, -1, rank)[patch]
+    pair = np.sort(patch[pair], axis=1)
+    sharp = (pair[:, 0] >= 0) & (pair[:, 0] < pair[:, 1])
+    pair, ends = pair[sharp], ends[sharp]
+    rows = np.column_stack([ends.reshape(-1, 3), np.repeat(pair, 2, axis=0)])
+    points, count = np.unique(
+        np.unique(rows, axis=0)[:, :3], axis=0, return_counts=True
+    )
+    return patch, ends, points[count > 1]
 
 
 def _wholly(mesh: TetMesh, up: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ def _checkpoint(shift=0.0):
     return Checkpoint(
         2, 7, rng.standard_normal(4) + shift, rng.standard_normal(4),
         rng.standard_normal(3), 1e-5, root @ root.T, 0.875,
-        ({"cost": -0.5, "violation": 0.25},),
+        ({"cost": -0.5, "violation": 0.25},), case="1-Ref",
     )  # fmt: skip
 
 
@@ -42,6 +42,7 @@ def _assert_same(a, b):
         b.barrier,
     )
     assert (a.starts, a.strain_scale) == (b.starts, b.strain_scale)
+    assert a.case == b.case
     for name in ("p", "latest", "multipliers", "curvature"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name))
 
@@ -68,7 +69,7 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
         _checkpoint(number).write(folder)
     start_folder(tmp_path, 5).mkdir()
     found = read_checkpoint(tmp_path)
-    assert found.p is None and len(found.begun) == 12
+    assert found.p is None and len(found.begun) == 12 and found.case == "1-Ref"
     there = [k for k, at in enumerate(found.begun) if at is not None]
     assert there == [0, 2, 11]
     for number in there:

@@ -217,6 +217,12 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     out, never = folder / "out", folder / "never"
     assert optimize(folder / "other.yaml", never, "--resume", out) == 2
     assert "of another case" in capsys.readouterr().err
+    text = (folder / "case.yaml").read_text()
+    (folder / "named.yaml").write_text(
+        "name: another\n" + text[text.index("\n") :]
+    )
+    assert optimize(folder / "named.yaml", never, "--resume", out) == 2
+    assert "this one is 'another'" in capsys.readouterr().err
 
 
 def test_without_limits_stability_tilt_and_strain_are_free():

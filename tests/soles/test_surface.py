@@ -3,16 +3,20 @@
 import meshio
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from shoe import shoe_surface
 
 from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE
-from drake_exo.soles.mesh import brick, write_triangles
+from drake_exo.soles.mesh import brick, normals_of, write_triangles
 from drake_exo.soles.surface import (
     Surface,
     _nearest,
+    _sharp,
     _Thickness,
+    _top_faces,
     read_surface,
     sole_from_surface,
 )
@@ -88,7 +92,7 @@ def test_nearest_points_of_a_sphere():
     )  # fmt: skip
     points = np.random.default_rng(0).standard_normal((200, 3))
     points *= np.random.default_rng(1).uniform(0.5, 2, (200, 1))
-    near = _nearest(corners, points, 0.05)
+    near, _ = _nearest(corners, points, 0.05)
     aim = points / np.linalg.norm(points, axis=1, keepdims=True)
     assert np.abs(near - aim).max() < 0.08
     away = np.linalg.norm(near - points, axis=1)
@@ -128,11 +132,20 @@ def test_a_shoe_is_meshed(shoe):
     a, b, c = np.swapaxes(flat, 0, 1)
     wanted = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
     assert area == pytest.approx(wanted, rel=0.02)
-    # Thick parts have larger elements.
-    middle = mesh.nodes[mesh.tets].mean(axis=1)
-    heel = mesh.volumes[middle[:, 0] < -0.06].mean()
-    ball = mesh.volumes[(middle[:, 0] > 0.03) & (middle[:, 0] < 0.09)].mean()
-    assert heel > ball
+
+
+@pytest.mark.slow
+def test_thick_parts_have_larger_elements():
+    """A wedge from 15 to 45 mm."""
+    mesh = brick((0.25, 0.1, 0.03), (4, 2, 1))
+    nodes = mesh.nodes * 1.0
+    nodes[:, 2] *= 1.0 + nodes[:, 0] / 0.25
+    surface = Surface(nodes[mesh.boundary_faces], "wedge")
+    mesh = sole_from_surface(surface, 3000)
+    x = mesh.nodes[mesh.tets].mean(axis=1)[:, 0]
+    assert mesh.volume == pytest.approx(surface.volume, rel=2e-3)
+    thin, thick = mesh.volumes[x < -0.05], mesh.volumes[x > 0.05]
+    assert np.median(thick) > 3 * np.median(thin)
 
 
 @pytest.mark.slow
@@ -144,9 +157,53 @@ def test_an_element_that_is_in_the_way_holds_its_own_nodes_back_alone():
     top = flat.reshape(-1, 3)
     middle = 0.5 * (top.min(axis=0) + top.max(axis=0))
     skin = mesh.nodes[np.unique(mesh.boundary_faces)] + middle
-    away = np.linalg.norm(_nearest(surface.corners, skin, 1e-3) - skin, axis=1)
-    assert np.mean(away > 1e-5) < 0.01
-    assert away.max() < 2e-4
+    on, _ = _nearest(surface.corners, skin, 1e-3)
+    away = np.linalg.norm(on - skin, axis=1)
+    assert np.mean(away > 1e-5) < 0.1
+    assert np.mean(away > 1e-4) < 0.02
+
+
+def _box(size) -> np.ndarray:
+    """Outward triangles of a box below z = 0, two a side, (12, 3, 3)."""
+    mesh = brick(size, (1, 1, 1))
+    return mesh.nodes[mesh.boundary_faces]
+
+
+def test_sharp_edges_of_a_box():
+    """Turned and cut anew it has the same, and a little ball has none."""
+    box = _box((0.25, 0.1, 0.03))
+    turned = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
+    for corners in (box, box[::-1], box @ turned.T):
+        patch, ends, points = _sharp(corners, 0.01)
+        assert len(ends) == 12 and len(points) == 8
+        sides = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        np.testing.assert_allclose(
+            np.sort(sides), [0.03] * 4 + [0.1] * 4 + [0.25] * 4
+        )
+        # The largest first.
+        area = np.linalg.norm(normals_of(corners), axis=1) / 2
+        of = np.bincount(patch, area)
+        assert len(of) == 6 and (np.diff(of) < 1e-12).all()
+    # Of sides that are small beside an element none counts.
+    patch, ends, points = _sharp(box, 0.03)
+    assert (patch == -1).sum() == 4 and len(ends) == 4 and not len(points)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tets", [1000, 3000])
+def test_a_box_keeps_its_edges(tets):
+    size = np.array([0.25, 0.1, 0.03])
+    mesh = sole_from_surface(Surface(_box(size), "box"), tets)
+    assert mesh.volume == pytest.approx(size.prod(), rel=2e-3)
+    assert mesh.undercut < 0.005
+    assert np.percentile(mesh.quality(), 1) > 0.28
+    normal, area = mesh.areas(mesh.contact_faces)
+    slant = np.abs(normal / area[:, None]).max(axis=1) < 0.995
+    assert area[slant].sum() < 0.025 * area.sum()
+    corner = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T * size / 2
+    corner[:, 2] -= size[2] / 2
+    away, _ = cKDTree(mesh.nodes).query(corner)
+    assert (away < 1e-3).sum() >= 7
 
 
 @pytest.mark.slow
@@ -158,10 +215,13 @@ def test_a_top_that_is_not_flat_is_asked_for_and_taken():
         sole_from_surface(surface)
     mesh = sole_from_surface(surface, 3000, top_m=-0.004)
     assert mesh.volume == pytest.approx(surface.volume, rel=0.05)
-    x, y, z = mesh.nodes[mesh.fixed].T
-    height = 4 * y**2 - 4 * 0.045**2
-    assert np.abs(z - height + (height - z).mean()).max() < 2.5e-3
-    assert np.ptp(x) > 0.25
+    top = surface.corners[_top_faces(surface, -0.004)]
+    low, high = top.reshape(-1, 3).min(axis=0), top.reshape(-1, 3).max(axis=0)
+    fixed = mesh.nodes[mesh.fixed] + [*(low + high)[:2] / 2, high[2]]
+    on, _ = _nearest(top, fixed, 1e-3)
+    away = np.linalg.norm(on - fixed, axis=1)
+    assert np.median(away) < 1e-6 and away.max() < 1e-3
+    assert np.ptp(fixed[:, 0]) > 0.25
 
 
 @pytest.mark.slow

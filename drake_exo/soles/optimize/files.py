@@ -38,6 +38,7 @@ class Checkpoint:
             those that each of its starts has led to.
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
+        case: Its name; "" where a file of an earlier version does not say.
     """
 
     stage: int = 0
@@ -50,6 +51,7 @@ class Checkpoint:
     strain_scale: float = 1.0
     starts: tuple[dict, ...] = ()
     begun: tuple["Checkpoint | None", ...] = ()
+    case: str = ""
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
@@ -72,6 +74,7 @@ class Checkpoint:
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
             hessian_approximation.matrix, before.strain_scale, before.starts,
+            case=before.case,
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -116,6 +119,7 @@ class Checkpoint:
                 "curvature": self.curvature[lower],
                 "strain_scale": self.strain_scale,
                 "starts": self.starts,
+                "case": self.case,
             },
         )
 
@@ -140,7 +144,9 @@ def read_checkpoint(path: Path) -> Checkpoint:
             if (start / _FILE).exists()
         }
         count = max(begun, default=-1) + 1
-        return Checkpoint(begun=tuple(begun.get(k) for k in range(count)))
+        case = next((at.case for at in begun.values()), "")
+        begun = tuple(begun.get(k) for k in range(count))
+        return Checkpoint(begun=begun, case=case)
     remedy = "give the folder of an interrupted run"
     data = read_json(file, remedy)
 
@@ -161,6 +167,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             B + np.tril(B, -1).T,
             float(data.get("strain_scale", 1.0)),
             tuple(data.get("starts") or ()),
+            case=str(data.get("case", "")),
         )
         found.check()
     except (ValueError, KeyError, TypeError, OverflowError):

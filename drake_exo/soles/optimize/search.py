@@ -443,7 +443,7 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     if at is None:
         problem = stage_problem(setup, block.stages[0])
         p = start_design(problem, tuple(block.bounds), bend)
-        at = Checkpoint(p=p, latest=p)
+        at = Checkpoint(p=p, latest=p, case=setup.name)
     elif len(at.starts) > number:  # finished before an interruption
         row = at.starts[number]
         done = Optimum(
