@@ -56,7 +56,8 @@ class Outcome:
     Attributes:
         key: of the task, see `tasks`.
         code: exit code of its command; None where it did not come to an end.
-        verdict: "holds", "does not hold", "not solved" or "failed".
+        verdict: "holds", "does not hold", "not solved", "failed", or "not
+            done" of what the user stopped.
         sentence: why, where it does not hold.
         task: what was run: entry, variant, step, options, changes.
     """
@@ -519,8 +520,9 @@ def _outcome(task: Task, row: Ended | None, out: Path) -> Outcome:
     found = read_outcome(out / task.name)
     if found is not None and found.key == task.key:
         return found
-    error = "interrupted" if row is None else row.error
-    return outcome(task, None, error)
+    if row is None:
+        return outcome(task, None, "stopped by the user", "not done")
+    return outcome(task, None, row.error)
 
 
 def _tell(row: Ended) -> None:

@@ -369,7 +369,8 @@ class Setup:
 
         Raises:
             InputError: A file cannot be read, the ZMP leaves the sole, or
-                the force the friction cone.
+                the force the friction cone; a fixed patch holds none of the
+                sole, or all.
         """
         root, friction = Path(data_root), settings.contact.friction
         mesh = settings.read_mesh(root, mesh_file)
@@ -393,7 +394,9 @@ class Setup:
         if settings.loads:
             weights = [block.weight for block in settings.loads]
             load = Load.one_after_another(found, weights)
-        return cls(settings, load, mesh, start, ground)
+        setup = cls(settings, load, mesh, start, ground)
+        setup.spline().free_map()  # refuses what leaves nothing to change
+        return setup
 
     @property
     def name(self) -> str:
@@ -425,6 +428,13 @@ class Setup:
             self.mesh if mesh is None else mesh,
             block.material.material(),
             block.mesh.element,
+        )
+
+    def spline(self) -> SphericalSpline:
+        """Of shapes: its coefficients that are free."""
+        block = self.settings.optimize
+        return block.shape.spline(
+            self.mesh, tuple(block.intervals), block.fixed_top
         )
 
     def law(self, sole: Sole) -> ContactLaw:

@@ -243,6 +243,6 @@ def test_stopped_by_ctrl_c_and_gone_on(laboratory, tmp_path):
     said = batch.communicate()[0]
     assert batch.returncode == 130
     assert "Traceback" not in said
-    assert "seed_2/lab: failed: interrupted" in said
-    assert "interrupted" in (to / "results.csv").read_text("utf-8")
+    assert "seed_2/lab: not done: stopped by the user" in said
+    assert "stopped by the user" in (to / "results.csv").read_text("utf-8")
     assert "task.json" in os.listdir(to / "seed_1" / "lab")

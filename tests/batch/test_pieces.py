@@ -92,7 +92,7 @@ def test_what_is_done_is_known_by_its_key(tmp_path):
     assert own == done["a/calibrate"]
     for row in (other, none):
         assert row.code is None and row.sentence == "gone"
-    assert run._outcome(tasks[2], None, tmp_path).sentence == "interrupted"
+    assert run._outcome(tasks[2], None, tmp_path).verdict == "not done"
 
 
 def test_a_folder_is_a_batchs_or_empty(tmp_path):

@@ -150,6 +150,7 @@ def test_what_cannot_be_is_refused(block, words, tmp_path, capsys):
     argv = ["sole", "optimize", str(path), "--out", str(out)]
     assert cli.main(argv) == 2
     error = capsys.readouterr().err
+    assert f"{path}:" in error
     assert words in error and error.count("\n") == 1
 
 

@@ -96,7 +96,7 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
     block, sole = settings.optimize, setup.sole(mesh)
     return ShapeProblem(
         mesh,
-        block.shape.spline(setup.mesh, tuple(block.intervals), block.fixed_top),
+        setup.spline(),
         sole.material,
         ContactLaw(
             settings.contact.friction, sole.penalty, stage.layer_m, stage.kappa
