@@ -297,6 +297,8 @@ class PredictionProblem(PhaseProblem):
     """
 
     ends = "measured"
+    # What no kinematics hold swings on its cuffs: smoother.
+    jerk_share = 0.5
 
     def __init__(
         self,

@@ -133,6 +133,9 @@ class PhaseProblem(ABC):
             guess and checks.
     """
 
+    # Of the typical jerk, what a movement's costs.
+    jerk_share = 1.0
+
     def __init__(
         self,
         model: Model,
@@ -154,7 +157,7 @@ class PhaseProblem(ABC):
         self.contact = contact = _in_order(contact, model)
         self.parameters = parameters
         self.settings = settings
-        self.jerk = settings.noise.jerk or contact.jerk
+        self.jerk = settings.noise.jerk or self.jerk_share * contact.jerk
         self.refined = refined or {}
         under = contact.ground.under(model)
         self.soles = {body: list(own.spheres) for body, own in under.items()}
