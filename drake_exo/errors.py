@@ -60,6 +60,22 @@ def check_bounds(
             raise InputError(f"{where} is {found}, but must be {words} {bound}")
 
 
+def check_names(names: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse a name that is none of those known.
+
+    Raises:
+        InputError: naming it, and those that are known.
+    """
+    if isinstance(names, str):
+        raise InputError(f"{names!r} is no list of names; give several")
+    known = list(known)
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"there is no {name!r}; there are {', '.join(map(str, known))}"
+            )
+
+
 def check_type(value: object, cls: type, what: str) -> None:
     """Refuse what is of another class, with how the value begins.
 

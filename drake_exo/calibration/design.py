@@ -681,6 +681,7 @@ class DesignProblem:
     def compiled(self) -> SparseProgram:
         """The sparse problem, as the solver sees it."""
         start = time.perf_counter()
+        self._compiled_counts = self.program.counts
         solver = self.settings.solver
         grids = [m.grid for part in self.parts for m in part.movements]
         compiled = SparseProgram(
@@ -721,6 +722,8 @@ class DesignProblem:
         on_iterate: Callable[[Iterate], None] | None = None,
     ) -> DesignResult:
         """Solve and collect."""
+        if self.program.counts != getattr(self, "_compiled_counts", None):
+            vars(self).pop("compiled", None)
         compiled = self.compiled
         guess = self.guess() if guess is None else guess
         solution = ipopt.solve(

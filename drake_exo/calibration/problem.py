@@ -31,14 +31,14 @@ from drake_exo.collocation.trial_program import (
 )
 from drake_exo.contact.bushing import CALIBRATED, NORMAL, BushingKinematics
 from drake_exo.contact.parameters import ContactModel, ContactParameter
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_names
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.nlp import infeasibility, ipopt
 from drake_exo.nlp.ipopt import Iterate, Solution
-from drake_exo.nlp.program import BatchedProgram
+from drake_exo.nlp.program import BatchedProgram, variable_bounds
 from drake_exo.nlp.sparse import SparseProgram
 
 Parts = np.ndarray | int
@@ -49,6 +49,7 @@ _END_REACH = 0.3
 # Noise of a swinging leg's moments, of what it is while the foot bears the
 # body; and how long before and after swing it is not yet so small.
 _IN_SWING, _SMEARED_S = 0.03, 0.1
+_LONGEST_S = 120.0  # 24 000 nodes: some 10 GB
 
 
 @dataclass(frozen=True)
@@ -222,9 +223,14 @@ class PhaseProblem(ABC):
         return self.errors.effects(at)
 
     def variables_of(self, names: Sequence[str]) -> np.ndarray:
-        """Decision variables of contact parameters by name, free or not."""
+        """Decision variables of contact parameters by name, free or not.
+
+        Raises:
+            InputError: there is none of that name.
+        """
         known = list(self.contact.values())
         every = np.concatenate(list(self._variables.values()))
+        check_names(names, known)
         return every[[known.index(name) for name in names]]
 
     def _begin(
@@ -523,9 +529,14 @@ class PhaseProblem(ABC):
 
     @cached_property
     def compiled(self) -> SparseProgram:
-        """The sparse problem, as the solver sees it."""
+        """The sparse problem, as the solver sees it.
+
+        Of the program as it is when first asked for; `solve` makes it anew
+        where something was added since.
+        """
         solver = self.settings.solver
         start = time.perf_counter()
+        self._compiled_counts = self.program.counts
         substitutions = (
             tuple(m.grid.substitution(self.program) for m in self.movements)
             if solver.reduce
@@ -554,16 +565,19 @@ class PhaseProblem(ABC):
         Raises:
             InputError: from the pre-flight check.
         """
+        if self.program.counts != getattr(self, "_compiled_counts", None):
+            vars(self).pop("compiled", None)
         problem, solver = self.compiled, self.settings.solver
         start, options = time.perf_counter(), solver.options()
         if near is not None:
             guess, options = self.guess_from(near), options.near_solution()
         guess = self.guess() if guess is None else guess
         index = self.program.indices(self.parameter_variables)
+        lower, upper = variable_bounds(self.program.prog)
         free = {
             p.name: int(i)
             for p, i in zip(self.parameters, index, strict=True)
-            if p.free
+            if p.free and lower[i] < upper[i]
         }
         infeasibility.check(problem, guess, free)
         prepared = time.perf_counter() - start
@@ -647,13 +661,18 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
     """Refuse trials that a program cannot be made of.
 
     Raises:
-        InputError: there are none; one is of another model, does not start at
-            0 or holds what is no number.
+        InputError: there are none, or two of one name; one is of another
+            model, does not start at 0, holds what is no number, is too long,
+            or has a cuff that the model has not.
     """
     if not trials:
         raise InputError("there are no trials; give at least one")
-    own = model.coordinates
-    for trial in trials:
+    own, names = model.coordinates, [trial.name for trial in trials]
+    for k, trial in enumerate(trials):
+        if trial.name in names[:k]:
+            raise InputError(
+                f"two trials are called {trial.name!r}; give each its own name"
+            )
         if trial.coordinates != own:
             raise InputError(
                 f"trial {trial.name}: has the coordinates "
@@ -664,6 +683,18 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
             raise InputError(
                 f"trial {trial.name}: times must start at 0 and increase; "
                 "subtract the first one"
+            )
+        if len(trial.times) < 3 or trial.duration > _LONGEST_S:
+            raise InputError(
+                f"trial {trial.name}: has {len(trial.times)} samples of "
+                f"{trial.duration:g} s in all; give at least three, and times "
+                f"in seconds, at most {_LONGEST_S:g}"
+            )
+        absent = [c for c in trial.cuffs if c not in model.tree.cuffs]
+        if absent:
+            raise InputError(
+                f"trial {trial.name}: the model has no cuff {absent[0]!r}; it "
+                f"has {', '.join(model.tree.cuffs) or 'none'}"
             )
         wrong = trial.not_finite()
         if wrong:

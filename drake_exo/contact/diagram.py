@@ -104,7 +104,7 @@ def build_diagram(
 
     Raises:
         InputError: parameters out of bounds, bushings where there are no
-            such cuffs.
+            such cuffs, a controller without that port.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> built = build_diagram(nominal_model("coupled"))
@@ -325,6 +325,12 @@ def _connect(
     if controller is None:
         builder.ExportInput(torques.get_input_port(), "joint_torques")
     else:
+        if not controller.HasOutputPort("joint_torques"):
+            raise InputError(
+                f"controller {controller.get_name()!r} has no output port "
+                "joint_torques; one of the device alone, such as "
+                "AssistController, belongs into predict"
+            )
         builder.AddSystem(controller)
         builder.Connect(
             controller.GetOutputPort("joint_torques"), torques.get_input_port()

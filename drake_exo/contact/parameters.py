@@ -17,7 +17,13 @@ from drake_exo.contact.hunt_crossley import (
     checked_constants,
     paper_stiffness,
 )
-from drake_exo.errors import InputError, check_fields, check_type
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_fields,
+    check_names,
+    check_type,
+)
 from drake_exo.files.schema import quantity
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
@@ -253,7 +259,12 @@ class ContactModel:
         return found
 
     def fixed(self, group: str) -> list[ContactParameter]:
-        """Parameters of one sphere or cuff, as known ones."""
+        """Parameters of one sphere or cuff, as known ones.
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        check_names([group], [*self.ground.spheres, *self.bushings])
         units = self.units()
         return [
             ContactParameter.fixed(name, units[name], value)
@@ -266,7 +277,11 @@ class ContactModel:
 
         Args:
             values: by name, as `values` gives them.
+
+        Raises:
+            InputError: there is none of that name, or out of its bounds.
         """
+        check_names(values, self.values())
 
         def changed(group, part):
             own = {
@@ -274,7 +289,9 @@ class ContactModel:
                 for name, value in values.items()
                 if name.startswith(f"{group}.")
             }
-            return replace(part, **own)
+            found = replace(part, **own)
+            check_fields(found, group)
+            return found
 
         spheres = {n: changed(n, s) for n, s in self.ground.spheres.items()}
         return replace(
@@ -285,6 +302,7 @@ class ContactModel:
 
     def scaled(self, factor: float) -> "ContactModel":
         """Bushings' stiffness and damping times `factor` (Phase C2)."""
+        check_bounds("factor", factor, {"minimum": 0.0})
         bushings = {n: b.scaled(factor) for n, b in self.bushings.items()}
         known = self.posterior
         if known is not None:

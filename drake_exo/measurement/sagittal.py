@@ -66,6 +66,16 @@ class PlanarWrench:
     force: np.ndarray
     moment: np.ndarray
 
+    def __post_init__(self):
+        for name, given in vars(self).copy().items():
+            if not isinstance(given, np.ndarray):
+                object.__setattr__(self, name, np.asarray(given, dtype=float))
+        if self.force.shape != (*self.moment.shape, 2):
+            raise ValueError(
+                f"force has the shape {self.force.shape}, moment "
+                f"{self.moment.shape}; give (N, 2) and (N,)"
+            )
+
     def __repr__(self) -> str:
         largest = np.abs(self.force).max(axis=0, initial=0.0)
         return (

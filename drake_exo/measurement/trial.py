@@ -13,6 +13,7 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.coordinates import Coordinates
 
 Source = Literal["measured", "solved", "simulated"]
+_OUTSIDE_S = 1e-6  # rounding of a trial's end
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,11 @@ class CuffForce:
     normal: np.ndarray
     tangential: np.ndarray | None = None
     moment: np.ndarray | None = None
+
+    def __post_init__(self):
+        for name, given in vars(self).copy().items():
+            if given is not None and not isinstance(given, np.ndarray):
+                object.__setattr__(self, name, np.asarray(given, dtype=float))
 
     @staticmethod
     def of(components: np.ndarray) -> "CuffForce":
@@ -118,6 +124,17 @@ class Trial:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
+        for name in ("times", "q", "v", "a", "moments", "friction", "jerk"):
+            if (given := getattr(self, name)) is not None:
+                numbers = np.asarray(given)
+                if numbers.dtype.kind not in "iuf":
+                    raise InputError(
+                        f"trial {self.name}: {name} holds no real numbers; "
+                        "give an array of them"
+                    )
+                object.__setattr__(
+                    self, name, numbers.astype(float, copy=False)
+                )
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,
@@ -241,7 +258,21 @@ class Trial:
         return self.feet or {"both": self.ground}
 
     def sample(self, times: np.ndarray) -> "Trial":
-        """The same movement at other times (m,) [s], by cubic splines."""
+        """The same movement at other times (m,) [s], by cubic splines.
+
+        Raises:
+            InputError: one of them is before its begin or after its end.
+        """
+        times = np.atleast_1d(np.asarray(times, dtype=float))
+        first, last = self.times[[0, -1]]
+        if not (
+            (times >= first - _OUTSIDE_S) & (times <= last + _OUTSIDE_S)
+        ).all():
+            raise InputError(
+                f"trial {self.name}: times from {times.min():g} to "
+                f"{times.max():g} s are asked for, it lasts from {first:g} to "
+                f"{last:g} s; ask within that"
+            )
         arrays = {
             name: CubicSpline(self.times, x)(times)
             for name, x in self._arrays().items()

@@ -135,6 +135,12 @@ class BatchedProgram:
         self._covered: set[int] = set()
         self._keep_alive: list = []
 
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Variables, costs and constraints: more where it was added to."""
+        costs, constraints = self.prog.GetAllCosts, self.prog.GetAllConstraints
+        return self.prog.num_vars(), len(costs()), len(constraints())
+
     def indices(self, variables: np.ndarray) -> np.ndarray:
         """Indices in the program of an array of variables, same shape."""
         found = self.prog.FindDecisionVariableIndices(variables.ravel())

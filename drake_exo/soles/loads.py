@@ -38,8 +38,9 @@ class Load:
     array([0.])
 
     Raises:
-        InputError: Samples are missing or not finite, time does not increase,
-            or the foot is lifted or pulled.
+        InputError: Samples are missing, not finite or of another shape, time
+            does not increase, the foot is lifted or pulled, or weights are
+            not above 0, one for each phase.
 
     Attributes:
         times: [s], (N,), strictly increasing.
@@ -67,16 +68,45 @@ class Load:
     weights: tuple[float, ...] = (1.0,)
 
     def __post_init__(self):
-        for label in ("times", "force", "zmp"):
-            values = np.asarray(getattr(self, label), dtype=float)
+        shapes = {
+            "times": (), "force": (3,), "zmp": (2,), "free_moment": (),
+            "rotation": (3, 3),
+        }  # fmt: skip
+        for label, shape in shapes.items():
+            if (given := getattr(self, label)) is None:
+                continue
+            values = np.array(given, dtype=float)
             object.__setattr__(self, label, values)
-            if not np.isfinite(values).all():
+            if values.shape != (np.size(self.times), *shape):
+                raise InputError(
+                    f"{self.name}: {label} has the shape {values.shape}, for "
+                    f"{np.size(self.times)} times it has to be "
+                    f"{(np.size(self.times), *shape)}"
+                )
+            # Where a pose is not measured, it is NaN.
+            if label != "rotation" and not np.isfinite(values).all():
                 raise InputError(
                     f"{self.name}: {label} holds NaN or infinity; clean the "
                     "recording"
                 )
         if len(self.times) == 0:
             raise InputError(f"{self.name}: no samples; widen the window")
+        begins = np.array([*self.begins, len(self.times)])
+        if begins[0] != 0 or (np.diff(begins) <= 0).any():
+            raise InputError(
+                f"{self.name}: begins is {self.begins}; give increasing "
+                f"numbers of samples, from 0, below {len(self.times)}"
+            )
+        weights = np.array(self.weights, dtype=float)
+        if (
+            len(weights) != len(self.begins)
+            or not np.isfinite(weights).all()
+            or not (weights > 0.0).all()
+        ):
+            raise InputError(
+                f"{self.name}: weights are {self.weights}; give one above 0 "
+                f"for each of {len(self.begins)} contact phases"
+            )
         if (count := len(self.times)) > MOST_SAMPLES:
             raise InputError(
                 f"{self.name}: {count} samples, more than {MOST_SAMPLES}; "

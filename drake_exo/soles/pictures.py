@@ -214,10 +214,11 @@ def stiffness_figure(
     begins = [first for first, _ in strikes]
     figure, axes = _columns(len(soles), 5.4, sharex=True, sharey="row")
     for column, (name, curves) in enumerate(soles.items()):
+        own = [label for label in curves if label != "initial"]
         for label, (times, *both) in curves.items():
-            look = {"color": f"C{column}"}
-            if label == "initial":
-                look = {"color": "0.45", "ls": "--"}
+            look = {"color": "0.45", "ls": "--"}
+            if label != "initial":
+                look = {"color": f"C{column + own.index(label)}"}
             t = times - times[0]
             for axis, values, scale in zip(
                 axes[:, column], both, (1e-3, 1.0), strict=True

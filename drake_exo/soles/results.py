@@ -166,6 +166,13 @@ class Step:
     history: StepHistory
     seconds: dict[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        # Not the arrays: a notebook shows what its last line is.
+        return (
+            f"Step({self.setup.name!r}, {len(self.times)} samples, c_tr "
+            f"{self.c_tr:.4g} N/m, c_rot {self.c_rot:.4g} N·m/rad)"
+        )
+
     @classmethod
     def of(
         cls, setup: Setup, progress: Callable[[int, int], None] | None = None
@@ -529,18 +536,20 @@ class Step:
 
     def write(
         self,
-        folder: Path,
+        folder: Path | str,
         seconds: dict | None = None,
         accepted: Sequence[str] = (),
     ) -> Verdict:
         """Tables, arrays, pictures, animation and, last, summary.json.
 
         Args:
-            folder: Where to.
+            folder: Where to; made where it is not there.
             seconds: Further times to note there.
             accepted: Names of checks that the user accepts.
         """
         began, verdict = time.perf_counter(), self.verdict(accepted)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
         numbers = self.summary() | verdict.summary()
         numbers["complementarity"] = self.complementarity()
         moment = self.setup.load.free_moment

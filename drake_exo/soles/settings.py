@@ -308,7 +308,7 @@ class Settings:
         block = self.mesh
         if replacement is None and block.brick is not None:
             return brick(block.brick.size_m, block.brick.divisions)
-        path = replacement or root / block.file
+        path = Path(replacement or root / block.file)
         origin = None if block.file is None else block.origin_m
         if path.suffix.lower() not in SUFFIXES:
             return read_mesh(path, origin)

@@ -247,3 +247,28 @@ def test_a_notebook_shows_a_line_not_the_arrays():
         "PlanarWrench(201 samples, up to 20.0 N fore and aft, "
         "750.0 N vertically)"
     )
+
+
+def test_arrays_are_real_numbers_whatever_they_are_given_as(trial, tmp_path):
+    """What is saved can be read, of lists and of other numbers, too."""
+    given = replace(
+        trial, times=trial.times.tolist(), q=trial.q.astype(np.float32)
+    )
+    given.save(tmp_path / "it")
+    np.testing.assert_allclose(
+        Trial.load(tmp_path / "it").q, trial.q, atol=1e-6
+    )
+    with pytest.raises(InputError, match="q holds no real numbers"):
+        replace(trial, q=trial.q + 1j)
+    assert CuffForce([1.0, 2.0]).normal.shape == (2,)
+    assert PlanarWrench([[0, 700]], [-70]).cop_x[0] == pytest.approx(0.1)
+    with pytest.raises(ValueError, match="give"):
+        PlanarWrench(np.zeros((3, 3)), np.zeros(3))
+
+
+def test_nothing_is_sampled_outside_of_a_trial(trial):
+    end = trial.times[-1]
+    assert trial.sample([0.0, end + 1e-9]).times.shape == (2,)
+    for times in ([0.0, end + 0.01], [-0.01, end]):
+        with pytest.raises(InputError, match="are asked for"):
+            trial.sample(times)

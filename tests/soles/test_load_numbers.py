@@ -331,3 +331,34 @@ def test_a_constant_load_is_5_ms_apart():
     np.testing.assert_allclose(load.times, [0, 0.005, 0.01, 0.015])
     np.testing.assert_array_equal(load.force, 4 * [[1.0, 2.0, 300.0]])
     np.testing.assert_array_equal(load.zmp, 4 * [[0.01, 0.02]])
+
+
+_FORCE, _ZMP = [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"force": _FORCE[:1]}, "force has the shape"),
+        ({"zmp": [[0.0, 0.0, 0.0]] * 2}, "zmp has the shape"),
+        ({"free_moment": [0.0]}, "free_moment has the shape"),
+        ({"free_moment": [0.0, np.nan]}, "free_moment holds NaN"),
+        ({"rotation": np.eye(3)}, "rotation has the shape"),
+        ({"begins": (0, 5), "weights": (1.0, 1.0)}, "begins is"),
+        ({"begins": (1,)}, "begins is"),
+        ({"weights": (1.0, 2.0)}, "one above 0 for each of 1"),
+        ({"weights": (-1.0,)}, "one above 0"),
+        ({"weights": (np.nan,)}, "one above 0"),
+    ],
+)
+def test_a_load_made_in_python_is_whole(change, words):
+    given = {"times": [0.0, 0.1], "force": _FORCE, "zmp": _ZMP} | change
+    with pytest.raises(InputError, match=words):
+        Load(**given)
+
+
+def test_a_load_keeps_its_numbers():
+    force = np.array(_FORCE)
+    load = Load([0.0, 0.1], force, _ZMP)
+    force[:] = 0.0
+    assert (load.force[:, 2] == 300.0).all()

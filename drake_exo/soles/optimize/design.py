@@ -84,6 +84,13 @@ class Design:
     seconds: float = 0.0
     gait: dict | None = None
 
+    def __repr__(self) -> str:
+        # As Step's.
+        return (
+            f"Design({self.setup.name!r}, c {self.step.c:.4g} for "
+            f"{self.first.c:.4g}, {len(self.mesh.tets)} tets)"
+        )
+
     @property
     def mesh(self) -> TetMesh:
         """Of the design."""

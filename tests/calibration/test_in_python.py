@@ -1,0 +1,108 @@
+"""What somebody does in a notebook: programs added to, trials by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import drake_exo as dx
+from drake_exo.errors import InputError
+
+COARSE = dx.settings.Solver(nodes_per_second=20.0)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return dx.synthetic.rises_in_device(2, nodes_per_second=20)
+
+
+@pytest.fixture
+def posed(made):
+    settings = dx.settings.PredictionSettings(solver=COARSE)
+    return dx.PredictionProblem(
+        made.model, made.trials[:1], made.contact, settings
+    )
+
+
+def _knee(posed):
+    k = posed.tree.coordinates.index("exo_knee")
+    return posed.movements[0].grid.q[10, k]
+
+
+def _value(posed, found, variable):
+    return found.values[posed.program.indices(np.array([variable]))][0]
+
+
+@pytest.mark.slow
+def test_what_is_added_after_a_solve_counts_in_the_next(posed):
+    first = posed.solve()
+    compiled = posed.compiled
+    posed.solve()
+    assert posed.compiled is compiled
+    knee = _knee(posed)
+    at = _value(posed, first, knee) + 0.02
+    posed.program.prog.AddLinearConstraint(knee >= at)
+    found = posed.solve()
+    assert found.success
+    assert _value(posed, found, knee) == pytest.approx(at, abs=1e-6)
+    posed.program.prog.AddCost(1e4 * (knee - at - 0.02) ** 2)
+    assert _value(posed, posed.solve(), knee) > at + 0.01
+
+
+@pytest.mark.slow
+def test_a_parameter_is_fixed_as_drake_fixes_it(made):
+    settings = dx.settings.InteractionSettings(solver=COARSE)
+    posed = dx.InteractionCalibration(
+        made.model, made.trials, made.contact, settings
+    )
+    name = "thigh.normal_stiffness"
+    variable = posed.variables_of([name])
+    posed.program.prog.AddBoundingBoxConstraint(3000.0, 3000.0, variable)
+    found = posed.solve()
+    assert found.success
+    known = {p.name: p.nominal for p in posed.parameters_at(found.values)}
+    assert known[name] == pytest.approx(3000.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda c: c.with_values({"tigh.slip": 0.1}), "no 'tigh.slip'"),
+        (lambda c: c.with_values({"thigh.banana": 1.0}), "no 'thigh.banana'"),
+        (lambda c: c.with_values({"thigh.normal_stiffness": -3.0}), "least 0"),
+        (lambda c: c.fixed("waist"), "no 'waist'"),
+        (lambda c: c.scaled(-1.0), "factor is -1"),
+        (lambda c: c.scaled(np.nan), "factor is nan"),
+    ],
+)
+def test_names_and_values_of_a_contact_are_its_own(made, call, words):
+    with pytest.raises(InputError, match=words):
+        call(made.contact)
+
+
+def test_names_of_variables_are_those_of_the_contact(posed):
+    with pytest.raises(InputError, match="no list of names"):
+        posed.variables_of("thigh.slip")
+    with pytest.raises(InputError, match="no 'slip'"):
+        posed.variables_of(["slip"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: replace(t, cuffs={"Thigh": t.cuffs["pelvis"]}), "'Thigh'"),
+        (lambda t: replace(t, name="rise2"), "two trials are called 'rise2'"),
+        (lambda t: replace(t, times=1e3 * t.times), "times in seconds"),
+        (lambda t: t.sample(t.times[:2]), "2 samples"),
+    ],
+)
+def test_trials_that_no_program_can_be_made_of_are_refused(made, change, words):
+    trials = [change(made.trials[0]), made.trials[1]]
+    with pytest.raises(InputError, match=words):
+        dx.InteractionCalibration(made.model, trials, made.contact)
+
+
+def test_a_controller_of_the_device_alone_is_sent_to_predict(made):
+    controller = dx.AssistController(knee_nm=10.0)
+    with pytest.raises(InputError, match="belongs into predict"):
+        dx.build_diagram(made.model, made.contact, controller=controller)
