@@ -634,6 +634,11 @@ class Prediction(_Solved, Trial):
             object.__getattribute__(self, "result").solution.check()
         return super().__getattribute__(name)
 
+    def sample(self, times: np.ndarray) -> Trial:
+        """The movement alone at other times; see `Trial.sample`."""
+        own = {f.name: getattr(self, f.name) for f in fields(Trial)}
+        return Trial(**own).sample(times)
+
     def rmsd(self, measured: Trial) -> dict:
         """Differences from the trial as measured; see `audit.rmsd`."""
         check_type(measured, Trial, "measured")
@@ -654,7 +659,8 @@ class Prediction(_Solved, Trial):
         Cuffs' forces have their bands of 95 % where a calibration knows them.
 
         Args:
-            measured: the trial to compare with; the one predicted by default.
+            measured: the trial to compare with; by default the one predicted,
+                its encoders on the clock that was found.
         """
         from drake_exo.report import figures
 

@@ -116,6 +116,15 @@ def test_a_prediction_is_read_by_names(found, study):
 
 
 @pytest.mark.slow
+def test_of_a_prediction_at_other_times_the_movement_is_left(found):
+    """The result is of its own nodes."""
+    at = found.sample(found.times[::2])
+    assert type(at) is dx.Trial
+    np.testing.assert_allclose(at.q, found.q[::2], atol=1e-12)
+
+
+
+@pytest.mark.slow
 def test_a_prediction_is_scored_audited_and_drawn(found, study):
     scores = found.rmsd(study.trials()[0])
     assert max(scores["angles_deg"].values()) < 3.3
