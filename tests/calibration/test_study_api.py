@@ -123,7 +123,6 @@ def test_of_a_prediction_at_other_times_the_movement_is_left(found):
     np.testing.assert_allclose(at.q, found.q[::2], atol=1e-12)
 
 
-
 @pytest.mark.slow
 def test_a_prediction_is_scored_audited_and_drawn(found, study):
     scores = found.rmsd(study.trials()[0])

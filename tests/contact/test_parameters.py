@@ -84,7 +84,8 @@ def test_fixed_parameters_of_one_group(contact):
         assert not p.free
         assert p.lower == p.nominal == p.upper == contact.values()[p.name]
         assert p.unit == contact.units()[p.name]
-    assert contact.fixed("hee") == []
+    with pytest.raises(InputError, match="no 'hee'"):
+        contact.fixed("hee")
 
 
 def test_scaling_changes_bushings_alone(contact):
