@@ -198,3 +198,14 @@ def test_drakes_own_solver_starts_where_it_is_told_to():
         assert found.success
         assert found.raw_values()[0] == pytest.approx(valley, abs=1e-3)
         assert found.infeasibility == 0.0
+
+
+@pytest.mark.parametrize(
+    ("strategy", "tenfold"), [("near", 100.0), ("adaptive", 10.0)]
+)
+def test_rounding_ends_a_solve_that_is_near(strategy, tenfold):
+    """Where the objective moves no more; a finer grid's audit is the judge."""
+    found = ipopt._ipopt_options(SolverOptions(tolerance=1e-5), strategy)
+    assert found["acceptable_tol"] == pytest.approx(tenfold * 1e-5)
+    assert found["acceptable_iter"] == 3
+    assert found["acceptable_obj_change_tol"] == 1e-7
