@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from drake_exo.calibration.design_variables import (
     joints_below,
 )
 from drake_exo.calibration.problem import (
+    Compiles,
     PhaseProblem,
     bound_feet,
     ground_terms,
@@ -77,7 +77,6 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import Iterate
 from drake_exo.nlp.program import BatchedProgram
-from drake_exo.nlp.sparse import SparseProgram
 
 # Jerk in a design, against what is typical.
 _LOOSE = 10.0
@@ -587,7 +586,7 @@ class _Wearing(PhaseProblem):
         )
 
 
-class DesignProblem:
+class DesignProblem(Compiles):
     """A design posed as one MathematicalProgram.
 
     Args:
@@ -677,22 +676,10 @@ class DesignProblem:
             )
         return variable
 
-    @cached_property
-    def compiled(self) -> SparseProgram:
-        """The sparse problem, as the solver sees it."""
-        start = time.perf_counter()
-        self._compiled_counts = self.program.counts
-        solver = self.settings.solver
-        grids = [m.grid for part in self.parts for m in part.movements]
-        compiled = SparseProgram(
-            self.program,
-            tuple(g.substitution(self.program) for g in grids)
-            if solver.reduce
-            else (),
-            solver.hessian == "exact",
-        )
-        self.build_seconds += time.perf_counter() - start
-        return compiled
+    @property
+    def movements(self) -> list[TrialProgram]:
+        """Of all wearers."""
+        return [m for part in self.parts for m in part.movements]
 
     def guess(self, values: Mapping[str, float] | None = None) -> np.ndarray:
         """Program variables with the movements of today.
@@ -722,9 +709,7 @@ class DesignProblem:
         on_iterate: Callable[[Iterate], None] | None = None,
     ) -> DesignResult:
         """Solve and collect."""
-        if self.program.counts != getattr(self, "_compiled_counts", None):
-            vars(self).pop("compiled", None)
-        compiled = self.compiled
+        compiled = self.compiled_anew()
         guess = self.guess() if guess is None else guess
         solution = ipopt.solve(
             compiled, guess, self.settings.solver.options(), on_iterate

@@ -107,7 +107,47 @@ class PhaseResult:
         return [self.values[indices(m.ground)] for m in self.problem.movements]
 
 
-class PhaseProblem(ABC):
+class Compiles:
+    """What poses movements in a program, for a sparse solver.
+
+    Attributes:
+        program: with all of its movements.
+        movements: of all trials.
+        settings: with `solver`.
+        build_seconds: time to pose and compile.
+    """
+
+    _counts = None
+
+    @cached_property
+    def compiled(self) -> SparseProgram:
+        """The sparse problem, as the solver sees it.
+
+        Of the program as it is when first asked for; a solve makes it anew
+        where something was added since.
+        """
+        solver = self.settings.solver
+        start = time.perf_counter()
+        self._counts = self.program.counts
+        substitutions = (
+            tuple(m.grid.substitution(self.program) for m in self.movements)
+            if solver.reduce
+            else ()
+        )
+        compiled = SparseProgram(
+            self.program, substitutions, solver.hessian == "exact"
+        )
+        self.build_seconds += time.perf_counter() - start
+        return compiled
+
+    def compiled_anew(self) -> SparseProgram:
+        """The same, with what was added to the program since."""
+        if self.program.counts != self._counts:
+            vars(self).pop("compiled", None)
+        return self.compiled
+
+
+class PhaseProblem(Compiles, ABC):
     """One phase posed as one MathematicalProgram.
 
     Args:
@@ -527,27 +567,6 @@ class PhaseProblem(ABC):
         for variables, numbers in filled:
             x[self.program.indices(variables)] = numbers
 
-    @cached_property
-    def compiled(self) -> SparseProgram:
-        """The sparse problem, as the solver sees it.
-
-        Of the program as it is when first asked for; `solve` makes it anew
-        where something was added since.
-        """
-        solver = self.settings.solver
-        start = time.perf_counter()
-        self._compiled_counts = self.program.counts
-        substitutions = (
-            tuple(m.grid.substitution(self.program) for m in self.movements)
-            if solver.reduce
-            else ()
-        )
-        compiled = SparseProgram(
-            self.program, substitutions, solver.hessian == "exact"
-        )
-        self.build_seconds += time.perf_counter() - start
-        return compiled
-
     def solve(
         self,
         guess: np.ndarray | None = None,
@@ -565,9 +584,7 @@ class PhaseProblem(ABC):
         Raises:
             InputError: from the pre-flight check.
         """
-        if self.program.counts != getattr(self, "_compiled_counts", None):
-            vars(self).pop("compiled", None)
-        problem, solver = self.compiled, self.settings.solver
+        problem, solver = self.compiled_anew(), self.settings.solver
         start, options = time.perf_counter(), solver.options()
         if near is not None:
             guess, options = self.guess_from(near), options.near_solution()
