@@ -170,9 +170,6 @@ def build_simulator(
     return simulator
 
 
-_RTOL = 1e-3
-# A millimetre or a milliradian, and their rates, count a tenth of that.
-_ATOL = 1e-4
 # So that nothing short, a foot that strikes, is stepped over.
 _STEP_S = 0.05
 
@@ -182,6 +179,7 @@ def integrate(
     context: Context,
     end_s: float,
     tell: Callable[[float, np.ndarray], None] | None = None,
+    accuracy: float = 1e-3,
 ) -> OdeSolution:
     """The motion from a context on, by Radau's method of fifth order.
 
@@ -194,6 +192,8 @@ def integrate(
         context: its, at the begin; is at the last step that was tried after.
         end_s: until then.
         tell: called after every step with the time and the state.
+        accuracy: of a step, relative; a tenth of it in absolute terms
+            (m, rad, and their rates).
 
     Returns:
         The state (2 nq,), positions and velocities, as a function of time
@@ -211,7 +211,13 @@ def integrate(
 
     start = context.get_continuous_state_vector().CopyToVector()
     solver = Radau(
-        rates, context.get_time(), start, end_s, _STEP_S, _RTOL, _ATOL
+        rates,
+        context.get_time(),
+        start,
+        end_s,
+        max_step=_STEP_S,
+        rtol=accuracy,
+        atol=0.1 * accuracy,
     )
     times, parts = [solver.t], []
     while solver.status == "running":

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo.calibration.audit import audit, rmsd
+from drake_exo.calibration import audit as auditing
+from drake_exo.calibration.audit import audit, rms, rmsd
 from drake_exo.calibration.phases import (
     FootGroundCalibration,
     PeriodicStep,
@@ -71,6 +72,16 @@ def test_a_start_stands_on_its_feet(study):
 
 def test_both_feet_are_calibrated(calibrated):
     assert_near_measured(calibrated)
+
+
+def test_what_a_simulation_misses_is_not_the_integrators(
+    calibrated, monkeypatch
+):
+    """Damping of the feedback makes moments of the error of a speed."""
+    once = auditing.simulate(calibrated)
+    monkeypatch.setattr(auditing, "_ACCURACY", 1e-7)
+    off = auditing.simulate(calibrated).moments - once.moments
+    assert rms(off, once.times).max() < 0.1
 
 
 def assert_near_measured(result):
