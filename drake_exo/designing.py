@@ -43,10 +43,11 @@ from drake_exo.designed import (
     largest_force,
 )
 from drake_exo.errors import InputError, check_type
+from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
-from drake_exo.study import Calibration, Study, checked, contact_of
+from drake_exo.study import Calibration, Study, contact_of
 
 # Mats and model differ by no more than this factor, or one of them is wrong.
 _DIFFER = 2.0
@@ -94,7 +95,9 @@ def design(
             f"there are {len(studies)} studies and {len(contacts)} "
             "calibrations; give one --calibration for each study"
         )
-    settings = checked(settings, DesignSettings, "settings", studies[0].design)
+    settings = schema.checked(
+        settings, DesignSettings, "settings", studies[0].design
+    )
     names = _names(studies)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):

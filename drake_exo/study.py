@@ -83,7 +83,7 @@ from drake_exo.measurement.settings import (
 )
 from drake_exo.measurement.steps import RecordedStep, recorded_step
 from drake_exo.measurement.subject import SubjectModel, fit_subject
-from drake_exo.measurement.trial import Trial
+from drake_exo.measurement.trial import Trial, as_trials
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
@@ -111,20 +111,6 @@ class StudyFile(RecordingSettings):
     def __post_init__(self):
         super().__post_init__()
         self.foot_ground.law_constants()
-
-
-def checked(given, cls: type, what: str, usual=None):
-    """Settings that somebody gives, see `schema.check`; else the usual ones.
-
-    Args:
-        given: of the class, or None.
-        cls: of the settings.
-        what: the argument's name.
-        usual: those that hold otherwise; by default the class's own.
-    """
-    if given is None:
-        return usual or cls()
-    return schema.check(given, cls, what)
 
 
 class Study:
@@ -167,16 +153,18 @@ class Study:
         self.device = device
         self.name = name
         check_type(model, Model, "model")
-        self.foot_ground = checked(
+        self.foot_ground = schema.checked(
             foot_ground, FootGroundSettings, "foot_ground"
         )
-        self.interaction = checked(
+        self.interaction = schema.checked(
             interaction, InteractionSettings, "interaction"
         )
-        self.prediction = checked(prediction, PredictionSettings, "prediction")
-        self.design = checked(design, DesignSettings, "design")
-        self.filter = checked(filter, Filter, "filter")
-        self._trials = _checked(trials)
+        self.prediction = schema.checked(
+            prediction, PredictionSettings, "prediction"
+        )
+        self.design = schema.checked(design, DesignSettings, "design")
+        self.filter = schema.checked(filter, Filter, "filter")
+        self._trials = as_trials(trials)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"
@@ -675,23 +663,6 @@ class Prediction(_Solved, Trial):
         show_trial(meshcat, self.result.problem.model, self)
 
 
-def _checked(trials) -> tuple[Trial, ...]:
-    """Trials that somebody gives.
-
-    Raises:
-        InputError: there are none, or they are something else.
-    """
-    if isinstance(trials, Trial | str):
-        raise InputError(f"{trials!r:.60} is no list of trials; give several")
-    found = tuple(trials)
-    if not found:
-        raise InputError("there are no trials; give at least one")
-    for trial in found:
-        if not isinstance(trial, Trial):
-            raise InputError(f"{trial!r:.60} is no trial; give a Trial")
-    return found
-
-
 def _named(trials) -> str:
     """How many, and which."""
     count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
@@ -725,7 +696,9 @@ def calibrate_foot_ground(
     >>> contact.success, contact.parameter("heel.x").unit
     (True, 'm')
     """
-    trials = study.trials("calibration") if trials is None else _checked(trials)
+    trials = (
+        study.trials("calibration") if trials is None else as_trials(trials)
+    )
 
     def pose(refined):
         return FootGroundCalibration(
@@ -767,7 +740,9 @@ def calibrate_interaction(
     (True, 'N/m')
     """
     check_has_cuffs(study.model)
-    trials = study.trials("calibration") if trials is None else _checked(trials)
+    trials = (
+        study.trials("calibration") if trials is None else as_trials(trials)
+    )
     check_is_measured(trials)
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
@@ -883,7 +858,7 @@ def predict(
     (True, True)
     """
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
-    _checked([trial])
+    as_trials([trial])
     known = contact_of(contact)
     if clocks is None:
         timing, clocks = _timing(study, trial, known)
@@ -898,7 +873,7 @@ def predict(
     if study.sole is not None:
         scaled = replace(scaled, ground=study.ground)
 
-    settings = checked(
+    settings = schema.checked(
         settings, PredictionSettings, "settings", study.prediction
     )
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.audit import Audit
-from drake_exo.calibration.error_model import CLOCKS, ErrorModel, shared_moments
+from drake_exo.calibration.error_model import CLOCKS, shared_moments
 from drake_exo.calibration.phases import InteractionCalibration
 from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
 from drake_exo.calibration.settings import InteractionSettings
@@ -163,9 +163,16 @@ class Timing(InteractionCalibration):
             for p in settings.parameters(model.cuffs)
             if p.free and not p.name.endswith(".slip")
         ]
-        errors = ErrorModel(model, trials, settings.errors, contact.posterior)
         PhaseProblem.__init__(
-            self, model, trials, contact, parameters, settings, errors, refined
+            self,
+            model,
+            trials,
+            contact,
+            parameters,
+            settings,
+            settings.errors,
+            contact.posterior,
+            refined,
         )
 
     def _add_errors(self) -> np.ndarray | None:

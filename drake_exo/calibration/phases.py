@@ -24,7 +24,6 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from drake_exo.calibration.audit import rmsd
-from drake_exo.calibration.error_model import ErrorModel
 from drake_exo.calibration.problem import (
     Parts,
     PhaseProblem,
@@ -53,10 +52,11 @@ from drake_exo.contact.parameters import (
     ContactParameter,
     GroundContact,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_type
+from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import runs
-from drake_exo.measurement.trial import Trial
+from drake_exo.measurement.trial import Trial, as_trials
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 from drake_exo.nlp.program import AffineKernel
@@ -89,12 +89,14 @@ class FootGroundCalibration(PhaseProblem):
         ground: GroundContact | None = None,
         refined: Mapping[str, Parts] | None = None,
     ):
-        settings = settings or FootGroundSettings()
+        settings = schema.checked(settings, FootGroundSettings, "settings")
         if ground is None:
             contact = settings.contact(model.spheres)
             parameters = parameters or settings.parameters(model.spheres)
         else:
-            contact = ContactModel(ground, jerk=typical_jerk(trials))
+            check_type(ground, GroundContact, "ground")
+            jerk = typical_jerk(as_trials(trials))
+            contact = ContactModel(ground, jerk=jerk)
             parameters = []
         super().__init__(
             model, trials, contact, parameters, settings, refined=refined
@@ -200,15 +202,16 @@ class InteractionCalibration(PhaseProblem):
         refined: Mapping[str, Parts] | None = None,
     ):
         check_has_cuffs(model)
-        settings = settings or InteractionSettings()
+        settings = schema.checked(settings, InteractionSettings, "settings")
+        check_type(contact, ContactModel, "contact")
         super().__init__(
             model,
             trials,
             replace(contact, bushings=settings.bushings(model.cuffs)),
             settings.parameters(model.cuffs),
             settings,
-            ErrorModel(model, trials, settings.errors),
-            refined,
+            settings.errors,
+            refined=refined,
         )
 
     def _terms(self, movement, at, effects):
@@ -310,7 +313,11 @@ class PredictionProblem(PhaseProblem):
         controller: System | None = None,
         refined: Mapping[str, Parts] | None = None,
     ):
-        settings = settings or PredictionSettings(ends=self.ends)
+        usual = PredictionSettings(ends=self.ends)
+        settings = schema.checked(
+            settings, PredictionSettings, "settings", usual
+        )
+        check_type(contact, ContactModel, "contact")
         if settings.ends != self.ends:
             raise ValueError(f"the settings ask for {settings.ends} ends")
         check_knows_cuffs(contact, model)
@@ -322,8 +329,16 @@ class PredictionProblem(PhaseProblem):
         # A human alone has no use for the cuffs of a calibration.
         own = {cuff: contact.bushings[cuff] for cuff in model.cuffs}
         contact = replace(contact, bushings=own)
-        errors = ErrorModel(model, trials, settings.errors, contact.posterior)
-        super().__init__(model, trials, contact, [], settings, errors, refined)
+        super().__init__(
+            model,
+            trials,
+            contact,
+            [],
+            settings,
+            settings.errors,
+            contact.posterior,
+            refined,
+        )
 
     def _terms(self, movement, at, effects):
         noise, toes = self.settings.noise, _held_toes(movement, at)

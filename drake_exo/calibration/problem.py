@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from drake_exo.calibration.error_model import Effects, ErrorModel
+from drake_exo.calibration.error_model import Effects, ErrorModel, ErrorSizes
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.calibration.start import settled
 from drake_exo.collocation.bushing_kernels import (
@@ -30,10 +30,14 @@ from drake_exo.collocation.trial_program import (
     minimised,
 )
 from drake_exo.contact.bushing import CALIBRATED, NORMAL, BushingKinematics
-from drake_exo.contact.parameters import ContactModel, ContactParameter
+from drake_exo.contact.parameters import (
+    ContactModel,
+    ContactParameter,
+    Posterior,
+)
 from drake_exo.errors import InputError, check_names
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.measurement.trial import CuffForce, Trial, as_trials
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.nlp import infeasibility, ipopt
@@ -157,7 +161,8 @@ class PhaseProblem(Compiles, ABC):
             `parameters` take the place of its own.
         parameters: of the contact that are calibrated; the others are known.
         settings: of the phase, with solver and noise.
-        errors: what goes wrong in measurement, if anything.
+        errors: sizes of what goes wrong in measurement, if anything.
+        known: what a calibration knows of such errors.
         refined: trial -> into how many parts each interval of the grid that
             the solver's settings say is split, or one number for all; of
             these trials what alternates is damped.
@@ -184,14 +189,15 @@ class PhaseProblem(Compiles, ABC):
         contact: ContactModel,
         parameters: list[ContactParameter],
         settings,
-        errors: ErrorModel | None = None,
+        errors: ErrorSizes | None = None,
+        known: Posterior | None = None,
         refined: Mapping[str, Parts] | None = None,
         program: BatchedProgram | None = None,
     ):
         start = time.perf_counter()
         self.model = model
         self.tree = model.tree
-        self.trials = list(trials)
+        self.trials = list(as_trials(trials))
         _check_trials(self.trials, model)
         if parameters:  # calibrated on these
             contact = replace(contact, jerk=typical_jerk(self.trials))
@@ -215,7 +221,7 @@ class PhaseProblem(Compiles, ABC):
             cuff: BushingKernel(self.bushings[cuff], bushing.damping)
             for cuff, bushing in contact.bushings.items()
         }
-        self.errors = errors
+        self.errors = errors and ErrorModel(model, self.trials, errors, known)
         self.program = program or BatchedProgram()
         self._add_parameters()
         self.error_variables = self._add_errors()
@@ -678,12 +684,10 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
     """Refuse trials that a program cannot be made of.
 
     Raises:
-        InputError: there are none, or two of one name; one is of another
-            model, does not start at 0, holds what is no number, is too long,
-            or has a cuff that the model has not.
+        InputError: two are of one name; one is of another model, does not
+            start at 0, holds what is no number, is too long, or has a cuff
+            that the model has not.
     """
-    if not trials:
-        raise InputError("there are no trials; give at least one")
     own, names = model.coordinates, [trial.name for trial in trials]
     for k, trial in enumerate(trials):
         if trial.name in names[:k]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel
+from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.phases import check_has_cuffs
 from drake_exo.calibration.problem import (
     PhaseProblem,
@@ -88,8 +88,15 @@ class OwnMovement(PhaseProblem):
         self._seen = seen
         self._answers = answers or {}
         settings = settings or PredictionSettings()
-        errors = ErrorModel(model, trials, settings.errors, contact.posterior)
-        super().__init__(model, trials, contact, [], settings, errors)
+        super().__init__(
+            model,
+            trials,
+            contact,
+            [],
+            settings,
+            settings.errors,
+            contact.posterior,
+        )
 
     def _terms(self, movement, at, effects):
         noise = self.settings.noise

@@ -106,6 +106,20 @@ def check(settings: T, cls: type[T], name: str) -> T:
     return settings
 
 
+def checked(given, cls: type, what: str, usual=None):
+    """Settings that somebody gives, see `check`; else the usual ones.
+
+    Args:
+        given: of the class, or None.
+        cls: of the settings.
+        what: the argument's name.
+        usual: those that hold otherwise; by default the class's own.
+    """
+    if given is None:
+        return usual or cls()
+    return check(given, cls, what)
+
+
 def dump_text(obj: Any) -> str:
     """YAML text of a dataclass instance, which `load_text` reads back."""
     return yaml.safe_dump(

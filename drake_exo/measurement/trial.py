@@ -1,5 +1,6 @@
 """A trial: one movement, measured, solved or simulated, on one time base."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -384,3 +385,20 @@ def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
             parts.setdefault(cuff, {})[part] = x
     cuffs = {cuff: CuffForce(**found) for cuff, found in parts.items()}
     return {**fields, "cuffs": cuffs, "feet": feet, "applied": applied}
+
+
+def as_trials(trials) -> tuple[Trial, ...]:
+    """Trials that somebody gives.
+
+    Raises:
+        InputError: there are none, or they are something else.
+    """
+    if not isinstance(trials, Iterable) or isinstance(trials, str):
+        raise InputError(f"{trials!r:.60} is no list of trials; give several")
+    found = tuple(trials)
+    if not found:
+        raise InputError("there are no trials; give at least one")
+    for trial in found:
+        if not isinstance(trial, Trial):
+            raise InputError(f"{trial!r:.60} is no trial; give a Trial")
+    return found

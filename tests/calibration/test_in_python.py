@@ -106,3 +106,42 @@ def test_a_controller_of_the_device_alone_is_sent_to_predict(made):
     controller = dx.AssistController(knee_nm=10.0)
     with pytest.raises(InputError, match="belongs into predict"):
         dx.build_diagram(made.model, made.contact, controller=controller)
+
+
+PHASES = {
+    "foot-ground": lambda m, trials, settings, **known: (
+        dx.FootGroundCalibration(m.model, trials, settings, **known)
+    ),
+    "interaction": lambda m, trials, settings, contact=None: (
+        dx.InteractionCalibration(
+            m.model, trials, contact or m.contact, settings
+        )
+    ),
+    "prediction": lambda m, trials, settings, contact=None: (
+        dx.PredictionProblem(m.model, trials, contact or m.contact, settings)
+    ),
+}
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_phase_is_posed_of_what_it_needs(made, phase):
+    def words(trials=made.trials, settings=None, **known):
+        with pytest.raises(InputError) as error:
+            PHASES[phase](made, trials, settings, **known)
+        return str(error.value)
+
+    assert "is no list of trials" in words(made.trials[0])
+    assert "is no list of trials" in words(None)
+    assert "is no trial" in words([made.model])
+    assert "no trials" in words([])
+    assert "settings is {}" in words(settings={})
+    assert "give a" in words(settings=dx.settings.DesignSettings())
+    known = {"ground": "flat"} if phase == "foot-ground" else {"contact": 3}
+    assert "give a" in words(**known)
+
+
+def test_a_phases_settings_are_held_to_what_a_file_may_say(made):
+    never = dx.settings.Solver(nodes_per_second=-3.0)
+    settings = dx.settings.PredictionSettings(solver=never)
+    with pytest.raises(InputError, match=r"settings.*nodes_per_second"):
+        dx.PredictionProblem(made.model, made.trials, made.contact, settings)
