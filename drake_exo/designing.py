@@ -90,6 +90,8 @@ def design(
         if not isinstance(calibration, Sequence)
         else list(calibration)
     )
+    if not studies:
+        raise InputError("there are no studies; give at least one")
     if len(studies) != len(contacts):
         raise InputError(
             f"there are {len(studies)} studies and {len(contacts)} "

@@ -35,7 +35,7 @@ from drake_exo.contact.parameters import (
     ContactParameter,
     Posterior,
 )
-from drake_exo.errors import InputError, check_names
+from drake_exo.errors import InputError, check_names, check_type
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial, as_trials
 from drake_exo.model.planar_tree import PlanarTree
@@ -590,6 +590,8 @@ class PhaseProblem(Compiles, ABC):
         Raises:
             InputError: from the pre-flight check.
         """
+        if near is not None:
+            check_type(near, PhaseResult, "near")
         problem, solver = self.compiled_anew(), self.settings.solver
         start, options = time.perf_counter(), solver.options()
         if near is not None:

@@ -173,7 +173,7 @@ class GroundContact:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Posterior:
     """What a calibration knows: values and how sure they are.
 

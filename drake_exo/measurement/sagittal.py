@@ -50,7 +50,7 @@ def _unit(axis: str) -> np.ndarray:
     return e
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlanarWrench:
     """Force in the sagittal plane and its moment about the origin.
 

@@ -17,7 +17,7 @@ Source = Literal["measured", "solved", "simulated"]
 _OUTSIDE_S = 1e-6  # rounding of a trial's end
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CuffForce:
     """Force of a cuff on the human, as a mat or a model knows it.
 
@@ -65,7 +65,7 @@ class CuffForce:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
     """One movement of one subject; forces and angles are of both legs.
 

@@ -25,7 +25,7 @@ _PAUSE_S = 0.2  # between loads that follow one another
 MOST_SAMPLES = 100_000  # of a load; each is a system to solve
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Load:
     """Force and ZMP at N samples.
 

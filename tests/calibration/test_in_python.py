@@ -145,3 +145,21 @@ def test_a_phases_settings_are_held_to_what_a_file_may_say(made):
     settings = dx.settings.PredictionSettings(solver=never)
     with pytest.raises(InputError, match=r"settings.*nodes_per_second"):
         dx.PredictionProblem(made.model, made.trials, made.contact, settings)
+
+
+def test_trials_of_the_same_samples_can_be_compared(made):
+    trial = made.trials[0]
+    again = replace(trial, q=trial.q.copy(), v=trial.v.copy())
+    assert trial == trial and trial != again
+    assert len({trial, again}) == 2
+    assert trial.ground != replace(trial.ground, force=trial.ground.force + 0)
+
+
+def test_nothing_is_started_near_what_is_no_solution(posed):
+    with pytest.raises(InputError, match="near is 3"):
+        posed.solve(near=3)
+
+
+def test_a_design_needs_a_study():
+    with pytest.raises(InputError, match="no studies"):
+        dx.design([], [])
