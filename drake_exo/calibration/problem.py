@@ -687,8 +687,8 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
 
     Raises:
         InputError: two are of one name; one is of another model, does not
-            start at 0, holds what is no number, is too long, or has a cuff
-            that the model has not.
+            start at 0, holds what is no number, is too long, or has a cuff,
+            a foot or a segment that the model has not.
     """
     own, names = model.coordinates, [trial.name for trial in trials]
     for k, trial in enumerate(trials):
@@ -713,11 +713,22 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
                 f"{trial.duration:g} s in all; give at least three, and times "
                 f"in seconds, at most {_LONGEST_S:g}"
             )
-        absent = [c for c in trial.cuffs if c not in model.tree.cuffs]
-        if absent:
+        for what, given, known in (
+            ("cuff", trial.cuffs, model.tree.cuffs),
+            ("foot", trial.feet, model.assembly.human.sides),
+            ("segment", trial.applied, model.tree.names),
+        ):
+            absent = [name for name in given if name not in known]
+            if absent:
+                raise InputError(
+                    f"trial {trial.name}: the model has no {what} "
+                    f"{absent[0]!r}; it has {', '.join(known) or 'none'}"
+                )
+        unknown = set(model.assembly.human.sides) - set(trial.feet)
+        if unknown:
             raise InputError(
-                f"trial {trial.name}: the model has no cuff {absent[0]!r}; it "
-                f"has {', '.join(model.tree.cuffs) or 'none'}"
+                f"trial {trial.name}: the force under the {min(unknown)} foot "
+                "is not known; give each foot's of a model with two legs"
             )
         wrong = trial.not_finite()
         if wrong:

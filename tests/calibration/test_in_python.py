@@ -163,3 +163,16 @@ def test_nothing_is_started_near_what_is_no_solution(posed):
 def test_a_design_needs_a_study():
     with pytest.raises(InputError, match="no studies"):
         dx.design([], [])
+
+
+def test_a_trials_feet_and_segments_are_the_models(made):
+    trial = made.trials[0]
+
+    def words(**changes):
+        with pytest.raises(InputError) as error:
+            dx.FootGroundCalibration(made.model, [replace(trial, **changes)])
+        return str(error.value)
+
+    sides = dict.fromkeys(("left", "right"), trial.ground)
+    assert "no foot 'left'" in words(feet=sides)
+    assert "no segment 'banana'" in words(applied={"banana": trial.ground})

@@ -70,6 +70,12 @@ def test_a_start_stands_on_its_feet(study):
             assert np.abs(moved[:, :2]).max() < 0.05
 
 
+def test_each_foots_force_must_be_known(study):
+    trials = [replace(trial, feet={}) for trial in study.trials()]
+    with pytest.raises(InputError, match="under the left foot is not known"):
+        FootGroundCalibration(study.model, trials, study.foot_ground)
+
+
 def test_both_feet_are_calibrated(calibrated):
     assert_near_measured(calibrated)
 
