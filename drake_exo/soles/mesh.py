@@ -586,7 +586,8 @@ class SphericalSpline:
         if held.all():
             raise InputError(
                 "optimize.shape: nothing of the sole is left to change; give "
-                "smaller fixed patches, or more intervals"
+                "smaller fixed patches, more intervals, or a frame whose "
+                "origin lies in a top that is fixed (mesh.origin_m)"
             )
         out = np.full(shape, -1)
         out[~held] = np.unique(tied[~held], return_inverse=True)[1]
@@ -603,8 +604,9 @@ class SphericalSpline:
         return T, (column < 0).astype(float)
 
     def around(self, points: np.ndarray) -> tuple[int, ...]:
-        """The coefficients that any of some points feels."""
-        return tuple(np.flatnonzero(self._full(points).any(axis=0)).tolist())
+        """The coefficients that any of some points feels, and are free."""
+        felt = self._full(points).any(axis=0) & (self._column >= 0)
+        return tuple(np.flatnonzero(felt).tolist())
 
     def _full(self, points: np.ndarray) -> np.ndarray:
         both = zip(spherical_angles(points), self.intervals, strict=True)

@@ -4,6 +4,7 @@ A dataclass for each block of keys; docs/soles.md explains them all. Paths are
 relative to --data-root where given, else to the case file's folder.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -166,6 +167,18 @@ STAGES = (
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 
 
+def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
+    """The stage's brick in the own mesh's bounding box, or the own mesh."""
+    if stage.divisions is None:
+        return own
+    if not own.is_block:
+        raise InputError(
+            "optimize.stages: divisions need a brick as the initial shape, "
+            "and this mesh is none; leave them out"
+        )
+    return brick(tuple(np.ptp(own.nodes, axis=0)), stage.divisions)
+
+
 @dataclass(frozen=True)
 class ShapeBlock:
     """What the surface of a design has to keep, in the sole's frame."""
@@ -186,14 +199,19 @@ class ShapeBlock:
                 f"{high:g}"
             )
 
-    def spline(self, mesh: TetMesh, intervals, fixed_top) -> SphericalSpline:
-        """Coefficients that are free; of the initial mesh.
+    def spline(
+        self, meshes: Sequence[TetMesh], intervals, fixed_top
+    ) -> SphericalSpline:
+        """Coefficients that are free; of the initial shape's meshes.
 
         Raises:
             InputError: A fixed patch holds none of the surface, or all.
         """
-        free = SphericalSpline(intervals, fixed_top)
-        kept, points = set(), mesh.nodes[mesh.bare]
+        free, kept = SphericalSpline(intervals, fixed_top), set()
+        points = np.concatenate([m.nodes[m.bare] for m in meshes])
+        if fixed_top:  # below the origin's plane it feels more than its rows
+            top = np.concatenate([m.nodes[m.fixed] for m in meshes])
+            kept.update(free.around(top[top[:, 2] < -1e-9]))
         for k, corners in enumerate(self.fixed_m):
             low, high = np.sort(corners, axis=0)
             inside = ((low <= points) & (points <= high)).all(axis=1)
@@ -432,9 +450,11 @@ class Setup:
 
     def spline(self) -> SphericalSpline:
         """Of shapes: its coefficients that are free."""
-        block = self.settings.optimize
+        block, meshes = self.settings.optimize, [self.mesh]
+        if self.mesh.is_block:
+            meshes += [stage_mesh(self.mesh, s) for s in block.stages]
         return block.shape.spline(
-            self.mesh, tuple(block.intervals), block.fixed_top
+            meshes, tuple(block.intervals), block.fixed_top
         )
 
     def law(self, sole: Sole) -> ContactLaw:

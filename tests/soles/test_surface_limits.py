@@ -13,7 +13,7 @@ from drake_exo.files import schema
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.optimize.limits import Limits, SurfaceLimits
-from drake_exo.soles.settings import ShapeBlock
+from drake_exo.soles.settings import ShapeBlock, stage_mesh
 
 SIZE = (0.24, 0.1, 0.03)
 ALL = Limits(1.0, depth=0.02, height=0.04, draft_deg=3.0)
@@ -118,7 +118,7 @@ def test_left_and_right_are_alike():
 def test_a_patch_stays():
     mesh = brick(SIZE, (12, 6, 3))
     block = ShapeBlock(fixed_m=(((0.08, -1, -1), (1, 1, 1)),))
-    spline = block.spline(mesh, (8, 8), False)
+    spline = block.spline([mesh], (8, 8), False)
     p = np.full(spline.count, 1.3)
     moved = np.linalg.norm(spline.deform(mesh.nodes, p) - mesh.nodes, axis=1)
     inside = mesh.nodes[mesh.bare, 0] >= 0.08
@@ -128,6 +128,33 @@ def test_a_patch_stays():
     assert spline.count == free.count - len(
         set(free._column[list(spline.kept)])
     )
+
+
+def test_a_top_stays_that_is_not_level():
+    mesh = brick(SIZE, (6, 4, 2))
+    for toes in (0.0, 0.004, -0.004):
+        nodes = mesh.nodes.copy()
+        nodes[mesh.fixed, 2] += toes * (nodes[mesh.fixed, 0] > 0.1)
+        spline = ShapeBlock().spline([replace(mesh, nodes=nodes)], (6, 6), True)
+        moved = spline.deform(nodes, np.full(spline.count, 1.3)) - nodes
+        assert np.abs(moved[mesh.fixed]).max() < 1e-15
+        assert np.abs(moved).max() > 1e-3
+    assert not ShapeBlock().spline([mesh], (6, 6), True).kept
+    below = replace(mesh, nodes=mesh.nodes - [0.0, 0.0, 0.05])
+    with pytest.raises(InputError, match="origin lies in a top"):
+        ShapeBlock().spline([below], (6, 6), True).free_map()
+
+
+def test_a_patch_stays_on_the_meshes_of_all_stages():
+    heel = "{shape: {fixed_m: [[[-1, -1, -1], [-0.06, 1, 1]]]}}"
+    head, _, _ = EXAMPLE.partition("optimize:")
+    case = Case.from_text(f"{head}optimize: {heel}")
+    spline = case.spline()
+    for stage in case.settings.optimize.stages:
+        nodes = stage_mesh(case.mesh, stage).nodes
+        moved = spline.deform(nodes, np.full(spline.count, 1.3)) - nodes
+        there = nodes[:, 0] <= -0.06
+        assert np.abs(moved[there]).max() < 1e-15 < np.abs(moved).max()
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,6 @@ from drake_exo.jobs.engine import (
     run_jobs,
 )
 from drake_exo.soles.contact.law import ContactLaw
-from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder
 from drake_exo.soles.optimize.limits import Limits
@@ -47,7 +46,7 @@ from drake_exo.soles.optimize.optimizer import (
 )
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step
-from drake_exo.soles.settings import Settings, Setup, Stage
+from drake_exo.soles.settings import Settings, Setup, Stage, stage_mesh
 from drake_exo.soles.walking_pattern import Gait
 
 _CHECKPOINT_EVERY = 3  # iterations
@@ -76,18 +75,6 @@ def limits_of(settings: Settings) -> Limits:
         block.shape.largest_height_m,
         block.shape.draft_deg,
     )
-
-
-def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
-    """The stage's brick in the own mesh's bounding box, or the own mesh."""
-    if stage.divisions is None:
-        return own
-    if not own.is_block:
-        raise InputError(
-            "optimize.stages: divisions need a brick as the initial shape, "
-            "and this mesh is none; leave them out"
-        )
-    return brick(tuple(np.ptp(own.nodes, axis=0)), stage.divisions)
 
 
 def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
