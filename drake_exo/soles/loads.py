@@ -75,7 +75,13 @@ class Load:
         for label, shape in shapes.items():
             if (given := getattr(self, label)) is None:
                 continue
-            values = np.array(given, dtype=float)
+            try:
+                values = np.array(given, dtype=float)
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    f"{self.name}: {label} holds no numbers, or rows of "
+                    "different lengths; give an array of them"
+                ) from error
             object.__setattr__(self, label, values)
             if values.shape != (np.size(self.times), *shape):
                 raise InputError(
@@ -88,6 +94,13 @@ class Load:
                 raise InputError(
                     f"{self.name}: {label} holds NaN or infinity; clean the "
                     "recording"
+                )
+        if self.rotation is not None:
+            square = self.rotation @ self.rotation.transpose(0, 2, 1)
+            if (np.abs(square - np.eye(3)) > 1e-6).any():
+                raise InputError(
+                    f"{self.name}: rotation holds what turns nothing; give "
+                    "rotation matrices"
                 )
         if len(self.times) == 0:
             raise InputError(f"{self.name}: no samples; widen the window")
@@ -207,14 +220,24 @@ class Load:
 
         Args:
             loads: What is asked for in each.
-            weights: Of each in the cost.
+            weights: Of each in the cost; its phases share it as before.
+
+        Raises:
+            InputError: There are none, or not as many weights.
         """
-        loads, times, end = list(loads), [], None
+        loads, weights, times, end = list(loads), list(weights), [], None
+        if not loads or len(loads) != len(weights):
+            raise InputError(
+                f"there are {len(loads)} loads and {len(weights)} weights; "
+                "give at least one load, and a weight for each"
+            )
         for load in loads:
             shift = 0.0 if end is None else end + _PAUSE_S - load.times[0]
             times.append(load.times + shift)
             end = times[-1][-1]
         counts = [len(load.times) for load in loads]
+        first = np.cumsum([0, *counts])
+        each = zip(loads, weights, strict=True)
         return cls(
             np.concatenate(times),
             np.concatenate([load.force for load in loads]),
@@ -227,8 +250,12 @@ class Load:
                 np.full((3, 3), np.nan),
             ),
             sum(load.moments_cut for load in loads),
-            tuple(int(n) for n in np.cumsum([0, *counts[:-1]])),
-            tuple(map(float, weights)),
+            tuple(
+                int(n + k)
+                for n, load in zip(first, loads, strict=False)
+                for k in load.begins
+            ),
+            tuple(float(w * s) for load, w in each for s in load.shares),
         )
 
     def target(self, q: int, reference, ground: Ground = FLAT) -> Target:

@@ -211,7 +211,8 @@ class ShapeBlock:
         points = np.concatenate([m.nodes[m.bare] for m in meshes])
         if fixed_top:  # below the origin's plane it feels more than its rows
             top = np.concatenate([m.nodes[m.fixed] for m in meshes])
-            kept.update(free.around(top[top[:, 2] < -1e-9]))
+            low = top[top[:, 2] < -1e-9]
+            kept.update(free.around(low) if len(low) else ())
         for k, corners in enumerate(self.fixed_m):
             low, high = np.sort(corners, axis=0)
             inside = ((low <= points) & (points <= high)).all(axis=1)

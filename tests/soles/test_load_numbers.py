@@ -1,5 +1,7 @@
 """Loads and the files they come from, number by number."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,6 +70,32 @@ def test_straight_leaves_what_is_forward_and_up(load):
     np.testing.assert_array_equal(found.zmp[:, 0], load.zmp[:, 0])
     assert not found.force[:, 1].any() and not found.zmp[:, 1].any()
     assert found.free_moment is None
+
+
+def test_phases_of_a_load_stay_among_others(load):
+    two = Load.one_after_another([load, load], [1.0, 3.0])
+    both = Load.one_after_another([two, load], [1.0, 1.0])
+    n = len(load.times)
+    assert both.begins == (0, n, 2 * n)
+    assert both.weights == (0.25, 0.75, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda _: Load.one_after_another([], []), "0 loads"),
+        (lambda x: Load.one_after_another([x], [1, 2]), "1 loads and 2 w"),
+        (lambda x: replace(x, force=[["a"] * 3] * len(x.times)), "no numbers"),
+        (lambda x: replace(x, force=[[1], [1, 2]]), "no numbers"),
+        (
+            lambda x: replace(x, rotation=[2 * np.eye(3)] * len(x.times)),
+            "turns nothing",
+        ),
+    ],
+)
+def test_what_is_no_load_is_refused(load, make, words):
+    with pytest.raises(InputError, match=words):
+        make(load)
 
 
 def test_one_after_another_and_apart_again(load):

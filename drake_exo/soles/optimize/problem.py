@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 
+from drake_exo.errors import InputError
 from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import Element, Material, Sole
@@ -116,7 +117,10 @@ class ShapeProblem:
         if self.first is None:
             self.first = self.evaluate(np.ones(self.spline.count))
         if self.first is None:
-            raise RuntimeError("the initial shape cannot be simulated")
+            raise InputError(
+                "the initial shape cannot be simulated; simulate the case, "
+                "which tells why, and change its load, material or mesh"
+            )
         self.scales = np.abs(self._costs(self.first))
         strain = self.strain_norm or self.limits.strain
         limits = replace(self.limits, strain=strain)
