@@ -550,7 +550,8 @@ def compare_strains(
     load, start = setup.load, setup.start
     cost = setup.settings.cost
     by_tr, _ = sample_weights(load, cost.heel_strike_fraction)
-    strike = load.at(np.flatnonzero(by_tr))
+    rows = np.flatnonzero(by_tr)
+    strike, weights = load.at(rows), by_tr[rows]
     count = len(strike.times)
     law = setup.law(sole)
     small = simulate(
@@ -569,8 +570,8 @@ def compare_strains(
     return {
         "heel_strike_samples": count,
         "converged_samples": int(finite.converged.sum()),
-        "c_tr_small": float(sigma_max_translation(small.K_c).sum()),
-        "c_tr_finite": float(sigma_max_translation(finite.K_c).sum()),
+        "c_tr_small": float(weights @ sigma_max_translation(small.K_c)),
+        "c_tr_finite": float(weights @ sigma_max_translation(finite.K_c)),
         "samples": [
             _sample(sole, small, finite, q)
             for q in np.unique([0, count // 2, count - 1])

@@ -20,6 +20,7 @@ from drake_exo.soles.finite_strain import (
     table,
     write_table,
 )
+from drake_exo.soles.loads import Load
 from drake_exo.soles.results import Step
 
 
@@ -43,6 +44,16 @@ def compared(case, tmp_path_factory):
     setup = Case.read(folder / "case.yaml")
     said = []
     return setup, compare_strains(setup, said.append), said
+
+
+def test_several_loads_count_by_their_weights(compared):
+    """The same step twice is that step."""
+    setup, found, _ = compared
+    twice = Load.one_after_another([setup.load] * 2, [1.0, 3.0])
+    again = compare_strains(replace(setup, load=twice))
+    assert again["heel_strike_samples"] == 2 * found["heel_strike_samples"]
+    for key in ("c_tr_small", "c_tr_finite"):
+        assert again[key] == pytest.approx(found[key], rel=1e-6)
 
 
 def test_each_sample_is_that_of_both_simulations(compared):
