@@ -324,6 +324,10 @@ def _reduce(args) -> int:
     for path in (args.out, rows):
         if path.exists() and not args.force:
             raise InputError(f"{path}: is there already; give --force")
+    if rows.exists() and not args.out.exists():
+        raise InputError(
+            f"{rows}: is no earlier law's table; give another name for --out"
+        )
     samples = reduction.Samples(*sole_samples(args.source))
     found = reduction.reduce_sole(samples, args.spheres, args.planar)
     law = found.law()

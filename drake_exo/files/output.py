@@ -89,9 +89,20 @@ class OutputFolder:
         return _files(self.path) - self._others
 
     def commit(self) -> None:
-        """Make the results final: replace old ones, note what was written."""
+        """Make the results final: replace old ones, note what was written.
+
+        Raises:
+            InputError: a file of somebody else has the name of a result.
+        """
         written = self._written()
         if self.path != self.target:
+            others = _files(self.target) - _own(self.target)
+            if taken := sorted(written & others):
+                raise InputError(
+                    f"{self.target / taken[0]}: no run wrote this, and results "
+                    f"have a file of that name; move it; they are in "
+                    f"{self.path}"
+                )
             for name in _read_manifest(self.target) - written:
                 (self.target / name).unlink(missing_ok=True)
             for name in sorted(written):

@@ -287,10 +287,11 @@ class _Watch:
 
     Attributes:
         gave_up: whether it stopped the attempt, as it led nowhere.
+        raised: first error in what IPOPT calls; ends the attempt.
     """
 
     def __init__(self, problem, strategy, start, on_iterate, stop):
-        self.gave_up = False
+        self.gave_up, self.raised = False, None
         self._restoring = 0
         self._least, self._least_at = np.inf, 0
         self.problem = problem
@@ -328,7 +329,7 @@ class _Watch:
                 )
             )
         self._judge(mode, iteration, max(inf_pr, inf_du))
-        return not (self.stop.is_set() or self.gave_up)
+        return not (self.stop.is_set() or self.gave_up or self.raised)
 
     def _judge(self, mode, iteration, error):
         self._restoring += mode != 0
@@ -418,6 +419,18 @@ def _attempt(problem, y0, options, watch):
     def hessian(y, multipliers, factor, out):
         out[:] = problem.hessian(y, multipliers, factor)
 
+    def guarded(function, instead=np.nan):
+        """Errors must not surface in IPOPT's C++; they are raised again."""
+
+        def call(*args):
+            try:
+                return function(*args)
+            except BaseException as error:
+                watch.raised = watch.raised or error
+                return instead
+
+        return call
+
     problem.start_again()
     nlp = ipyopt.Problem(
         problem.num_unknowns,
@@ -428,17 +441,19 @@ def _attempt(problem, y0, options, watch):
         _finite(problem.g_upper),
         _listed(problem.jacobian_structure),
         _listed(problem.hessian_structure),
-        problem.objective,
-        gradient,
-        constraints,
-        jacobian,
-        hessian,
-        intermediate_callback=watch,
+        guarded(problem.objective),
+        guarded(gradient),
+        guarded(constraints),
+        guarded(jacobian),
+        guarded(hessian),
+        intermediate_callback=guarded(watch, False),
         ipopt_options=_ipopt_options(options, watch.strategy),
     )
     # A trial step may go far off; IPOPT shortens it when it sees infinity.
     with np.errstate(all="ignore"):
         y, objective, status = nlp.solve(y0.copy())
+    if watch.raised:
+        raise watch.raised
     return y, objective, status
 
 

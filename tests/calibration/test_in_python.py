@@ -176,3 +176,16 @@ def test_a_trials_feet_and_segments_are_the_models(made):
     sides = dict.fromkeys(("left", "right"), trial.ground)
     assert "no foot 'left'" in words(feet=sides)
     assert "no segment 'banana'" in words(applied={"banana": trial.ground})
+
+
+def test_what_a_callback_raises_ends_the_solve(posed):
+    told = []
+
+    def tell(iterate):
+        told.append(iterate.iteration)
+        if len(told) == 3:
+            raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        posed.solve(on_iterate=tell)
+    assert told == [0, 1, 2]

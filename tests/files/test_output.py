@@ -236,6 +236,19 @@ def test_contents_that_differ_beyond_six_digits_are_the_same():
     assert checksum([3.0]) != checksum([4.0])
 
 
+def test_somebodys_file_of_a_results_name_is_not_replaced(tmp_path):
+    target = tmp_path / "data"
+    target.mkdir()
+    (target / "steps.csv").write_text("mine")
+    with (
+        pytest.raises(InputError, match=r"steps\.csv: no run wrote this"),
+        prepare_output_folder(target, force=True) as out,
+    ):
+        (out / "steps.csv").write_text("theirs")
+    assert (target / "steps.csv").read_text() == "mine"
+    assert (tmp_path / "data.partial" / "steps.csv").read_text() == "theirs"
+
+
 def test_resuming_does_not_make_others_files_its_own(tmp_path):
     """As a study beside its results: a later --force leaves it."""
     target = tmp_path / "out"

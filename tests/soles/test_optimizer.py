@@ -162,6 +162,15 @@ def test_ctrl_c_surfaces_after_the_search():
         minimise(problem, np.full(4, 0.4), (0.0, 2.0), 50)
 
 
+def test_what_progress_raises_ends_the_search():
+    def tell(iteration, best):
+        if iteration == 2:
+            raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        minimise(Quadratic(), np.full(4, 0.4), (0.0, 2.0), 50, 1e-9, tell)
+
+
 def test_optimality_is_that_of_ipopts_formula():
     """At a point that is none: each part by hand, then the scaling."""
     problem = Quadratic()

@@ -202,7 +202,7 @@ class _Callbacks:
     ):
         self.problem, self.curvature, self.best = problem, curvature, best
         self.say = say
-        self.stopped = self.stalled = False
+        self.raised, self.stalled = None, False
         # Cost, violation, error, iteration, rejections at the last change.
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self._point, self._derivatives = None, None
@@ -223,17 +223,17 @@ class _Callbacks:
             self.best.consider(p, *cost_and_violation(self.problem, p))
         return self._derivatives
 
-    def guarded(self, function):
-        """Ctrl-C must not surface inside IPOPT's C++: stop at the next
-        iteration instead; it is raised again afterwards.
+    def guarded(self, function, instead=np.nan):
+        """Ctrl-C and errors must not surface inside IPOPT's C++: stop at the
+        next iteration instead; they are raised again afterwards.
         """
 
         def call(*args):
             try:
                 return function(*args)
-            except KeyboardInterrupt:
-                self.stopped = True
-                return np.nan
+            except BaseException as error:
+                self.raised = self.raised or error
+                return instead
 
         return call
 
@@ -285,7 +285,7 @@ class _Callbacks:
         self.stalled = (
             iteration - mark[3] > _PATIENCE or rejected - mark[4] > _REJECTED
         )
-        return not (self.stopped or self.stalled)
+        return not (self.raised or self.stalled)
 
 
 def _furthest(problem, p) -> float:
@@ -354,8 +354,8 @@ def minimise(
     p, _, status = solver.solve(
         p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
     )
-    if calls.stopped:
-        raise KeyboardInterrupt
+    if calls.raised:
+        raise calls.raised
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     if calls.stalled:
         best.status = "no more progress"
@@ -389,7 +389,7 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
         calls.guarded(calls.constraints),
         calls.guarded(calls.jacobian),
         calls.guarded(calls.hessian),
-        intermediate_callback=calls.watch,
+        intermediate_callback=calls.guarded(calls.watch, False),
         ipopt_options=options,
     )
 
