@@ -22,6 +22,7 @@ from drake_exo.files.output import (
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles import finite_strain as strains
 from drake_exo.soles.optimize.files import (
+    CHECKPOINT,
     SUMMARY,
     read_checkpoint,
     read_summary,
@@ -231,11 +232,10 @@ def _optimize(args) -> int:
         try:
             design = case.optimize(out, say, resume, args.jobs)
         except KeyboardInterrupt:
-            print(
-                f"{case.name}: stopped; go on with --resume {out} and another "
-                "--out",
-                flush=True,
-            )
+            way = "before the first checkpoint; begin again"
+            if any(out.rglob(CHECKPOINT)):
+                way = f"go on with --resume {out} and another --out"
+            print(f"{case.name}: stopped; {way}", flush=True)
             raise
         row = design.write(out, say, args.accept)
     verdict = stored(row)

@@ -47,8 +47,13 @@ def read_cells(
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); check the path"
         ) from error
-    # Whatever a damaged file makes of the parser; meshio also exits.
-    except (Exception, SystemExit) as error:
+    # meshio exits; bytes that are no text are those of a file cut off.
+    except (SystemExit, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: is not a readable mesh (damaged or cut off); {remedy}"
+        ) from error
+    # Whatever a damaged file makes of the parser.
+    except Exception as error:
         raise InputError(
             f"{path}: is not a readable mesh ({reason(error)}); {remedy}"
         ) from error

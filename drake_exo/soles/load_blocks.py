@@ -6,13 +6,13 @@ Every block gives a `Load` of the files that it names, relative to a folder.
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.files.schema import exactly_one, positive
+from drake_exo.files.schema import exactly_one, positive, quantity
 from drake_exo.files.tables import missing_column
 from drake_exo.soles.loads import (
     MOST_SAMPLES,
@@ -29,14 +29,19 @@ Vector3 = tuple[float, float, float]
 Vector2 = tuple[float, float]
 
 
+def angle() -> Any:
+    """A field of settings: a turn, at most once around."""
+    return quantity("rad", 0.0, minimum=-6.29, maximum=6.29)
+
+
 @dataclass(frozen=True)
 class OneFoot:
     """The soft-sole authors' file of one foot: t, ZMP xy, CoM xy, force xyz."""
 
     file: str
     origin_m: Vector2
-    skip_first: int = 10
-    skip_last: int = 11
+    skip_first: int = field(default=10, metadata={"minimum": 0})
+    skip_last: int = field(default=11, metadata={"minimum": 0})
 
     def load(self, root: Path) -> Load:
         """Read it."""
@@ -53,7 +58,7 @@ class Csv:
 
     file: str
     origin_m: Vector2 = (0.0, 0.0)
-    yaw_rad: float = 0.0
+    yaw_rad: float = angle()
 
     def load(self, root: Path) -> Load:
         """Read it."""
@@ -77,7 +82,7 @@ class ForcePlate:
     start_s: float
     end_s: float
     origin_m: Vector2
-    yaw_rad: float = 0.0
+    yaw_rad: float = angle()
     least_force_n: float = positive("N", 20.0)
 
     def load(self, root: Path) -> Load:
@@ -301,7 +306,7 @@ class Constant:
 class Pattern(Robot):
     """Own walking pattern; the defaults are the authors' 80 kg robot's."""
 
-    period_s: float = positive("s", 0.005)
+    period_s: float = quantity("s", 0.005, minimum=1e-4)
     least_share: float = field(
         default=0.13, metadata={"above": 0.0, "below": 1.0}
     )

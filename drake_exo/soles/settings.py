@@ -22,7 +22,13 @@ from drake_exo.files.schema import (
 from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
-from drake_exo.soles.load_blocks import LoadBlock, StepReader, Vector2, Vector3
+from drake_exo.soles.load_blocks import (
+    LoadBlock,
+    StepReader,
+    Vector2,
+    Vector3,
+    angle,
+)
 from drake_exo.soles.loads import Load, read_columns
 from drake_exo.soles.mesh import SphericalSpline, TetMesh, brick, read_mesh
 from drake_exo.soles.numerics import rotation_z
@@ -41,6 +47,22 @@ class Brick:
     size_m: Vector3
     divisions: tuple[int, int, int]
 
+    def __post_init__(self):
+        if min(self.size_m) < 1e-3:
+            raise InputError(
+                f"size_m is {list(self.size_m)}; give lengths in metres, of a "
+                "millimetre or more"
+            )
+        _check_divisions(self.divisions)
+
+
+def _check_divisions(divisions: tuple[int, int, int]) -> None:
+    if min(divisions) < 1:
+        raise InputError(
+            f"divisions are {list(divisions)}; give whole numbers of cells, 1 "
+            "or more"
+        )
+
 
 @dataclass(frozen=True)
 class MeshBlock:
@@ -54,7 +76,7 @@ class MeshBlock:
     brick: Brick | None = None
     origin_m: Vector3 | None = None
     unit: Unit | None = None
-    tets: int = field(default=5000, metadata={"minimum": 500})
+    tets: int = quantity(None, 5000, minimum=500, maximum=1_000_000)
     top_m: float | None = field(default=None, metadata={"unit": "m"})
     element: Literal["linear", "smoothed"] = "smoothed"
 
@@ -65,6 +87,14 @@ class MeshBlock:
                 raise InputError(
                     f"{name} is a file's, not a brick's; remove it"
                 )
+        if self.file is None or Path(self.file).suffix.lower() in SUFFIXES:
+            return
+        for name in ("unit", "top_m"):
+            if getattr(self, name) is not None:
+                raise InputError(
+                    f"{name} is a surface's ({', '.join(SUFFIXES)}), and "
+                    f"{self.file} is none; remove it"
+                )
 
 
 @dataclass(frozen=True)
@@ -72,9 +102,11 @@ class MaterialBlock:
     """A named material; numbers given replace the named one's."""
 
     name: str
-    youngs_modulus_pa: float | None = positive("Pa")
+    youngs_modulus_pa: float | None = quantity(
+        "Pa", None, above=0.0, maximum=1e12
+    )
     poissons_ratio: float | None = None
-    density_kg_per_m3: float | None = positive("kg/m³")
+    density_kg_per_m3: float | None = quantity("kg/m³", None, minimum=10.0)
 
     def material(self) -> Material:
         """The material with its numbers filled in."""
@@ -119,7 +151,7 @@ class StartBlock:
 
     point_in_sole_m: Vector3 | None = None
     point_in_world_m: Vector2 | None = None
-    yaw_rad: float = 0.0
+    yaw_rad: float = angle()
 
 
 @dataclass(frozen=True)
@@ -147,11 +179,15 @@ class Stage:
     """
 
     divisions: tuple[int, int, int] | None = None
-    samples: int | None = None
+    samples: int | None = field(default=None, metadata={"minimum": 1})
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
     iterations: int = field(default=40, metadata={"minimum": 0})
     roughness: float = not_negative("", 1.0)
+
+    def __post_init__(self):
+        if self.divisions is not None:
+            _check_divisions(self.divisions)
 
 
 _FINE = (18, 12, 4)
@@ -235,7 +271,7 @@ class OptimizeBlock:
     bounds: Vector2 = (0.3, 1.4)
     stability_n_per_m: float | None = positive("N/m", 1000.0)
     tilt_deg: float | None = positive("°", 20.0)
-    strain: float | None = positive("", 0.3)
+    strain: float | None = quantity("", 0.3, above=0.0, maximum=2.0)
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
     roughness: float = not_negative("", 1.0)
     tolerance: float = positive("", 1e-4)
@@ -329,6 +365,8 @@ class Settings:
             return brick(block.brick.size_m, block.brick.divisions)
         path = Path(replacement or root / block.file)
         origin = None if block.file is None else block.origin_m
+        if replacement is not None and origin is not None:
+            origin = (0.0, 0.0, 0.0)  # as sole.vtk, in the sole's frame
         if path.suffix.lower() not in SUFFIXES:
             return read_mesh(path, origin)
         surface = read_surface(path, block.unit)

@@ -115,6 +115,7 @@ _GRADATION = 1.3
 _FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
 _SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
 _PATCH = 4.0  # least area of a patch, in squares of a typical size
+_SAME_VOLUME = 0.05  # of what a surface encloses, that a mesh may miss
 _THERE = 0.3  # of a typical size: a node that is on an edge already
 _LEAST_QUALITY = 0.3  # of elements whose nodes are moved
 _SHORTER = 12  # times that a move is halved
@@ -256,7 +257,15 @@ def sole_from_surface(
             "of mesh.tets, or smooth the surface"
         ) from None
     fixed = _fixed_nodes(nodes, cells, corners, top, top_m is None)
-    return checked_mesh(nodes, cells, fixed, surface.name)
+    mesh = checked_mesh(nodes, cells, fixed, surface.name)
+    enclosed = float(np.linalg.det(corners).sum() / 6.0)
+    if abs(mesh.volume - enclosed) > _SAME_VOLUME * enclosed:
+        raise InputError(
+            f"{surface.name}: encloses {1e6 * enclosed:.1f} cm³, of which "
+            f"{1e6 * mesh.volume:.1f} cm³ were meshed: its parts overlap or "
+            "lie apart; unite them where it was drawn, or give more mesh.tets"
+        )
+    return mesh
 
 
 def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:

@@ -23,7 +23,7 @@ from scipy.optimize import LinearConstraint, minimize
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
-from drake_exo.files.schema import not_negative, positive
+from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.soles.loads import Load
 
 _DEGREE, _PIECES, _GRID = 5, 16, 161
@@ -49,8 +49,8 @@ class Robot:
         torque_weight: Factor w of the ankle torque in the energy.
     """
 
-    mass_kg: float = positive("kg", 80.0)
-    com_height_m: float = positive("m", 0.8085)
+    mass_kg: float = quantity("kg", 80.0, minimum=0.5)
+    com_height_m: float = quantity("m", 0.8085, above=0.0, maximum=3.0)
     step_length_m: float = positive("m", 0.2633)
     step_width_m: float = positive("m", 0.162)
     step_time_s: float = positive("s", 1.0)

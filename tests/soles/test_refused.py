@@ -119,13 +119,20 @@ def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
 
 
 def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):
+    out, begun = case / "out", []
+
     def stopped(*given):
+        for _ in begun:
+            (out / "checkpoint.json").write_text("{}")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(dx.soles.Case, "optimize", stopped)
-    words = ["sole", "optimize", str(case / "case.yaml"), "--out"]
-    assert main([*words, str(case / "out")]) == 130
-    assert f"go on with --resume {case / 'out'}" in capsys.readouterr().out
+    words = ["sole", "optimize", str(case / "case.yaml"), "--out", str(out)]
+    assert main(words) == 130
+    assert "before the first checkpoint" in capsys.readouterr().out
+    begun.append(1)
+    assert main([*words, "--force"]) == 130
+    assert f"go on with --resume {out}" in capsys.readouterr().out
 
 
 @pytest.mark.slow

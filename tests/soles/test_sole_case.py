@@ -92,6 +92,14 @@ BAD = {
         ("case.yaml", "neoprene}", "neoprene, poissons_ratio: 0.5}"),
         "poissons_ratio",
     ),
+    "density": (
+        ("case.yaml", "neoprene}", "neoprene, density_kg_per_m3: 1.23}"),
+        "density_kg_per_m3",
+    ),
+    "stiff": (
+        ("case.yaml", "neoprene}", "neoprene, youngs_modulus_pa: 1.0e+100}"),
+        "youngs_modulus_pa",
+    ),
     "mu below": (("case.yaml", "0.8", "-0.1"), "friction"),
     "mu zero": (("case.yaml", "0.8", "0.0"), "friction"),
     "key": (("case.yaml", "friction:", "fricton:"), "fricton"),
@@ -116,6 +124,30 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, capsys, name):
     assert "Traceback" not in err
     assert err.count("\n") == 1
     assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[4, 3, 2]", "[4, 0, 2]", "whole numbers of cells"),
+        ("[0.23, 0.13, 0.03]", "[230, 130, 1.0e-9]", "lengths in metres"),
+        ("iterations: 5", "samples: 0", "samples"),
+        ("iterations: 5", "divisions: [0, 1, 1]", "whole numbers of cells"),
+        ("starts: 1", "strain: 30", "strain"),
+        ("load:", "start: {yaw_rad: -5.7e+1}\nload:", "yaw_rad"),
+    ],
+)
+def test_numbers_out_of_bounds_are_refused_by_key(old, new, words):
+    assert old in EXAMPLE
+    with pytest.raises(InputError, match=words):
+        Case.from_text(EXAMPLE.replace(old, new))
+
+
+def test_keys_of_a_surface_are_refused_beside_tetrahedra():
+    head, rest = EXAMPLE.split("  brick:")
+    text = f"{head}  file: sole.vtk\n  unit: mm\n{rest.partition(chr(10))[2]}"
+    with pytest.raises(InputError, match=r"unit is a surface's \(\.stl"):
+        Case.from_text(text)
 
 
 @pytest.mark.parametrize("fault", ["inverted", "unconnected", "no top"])

@@ -207,6 +207,16 @@ def test_a_box_keeps_its_edges(tets):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_parts_that_overlap_are_refused():
+    """A block that is sunk into the sole would come out as a hollow."""
+    sole = _box(SIZE)
+    tread = _box((0.05, 0.05, 0.02)) - [0.0, 0.0, 0.02]
+    surface = Surface(np.concatenate([sole, tread]), "tread.stl")
+    with pytest.raises(InputError, match=r"tread\.stl: encloses .* overlap"):
+        sole_from_surface(surface, 2000)
+
+
 def test_a_top_that_is_not_flat_is_asked_for_and_taken():
     corners = shoe_surface(60, 10)
     corners[..., 2] += 4 * corners[..., 1] ** 2  # a cup for the foot

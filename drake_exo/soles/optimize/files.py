@@ -17,7 +17,7 @@ from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.simulation import HISTORY
 
-_FILE = "checkpoint.json"
+CHECKPOINT = "checkpoint.json"
 _LARGEST = 1e30
 
 
@@ -55,11 +55,14 @@ class Checkpoint:
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
-        numbers = (self.p, self.curvature)
+        numbers = [self.p, self.curvature]
+        if self.barrier is not None:
+            numbers += [self.latest, self.multipliers]
         sound = (
             self.stage >= 0
             and self.iteration >= 0
             and 0.0 < self.strain_scale < _LARGEST
+            and (self.barrier is None or 0.0 < self.barrier < _LARGEST)
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
         )
         if not sound:
@@ -108,7 +111,7 @@ class Checkpoint:
         """Write checkpoint.json, whole or not at all."""
         lower = np.tril_indices(len(self.p))
         write_json(
-            folder / _FILE,
+            folder / CHECKPOINT,
             {
                 "stage": self.stage,
                 "iteration": self.iteration,
@@ -135,13 +138,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         InputError: Missing or not a checkpoint.
     """
-    file = path / _FILE if path.is_dir() else path
+    file = path / CHECKPOINT if path.is_dir() else path
     starts = sorted(path.glob("start_*")) if path.is_dir() else []
     if starts and not file.exists():
         begun = {
             int(start.name.partition("_")[2]): read_checkpoint(start)
             for start in starts
-            if (start / _FILE).exists()
+            if (start / CHECKPOINT).exists()
         }
         count = max(begun, default=-1) + 1
         case = next((at.case for at in begun.values()), "")

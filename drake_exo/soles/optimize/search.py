@@ -594,7 +594,8 @@ def pareto_front(
         setup: A sole and its step.
         floors: Of c_rot, over the initial shape's.
         say: Called with one line of progress now and then.
-        stages: For the case's own optimum, and for every point.
+        stages: For the case's own optimum, and for every point; on the case's
+            mesh, where that is no brick.
         points: Filled as they are found, where somebody may stop it.
 
     Returns:
@@ -607,6 +608,8 @@ def pareto_front(
     """
     say, block = say or (lambda text: None), setup.settings.optimize
     bounds, free = tuple(block.bounds), setup.optimizing(c_rot_nm_per_rad=None)
+    if not setup.mesh.is_block:
+        stages = tuple(replace(s, divisions=None) for s in stages)
     brick = setup.sole(stage_mesh(setup.mesh, stages[1]))
     base = Step.by_exact_law(setup, brick, brick.penalty)
 
