@@ -300,22 +300,34 @@ def finished(setup: Setup, found: Found, say) -> Design:
     return design
 
 
-def _with_gait(gait: Gait, alone: Design, at: Checkpoint, say) -> Design:
-    """Walk and sole in turns, for as long as c by the exact law gets less."""
-    best, walk = alone, gait.start
-    number = len(alone.setup.settings.optimize.stages) - 1
-    for _ in range(_ROUNDS):
-        x = GaitProblem(gait, best.problem, at.p, walk, say).minimise()
-        setup = replace(best.setup, load=gait.load(x))
+def _with_gait(gait: Gait, design: Design, at: Checkpoint, say) -> Design:
+    """Walk and sole in turns, for as long as c by the exact law gets less.
+
+    Beside them the sole alone goes on for as many iterations.
+    """
+    number = len(design.setup.settings.optimize.stages) - 1
+
+    def on(walk, before: Design, at: Checkpoint) -> tuple[Design, Checkpoint]:
+        setup = replace(before.setup, load=gait.load(walk))
         again = replace(at, stage=number, iteration=0)
         run, problem = _run_stage(setup, number, again, None, say)
         found = verified(
-            setup, problem, run.at, [*best.optima, run.optimum],
-            [*best.stages_seconds, run.seconds],
+            setup, problem, run.at, [*before.optima, run.optimum],
+            [*before.stages_seconds, run.seconds],
         )  # fmt: skip
+        return found, run.at
+
+    alone = best = design
+    walk, own = gait.start, at
+    for _ in range(_ROUNDS):
+        alone, own = on(gait.start, alone, own)
+        x = GaitProblem(gait, best.problem, at.p, walk, say).minimise()
+        found, at = on(x, best, at)
         if found.step.failed_steps or found.step.c >= best.step.c:
             break
-        best, walk, at = found, x, run.at
+        best, walk = found, x
+    if not alone.step.failed_steps and alone.step.c < best.step.c:
+        best, walk = alone, gait.start
     best.gait = _told_of_gait(gait, walk, alone.step)
     return best
 
