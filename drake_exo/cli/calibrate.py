@@ -7,6 +7,7 @@ foot_ground) and then the interaction of human and exoskeleton (Phase B).
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from drake_exo.calibration.phases import (
@@ -17,6 +18,7 @@ from drake_exo.calibration.phases import (
 from drake_exo.calibration.results import read_calibration
 from drake_exo.cli import add_accept, add_out, add_study
 from drake_exo.contact.parameters import ContactModel
+from drake_exo.errors import InputError
 from drake_exo.files.output import (
     FAILS_CODE,
     NOT_SOLVED_CODE,
@@ -24,12 +26,14 @@ from drake_exo.files.output import (
     UNSOLVED,
     Check,
     Verdict,
+    checksum,
     prepare_output_folder,
     read_json,
     save_figure,
     stored,
     write_json,
 )
+from drake_exo.measurement.settings import Use
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
 from drake_exo.report.gathering import (
@@ -104,6 +108,11 @@ def run(args: argparse.Namespace) -> int:
         args.phase is None and not study.model.cuffs
     )
     contact = None
+    if only_foot and args.calibration is not None:
+        raise InputError(
+            "--calibration is of no use to the foot-ground phase, which is "
+            "the first; leave it out"
+        )
     if not only_foot:
         check_has_cuffs(study.model)
         check_is_measured(study.trials("calibration"))
@@ -114,7 +123,13 @@ def run(args: argparse.Namespace) -> int:
         args.out, args.force, args.resume, [args.calibration]
     )
     with folder as out:
-        done = _finished(out) if args.resume else None
+        of = inputs(
+            study,
+            "calibration",
+            study.foot_ground if only_foot else study.interaction,
+            contact,
+        )
+        done = finished(out, of) if args.resume else None
         if done is not None:
             print(f"{args.out} is complete; nothing to resume")
             return done.exit_code
@@ -143,8 +158,9 @@ def write_foot_ground(
 ) -> int:
     """Phase A into a folder; returns the exit code."""
     write_inputs(out, study.model, study.trials("calibration"))
+    more = {"inputs": inputs(study, "calibration", study.foot_ground)}
     found = calibrate_foot_ground(study, folder=out, resume=resume)
-    return _write(found, out, {}, front, checks, accepted)
+    return _write(found, out, more, front, checks, accepted)
 
 
 def write_interaction(
@@ -156,11 +172,15 @@ def write_interaction(
     accepted: Sequence[str] = (),
 ) -> int:
     """Phase A, unless its contact is given, then Phase B; as above."""
-    more, code = {}, 0
+    of = inputs(study, "calibration", study.interaction, contact)
+    more, code = {"inputs": of}, 0
     if contact is None:
         folder = out / FOOT_GROUND
         folder.mkdir(exist_ok=True)
-        done = _finished(folder) if resume else None
+        done = None
+        if resume:
+            ground = inputs(study, "calibration", study.foot_ground)
+            done = finished(folder, ground)
         code = (
             write_foot_ground(study, folder, resume, False, checks, accepted)
             if done is None
@@ -169,7 +189,7 @@ def write_interaction(
         if code not in (0, FAILS_CODE):
             return code
         text = (folder / SUMMARY).read_text("utf-8")
-        more = {"foot_ground": json.loads(text)}
+        more["foot_ground"] = json.loads(text)
         contact = read_calibration(folder).contact
         # What the first phase does not hold, the second one does not.
         found = stored(more["foot_ground"]).checks
@@ -184,13 +204,45 @@ def write_interaction(
     return _write(found, out, more, False, checks, accepted)
 
 
-def _finished(folder: Path) -> Verdict | None:
-    """The verdict of a run that solved its problem, if there was one."""
+def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
+    """Digits that tell apart what results are made of.
+
+    Args:
+        study: with its trials of the use.
+        use: calibration or prediction.
+        settings: of the phase.
+        contact: that was known before.
+        more: whatever else counts, by name.
+    """
+    trials = [replace(t, provenance={}) for t in study.trials(use)]
+    values = contact and contact.values()
+    return checksum([use, study.model.name, settings, trials, values, more])
+
+
+def finished(folder: Path, of: str) -> Verdict | None:
+    """The verdict of a run that solved its problem, if there was one.
+
+    Args:
+        folder: of the run.
+        of: what it has to be made of, see `inputs`.
+
+    Raises:
+        InputError: it is made of something else.
+    """
     path = folder / SUMMARY
     if not path.is_file():
         return None
-    found = stored(read_json(path, "leave out --resume to start afresh"))
-    return None if found is None or found.word == UNSOLVED else found
+    summary = read_json(path, "leave out --resume to start afresh")
+    found = stored(summary)
+    if found is None or found.word == UNSOLVED:
+        return None
+    if summary.get("inputs") != of:
+        raise InputError(
+            f"{folder}: is complete, of another study or other settings; "
+            "choose another folder for --out, or replace it with --force "
+            "instead of --resume"
+        )
+    return found
 
 
 def _write(

@@ -25,6 +25,8 @@ from drake_exo.calibration.results import (
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,
+    finished,
+    inputs,
     report_failure,
 )
 from drake_exo.contact.parameters import ContactModel
@@ -161,6 +163,18 @@ def write_predictions(
 ) -> int:
     """Every trial for prediction into a folder; returns the exit code."""
     trials = study.trials("prediction")
+    of = inputs(
+        study,
+        "prediction",
+        study.prediction,
+        contact,
+        scale=scale_interaction,
+        controller=controller_name,
+    )
+    done = finished(out, of) if resume else None
+    if done is not None:
+        print(f"{out} is complete; nothing to resume")
+        return done.exit_code
     write_inputs(out, study.model, trials)
     write_contact(out, contact)
     usual = uncalibrated(study.model, contact)
@@ -209,6 +223,7 @@ def write_predictions(
             break
     verdict = Verdict(tuple(checks), tuple(accepted))
     summary = {
+        "inputs": of,
         "scale_interaction": scale_interaction,
         "controller": controller_name,
         **_summary(study, found, trials),

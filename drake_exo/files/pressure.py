@@ -70,7 +70,9 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
             "export ASCII from Novel's software"
         )
     head = "\n".join(lines[:start])
-    scale = _unit(path, head)
+    # Names of files and sensors say units, too, or what looks like one.
+    values = re.findall(r"^\s*pressure.*", head, re.IGNORECASE | re.MULTILINE)
+    scale = _unit(path, "\n".join(values))
     rate = _number(path, head, r"scanning rate \[hz\]:\s*([\d.]+)", "rate")
     total = _number(path, head, r"total time \[secs\]:\s*([\d.]+)", "time")
     count = len(lines[start].split())
@@ -150,12 +152,13 @@ def _recording(path, values, scale, groups) -> PressureRecording:
 
 
 def _unit(path, text: str) -> float:
-    for unit in re.findall(r"[a-z]+(?:/cm\^?2)?", text.lower()):
-        if unit in _PASCALS:
-            return _PASCALS[unit]
+    words = re.findall(r"[a-z]+(?:/cm\^?2)?", text.lower())
+    found = {_PASCALS[unit] for unit in words if unit in _PASCALS}
+    if len(found) == 1:
+        return found.pop()
     raise InputError(
-        f"{path}: the header names no unit of pressure; write one of "
-        "Pa, kPa, N/cm2"
+        f"{path}: the header names no unit of pressure, or several; "
+        "write one of Pa, kPa, N/cm2, as in 'pressure values in kPa'"
     )
 
 

@@ -39,6 +39,25 @@ def test_unseen_rises_are_predicted(summary):
 
 
 @pytest.mark.slow
+def test_what_is_complete_is_not_begun_again(
+    summary, command, calibrated, capsys
+):
+    """Nor replaced by what is made of something else."""
+    out = calibrated.parent / "c1"
+    before = (out / "summary.json").read_bytes()
+    given = ["--calibration", str(calibrated), "--out", str(out), "--resume"]
+    assert main([*command("predict"), *given]) == 0
+    assert "is complete; nothing to resume" in capsys.readouterr().out
+    for more in (["--scale-interaction", "1.2"], ["--torque-limit", "900"]):
+        assert main([*command("predict"), *given, *more]) == 2
+        assert "another study or other settings" in capsys.readouterr().err
+    again = [*command("calibrate"), "--phase", "foot-ground", "--resume"]
+    assert main([*again, "--out", str(out)]) == 2
+    assert "another study or other settings" in capsys.readouterr().err
+    assert (out / "summary.json").read_bytes() == before
+
+
+@pytest.mark.slow
 def test_ctrl_c_between_solves_keeps_what_is_finished(
     command, calibrated, tmp_path, monkeypatch
 ):

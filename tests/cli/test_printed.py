@@ -260,12 +260,15 @@ def test_a_study_is_looked_for_beside_its_case(monkeypatch, tmp_path):
 
 
 def test_a_finished_phase_is_known_by_its_summary(tmp_path):
-    assert calibrate._finished(tmp_path) is None
+    assert calibrate.finished(tmp_path, "it") is None
     for holds in (True, False):
         made = Verdict((Check("solved", holds),))
-        write_json(tmp_path / SUMMARY, made.summary())
-        found = calibrate._finished(tmp_path)
+        write_json(tmp_path / SUMMARY, made.summary() | {"inputs": "it"})
+        found = calibrate.finished(tmp_path, "it")
         assert (found is not None) == holds
+        if holds:
+            with pytest.raises(InputError, match="of another study"):
+                calibrate.finished(tmp_path, "another")
 
 
 def test_the_phase_before_is_done_in_a_folder_of_its_own(monkeypatch, tmp_path):
@@ -284,12 +287,13 @@ def test_the_phase_before_is_done_in_a_folder_of_its_own(monkeypatch, tmp_path):
         lambda folder: SimpleNamespace(contact=("of", folder)),
     )  # fmt: skip
     monkeypatch.setattr(calibrate, "write_inputs", lambda *_: None)
+    monkeypatch.setattr(calibrate, "inputs", lambda *_: "it")
     monkeypatch.setattr(
         calibrate, "calibrate_interaction",
         lambda study, contact, folder, resume: (contact, folder),
     )  # fmt: skip
     monkeypatch.setattr(calibrate, "_write", lambda *said: said)
-    study = SimpleNamespace(model=None, trials=lambda use: [])
+    study = SimpleNamespace(model=None, trials=lambda use: [], interaction=None)
     found, out, more, front, checks, _ = calibrate.write_interaction(
         study, tmp_path
     )
@@ -297,6 +301,7 @@ def test_the_phase_before_is_done_in_a_folder_of_its_own(monkeypatch, tmp_path):
     assert seen["first"] == folder
     assert found == (("of", folder), tmp_path) and out == tmp_path
     assert more["foot_ground"]["a"] == 1 and not front
+    assert more["inputs"] == "it"
     assert checks == [off]
 
 

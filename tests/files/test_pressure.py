@@ -33,6 +33,16 @@ def write(tmp_path, text, name="a.asc"):
     return path
 
 
+def test_units_of_other_lines_do_not_count(tmp_path):
+    """A file is named by its movement, passive or assisted."""
+    plain = read_novel_asc(write(tmp_path, asc()))
+    text = "file name:\ts01 PA.sol\n" + asc()
+    named = read_novel_asc(write(tmp_path, text))
+    np.testing.assert_array_equal(named.pressure, plain.pressure)
+    with pytest.raises(InputError, match="or several"):
+        read_novel_asc(write(tmp_path, asc(unit="kPa (N/cm2)")))
+
+
 def test_reads_the_cells_of_each_mat(tmp_path):
     found = read_novel_asc(write(tmp_path, asc()))
     assert list(found.groups) == ["left mat", "right mat"]
