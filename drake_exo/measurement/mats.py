@@ -420,5 +420,11 @@ def _to_segment(scan: Scan) -> np.ndarray:
             f"{scan.file}: the two points of segment_axis are {length:.3g} m "
             "apart; give the lower and the upper joint centre"
         )
+    if z < -0.5 * length:  # one that lies is neither
+        raise InputError(
+            f"{scan.file}: the second point of segment_axis is {-z:.3g} m "
+            "below the first; give the lower joint centre first, or correct "
+            "up in the scan's axes"
+        )
     # The segment's z in the sagittal plane, its x a quarter turn before.
     return np.array([[z, 0.0, -x], [0.0, length, 0.0], [x, 0.0, z]]) / length

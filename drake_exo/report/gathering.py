@@ -96,16 +96,17 @@ def is_design(folder: Path) -> bool:
     return isinstance(found, dict) and found.get("phase") == "design"
 
 
-def gather(folder: Path, accept: Sequence[str] = ()) -> list[Results]:
+def gather(folder: Path, accept: Sequence[str] | None = None) -> list[Results]:
     """All results under a folder, in the order of their paths.
 
     Args:
         folder: to look through.
-        accept: "solved" lets pass what was not solved, marked.
+        accept: "solved" lets pass what was not solved, marked; None where
+            nothing may be accepted.
 
     Raises:
-        InputError: there are none, a summary cannot be read, or one is of a
-            solve that failed.
+        InputError: there are none, a summary cannot be read, one is of a
+            solve that failed, or no trial of any was solved.
     """
     found = []
     for path in sorted(Path(folder).rglob("summary.json")):
@@ -119,12 +120,18 @@ def gather(folder: Path, accept: Sequence[str] = ()) -> list[Results]:
             "calibrate' or 'drake-exo predict' wrote"
         )
     failed = [r for r in found if not r.is_solved]
-    if failed and not is_accepted(SOLVED, accept):
+    if failed and not is_accepted(SOLVED, accept or ()):
+        way = "" if accept is None else ", or show it, marked, with --accept"
         raise InputError(
             f"{failed[0].folder}: is {failed[0].mark or 'not solved'}; solve "
-            f"it again, or show it, marked, with --accept {SOLVED}"
+            f"it again{way and f'{way} {SOLVED}'}"
         )
-    return found
+    shown = [r for r in found if r.summary["rmsd"]]
+    if not shown:
+        raise InputError(
+            f"{folder}: holds no solved trial; see its summary.json"
+        )
+    return shown
 
 
 def check_one_study(found: Sequence[Results]) -> None:

@@ -207,14 +207,7 @@ def replay_results(
     if is_design(folder):
         _replay_design(folder, path)
         return
-    found = sorted(
-        (r for r in gather(folder, accept) if r.summary["rmsd"]),
-        key=lambda r: _ORDER.index(r.phase),
-    )
-    if not found:
-        raise InputError(
-            f"{folder}: holds no solved trial to replay; see its summary.json"
-        )
+    found = sorted(gather(folder, accept), key=lambda r: _ORDER.index(r.phase))
     model = read_model(found[0].folder)
     trials = []
     for results in found:

@@ -409,6 +409,12 @@ def test_an_axis_needs_two_points(folder):
         cell_directions(replace(MAT, scan=scan), "m", folder)
 
 
+def test_an_axis_goes_upwards(folder):
+    scan = replace(MAT.scan, segment_axis=((0, 0, 0.4), (0, 0, 0)))
+    with pytest.raises(InputError, match=r"0\.4 m below the first"):
+        cell_directions(replace(MAT, scan=scan), "m", folder)
+
+
 def test_a_mat_lies_on_a_scan_or_a_plane():
     with pytest.raises(InputError, match="either scan or plane_normal"):
         Mat("shank", 1, 1, 1e-4)

@@ -18,6 +18,7 @@ from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.report import replay
+from drake_exo.report.gathering import gather
 from drake_exo.report.replay import (
     DrawnModel,
     Replayed,
@@ -214,8 +215,12 @@ def test_unsolved_results_are_refused(tmp_path):
     folder = write_results(tmp_path / "failed")
     summary = read_json(folder / "summary.json", "") | {"rmsd": []}
     write_json(folder / "summary.json", summary)
-    with pytest.raises(InputError, match="no solved trial"):
-        replay_results(folder, tmp_path / "page.html")
+    for show in (
+        lambda: replay_results(folder, tmp_path / "page.html"),
+        lambda: gather(folder, ["solved"]),
+    ):
+        with pytest.raises(InputError, match="no solved trial"):
+            show()
     write_json(folder / "summary.json", summary | {"success": False})
     with pytest.raises(InputError, match="--accept solved"):
         replay_results(folder, tmp_path / "page.html")
