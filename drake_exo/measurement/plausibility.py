@@ -30,6 +30,7 @@ LOADED_N = 50.0
 # The foot reaches so far behind its hindmost marker, and its markers so far
 # inside of its edges [m].
 _HEEL_M = 0.03
+_WHOLE = 0.5  # of a foot's length that markers with the heel's among them span
 
 
 def _judged(name, value, limit, unit, where, sentence, holds=None) -> Check:
@@ -204,8 +205,11 @@ class Evidence:
         p = np.concatenate(known, axis=1)[self.inside]
         p = p[self.loaded(plate or foot)]
         x, y = p[..., 0], p[..., 1]
-        back = x.min(axis=1) - _HEEL_M
         length = self.subject.model.human.foot.length_m + _HEEL_M
+        back = x.min(axis=1) - _HEEL_M
+        span = np.ptp(x, axis=1)
+        if len(p) and np.median(span) < _WHOLE * length:  # no heel is seen
+            back = x.max(axis=1) - length
         front = np.maximum(x.max(axis=1), x.min(axis=1) + length)
         right, left = y.min(axis=1), y.max(axis=1)
         if len(known) < len(sides):
@@ -712,6 +716,7 @@ LARGEST_RATIO = 1.5
 LARGEST_SWAPPED = 1.25  # and two files the movements of each other
 _REACH_S = 0.06
 LARGEST_FROZEN_DEG = 5.0
+LEAST_CHANGE_N, LARGEST_LEVER_M = 1.0, 0.5
 _MOVES_DEG = 10.0  # a joint that moves less says little
 _FAR_DEG = 30.0  # and of speeds, one that moves less
 _UPRIGHT_SHARE = 0.05  # of the trial, around its most upright posture
@@ -726,12 +731,12 @@ def device_checks(e: Evidence) -> Iterator[Check]:
     names = e.trial.coordinates
     human = np.rad2deg(e.expected(e.body[0]))
     device = np.rad2deg(e.trial.q[:, names.device_columns])
-    upright = _most_upright(human)
+    offsets = _offsets(e)
     for i, name in enumerate(names.device):
         h, d = human[:, i], device[:, i]
         if np.ptp(h) > _MOVES_DEG:
             yield from _follows(e, name, h, d)
-        offset = float(np.mean(d[upright] - h[upright]))
+        offset = float(offsets[i])
         yield e.check(
             "encoder_offset",
             abs(offset),
@@ -747,6 +752,53 @@ def device_checks(e: Evidence) -> Iterator[Check]:
     yield from _exchanged(e, human, device, moving)
     if moving:
         yield _mismatch(e)
+
+
+def load_checks(e: Evidence) -> Iterator[Check]:
+    """Of mats, and of the device's joint moments, in one trial."""
+    for cuff, force in e.trial.cuffs.items():
+        change = float(np.ptp(force.normal))
+        yield e.check(
+            "mat_still",
+            change,
+            LEAST_CHANGE_N,
+            "N",
+            e.files.pressure[0].file if e.files.pressure else "pressure",
+            f"the force of {cuff}'s mats changes by {change:.3g} N in the "
+            "whole trial; they are unplugged, or stand still",
+            change >= LEAST_CHANGE_N,
+        )
+    if e.trial.moments is None:
+        return
+    names = e.trial.coordinates
+    largest = LARGEST_LEVER_M * e.weight
+    own = e.trial.moments[:, names.is_device_joint]
+    for name, moment in zip(names.device, own.T, strict=True):
+        found = float(np.abs(moment).max())
+        yield e.check(
+            "device_moment",
+            found,
+            largest,
+            "N m",
+            e.files.exo_moments or "device",
+            f"the moment of {name} reaches {found:.3g} N m, more than the "
+            f"body's weight {LARGEST_LEVER_M:g} m away; it may be in N mm, "
+            "or friction of device is in other units",
+        )
+
+
+def _offsets(e: Evidence) -> np.ndarray:
+    """What the device reads more than the person in the recording's most
+    upright posture (device's,) [deg]; a used part may end before that.
+    """
+    angles, motion = e.recording.angles, e.recording.motion
+    both = between(motion.time, angles.time[0], angles.time[-1])
+    human = np.rad2deg(e.expected(motion.q[both]))
+    device = np.rad2deg(
+        [np.interp(motion.time[both], angles.time, x) for x in angles.values.T]
+    )
+    upright = _most_upright(human)
+    return np.mean(device.T[upright] - human[upright], axis=0)
 
 
 def _most_upright(human: np.ndarray) -> np.ndarray:
@@ -1101,6 +1153,7 @@ def plausibility(
     checks = [*standing_checks(subject, standing)]
     for e in evidence:
         checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
+        checks += load_checks(e)
     return (*checks, *between_trials(evidence), *wearer_checks(evidence))
 
 

@@ -144,15 +144,17 @@ def test_an_encoder_with_an_offset(folder, joint):
 
 
 def test_offsets_are_those_of_the_most_upright_posture(folder):
-    """Cuffs that hide a seventh of the movement are no offset."""
+    """Cuffs that hide a seventh of the movement are no offset.
+
+    The person stands upright after the used part ends.
+    """
     encoders(folder, lambda x: 0.85 * x)
     study = read_study(folder / "study.yaml")
     checks = study.plausibility()
     off = [c.value for c in checks if c.name.endswith("encoder_offset")]
     (trial,) = study.trials()
     hidden = 0.15 * np.abs(np.rad2deg(trial.q[:, 3:6]))
-    np.testing.assert_allclose(off, hidden[-1], atol=0.5)
-    assert (hidden.mean(axis=0) > hidden[-1] + 1.0).all()
+    assert max(off) < 1.0 < hidden[-1].min()
 
 
 def test_a_clock_that_is_off_is_no_other_movement():

@@ -296,6 +296,11 @@ def test_pressure_is_measured_from_the_foots_edges():
     long.recording.motion.feet["left"][:, 1, 0] = 0.45
     known(long, plates={"left": left})
     np.testing.assert_allclose(long.sole("left")[:, 1], 0.45)
+    # Of toes alone the heel is a foot's length behind the foremost.
+    toes = made(feet=shod(left=(0.25, 0.1)))
+    toes.recording.motion.feet["left"][:, 1, 0] = 0.3
+    known(toes, plates={"left": left})
+    np.testing.assert_allclose(toes.sole("left")[:, 0], 0.02)
     # One frame of fifty that is far off does not decide.
     left[30] = pressed(1, x=2.0, y=0.1)
     assert e.outside("left")[0] == pytest.approx(0.03)
@@ -407,19 +412,42 @@ def test_encoders_against_the_person_by_hand():
     assert told(found, "encoder_sign") == [(1.0, 0.5, True), (-1.0, 0.5, False)]
     assert "its sign looks flipped" in " ".join(c.sentence for c in found)
     assert told(found, "encoder_unit") == [(0.8, 0.4, True), (0.5, 0.4, True)]
-    # Of the frames around the first: three, half and one of forty-nine.
-    knee = 3.0 - 0.2 * np.mean(40.0 * np.arange(3) / 50)
-    hip = 4.0 + 1.5 * np.mean(60.0 * np.arange(3) / 50)
+    # Before the used part the person stood upright.
     assert told(found, "encoder_offset") == [
         (0.0, 9.0, True),
-        (knee, 9.0, True),
-        (hip, 9.0, True),
+        (3.0, 9.0, True),
+        (4.0, 9.0, True),
     ]
     # Speeds: a fifth of the knee's and one and a half of the hip's miss.
     miss = np.hypot(0.2 * 40, 1.5 * 60) / np.hypot(40, 60)
     (found,) = told(found, "encoder_motion")
     assert found[1:] == (35.0, False)
     assert found[0].expected == pytest.approx(100.0 * miss, rel=0.03)
+
+
+def loaded(normal, moment):
+    """Mats of the shank, and moments of the device's knee."""
+    e = made()
+    e.files.pressure, e.files.exo_moments = (), None
+    e.trial.cuffs = {"shank": SimpleNamespace(normal=np.array(normal))}
+    e.trial.coordinates.is_device_joint = np.arange(6) >= 3
+    e.trial.moments = np.zeros((2, 6))
+    e.trial.moments[1, 4] = moment
+    return list(plausibility.load_checks(e))
+
+
+def test_mats_that_stand_still():
+    for normal, holds in (((0, 0), False), ((30, 30), False), ((0, 2), True)):
+        (found,) = told(loaded(normal, 0.0), "mat_still")
+        assert found == (np.ptp(normal), 1.0, holds)
+
+
+def test_a_devices_moment_is_that_of_a_device():
+    """Half a metre of the body's weight; no knee's in N mm."""
+    for moment, holds in ((0.4 * WEIGHT, True), (-0.6 * WEIGHT, False)):
+        found = told(loaded((0, 9), moment), "device_moment")
+        assert found[1] == (abs(moment), 0.5 * WEIGHT, holds)
+        assert found[0] == found[2] == (0.0, 0.5 * WEIGHT, True)
 
 
 def test_encoders_of_each_others_joints():
