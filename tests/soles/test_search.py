@@ -526,9 +526,9 @@ def test_what_is_told_of_a_walk():
 
 
 def test_turns_of_walk_and_sole_end_where_nothing_is_gained(case, monkeypatch):
-    """Two at most; the better of both stays, on its walk."""
-    walks, costs = iter([0.1, 0.2, 0.3]), iter([5.0, 4.0, 3.0])
-    made = []
+    """Two at most, the sole alone beside them; the best stays, on its walk."""
+    walks, made = iter([0.1, 0.2] * 3), []
+    costs = {"load 0.1": 5.0, "load 0.2": 4.0}
 
     class Problem:
         def __init__(self, gait, problem, p, walk, say):
@@ -538,7 +538,7 @@ def test_turns_of_walk_and_sole_end_where_nothing_is_gained(case, monkeypatch):
             return next(walks)
 
     def verified(setup, problem, at, optima, seconds):
-        step = SimpleNamespace(failed_steps=0, c=next(costs))
+        step = SimpleNamespace(failed_steps=0, c=costs[setup.load])
         return SimpleNamespace(
             setup=setup, problem=problem, step=step, optima=optima,
             stages_seconds=seconds,
@@ -567,15 +567,26 @@ def test_turns_of_walk_and_sole_end_where_nothing_is_gained(case, monkeypatch):
         )  # fmt: skip
 
     at = Checkpoint(stage=3, iteration=5, p="p")
-    best = search._with_gait(gait, alone(6.0), at, str)
-    assert best.gait == (0.2, 6.0) and best.optima == ["a", "o", "o"]
+
+    def found(first, later):
+        made.clear()
+        costs["load 0.0"] = later
+        return search._with_gait(gait, alone(first), at, str)
+
+    best = found(6.0, 5.5)
+    assert best.gait == (0.2, 5.5) and best.optima == ["a", "o", "o"]
     assert made == [
+        ("load 0.0", 0, 0, 0),
         ("first", "p", 0.0),
         ("load 0.1", 0, 0, 0),
+        ("load 0.0", 0, 0, 0),
         ("later", "p'", 0.1),
         ("load 0.2", 0, 0, 0),
     ]
-    assert search._with_gait(gait, alone(2.0), at, str).gait == (0.0, 2.0)
+    # Walks that gain nothing, and ones that gain less than the sole alone.
+    assert found(4.5, 4.5).gait == (0.0, 4.5)
+    assert len(made) == 3
+    assert found(6.0, 3.0).gait == (0.0, 3.0)
 
 
 # The front
