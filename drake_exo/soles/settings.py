@@ -38,6 +38,7 @@ from drake_exo.soles.surface import (
     read_surface,
     sole_from_surface,
 )
+from drake_exo.soles.walking_pattern import Gait
 
 
 @dataclass(frozen=True)
@@ -454,6 +455,14 @@ class Setup:
         setup = cls(settings, load, mesh, start, ground)
         setup.spline().free_map()  # refuses what leaves nothing to change
         return setup
+
+    @property
+    def gait(self) -> Gait | None:
+        """Its walk, where something of that is free."""
+        pattern = self.settings.load and self.settings.load.pattern
+        if not (pattern and pattern.free):
+            return None
+        return pattern.gait(self.settings.contact.friction)
 
     @property
     def name(self) -> str:

@@ -19,8 +19,9 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import null_space
-from scipy.optimize import LinearConstraint, minimize
+from scipy.optimize import LinearConstraint, brentq, minimize
 from scipy.spatial import ConvexHull
+from scipy.stats.qmc import Halton
 
 from drake_exo.errors import InputError
 from drake_exo.files.schema import not_negative, positive, quantity
@@ -89,6 +90,13 @@ class Robot:
                 for rows in zip(given, own, strict=True)
             ]
         )
+
+    def bearing(self, least: float) -> tuple[float, float]:
+        """From when to when a foot bears a part of the weight [s]."""
+        begin = self.double_support_s * brentq(
+            lambda s: smooth_share(s) - least, 0.0, 1.0
+        )
+        return begin, self.step_time_s + self.double_support_s - begin
 
     def within(self, places: np.ndarray) -> "Robot":
         """With bounds, where none are given, 15 mm inside a sole.
@@ -172,22 +180,24 @@ class Pattern:
         Args:
             period: Time between samples [s].
             least: Leave samples out below this part of the weight.
-            like: Whose samples are taken, at the same parts of both supports.
+            like: Whose number of samples is taken, spread over the time in
+                which this foot bears as much.
         """
         robot, other = self.robot, like or self.robot
         T, D = robot.step_time_s, robot.double_support_s
-        step, both = other.step_time_s, other.double_support_s
-        t = np.arange(0.0, step + both + 1e-9, period)
-        t = np.interp(t, [0, both, step, step + both], [0, D, T, T + D])
+        first, last = other.bearing(least)
+        t = np.arange(0.0, last + 1e-9, period)
+        t = t[t >= first]
+        if like is not None:
+            begin, end = robot.bearing(least)
+            t = begin + (t - first) * (end - begin) / (last - first)
         z, acceleration = self.at(self.zmp, t), self.at(self.com, t, 2)
         share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))
         upward = np.full((len(t), 1), robot.gravity_m_per_s2)
         total = robot.mass_kg * np.hstack([acceleration, upward])
-        keep = share >= least
         return Load(
-            t[keep], (share[:, None] * total)[keep], self._own_zmp(t, z)[keep],
-            "walking pattern",
-        )  # fmt: skip
+            t, share[:, None] * total, self._own_zmp(t, z), "walking pattern"
+        )
 
     def _own_zmp(self, t, z):
         """Under the right foot: in double support its own line plus ρ/2…
@@ -393,6 +403,7 @@ _REACH = {
 _AIM = {"aim_x": 0.04, "aim_y": 0.02}  # [m], to both sides of the ankle
 _MORE = 1.1  # of the CoM's acceleration and sway than in the case's own walk
 _SLIP = 0.9  # of the friction cone
+_DRAWN = 100  # at most for one walk that keeps the limits
 _STEP = 1e-4  # of differences, of a variable's range
 
 
@@ -400,7 +411,7 @@ _STEP = 1e-4  # of differences, of a variable's range
 class Gait:
     """A walk whose numbers may change, each from 0 to 1 in its range.
 
-    Its samples stay at the same parts of both supports. Limits, at least 0
+    Its samples stay as many, evenly over its foot's contact. Limits, at least 0
     where kept: the walk is no slower; the CoM's acceleration and its sway
     stay within 1.1 of the case's own; friction within 0.9 of its cone.
 
@@ -447,6 +458,28 @@ class Gait:
             ]
         )
 
+    def walk(self, number: int) -> np.ndarray:
+        """The case's own (0), or one of many others within the limits, (G,).
+
+        From Halton's sequence over all ranges.
+        """
+        if number == 0:
+            return self.start
+        found, drawn = 0, Halton(len(self.start), scramble=False)
+        for _ in range(_DRAWN * number):
+            (x,) = drawn.random(1)
+            found += self._keeps(x)
+            if found == number:
+                return x
+        return self.start
+
+    def _keeps(self, x) -> bool:
+        try:
+            limits = self.limits(x).values()
+        except InputError:  # no such walk
+            return False
+        return all((limit >= 0).all() for limit in limits)
+
     def at(self, x: np.ndarray) -> Robot:
         """The walk of variables (G,)."""
         own = self.numbers(self.robot)
@@ -462,41 +495,57 @@ class Gait:
         """Of the right foot."""
         return self._planned(x)[0]
 
-    def limits(self, x: np.ndarray) -> np.ndarray:
-        """Scaled, at least 0 where kept, (k,)."""
+    def _load(self, pattern: Pattern) -> Load:
+        return pattern.foot_load(self.period, self.least, self.robot)
+
+    def limits(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """Scaled, at least 0 where kept, by name."""
         return self._planned(x)[1]
 
-    def _planned(self, x) -> tuple[Load, np.ndarray]:
+    def _planned(self, x) -> tuple[Load, dict[str, np.ndarray]]:
         pattern = plan(self.at(x))
-        load = pattern.foot_load(self.period, self.least, self.robot)
+        load = self._load(pattern)
         mine, its = _measures(pattern), self._own
         slip = np.linalg.norm(load.force[:, :2], axis=1)
-        return load, np.concatenate(
-            [
-                [mine[0] / its[0] - 1.0],
-                _MORE - mine[1] / its[1].max(),
-                _MORE - np.abs(mine[2]) / np.abs(its[2]).max(),
-                _SLIP - slip / (self.friction * load.force[:, 2]),
-            ]
-        )
+        return load, {
+            "speed": np.array([mine[0] / its[0] - 1.0]),
+            "contact": np.array([1.0 - np.ptp(load.times) / self._bears]),
+            "acceleration": _MORE - mine[1] / its[1].max(),
+            "sway": _MORE - np.abs(mine[2]) / np.abs(its[2]).max(),
+            "friction": _SLIP - slip / (self.friction * load.force[:, 2]),
+        }
 
     @cached_property
     def _own(self):
         return _measures(plan(self.robot))
 
-    def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    @cached_property
+    def _bears(self) -> float:
+        return np.ptp(self._load(plan(self.robot)).times)
+
+    def slopes(self, x: np.ndarray) -> tuple[np.ndarray, dict]:
         """By the variables: of force and ZMP (G, N, 5), of limits (k, G).
 
         Central differences of the programme's optimum, which is exact and
         smooth while the same bounds hold the ZMP.
         """
-        loads, limits = [], []
-        for d in _STEP * np.eye(len(x)):
-            ends = [self._planned(x + s * d) for s in (1, -1)]
-            both = [np.hstack([load.force, load.zmp]) for load, _ in ends]
-            loads.append((both[0] - both[1]) / (2 * _STEP))
-            limits.append((ends[0][1] - ends[1][1]) / (2 * _STEP))
-        return np.array(loads), np.array(limits).T
+        ends = [
+            [self._planned(x + s * d) for s in (1, -1)]
+            for d in _STEP * np.eye(len(x))
+        ]
+        loads = [
+            [np.hstack([load.force, load.zmp]) for load, _ in both]
+            for both in ends
+        ]
+        limits = {
+            name: np.transpose(
+                [ahead[1][name] - behind[1][name] for ahead, behind in ends]
+            )
+            / (2 * _STEP)
+            for name in ends[0][0][1]
+        }
+        ahead, behind = np.swapaxes(loads, 0, 1)
+        return (ahead - behind) / (2 * _STEP), limits
 
 
 def _measures(pattern: Pattern):

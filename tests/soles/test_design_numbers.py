@@ -196,8 +196,9 @@ def test_the_finer_check_is_a_simulation_on_a_finer_brick(design):
     assert list(words.values()) == [False, True, False, True]
     # Turned over on the finer mesh: no number, and told.
     shape = SimpleNamespace(
-        deform=lambda nodes, p: nodes * [1, 1, -1], symmetric=False, kept=()
-    )
+        deform=lambda nodes, p: nodes * [1, 1, -1], symmetric=False, kept=(),
+        count=design.shape.count,
+    )  # fmt: skip
     turned = replace(
         design,
         problem=SimpleNamespace(spline=shape, limits=design.problem.limits),
@@ -262,7 +263,7 @@ def test_the_last_design_is_verified_by_the_exact_law(design):
     assert found.step.law.layer == 0 and found.first.law.layer == 0
     assert found.first.c == pytest.approx(design.first.c, rel=1e-9)
     assert (found.optima, found.stages_seconds) == (["o"], [2.0])
-    assert found.starts == at.starts and found.coefficients is p
+    assert found.starts == at.starts and found.variables is p
 
 
 def test_seconds_and_figures_are_of_the_run(design, tmp_path, monkeypatch):

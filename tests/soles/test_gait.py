@@ -9,9 +9,8 @@ from undrawn import undrawn
 from drake_exo import cli
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.load_blocks import Pattern
-from drake_exo.soles.optimize import search
-from drake_exo.soles.optimize.search import GaitProblem, stage_problem
-from drake_exo.soles.walking_pattern import plan
+from drake_exo.soles.optimize.search import stage_problem, start_design
+from drake_exo.soles.walking_pattern import plan, smooth_share
 
 FREE = ("step_length", "step_time", "double_support", "zmp")
 _LOAD = EXAMPLE[EXAMPLE.index("load:") : EXAMPLE.index("optimize:")]
@@ -36,21 +35,42 @@ def test_the_case_s_own_walk_is_where_it_starts(gait):
     own, again = Pattern().load(), gait.load(gait.start)
     np.testing.assert_allclose(again.force, own.force, atol=1e-6)
     np.testing.assert_allclose(again.zmp, own.zmp, atol=1e-9)
-    assert gait.limits(gait.start).min() >= 0
+    assert kept(gait, gait.start) and not gait.limits(gait.start)["speed"]
 
 
-def test_samples_stay_at_the_same_parts_of_both_supports(gait):
+def kept(gait, x):
+    return all((limit >= 0).all() for limit in gait.limits(x).values())
+
+
+def test_walks_to_begin_with_differ_and_keep_the_limits(gait):
+    """The same ones every time; the own walk where there are none."""
+    found = [gait.walk(k) for k in range(4)]
+    np.testing.assert_array_equal(found[0], gait.start)
+    for k in range(1, 4):
+        assert kept(gait, found[k])
+        assert np.abs(found[k] - found[k - 1]).max() > 0.1
+        np.testing.assert_array_equal(found[k], gait.walk(k))
+    slower = Pattern(free=("step_time",)).gait(1e-3)  # slips, however slow
+    np.testing.assert_array_equal(slower.walk(2), slower.start)
+
+
+def test_samples_are_as_many_and_even_over_the_contact(gait):
+    """It begins and ends with the same part of the weight."""
     x = gait.start + 0.2
     robot, load = gait.at(x), gait.load(x)
     own = Pattern().load()
     assert len(load.times) == len(own.times)
-    early = own.times < gait.robot.double_support_s
-    np.testing.assert_allclose(
-        load.times[early] / robot.double_support_s,
-        own.times[early] / gait.robot.double_support_s,
-    )
-    np.testing.assert_allclose(
-        load.force[early, 2], own.force[early, 2], rtol=1e-9
+    apart = np.diff(load.times)
+    np.testing.assert_allclose(apart, apart[0])
+    assert apart[0] != pytest.approx(0.005, rel=0.05)
+    D, step = robot.double_support_s, robot.step_time_s
+    begin, end = robot.bearing(gait.least)
+    assert smooth_share(begin / D) == pytest.approx(gait.least)
+    assert 1 - smooth_share((end - step) / D) == pytest.approx(gait.least)
+    # The case's own first sample is up to a period later.
+    assert 0 <= load.times[0] - begin <= apart[0]
+    assert gait.limits(x)["contact"] == pytest.approx(
+        1 - np.ptp(load.times) / np.ptp(own.times)
     )
 
 
@@ -59,12 +79,12 @@ def test_limits_are_those_of_the_robot(gait):
     x = gait.start.copy()
     names = list(gait.ranges)
     x[names.index("step_time")] = 1.0
-    assert gait.limits(x)[0] == pytest.approx(1 / 1.25 - 1)
+    assert gait.limits(x)["speed"] == pytest.approx(1 / 1.25 - 1)
     robot = gait.at(x)
     load = gait.load(x)
     slip = np.hypot(*load.force[:, :2].T) / load.force[:, 2] / 0.8
     np.testing.assert_allclose(
-        gait.limits(x)[-len(slip) :], 0.9 - slip, atol=1e-12
+        gait.limits(x)["friction"], 0.9 - slip, atol=1e-12
     )
     assert (load.zmp[:, 0] >= robot.bounds[0, 0] - 1e-6).all()
     assert (load.zmp[:, 0] <= robot.bounds[1, 0] + 1e-6).all()
@@ -88,9 +108,8 @@ def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):
         )
     ]
     assert shares[0].max() != pytest.approx(shares[1].max(), rel=0.01)
-    np.testing.assert_allclose(
-        gait.limits(x)[1:83], 1.1 - np.concatenate(shares), atol=1e-6
-    )
+    for name, share in zip(("acceleration", "sway"), shares, strict=True):
+        np.testing.assert_allclose(gait.limits(x)[name], 1.1 - share, atol=1e-6)
 
 
 def test_slopes_of_a_walk_agree_with_wider_differences():
@@ -100,9 +119,12 @@ def test_slopes_of_a_walk_agree_with_wider_differences():
 
     def there(x):
         load = gait.load(x)
-        return np.hstack([load.force, load.zmp]), gait.limits(x)
+        limits = np.concatenate(list(gait.limits(x).values()))
+        return np.hstack([load.force, load.zmp]), limits
 
     loads, limits = gait.slopes(x)
+    assert list(limits) == list(gait.limits(x))
+    limits = np.concatenate(list(limits.values()))
     assert loads.shape == (2, len(gait.load(x).times), 5)
     for k, d in enumerate(h * np.eye(2)):
         for got, ahead, behind in zip(
@@ -114,40 +136,75 @@ def test_slopes_of_a_walk_agree_with_wider_differences():
 
 
 @pytest.mark.slow
-def test_slopes_agree_with_differences(gait):
-    """Of cost and all limits, through plan and simulation; and of each load."""
+def test_slopes_agree_with_differences():
+    """Of cost and all limits by shape and walk, through plan and simulation."""
     case = Case.from_text(_case())
     problem = stage_problem(case, case.settings.optimize.stages[0])
-    x = gait.start + 0.03
-    found = GaitProblem(gait, problem, np.ones(problem.spline.count), x)
-    cost, limits = found.slopes(x)
-    rng, h = np.random.default_rng(0), 3e-5
+    bounds = problem.within((0.3, 1.4))
+    own = problem.spline.count
+    np.testing.assert_array_equal(bounds[:, 0], [0.3, 1.4])
+    np.testing.assert_array_equal(bounds[:, own:], [[0] * 6, [1] * 6])
+    np.testing.assert_array_equal(
+        start_design(problem, bounds, 2)[own:], case.gait.walk(2)
+    )
+    p = problem.undeformed
+    p[own:] += 0.03
+    p[:own] += 0.01 * np.sin(np.arange(own))
+    assert problem.names()[-5:] == list(case.gait.limits(p[own:]))
+    gradient, rows = problem.derivatives(p)
+    rough = problem.regularization(p)
+    assert not rough[1][own:].any() and not rough[2][own:].any()
+    gradient = gradient + rough[1]
+    rng, h = np.random.default_rng(0), 6e-6
     for _ in range(2):
-        d = rng.standard_normal(len(x))
-        numeric = (found.cost(x + h * d) - found.cost(x - h * d)) / (2 * h)
-        assert cost @ d == pytest.approx(numeric, rel=1e-4)
-        assert 1.001 * cost @ d != pytest.approx(numeric, rel=1e-4)
-        rows = (found.limits(x + h * d) - found.limits(x - h * d)) / (2 * h)
+        d = rng.standard_normal(len(p))
+        ahead, behind = p + h * d, p - h * d
+        numeric = (problem.cost(ahead) - problem.cost(behind)) / (2 * h)
+        assert gradient @ d == pytest.approx(numeric, rel=1e-4)
+        assert 1.001 * gradient @ d != pytest.approx(numeric, rel=1e-4)
+        change = problem.constraints(ahead) - problem.constraints(behind)
         np.testing.assert_allclose(
-            limits @ d, rows, rtol=1e-3, atol=1e-4 * np.abs(rows).max()
+            rows @ d, change / (2 * h), rtol=1e-3, atol=1e-4
         )
 
 
+def test_the_worst_of_a_walk_counts():
+    """Little more than the least of each limit's samples."""
+    case = Case.from_text(_case())
+    problem = stage_problem(case, case.settings.optimize.stages[0])
+    least = [
+        limit.min() for limit in case.gait.limits(case.gait.start).values()
+    ]
+    values = problem.constraints(problem.undeformed)[-5:]
+    assert (values <= np.array(least) + 1e-12).all()
+    np.testing.assert_allclose(values, least, atol=np.log(220) / 200)
+
+
+def test_a_shape_that_cannot_be_simulated_has_no_limits():
+    case = Case.from_text(_case())
+    problem = stage_problem(case, case.settings.optimize.stages[0])
+    p = problem.undeformed
+    p[: problem.spline.count] = 0.0
+    values = problem.constraints(p)
+    assert np.isnan(values).all() and len(values) == len(problem.names())
+
+
 @pytest.mark.slow
-def test_sole_and_walk_are_sought_together(tmp_path, monkeypatch):
-    monkeypatch.setattr(search, "_GAIT_ITERATIONS", 5)
-    monkeypatch.setattr(search, "_ROUNDS", 1)
+def test_sole_and_walk_are_sought_together(tmp_path):
     path = tmp_path / "case.yaml"
-    path.write_text(_case())
+    stage = "{samples: 12, layer_m: 3.0e-4, kappa: 0.2, iterations: 12}"
+    text = _case(f"{stage}, {stage}").replace("[4, 3, 2]", "[8, 5, 2]")
+    path.write_text(text.replace("[3, 3]", "[5, 5]"))
     with undrawn():
         argv = ["sole", "optimize", str(path), "--out", str(tmp_path / "out")]
         assert cli.main(argv) in (0, 3)
     said = json.loads((tmp_path / "out" / "summary.json").read_text())
     walk = said["gait"]["walk"]
     assert set(FREE) - {"zmp"} < set(walk)
-    assert said["gait"]["least_limit"] >= -1e-3
+    assert said["gait"]["least_limit"] >= -5e-3
     length, time = walk["step_length"], walk["step_time"]
     assert length[1] / time[1] >= 0.999 * length[0] / time[0]
+    assert said["gait"]["contact_s"][1] <= 1.001 * said["gait"]["contact_s"][0]
     assert any(a != b for a, b in walk.values())
     w = said["weight"]
     before = (

@@ -112,9 +112,7 @@ def test_another_case_s_checkpoint_is_told_by_its_sizes():
 
     def fits(count, names):
         at.check_fits(
-            SimpleNamespace(
-                spline=SimpleNamespace(count=count), names=lambda: names
-            )
+            SimpleNamespace(undeformed=np.ones(count), names=lambda: names)
         )
 
     fits(4, ["a", "b", "c"])

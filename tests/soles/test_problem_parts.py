@@ -117,7 +117,6 @@ def test_bends_of_a_surface_are_what_its_elements_do_not_resolve():
 def test_rejected_trials_shorten_the_steps_that_follow(refining):
     class Counted:
         evaluations = 5
-        spline = SphericalSpline((2, 2))
 
     calls = _Callbacks(Counted, None, None, None, refining)
     found = []

@@ -9,13 +9,11 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.jobs.engine import Here
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.load_blocks import Pattern
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import Checkpoint
 from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.optimize.search import (
-    GaitProblem,
     first_design,
     limits_of,
     settle,
@@ -120,7 +118,7 @@ def test_bends_have_few_waves_along_each_axis():
     """Of a spline whose coefficients are all free, by its cosine transform."""
 
     class Free:
-        intervals = (9, 13)
+        intervals, count = (9, 13), 11 * 15
 
         @staticmethod
         def free_map():
@@ -228,7 +226,8 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     at = Checkpoint(1, 4, p, p, np.ones(5), 1e-3, np.eye(n))
     run, problem = search._run_stage(setup, 1, at, "out", said.append)
     assert (given["left"], given["tol"]) == (5, block.tolerance)
-    assert given["bounds"] == tuple(block.bounds) and given["refining"]
+    np.testing.assert_array_equal(np.transpose(given["bounds"]), n * [BOUNDS])
+    assert given["refining"] and tuple(block.bounds) == BOUNDS
     np.testing.assert_array_equal(given["p"], p)
     np.testing.assert_array_equal(
         given["hessian_approximation"].matrix, np.eye(n)
@@ -415,178 +414,70 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
 # Walk and sole
 
 
-class _Walk:
-    """Two numbers; what the sole feels of them is linear."""
+@pytest.mark.parametrize("alone", [4.0, 6.0, np.nan])
+def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
+    """Beside it the sole for the case's own walk, whichever is taken."""
+    text = EXAMPLE[: EXAMPLE.index("load:")]
+    text += "load: {pattern: {free: [step_length, step_time]}}\n"
+    setup = Case.from_text(text)
+    x, searched = setup.gait.start + np.array([0.0, -0.2]), []
 
-    def load(self, x):
-        return SimpleNamespace(x=x)
-
-    def limits(self, x):
-        return np.array([1.0 - x.sum(), x[0] - 0.1])
-
-    def slopes(self, x):
-        loads = np.zeros((2, 3, 5))
-        loads[0, 0, 2], loads[1, 2, 4] = 10.0, 20.0
-        return loads, np.array([[-1.0, -1.0], [1.0, 0.0]])
-
-
-class _Shape:
-    """(x₀ − 0.8)² + 2 (x₁ − 0.9)² and two limits, by 10 and 20 loads."""
-
-    limited, names, picked = ["tilt", "strain"], [], np.arange(3)
-    lost = False
-
-    def __init__(self, x):
-        self.x = x
-
-    def cost(self, p):
-        return (self.x[0] - 0.8) ** 2 + 2 * (self.x[1] - 0.9) ** 2
-
-    def constraints(self, p):
-        return np.array([9.0, -9.0, 0.9 - self.x[1], self.x[0] - 0.3])
-
-    def evaluate(self, p):
-        return None if self.lost else "simulated"
-
-    def by_load(self, p):
-        out = np.zeros((3, 3, 5))
-        out[0, 0, 2] = 2 * (self.x[0] - 0.8) / 10
-        out[0, 2, 4] = 4 * (self.x[1] - 0.9) / 20
-        out[1, 2, 4], out[2, 0, 2] = -1 / 20, 1 / 10
-        return out
-
-
-@pytest.fixture
-def walking(monkeypatch):
-    monkeypatch.setattr(
-        search, "replace", lambda shape, load, **_: _Shape(load.x)
-    )
-    said = []
-    start = np.array([0.2, 0.2])
-    return GaitProblem(_Walk(), _Shape(start), "p", start, said.append), said
-
-
-def test_a_walk_s_slopes_are_those_of_cost_and_limits(walking):
-    problem, _ = walking
-    x, h = np.array([0.35, 0.45]), 1e-6
-    cost, rows = problem.slopes(x)
-    for k, d in enumerate(h * np.eye(2)):
-        numeric = (problem.cost(x + d) - problem.cost(x - d)) / (2 * h)
-        assert cost[k] == pytest.approx(numeric)
-        numeric = (problem.limits(x + d) - problem.limits(x - d)) / (2 * h)
-        np.testing.assert_allclose(rows[:, k], numeric, atol=1e-9)
-
-
-def test_the_best_walk_that_keeps_the_limits(walking):
-    """On x₀ + x₁ = 1, where both slopes agree: 2 (x₀ − 0.8) = 4 (x₁ − 0.9)."""
-    problem, said = walking
-    # x₀ − 0.3 is broken by a tenth where it begins: it gets no worse.
-    assert problem.limits(np.array([0.2, 0.2]))[3] == pytest.approx(0.0)
-    assert problem.limits(np.array([0.2, 0.2]))[2] == pytest.approx(0.7)
-    x = problem.minimise()
-    x0 = (4 * 0.1 + 1.6) / 6
-    np.testing.assert_allclose(x, [x0, 1 - x0], atol=2e-3)
-    assert len(said) == len(problem._known)
-    assert said[-1].startswith(f"gait {len(said)}: c/|c0| ")
-
-
-def test_a_walk_may_break_a_limit_by_a_thousandth(walking, monkeypatch):
-    problem, _ = walking
-    best = np.array([1 / 3, 2 / 3])
-    met = [best, best + 2.5e-4, best + 1e-3]  # x₀ + x₁ ≤ 1
-
-    def tried(cost, *_, **__):
-        assert cost(met[2]) < cost(met[1]) < cost(met[0])
-
-    monkeypatch.setattr(search, "minimize", tried)
-    np.testing.assert_array_equal(problem.minimise(), met[1])
-
-
-def test_where_nothing_can_be_simulated_there_is_no_slope(walking):
-    problem, _ = walking
-    _Shape.lost = True
-    try:
-        cost, rows = problem.slopes(np.array([0.3, 0.3]))
-    finally:
-        _Shape.lost = False
-    assert not cost.any() and rows.shape == (4, 2) and not rows.any()
-
-
-def test_what_is_told_of_a_walk():
-    gait = Pattern(free=("step_length", "step_time")).gait(0.8)
-    alone = SimpleNamespace(c_tr=3.0, c_rot=4.0)
-    x = np.array([0.5, 1.0])
-    told = search._told_of_gait(gait, x, alone)
-    assert told["walk"] == {
-        "step_length": [0.2633, pytest.approx(0.2633)],
-        "step_time": [1.0, pytest.approx(1.25)],
-    }
-    assert told["least_limit"] == gait.limits(x).min() < 1 / 1.25 - 1
-    assert (told["c_tr_sole_alone"], told["c_rot_sole_alone"]) == (3.0, 4.0)
-
-
-def test_turns_of_walk_and_sole_end_where_nothing_is_gained(case, monkeypatch):
-    """Two at most, the sole alone beside them; the best stays, on its walk."""
-    walks, made = iter([0.1, 0.2] * 3), []
-    costs = {"load 0.1": 5.0, "load 0.2": 4.0}
-
-    class Problem:
-        def __init__(self, gait, problem, p, walk, say):
-            made.append((problem, p, walk))
-
-        def minimise(self):
-            return next(walks)
-
-    def verified(setup, problem, at, optima, seconds):
-        step = SimpleNamespace(failed_steps=0, c=costs[setup.load])
+    def design(c, variables):
         return SimpleNamespace(
-            setup=setup, problem=problem, step=step, optima=optima,
-            stages_seconds=seconds,
-        )  # fmt: skip
-
-    def run_stage(setup, number, at, out, say):
-        made.append((setup.load, number, at.stage, at.iteration))
-        run = SimpleNamespace(
-            optimum="o", seconds=2.0, at=replace(at, p=at.p + "'", iteration=7)
+            step=SimpleNamespace(
+                c=c, c_tr=c + 1, c_rot=1.0, failed_steps=int(np.isnan(c))
+            ),
+            problem=SimpleNamespace(gait=setup.gait),
+            walk=variables,
         )
-        return run, "later"
 
-    monkeypatch.setattr(search, "GaitProblem", Problem)
-    monkeypatch.setattr(search, "verified", verified)
-    monkeypatch.setattr(search, "_run_stage", run_stage)
-    monkeypatch.setattr(
-        search, "_told_of_gait", lambda gait, x, alone: (x, alone.c)
-    )
-    gait = SimpleNamespace(start=0.0, load=lambda x: f"load {x}")
+    def sole(still):
+        searched.append(still)
+        return design(alone, np.zeros(0))
 
-    def alone(c):
-        step = SimpleNamespace(failed_steps=0, c=c)
-        return SimpleNamespace(
-            setup=case, problem="first", step=step, optima=["a"],
-            stages_seconds=[1.0],
-        )  # fmt: skip
+    best = search._beside_alone(setup, design(5.0, x), sole)
+    (still,) = searched
+    assert still.gait is None and still.load is setup.load
+    assert best.step.c == min(5.0, alone if alone == alone else 5.0)
+    length, time = best.gait["walk"].values()
+    assert length == [0.2633, pytest.approx(0.2633)]
+    assert time == [1.0, pytest.approx(1.0 if alone == 4.0 else 0.9)]
+    bears = best.gait["contact_s"]
+    assert bears[0] - bears[1] == pytest.approx(time[0] - time[1])
+    np.testing.assert_equal(best.gait["c_tr_sole_alone"], alone + 1)
+    limits = setup.gait.limits(setup.gait.start if alone == 4.0 else x)
+    assert best.gait["least_limit"] == min(v.min() for v in limits.values())
 
-    at = Checkpoint(stage=3, iteration=5, p="p")
 
-    def found(first, later):
-        made.clear()
-        costs["load 0.0"] = later
-        return search._with_gait(gait, alone(first), at, str)
+def test_walks_are_compared_before_they_move(monkeypatch):
+    """Held to where a start stands, but in the last stage."""
+    text = EXAMPLE[: EXAMPLE.index("load:")]
+    text += "load: {pattern: {free: [step_time]}}\n"
+    text += "optimize: {starts: 2, stages: [{}, {}]}\n"
+    stages = "{samples: 9, iterations: 3}"
+    setup = Case.from_text(text.replace("{}", stages))
+    assert search._starts(setup) == 2 * search._WALKS
+    assert search._starts(search.in_own_walk(setup)) == 2
+    given = []
 
-    best = found(6.0, 5.5)
-    assert best.gait == (0.2, 5.5) and best.optima == ["a", "o", "o"]
-    assert made == [
-        ("load 0.0", 0, 0, 0),
-        ("first", "p", 0.0),
-        ("load 0.1", 0, 0, 0),
-        ("load 0.0", 0, 0, 0),
-        ("later", "p'", 0.1),
-        ("load 0.2", 0, 0, 0),
-    ]
-    # Walks that gain nothing, and ones that gain less than the sole alone.
-    assert found(4.5, 4.5).gait == (0.0, 4.5)
-    assert len(made) == 3
-    assert found(6.0, 3.0).gait == (0.0, 3.0)
+    def fake(problem, p, bounds, *_, **__):
+        given.append((p, bounds))
+        best = Optimum(p)
+        best.trace = [(0, 1.0, 0.0, 0.0)]
+        return best
+
+    monkeypatch.setattr(search, "minimise", fake)
+    monkeypatch.setattr(search, "strain_scale", lambda *_: 1.0)
+    at = None
+    for number in range(2):
+        run = search.from_start(setup, 3, number, at, None, str)
+        at = run.at
+    (p, held), (again, free) = given
+    np.testing.assert_allclose(p[-1:], setup.gait.walk(3))
+    np.testing.assert_allclose(held[:, -1], p[[-1, -1]])
+    np.testing.assert_array_equal(held[:, 0], BOUNDS)
+    np.testing.assert_array_equal(free[:, -1], [0.0, 1.0])
+    assert again[-1] == p[-1]
 
 
 # The front

@@ -277,7 +277,6 @@ def test_a_design_is_told_where_a_finer_mesh_disagrees():
 def test_slopes_of_cost_and_constraints_are_told_apart():
     """What IPOPT is handed: the gradient with roughness, rows one by one."""
     problem = SimpleNamespace(
-        spline=SphericalSpline((2, 2)),
         regularization=lambda p: (0.5, 3.0 * p, None),
         constraints=lambda p: p[:1] ** 2,
     )

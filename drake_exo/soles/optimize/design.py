@@ -61,8 +61,9 @@ class Design:
     Attributes:
         setup: The case.
         problem: The last stage's problem; it gives cost, limits and
-            derivatives of any coefficients.
-        coefficients: Of the spline, (P,).
+            derivatives of any variables.
+        variables: Coefficients of the spline; then, where a walk was sought
+            with the sole, its numbers, from 0 to 1 in their ranges, (P,).
         step: The design through the step, from a cold start.
         first: The initial shape likewise.
         optima: Outcome of every stage.
@@ -75,7 +76,7 @@ class Design:
 
     setup: Setup
     problem: ShapeProblem
-    coefficients: np.ndarray
+    variables: np.ndarray
     step: Step
     first: Step
     optima: list[Optimum]
@@ -90,6 +91,16 @@ class Design:
             f"Design({self.setup.name!r}, c {self.step.c:.4g} for "
             f"{self.first.c:.4g}, {len(self.mesh.tets)} tets)"
         )
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """Of the spline."""
+        return self.variables[: self.shape.count]
+
+    @property
+    def walk(self) -> np.ndarray:
+        """What was sought of a walk, none or (G,)."""
+        return self.variables[self.shape.count :]
 
     @property
     def mesh(self) -> TetMesh:
@@ -122,7 +133,7 @@ class Design:
     @property
     def smoothed(self) -> tuple[float, float] | None:
         """c_tr and c_rot by the last stage's smoothed law."""
-        e = self.problem.evaluate(self.coefficients)
+        e = self.problem.evaluate(self.variables)
         return None if e is None else (e.c_tr, e.c_rot)
 
     def summary(self) -> dict:
@@ -182,7 +193,7 @@ class Design:
 
     def active(self) -> list[str]:
         """Names of the limits that hold the design, and of what is kept."""
-        values = self.problem.constraints(self.coefficients)
+        values = self.problem.constraints(self.variables)
         names = [
             name
             for name, value in zip(self.problem.names(), values, strict=True)
@@ -415,6 +426,7 @@ class Design:
 
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
     """The design where a search stands, by the exact law."""
+    setup = replace(setup, load=problem.load_of(at.p))
     step, first = (
         Step.by_exact_law(setup, sole, problem.law.penalty)
         for sole in (setup.sole(problem.deformed(at.p)), problem.first.sole)

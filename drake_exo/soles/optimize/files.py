@@ -94,7 +94,7 @@ class Checkpoint:
         Raises:
             InputError: Another number of coefficients or other limits.
         """
-        count, names = problem.spline.count, problem.names()
+        count, names = len(problem.undeformed), problem.names()
         if len(self.p) != count:
             raise InputError(
                 f"--resume: the checkpoint has {len(self.p)} coefficients, "

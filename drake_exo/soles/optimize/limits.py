@@ -18,6 +18,7 @@ import numpy as np
 
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity import Sole, gradient_operators, pairs
+from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, scatter
 from drake_exo.soles.numerics import multiply, njit
 from drake_exo.soles.optimize.adjoint import (
@@ -201,7 +202,8 @@ class Limits:
 class Evaluation:
     """A design simulated: sole, history and measures.
 
-    `counts` says how many samples each simulated one stands for.
+    `counts` says how many samples each simulated one stands for, `load` is
+    what they bear.
     """
 
     p: np.ndarray
@@ -211,6 +213,7 @@ class Evaluation:
     c_tr: float
     c_rot: float
     counts: np.ndarray
+    load: Load
 
     @cached_property
     def strain(self) -> StrainNorm:

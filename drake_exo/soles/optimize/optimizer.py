@@ -8,7 +8,7 @@ own limited-memory matrix nothing is forgotten, and what cheap coarse stages
 taught serves the fine ones.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -207,7 +207,6 @@ class _Callbacks:
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self._point, self._derivatives = None, None
         self._barrier = _OPTIONS["mu_init"]
-        self._lower = np.tril_indices(problem.spline.count)
         # What the curvature is multiplied by, and simulations before that.
         self._refining, self._caution, self._before = refining, 1.0, None
 
@@ -259,7 +258,7 @@ class _Callbacks:
         else:
             self._before = None  # what it simulates says nothing of steps
         B = self.curvature.matrix + self.problem.regularization(p)[2]
-        out[()] = max(factor, 1e-3) * B[self._lower]
+        out[()] = max(factor, 1e-3) * B[np.tril_indices(len(p))]
 
     def _adapt(self) -> None:
         """Shorter steps after rejected ones, longer ones else."""
@@ -305,7 +304,7 @@ def cost_and_violation(problem, p) -> tuple[float, float]:
 def minimise(
     problem: ShapeProblem,
     p0: np.ndarray,
-    bounds: tuple[float, float],
+    bounds: Sequence[float] | np.ndarray,
     iterations: int = 60,
     tolerance: float = 1e-4,
     on_iterate: Callable[[int, "Optimum"], object] | None = None,
@@ -318,7 +317,7 @@ def minimise(
     Args:
         problem: What to minimise.
         p0: First design; clipped into the bounds.
-        bounds: Lower and upper bound of every coefficient.
+        bounds: Lower and upper bound of a design, numbers or (P,) each.
         iterations: IPOPT iterations.
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far.
@@ -328,7 +327,7 @@ def minimise(
         warm: Multipliers of a neighbouring problem, or of this one before
             an interruption.
     """
-    n, m = problem.spline.count, len(problem.names())
+    n, m = len(p0), len(problem.names())
     p0, before = np.clip(p0, *bounds), problem.evaluations
     best = Optimum(p0.copy())
     curvature = hessian_approximation or QuasiNewton(problem.metric)
@@ -374,11 +373,10 @@ def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
     """IPOPT's problem: constraints at least 0, dense derivatives."""
     import ipyopt
 
-    n, m = problem.spline.count, len(problem.names())
+    n, m = len(calls.best.p), len(problem.names())
     return ipyopt.Problem(
         n,
-        np.full(n, bounds[0]),
-        np.full(n, bounds[1]),
+        *(np.full(n, side) for side in bounds),
         m,
         np.zeros(m),
         np.full(m, 1e20),

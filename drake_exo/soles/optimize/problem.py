@@ -1,6 +1,7 @@
 """The shape problem: cost, constraints and their gradients at a design.
 
-Design variables are the free coefficients of the spline. Every evaluation
+Design variables are the free coefficients of the spline, and of a walk that
+is sought with its sole its numbers. Every evaluation
 simulates the whole step from a cold start; the last accepted design's history
 only gives first guesses for the samples after the first. A failed simulation
 gives NaN, which the solver takes as a rejected step; so does a first contact
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix, diags, identity
 
 from drake_exo.errors import InputError
@@ -41,9 +43,11 @@ from drake_exo.soles.simulation import (
     simulate,
     touches_elsewhere,
 )
+from drake_exo.soles.walking_pattern import Gait
 
 _ELEMENT_SHARPNESS = 200.0
 _WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
+_WALK_SHARPNESS = 200.0  # of a walk's largest acceleration, sway and slip
 _ROUGHEST = 20.0  # how much farther the roughest change is, in `metric`
 _LEAST_QUALITY = 0.35  # of an element's own at rest
 _BEND = 0.1  # difference of a node from its neighbours that counts one
@@ -115,7 +119,7 @@ class ShapeProblem:
         )
         self._rest = self.mesh.quality()
         if self.first is None:
-            self.first = self.evaluate(np.ones(self.spline.count))
+            self.first = self.evaluate(self.undeformed)
         if self.first is None:
             raise InputError(
                 "the initial shape cannot be simulated; simulate the case, "
@@ -129,6 +133,19 @@ class ShapeProblem:
     def add_rotation_floor(self, least: float) -> None:
         """Limit c_rot from below [N·m/rad]."""
         self.limited.append(RotationLimit(least, self.by_rot))
+
+    @property
+    def undeformed(self) -> np.ndarray:
+        """The design that is the initial shape, (P,)."""
+        return np.ones(self.spline.count)
+
+    def within(self, bounds: tuple[float, float]) -> np.ndarray:
+        """Bounds of a design, (2, P), of those of a coefficient."""
+        return np.outer(bounds, np.ones(self.spline.count))
+
+    def load_of(self, p: np.ndarray) -> Load:
+        """All samples of a design's step."""
+        return self.load
 
     def stretch(self, p: np.ndarray) -> np.ndarray:
         """Factor s at every node of the reference mesh (n,)."""
@@ -158,9 +175,10 @@ class ShapeProblem:
         solver = ContactSolver.of(
             sole, self.law, tolerance=1e-12, ground=self.ground
         )
+        load = self.load_of(p).at(self.picked)
         history = simulate(
             solver,
-            self.thinned,
+            load,
             self.start,
             stop_at_failure=True,
             near=self.branch,
@@ -181,6 +199,7 @@ class ShapeProblem:
             float(self.by_tr @ sigma_max_translation(history.K_c)),
             float(self.by_rot @ sigma_min_rotation(history.K_c)),
             self.counts,
+            load,
         )
 
     def _costs(self, e: Evaluation) -> np.ndarray:
@@ -278,7 +297,7 @@ class ShapeProblem:
             e.history.K_c, self.by_tr * by_c, -self.weight * self.by_rot * by_c
         )
         parts = [cost, *(limit.derivative(e) for limit in self.limited)]
-        return e.sole, e.solver, self.thinned, self.start, e.history, parts
+        return e.sole, e.solver, e.load, self.start, e.history, parts
 
     def regularization(self, p: np.ndarray):
         """Of the shape: value, gradient (P,), Hessian (P, P)."""
@@ -324,6 +343,87 @@ class ShapeProblem:
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
         """Chain rule from node positions (n, 3) to coefficients (P,)."""
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
+
+
+@dataclass
+class WalkProblem(ShapeProblem):
+    """A shape and its walk: after the coefficients the walk's numbers.
+
+    Attributes:
+        gait: What of the walk may change, from 0 to 1.
+    """
+
+    gait: Gait = field(kw_only=True)
+
+    @property
+    def undeformed(self) -> np.ndarray:
+        """The design that is the initial shape in its own walk, (P,)."""
+        return np.concatenate([super().undeformed, self.gait.start])
+
+    def within(self, bounds: tuple[float, float]) -> np.ndarray:
+        """Bounds of a design, (2, P), of those of a coefficient."""
+        walk = np.outer((0.0, 1.0), np.ones(len(self.gait.start)))
+        return np.hstack([super().within(bounds), walk])
+
+    def _split(self, p) -> tuple[np.ndarray, np.ndarray]:
+        return np.split(p, [self.spline.count])
+
+    def load_of(self, p: np.ndarray) -> Load:
+        """All samples of a design's step."""
+        return self.gait.load(self._split(p)[1])
+
+    def stretch(self, p: np.ndarray) -> np.ndarray:
+        """Factor s at every node of the reference mesh (n,)."""
+        return super().stretch(self._split(p)[0])
+
+    def names(self) -> list[str]:
+        """Names of the constraints, each to be at least 0."""
+        return super().names() + list(self.gait.limits(self.gait.start))
+
+    def constraints(self, p: np.ndarray) -> np.ndarray:
+        """Scaled constraint values, feasible where >= 0."""
+        values = super().constraints(p)
+        if np.isfinite(values).all():
+            own, _ = self._worst(self.gait.limits(self._split(p)[1]))
+            values = np.concatenate([values, own])
+        return values
+
+    def _worst(self, limits: dict[str, np.ndarray]):
+        """The least of each of the walk's limits; shares of their samples."""
+        pairs = [soft_minimum(x, _WALK_SHARPNESS) for x in limits.values()]
+        return zip(*pairs, strict=True)
+
+    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient of the cost (P,) and Jacobian of the constraints.
+
+        By the walk through the adjoint by force and ZMP, and through the plan.
+        """
+        gradient, rows = super().derivatives(p)
+        walk = self._split(p)[1]
+        loads, limits = self.gait.slopes(walk)
+        _, shares = self._worst(self.gait.limits(walk))
+        own = np.array(list(map(np.matmul, shares, limits.values())))
+        by_walk = np.einsum(
+            "fnk,gnk->fg", self.by_load(p), loads[:, self.picked]
+        )
+        others = np.zeros((len(rows) + 1 - len(by_walk), len(walk)))
+        shape = np.zeros((len(own), self.spline.count))
+        return np.concatenate([gradient, by_walk[0]]), np.block(
+            [[rows, np.concatenate([others, by_walk[1:]])], [shape, own]]
+        )
+
+    def regularization(self, p: np.ndarray):
+        """Of the shape: value, gradient (P,), Hessian (P, P)."""
+        p, walk = self._split(p)
+        value, gradient, hessian = super().regularization(p)
+        none = np.zeros((len(walk), len(walk)))
+        gradient = np.concatenate([gradient, np.zeros(len(walk))])
+        return value, gradient, block_diag(hessian, none)
+
+    @property
+    def metric(self) -> np.ndarray:
+        """As a shape's; a walk's range is as far as a coefficient's."""
+        return block_diag(super().metric, np.eye(len(self.gait.start)))
 
 
 def sample_weights(load: Load, samples: int | None, fraction: float):

@@ -17,12 +17,12 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice, repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
 from drake_exo.jobs.engine import (
@@ -44,18 +44,15 @@ from drake_exo.soles.optimize.optimizer import (
     WarmStart,
     minimise,
 )
-from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.optimize.problem import ShapeProblem, WalkProblem
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Settings, Setup, Stage, stage_mesh
-from drake_exo.soles.walking_pattern import Gait
 
 _CHECKPOINT_EVERY = 3  # iterations
+_WALKS = 4  # that are tried for each start of a sole whose walk is free
 _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
-_ROUNDS, _GAIT_ITERATIONS = 2, 20  # of a walk and its sole in turns
-_KEPT = 1e-3  # of a limit
 # Of the strain that is allowed: what a stage changes, its scale does not know.
 _STRAIN_AIM = 0.98
-_NO_SIMULATION = 1e3  # cost where there is none
 _TRIES = 20  # bends that are drawn until one can be simulated
 
 
@@ -81,7 +78,8 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
     """The shape problem of one stage."""
     settings, mesh = setup.settings, stage_mesh(setup.mesh, stage)
     block, sole = settings.optimize, setup.sole(mesh)
-    return ShapeProblem(
+    kind = partial(WalkProblem, gait=setup.gait) if setup.gait else ShapeProblem
+    return kind(
         mesh,
         setup.spline(),
         sole.material,
@@ -178,6 +176,15 @@ def optimise(
         with pool:
             ended = run_jobs(jobs, pool, end, Heard(say))
     design = finished(setup, ended[jobs[-1].name].value, say)
+    if setup.gait:
+
+        def search(still: Setup) -> Design:
+            def told(line):
+                say(f"sole alone, {line}")
+
+            return optimise(still, None, told, at_once=at_once, bends=bends)
+
+        design = _beside_alone(setup, design, search)
     design.seconds = time.perf_counter() - began
     return design
 
@@ -205,8 +212,9 @@ def search_jobs(
         )  # fmt: skip
 
     if at.p is None:
-        bends = tuple(range(block.starts) if bends is None else bends)
-        begun = list(islice(chain(at.begun, repeat(None)), block.starts))
+        starts = _starts(setup)
+        bends = tuple(range(starts) if bends is None else bends)
+        begun = list(islice(chain(at.begun, repeat(None)), starts))
         for number in range(max(len(block.stages) - 1, 1)):
             jobs += [
                 add(
@@ -217,6 +225,12 @@ def search_jobs(
             ]  # fmt: skip
             begun = begun[: (len(begun) + 1) // 2]
     return [*jobs, add("last stage", go_on, at=at)]
+
+
+def _starts(setup: Setup) -> int:
+    """How many: more where each is a walk as well."""
+    starts = setup.settings.optimize.starts
+    return starts * _WALKS if setup.gait else starts
 
 
 def race(
@@ -242,7 +256,7 @@ def race(
     if before:
         racer = sorted(_racers(before), key=lambda r: r.rank)[place]
     at, prefix = racer.runs[-1].at if racer.runs else begun, ""
-    starts = setup.settings.optimize.starts
+    starts = _starts(setup)
     if starts > 1:
         out = start_folder(out, racer.start)
         prefix = f"start {racer.start + 1}/{starts}, "
@@ -292,141 +306,44 @@ def finished(setup: Setup, found: Found, say) -> Design:
         setup, problem, found.at, [run.optimum for run in found.runs],
         [run.seconds for run in found.runs],
     )  # fmt: skip
-    pattern = setup.settings.load and setup.settings.load.pattern
-    if pattern and pattern.free:
-        gait = pattern.gait(setup.settings.contact.friction)
-        design = _with_gait(gait, design, found.at, say)
     design.seconds = found.seconds + time.perf_counter() - began
     return design
 
 
-def _with_gait(gait: Gait, design: Design, at: Checkpoint, say) -> Design:
-    """Walk and sole in turns, for as long as c by the exact law gets less.
-
-    Beside them the sole alone goes on for as many iterations.
-    """
-    number = len(design.setup.settings.optimize.stages) - 1
-
-    def on(walk, before: Design, at: Checkpoint) -> tuple[Design, Checkpoint]:
-        setup = replace(before.setup, load=gait.load(walk))
-        again = replace(at, stage=number, iteration=0)
-        run, problem = _run_stage(setup, number, again, None, say)
-        found = verified(
-            setup, problem, run.at, [*before.optima, run.optimum],
-            [*before.stages_seconds, run.seconds],
-        )  # fmt: skip
-        return found, run.at
-
-    alone = best = design
-    walk, own = gait.start, at
-    for _ in range(_ROUNDS):
-        alone, own = on(gait.start, alone, own)
-        x = GaitProblem(gait, best.problem, at.p, walk, say).minimise()
-        found, at = on(x, best, at)
-        if found.step.failed_steps or found.step.c >= best.step.c:
-            break
-        best, walk = found, x
-    if not alone.step.failed_steps and alone.step.c < best.step.c:
-        best, walk = alone, gait.start
-    best.gait = _told_of_gait(gait, walk, alone.step)
-    return best
+def in_own_walk(setup: Setup) -> Setup:
+    """Nothing of its walk is free."""
+    settings = setup.settings
+    if settings.load is None or settings.load.pattern is None:
+        return setup
+    pattern = replace(settings.load.pattern, free=())
+    load = replace(settings.load, pattern=pattern)
+    return replace(setup, settings=replace(settings, load=load))
 
 
-class GaitProblem:
-    """The walk of least cost for one shape, its limits and the sole's kept.
-
-    The cost's derivative goes through the adjoint by force and ZMP, and
-    through the plan by the walk's numbers.
+def _beside_alone(setup: Setup, design: Design, search) -> Design:
+    """The better of a sole with its walk and of one for the case's own walk.
 
     Args:
-        gait: What may change.
-        problem: Of the shape, whose scales and limits stay.
-        p: The shape.
-        x: The walk so far.
-        say: Called with one line of progress for each simulation.
+        setup: Whose load is planned, with numbers that are free.
+        design: Of sole and walk.
+        search: Looks for the sole of a setup.
     """
-
-    def __init__(self, gait: Gait, problem: ShapeProblem, p, x, say=str):
-        self.gait, self.problem, self.p, self.say = gait, problem, p, say
-        self._known: dict[bytes, tuple[float, np.ndarray]] = {}
-        self._newest: tuple[bytes, ShapeProblem | None] = b"", None
-        self.first = x
-        # A limit that the shape breaks, by rounding or more, gets no worse.
-        self._least = np.minimum(self.simulated(x)[1], 0.0)
-
-    def on(self, x) -> ShapeProblem:
-        """The shape's problem on this walk; only the newest is kept."""
-        key = x.tobytes()
-        if key != self._newest[0]:
-            there = replace(
-                self.problem, load=self.gait.load(x), branch=None, _cache={}
-            )
-            there.limited = self.problem.limited
-            self._newest = key, there
-        return self._newest[1]
-
-    def simulated(self, x) -> tuple[float, np.ndarray]:
-        """Cost and limits of the shape on this walk."""
-        key = x.tobytes()
-        if key not in self._known:
-            there = self.on(x)
-            values = there.constraints(self.p)
-            kept = values[len(values) - len(there.limited) :]
-            cost = there.cost(self.p)
-            self._known[key] = cost, kept
-            self.say(f"gait {len(self._known)}: c/|c0| {cost:+.4f}")
-        return self._known[key]
-
-    def cost(self, x) -> float:
-        """Of the shape on this walk."""
-        value = self.simulated(x)[0]
-        return value if np.isfinite(value) else _NO_SIMULATION
-
-    def limits(self, x) -> np.ndarray:
-        """The walk's and the sole's, at least 0 where kept."""
-        kept = np.nan_to_num(self.simulated(x)[1], nan=-1.0) - self._least
-        return np.concatenate([self.gait.limits(x), kept])
-
-    def slopes(self, x) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of cost (G,) and limits."""
-        there, (loads, own) = self.on(x), self.gait.slopes(x)
-        if there.evaluate(self.p) is None:
-            return np.zeros(len(x)), np.zeros(
-                (len(own) + len(self._least), len(x))
-            )
-        by_load = there.by_load(self.p)
-        soles = np.einsum("fnk,gnk->fg", by_load, loads[:, there.picked])
-        return soles[0], np.concatenate([own, soles[1:]])
-
-    def minimise(self) -> np.ndarray:
-        """The best walk met that keeps all limits."""
-        minimize(
-            self.cost,
-            self.first,
-            jac=lambda x: self.slopes(x)[0],
-            method="SLSQP",
-            bounds=[(0.0, 1.0)] * len(self.first),
-            constraints={
-                "type": "ineq",
-                "fun": self.limits,
-                "jac": lambda x: self.slopes(x)[1],
-            },
-            options={"maxiter": _GAIT_ITERATIONS, "ftol": 1e-4},
-        )
-        met = [np.frombuffer(key) for key in self._known]
-        good = [x for x in met if self.limits(x).min() >= -_KEPT]
-        return min(good, key=self.cost, default=self.first).copy()
-
-
-def _told_of_gait(gait: Gait, x, alone: Step) -> dict:
-    """What summary.json says of a walk that was sought."""
-    before, after = (gait.numbers(r) for r in (gait.robot, gait.at(x)))
-    return {
+    gait, x = design.problem.gait, design.walk
+    alone = search(in_own_walk(setup))
+    if not alone.step.failed_steps and not alone.step.c > design.step.c:
+        design, x = alone, gait.start
+    robots = gait.robot, gait.at(x)
+    before, after = map(gait.numbers, robots)
+    times = [robot.bearing(gait.least) for robot in robots]
+    limits = gait.limits(x).values()
+    design.gait = {
         "walk": {name: [before[name], after[name]] for name in gait.ranges},
-        "least_limit": float(gait.limits(x).min()),
-        "c_tr_sole_alone": alone.c_tr,
-        "c_rot_sole_alone": alone.c_rot,
+        "contact_s": [end - begin for begin, end in times],
+        "least_limit": float(min(limit.min() for limit in limits)),
+        "c_tr_sole_alone": alone.step.c_tr,
+        "c_rot_sole_alone": alone.step.c_rot,
     }
+    return design
 
 
 def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
@@ -441,7 +358,7 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     problem = None
     if at is None:
         problem = stage_problem(setup, block.stages[0])
-        p = start_design(problem, tuple(block.bounds), bend)
+        p = start_design(problem, problem.within(block.bounds), bend)
         at = Checkpoint(p=p, latest=p, case=setup.name)
     elif len(at.starts) > number:  # finished before an interruption
         row = at.starts[number]
@@ -461,7 +378,14 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
-    """The brick (bend 0) or a smooth random bend of it, within the volume."""
+    """The brick (bend 0) or a smooth random bend of it, within the volume.
+
+    Where the walk is free it is the brick in another walk.
+    """
+    if isinstance(problem, WalkProblem):
+        p = first_design(problem, bounds)
+        p[problem.spline.count :] = problem.gait.walk(bend)
+        return p
     if bend == 0:
         return first_design(problem, bounds)
     rng = np.random.default_rng(bend)
@@ -471,7 +395,7 @@ def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
     for _ in range(_TRIES):
         bend = waves[0] @ rng.standard_normal((_WAVES, _WAVES)) @ waves[1].T
         full = 1.0 + _BEND * bend.ravel()
-        p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
+        p = np.linalg.lstsq(T.toarray(), full - p0)[0]
         p = first_design(problem, bounds, np.clip(p, *bounds))
         values = problem.constraints(p)
         if np.isfinite(values).all() and values[:2].min() >= 0:
@@ -494,6 +418,7 @@ def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
     e = problem.evaluate(p)
     if e is None:
         return 1.0
+    setup = replace(setup, load=problem.load_of(p))
     sole = setup.sole(problem.deformed(p))
     step = Step.by_exact_law(setup, sole, problem.law.penalty)
     if step.failed_steps:
@@ -519,7 +444,9 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
             scale = strain_scale(setup, problem, at.p)
             at = replace(at, strain_scale=scale)
         problem = _scaled(problem, at)
-    bounds = tuple(block.bounds)
+    bounds, own = problem.within(block.bounds), problem.spline.count
+    if number + 1 < len(block.stages):  # walks are compared before they move
+        bounds[:, own:] = at.latest[own:]
     approximation = QuasiNewton(problem.metric, at.curvature)
 
     def note(iteration, best):
@@ -569,11 +496,11 @@ def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
 
 def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
     """All coefficients one, or p, shrunk until the volume limit is met."""
-    p = np.ones(problem.spline.count) if p is None else p
+    p, own = problem.undeformed if p is None else p, problem.spline.count
     for _ in range(60):
         if problem.deformed(p).volume <= 0.99 * problem.limits.volume:
             break
-        p = 0.99 * p
+        p = np.concatenate([0.99 * p[:own], p[own:]])
     return np.clip(p, *bounds)
 
 
@@ -619,7 +546,8 @@ def pareto_front(
         InputError: The first design cannot be simulated.
     """
     say, block = say or (lambda text: None), setup.settings.optimize
-    bounds, free = tuple(block.bounds), setup.optimizing(c_rot_nm_per_rad=None)
+    bounds = tuple(block.bounds)
+    free = in_own_walk(setup).optimizing(c_rot_nm_per_rad=None)
     if not setup.mesh.is_block:
         stages = tuple(replace(s, divisions=None) for s in stages)
     brick = setup.sole(stage_mesh(setup.mesh, stages[1]))
