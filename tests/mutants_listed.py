@@ -553,6 +553,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("100.0 * found,", "found,"),
         ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
+        ("lag if better >= _BETTER else 0.0", "lag"),
+        ("return float(np.std(missed))", "return float(np.abs(missed).max())"),
         (
             "device.T[upright] - human[upright], axis=0",
             "device.T - human, axis=0",

@@ -975,6 +975,66 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
         )
 
 
+LARGEST_FORCE_LAG_MS = 25.0
+_BETTER = 1.5  # misfit over that at another lag, for a clock to be off
+LARGEST_FORCE_RATIO = 1.25
+_LAGS_S = np.linspace(-0.2, 0.2, 41)
+
+
+def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
+    """RMS of the vertical force that plates miss, about its mean [N].
+
+    Args:
+        e: whose motion asks for it, in the used part.
+        other: whose plates are read.
+        lag_s: of the plates' clock.
+
+    Returns:
+        Infinite where the plates did not record so long.
+    """
+    forces = other.recording.forces
+    time = e.recording.motion.time[e.inside] + lag_s
+    if time[0] < forces.time[0] or time[-1] > forces.time[-1]:
+        return np.inf
+    borne = sum(w[:, 2] for w in forces.recorded.values())
+    missed = np.interp(time, forces.time, borne) - e.needed_z[e.inside]
+    return float(np.std(missed))
+
+
+def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
+    """Whether plates keep the markers' time, and are of the trial itself."""
+    for e in evidence:
+        own = force_misfit(e, e)
+        fits = {1e3 * lag: force_misfit(e, e, lag) for lag in _LAGS_S}
+        lag = min(fits, key=fits.get)
+        better = own / max(fits[lag], 1e-9)
+        lag = lag if better >= _BETTER else 0.0
+        yield e.check(
+            "force_clock",
+            abs(lag),
+            LARGEST_FORCE_LAG_MS,
+            "ms",
+            e.files.forces,
+            f"forces fit the motion {better:.1f} times better {lag:+.0f} ms "
+            "away; the plates' clock is not the markers' "
+            "(laboratory.estimate_force_delay)",
+        )
+        others = [o for o in evidence if o.files.forces != e.files.forces]
+        if not others:
+            continue
+        best = min(others, key=lambda o, e=e: force_misfit(e, o))
+        ratio = own / max(force_misfit(e, best), 1e-9)
+        yield e.check(
+            "force_file",
+            ratio,
+            LARGEST_FORCE_RATIO,
+            "",
+            e.files.forces,
+            f"forces of trial {best.trial.name} fit this motion {ratio:.1f} "
+            "times better; the file is another trial's",
+        )
+
+
 def _hidden(fits: np.ndarray) -> float:
     """Share of the speed that this wearer's cuffs hide from half of the files.
 
@@ -1154,6 +1214,7 @@ def plausibility(
     for e in evidence:
         checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
         checks += load_checks(e)
+    checks += force_checks(evidence)
     return (*checks, *between_trials(evidence), *wearer_checks(evidence))
 
 

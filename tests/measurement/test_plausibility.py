@@ -221,6 +221,14 @@ def test_encoders_of_another_movement(folder):
     assert "the file may be of another trial" in text
 
 
+@pytest.mark.parametrize("late_s", [0.08, -0.08])
+def test_forces_on_another_clock(folder, late_s):
+    table = read_table(folder / "sts.mot")
+    write_table(folder / "sts.mot", replace(table, time=table.time + late_s))
+    text = said(folder, "force_clock")
+    assert f"better {1e3 * late_s:+.0f} ms away" in text
+
+
 def another_trial(folder, own="other.csv"):
     """A second trial, 0.4 s earlier on its own clock."""
     for old, new in (("sts.trc", "b.trc"), ("sts.mot", "b.mot")):

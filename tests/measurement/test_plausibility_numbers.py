@@ -425,6 +425,71 @@ def test_encoders_against_the_person_by_hand():
     assert found[0].expected == pytest.approx(100.0 * miss, rel=0.03)
 
 
+def borne(name, force, late_s=0.0, seconds=2.4):
+    """A trial whose motion asks for a swing, and plates that bear `force`."""
+    e = made()
+    e.trial.name, e.files.forces = name, f"{name}.mot"
+    time = np.arange(-0.4, seconds, 0.01)
+    seen = force(time - late_s)
+    e.recording.forces = SimpleNamespace(
+        time=time,
+        recorded={
+            side: np.outer(0.5 * seen + 10.0, np.eye(6)[2])
+            for side in ("left", "chair")
+        },
+    )
+    return known(e, needed_z=600.0 + 90.0 * np.sin(9.0 * TIME))
+
+
+def swing(amount, rate=9.0):
+    return lambda t: 590.0 + amount * np.sin(rate * t)
+
+
+def test_force_misfit_by_hand():
+    """The spread of what is missed; whether it is recorded at all."""
+    own = borne("a", swing(60.0))
+    wanted = np.std(30.0 * np.sin(9.0 * TIME[own.inside]))
+    assert plausibility.force_misfit(own, own) == pytest.approx(wanted)
+    late = borne("b", swing(90.0), 0.05)
+    assert plausibility.force_misfit(own, late, 0.05) < 1e-9
+    assert plausibility.force_misfit(own, late, -0.05) > 30.0
+    short = borne("c", swing(90.0), seconds=1.9)
+    assert np.isinf(plausibility.force_misfit(own, short))
+    assert np.isfinite(plausibility.force_misfit(own, short, -0.1))
+
+
+def test_plates_with_another_clock():
+    for late, holds in ((0.0, True), (0.02, True), (0.06, False)):
+        (found,) = told(
+            list(plausibility.force_checks([borne("a", swing(90.0), late)])),
+            "force_clock",
+        )
+        assert found == (pytest.approx(1e3 * late), 25.0, holds)
+    # A lag that gains little is none.
+    noise = np.random.default_rng(1).normal(size=280)
+
+    def noisy(t):
+        return swing(90.0)(t) + 200.0 * noise[: len(t)]
+
+    (found,) = told(
+        list(plausibility.force_checks([borne("a", noisy, 0.06)])),
+        "force_clock",
+    )
+    assert found == (0.0, 25.0, True)
+
+
+def test_plates_of_another_trial():
+    own = borne("a", swing(90.0))
+    near, far = borne("b", swing(60.0)), borne("c", swing(90.0, 14.0))
+    checks = list(plausibility.force_checks([own, near, far]))
+    ratios = told(checks, "force_file")
+    assert [holds for *_, holds in ratios] == [True, False, False]
+    assert "forces of trial a fit this motion" in checks[3].sentence
+    assert all(limit == 1.25 for _, limit, _ in ratios)
+    far.files.forces = near.files.forces = own.files.forces  # parts of one
+    assert len(list(plausibility.force_checks([own, near, far]))) == 3
+
+
 def loaded(normal, moment):
     """Mats of the shank, and moments of the device's knee."""
     e = made()
