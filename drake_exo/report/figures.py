@@ -197,10 +197,12 @@ def _shade(axes, trial: Trial, band: Bands, color) -> None:
         _draw_band(ax, trial, band, cuff, color)
 
 
-def _draw_band(ax, trial: Trial, band: Bands, cuff: str, color: str) -> None:
-    """Where a cuff's normal force is with 95 %."""
-    middle = trial.cuffs[cuff].normal
-    width = band.cuffs[cuff][:, NORMAL]
+def _draw_band(
+    ax, trial: Trial, band: Bands, cuff: str, color: str, shown: float = 1.0
+) -> None:
+    """Where a cuff's normal force, times `shown`, is with 95 %."""
+    middle = shown * trial.cuffs[cuff].normal
+    width = max(shown, 1.0) * band.cuffs[cuff][:, NORMAL]
     ax.fill_between(
         trial.times,
         middle - width,
@@ -479,13 +481,15 @@ _PERSON, _LINKS = "0.82", "0.35"
 def forces_figure(designed) -> Figure:
     """Normal forces over time: a row for each cuff, a column for each trial.
 
+    The model's are times what mats and model differ by, as the forecast is.
+
     Args:
         designed: a `designed.Designed`.
     """
-    wearers = list(designed.before)
+    wearers = {w.name: w for w in designed.found.problem.wearers}
     pairs = [
         (name, before, after)
-        for name in wearers
+        for name in designed.before
         for before, after in zip(
             designed.before[name], designed.after[name], strict=True
         )
@@ -506,7 +510,8 @@ def forces_figure(designed) -> Figure:
         for column, (name, before, after) in enumerate(pairs):
             for row, cuff in enumerate(cuffs):
                 axis = axes[row, column]
-                _draw(axis, cuff, before, after, built.get(name, {}))
+                moved, shown = (before, after), wearers[name].shown(cuff)
+                _draw(axis, cuff, moved, built.get(name, {}), shown)
                 if column == 0:
                     out = cuff in designed.design.removed
                     end = ",\nleft out" if out else ""
@@ -681,18 +686,18 @@ def design_front_figure(rows: list[dict]) -> Figure:
     return figure
 
 
-def _draw(axis, cuff: str, before, after, built) -> None:
-    """One cuff in one trial."""
-    for moved, color, label in (
-        (before, _BEFORE, "today"),
-        (after, _AFTER, "design"),
+def _draw(axis, cuff: str, moved, built, shown: float) -> None:
+    """One cuff in one trial, moved as today and on the design."""
+    before, after = moved
+    for trial, color, label in (
+        (before.trial, _BEFORE, "today"),
+        (after.trial, _AFTER, "design"),
     ):
-        trial = moved.trial
         if cuff in trial.cuffs:
-            force = trial.cuffs[cuff].normal
+            force = shown * trial.cuffs[cuff].normal
             axis.plot(trial.times, force, color=color, lw=1.4, label=label)
     if after.bands is not None and cuff in after.trial.cuffs:
-        _draw_band(axis, after.trial, after.bands, cuff, _AFTER)
+        _draw_band(axis, after.trial, after.bands, cuff, _AFTER, shown)
     if cuff in before.measured.cuffs:
         axis.plot(
             before.measured.times,

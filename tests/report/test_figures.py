@@ -273,8 +273,18 @@ def designed(trials, found, **more):
         peaks=dict.fromkeys(["thigh", "pelvis"]),
         measured={"b": [trials[1]]},
         beyond=lambda: ["a"],
+        found=SimpleNamespace(
+            problem=SimpleNamespace(wearers=[seen_by("a"), seen_by("b")])
+        ),
         **more,
     )
+
+
+SHOWN = {"a": 1.5, "b": 0.8}  # by mats, over the model
+
+
+def seen_by(name):
+    return SimpleNamespace(name=name, shown=lambda cuff: SHOWN[name])
 
 
 def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
@@ -288,7 +298,7 @@ def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
         for row, cuff in enumerate(("thigh", "pelvis")):
             drawn = lines(axes[row, column])
             (before,), (after,) = made.before[name], made.after[name]
-            own = before.trial.cuffs[cuff].normal
+            own = SHOWN[name] * before.trial.cuffs[cuff].normal
             same(drawn["today"], before.trial.times, own)
             same(drawn["design"], after.trial.times, 0.5 * own)
             if cuff in m.cuffs:
@@ -301,8 +311,8 @@ def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
             assert len(areas) == (name == "a")
             if name == "a":
                 y = areas[0].get_paths()[0].vertices[:, 1]
-                assert y.min() == pytest.approx((0.5 * own).min() - 4.0)
-                assert y.max() == pytest.approx((0.5 * own).max() + 4.0)
+                assert y.min() == pytest.approx((0.5 * own).min() - 6.0)
+                assert y.max() == pytest.approx((0.5 * own).max() + 6.0)
     assert axes[0, 0].get_ylabel() == "thigh [N]"
     assert axes[1, 0].get_ylabel() == "pelvis [N],\nleft out"
     assert not axes[0, 1].get_ylabel()
