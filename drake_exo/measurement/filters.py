@@ -43,7 +43,8 @@ def check_filterable(
         raise InputError(
             f"{source}: is sampled at {rate_hz:g} Hz, below four times the "
             f"filter's cut-off of {cutoff_hz:g} Hz; lower filter.cutoff_hz "
-            f"to {rate_hz / MIN_RATE_OVER_CUTOFF:g} or record faster"
+            f"to {rate_hz / MIN_RATE_OVER_CUTOFF:g} or record faster; times "
+            "are in seconds"
         )
 
 
@@ -211,6 +212,36 @@ class Gaps:
     def _is_too_long(self, start: int, end: int) -> bool:
         at_end = start == 0 or end == len(self.time)
         return at_end or (end - start) / self.rate_hz > self.longest_s + 1e-9
+
+
+@dataclass(frozen=True)
+class Leap:
+    """A marker that moves faster between two frames than any body does.
+
+    Attributes:
+        marker: its name.
+        time_s: of the later frame.
+        speed_m_s: between the two.
+    """
+
+    marker: str
+    time_s: float
+    speed_m_s: float
+
+
+def leaps(
+    data: MarkerData, names: Iterable[str], most_m_s: float
+) -> tuple[Leap, ...]:
+    """Where markers that are seen move faster, in their order."""
+    found = []
+    for name in names:
+        p = data.positions[:, data.names.index(name)]
+        speed = data.rate_hz * np.linalg.norm(np.diff(p, axis=0), axis=1)
+        found += [
+            Leap(name, float(data.time[k + 1]), float(speed[k]))
+            for k in np.flatnonzero(speed > most_m_s)
+        ]
+    return tuple(found)
 
 
 def gap_remedy(longest_s: float) -> str:

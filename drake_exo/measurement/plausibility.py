@@ -18,7 +18,11 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict
 from drake_exo.files.tables import between, runs
 from drake_exo.measurement.kinematics import inverse_dynamics
-from drake_exo.measurement.processing import Recording, needed_force
+from drake_exo.measurement.processing import (
+    LARGEST_SPEED_M_S,
+    Recording,
+    needed_force,
+)
 from drake_exo.measurement.settings import Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
@@ -429,6 +433,7 @@ LARGEST_STANDING_GAP_M = 0.10
 RANGES_DEG = {"ankle": (-50.0, 60.0), "knee": (-20.0, 165.0)}
 RANGES_DEG["hip"] = (-45.0, 150.0)
 LARGEST_MARKER_RMS_M = 0.05
+_LEAP_REACH_S = 0.25  # what the filter carries into the used part
 LARGEST_FORCE_SHARE = 0.15  # RMS, of body weight
 LARGEST_MOMENT_M = 0.10  # RMS, over body weight
 LEAST_SHEAR_CORRELATION = -0.3
@@ -501,6 +506,7 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     """Of the body in one trial."""
     yield from _ranges(e)
     yield _markers(e)
+    yield _leap(e)
     yield from _dynamics(e)
     if e.subject.model.assembly.human.sides:
         yield _belt(e)
@@ -570,6 +576,29 @@ def _markers(e: Evidence) -> Check:
         f"markers lie {1e3 * overall:.0f} mm off a body of rigid segments, "
         f"most {worst} ({1e3 * rms[worst]:.0f} mm); markers may be exchanged, "
         "or laboratory.marker_axes wrong",
+    )
+
+
+def _leap(e: Evidence) -> Check:
+    """Whether a marker was taken for another, or a reflection for it."""
+    start, end = e.trial.start_s, e.trial.start_s + e.trial.duration
+    near = [
+        leap
+        for leap in e.recording.motion.leaps
+        if start - _LEAP_REACH_S < leap.time_s < end + _LEAP_REACH_S
+    ]
+    worst = max(near, key=lambda leap: leap.speed_m_s, default=None)
+    return e.check(
+        "marker_leap",
+        worst.speed_m_s if worst else 0.0,
+        LARGEST_SPEED_M_S,
+        "m/s",
+        e.files.markers,
+        worst
+        and f"marker {worst.marker!r} leaps at {worst.time_s:g} s "
+        f"({worst.speed_m_s:.0f} m/s between two frames); it was taken for "
+        "another marker or for a reflection: correct its label, or delete it "
+        "in these frames (gaps are filled)",
     )
 
 

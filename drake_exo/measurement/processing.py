@@ -28,9 +28,11 @@ from drake_exo.measurement.exoskeleton import (
 from drake_exo.measurement.filters import (
     Gap,
     Gaps,
+    Leap,
     derivatives,
     fill_gaps,
     gap_remedy,
+    leaps,
     resample,
 )
 from drake_exo.measurement.kinematics import (
@@ -66,6 +68,9 @@ from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import Model
 
+# Between two frames; a runner's foot moves at 10 m/s.
+LARGEST_SPEED_M_S = 15.0
+
 
 @dataclass(frozen=True)
 class Clock:
@@ -97,6 +102,7 @@ class Motion:
         without: markers that are hidden for too long, and left out.
         absent: markers of an OpenSim model that the file does not have.
         applied: segment -> wrench (N,) of what it carries.
+        leaps: of the markers, where they move faster than 15 m/s.
     """
 
     time: np.ndarray
@@ -113,6 +119,7 @@ class Motion:
     without: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     applied: dict[str, PlanarWrench] = field(default_factory=dict)
+    leaps: tuple[Leap, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -280,7 +287,10 @@ def process(
     applied = wrenches(
         files, settings, root, model.rigid.tree, time, motion.q, recorded
     )
-    motion = replace(motion, without=without, absent=absent, applied=applied)
+    motion = replace(
+        motion, without=without, absent=absent, applied=applied,
+        leaps=leaps(recorded, subject.markers.names, LARGEST_SPEED_M_S),
+    )  # fmt: skip
     force_clock = _force_clock(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory
     )

@@ -386,6 +386,13 @@ def read_feet(
             settings,
             loaded=False,
         )
+        borne = sum(float(w[:, 2].mean()) for w in empty.recorded.values())
+        if abs(borne) > _LARGEST_EMPTY_N:
+            raise InputError(
+                f"{empty.source}: empty_plates bear {borne:.0f} N; name a "
+                "recording of the plates with nothing on them, or leave the "
+                "key out"
+            )
         forces = forces.without(empty)
     return forces.levelled() if laboratory.remove_plate_drift else forces
 
@@ -406,6 +413,8 @@ def merge_plates(
     return merge_feet(feet, {side: places.get(side, middle) for side in feet})
 
 
+# What amplifiers are off at most; more is somebody on them.
+_LARGEST_EMPTY_N = 200.0
 # Of body weight; plates that bear less do not measure what they should.
 _LEAST_LOAD = 0.1
 
@@ -428,8 +437,8 @@ def check_loaded(
     if most > _LEAST_LOAD * weight:
         return
     cause = (
-        "check the numbers in plates, the unit of force (N, not kN) and the "
-        "part that is used"
+        "check the numbers in plates, the unit of force (N, not kN), "
+        "subject.mass_kg and the part that is used"
     )
     raise InputError(
         f"{source}: the feet bear {most:.3g} N at most ({where}), the body "

@@ -195,7 +195,7 @@ class Subject:
 
     name: str
     height_m: float = quantity("m", above=0.0, maximum=3.0)
-    mass_kg: float | None = quantity("kg", None, above=0.0)
+    mass_kg: float | None = quantity("kg", None, above=0.0, maximum=500.0)
     sex: Literal["male", "female"] = "male"
     segments: HumanOverrides = field(default_factory=HumanOverrides)
 
@@ -554,7 +554,7 @@ class RecordingSettings:
     )
     device: Device | None = None
     mats: dict[str, Mat] = field(default_factory=dict)
-    gravity_m_s2: float = quantity("m/s^2", 9.81, above=0.0)
+    gravity_m_s2: float = quantity("m/s^2", 9.81, above=0.0, maximum=30.0)
     ground: Ground = Ground()
     laboratory: Laboratory = Laboratory()
     filter: Filter = Filter()

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drake_exo.files.tables import MarkerData
 from drake_exo.measurement import plausibility
+from drake_exo.measurement.filters import Leap, leaps
 from drake_exo.measurement.plausibility import Evidence
 from drake_exo.measurement.sagittal import PlanarWrench
 
@@ -423,6 +425,34 @@ def test_encoders_against_the_person_by_hand():
     (found,) = told(found, "encoder_motion")
     assert found[1:] == (35.0, False)
     assert found[0].expected == pytest.approx(100.0 * miss, rel=0.03)
+
+
+def test_a_marker_that_leaps_near_the_used_part():
+    """0.25 s around it at most."""
+
+    def leapt(*times):
+        found = [Leap("KNEE", t, 20.0 + k) for k, t in enumerate(times)]
+        return plausibility._leap(made(leaps=tuple(found)))
+
+    for times, value, holds in (
+        ((), 0.0, True), ((1.2, 2.3), 0.0, True), ((1.3,), 20.0, False),
+        ((2.2,), 20.0, False), ((1.6, 1.7), 21.0, False),
+    ):  # fmt: skip
+        check = leapt(*times)
+        assert told(check, "marker_leap") == [(value, 15.0, holds)]
+    assert "'KNEE' leaps at 1.7 s (21 m/s between" in check.sentence
+
+
+def test_leaps_are_between_frames_that_are_seen():
+    """0.16 m in a hundredth of a second; hidden frames say nothing."""
+    p = np.zeros((40, 2, 3))
+    p[10:, 0, 1] = 0.16
+    p[20:, 0, 0] = 0.14
+    p[30, 1] = np.nan
+    p[31:, 1] = 1.0
+    data = MarkerData(np.arange(40) / 100.0, ("A", "B"), p, 100.0)
+    (leap,) = leaps(data, ("B", "A"), 15.0)
+    assert leap == Leap("A", 0.1, pytest.approx(16.0))
 
 
 def borne(name, force, late_s=0.0, seconds=2.4):

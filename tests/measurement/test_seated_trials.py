@@ -215,6 +215,12 @@ def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
     assert found["chair"]["offset_n"] == pytest.approx(60.0, abs=0.5)
 
 
+def test_plates_that_somebody_stands_on_are_not_empty(files):
+    folder, study = files
+    with pytest.raises(InputError, match=r"empty_plates bear \d{3} N; name"):
+        load(with_trial(study, empty_plates=Path("sts.mot")), folder)
+
+
 def test_a_late_force_clock_is_found_by_feet_and_chair(files):
     folder, study = files
     table = read_table(folder / "sts.mot")
