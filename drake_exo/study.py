@@ -696,6 +696,7 @@ def calibrate_foot_ground(
     >>> contact.success, contact.parameter("heel.x").unit
     (True, 'm')
     """
+    check_type(study, Study, "study")
     trials = (
         study.trials("calibration") if trials is None else as_trials(trials)
     )
@@ -739,6 +740,7 @@ def calibrate_interaction(
     >>> cuffs.success, cuffs.parameter("thigh.normal_stiffness").unit
     (True, 'N/m')
     """
+    check_type(study, Study, "study")
     check_has_cuffs(study.model)
     trials = (
         study.trials("calibration") if trials is None else as_trials(trials)
@@ -857,6 +859,7 @@ def predict(
     >>> found.success, found.coordinate("exo_hip").shape == found.times.shape
     (True, True)
     """
+    check_type(study, Study, "study")
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
     as_trials([trial])
     known = contact_of(contact)

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+import drake_exo as dx
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files import schema
@@ -92,3 +93,12 @@ def test_a_law_that_is_none_is_refused(section, law, words, tmp_path, capsys):
     assert main(["check", str(path)]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "what", ["calibrate_foot_ground", "calibrate_interaction", "predict"]
+)
+def test_what_is_no_study_is_told(what):
+    function = getattr(dx, what)
+    with pytest.raises(InputError, match=r"study is 'a\.yaml'; give"):
+        function("a.yaml", [], None)

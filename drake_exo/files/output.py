@@ -55,11 +55,11 @@ class OutputFolder:
     so far there. With results already present (`force`), the new ones grow in
     `NAME.partial` beside it and replace the old ones at the end; a run that
     fails, or is stopped, leaves the old results untouched and its own in
-    `NAME.partial`.
+    `NAME.partial`; one that fails before it wrote anything leaves nothing.
     """
 
-    def __init__(self, target: Path, path: Path, lock: int):
-        self.target = target
+    def __init__(self, target: Path, path: Path, lock: int, made: bool):
+        self.target, self._made = target, made
         self.path = path
         self._lock = lock
         self._final = True
@@ -79,6 +79,14 @@ class OutputFolder:
                     _write_manifest(self.target, self._written())
         finally:
             _release(self.target, self._lock)
+            if kind is not None and self._made and not _files(self.target):
+                self._withdraw()
+
+    def _withdraw(self) -> None:
+        """A run that wrote nothing leaves no folder that it made."""
+        with contextlib.suppress(OSError):
+            (self.target / MANIFEST).unlink(missing_ok=True)
+            self.target.rmdir()
 
     def end(self, code: int) -> int:
         """The command's exit code; what was not solved replaces nothing."""
@@ -143,10 +151,12 @@ def prepare_output_folder(
     try:
         if target.exists() and not target.is_dir():
             raise InputError(f"{target}: is a file; give a folder for --out")
+        made = not target.exists()
         target.mkdir(parents=True, exist_ok=True)
         lock = _locked(target)
         try:
-            return OutputFolder(target, _place(target, force, resume), lock)
+            place = _place(target, force, resume)
+            return OutputFolder(target, place, lock, made)
         except BaseException:
             _release(target, lock)
             raise

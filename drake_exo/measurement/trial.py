@@ -265,6 +265,8 @@ class Trial:
             InputError: one of them is before its begin or after its end.
         """
         times = np.atleast_1d(np.asarray(times, dtype=float))
+        if not times.size:
+            raise InputError(f"trial {self.name}: no times are asked for")
         first, last = self.times[[0, -1]]
         if not (
             (times >= first - _OUTSIDE_S) & (times <= last + _OUTSIDE_S)

@@ -297,6 +297,20 @@ def test_what_is_not_solved_replaces_nothing(tmp_path, code, kept):
     assert (tmp_path / "first/one.txt").read_text() == "first"
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_a_run_that_wrote_nothing_leaves_no_folder_of_its_own(tmp_path, there):
+    target = tmp_path / "out"
+    if there:
+        target.mkdir()
+    with pytest.raises(InputError), prepare_output_folder(target):
+        raise InputError("bad settings")
+    assert target.exists() == there
+    with pytest.raises(InputError), prepare_output_folder(target) as folder:
+        (folder / "checkpoint.txt").write_text("so far")
+        raise InputError("killed")
+    assert (target / "checkpoint.txt").exists()
+
+
 def test_what_is_read_is_not_replaced(tmp_path):
     target = tmp_path / "out"
     with prepare_output_folder(target / "foot_ground") as folder:

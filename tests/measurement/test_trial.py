@@ -269,6 +269,6 @@ def test_arrays_are_real_numbers_whatever_they_are_given_as(trial, tmp_path):
 def test_nothing_is_sampled_outside_of_a_trial(trial):
     end = trial.times[-1]
     assert trial.sample([0.0, end + 1e-9]).times.shape == (2,)
-    for times in ([0.0, end + 0.01], [-0.01, end]):
+    for times in ([0.0, end + 0.01], [-0.01, end], []):
         with pytest.raises(InputError, match="are asked for"):
             trial.sample(times)
