@@ -1,8 +1,11 @@
 """Solving: status, sealing, strategies, interruption."""
 
+import ctypes
 import os
 import signal
+import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -209,3 +212,19 @@ def test_rounding_ends_a_solve_that_is_near(strategy, tenfold):
     assert found["acceptable_tol"] == pytest.approx(tenfold * 1e-5)
     assert found["acceptable_iter"] == 3
     assert found["acceptable_obj_change_tol"] == 1e-7
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="wheels for Linux alone")
+def test_mumps_meets_the_fast_blas_first():
+    """What the process calls dgemm is that of the loaded file."""
+    file = Path(ipopt.load_openblas())
+    assert file.name.startswith("libopenblas")
+    process = ctypes.CDLL(None)
+    place = ctypes.cast(process.dgemm_, ctypes.c_void_p).value
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        ends, *_, mapped = line.split(maxsplit=5)
+        low, high = (int(end, 16) for end in ends.split("-"))
+        if low <= place < high:
+            assert Path(mapped).samefile(file)
+            return
+    raise AssertionError("dgemm is nowhere")
