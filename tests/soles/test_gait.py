@@ -179,13 +179,17 @@ def test_the_worst_of_a_walk_counts():
     np.testing.assert_allclose(values, least, atol=np.log(220) / 200)
 
 
-def test_a_shape_that_cannot_be_simulated_has_no_limits():
+def test_what_cannot_be_simulated_has_no_limits():
+    """A shape of nothing; a step of 10 m, which no ZMP carries."""
     case = Case.from_text(_case())
     problem = stage_problem(case, case.settings.optimize.stages[0])
-    p = problem.undeformed
-    p[: problem.spline.count] = 0.0
-    values = problem.constraints(p)
-    assert np.isnan(values).all() and len(values) == len(problem.names())
+    own, length = problem.spline.count, next(iter(case.gait.ranges))
+    assert length == "step_length"
+    for place, value in ((slice(own), 0.0), (own, 100.0)):
+        p = problem.undeformed
+        p[place] = value
+        values = problem.constraints(p)
+        assert np.isnan(values).all() and len(values) == len(problem.names())
 
 
 @pytest.mark.slow

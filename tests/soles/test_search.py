@@ -429,6 +429,7 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
             ),
             problem=SimpleNamespace(gait=setup.gait),
             walk=variables,
+            setup=setup,
         )
 
     def sole(still):
@@ -446,6 +447,8 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
     assert bears[0] - bears[1] == pytest.approx(time[0] - time[1])
     np.testing.assert_equal(best.gait["c_tr_sole_alone"], alone + 1)
     limits = setup.gait.limits(setup.gait.start if alone == 4.0 else x)
+    pattern = best.setup.settings.load.pattern
+    assert not pattern.free and pattern.step_time_s == time[1]
     assert best.gait["least_limit"] == min(v.min() for v in limits.values())
 
 

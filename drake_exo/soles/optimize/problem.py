@@ -372,6 +372,12 @@ class WalkProblem(ShapeProblem):
         """All samples of a design's step."""
         return self.gait.load(self._split(p)[1])
 
+    def _simulate(self, p):
+        try:
+            return super()._simulate(p)
+        except InputError:  # there is no such walk
+            return None
+
     def stretch(self, p: np.ndarray) -> np.ndarray:
         """Factor s at every node of the reference mesh (n,)."""
         return super().stretch(self._split(p)[0])

@@ -47,6 +47,7 @@ from drake_exo.soles.optimize.optimizer import (
 from drake_exo.soles.optimize.problem import ShapeProblem, WalkProblem
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Settings, Setup, Stage, stage_mesh
+from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
 _WALKS = 4  # that are tried for each start of a sole whose walk is free
@@ -312,12 +313,13 @@ def finished(setup: Setup, found: Found, say) -> Design:
 
 def in_own_walk(setup: Setup) -> Setup:
     """Nothing of its walk is free."""
-    settings = setup.settings
-    if settings.load is None or settings.load.pattern is None:
-        return setup
-    pattern = replace(settings.load.pattern, free=())
-    load = replace(settings.load, pattern=pattern)
-    return replace(setup, settings=replace(settings, load=load))
+    return _walking(setup, setup.gait.robot) if setup.gait else setup
+
+
+def _walking(setup: Setup, robot: Robot) -> Setup:
+    """What is planned is this walk, whatever was free; the load stays."""
+    load = replace(setup.settings.load, pattern=replace(robot, free=()))
+    return replace(setup, settings=replace(setup.settings, load=load))
 
 
 def _beside_alone(setup: Setup, design: Design, search) -> Design:
@@ -343,6 +345,7 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         "c_tr_sole_alone": alone.step.c_tr,
         "c_rot_sole_alone": alone.step.c_rot,
     }
+    design.setup = _walking(design.setup, robots[1])
     return design
 
 
