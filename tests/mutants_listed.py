@@ -510,7 +510,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('Trial.coordinate, "°")', 'Trial.velocity, "°")'),
         ('Trial.velocity, "°/s")', 'Trial.velocity, "°")'),
         (
-            "width = band.cuffs[cuff][:, NORMAL]",
+            "width = max(shown, 1.0) * band.cuffs[cuff][:, NORMAL]",
             "width = band.cuffs[cuff][:, 0]",
         ),
         ("middle - width,", "middle,"),

@@ -357,7 +357,7 @@ def _options(hint) -> list:
 
 LAB = "lab"
 _LIBRARIES = (
-    *("drake", "numpy", "scipy", "ipyopt", "matplotlib"),
+    *("drake", "numpy", "scipy", "ipyopt", "scs", "matplotlib"),
     *("numba", "mmgpy", "meshio", "ezc3d"),
 )
 _CODE = (".py", ".sdf", ".xml", ".obj", ".js", ".css")

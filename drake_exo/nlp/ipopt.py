@@ -1,24 +1,19 @@
 """Solving a SparseProgram with IPOPT, with progress and a way to cancel.
 
 A `Solution` says whether the solve succeeded, and is sealed if it did not.
-
-MUMPS, which IPOPT factorises with, calls the BLAS that the process met first.
-The reference one in ipyopt's wheel takes a third longer for a factorisation
-than OpenBLAS; that of the wheel of SCS has the usual names and one thread.
 """
 
-import ctypes
 import signal
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from importlib.metadata import files
 
 import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.solvers import SolverOptions as DrakeSolverOptions
 
+from drake_exo.nlp import load_ipyopt
 from drake_exo.nlp.infeasibility import Excess, relax
 from drake_exo.nlp.program import (
     BatchedProgram,
@@ -29,20 +24,7 @@ from drake_exo.nlp.program import (
 )
 from drake_exo.nlp.sparse import SparseProgram
 
-
-def load_openblas() -> str:
-    """Make SCS's OpenBLAS the one that is found; the file, "" for none."""
-    found = ""
-    for stem in ("libgfortran", "libopenblas"):  # the one needs the other
-        for file in files("scs"):
-            if file.name.startswith(stem):
-                found = str(file.locate())
-                ctypes.CDLL(found, ctypes.RTLD_GLOBAL)
-    return found
-
-
-load_openblas()
-import ipyopt  # noqa: E402
+ipyopt = load_ipyopt()
 
 # The status of what the user ended.
 STOPPED_BY_USER = "stopped by the user"

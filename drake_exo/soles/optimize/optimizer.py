@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drake_exo.nlp import load_ipyopt
 from drake_exo.soles.optimize.problem import ShapeProblem
 
 _DAMPING = 0.2
@@ -371,10 +372,8 @@ def minimise(
 
 def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
     """IPOPT's problem: constraints at least 0, dense derivatives."""
-    import ipyopt
-
     n, m = len(calls.best.p), len(problem.names())
-    return ipyopt.Problem(
+    return load_ipyopt().Problem(
         n,
         *(np.full(n, side) for side in bounds),
         m,
