@@ -30,7 +30,7 @@ _LEAST_FORCE = 1.0  # N, on each sphere
 _CLEARANCE = 0.05
 _DEEPEST = 0.2
 _FASTEST = 0.2
-_BISECTIONS = 45
+_BISECTIONS, _STRAIGHT = 24, 6  # the last of them by false position
 _TILTS = 30  # bisections of the pitch, where there are more than two spheres
 _LARGEST_SLOPE = 0.5  # sine of the foot's tilt
 _PASSES = 3
@@ -242,14 +242,21 @@ def slip_velocity(kernel, spheres, loads, force_x):
 
 
 def bisected(increasing, lower, upper, shape, steps=_BISECTIONS):
-    """Bisection for all entries at once; an end where there is no root."""
+    """Roots of all entries at once; an end where there is none.
+
+    Bisection, then false position in what is left, which hardly bends.
+    """
     low, high = np.full(shape, lower), np.full(shape, upper)
-    for _ in range(steps):
-        middle = 0.5 * (low + high)
-        above = increasing(middle) > 0.0
-        high = np.where(above, middle, high)
-        low = np.where(above, low, middle)
-    return 0.5 * (low + high)
+    below, above = np.full(shape, -1.0), np.full(shape, 1.0)
+    at = 0.5 * (low + high)
+    for step in range(steps):
+        value = increasing(at)
+        beyond = value > 0.0
+        high, above = np.where(beyond, (at, value), (high, above))
+        low, below = np.where(beyond, (low, below), (at, value))
+        share = below / (below - above) if step > steps - _STRAIGHT else 0.5
+        at = low + share * (high - low)
+    return at
 
 
 def _pose(spheres, depths):
