@@ -199,23 +199,30 @@ class SparseProgram:
         self._cache[part] = (y.copy(), result)
         return result
 
+    def _expanded(self, y):
+        """As `expand`; every part asks for the same, which stays as it is."""
+        cached = self._cache.get("expanded")
+        if cached is None or not np.array_equal(cached[0], y):
+            cached = self._cache["expanded"] = y.copy(), self.expand(y)
+        return cached[1]
+
     def _residual_terms(self, y):
         def compute():
-            x = self.expand(y)
+            x = self._expanded(y)
             return [b.values(x) for b in self.residual_blocks]
 
         return self._timed("residuals", y, compute)
 
     def _residual_jacobians(self, y):
         def compute():
-            x = self.expand(y)
+            x = self._expanded(y)
             return [b.jacobian(x) for b in self.residual_blocks]
 
         return self._timed("residual_jacobian", y, compute)
 
     def objective(self, y: np.ndarray) -> float:
         """Cost at y."""
-        x = self.expand(y)
+        x = self._expanded(y)
         value = 0.5 * x @ (self._Q @ x) + self._b @ x + self._c
         for r in self._residual_terms(y):
             value += 0.5 * np.sum(r * r)
@@ -225,7 +232,7 @@ class SparseProgram:
 
     def gradient(self, y: np.ndarray) -> np.ndarray:
         """Derivative of the cost, (ny,)."""
-        x = self.expand(y)
+        x = self._expanded(y)
         g = self.unknowns.matrix.T @ (self._Q @ x + self._b)
         g += self.residual_gradient(y)
         for b in self._costs:
@@ -248,7 +255,7 @@ class SparseProgram:
         """Constraint values g(y)."""
 
         def compute():
-            x = self.expand(y)
+            x = self._expanded(y)
             parts = [self.rows.linear @ y]
             parts += [b.values(x).ravel() for b in self.rows.blocks]
             return np.concatenate(parts)
@@ -259,7 +266,7 @@ class SparseProgram:
         """Nonzeros of dg/dy, in the order of jacobian_structure."""
 
         def compute():
-            x = self.expand(y)
+            x = self._expanded(y)
             parts = [self._A_values]
             for b, entries in zip(self.rows.blocks, self._entries, strict=True):
                 parts.append(b.jacobian(x).ravel()[entries])
@@ -319,7 +326,7 @@ class SparseProgram:
             )
         )
         weights = self._curvature_weights(y, multipliers, factor)
-        H = self._hessian.values(factor, self.expand(y), jacobians, weights)
+        H = self._hessian.values(factor, self._expanded(y), jacobians, weights)
         self.seconds["hessian"] += time.perf_counter() - start
         self.evaluations["hessian"] += 1
         return H
