@@ -14,7 +14,7 @@ def load_ipyopt() -> ModuleType:
     wheel of SCS (for Linux) has the usual names and one thread.
     """
     for stem in ("libgfortran", "libopenblas"):  # the one needs the other
-        for file in files("scs"):
+        for file in files("scs") or ():
             if file.name.startswith(stem):
                 ctypes.CDLL(str(file.locate()), ctypes.RTLD_GLOBAL)
     return import_module("ipyopt")
