@@ -55,7 +55,8 @@ class OutputFolder:
     so far there. With results already present (`force`), the new ones grow in
     `NAME.partial` beside it and replace the old ones at the end; a run that
     fails, or is stopped, leaves the old results untouched and its own in
-    `NAME.partial`; one that fails before it wrote anything leaves nothing.
+    `NAME.partial`; one that fails before it wrote anything takes away the
+    folder that it made for them.
     """
 
     def __init__(self, target: Path, path: Path, lock: int, made: bool):

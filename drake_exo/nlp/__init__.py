@@ -1,11 +1,13 @@
 """From a MathematicalProgram to IPOPT: neutral ground for both halves."""
 
 import ctypes
+from functools import cache
 from importlib import import_module
 from importlib.metadata import files
 from types import ModuleType
 
 
+@cache
 def load_ipyopt() -> ModuleType:
     """IPOPT's module; its MUMPS calls OpenBLAS.
 

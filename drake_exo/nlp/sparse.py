@@ -189,22 +189,26 @@ class SparseProgram:
 
     def _timed(self, part, y, compute):
         """Compute once for each part and y, and count time and calls."""
+
+        def timed():
+            start = time.perf_counter()
+            result = compute()
+            self.seconds[part] += time.perf_counter() - start
+            self.evaluations[part] += 1
+            return result
+
+        return self._once(part, y, timed)
+
+    def _once(self, part, y, compute):
+        """Compute once for each part and y."""
         cached = self._cache.get(part)
-        if cached is not None and np.array_equal(cached[0], y):
-            return cached[1]
-        start = time.perf_counter()
-        result = compute()
-        self.seconds[part] += time.perf_counter() - start
-        self.evaluations[part] += 1
-        self._cache[part] = (y.copy(), result)
-        return result
+        if cached is None or not np.array_equal(cached[0], y):
+            cached = self._cache[part] = y.copy(), compute()
+        return cached[1]
 
     def _expanded(self, y):
         """As `expand`; every part asks for the same, which stays as it is."""
-        cached = self._cache.get("expanded")
-        if cached is None or not np.array_equal(cached[0], y):
-            cached = self._cache["expanded"] = y.copy(), self.expand(y)
-        return cached[1]
+        return self._once("expanded", y, lambda: self.expand(y))
 
     def _residual_terms(self, y):
         def compute():

@@ -412,8 +412,9 @@ class Gait:
     """A walk whose numbers may change, each from 0 to 1 in its range.
 
     Its samples stay as many, evenly over its foot's contact. Limits, at least 0
-    where kept: the walk is no slower; the CoM's acceleration and its sway
-    stay within 1.1 of the case's own; friction within 0.9 of its cone.
+    where kept: the walk is no slower and its foot bears no longer; the CoM's
+    acceleration and its sway stay within 1.1 of the case's own; friction
+    within 0.9 of its cone.
 
     Attributes:
         robot: The case's own walk.
@@ -516,12 +517,16 @@ class Gait:
         }
 
     @cached_property
+    def _own_pattern(self) -> Pattern:
+        return plan(self.robot)
+
+    @cached_property
     def _own(self):
-        return _measures(plan(self.robot))
+        return _measures(self._own_pattern)
 
     @cached_property
     def _bears(self) -> float:
-        return np.ptp(self._load(plan(self.robot)).times)
+        return np.ptp(self._load(self._own_pattern).times)
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, dict]:
         """By the variables: of force and ZMP (G, N, 5), of limits (k, G).

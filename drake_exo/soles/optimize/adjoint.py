@@ -113,15 +113,17 @@ def heavy(derivatives: np.ndarray) -> np.ndarray:
     return np.flatnonzero(size > _NEGLIGIBLE * size.max())
 
 
-def shape_gradients(
+def gradients(
     sole: Sole,
     solver: ContactSolver,
     load: Load,
     start: Start,
     history: StepHistory,
     functionals: list[Derivative],
-) -> np.ndarray:
-    """Derivative of each functional by all node positions, (f, n, 3).
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of each functional, by one way back through the samples.
+
+    By all node positions (f, n, 3); by every sample's force and ZMP (f, N, 5).
 
     Args:
         sole: The condensed sole.
@@ -139,11 +141,16 @@ def shape_gradients(
     for X, total, functional in zip(out, sums, functionals, strict=True):
         X[sole.mesh.contact] += total.lP
         X += functional.by_nodes
-    return out
+    return out, np.array([total.load for total in sums])
+
+
+def shape_gradients(*forward) -> np.ndarray:
+    """The first of `gradients`."""
+    return gradients(*forward)[0]
 
 
 def load_gradients(*forward) -> np.ndarray:
-    """By every sample's force and ZMP, (f, N, 5); of what the former takes."""
+    """The second of `gradients`, by itself."""
     return np.array([total.load for total in _reversed(*forward)])
 
 

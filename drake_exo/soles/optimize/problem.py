@@ -23,8 +23,8 @@ from drake_exo.soles.elasticity import Element, Material, Sole
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import SphericalSpline, TetMesh, face_edges, scatter
 from drake_exo.soles.optimize.adjoint import (
+    gradients,
     load_gradients,
-    shape_gradients,
     singular_terms,
 )
 from drake_exo.soles.optimize.limits import (
@@ -266,22 +266,23 @@ class ShapeProblem:
         The regularization is left out: its derivatives are known exactly,
         see `regularization`.
         """
+        return self._derivatives(p)[:2]
+
+    def _derivatives(self, p) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same by the shape, and `by_load`."""
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
-        rows = [
-            self.by_coefficients(X)
-            for X in shape_gradients(*self._backwards(e))
-        ]
+        by_nodes, by_load = gradients(*self._backwards(e))
+        rows = [self.by_coefficients(X) for X in by_nodes]
         volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
         elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
         surface = [
             self.by_coefficients(by_nodes)
             for *_, by_nodes in self.surface.evaluate(e.sole.mesh)
         ]
-        return rows[0], np.array(
-            [volume / self.limits.volume, elements, *surface, *rows[1:]]
-        )
+        limits = [volume / self.limits.volume, elements, *surface, *rows[1:]]
+        return rows[0], np.array(limits), by_load
 
     def by_load(self, p: np.ndarray) -> np.ndarray:
         """Derivatives of cost and limits by force and ZMP, (1 + L, N, 5).
@@ -404,14 +405,12 @@ class WalkProblem(ShapeProblem):
 
         By the walk through the adjoint by force and ZMP, and through the plan.
         """
-        gradient, rows = super().derivatives(p)
+        gradient, rows, by_load = self._derivatives(p)
         walk = self._split(p)[1]
         loads, limits = self.gait.slopes(walk)
         _, shares = self._worst(self.gait.limits(walk))
         own = np.array(list(map(np.matmul, shares, limits.values())))
-        by_walk = np.einsum(
-            "fnk,gnk->fg", self.by_load(p), loads[:, self.picked]
-        )
+        by_walk = np.einsum("fnk,gnk->fg", by_load, loads[:, self.picked])
         others = np.zeros((len(rows) + 1 - len(by_walk), len(walk)))
         shape = np.zeros((len(own), self.spline.count))
         return np.concatenate([gradient, by_walk[0]]), np.block(

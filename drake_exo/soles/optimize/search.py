@@ -398,7 +398,7 @@ def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
     for _ in range(_TRIES):
         bend = waves[0] @ rng.standard_normal((_WAVES, _WAVES)) @ waves[1].T
         full = 1.0 + _BEND * bend.ravel()
-        p = np.linalg.lstsq(T.toarray(), full - p0)[0]
+        p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
         p = first_design(problem, bounds, np.clip(p, *bounds))
         values = problem.constraints(p)
         if np.isfinite(values).all() and values[:2].min() >= 0:
