@@ -195,8 +195,8 @@ class HermiteSimpson(Transcription):
             steps.max(),
             prog=prog,
         )
-        time_steps = [collocation.time_step(i) for i in range(n - 1)]
-        prog.AddBoundingBoxConstraint(steps, steps, np.concatenate(time_steps))
+        time_steps = np.stack([collocation.time_step(i) for i in range(n - 1)])
+        prog.AddBoundingBoxConstraint(steps, steps, time_steps.ravel())
         # Its constraints point to contexts that it owns, and to the system.
         program.keep_alive((system, collocation))
         states = np.stack([collocation.state(i) for i in range(n)])
@@ -206,6 +206,10 @@ class HermiteSimpson(Transcription):
         # Every trial's constraints carry the same names otherwise.
         for i, binding in enumerate(bindings):
             binding.evaluator().set_description(f"{self.name} collocation[{i}]")
+        # As Drake orders the inputs of each.
+        inputs = np.hstack(
+            [time_steps, states[:-1], states[1:], self.jerk[:-1], self.jerk[1:]]
+        )
         for step, which in _by_length(steps):
             some = [bindings[i] for i in which]
             zero = np.zeros((len(some), 3 * n_dof))
@@ -213,7 +217,7 @@ class HermiteSimpson(Transcription):
                 f"{self.name} collocation",
                 AffineKernel(_constant_jacobian(some[0], step)),
                 some,
-                np.stack([binding.variables() for binding in some]),
+                inputs[which],
                 zero,
                 zero,
             )

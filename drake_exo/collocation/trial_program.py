@@ -294,27 +294,29 @@ class TrialProgram:
             b[:, columns] -= np.einsum("nrm,nr->nm", A, y)
             c += 0.5 * np.sum(y * y, axis=1)
             first = last
-        for t, weight in enumerate(weights):
-            if weight > 0.0:
-                cost = self.program.prog.AddQuadraticCost(
-                    weight * Q[t],
-                    weight * b[t],
-                    weight * c[t],
-                    variables[t],
-                    is_convex=True,
-                )
-                cost.evaluator().set_description(f"{self.name} cost[{t}]")
+        # Nodes that count nothing have no cost.
+        used = weights > 0.0
+        weight = weights[used]
+        self.program.add_quadratic_costs(
+            f"{self.name} cost",
+            weight[:, None, None] * Q[used],
+            weight[:, None] * b[used],
+            weight * c[used],
+            variables[used],
+        )
 
     def add_jerk_cost(self, sigma) -> None:
         """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
-        Q = np.diag(1.0 / self.jerk_sigma**2)
-        zero = np.zeros(len(Q))
-        for row, weight in zip(jerk, self.grid.jerk_weights, strict=True):
-            self.program.prog.AddQuadraticCost(
-                weight * Q, zero, row, is_convex=True
-            )
+        weights = self.grid.jerk_weights
+        self.program.add_quadratic_costs(
+            f"{self.name} jerk",
+            np.multiply.outer(weights, np.diag(1.0 / self.jerk_sigma**2)),
+            np.zeros(jerk.shape),
+            np.zeros(len(jerk)),
+            jerk,
+        )
 
     @property
     def may_alternate(self) -> bool:
@@ -334,10 +336,14 @@ class TrialProgram:
         variables = np.concatenate(list(variables[:, root]))
         factors, times = (np.repeat(x, len(root), 0) for x in (factors, times))
         self.damped = variables, factors / ALTERNATING, times
-        zero = np.zeros(variables.shape[1])
-        for row, weights, time in zip(*self.damped, strict=True):
-            Q = time * np.outer(weights, weights)
-            self.program.prog.AddQuadraticCost(Q, zero, row, is_convex=True)
+        variables, factors, times = self.damped
+        self.program.add_quadratic_costs(
+            f"{self.name} between nodes",
+            np.einsum("n,ni,nj->nij", times, factors, factors),
+            np.zeros(variables.shape),
+            np.zeros(len(variables)),
+            variables,
+        )
 
 
 class Tracking:

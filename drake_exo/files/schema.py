@@ -93,16 +93,12 @@ def check(settings: T, cls: type[T], name: str) -> T:
     """
     check_type(settings, cls, name)
     try:
-        load_text(dump_text(settings), cls, name)
-    except InputError as error:
-        # There are no lines.
-        raise InputError(
-            re.sub(r":\d+: ", ": ", str(error), count=1)
-        ) from error
+        node = _Settings().represent_data(_plain(settings))
     except yaml.YAMLError as error:
         raise InputError(
             f"{name}: {first_line(str(error.args[-1]))}"
         ) from error
+    _Reader(name).read(node, cls, "", {})
     return settings
 
 
@@ -150,6 +146,17 @@ def _plain(value: Any, hint: Any = None) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+class _Settings(yaml.representer.SafeRepresenter):
+    """Values of Python as the nodes that a file of them would have."""
+
+    def represent_str(self, data: str) -> yaml.Node:
+        """Quoted, so that a text is no number."""
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style='"')
+
+
+_Settings.add_representer(str, _Settings.represent_str)
+
+
 class _Reader:
     """Turns YAML nodes into typed values; knows the file's name."""
 
@@ -157,7 +164,9 @@ class _Reader:
         self.name = name
 
     def error(self, node: yaml.Node, message: str) -> InputError:
-        return InputError(f"{self.name}:{node.start_mark.line + 1}: {message}")
+        mark = node.start_mark  # of settings made in Python there is none
+        line = f":{mark.line + 1}" if mark else ""
+        return InputError(f"{self.name}{line}: {message}")
 
     def read(
         self, node: yaml.Node, hint: Any, where: str, meta: Mapping

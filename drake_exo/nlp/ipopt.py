@@ -461,7 +461,10 @@ def _attempt(problem, y0, options, watch):
 
 def _listed(structure):
     """Rows and columns as ipyopt reads them ten times faster than arrays."""
-    return tuple(part.tolist() for part in structure)
+    # Numbers that come often are one object each.
+    numbers = np.arange(1 + max(part.max(initial=0) for part in structure))
+    numbers = numbers.astype(object)
+    return tuple(numbers[part].tolist() for part in structure)
 
 
 def _finite(bounds):

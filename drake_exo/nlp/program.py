@@ -13,9 +13,8 @@ applies the program's variable scaling; a transcription may hand over a sparse B
 whose columns satisfy its linear constraints exactly.
 """
 
-from collections import defaultdict
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -130,10 +129,14 @@ class BatchedProgram:
         self.prog = MathematicalProgram()
         self.constraints: list[Batch] = []
         self.residuals: list[Batch] = []
+        self._quadratics: list[_Quadratics] = []
         self.labelled: dict[str, np.ndarray] = {}
         self._labels: list[tuple] = []
         self._covered: set[int] = set()
         self._keep_alive: list = []
+        # Index of a variable by its identity in Python, while that is kept
+        # alive: Drake takes ten times as long to find it.
+        self._known: dict[int, int] = {}
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -143,8 +146,15 @@ class BatchedProgram:
 
     def indices(self, variables: np.ndarray) -> np.ndarray:
         """Indices in the program of an array of variables, same shape."""
-        found = self.prog.FindDecisionVariableIndices(variables.ravel())
-        return np.asarray(found, int).reshape(variables.shape)
+        flat, known = variables.ravel().tolist(), self._known
+        found = list(map(known.get, map(id, flat)))
+        if None in found:
+            new = [v for v, i in zip(flat, found, strict=True) if i is None]
+            index = self.prog.FindDecisionVariableIndices(new)
+            known.update(zip(map(id, new), index, strict=True))
+            self._keep_alive.append(new)
+            found = list(map(known.get, map(id, flat)))
+        return np.array(found, int).reshape(variables.shape)
 
     def label(
         self,
@@ -251,6 +261,26 @@ class BatchedProgram:
         self._cover(bindings)
         return batch
 
+    def add_quadratic_costs(self, name, Q, b, c, variables) -> None:
+        """Add the convex costs 1/2 x_t^T Q_t x_t + b_t^T x_t + c_t.
+
+        Args:
+            name: for reports.
+            Q: (n, m, m).
+            b: (n, m).
+            c: (n,).
+            variables: (n, m) decision variables.
+        """
+        bindings = []
+        for t, row in enumerate(variables):
+            cost = self.prog.AddQuadraticCost(
+                Q[t], b[t], c[t], row, is_convex=True
+            )
+            cost.evaluator().set_description(f"{name}[{t}]")
+            bindings.append(cost)
+        self._quadratics.append(_quadratics(self.indices(variables), Q, b, c))
+        self._cover(bindings)
+
     def loose_constraints(self) -> list:
         """Generic constraints that belong to no batch."""
         return self._uncovered(nonlinear_constraints(self.prog))
@@ -258,6 +288,40 @@ class BatchedProgram:
     def loose_costs(self) -> list:
         """Generic costs that belong to no batch."""
         return self._uncovered(nonlinear_costs(self.prog))
+
+    def quadratic_cost(self) -> tuple[sp.csr_array, np.ndarray, float]:
+        """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c.
+
+        Returns:
+            Q (sparse), b, c.
+        """
+        prog = self.prog
+        n = prog.num_vars()
+        b, c = np.zeros(n), 0.0
+        bindings = prog.linear_costs()
+        for binding, index in zip(
+            bindings, _indices(prog, bindings), strict=True
+        ):
+            np.add.at(b, index, binding.evaluator().a())
+            c += binding.evaluator().b()
+        terms = list(self._quadratics)
+        bindings = self._uncovered(prog.quadratic_costs())
+        for binding, index in zip(
+            bindings, _indices(prog, bindings), strict=True
+        ):
+            cost = binding.evaluator()
+            Q, slope = cost.Q()[None], cost.b()[None]
+            terms.append(_quadratics(index[None], Q, slope, cost.c()))
+        for term in terms:
+            np.add.at(b, term.inputs, term.b)
+            c += term.c
+        Q = _sparse(
+            [t.rows for t in terms],
+            [t.columns for t in terms],
+            [t.values for t in terms],
+            (n, n),
+        )
+        return Q, b, c
 
     def keep_alive(self, thing) -> None:
         """Keep an object that the program's evaluators point to."""
@@ -363,32 +427,28 @@ def linear_rows(prog):
     return A, _joined(lower), _joined(upper), names
 
 
-def quadratic_cost(prog):
-    """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c.
+class _Quadratics(NamedTuple):
+    """Quadratic costs: entries of Q; inputs with their b; sum of all c."""
 
-    Returns:
-        Q (sparse), b, c.
-    """
-    n = prog.num_vars()
-    b, c = np.zeros(n), 0.0
-    rows, columns, values = [], [], []
-    bindings = prog.linear_costs()
-    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
-        np.add.at(b, index, binding.evaluator().a())
-        c += binding.evaluator().b()
-    bindings, alike = prog.quadratic_costs(), defaultdict(list)
-    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
-        alike[len(index)].append((index, binding.evaluator()))
-    for some in alike.values():
-        index = np.stack([i for i, _ in some])
-        Q = np.stack([evaluator.Q() for _, evaluator in some])
-        cost, row, column = np.nonzero(Q)
-        rows.append(index[cost, row])
-        columns.append(index[cost, column])
-        values.append(Q[cost, row, column])
-        np.add.at(b, index, np.stack([evaluator.b() for _, evaluator in some]))
-        c += sum(evaluator.c() for _, evaluator in some)
-    return _sparse(rows, columns, values, (n, n)), b, c
+    rows: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+    inputs: np.ndarray
+    b: np.ndarray
+    c: float
+
+
+def _quadratics(inputs, Q, b, c) -> _Quadratics:
+    """Of n instances with m inputs; Q (n, m, m) takes less room sparse."""
+    instance, row, column = np.nonzero(Q)
+    return _Quadratics(
+        inputs[instance, row],
+        inputs[instance, column],
+        Q[instance, row, column],
+        inputs,
+        b,
+        float(np.sum(c)),
+    )
 
 
 def _indices(prog, bindings) -> list[np.ndarray]:

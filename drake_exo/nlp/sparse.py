@@ -20,7 +20,6 @@ from drake_exo.nlp.program import (
     Substitution,
     Unknowns,
     linear_rows,
-    quadratic_cost,
 )
 
 # Far from feasible points the multipliers, and so the curvature, mean little:
@@ -103,7 +102,7 @@ class SparseProgram:
         ]
         # Kept in program variables: a basis of splines would lose digits in
         # the cancellation of its large coefficients.
-        self._Q, self._b, self._c = quadratic_cost(self.program.prog)
+        self._Q, self._b, self._c = self.program.quadratic_cost()
         self._costs = [
             Block(
                 Batch(

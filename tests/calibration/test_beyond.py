@@ -21,7 +21,6 @@ from drake_exo.calibration.wearers import (
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import Assistance, Design, Gains
 from drake_exo.model.plant import nominal_model
-from drake_exo.nlp.program import quadratic_cost
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def test_migration_beyond_its_limit_costs_more_than_forces_do(wearer):
     )
     problem = DesignProblem([wearer], settings, today=today)
     (part,) = problem.parts
-    _, slope, _ = quadratic_cost(problem.program.prog)
+    _, slope, _ = problem.program.quadratic_cost()
     indices = problem.program.indices
     rows = {
         str(b.evaluator().get_description()): []

@@ -44,7 +44,6 @@ from drake_exo.contact.strap import (
     weight_above,
 )
 from drake_exo.model.plant import nominal_model
-from drake_exo.nlp.program import quadratic_cost
 
 CUFFS = ("shank", "thigh", "pelvis")
 SETTINGS = DesignSettings(points=1, solver=Solver(10.0, tolerance=1e-6))
@@ -178,7 +177,7 @@ def test_the_own_movement_is_kept_by_angles_and_feet(wearer):
     problem = DesignProblem([wearer], settings, held=True)
     (movement,) = problem.parts[0].movements
     grid, x = movement.grid, problem.guess()
-    Q, b, _ = quadratic_cost(problem.program.prog)
+    Q, b, _ = problem.program.quadratic_cost()
     k = 7
     for what, column, size in (
         (grid.q, "hip", np.deg2rad(0.5)),
@@ -205,7 +204,7 @@ def test_what_is_tracked_costs_half_its_square(wearer):
     (movement,) = problem.parts[0].movements
     x = problem.guess()
     assert not values_of(problem, x, movement.grid.jerk).any()
-    Q, b, c = quadratic_cost(problem.program.prog)
+    Q, b, c = problem.program.quadratic_cost()
     expected = 0.0
     for term in movement.tracked:
         z = values_of(problem, x, term.variables)
