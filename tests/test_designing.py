@@ -568,3 +568,9 @@ def test_a_missing_calibration_is_one_sentence(capsys, tmp_path, data_root):
     path = data_root.parent / "nowhere.yaml"
     assert main(["design", str(path), "--out", str(tmp_path / "out")]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+def test_a_wearer_given_twice_is_one_sentence(capsys, tmp_path):
+    twice = [str(tmp_path / "a.yaml"), f"{tmp_path}/./a.yaml"]
+    assert main(["design", *twice, "--out", str(tmp_path / "out")]) == 2
+    assert "give each wearer once" in capsys.readouterr().err

@@ -72,6 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Design, forecast, and write everything to --out."""
+    files = {path.resolve() for path in args.study}
+    if len(files) < len(args.study):
+        raise InputError(
+            f"{len(args.study)} studies, but {len(files)} files; give each "
+            "wearer once"
+        )
     studies = [read_study(path, args.data_root) for path in args.study]
     if args.verify and len(studies) > 1:
         raise InputError("--verify takes one study: one laboratory builds it")

@@ -742,13 +742,13 @@ _STYLE = {
 class ContactCurves:
     """What the figures are drawn for."""
 
-    modulus: float = quantity("N/m²", 5e6, above=0)
+    modulus: float = quantity("N/m²", 5e6, above=0, maximum=1e12)
     dissipation: float = quantity("s/m", 2.0, minimum=0)
-    radius: float = quantity("m", 0.032, above=0)
-    static_friction: float = quantity("", 0.9, above=0)
+    radius: float = quantity("m", 0.032, above=0, maximum=0.5)
+    static_friction: float = quantity("", 0.9, above=0, maximum=10)
     dynamic_friction: float = quantity("", 0.6, above=0)
     viscous_friction: float = quantity("s/m", 0.5, minimum=0)
-    transition_velocity: float = quantity("m/s", 0.05, above=0)
+    transition_velocity: float = quantity("m/s", 0.05, above=0, maximum=1)
 
     def constants(self, law: str):
         """Constants of a law with these friction values."""

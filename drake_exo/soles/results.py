@@ -42,6 +42,8 @@ SMALL_STRAIN, _INSIDE_OUT = 0.3, 1.0
 _TILT_DEG = 20.0  # beyond, a small-strain pose is not that of a real foot
 _ZMP_ERROR = 0.02  # metres
 _NEAR_SLIP = 0.95  # part of μ
+# Less force [N] and longer contact [s] are no step of a foot.
+_LIGHT, _LONG = 5.0, 20.0
 _UNDERCUT = 0.01  # part of the bare surface
 _COMPLEMENTARITY = 1e-6
 _NOT_SMALL = (
@@ -98,7 +100,18 @@ def step_checks(step) -> tuple[Check, ...]:
 
 def _notes(step):
     """What a foot's user ought to know: name, whether it holds, value, ..."""
-    measured = step.setup.load.is_measured
+    load = step.setup.load
+    most = float(load.force[:, 2].max())
+    yield (
+        "load_force", most >= _LIGHT, most, _LIGHT, "N",
+        f"no vertical force is above {most:.3g} N; forces are in N, not kN",
+    )  # fmt: skip
+    longest = max(float(np.ptp(load.times[phase])) for phase in load.phases)
+    yield (
+        "load_time", longest <= _LONG, longest, _LONG, "s",
+        f"a contact lasts {longest:.3g} s; times are in s, not ms",
+    )  # fmt: skip
+    measured = load.is_measured
     if measured.any():
         error = step.zmp_error
         yield (

@@ -163,7 +163,7 @@ class CostBlock:
     heel_strike_fraction: float = field(
         default=0.1, metadata={"above": 0.0, "maximum": 1.0}
     )
-    mass_limit_kg: float = positive("kg", 1.0)
+    mass_limit_kg: float = quantity("kg", 1.0, above=0.0, maximum=20.0)
     of: Literal["mean", "worst"] = "mean"
 
 
@@ -545,8 +545,13 @@ class Setup:
         return self.optimizing(stages=(*stages, replace(last, **changes)))
 
     def optimizing(self, **changes) -> "Setup":
-        """Other keys of the block `optimize`."""
+        """Other keys of the block `optimize`.
+
+        Raises:
+            InputError: a file could not say them.
+        """
         block = replace(self.settings.optimize, **changes)
+        schema.check(block, OptimizeBlock, f"{self.name}: optimize")
         settings = replace(self.settings, optimize=block)
         return replace(self, settings=settings)
 

@@ -176,6 +176,7 @@ def test_command_refuses_to_overwrite(tmp_path, capsys):
     ("option", "value", "message"),
     [
         ("--radius", "0", "radius is 0, but must be above 0 m"),
+        ("--radius", "32", "radius is 32, but must be at most 0.5 m"),
         ("--modulus", "nan", "modulus is nan, but must be a finite number"),
         ("--dissipation", "-1", "must be at least 0"),
         ("--dynamic-friction", "0.95", "above static friction"),

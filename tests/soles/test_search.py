@@ -72,6 +72,13 @@ def test_stages_are_bricks_in_the_own_box(case):
         stage_mesh(holed, stage)
 
 
+def test_keys_that_a_file_may_not_say_are_refused(case):
+    with pytest.raises(InputError, match=r"strain is \.nan, but"):
+        case.optimizing(strain=float("nan"))
+    with pytest.raises(InputError, match="optimize: starts is 0"):
+        case.optimizing(starts=0)
+
+
 def test_on_its_own_mesh_a_brick_may_begin_on_coarser_ones(case):
     """Other shapes have no brick to begin on."""
     coarse = replace(case.settings.optimize.stages[0], divisions=(2, 2, 1))

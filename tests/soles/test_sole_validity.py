@@ -192,7 +192,8 @@ def test_a_simulation_ends_with_its_verdict(tmp_path, capsys):
     assert set(checks) == {
         "solved", "plausibility.strain", "plausibility.tilt",
         "plausibility.stability", "plausibility.friction",
-        "plausibility.undercut", "contact",
+        "plausibility.undercut", "plausibility.load_force",
+        "plausibility.load_time", "contact",
     }  # fmt: skip
     soft = EXAMPLE.replace("neoprene}", "neoprene, youngs_modulus_pa: 1.5e4}")
     code, summary = _simulate(tmp_path, soft)

@@ -35,11 +35,17 @@ def _told(**changes):
         "friction_used": 0.5,
         "worst": 1e-9,
         "measured": np.array([False, False, False]),
+        "force_z": [100.0, 300.0, 200.0],
+        "times": [0.0, 0.1, 0.25],
     } | changes
     step = SimpleNamespace(
         setup=SimpleNamespace(
             name="it", friction_used=made["friction_used"],
-            load=SimpleNamespace(is_measured=made["measured"]),
+            load=SimpleNamespace(
+                is_measured=made["measured"],
+                force=np.transpose([[0.0] * 3, [0.0] * 3, made["force_z"]]),
+                times=np.array(made["times"]), phases=[slice(0, 3)],
+            ),
         ),
         law=SimpleNamespace(friction=0.8),
         sole=SimpleNamespace(mesh=SimpleNamespace(undercut=made["undercut"])),
@@ -105,6 +111,21 @@ def test_pose_and_stability_are_of_what_converged_and_is_free():
     held = _told(measured=np.ones(3, bool), zmp_error=0.019)
     assert held["plausibility.zmp"].holds
     assert "plausibility.tilt" not in held
+
+
+def test_forces_in_kilonewtons_and_times_in_milliseconds_are_told():
+    sound = _told()
+    for name, value, limit in (
+        ("load_force", 300.0, 5.0),
+        ("load_time", 0.25, 20.0),
+    ):
+        check = sound[f"plausibility.{name}"]
+        assert check.holds and (check.value, check.limit) == (value, limit)
+    light = _told(force_z=[0.1, 0.7, 0.3])["plausibility.load_force"]
+    assert not light.holds and light.level == "note"
+    assert light.sentence.startswith("no vertical force is above 0.7 N")
+    late = _told(times=[0.0, 100.0, 250.0])["plausibility.load_time"]
+    assert not late.holds and "250 s" in late.sentence
 
 
 def _step(F, P, converged=None, ground=None, zmp=None):
