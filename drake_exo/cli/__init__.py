@@ -50,6 +50,22 @@ _NO_ROOM = (
 )
 
 
+def count(text: str) -> int:
+    """A whole number on the command line."""
+    if not (text.isascii() and text.isdigit()):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no whole number from 0 on"
+        )
+    return int(text)
+
+
+def positive(text: str) -> int:
+    """A whole number above 0 on the command line."""
+    if (number := count(text)) == 0:
+        raise argparse.ArgumentTypeError("0 does no work; give 1 or more")
+    return number
+
+
 def add_study(parser: argparse.ArgumentParser, **options) -> None:
     """Add what every command on a study reads."""
     parser.add_argument("study", type=Path, metavar="STUDY.yaml", **options)

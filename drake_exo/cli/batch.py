@@ -10,6 +10,7 @@ from pathlib import Path
 
 from drake_exo.batch.results import is_told, write_results
 from drake_exo.batch.run import Batch, run_batch
+from drake_exo.cli import positive
 from drake_exo.jobs.engine import Processes
 
 _PARSE = "drake_exo.cli:parse"
@@ -24,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers",
-        type=_positive,
+        type=positive,
         default=os.cpu_count() or 1,
         metavar="N",
         help="processes at a time (default: one for each core)",
@@ -36,17 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--memory",
-        type=_positive,
+        type=positive,
         metavar="MB",
         help="that a task may use; one that needs more is named (Linux)",
     )
     parser.set_defaults(run=run)
-
-
-def _positive(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

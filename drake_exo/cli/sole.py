@@ -1,11 +1,11 @@
 """The command `drake-exo sole`: simulate and optimise compliant soles."""
 
 import time
-from argparse import ArgumentParser, ArgumentTypeError
+from argparse import ArgumentParser
 from pathlib import Path
 
 from drake_exo import soles
-from drake_exo.cli import add_accept, add_out
+from drake_exo.cli import add_accept, add_out, count, positive
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import (
@@ -79,7 +79,7 @@ def add_arguments(sole: ArgumentParser) -> None:
     simulated = "folder of 'sole simulate' or 'sole optimize'"
     parser.add_argument("source", type=Path, metavar="DIR", help=simulated)
     parser.add_argument(
-        "--spheres", type=_count, default=4, help="how many (default: 4)"
+        "--spheres", type=count, default=4, help="how many (default: 4)"
     )
     parser.add_argument(
         "--planar", action="store_true", help="pitch and forward alone"
@@ -127,7 +127,7 @@ def _add_limits(parser, choices) -> None:
 
 def _add_jobs(parser, what: str) -> None:
     parser.add_argument(
-        "--jobs", type=_positive, default=2, help=f"{what} (default: 2)"
+        "--jobs", type=positive, default=2, help=f"{what} (default: 2)"
     )
 
 
@@ -135,23 +135,11 @@ def _add_iterations(parser) -> None:
     """How long the last stage may go on."""
     parser.add_argument(
         "--iterations",
-        type=_count,
+        type=count,
         metavar="N",
         help="at most so many in the last stage (default: the case's; an "
         "optimum takes some 190 to 540)",
     )
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit()):
-        raise ArgumentTypeError(f"{text!r} is no whole number from 0 on")
-    return int(text)
-
-
-def _positive(text: str) -> int:
-    if (count := _count(text)) == 0:
-        raise ArgumentTypeError("0 does no work; give 1 or more")
-    return count
 
 
 def _read_case(args, path: Path) -> soles.Case:
