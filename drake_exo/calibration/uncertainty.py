@@ -34,7 +34,11 @@ from drake_exo.calibration.problem import (
     shared_noise,
 )
 from drake_exo.collocation.kernels import WRENCH_UNITS
-from drake_exo.collocation.trial_program import TrialProgram
+from drake_exo.collocation.trial_program import (
+    LogKernel,
+    Tracking,
+    TrialProgram,
+)
 from drake_exo.contact.bushing import NORMAL
 from drake_exo.contact.parameters import ContactParameter, Posterior
 from drake_exo.measurement.trial import Trial
@@ -122,8 +126,14 @@ def uncertainty(
     by_x = found.by_gradient @ program.unknowns.matrix.T
     covariance = np.zeros((len(free), len(free)))
     for movement in problem.movements:
-        for part in _noise(movement, program, found, by_x, cutoff_hz, order):
+        for part in _noise(movement, problem, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
+    if problem.error_variables is not None:
+        # Their prior is one more measurement, too.
+        _, errors = problem.errors.prior()
+        index_of_errors = problem.program.indices(problem.error_variables)
+        by_errors = by_x[:, index_of_errors]
+        covariance += by_errors @ np.linalg.solve(errors, by_errors.T)
     chosen = [problem.parameters[k] for k in free]
     x = result.values[index]
     prior = np.array(
@@ -188,33 +198,54 @@ def _border(problem: PhaseProblem) -> np.ndarray:
     return problem.compiled.unknowns.column_of(index)
 
 
-def _noise(
-    movement: TrialProgram, program: SparseProgram, found, by_x, cut, order
-):
+def _noise(movement: TrialProgram, problem, found, by_x, cut, order):
     """Response (m, k) to independent unit noises, for each signal."""
-    times, weights = movement.grid.times, movement.grid.quadrature
-    values, slopes = noise_basis(times, cut, order)
-    responses = {}
+    values, slopes = noise_basis(movement.grid.times, cut, order)
+    responses = {"position": [], "velocity": []}
     for term in movement.tracked:
         if term.role == "regulariser":
             continue
-        variables = program.program.indices(term.variables)
-        gain = term.rows / term.sigma[:, :, None] ** 2
-        R = -np.einsum(
-            "pnm,nrm,n->pnr", by_x[:, variables], gain, weights, optimize=True
-        )
-        if term.role in ("position", "velocity"):
-            _add_ends(R, variables, program, found)
-            responses[term.role] = R, term.sigma
+        R = by_target(term, problem, by_x)
+        if term.role in responses:
+            variables = problem.program.indices(term.variables)
+            _add_ends(R, variables, problem.compiled, found)
+            responses[term.role].append((R, term.sigma))
             continue
         for r in range(R.shape[2]):
             sigma = np.where(np.isfinite(term.sigma[:, r]), term.sigma[:, r], 0)
             yield (R[:, :, r] * sigma) @ values
-    if "position" in responses:
-        R, sigma = responses["position"]
-        R_v = responses["velocity"][0] if "velocity" in responses else 0.0 * R
+    # Of the coordinates, and of each foot where there are two.
+    for (R, sigma), (R_v, _) in zip(*responses.values(), strict=True):
         for d in range(R.shape[2]):
             yield sigma[0, d] * (R[:, :, d] @ values + R_v[:, :, d] @ slopes)
+
+
+def by_target(term: Tracking, problem: PhaseProblem, by_x) -> np.ndarray:
+    """Response (m, n, r) of some to what is tracked, (n, r).
+
+    Args:
+        term: of the cost.
+        problem: it belongs to.
+        by_x: (m, num_vars) response to changes of the gradient.
+    """
+    place, weights = problem.program.indices, term.weights
+    gain = 1.0 / term.sigma[:, :, None] ** 2
+    R = -np.einsum(
+        "pnm,nrm,n->pnr",
+        by_x[:, place(term.variables)],
+        gain * term.rows,
+        weights,
+        optimize=True,
+    )
+    if term.effects is not None:
+        R -= np.einsum(
+            "pk,nrk,n->pnr",
+            by_x[:, place(problem.error_variables)],
+            gain * term.effects,
+            weights,
+            optimize=True,
+        )
+    return R
 
 
 def _add_ends(R, variables, program, found):
@@ -240,6 +271,16 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
     """Gradient of what tracks no measurement, the prior left out."""
     x = program.expand(y)
     g = _jerk_weights(problem) * x
+    for p, variable in zip(
+        problem.parameters,
+        problem.program.indices(problem.parameter_variables),
+        strict=True,
+    ):
+        if p.free and p.prior_sd is not None and p.log_prior:
+            # Among the residuals it would count.
+            kernel, at = LogKernel(p.nominal, p.prior_sd), x[[[variable]]]
+            off, slope = kernel.evaluate(at, None), kernel.jacobian(at, None)
+            g[variable] -= off.item() * slope.item()
     for movement in problem.movements:
         variables, factors, times = movement.damped
         index = problem.program.indices(variables)
