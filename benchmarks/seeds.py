@@ -73,7 +73,7 @@ def _row(folder: Path, seed: int, floor: bool) -> dict:
             bands = [
                 (p, p.bands(), t) for p, t in zip(found, trials, strict=True)
             ]
-            row["coverage"] = [b.coverage(p, t) for p, b, t in bands]
+            row["coverage"] = [b.coverage(p, p.timed(t)) for p, b, t in bands]
     row["clocks"] = _clocks(folder, study.trials(), clocks)
     row["clocks_by_force"] = _clocks_by_force(folder, study.trials())
     row["seconds"] = time.perf_counter() - start

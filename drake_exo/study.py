@@ -628,9 +628,18 @@ class Prediction(_Solved, Trial):
         return Trial(**own).sample(times)
 
     def rmsd(self, measured: Trial) -> dict:
-        """Differences from the trial as measured; see `audit.rmsd`."""
+        """Differences from the trial as measured; see `audit.rmsd`.
+
+        Its encoders are read on the clock that was found.
+        """
+        return audit.rmsd(self, self.timed(measured))
+
+    def timed(self, measured: Trial) -> Trial:
+        """The trial as measured, its encoders on the clock that was found."""
         check_type(measured, Trial, "measured")
-        return audit.rmsd(self, measured)
+        own = [c for c in self.clocks if c.trial == measured.name]
+        lags = measured.provenance.get("delays_s", {})
+        return retimed(measured, own) if "encoders" in lags else measured
 
     def audit(self) -> Audit:
         """Whether it holds between its nodes, and simulates."""
@@ -647,13 +656,13 @@ class Prediction(_Solved, Trial):
         Cuffs' forces have their bands of 95 % where a calibration knows them.
 
         Args:
-            measured: the trial to compare with; by default the one predicted,
-                its encoders on the clock that was found.
+            measured: the trial to compare with, see `timed`; by default the
+                one predicted.
         """
         from drake_exo.report import figures
 
         beside = measured or self.result.problem.trials[0]
-        check_type(beside, Trial, "measured")
+        beside = self.timed(beside)
         return figures.overview_figure(self, beside, self.bands())
 
     def view(self, meshcat: Meshcat) -> None:

@@ -230,7 +230,7 @@ def write_predictions(
         **verdict.summary(),
     }
     good = [
-        (p, b, t)
+        (p, b, p.timed(t))
         for p, b, t in zip(found, baseline, trials, strict=False)
         if p.success
     ]
@@ -343,8 +343,10 @@ def _write(
     out: Path, good: list[tuple], bands, summary: dict, mark: str
 ) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
-    for (prediction, _, _), band in zip(good, bands, strict=True):
+    for (prediction, _, measured), band in zip(good, bands, strict=True):
         write_trial(out, prediction, mark)
+        # On the clock that was found, as it is compared with here.
+        measured.save(out / f"measured_{measured.name}")
         if band is not None:
             write_bands(out, prediction, band, mark)
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
