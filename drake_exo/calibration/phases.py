@@ -350,6 +350,11 @@ class PredictionProblem(PhaseProblem):
             *toes,
         ]
 
+    @property
+    def _end_reach(self) -> float:
+        # Without errors of measurement nothing else holds them.
+        return 0.0 if self.error_variables is None else super()._end_reach
+
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
         super()._hold_ends(movement, at)
         effects = self._effects(at)

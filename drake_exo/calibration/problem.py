@@ -303,7 +303,7 @@ class PhaseProblem(Compiles, ABC):
         are: real rises are predicted better so (hip 1.5 for 4.5 degrees).
         """
         grid, joints = movement.grid, movement.coordinates.joint_columns
-        reach = rate = _END_REACH if self.model.cuffs else 0.0
+        reach = rate = self._end_reach
         if len(self.feet) > 1:
             # Two feet and the joints between them cannot all be given.
             pitch = np.deg2rad(self.settings.end_tolerance.pitch_deg)
@@ -316,6 +316,11 @@ class PhaseProblem(Compiles, ABC):
                 given = values[i, joints]
                 movement.bound(variables[i, joints], given - by, given + by)
         bound_feet(movement, at, self.settings.end_tolerance)
+
+    @property
+    def _end_reach(self) -> float:
+        """How far joints may be from their measured ends [rad, rad/s]."""
+        return _END_REACH if self.model.cuffs else 0.0
 
     @property
     def feet(self) -> dict[str, tuple[str, ...]]:

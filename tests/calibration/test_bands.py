@@ -142,22 +142,27 @@ def test_noise_of_signals_reaches_parameters():
     size[3] = np.inf  # not tracked there
     force.sigma = size[:, None]
     free = Tracking(places[0], np.zeros((n, 1)), 1.0, role="regulariser")
-    grid = SimpleNamespace(times=times, quadrature=weights)
-    movement = SimpleNamespace(grid=grid, tracked=[force, free, speed, angle])
+    movement = SimpleNamespace(
+        grid=SimpleNamespace(times=times), tracked=[force, free, speed, angle]
+    )
+    for term in movement.tracked:
+        term.weights = weights
     by_x = rng.normal(size=(2, 3 * n))
     scale = rng.uniform(1.0, 2.0, 3 * n)
     rows = np.full(3 * n, -1)
     rows[places[1, 0, 0]], rows[places[2, -1, 0]] = 1, 0  # given ends
     by_bounds = rng.normal(size=(2, 2))
     program = SimpleNamespace(
-        program=SimpleNamespace(indices=lambda v: v),
         rows=SimpleNamespace(row_of=lambda v: rows[v]),
         unknowns=SimpleNamespace(scale=scale),
+    )
+    problem = SimpleNamespace(
+        program=SimpleNamespace(indices=lambda v: v), compiled=program
     )
     found = list(
         module._noise(
             movement,
-            program,
+            problem,
             SimpleNamespace(by_bounds=by_bounds),
             by_x,
             6.0,

@@ -26,6 +26,17 @@ def test_movement_and_forces_follow_from_end_states(predicted, in_device):
     assert max(scores["interaction_n"].values()) < 1.0
 
 
+def test_ends_are_given_where_instruments_are_perfect(predicted, in_device):
+    """The paper's way; errors of measurement set them free (test_costs)."""
+    found, trial = predicted.trials[0], in_device.trials[0]
+    joints = trial.coordinates.joint_columns
+    for own, given in ((found.q, trial.q), (found.v, trial.v)):
+        ends = [0, -1]
+        np.testing.assert_allclose(
+            own[ends][:, joints], given[ends][:, joints], atol=1e-6
+        )
+
+
 def test_line_and_data_lead_to_one_optimum(predicted, in_device):
     problem = in_device.prediction(settings(guess="data"), in_device.trials[0])
     solution = problem.solve().solution
