@@ -7,6 +7,7 @@ segment in the sagittal plane (its x) is the normal force of the paper. Shear
 is not measured.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from drake_exo.files.pressure import (
 from drake_exo.files.tables import LENGTHS, number_rows, read_text, uniform_time
 from drake_exo.measurement.filters import check_filterable
 from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
+from drake_exo.model.assembly import SIDES
 
 # A body or a part of it, largest extent [m].
 _PLAUSIBLE_M = (0.08, 3.0)
@@ -297,7 +299,10 @@ def read_mat_forces(
         InputError: unreadable; another number of cells than the mats have;
             too short or too slow for the filter; a scan that does not fit.
     """
-    found = []
+    found, seen = [], defaultdict(set)
+    for name in (name for file in files for name in file.mats):
+        if name in mats:
+            seen[mats[name].segment].add(mats[name].legs)
     for file in files:
         recording = _read(root / file.file, file.mats, mats)
         time = uniform_time(recording.source, recording.time)
@@ -310,7 +315,7 @@ def read_mat_forces(
             cells = pressure.reshape(len(time), -1) * mat.cell_area_m2
             force = settings.smooth(cells @ inward, rate, recording.source)
             report |= _seen(pressure)
-            if mat.legs != "both":
+            if mat.legs != "both" and not seen[mat.segment] >= set(SIDES):
                 force = 2.0 * force
                 report["doubled"] = f"{mat.legs} leg measured, doubled"
             found.append(

@@ -410,7 +410,7 @@ def merge_plates(
         return feet["both"], {"both": 0.0}
     places = {side: float(p[:, 0].mean()) for side, p in ankles.items()}
     middle = float(np.mean(list(places.values())))
-    return merge_feet(feet, {side: places.get(side, middle) for side in feet})
+    return merge_feet(feet, dict.fromkeys(feet, middle) | places)
 
 
 # What amplifiers are off at most; more is somebody on them.

@@ -194,12 +194,13 @@ def merge_feet(
 
     Args:
         wrenches: by side, of one or two feet. One foot alone counts twice.
-        ankles_x: fore-aft place of each ankle [m].
+        ankles_x: fore-aft place of each ankle [m], of a foot without a plate,
+            too: the mean is of all.
 
     Returns:
         The sum, and the shift applied to each side [m].
     """
-    middle = float(np.mean([ankles_x[side] for side in wrenches]))
+    middle = float(np.mean(list(ankles_x.values())))
     shifts = {side: middle - ankles_x[side] for side in wrenches}
     moved = [w.shifted(shifts[side]) for side, w in wrenches.items()]
     if len(moved) == 1:

@@ -137,8 +137,9 @@ class Mat:
         segment: that it lies on: the cuff's name.
         rows, columns: cells, in the order of the file (row by row).
         cell_area_m2: of one cell.
-        legs: that it measured; "left" or "right" are doubled. Of a person
-            of two legs each cuff is one leg's own, and nothing is doubled.
+        legs: that it measured; "left" or "right" are doubled where no mat of
+            the trial lies on the same segment of the other leg. Of a person of
+            two legs each cuff is one leg's own, and nothing is doubled.
         scan: maps cells to the body's surface.
         plane_normal: outward normal of a flat surface instead (x forward,
             y left, z up along the segment).

@@ -321,6 +321,18 @@ def test_flat_mat_and_doubling(folder):
     (doubled,) = forces(folder, {"m": one}, "m")
     np.testing.assert_allclose(doubled.normal, 2.0 * both.normal)
     assert doubled.report["doubled"] == "left leg measured, doubled"
+    # Both legs measured stand for themselves, in one file or two.
+    legs = {"m": one, "n": replace(FLAT, legs="right")}
+    write_pressure(folder / "q.csv", FLAT)
+    files = [PressureFile(Path(f"{f}.csv"), (m,)) for f, m in ("pm", "qn")]
+    each = read_mat_forces(tuple(files), legs, folder, FILTER)
+    for own in each:
+        np.testing.assert_allclose(own.normal, both.normal)
+        assert "doubled" not in own.report
+    # Another segment's leg says nothing of this one.
+    apart = legs | {"n": replace(FLAT, legs="right", segment="shank")}
+    for own in read_mat_forces(tuple(files), apart, folder, FILTER):
+        np.testing.assert_allclose(own.normal, 2.0 * both.normal)
 
 
 def test_two_mats_in_one_file_keep_their_columns(folder):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from drake_exo.files.tables import PlateRecording
+from drake_exo.measurement.recording import merge_plates
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
@@ -88,6 +89,20 @@ def test_one_foot_counts_twice():
     np.testing.assert_allclose(merged.force, [[20.0, 600.0]])
     np.testing.assert_allclose(merged.cop_x, [0.1])
     assert shifts == {"right": 0.0}
+
+
+def test_one_foot_on_a_plate_stands_for_both_about_both_ankles():
+    """Its centre of pressure is 7 cm before its own ankle: before both's."""
+    F_z = np.full(3, 350.0)
+    wrench = PlanarWrench(np.column_stack([0.0 * F_z, F_z]), -0.10 * F_z)
+    places = {"left": np.full((3, 2), 0.03), "right": np.full((3, 2), -0.03)}
+    merged, shifts = merge_plates({"left": wrench}, places)
+    np.testing.assert_allclose(merged.cop_x, 0.07)
+    assert shifts == {"left": pytest.approx(-0.03)}
+    np.testing.assert_allclose(merged.force_z, 700.0)
+    alone, shifts = merge_plates({"left": wrench}, {"left": places["left"]})
+    np.testing.assert_allclose(alone.cop_x, 0.10)
+    assert shifts == {"left": 0.0}
 
 
 def test_walking_force_pushes_back_then_forward(data_root):
