@@ -15,7 +15,7 @@ import io
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
@@ -479,14 +479,32 @@ def _peaks(found: Trial, measured: Trial) -> tuple[dict, dict]:
     return peaks
 
 
-def limits_of_agreement(differences) -> tuple[float, float, float]:
+def limits_of_agreement(
+    differences: Sequence[float], subjects: Sequence[str]
+) -> tuple[float, float, float]:
     """Bias and limits of agreement, bias -/+ 1.96 SD.
 
-    Bland, Altman: Statistical methods for assessing agreement between two
-    methods of clinical measurement. Lancet 327 (1986).
+    The variance of single differences is that between subjects and that
+    within them, by a one-way analysis of variance: Bland, Altman: Agreement
+    between methods of measurement with multiple observations per individual.
+    J. Biopharmaceutical Statistics 17 (2007).
+
+    Args:
+        differences: (n,) of trials.
+        subjects: (n,) whose each is.
     """
-    bias = float(np.mean(differences))
-    sd = float(np.std(differences, ddof=1))
+    y, bias = np.asarray(differences, float), float(np.mean(differences))
+    _, of = np.unique(np.asarray(subjects), return_inverse=True)
+    counts = np.bincount(of)
+    means = np.bincount(of, y) / counts
+    n, k = len(y), len(counts)
+    within = np.sum((y - means[of]) ** 2) / max(n - k, 1)
+    variance = within
+    if k > 1:
+        between = np.sum(counts * (means - bias) ** 2) / (k - 1)
+        each = (n - np.sum(counts**2) / n) / (k - 1)  # trials of a subject
+        variance += max(between - within, 0.0) / each
+    sd = float(np.sqrt(variance))
     return bias, bias - 1.96 * sd, bias + 1.96 * sd
 
 
@@ -575,7 +593,9 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
         y = np.array([a.value - b.value for a, b in pairs])
         ax.scatter(x, y, s=12, c=[colours[a.subject] for a, _ in pairs])
         for level, style in zip(
-            limits_of_agreement(y), ("-", "--", "--"), strict=True
+            limits_of_agreement(y, [a.subject for a, _ in pairs]),
+            ("-", "--", "--"),
+            strict=True,
         ):
             ax.axhline(level, color="0.3", ls=style, lw=0.9)
             ax.annotate(

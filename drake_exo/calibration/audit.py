@@ -406,7 +406,8 @@ def spread(trials: list[Trial]) -> dict:
 
     The mean over the movement of the standard deviation at each percent of
     it; the paper compares its RMSD with that. NaN for a single trial. Keys as
-    in `rmsd`; the centre of pressure is taken from the foot.
+    in `rmsd`; the centre of pressure is taken from the foot, where all trials
+    load it.
     """
     names = trials[0].coordinates
     sampled = [
@@ -417,7 +418,8 @@ def spread(trials: list[Trial]) -> dict:
         values = np.stack([signal(t) for t in of])
         if len(values) < 2:
             return np.full(values.shape[2:], np.nan)
-        return values.std(axis=0, ddof=1).mean(axis=0)
+        sd = np.ma.masked_invalid(values.std(axis=0, ddof=1))
+        return np.ma.filled(sd.mean(axis=0), np.nan)
 
     moments, interaction = {}, {}
     if all(t.moments is not None for t in trials):

@@ -126,12 +126,18 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     motion = {k: getattr(trial, k).copy() for k in ("q", "v", "a")}
     for x in motion.values():
         x[:, device] = shown(x[:, device])
-    moments = trial.moments
-    if trial.friction is None and moments is not None:
+    moments, friction = trial.moments, trial.friction
+    if moments is not None:
         exo = moments[:, names.is_device_joint]
         moments = moments + shared_moments(names, shown(exo) - exo)
     said = trial.provenance | {"delays_s": taken_out | lags}
-    return replace(trial, **motion, moments=moments, provenance=said)
+    return replace(
+        trial,
+        **motion,
+        moments=moments,
+        friction=None if friction is None else shown(friction),
+        provenance=said,
+    )
 
 
 class Timing(InteractionCalibration):

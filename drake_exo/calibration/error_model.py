@@ -203,7 +203,8 @@ class ErrorModel:
             elif rest[-1] == "encoder_clock":
                 q[:, device, k] = -at.v[:, device]
                 v[:, device, k] = -at.a[:, device]
-                if at.friction is None and at.moments is not None:
+                # Recorded with the angles, or a function of them.
+                if at.moments is not None:
                     exo = at.moments[:, names.is_device_joint]
                     moments[:, :, k] = shared_moments(
                         names, -np.gradient(exo, at.times, axis=0)

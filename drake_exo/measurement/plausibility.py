@@ -1008,6 +1008,7 @@ LARGEST_FORCE_LAG_MS = 25.0
 _BETTER = 1.5  # misfit over that at another lag, for a clock to be off
 LARGEST_FORCE_RATIO = 1.25
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
+_RECORDED = 0.9  # of the used part
 
 
 def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
@@ -1019,15 +1020,22 @@ def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
         lag_s: of the plates' clock.
 
     Returns:
-        Infinite where the plates did not record so long.
+        Infinite where the plates did not record so long: what an own clock's
+        lag of milliseconds leaves out at an end does not count.
     """
     forces = other.recording.forces
     time = e.recording.motion.time[e.inside] + lag_s
-    if time[0] < forces.time[0] or time[-1] > forces.time[-1]:
+    known = (time >= forces.time[0]) & (time <= forces.time[-1])
+    if known.mean() < _RECORDED:
         return np.inf
-    borne = sum(w[:, 2] for w in forces.recorded.values())
+    # One foot alone on a plate stands for both.
+    feet = [name for name in forces.recorded if name in SIDES]
+    borne = sum(
+        w[:, 2] * (2.0 if [name] == feet else 1.0)
+        for name, w in forces.recorded.items()
+    )
     missed = np.interp(time, forces.time, borne) - e.needed_z[e.inside]
-    return float(np.std(missed))
+    return float(np.std(missed[known]))
 
 
 def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
@@ -1036,7 +1044,7 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         own = force_misfit(e, e)
         fits = {1e3 * lag: force_misfit(e, e, lag) for lag in _LAGS_S}
         lag = min(fits, key=fits.get)
-        better = own / max(fits[lag], 1e-9)
+        better = _ratio(own, fits[lag])
         lag = lag if better >= _BETTER else 0.0
         yield e.check(
             "force_clock",
@@ -1051,15 +1059,16 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         others = [o for o in evidence if o.files.forces != e.files.forces]
         if not others:
             continue
-        best = min(others, key=lambda o, e=e: force_misfit(e, o))
-        ratio = own / max(force_misfit(e, best), 1e-9)
+        misfits = {o.trial.name: force_misfit(e, o) for o in others}
+        best = min(misfits, key=misfits.get)
+        ratio = _ratio(own, misfits[best])
         yield e.check(
             "force_file",
             ratio,
             LARGEST_FORCE_RATIO,
             "",
             e.files.forces,
-            f"forces of trial {best.trial.name} fit this motion {ratio:.1f} "
+            f"forces of trial {best} fit this motion {ratio:.1f} "
             "times better; the file is another trial's",
         )
 

@@ -260,9 +260,24 @@ def test_200_000_rows_in_a_browser(tmp_path):
 def test_limits_of_agreement():
     rng = np.random.default_rng(3)
     off = 2.0 + 0.5 * rng.standard_normal(20_000)
-    np.testing.assert_allclose(
-        limits_of_agreement(off), (2.0, 1.02, 2.98), atol=0.03
-    )
+    for subjects in (np.arange(20_000), np.zeros(20_000)):  # 1 trial each; 1
+        np.testing.assert_allclose(
+            limits_of_agreement(off, subjects), (2.0, 1.02, 2.98), atol=0.03
+        )
+
+
+def test_trials_of_a_subject_are_not_independent():
+    """Off by 2 for each subject and 1 for each trial: SD of the square root
+    of 5 however many trials a subject has."""
+    rng = np.random.default_rng(4)
+    of = np.repeat(np.arange(4_000), rng.integers(1, 9, 4_000))
+    off = 2.0 * rng.standard_normal(4_000)[of]
+    off += rng.standard_normal(len(of))
+    _, low, high = limits_of_agreement(off, of)
+    assert high - low == pytest.approx(2 * 1.96 * np.sqrt(5.0), rel=0.02)
+    # By hand: means 1 and 4, within 4 / 2, between 9; 2 + (9 - 2) / 2.
+    _, low, high = limits_of_agreement([0.0, 2.0, 3.0, 5.0], list("aabb"))
+    assert high - low == pytest.approx(2 * 1.96 * np.sqrt(5.5))
 
 
 @pytest.mark.slow

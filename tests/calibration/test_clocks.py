@@ -1,6 +1,6 @@
 """Clocks of encoders and mats that a calibration finds."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -19,7 +19,13 @@ from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.parameters import Posterior
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.report.gathering import clocks_table
-from drake_exo.study import Study, calibrate_interaction, find_clocks, predict
+from drake_exo.study import (
+    Prediction,
+    Study,
+    calibrate_interaction,
+    find_clocks,
+    predict,
+)
 
 LAGS = {"encoders": 0.03, "pressure": -0.02}
 
@@ -102,6 +108,55 @@ def test_a_trial_goes_on_the_clock_that_was_found(in_device):
     assert retimed(shown, []) is shown
     mats = [Clock(trial.name, "pressure", 0.04, 0.004)]
     assert retimed(shown, mats) is shown
+
+
+def test_moments_of_a_device_model_go_with_its_encoders(in_device):
+    """They are a function of what encoders showed, friction as well."""
+    trial = in_device.trials[0]
+    names, t = trial.coordinates, trial.times
+    swing = np.outer(np.sin(3.0 * t), [1.0, -20.0, 12.0])
+    moments = trial.moments.copy()
+    moments[:, names.is_device_joint] = swing
+    shown = recorded(replace(trial, moments=moments, friction=0.1 * swing))
+    found = retimed(shown, [Clock(trial.name, "encoders", 0.03, 0.004)])
+    inside = t < t[-1] - 0.1
+    true = np.outer(np.sin(3.0 * (t + 0.03)), [1.0, -20.0, 12.0])[inside]
+    own = found.moments[inside][:, names.is_device_joint]
+    np.testing.assert_allclose(own, true, atol=0.01)
+    np.testing.assert_allclose(found.friction[inside], 0.1 * true, atol=1e-3)
+    total = moments[:, ~names.is_device_joint] + swing @ names.turned_by
+    kept = found.moments[:, ~names.is_device_joint][inside]
+    np.testing.assert_allclose(
+        kept + own @ names.turned_by, total[inside], atol=1e-9
+    )
+    # To first order likewise, as an unknown of the error model.
+    errors = ErrorModel(in_device.model, [shown], ErrorSizes())
+    k = errors.names.index(f"{trial.name}.encoder_clock")
+    change = errors.effects(shown).moments[:, names.is_device_joint, k]
+    np.testing.assert_allclose(
+        0.001 * change[5:-5], (-0.003 * np.outer(
+            np.cos(3.0 * t), [1.0, -20.0, 12.0]))[5:-5], atol=1e-3,
+    )  # fmt: skip
+
+
+def test_a_prediction_is_compared_on_the_clock_that_was_found(
+    predicted, in_device
+):
+    trial = in_device.trials[0]
+    shown = recorded(late(trial, encoders=0.03))
+    clock = Clock(trial.name, "encoders", 0.03, 0.004)
+    (own,) = predicted.trials
+    values = {f.name: getattr(own, f.name) for f in fields(own)}
+    found, unknown = (
+        Prediction(**values, result=predicted, clocks=clocks)
+        for clocks in ((clock,), ())
+    )
+    off, raw = (p.rmsd(shown)["angles_deg"]["exo_knee"] for p in
+                (found, unknown))  # fmt: skip
+    assert raw > 1.0 > 3.0 * off
+    assert found.timed(trial) is trial  # nothing was recorded of its clocks
+    other = replace(shown, name="another")
+    assert found.timed(other).provenance == other.provenance
 
 
 def test_a_clock_is_sure_if_it_is_known_to_ten_milliseconds():

@@ -161,6 +161,21 @@ def test_spread_of_cuffs_counts_trials_that_have_them():
     )
 
 
+def test_spread_of_pressure_where_all_trials_load_the_foot():
+    trials = [moved(seen("a"), cop=0.012), moved(seen("b"), cop=-0.012)]
+    F = trials[0].ground.force.copy()
+    F[:50, 1] = 5.0
+    moment = trials[0].ground.moment.copy()
+    lifted = replace(trials[0], ground=PlanarWrench(F, moment))
+    assert spread([lifted, trials[1]])["cop_mm"] == pytest.approx(
+        12.0 * np.sqrt(2.0), rel=1e-4
+    )
+    F = F.copy()
+    F[:, 1] = 5.0
+    never = replace(trials[0], ground=PlanarWrench(F, moment))
+    assert np.isnan(spread([never, trials[1]])["cop_mm"])
+
+
 def test_one_trial_has_no_spread():
     found = spread([seen()])
     assert np.isnan(list(found["angles_deg"].values())).all()

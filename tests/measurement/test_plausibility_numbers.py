@@ -465,7 +465,7 @@ def borne(name, force, late_s=0.0, seconds=2.4):
         time=time,
         recorded={
             side: np.outer(0.5 * seen + 10.0, np.eye(6)[2])
-            for side in ("left", "chair")
+            for side in ("both", "chair")
         },
     )
     return known(e, needed_z=600.0 + 90.0 * np.sin(9.0 * TIME))
@@ -486,6 +486,29 @@ def test_force_misfit_by_hand():
     short = borne("c", swing(90.0), seconds=1.9)
     assert np.isinf(plausibility.force_misfit(own, short))
     assert np.isfinite(plausibility.force_misfit(own, short, -0.1))
+
+
+def test_what_an_own_lag_leaves_out_at_an_end_does_not_count():
+    """A trial used to its end, its plates' clock set by some milliseconds."""
+    used = TIME[borne("a", swing(60.0)).inside]
+    whole = borne("a", swing(60.0), seconds=used[-1] - 0.015)
+    assert np.isfinite(plausibility.force_misfit(whole, whole))
+    other = borne("b", swing(60.0))
+    *_, check = plausibility.force_checks([whole, other])
+    assert check.name.endswith("force_file") and check.holds
+    # Nothing can be said where most of it was not recorded.
+    half = borne("a", swing(60.0), seconds=used[0] + 0.4)
+    for check in plausibility.force_checks([half, other]):
+        assert check.value == 0.0 or check.where != "a.mot"
+
+
+def test_one_foot_on_a_plate_counts_twice():
+    both = borne("a", swing(90.0))
+    alone = borne("a", swing(90.0))
+    recorded = alone.recording.forces.recorded
+    recorded["left"] = 0.5 * recorded.pop("both")
+    own = plausibility.force_misfit(alone, alone)
+    assert own == pytest.approx(plausibility.force_misfit(both, both))
 
 
 def test_plates_with_another_clock():
