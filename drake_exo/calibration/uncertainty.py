@@ -498,6 +498,8 @@ class Bands:
         cuffs: cuff -> (n, 3) tangential, normal [N], moment [N m].
         mats: cuff -> (n,) of what its mats would show [N].
         seen_q, seen_v: (n, nq) of what markers and encoders would show.
+        off_q, off_v, off_mats: how far off that is of the prediction, by what
+            is known of errors of measurement; shapes likewise.
     """
 
     q: np.ndarray
@@ -506,6 +508,9 @@ class Bands:
     mats: dict[str, np.ndarray]
     seen_q: np.ndarray
     seen_v: np.ndarray
+    off_q: np.ndarray
+    off_v: np.ndarray
+    off_mats: dict[str, np.ndarray]
 
     def coverage(self, found: Trial, measured: Trial) -> dict:
         """Share of measured samples within the bands around a prediction.
@@ -521,24 +526,28 @@ class Bands:
         """
         at, names = measured.sample(found.times), found.coordinates
 
-        def share(off, width) -> float:
-            return float(np.mean(np.abs(off) <= width))
+        def share(shown, predicted, width) -> float:
+            return float(np.mean(np.abs(shown - predicted) <= width))
+
+        q, v = found.q + self.off_q, found.v + self.off_v
 
         joints = [(n, names.index(n)) for n in names.joints]
         cuffs = [c for c in self.mats if c in at.cuffs]
         return {
             "trial": found.name,
             "angles_deg": {
-                n: share(at.q[:, k] - found.q[:, k], self.seen_q[:, k])
+                n: share(at.q[:, k], q[:, k], self.seen_q[:, k])
                 for n, k in joints
             },
             "velocities_deg_s": {
-                n: share(at.v[:, k] - found.v[:, k], self.seen_v[:, k])
+                n: share(at.v[:, k], v[:, k], self.seen_v[:, k])
                 for n, k in joints
             },
             "interaction_n": {
                 c: share(
-                    at.cuffs[c].normal - found.cuffs[c].normal, self.mats[c]
+                    at.cuffs[c].normal,
+                    found.cuffs[c].normal + self.off_mats[c],
+                    self.mats[c],
                 )
                 for c in cuffs
             },
@@ -600,30 +609,48 @@ def bands(result: PhaseResult) -> Bands | None:
         found = moved[index.ravel()]
         return np.sqrt(np.sum(found**2, axis=1)).reshape(index.shape)
 
+    grid = movement.grid
+    at = problem.trials[0].sample(grid.times)
+    # Mats are off by shares of the force, which is the predicted one.
+    at = replace(at, cuffs={cuff: trial.cuffs[cuff] for cuff in at.cuffs})
+    effects, known_errors = problem.errors.effects(at), result.values[errors]
+
+    def of_errors(by) -> np.ndarray:
+        """Variance of what is shown by their effects (n, ..., m) on it."""
+        return np.einsum("...a,ab,...b->...", by, prior, by, optimize=True)
+
     cuffs, mats = {}, {}
     for cuff, variables in movement.cuffs.items():
         force = trial.cuffs[cuff].components
         sd = np.hypot(spread(variables), DISCREPANCY * force)
         cuffs[cuff] = QUANTILE_95 * sd
-        if cuff in problem.trials[0].cuffs:
-            mats[cuff] = QUANTILE_95 * _of_mats(
-                problem, prior, cuff, sd[:, NORMAL], force[:, NORMAL]
-            )
-    grid = movement.grid
+        if cuff in effects.normal:
+            own = sd[:, NORMAL] ** 2 + of_errors(effects.normal[cuff])
+            noise = problem.settings.noise.normal_force_n
+            mats[cuff] = QUANTILE_95 * np.sqrt(own + noise**2)
     sd = [spread(grid.q), spread(grid.v)]
-    effects = problem.errors.effects(problem.trials[0].sample(grid.times))
     ends = movement.tracked[:2]
     seen = [
         np.sqrt(
             own**2
             + term.sigma[0] ** 2
             + shared_noise(problem.tree, term.sigma[0]) ** 2
-            + np.einsum("nqa,ab,nqb->nq", by, prior, by, optimize=True)
+            + of_errors(by)
         )
         for own, term, by in zip(sd, ends, (effects.q, effects.v), strict=True)
     ]
     q, v, seen_q, seen_v = (QUANTILE_95 * x for x in (*sd, *seen))
-    return Bands(q, v, cuffs, mats, seen_q, seen_v)
+    return Bands(
+        q,
+        v,
+        cuffs,
+        mats,
+        seen_q,
+        seen_v,
+        effects.q @ known_errors,
+        effects.v @ known_errors,
+        {cuff: by @ known_errors for cuff, by in effects.normal.items()},
+    )
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -663,12 +690,3 @@ def _modes(times: np.ndarray) -> np.ndarray:
     modes = np.cos(np.outer(phase, np.arange(count))) * np.sqrt(2.0 / duration)
     modes[:, 0] = np.sqrt(1.0 / duration)
     return modes
-
-
-def _of_mats(problem, prior, cuff: str, sd, force) -> np.ndarray:
-    """Standard deviation (n,) of what mats show of a force (n,)."""
-    own = dict(zip(problem.errors.names, np.diag(prior), strict=True))
-    unseen = own.get(f"mat.{cuff}.unseen", 0.0)
-    offset = own.get(f"mat.{cuff}.offset", 0.0)
-    noise = problem.settings.noise.normal_force_n
-    return np.sqrt(sd**2 + unseen * force**2 + offset + noise**2)

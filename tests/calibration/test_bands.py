@@ -47,6 +47,9 @@ def wide(trial, q=0.1, v=1.0, normal=5.0, mats=8.0) -> Bands:
         {c: np.linspace(0.0, 2.0 * mats, n) for c in list(trial.cuffs)[:2]},
         np.full((n, 9), 2.0 * q),
         np.full((n, 9), 2.0 * v),
+        np.zeros((n, 9)),
+        np.zeros((n, 9)),
+        {c: np.zeros(n) for c in trial.cuffs},
     )
 
 
@@ -67,6 +70,9 @@ def test_coverage_is_the_share_of_samples_within():
         mats={"pelvis": np.full(101, 19.5), "shank": np.ones(101)},
         seen_q=np.full((101, 9), 0.295),
         seen_v=np.full((101, 9), 9.5) + 10.0 * (np.arange(9) == 4),
+        off_q=np.zeros((101, 9)),
+        off_v=np.zeros((101, 9)),
+        off_mats={"pelvis": np.zeros(101), "shank": np.ones(101)},
     )
     told = band.coverage(found, measured)
     assert told["trial"] == "found"
@@ -76,6 +82,15 @@ def test_coverage_is_the_share_of_samples_within():
     assert told["velocities_deg_s"]["hip"] == 10 / 101
     assert told["interaction_n"] == {"pelvis": 20 / 101}
     assert told["half_width_n"] == {"pelvis": 19.5}
+    # What is known of instruments' errors is no miss of the prediction.
+    known = replace(
+        band,
+        off_q=measured.q - found.q,
+        off_v=measured.v - found.v,
+        off_mats={"pelvis": off},
+    ).coverage(found, measured)
+    for signal in ("angles_deg", "velocities_deg_s", "interaction_n"):
+        assert set(known[signal].values()) == {1.0}
 
 
 def test_a_measurement_is_looked_at_where_the_bands_are():
@@ -87,22 +102,6 @@ def test_a_measurement_is_looked_at_where_the_bands_are():
     told = wide(found, q=6e-3, v=0.06).coverage(found, measured)
     assert set(told["angles_deg"].values()) == {1.0}
     assert set(told["velocities_deg_s"].values()) == {1.0}
-
-
-def test_what_mats_show_is_less_sure_than_the_force():
-    names = ["mat.thigh.unseen", "mat.thigh.offset", "mat.pelvis.offset"]
-    noise = SimpleNamespace(normal_force_n=2.0)
-    problem = SimpleNamespace(
-        errors=SimpleNamespace(names=names),
-        settings=SimpleNamespace(noise=noise),
-    )
-    prior = np.diag([0.05**2, 3.0**2, 4.0**2])
-    sd, force = np.array([1.0, 6.0]), np.array([0.0, -100.0])
-    found = module._of_mats(problem, prior, "thigh", sd, force)
-    expected = np.sqrt([1.0 + 9.0 + 4.0, 36.0 + 25.0 + 9.0 + 4.0])
-    np.testing.assert_allclose(found, expected)
-    found = module._of_mats(problem, prior, "pelvis", sd, force)
-    np.testing.assert_allclose(found, np.sqrt([1 + 16 + 4.0, 36 + 16 + 4.0]))
 
 
 def test_noise_for_about_a_second_is_orthonormal():
@@ -335,9 +334,27 @@ def test_bands_by_dense_algebra(in_device, coarse):
     own = sigma**2 + (turn * sigma[2]) ** 2
     shown = np.sqrt((found.v / 1.959964) ** 2 + own + by_errors)
     np.testing.assert_allclose(found.seen_v, 1.959964 * shown)
+    known = result.values[errors]
+    assert np.abs(known).max() > 1e-3
+    np.testing.assert_allclose(found.off_q, effects.q @ known)
+    np.testing.assert_allclose(found.off_v, effects.v @ known)
+    # Mats: a share of the predicted force, what they show at rest, the clock.
     (mat,) = found.mats
     assert mat in in_device.trials[0].cuffs
-    assert (found.mats[mat] > found.cuffs[mat][:, 1]).all()
+    force = result.trials[0].cuffs[mat].normal
+    own = [f"mat.{mat}.unseen", f"mat.{mat}.offset"]
+    own.append(f"{in_device.trials[0].name}.mat_clock")
+    own = [names.index(n) for n in own]
+    by = np.column_stack(
+        [-force, np.ones_like(force), -np.gradient(force, grid.times)]
+    )
+    widened = np.einsum("na,ab,nb->n", by, prior[np.ix_(own, own)], by)
+    noise = settings.noise.normal_force_n
+    expected = (found.cuffs[mat][:, 1] / 1.959964) ** 2 + widened + noise**2
+    np.testing.assert_allclose(
+        found.mats[mat], 1.959964 * np.sqrt(expected), rtol=1e-6
+    )
+    np.testing.assert_allclose(found.off_mats[mat], by @ known[own])
 
 
 def fixed_answers(problem, y, parameters, Z, H, matrix) -> np.ndarray:

@@ -135,7 +135,8 @@ def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
 def band_of(trial, width: float) -> Bands:
     n = len(trial.times)
     cuffs = {c: np.tile([1.0, width, 2.0], (n, 1)) for c in trial.cuffs}
-    return Bands(0.0 * trial.q, 0.0 * trial.v, cuffs, {}, trial.q, trial.v)
+    q, v = 0.0 * trial.q, 0.0 * trial.v
+    return Bands(q, v, cuffs, {}, trial.q, trial.v, q, v, {})
 
 
 @pytest.mark.slow
