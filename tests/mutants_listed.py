@@ -472,8 +472,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "return np.log(x / self._middle)",
         ),
         (
-            "Q = np.diag(1.0 / self.jerk_sigma**2)",
-            "Q = np.diag(1.0 / self.jerk_sigma)",
+            "np.diag(1.0 / self.jerk_sigma**2)",
+            "np.diag(1.0 / self.jerk_sigma)",
         ),
         ("y = term.target / term.sigma", "y = term.target"),
     ],
@@ -554,7 +554,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
         ("lag if better >= _BETTER else 0.0", "lag"),
-        ("return float(np.std(missed))", "return float(np.abs(missed).max())"),
+        ("np.std(missed[known])", "np.abs(missed[known]).max()"),
         (
             "device.T[upright] - human[upright], axis=0",
             "device.T - human, axis=0",

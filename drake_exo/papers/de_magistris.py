@@ -310,8 +310,8 @@ def line(row: dict) -> str:
     finer = row.get("finer")
     on_finer = (
         "" if finer is None or finer["design"] is None else
-        f"{finer['design']['c']:.4g} on {finer['tets']} tets, "
-        f"{finer['change']:+.1%}; "
+        f"{_number(finer['design']['c'], '.4g')} on {finer['tets']} tets, "
+        f"{_number(finer['change'], '+.1%')}; "
     )  # fmt: skip
     return (
         f"{row['name']}: c {row['c']:.4g} on {row['tets']} tets, {on_finer}"
@@ -435,9 +435,10 @@ def front_table(points: list[dict]) -> str:
         f"{'paper':>6s} {'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
     ]
     lines += [
-        f"{p['case']:11s} {p['floor']:6.3f} {p['c_tr']:9.2e} "
-        f"{p['ratio_tr']:6.3f} {_paper(p):6s} {p['c_rot']:9.2e} "
-        f"{p['ratio_rot']:6.3f} {p['optimality_error']:8.1e}"
+        f"{p['case']:11s} {p['floor']:6.3f} {_number(p['c_tr'], '9.2e')} "
+        f"{_number(p['ratio_tr'], '6.3f')} {_paper(p):6s} "
+        f"{_number(p['c_rot'], '9.2e')} {_number(p['ratio_rot'], '6.3f')} "
+        f"{p['optimality_error']:8.1e}"
         for p in points
     ]
     return "\n".join(lines)

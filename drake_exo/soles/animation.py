@@ -147,6 +147,7 @@ class SoleMotion:
         if not is_sound:
             raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
         mesh, ground = replace(bare, fixed=fixed), Ground.of_arrays(data)
+        mesh.__dict__["contact"] = touching  # sides, too, where they may
         return SoleMotion(title, group, times, mesh, *rest, mark, ground)
 
     @property

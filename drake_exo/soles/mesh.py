@@ -119,12 +119,21 @@ class TetMesh:
 
     @cached_property
     def contact_areas(self) -> np.ndarray:
-        """Rest area around each node that may touch [m²], (m,)."""
-        _, twice = self.areas(self.contact_faces)
-        part = np.repeat(0.5 * twice / 3, 3)
-        faces = self.contact_faces.ravel()
-        total = np.bincount(faces, part, minlength=len(self.nodes))
-        return total[self.contact]
+        """Rest area around each node that may touch [m²], (m,).
+
+        Of faces that look downwards, as those that touch do; of all bare ones
+        where a node has none.
+        """
+        area, twice = self.areas(self.contact_faces)
+        down = area[:, 2] < -_DOWNWARDS * twice
+
+        def around(size: np.ndarray) -> np.ndarray:
+            faces, part = self.contact_faces.ravel(), np.repeat(size / 6.0, 3)
+            total = np.bincount(faces, part, minlength=len(self.nodes))
+            return total[self.contact]
+
+        below = around(twice * down)
+        return np.where(below > 0.0, below, around(twice))
 
     def areas(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vectors (f, 3) along the normals of triangles, their lengths (f,).

@@ -627,11 +627,11 @@ def complementarity(
     force times gap, force outside the cone, and force not opposite to the
     slip.
     """
-    worst, before = 0.0, None
+    worst, phase, before = 0.0, None, None
     for q in np.flatnonzero(history.converged):
         F, P, R = history.F[q], history.P[q], history.R[q]
-        if before is None or q in begins:
-            before = start.places(R, lP)
+        if (own := np.searchsorted(begins, q, side="right")) != phase:
+            phase, before = own, start.places(R, lP)
         scale = np.linalg.norm(F.sum(axis=0))
         Q, axes = ground.planes(history.between.get(q, before))
         f = np.einsum("kij,kj->ki", axes, F) / scale

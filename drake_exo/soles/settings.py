@@ -213,7 +213,16 @@ def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
             "optimize.stages: divisions need a brick as the initial shape, "
             "and this mesh is none; leave them out"
         )
-    return brick(tuple(np.ptp(own.nodes, axis=0)), stage.divisions)
+    return brick_like(own, stage.divisions)
+
+
+def brick_like(own: TetMesh, divisions: tuple[int, int, int]) -> TetMesh:
+    """A brick where another block lies."""
+    low, high = own.nodes.min(axis=0), own.nodes.max(axis=0)
+    base = brick(tuple(high - low), divisions)
+    return base.with_nodes(
+        base.nodes + np.append(0.5 * (low + high)[:2], high[2])
+    )
 
 
 @dataclass(frozen=True)

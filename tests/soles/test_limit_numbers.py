@@ -8,6 +8,7 @@ import pytest
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.loads import Load
+from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize import limits as module
 from drake_exo.soles.optimize.limits import (
@@ -220,6 +221,18 @@ def test_limits_that_are_given_are_active():
     assert (c_rot.least, c_rot.by_rot) == (30.0, "w")
 
 
+def test_a_first_shape_that_tips_does_not_turn_the_limit_round():
+    tips = np.diag([1e4, 3e4, -200.0, 50.0, 20.0, 70.0])
+    first = _evaluation(-tips[None])
+    (limit,) = active_limits(Limits(1.0, 1000.0), first, None)
+    values = []
+    for least in (-200.0, 100.0, 2500.0):
+        K = -np.diag([1e4, 3e4, least, 50.0, 20.0, 70.0])[None]
+        values.append(limit.value(_evaluation(K)))
+    assert values == sorted(values)
+    assert values[1] < 0.0 < values[2]
+
+
 def test_soft_minima_err_on_the_safe_side():
     x = np.array([0.5, 0.1, 0.3, 0.1])
     for sharpness in (60.0, 500.0):
@@ -279,3 +292,35 @@ def test_what_the_surface_measures(problem):
     }  # fmt: skip
     for name, value in wanted.items():
         assert value - np.log(200) / 500 < found[name] <= value + 1e-12
+
+
+def test_a_bottom_that_stays_is_measured_as_it_was_given(problem):
+    mesh = problem.mesh
+    moving = mesh.nodes[:, 2] > -0.0299
+    limits = SurfaceLimits(
+        Limits(1.0, depth=0.02, height=0.05, draft_deg=3.0), mesh, moving
+    )
+    told = limits.measures(mesh)
+    assert told["depth"] == pytest.approx(0.03)
+    assert {name for name, *_ in limits.evaluate(mesh)} == {
+        "height", "draft_deg",
+    }  # fmt: skip
+
+
+def test_a_groove_in_a_side_has_no_draft(problem):
+    """Its lip looks upwards, though no fixed rim is near."""
+    mesh = brick((0.08, 0.06, 0.04), (8, 6, 8))
+    centre = mesh.nodes[mesh.tets].mean(axis=1)
+    cut = (centre[:, 0] > 0.02) & (np.abs(centre[:, 2] + 0.0225) < 0.0025)
+    kept = mesh.tets[~cut]
+    used = np.unique(kept)
+    place = np.full(len(mesh.nodes), -1)
+    place[used] = np.arange(len(used))
+    fixed = place[mesh.fixed]
+    grooved = TetMesh(mesh.nodes[used], place[kept], fixed)
+    limits = SurfaceLimits(
+        Limits(1.0, draft_deg=0.0), grooved, np.ones(len(used), bool)
+    )
+    assert limits.measures(grooved)["draft"] == pytest.approx(-90.0)
+    ((_, value, _),) = limits.evaluate(grooved)
+    assert value < -0.9

@@ -72,6 +72,16 @@ def test_stages_are_bricks_in_the_own_box(case):
         stage_mesh(holed, stage)
 
 
+def test_a_stage_lies_where_the_block_lies(case):
+    own = case.mesh.with_nodes(case.mesh.nodes + np.array([0.04, -0.01, 0.002]))
+    stage = replace(case.settings.optimize.stages[0], divisions=(5, 2, 4))
+    found = stage_mesh(own, stage)
+    for ends in (np.min, np.max):
+        np.testing.assert_allclose(
+            ends(found.nodes, axis=0), ends(own.nodes, axis=0), atol=1e-15
+        )
+
+
 def test_keys_that_a_file_may_not_say_are_refused(case):
     with pytest.raises(InputError, match=r"strain is \.nan, but"):
         case.optimizing(strain=float("nan"))

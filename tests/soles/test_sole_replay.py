@@ -55,14 +55,34 @@ def test_force_and_pressure_are_those_of_the_load(step):
     np.testing.assert_allclose(
         motion.zero_moment_point()[:, :2], load.zmp, atol=1e-7
     )
-    # Pressure times rest areas is the force again, in kPa and m².
-    x = mesh.nodes[mesh.contact_faces]
+    # Pressure times the bottom's areas is the force again, in kPa and m².
+    faces = mesh.contact_faces
+    faces = faces[np.isclose(mesh.nodes[faces, 2], -0.03).all(axis=1)]
+    x = mesh.nodes[faces]
     area = 0.5 * np.linalg.norm(
         np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1
     )
-    at = np.searchsorted(motion.surface, mesh.contact_faces)
+    at = np.searchsorted(motion.surface, faces)
     pressed = motion.pressure()[:, at].mean(axis=2) @ area
     np.testing.assert_allclose(1e3 * pressed, load.force[:, 2], rtol=1e-6)
+
+
+def test_sides_that_may_touch_are_read_again(tmp_path):
+    """Once the sole rolls far all its bare nodes are followed."""
+    mesh = brick((0.1, 0.06, 0.03), (3, 2, 2)).touching_everywhere()
+    sole = Sole(mesh, MaterialBlock("neoprene").material())
+    force = np.tile([0.0, 0.0, 100.0], (3, 1))
+    load = Load(0.1 * np.arange(3.0), force, np.zeros((3, 2)))
+    start = Start(np.zeros(3), np.zeros(3), 0.0)
+    solver = ContactSolver.of(sole, ContactLaw(0.8, sole.penalty))
+    history = simulate(solver, load, start)
+    write_history(tmp_path / HISTORY, mesh, load.times, history)
+    motion = SoleMotion.read(tmp_path / HISTORY, "small")
+    np.testing.assert_array_equal(motion.mesh.contact, mesh.contact)
+    np.testing.assert_array_equal(motion.mesh.fixed, mesh.fixed)
+    assert motion.surface_places().shape[1] == len(motion.surface)
+    own = SoleMotion.of("small", mesh, load.times, history)
+    np.testing.assert_allclose(motion.pressure(), own.pressure())
 
 
 def test_surface_lies_on_the_ground_and_under_the_foot(step):

@@ -41,10 +41,15 @@ def test_forces_and_zmp_are_the_nodes_sums(step):
 def test_pressure_is_force_over_a_nodes_area(step):
     mesh = step.sole.mesh
     area = mesh.contact_areas
-    # The bottom, and of the sides what its edge stands for: a quarter of two
-    # layers.
-    sides = 2.0 * (0.23 + 0.13) * 0.03
-    assert area.sum() == pytest.approx(0.23 * 0.13 + 0.25 * sides)
+    # The bottom's alone: its edge touches with nothing of the sides.
+    assert area.sum() == pytest.approx(0.23 * 0.13)
+    everywhere = mesh.touching_everywhere()
+    area_of = dict(
+        zip(everywhere.contact, everywhere.contact_areas, strict=True)
+    )
+    np.testing.assert_allclose([area_of[k] for k in mesh.contact], area)
+    # A node amid a side: its own six or four triangles there.
+    assert min(everywhere.contact_areas) > 0.0
     for q in (0, 5):
         expected = step.history.F[q, :, 2] / area
         np.testing.assert_allclose(step.pressure[q], expected)
@@ -273,6 +278,24 @@ def test_slip_that_is_not_against_the_force(direction, violated):
     found = results.complementarity(history, law, start, np.zeros((1, 3)))
     # |f| (|s| + s along f), both over |F| of the sample.
     assert found == pytest.approx(violated / scale**2, abs=1e-12)
+
+
+def test_a_phase_begins_at_its_start_whatever_came_of_its_first_sample():
+    """What the last of the phase before touched says nothing of this one."""
+    law, n = ContactLaw(0.5, 1000.0), 4
+    F = np.tile([[1.0, 0.0, 2.0]], (n, 1, 1))  # on the edge of its cone
+    P = np.zeros((n, 1, 3))
+    P[:2, 0, 0] = 0.5  # the phase before lay elsewhere
+    history = SimpleNamespace(
+        converged=np.array([True, True, False, True]), F=F, P=P,
+        R=np.tile(np.eye(3), (n, 1, 1)), between={},
+    )  # fmt: skip
+    slid = iter([P[0], P[3]])
+    start = SimpleNamespace(places=lambda R, lP: next(slid))
+    found = results.complementarity(
+        history, law, start, np.zeros((1, 3)), begins=(0, 2)
+    )
+    assert found == pytest.approx(0.0, abs=1e-12)
 
 
 def test_files_hold_the_table_and_the_summary(step, tmp_path, monkeypatch):

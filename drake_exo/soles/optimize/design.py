@@ -16,7 +16,6 @@ from drake_exo.soles.mesh import (
     WALL,
     SphericalSpline,
     TetMesh,
-    brick,
     halved,
     is_watertight,
     mould_triangles,
@@ -35,7 +34,7 @@ from drake_exo.soles.optimize.files import (
 from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step, write_csv
-from drake_exo.soles.settings import Setup
+from drake_exo.soles.settings import Setup, brick_like
 from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
 
 _ACTIVE = 0.01  # of a scaled limit
@@ -229,8 +228,7 @@ class Design:
         divisions = self.setup.settings.optimize.stages[-1].divisions
         own = self.setup.mesh
         if divisions is not None:
-            size = tuple(np.ptp(own.nodes, axis=0))
-            base = brick(size, _at_least_twice(divisions))
+            base = brick_like(own, _at_least_twice(divisions))
         elif 8 * len(own.tets) <= _MOST:
             base = halved(own)
         else:
@@ -320,7 +318,11 @@ class Design:
             )  # fmt: skip
             if np.isnan(change):
                 value = None
-                said = "the design turns elements of a finer mesh over"
+                said = (
+                    "the design turns elements of a finer mesh over"
+                    if finer["design"] is None
+                    else "samples have no equilibrium on a finer mesh"
+                )
             holds = bool(abs(change) <= _FINER)
             note("plausibility.mesh", holds, value, _FINER, said)
         return Verdict((*self.step.verdict().checks, *checks), tuple(accepted))

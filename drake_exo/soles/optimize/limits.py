@@ -306,7 +306,9 @@ def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
     """
     out = []
     if limits.stability is not None:
-        scale = float(np.min(stability(first.history.K_c)))
+        # Of a first shape that hardly stands, the least itself is the size.
+        scale = abs(float(np.min(stability(first.history.K_c))))
+        scale = max(scale, limits.stability)
         out.append(StabilityLimit(limits.stability, scale))
     if limits.tilt_deg is not None:
         out.append(TiltLimit(limits.tilt_deg))
@@ -335,12 +337,16 @@ class SurfaceLimits:
     def measures(self, mesh: TetMesh) -> dict[str, float]:
         """Least depth, largest height [m] and least draft [°].
 
+        Where nothing of it moves, those of the bottom as it was given.
+
         Args:
             mesh: The deformed sole.
         """
-        z, up = mesh.nodes[:, 2], _normals(mesh, self._sides)[1].max()
+        z = mesh.nodes[:, 2]
+        up = _normals(mesh, self._sides)[1].max(initial=-1.0)
+        bottom = self._bottom if self._bottom.size else self.mesh.contact
         return {
-            "depth": float(-z[self._bottom].max()),
+            "depth": float(-z[bottom].max()),
             "height": float(-z[self._bare].min()),
             "draft": -float(np.rad2deg(np.arcsin(np.clip(up, -1, 1)))),
         }
@@ -362,6 +368,7 @@ class SurfaceLimits:
         """Bare faces that move, but for those at the rim that look upwards."""
         faces = self.mesh.contact_faces
         up = _normals(self.mesh, faces)[1] > _DOWNWARDS
+        up &= np.isin(faces, self.mesh.fixed).any(axis=1)
         return faces[~up & self.moving[faces].any(axis=1)]
 
     def evaluate(self, mesh: TetMesh) -> list[tuple[str, float, np.ndarray]]:
@@ -372,14 +379,14 @@ class SurfaceLimits:
             ("depth", self._bottom, -1.0, mine.depth),
             ("height", self._bare, 1.0, mine.height),
         ):
-            if limit is not None:
+            if limit is not None and len(nodes):
                 excess = sign * (z[nodes] / limit + 1.0)
                 value, share = soft_minimum(excess, _SURFACE_SHARPNESS)
                 by_nodes = np.zeros_like(mesh.nodes)
                 by_nodes[nodes, 2] = sign * share / limit
                 out.append((name, value, by_nodes))
-        if mine.draft_deg is not None:
-            faces = self._sides
+        faces = self._sides
+        if mine.draft_deg is not None and len(faces):
             normal, up, size = _normals(mesh, faces)
             value, share = soft_minimum(
                 -up - np.sin(np.deg2rad(mine.draft_deg)), _SURFACE_SHARPNESS

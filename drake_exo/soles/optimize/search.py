@@ -345,7 +345,10 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         "c_tr_sole_alone": alone.step.c_tr,
         "c_rot_sole_alone": alone.step.c_rot,
     }
-    design.setup = _walking(design.setup, robots[1])
+    # The case that is written has as many samples as the search had.
+    before, after = design.gait["contact_s"]
+    period = gait.period * after / before
+    design.setup = _walking(design.setup, replace(robots[1], period_s=period))
     return design
 
 
