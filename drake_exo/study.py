@@ -870,7 +870,14 @@ def predict(
     """
     check_type(study, Study, "study")
     check_bounds("scale_interaction", scale_interaction, {"above": 0.0})
+    if scale_interaction != 1.0 and not study.model.cuffs:
+        raise InputError(
+            f"scale_interaction is {scale_interaction:g}, but the study's "
+            f"model '{study.model.name}' has no cuffs; leave it out"
+        )
     as_trials([trial])
+    if near is not None:
+        check_type(near, Prediction, "near")
     known = contact_of(contact)
     if clocks is None:
         timing, clocks = _timing(study, trial, known)

@@ -342,7 +342,7 @@ class Batch:
         out: folder of all results.
         tasks: in the order of the batch file.
         outcomes: name -> how it ended.
-        fresh: how many were run now.
+        fresh: how many were begun now.
         interrupted: by Ctrl-C; what was not done then is "not begun".
     """
 
@@ -418,7 +418,8 @@ def run_batch(
     if all(row.code is not None for row in found.values()):
         # Else what was cut short may go on from there.
         shutil.rmtree(out / DRAFTS, ignore_errors=True)
-    return Batch(out, tuple(tasks), found, len(todo), interrupted)
+    begun = sum(row.state != "skipped" for row in ended.values())
+    return Batch(out, tuple(tasks), found, begun, interrupted)
 
 
 def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:

@@ -238,7 +238,8 @@ def check_has_cuffs(model: Model) -> None:
     if not model.cuffs:
         raise InputError(
             f"the study's model is '{model.name}': there is no exoskeleton "
-            "to interact with; use 'model: coupled', or --phase foot-ground"
+            "to interact with; use 'model: coupled', or calibrate "
+            "the foot-ground phase alone"
         )
 
 

@@ -210,13 +210,17 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
     Args:
         study: with its trials of the use.
         use: calibration or prediction.
-        settings: of the phase.
+        settings: of the phase; those of Phase A count as well, and of a
+            prediction those of Phase B, which find its clocks.
         contact: that was known before.
         more: whatever else counts, by name.
     """
     trials = [replace(t, provenance={}) for t in study.trials(use)]
-    values = contact and contact.values()
-    return checksum([use, study.model.name, settings, trials, values, more])
+    known = contact and [contact.values(), contact.posterior]
+    said = [study.foot_ground, settings]
+    if use == "prediction":
+        said.append(study.interaction)
+    return checksum([use, study.model, said, study.sole, trials, known, more])
 
 
 def finished(folder: Path, of: str) -> Verdict | None:

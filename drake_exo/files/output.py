@@ -727,7 +727,7 @@ def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
     for name, group in groups.items():
         nearest = min(group, key=_room)
         count = f"{len(group)} hold" if len(group) > 1 else "holds"
-        told = _short(nearest)
+        told = _short(nearest) if np.isfinite(_room(nearest)) else ""
         if nearest.name == name:
             told = told.removeprefix(name).strip()
         rows.append((name, count, f"nearest {told}" if told else ""))
@@ -735,10 +735,10 @@ def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
 
 
 def _room(check: Check) -> float:
-    """How far from its limit, in units of the limit."""
-    if check.value is None or check.limit is None:
+    """How far from its limit, in units of the limit: infinite without one."""
+    if check.value is None or not check.limit:
         return float("inf")
-    return abs(check.value - check.limit) / (abs(check.limit) or 1.0)
+    return abs(check.value - check.limit) / abs(check.limit)
 
 
 def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:

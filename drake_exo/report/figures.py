@@ -264,17 +264,21 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
 
 
 def front_figure(rows: list[dict]) -> Figure:
-    """Pareto front: force error against angle error."""
+    """Force error against angle error; hollow where a solve failed."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.5, 3.4))
         ax = figure.subplots()
-        x = [r["angles_deg"] for r in rows]
-        y = [r["grf_n"] for r in rows]
-        ax.plot(x, y, "-o", color="#c8102e")
-        for row, a, b in zip(rows, x, y, strict=True):
+        for solved, style in ((True, "-o"), (False, "o")):
+            some = [r for r in rows if r["success"] is solved]
+            x = [r["angles_deg"] for r in some]
+            y = [r["grf_n"] for r in some]
+            face = {} if solved else {"mfc": "none"}
+            ax.plot(x, y, style, color="#c8102e", **face)
+        for row in rows:
+            said = "" if row["success"] else ", not solved"
             ax.annotate(
-                f"×{row['factor']:g}",
-                (a, b),
+                f"×{row['factor']:g}{said}",
+                (row["angles_deg"], row["grf_n"]),
                 textcoords="offset points",
                 xytext=(6, 4),
             )

@@ -71,6 +71,13 @@ def test_of_many_that_hold_the_nearest_to_its_limit_is_told():
     ]
     text = Verdict(tuple(checks)).text(color=False)
     assert "3 hold  nearest (rise1, 0.9 N, limit 1 N)" in text
+    # Where none is measured, or nothing but zero is allowed, none is nearest.
+    bare = [
+        Check("bounds", True, where="x"),
+        Check("bounds", True, 0.0, 0.0, "s", "y"),
+    ]
+    text = Verdict(tuple(bare)).text(color=False)
+    assert "2 hold" in text and "nearest" not in text
 
 
 def test_a_summary_comes_back():

@@ -178,16 +178,21 @@ def test_all_figures_that_there_are_signals_for(trials, found):
 
 def test_a_front_is_force_against_angle():
     rows = [
-        {"factor": 0.5, "angles_deg": 0.2, "grf_n": 7.0},
-        {"factor": 2.0, "angles_deg": 0.1, "grf_n": 9.0},
+        {"factor": 0.5, "success": True, "angles_deg": 0.2, "grf_n": 7.0},
+        {"factor": 2.0, "success": True, "angles_deg": 0.1, "grf_n": 9.0},
+        {"factor": 9.0, "success": False, "angles_deg": 3.0, "grf_n": 1.0},
     ]
     (ax,) = figures.front_figure(rows).axes
-    (line,) = ax.get_lines()
+    line, lost = ax.get_lines()
+    np.testing.assert_array_equal(lost.get_data(), [[3.0], [1.0]])
+    assert lost.get_linestyle() == "None" and lost.get_mfc() == "none"
     np.testing.assert_array_equal(line.get_data(), [[0.2, 0.1], [7.0, 9.0]])
     assert "angles" in ax.get_xlabel() and "[°]" in ax.get_xlabel()
     assert "ground reaction" in ax.get_ylabel() and "[N]" in ax.get_ylabel()
     found = {a.get_text(): a.xy for a in ax.texts}
-    assert found == {"×0.5": (0.2, 7.0), "×2": (0.1, 9.0)}
+    assert found == {
+        "×0.5": (0.2, 7.0), "×2": (0.1, 9.0), "×9, not solved": (3.0, 1.0),
+    }  # fmt: skip
 
 
 def test_quality_shows_what_was_loaded():
