@@ -48,7 +48,7 @@ from drake_exo.calibration.settings import (
     InteractionSettings,
     PredictionSettings,
 )
-from drake_exo.calibration.solving import SolveWatch, solve
+from drake_exo.calibration.solving import SolveWatch, forget, solve
 from drake_exo.calibration.uncertainty import (
     Bands,
     Uncertainty,
@@ -583,6 +583,8 @@ class Calibration(_Solved):
         write_text(folder / "rmsd.txt", text, mark)
         figures.draw_figures(folder, found.trials, trials, mark=mark)
         write_json(folder / "summary.json", summary)
+        if self.success:
+            forget(folder)
         return summary
 
 

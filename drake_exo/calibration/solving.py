@@ -59,9 +59,13 @@ class SolveWatch:
         if now - self._saved < _CHECKPOINT_SECONDS:
             return
         self._saved = now
+        self.save(iterate.x)
+
+    def save(self, x: np.ndarray) -> None:
+        """Keep program variables as the checkpoint."""
         draft = self._checkpoint.with_name("checkpoint.tmp.npz")
         structure, values = self._fingerprint
-        np.savez(draft, x=iterate.x, structure=structure, values=values)
+        np.savez(draft, x=x, structure=structure, values=values)
         draft.replace(self._checkpoint)
 
 
@@ -87,7 +91,8 @@ def solve(
             `PhaseProblem`.
         title: begins every line of progress.
         folder: where checkpoint.npz is written while solving; it stays there
-            if the solve does not succeed. None keeps nothing.
+            until `forget`, since audits come before results are written. None
+            keeps nothing.
         resume: start from the checkpoint found there, if there is one.
         near: start from this solution of a problem like it instead, on its
             grid.
@@ -117,9 +122,12 @@ def solve(
         if not again.success:
             break  # the coarser solution stands, and its audit says so
         result = again
-    if folder is not None and result.success:
-        (Path(folder) / CHECKPOINT).unlink(missing_ok=True)
     return result
+
+
+def forget(folder: str | Path) -> None:
+    """Remove the checkpoint of a solve whose results are written."""
+    (Path(folder) / CHECKPOINT).unlink(missing_ok=True)
 
 
 def _add_up(solution: Solution, before: Solution) -> None:
@@ -196,7 +204,10 @@ def _solve_first(
         print(f"{title}: resumed from {CHECKPOINT}")
         near = None
     watch = SolveWatch(title, checkpoint, fingerprint)
-    return problem.solve(guess, watch, near)
+    found = problem.solve(guess, watch, near)
+    if found.success:
+        watch.save(found.values)
+    return found
 
 
 def read_checkpoint(

@@ -22,6 +22,7 @@ from drake_exo.calibration.results import (
     write_contact,
     write_trial,
 )
+from drake_exo.calibration.solving import forget
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,
@@ -204,6 +205,7 @@ def write_predictions(
                         study, trial, usual, near=prediction, clocks=(), **how
                     )
                     stopped = beside.solution.was_stopped
+                forget(folder)
         except KeyboardInterrupt:
             # Between solves; what is finished is written all the same.
             stopped = True

@@ -278,3 +278,23 @@ def test_with_a_sole_nothing_of_the_feet_is_calibrated(worn, tmp_path):
     ours.write(tmp_path)
     again = dx.read_contact(tmp_path)
     assert again.ground.of_sole and again.ground == worn.ground
+
+
+def test_a_solution_is_kept_until_its_results_are_written(tmp_path, capsys):
+    """Ctrl-C in an audit, which takes longer than a solve, loses nothing."""
+    model, trials = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
+    study = dx.Study(model, trials)
+    found = dx.calibrate_foot_ground(study, trials, folder=tmp_path)
+    assert found.success
+    with np.load(tmp_path / "checkpoint.npz") as kept:
+        np.testing.assert_array_equal(kept["x"], found.result.values)
+    again = dx.calibrate_foot_ground(
+        study, trials, folder=tmp_path, resume=True
+    )
+    assert "resumed from checkpoint.npz" in capsys.readouterr().out
+    assert again.success
+    assert again.solution.objective == pytest.approx(
+        found.solution.objective, rel=1e-6
+    )
+    again.write(tmp_path)
+    assert not list(tmp_path.glob("checkpoint*"))
