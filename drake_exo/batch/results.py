@@ -427,10 +427,10 @@ def summary(batch: Batch) -> dict:
 
 PREDICTED, MEASURED = "peak.predicted.", "peak.measured."
 _GROUPS = {
-    "rmsd.angles_deg": "angles [deg]",
-    "rmsd.grf_n": "ground reaction [N]",
-    "rmsd.interaction_n": "normal forces [N]",
-    "rmsd.moments_nm": "joint moments [N m]",
+    "rmsd.angles_deg": "RMSD of angles [deg]",
+    "rmsd.grf_n": "RMSD of ground reaction [N]",
+    "rmsd.interaction_n": "RMSD of normal forces [N]",
+    "rmsd.moments_nm": "RMSD of joint moments [N m]",
 }
 
 

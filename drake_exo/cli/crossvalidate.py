@@ -122,11 +122,12 @@ def verdict(folds: list[dict]) -> dict:
         sentence = "nothing can be compared: no fold with mats was solved"
         return {"helps": None, "ratio": None, "sentence": sentence}
     ratio = float(np.mean(own) / np.mean(usual))
+    better = sum(a < b for a, b in zip(own, usual, strict=True))
     word = "helps" if ratio < 1.0 else "does not help"
     sentence = (
         f"calibrating {word}: normal forces of trials left out are off by "
         f"{np.mean(own):.1f} N instead of {np.mean(usual):.1f} N with nominal "
-        f"cuffs ({len(own)} of them, ratio {ratio:.2f})"
+        f"cuffs ({len(own)} of them, {better} nearer, ratio {ratio:.2f})"
     )
     return {"helps": ratio < 1.0, "ratio": ratio, "sentence": sentence}
 

@@ -123,6 +123,11 @@ class Case(Setup):
                 f"--resume: the checkpoint is of the case {resume.case!r}, "
                 f"this one is {self.name!r}; give the case that was begun"
             )
+        if resume is not None and resume.key not in ("", self.key):
+            raise InputError(
+                "--resume: the checkpoint is of other settings, another mesh "
+                "or load of this case; only iterations may change"
+            )
         folder = None if folder is None else Path(folder)
         say = say or (lambda text: None)
         return optimise(self, folder, say, resume, at_once)

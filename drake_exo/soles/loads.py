@@ -305,7 +305,8 @@ class Load:
     def bearable(self, friction: float, width: float) -> "Load":
         """Free moments cut to what a line of contact across the sole bears.
 
-        A line of length `width` w [m] under an even load turns at μ F_z w / 4.
+        A line of length `width` w [m] under an even load turns at
+        (μ F_z − |F_t|) w / 4.
         Plates and their filters tell more at small loads than any ground bears.
         """
         if self.free_moment is None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.files.output import checksum
 from drake_exo.files.schema import (
     exactly_one,
     not_negative,
@@ -517,6 +518,21 @@ class Setup:
     def law(self, sole: Sole) -> ContactLaw:
         """The contact law with the sole's own scale r."""
         return ContactLaw(self.settings.contact.friction, sole.penalty)
+
+    @property
+    def key(self) -> str:
+        """Digits that tell apart what a search is of, however long it goes."""
+        block = self.settings.optimize
+        stages = tuple(replace(s, iterations=0) for s in block.stages)
+        block = replace(block, stages=stages)
+        mesh, load = self.mesh, self.load
+        return checksum(
+            [
+                replace(self.settings, name="", optimize=block),
+                [mesh.nodes, mesh.tets, mesh.fixed],
+                [load.times, load.force, load.zmp, load.weights],
+            ]
+        )
 
     def without_limits(self) -> "Setup":
         """The paper's own problem: stability, tilt and strain are free."""

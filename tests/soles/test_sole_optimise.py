@@ -216,8 +216,12 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     _write_case(folder / "other.yaml", intervals=4)
     out, never = folder / "out", folder / "never"
     assert optimize(folder / "other.yaml", never, "--resume", out) == 2
-    assert "of another case" in capsys.readouterr().err
+    assert "of other settings" in capsys.readouterr().err
     text = (folder / "case.yaml").read_text()
+    # As many coefficients, but a way to other ones.
+    _write_case(folder / "bounded.yaml", bounds=[0.9, 1.1])
+    assert optimize(folder / "bounded.yaml", never, "--resume", out) == 2
+    assert "only iterations may change" in capsys.readouterr().err
     (folder / "named.yaml").write_text(
         "name: another\n" + text[text.index("\n") :]
     )

@@ -39,6 +39,7 @@ class Checkpoint:
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
         case: Its name; "" where a file of an earlier version does not say.
+        key: `Setup.key` of what is searched; "" likewise.
     """
 
     stage: int = 0
@@ -52,6 +53,7 @@ class Checkpoint:
     starts: tuple[dict, ...] = ()
     begun: tuple["Checkpoint | None", ...] = ()
     case: str = ""
+    key: str = ""
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
@@ -77,7 +79,7 @@ class Checkpoint:
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
             hessian_approximation.matrix, before.strain_scale, before.starts,
-            case=before.case,
+            case=before.case, key=before.key,
         )  # fmt: skip
 
     def warm_start(self, bounds) -> WarmStart | None:
@@ -123,6 +125,7 @@ class Checkpoint:
                 "strain_scale": self.strain_scale,
                 "starts": self.starts,
                 "case": self.case,
+                "key": self.key,
             },
         )
 
@@ -147,9 +150,9 @@ def read_checkpoint(path: Path) -> Checkpoint:
             if (start / CHECKPOINT).exists()
         }
         count = max(begun, default=-1) + 1
-        case = next((at.case for at in begun.values()), "")
+        known = next(iter(begun.values()), Checkpoint())
         begun = tuple(begun.get(k) for k in range(count))
-        return Checkpoint(begun=begun, case=case)
+        return Checkpoint(begun=begun, case=known.case, key=known.key)
     remedy = "give the folder of an interrupted run"
     data = read_json(file, remedy)
 
@@ -171,6 +174,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             float(data.get("strain_scale", 1.0)),
             tuple(data.get("starts") or ()),
             case=str(data.get("case", "")),
+            key=str(data.get("key", "")),
         )
         found.check()
     except (ValueError, KeyError, TypeError, OverflowError):

@@ -365,7 +365,7 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     if at is None:
         problem = stage_problem(setup, block.stages[0])
         p = start_design(problem, problem.within(block.bounds), bend)
-        at = Checkpoint(p=p, latest=p, case=setup.name)
+        at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
     elif len(at.starts) > number:  # finished before an interruption
         row = at.starts[number]
         done = Optimum(
