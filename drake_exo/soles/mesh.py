@@ -32,6 +32,7 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
+_FIXED = "fixed"  # data of a file's nodes: 1 where glued to the foot
 _DOWNWARDS = 1e-3  # of a face's normal: beyond rounding
 UPWARDS = 0.0175  # of a face's normal: a degree, vertical sides as meshed
 _MOST_TETS = 1_000_000  # 20 GB of memory
@@ -333,11 +334,18 @@ def read_mesh(
             elements, no Dirichlet surface, not in metres, or a top that
             needs an origin.
     """
-    path = Path(path)
+    path, said = Path(path), {}
+
+    def read(file: Path) -> meshio.Mesh:
+        raw = meshio.read(file)
+        said.update(raw.point_data)
+        return raw
+
     nodes, tets = read_cells(
         path,
         "tetra",
         "give Gmsh .msh, .vtk, .vtu or another format known to meshio",
+        read,
     )
     if len(tets) == 0:
         raise InputError(
@@ -349,6 +357,9 @@ def read_mesh(
     top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
     if origin is None:
         origin = _guess_origin(TetMesh(nodes, tets, top), extent, path)
+    glued = np.ravel(said.get(_FIXED, []))
+    if len(glued) > used.max():  # a file of `write_vtk`
+        top = np.flatnonzero(glued[used] > 0)
     return checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
 
 
@@ -422,8 +433,14 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
 
 
 def write_vtk(path: Path | str, mesh: TetMesh) -> None:
-    """Write the tetrahedra in metres, as `read_mesh` reads them."""
-    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
+    """Write the tetrahedra in metres, as `read_mesh` reads them.
+
+    What is fixed is written, too: a top may be curved.
+    """
+    glued = np.zeros(len(mesh.nodes), np.int32)
+    glued[mesh.fixed] = 1
+    cells = [("tetra", mesh.tets)]
+    meshio.Mesh(mesh.nodes, cells, {_FIXED: glued}).write(path)
 
 
 def write_triangles(path: Path | str, corners: np.ndarray) -> None:

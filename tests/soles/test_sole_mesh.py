@@ -333,3 +333,16 @@ def test_flat_elements_are_flat_beside_the_usual_one(part, sound):
 def test_a_brick_of_too_many_tets_is_refused():
     with pytest.raises(InputError, match="make 5382000 tets, more than"):
         brick((0.23, 0.13, 0.03), (230, 130, 30))
+
+
+def test_a_curved_top_is_read_as_it_was_written(tmp_path):
+    """What is glued stands in the file: no plane tells it."""
+    mesh = brick((0.2, 0.1, 0.03), (6, 4, 3))
+    nodes = mesh.nodes.copy()
+    lift = 0.01 * np.cos(np.pi * nodes[:, 0] / 0.2)
+    nodes[:, 2] += lift * (nodes[:, 2] + 0.03) / 0.03
+    curved = mesh.with_nodes(nodes)
+    write_vtk(tmp_path / "sole.vtk", curved)
+    found = read_mesh(tmp_path / "sole.vtk", (0.0, 0.0, 0.0))
+    np.testing.assert_array_equal(found.fixed, mesh.fixed)
+    np.testing.assert_array_equal(found.nodes, nodes)

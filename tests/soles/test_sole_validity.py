@@ -265,7 +265,8 @@ def test_a_design_is_told_where_a_finer_mesh_disagrees():
     design = Case.from_text(EXAMPLE).optimize()
     words = {}
     for change in (0.01, -0.05, np.nan):
-        found = design.verdict(finer={"change": change}).checks[-1]
+        finer = {"change": change, "design": None}
+        found = design.verdict(finer=finer).checks[-1]
         assert (found.name, found.level) == ("plausibility.mesh", "note")
         words[change] = found.holds, found.sentence
     assert words[0.01] == (True, "")
