@@ -180,13 +180,16 @@ def test_rough_changes_are_farther_than_smooth_ones(problem):
     )
 
 
-def _evaluation(K=None, R=None):
+def _evaluation(K=None, R=None, held=None):
     count = len(K) if K is not None else len(R)
     if R is None:
         R = np.tile(np.eye(3), (count, 1, 1))
     return SimpleNamespace(
         history=SimpleNamespace(K_c=K, R=R), c_rot=450.0,
         strain=SimpleNamespace(value=0.3),
+        load=SimpleNamespace(
+            is_measured=np.zeros(count, bool) if held is None else held
+        ),
     )  # fmt: skip
 
 
@@ -207,6 +210,25 @@ def test_values_by_hand():
     assert one - np.log(2) / 60 < found < one
     found = TiltLimit(20.0).value(_evaluation(R=np.concatenate([R, R])))
     assert found == pytest.approx(tilt - np.log(2) / 60)
+
+
+def test_a_pose_that_is_prescribed_tips_nothing():
+    """Beside one that is free, which has to stand."""
+    K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]
+    held = np.array([False, True])
+    both = np.concatenate([K, -5.0 * K])  # the second would tip
+    R = rotations_xyz(np.deg2rad([[2.0, 0, 0], [50.0, 0, 0]]))
+    first = _evaluation(both, R, held)
+    stability, tilt = active_limits(Limits(1.0, 2e3, 20.0), first, None)
+    assert stability.scale == pytest.approx(8e3)
+    for limit in (stability, tilt):
+        alone = limit.value(_evaluation(K, R[:1]))
+        assert limit.value(first) == pytest.approx(alone)
+        all_free = _evaluation(both, R, np.zeros(2, bool))
+        assert limit.value(all_free) < 0.0
+    share = tilt._excess(first)[1]
+    assert share[1] == 0.0 and share[0] > 0.99
+    assert stability._excess(first)[1][1] == 0.0
 
 
 def test_limits_that_are_given_are_active():

@@ -274,11 +274,14 @@ class Design:
         limits, name = self.problem.limits, self.setup.name
         surface = self._surface
         cm3 = 1e6 * self.mesh.volume
-        margin = float(np.min(self.step.stability))
+        # Of poses that are not prescribed.
+        free = ~self.setup.load.is_measured
+        margin = np.min(self.step.stability[free], initial=np.inf)
+        tilt = np.max(self.step.tilt_deg[free], initial=0.0)
         held = [
             ("volume", cm3, 1e6 * limits.volume, "cm³", 1),
             ("strain", self.step.largest_strain, limits.strain, "", 1),
-            ("tilt", self.step.tilt_deg.max(), limits.tilt_deg, "°", 1),
+            ("tilt", tilt, limits.tilt_deg, "°", 1),
             ("stability", margin, limits.stability, "N/m", -1),
             ("c_rot", self.step.c_rot, limits.c_rot, "N·m/rad", -1),
             ("depth", surface["depth"], limits.depth, "m", -1),

@@ -170,6 +170,7 @@ _SHARPNESS = 60.0  # of the soft minimum over samples
 _SURFACE_SHARPNESS = 500.0  # likewise over nodes or faces of the surface
 _DOWNWARDS = 0.5  # least downward part of a normal at the bottom
 _TILT_SCALE = 0.06  # 1 − cos 20°
+_MET = 10.0  # of samples that no limit is on: next to none of a soft minimum
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,9 @@ class StabilityLimit:
 
     def _excess(self, e: Evaluation):
         x = stability(e.history.K_c) - self.least
-        return _saturate(x / self.scale)
+        y, slope = _saturate(x / self.scale)
+        held = e.load.is_measured  # a pose that is prescribed does not tip
+        return np.where(held, _MET, y), np.where(held, 0.0, slope)
 
     def value(self, e: Evaluation) -> float:
         """Scaled excess, soft minimum over samples."""
@@ -253,7 +256,10 @@ class TiltLimit:
 
     def _excess(self, e: Evaluation):
         margin = e.history.R[:, 2, 2] - np.cos(np.deg2rad(self.largest_deg))
-        return soft_minimum(margin / _TILT_SCALE)
+        held = e.load.is_measured  # no shape changes what is prescribed
+        x = np.where(held, _MET, margin / _TILT_SCALE)
+        value, share = soft_minimum(x)
+        return value, np.where(held, 0.0, share)
 
     def value(self, e: Evaluation) -> float:
         """Scaled difference of cosines, soft minimum over samples."""
@@ -307,7 +313,8 @@ def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
     out = []
     if limits.stability is not None:
         # Of a first shape that hardly stands, the least itself is the size.
-        scale = abs(float(np.min(stability(first.history.K_c))))
+        free = ~first.load.is_measured
+        scale = abs(float(np.min(stability(first.history.K_c)[free])))
         scale = max(scale, limits.stability)
         out.append(StabilityLimit(limits.stability, scale))
     if limits.tilt_deg is not None:

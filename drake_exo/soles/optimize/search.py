@@ -62,7 +62,7 @@ def limits_of(settings: Settings) -> Limits:
     block = settings.optimize
     density = settings.material.material().density_kg_per_m3
     # A pose that is prescribed does not tip, and no shape changes it.
-    held = any(block.pose == "measured" for block in settings.all_loads)
+    held = all(block.pose == "measured" for block in settings.all_loads)
     return Limits(
         settings.cost.mass_limit_kg / density,
         None if held else block.stability_n_per_m,
