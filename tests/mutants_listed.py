@@ -514,7 +514,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "width = band.cuffs[cuff][:, 0]",
         ),
         ("middle - width,", "middle,"),
-        ('y = [r["grf_n"] for r in rows]', 'y = [r["cop_mm"] for r in rows]'),
+        ('y = [r["grf_n"] for r in some]', 'y = [r["cop_mm"] for r in rows]'),
         ("t = trial.start_s + trial.times", "t = trial.times"),
         ("quality.residual[:, column]", "quality.residual[:, 0]"),
         (

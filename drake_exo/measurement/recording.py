@@ -92,19 +92,28 @@ def level(
     seen = float(empty.sum() * (time[1] - time[0]))
     if not empty.any():
         return wrench, {"unloaded_s": 0.0}
-    t = (time - time[0]) / (time[-1] - time[0])
-    spans = t[empty].max() - t[empty].min()
-    powers = 2 if spans > _TREND_SHARE else 1
-    A = np.vander(t, powers, increasing=True)
-    values = wrench.array
-    c = np.linalg.lstsq(A[empty], values[empty], rcond=None)[0]
-    values = values - A @ c
-    drift = float(c[1, 1] / (time[-1] - time[0])) if powers == 2 else 0.0
-    return PlanarWrench.of(values), {
-        "offset_n": float(c[0, 1]),
-        "drift_n_s": drift,
+    offset = trend(time, wrench.array, empty)
+    return PlanarWrench.of(wrench.array - offset), {
+        "offset_n": float(offset[0, 1]),
+        "drift_n_s": float(
+            (offset[-1, 1] - offset[0, 1]) / (time[-1] - time[0])
+        ),
         "unloaded_s": seen,
     }
+
+
+def trend(time: np.ndarray, values: np.ndarray, empty: np.ndarray):
+    """What an empty plate shows (N, k): a level, a line where it shows.
+
+    Args:
+        time: (N,) [s].
+        values: (N, k) of a plate.
+        empty: (N,) bool, see `unloaded`; at least one.
+    """
+    t = (time - time[0]) / (time[-1] - time[0])
+    spans = t[empty].max() - t[empty].min()
+    A = np.vander(t, 2 if spans > _TREND_SHARE else 1, increasing=True)
+    return A @ np.linalg.lstsq(A[empty], values[empty], rcond=None)[0]
 
 
 @dataclass(frozen=True)

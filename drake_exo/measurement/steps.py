@@ -17,7 +17,13 @@ from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData, PlateRecording, between
 from drake_exo.measurement.events import Contact, contacts
 from drake_exo.measurement.filters import fill_gaps
-from drake_exo.measurement.recording import plates_under, read_markers
+from drake_exo.measurement.recording import (
+    LARGEST_FOOT_N,
+    plates_under,
+    read_markers,
+    trend,
+    unloaded,
+)
 from drake_exo.measurement.sagittal import (
     COP_THRESHOLD_N,
     SagittalFrame,
@@ -106,6 +112,18 @@ def recorded_step(
     frame = lab.force_axes.frame
     sign = -1.0 if lab.forces_act_on == "plate" else 1.0
     each = [sign * spatial_wrench(plate, frame) for plate in plates]
+    if files.empty_plates is not None:
+        _, empty = plates_under(
+            root / files.empty_plates, files.plates.of(foot)
+        )
+        each = [
+            w - sign * spatial_wrench(plate, frame).mean(axis=0)
+            for w, plate in zip(each, empty, strict=True)
+        ]
+    if lab.remove_plate_drift:
+        for k, w in enumerate(each):
+            bare = unloaded(time, w[:, 2], LARGEST_FOOT_N)
+            each[k] = w - trend(time, w, bare) if bare.any() else w
     time = time - lab.force_delay_s
     found = contacts(time, sum(each)[:, 2], least_force_n)
     contact = _chosen(found, start, end, number, where)

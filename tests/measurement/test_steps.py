@@ -1,5 +1,6 @@
 """One step out of a recording: known ones come back, bad ones are named."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,42 @@ def test_a_known_step_comes_back(tmp_path, belt):
     np.testing.assert_allclose(step.rotation, wanted, atol=5e-3)
     if not belt:
         np.testing.assert_allclose(step.place, PLACE, atol=1e-4)
+
+
+def test_plates_are_levelled_as_the_study_says(tmp_path):
+    """Amplifiers that drift by 12 N would hold the foot down past its step."""
+    study = _write(tmp_path, start=0.42, end=0.78)
+    text = (tmp_path / "walk.mot").read_text()
+    head, _, body = text.partition("nColumns=28\nendheader\n")
+    names, *lines = body.strip().split("\n")
+    values = np.array([[float(v) for v in x.split("\t")] for x in lines])
+    first = names.split("\t").index("ground_force_1_vy")
+    values[:, first] += 12.0 + 4.0 * values[:, 0]
+    body = "\n".join("\t".join(f"{v:.9g}" for v in row) for row in values)
+    (tmp_path / "walk.mot").write_text(
+        f"{head}nColumns=28\nendheader\n{names}\n{body}\n"
+    )
+
+    def vertical(settings):
+        step = recorded_step(settings, tmp_path, "walk", "left")
+        inside = (step.times > 0.45) & (step.times < 0.75)
+        return step.force[inside, 2]
+
+    assert vertical(study).min() > 510.0
+    lab = replace(study.laboratory, remove_plate_drift=True)
+    levelled = replace(study, laboratory=lab)
+    np.testing.assert_allclose(vertical(levelled), 500.0, atol=0.5)
+    # The same plates with nothing on them.
+    values[:, 1:] = 0.0
+    values[:, first] = 14.0
+    body = "\n".join("\t".join(f"{v:.9g}" for v in row) for row in values)
+    (tmp_path / "empty.mot").write_text(
+        f"{head}nColumns=28\nendheader\n{names}\n{body}\n"
+    )
+    files = replace(study.trials[0], empty_plates=Path("empty.mot"))
+    emptied = replace(study, trials=(files, *study.trials[1:]))
+    found = vertical(emptied)
+    np.testing.assert_allclose(found, vertical(study) - 14.0, atol=1e-6)
 
 
 def test_part_of_a_step_by_its_times(tmp_path):
