@@ -173,9 +173,10 @@ class Study:
         """The trials; of a study file those of one use, or all of them.
 
         Raises:
-            InputError: there are none, or their files are not as they should
-                be.
+            InputError: there is no such use; there are none, or their files
+                are not as they should be.
         """
+        _check_use(use)
         return self._trials
 
     def alone(self, trials: Sequence[Trial]) -> Study:
@@ -312,10 +313,7 @@ class RecordedStudy(Study):
 
     def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
         """See Study."""
-        if use not in (None, *get_args(Use)):
-            raise InputError(
-                f"use is {use!r}; give one of {', '.join(get_args(Use))}"
-            )
+        _check_use(use)
         files = tuple(t for t in self.file.trials if use in (None, t.use))
         if not files:
             raise InputError(
@@ -674,6 +672,13 @@ class Prediction(_Solved, Trial):
         show_trial(meshcat, self.result.problem.model, self)
 
 
+def _check_use(use: Use | None) -> None:
+    if use not in (None, *get_args(Use)):
+        raise InputError(
+            f"use is {use!r}; give one of {', '.join(get_args(Use))}"
+        )
+
+
 def _named(trials) -> str:
     """How many, and which."""
     count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
@@ -885,6 +890,8 @@ def predict(
         timing, clocks = _timing(study, trial, known)
         if timing is not None and timing.solution.was_stopped:
             return _prediction(timing)
+    for clock in clocks:
+        check_type(clock, Clock, "clocks")
     own = tuple(c for c in clocks if c.trial == trial.name)
     trial = retimed(trial, own)
     scaled = known.scaled(scale_interaction)

@@ -219,6 +219,17 @@ def test_input_of_the_api_is_told(study, made):
         dx.predict(study, alone, made.contact)
     with pytest.raises(dx.InputError, match="scale_interaction is -1"):
         dx.predict(study, trial, made.contact, scale_interaction=-1.0)
+    with pytest.raises(dx.InputError, match="clocks is"):
+        dx.predict(study, trial, made.contact, clocks="x")
+    with pytest.raises(dx.InputError, match="near is"):
+        dx.predict(study, trial, made.contact, near="x")
+    with pytest.raises(dx.InputError, match="use is 'banana'"):
+        study.trials("banana")
+    bare, [rise] = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
+    with pytest.raises(dx.InputError, match="has no cuffs; leave it out"):
+        dx.predict(
+            dx.Study(bare, [rise]), rise, made.contact, scale_interaction=2.0
+        )
     with pytest.raises(dx.InputError, match="no Drake system"):
         dx.predict(study, trial, made.contact, controller=dx.AssistController)
     with pytest.raises(dx.InputError, match="no model 'cupled'"):
