@@ -349,7 +349,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("QUANTILE_95 = 1.959964", "QUANTILE_95 = 1.644854"),
         ("np.hypot(self.sd, self.pull)", "self.sd"),
         ("np.where(self.at_bound, np.nan, sd)", "sd"),
-        ("self.sd < _IDENTIFIABLE * self.prior_sd", "self.sd < self.prior_sd"),
+        ("off < _IDENTIFIABLE * self.prior_sd", "off < self.prior_sd"),
         (
             "covariance = -unit[:, None] * found[:, columns] * unit",
             "covariance = -unit[:, None] * found[:, columns]",

@@ -82,7 +82,17 @@ def test_noise_and_curvature_tell_nearly_the_same(coarse):
     ratio = found.sd / curvature
     assert (ratio > 0.82).all() and (ratio < 1.05).all()
     assert (found.sd <= 1.001 * found.prior_sd).all()
-    assert found.identifiable[found.names.index("thigh.normal_stiffness")]
+    # Intervals say besides that no cuff is a bushing.
+    value = {p.name: p.nominal for p in result.parameters}
+    k = found.names.index("thigh.normal_stiffness")
+    wide = np.sqrt(
+        found.sd[k] ** 2
+        + found.pull[k] ** 2
+        + (0.25 * value[found.names[k]]) ** 2
+    )
+    expected = 1.959964 * min(wide, found.prior_sd[k])
+    assert found.half_width[k] == pytest.approx(expected, rel=1e-6)
+    assert (found.half_width <= 2.0 * found.prior_sd).all()
 
 
 def test_a_prior_pulls_nothing(coarse):
