@@ -700,7 +700,8 @@ def calibrate_foot_ground(
     Args:
         study: says the settings.
         trials: to calibrate with; those for calibration by default.
-        folder: keeps the newest iterate (checkpoint.npz) while solving.
+        folder: keeps the newest iterate (checkpoint.npz) until results are
+            written there.
         resume: start from the iterate found there.
 
     Raises:

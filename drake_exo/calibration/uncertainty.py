@@ -83,10 +83,10 @@ class Uncertainty:
     @property
     def half_width(self) -> np.ndarray:
         """Half of each 95 % interval (m,), pull and law included."""
-        off = np.hypot(self.pull, self.law)
+        own = np.hypot(self.sd, self.pull)
         # The law's share makes nothing less sure than it was before.
-        law = np.minimum(np.hypot(self.sd, off), self.prior_sd)
-        return QUANTILE_95 * np.maximum(law, np.hypot(self.sd, self.pull))
+        both = np.minimum(np.hypot(own, self.law), self.prior_sd)
+        return QUANTILE_95 * np.maximum(own, both)
 
     @property
     def identifiable(self) -> np.ndarray:
@@ -293,16 +293,6 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
     """Gradient of what tracks no measurement, the prior left out."""
     x = program.expand(y)
     g = _jerk_weights(problem) * x
-    for p, variable in zip(
-        problem.parameters,
-        problem.program.indices(problem.parameter_variables),
-        strict=True,
-    ):
-        if p.free and p.prior_sd is not None and p.log_prior:
-            # Among the residuals it would count.
-            kernel, at = LogKernel(p.nominal, p.prior_sd), x[[[variable]]]
-            off, slope = kernel.evaluate(at, None), kernel.jacobian(at, None)
-            g[variable] -= off.item() * slope.item()
     for movement in problem.movements:
         variables, factors, times = movement.damped
         index = problem.program.indices(variables)
@@ -313,7 +303,8 @@ def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
             if term.role == "regulariser":
                 index = problem.program.indices(term.variables)
                 g[index] += weights * x[index] / term.sigma**2
-    return program.unknowns.matrix.T @ g + program.residual_gradient(y)
+    rest = program.residual_gradient(y, without=LogKernel)
+    return program.unknowns.matrix.T @ g + rest
 
 
 def noise_basis(

@@ -335,8 +335,8 @@ class TrialProgram:
         root = self.coordinates.root_columns
         variables = np.concatenate(list(variables[:, root]))
         factors, times = (np.repeat(x, len(root), 0) for x in (factors, times))
-        self.damped = variables, factors / ALTERNATING, times
-        variables, factors, times = self.damped
+        factors = factors / ALTERNATING
+        self.damped = variables, factors, times
         self.program.add_quadratic_costs(
             f"{self.name} between nodes",
             np.einsum("n,ni,nj->nij", times, factors, factors),

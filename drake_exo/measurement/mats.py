@@ -300,9 +300,8 @@ def read_mat_forces(
             too short or too slow for the filter; a scan that does not fit.
     """
     found, seen = [], defaultdict(set)
-    for name in (name for file in files for name in file.mats):
-        if name in mats:
-            seen[mats[name].segment].add(mats[name].legs)
+    for mat in (mats[name] for file in files for name in file.mats):
+        seen[mat.segment].add(mat.legs)
     for file in files:
         recording = _read(root / file.file, file.mats, mats)
         time = uniform_time(recording.source, recording.time)

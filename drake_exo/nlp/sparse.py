@@ -242,8 +242,15 @@ class SparseProgram:
             accumulate(g, b, b.jacobian(x)[:, 0])
         return g
 
-    def residual_gradient(self, y: np.ndarray) -> np.ndarray:
-        """The part of the gradient that least-squares residuals have."""
+    def residual_gradient(
+        self, y: np.ndarray, without: type | tuple[type, ...] = ()
+    ) -> np.ndarray:
+        """The part of the gradient that least-squares residuals have.
+
+        Args:
+            y: unknowns.
+            without: kernels whose residuals are left out.
+        """
         g = np.zeros(self.num_unknowns)
         for b, r, J in zip(
             self.residual_blocks,
@@ -251,7 +258,8 @@ class SparseProgram:
             self._residual_jacobians(y),
             strict=True,
         ):
-            accumulate(g, b, np.einsum("no,now->nw", r, J))
+            if not isinstance(b.batch.kernel, without):
+                accumulate(g, b, np.einsum("no,now->nw", r, J))
         return g
 
     def constraints(self, y: np.ndarray) -> np.ndarray:

@@ -272,8 +272,8 @@ def front_figure(rows: list[dict]) -> Figure:
             some = [r for r in rows if r["success"] is solved]
             x = [r["angles_deg"] for r in some]
             y = [r["grf_n"] for r in some]
-            face = {} if solved else {"mfc": "none"}
-            ax.plot(x, y, style, color="#c8102e", **face)
+            face = None if solved else "none"
+            ax.plot(x, y, style, color="#c8102e", mfc=face)
         for row in rows:
             said = "" if row["success"] else ", not solved"
             ax.annotate(

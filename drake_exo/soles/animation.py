@@ -146,8 +146,9 @@ class SoleMotion:
             is_sound = len(fixed) + len(touching) == len(surface)
         if not is_sound:
             raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
-        mesh, ground = replace(bare, fixed=fixed), Ground.of_arrays(data)
-        mesh.__dict__["contact"] = touching  # sides, too, where they may
+        # Sides, too, where they may.
+        mesh = replace(bare, fixed=fixed).with_contact(touching)
+        ground = Ground.of_arrays(data)
         return SoleMotion(title, group, times, mesh, *rest, mark, ground)
 
     @property

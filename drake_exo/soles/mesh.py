@@ -103,14 +103,23 @@ class TetMesh:
         Others get to the ground only where a sole rolls far or bulges; see
         `touching_everywhere`.
         """
+        down = self.contact_faces[self._looks_down]
+        return np.setdiff1d(down, self.fixed)
+
+    @cached_property
+    def _looks_down(self) -> np.ndarray:
+        """Which of the bare faces look downwards, (f,) bool."""
         area, size = self.areas(self.contact_faces)
-        down = area[:, 2] < -_DOWNWARDS * size
-        return np.setdiff1d(self.contact_faces[down], self.fixed)
+        return area[:, 2] < -_DOWNWARDS * size
 
     def touching_everywhere(self) -> "TetMesh":
         """The same mesh, all of whose bare nodes may touch."""
+        return self.with_contact(self.bare)
+
+    def with_contact(self, nodes: np.ndarray) -> "TetMesh":
+        """The same mesh, of which these (sorted) nodes may touch."""
         out = self.with_nodes(self.nodes)
-        out.__dict__["contact"] = self.bare
+        out.__dict__["contact"] = nodes
         return out
 
     @cached_property
@@ -125,15 +134,14 @@ class TetMesh:
         Of faces that look downwards, as those that touch do; of all bare ones
         where a node has none.
         """
-        area, twice = self.areas(self.contact_faces)
-        down = area[:, 2] < -_DOWNWARDS * twice
+        _, twice = self.areas(self.contact_faces)
 
         def around(size: np.ndarray) -> np.ndarray:
             faces, part = self.contact_faces.ravel(), np.repeat(size / 6.0, 3)
             total = np.bincount(faces, part, minlength=len(self.nodes))
             return total[self.contact]
 
-        below = around(twice * down)
+        below = around(twice * self._looks_down)
         return np.where(below > 0.0, below, around(twice))
 
     def areas(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -336,18 +336,18 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         design, x = alone, gait.start
     robots = gait.robot, gait.at(x)
     before, after = map(gait.numbers, robots)
-    times = [robot.bearing(gait.least) for robot in robots]
+    times = (robot.bearing(gait.least) for robot in robots)
+    spans = [end - begin for begin, end in times]
     limits = gait.limits(x).values()
     design.gait = {
         "walk": {name: [before[name], after[name]] for name in gait.ranges},
-        "contact_s": [end - begin for begin, end in times],
+        "contact_s": spans,
         "least_limit": float(min(limit.min() for limit in limits)),
         "c_tr_sole_alone": alone.step.c_tr,
         "c_rot_sole_alone": alone.step.c_rot,
     }
     # The case that is written has as many samples as the search had.
-    before, after = design.gait["contact_s"]
-    period = gait.period * after / before
+    period = gait.period * spans[1] / spans[0]
     design.setup = _walking(design.setup, replace(robots[1], period_s=period))
     return design
 
