@@ -57,6 +57,7 @@ def _row(folder: Path, seed: int, floor: bool) -> dict:
         return row
     row["at_bound"] = sum(p.at_bound(p.nominal) for p in cuffs.parameters)
     row["free"] = sum(p.free for p in cuffs.parameters)
+    row["intervals"] = _intervals(cuffs, _true(folder, cuffs.contact))
     contacts = {
         "calibrated": cuffs.contact,
         "uncalibrated": uncalibrated(study.model, cuffs),
@@ -100,6 +101,31 @@ def _true(folder: Path, contact: dx.ContactModel) -> dx.ContactModel:
         }
         bushings[cuff] = replace(own, **values)
     return replace(contact, bushings=bushings)
+
+
+def _intervals(cuffs, true: dx.ContactModel) -> list[dict]:
+    """Error and half 95 % interval of each free parameter with a true one.
+
+    Left out are parameters at a bound, of which no interval is told, and slip,
+    for which the laboratory has another law.
+    """
+    values, found = true.values(), cuffs.uncertainty()
+    mean = {p.name: p.nominal for p in cuffs.parameters}
+    return [
+        {
+            "name": name,
+            "error": mean[name] - values[name],
+            "half_width": half,
+            "identifiable": bool(told),
+        }
+        for name, half, told in zip(
+            found.names,
+            found.half_width.tolist(),
+            found.identifiable,
+            strict=True,
+        )
+        if np.isfinite(half) and not name.endswith(".slip")
+    ]
 
 
 def _errors(folder: Path, trials, found) -> dict:
@@ -253,6 +279,15 @@ def _known(clocks: list[dict]) -> dict:
     }
 
 
+def _share(intervals: list[dict]) -> dict:
+    """How many intervals, and the share of them that holds the truth."""
+    inside = [abs(i["error"]) <= i["half_width"] for i in intervals]
+    return {
+        "parameters": len(inside),
+        "inside": float(np.mean(inside)) if inside else None,
+    }
+
+
 def summary(rows: list[dict]) -> dict:
     """Medians, worst and shares of all rows that were solved."""
     good = [
@@ -274,6 +309,7 @@ def summary(rows: list[dict]) -> dict:
         for r in good
     ]
     clocks = [c for r in good for c in r["clocks"]]
+    intervals = [i for r in good for i in r["intervals"]]
     off = [c for c in clocks if abs(c["error_s"]) > 0.01]
     iterations = [r["B"]["iterations"] for r in good]
     return {
@@ -298,6 +334,10 @@ def summary(rows: list[dict]) -> dict:
             )
         ),
         "band_coverage": float(np.mean(np.concatenate(inside))),
+        "intervals": _share(intervals),
+        "intervals_identifiable": _share(
+            [i for i in intervals if i["identifiable"]]
+        ),
         "band_coverage_worst_seed": min(float(np.mean(x)) for x in inside),
         "phase_b_iterations_worst": max(iterations),
         "phase_b_seconds_median": float(

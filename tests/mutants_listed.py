@@ -373,7 +373,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "at.v[:, k], v[:, k], self.seen_q[:, k]",
         ),
         ("np.sqrt(own + noise**2)", "np.sqrt(own)"),
-        ("+ of_errors(effects.normal[cuff])", ""),
+        (
+            "return change_of(variables) + by @ moved[errors]",
+            "return change_of(variables)",
+        ),
         ("by @ known_errors for", "0.0 * by @ known_errors for"),
         ("R -= np.einsum(", "R += np.einsum("),
         ("covariance += by_errors @", "covariance -= by_errors @"),

@@ -102,7 +102,7 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
     lags = trial.provenance.get("delays_s", {})
     return Posterior(
         tuple(f"{trial.name}.{CLOCKS[c.system]}" for c in own),
-        np.array([c.lag_s - lags[c.system] for c in own]),
+        np.array([c.lag_s - lags.get(c.system, 0.0) for c in own]),
         np.diag([c.sd_s**2 for c in own]),
     )
 
@@ -116,8 +116,8 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     lags = {c.system: c.lag_s for c in own if c.system == "encoders"}
     if not lags:
         return trial
-    taken_out = trial.provenance["delays_s"]
-    late = lags["encoders"] - taken_out["encoders"]
+    taken_out = trial.provenance.get("delays_s", {})
+    late = lags["encoders"] - taken_out.get("encoders", 0.0)
     names, device = trial.coordinates, trial.coordinates.device_columns
 
     def shown(x: np.ndarray) -> np.ndarray:

@@ -617,10 +617,13 @@ def bands(result: PhaseResult) -> Bands | None:
             parts.append(by_gradient(noise))
     moved = np.hstack(parts)
 
-    def spread(variables) -> np.ndarray:
-        index = place(variables)
-        found = moved[index.ravel()]
-        return np.sqrt(np.sum(found**2, axis=1)).reshape(index.shape)
+    def change_of(variables) -> np.ndarray:
+        """By independent parts, which come last."""
+        return moved[place(variables)]
+
+    def of_seen(variables, by) -> np.ndarray:
+        """Likewise of what is shown, with its errors of measurement."""
+        return change_of(variables) + by @ moved[errors]
 
     grid = movement.grid
     at = problem.trials[0].sample(grid.times)
@@ -628,31 +631,29 @@ def bands(result: PhaseResult) -> Bands | None:
     at = replace(at, cuffs={cuff: trial.cuffs[cuff] for cuff in at.cuffs})
     effects, known_errors = problem.errors.effects(at), result.values[errors]
 
-    def of_errors(by) -> np.ndarray:
-        """Variance of what is shown by their effects (n, ..., m) on it."""
-        return np.einsum("...a,ab,...b->...", by, prior, by, optimize=True)
-
     cuffs, mats = {}, {}
     for cuff, variables in movement.cuffs.items():
         force = trial.cuffs[cuff].components
-        sd = np.hypot(spread(variables), DISCREPANCY * force)
-        cuffs[cuff] = QUANTILE_95 * sd
+        law = DISCREPANCY * force
+        cuffs[cuff] = _half_width(change_of(variables), law)
         if cuff in effects.normal:
-            own = sd[:, NORMAL] ** 2 + of_errors(effects.normal[cuff])
-            noise = problem.settings.noise.normal_force_n
-            mats[cuff] = QUANTILE_95 * np.sqrt(own + noise**2)
-    sd = [spread(grid.q), spread(grid.v)]
+            mats[cuff] = _half_width(
+                of_seen(variables[:, NORMAL], effects.normal[cuff]),
+                law[:, NORMAL],
+                problem.settings.noise.normal_force_n,
+            )
+    q, v = (_half_width(change_of(x)) for x in (grid.q, grid.v))
     ends = movement.tracked[:2]
-    seen = [
-        np.sqrt(
-            own**2
-            + term.sigma[0] ** 2
-            + shared_noise(problem.tree, term.sigma[0]) ** 2
-            + of_errors(by)
+    seen_q, seen_v = (
+        _half_width(
+            of_seen(variables, by),
+            term.sigma[0],
+            shared_noise(problem.tree, term.sigma[0]),
         )
-        for own, term, by in zip(sd, ends, (effects.q, effects.v), strict=True)
-    ]
-    q, v, seen_q, seen_v = (QUANTILE_95 * x for x in (*sd, *seen))
+        for variables, term, by in zip(
+            (grid.q, grid.v), ends, (effects.q, effects.v), strict=True
+        )
+    )
     return Bands(
         q,
         v,
@@ -664,6 +665,12 @@ def bands(result: PhaseResult) -> Bands | None:
         effects.v @ known_errors,
         {cuff: by @ known_errors for cuff, by in effects.normal.items()},
     )
+
+
+def _half_width(parts: np.ndarray, *more) -> np.ndarray:
+    """Of a 95 % interval, by parts (..., k) of a deviation and more of them."""
+    variance = np.sum(parts**2, axis=-1) + sum(np.square(m) for m in more)
+    return QUANTILE_95 * np.sqrt(variance)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

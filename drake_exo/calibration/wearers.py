@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.error_model import NO_ERRORS
+from drake_exo.calibration.error_model import NO_ERRORS, shared_moments
 from drake_exo.calibration.phases import check_has_cuffs
 from drake_exo.calibration.problem import (
     PhaseProblem,
@@ -324,11 +324,8 @@ def assisted(
 
 def with_more(trial: Trial, torques: np.ndarray) -> Trial:
     """A trial whose device gives more (n, m) [N m], and the person less."""
-    names, moments = trial.coordinates, trial.moments.copy()
-    for i, joint in enumerate(names.device):
-        moments[:, names.joint(joint)] += torques[:, i]
-        moments[:, names.joint(names.follows(joint))] -= torques[:, i]
-    return replace(trial, moments=moments)
+    change = shared_moments(trial.coordinates, torques)
+    return replace(trial, moments=trial.moments + change)
 
 
 @dataclass(frozen=True)
@@ -600,13 +597,9 @@ class Size:
         q[:, z] += (self.height - 1.0) * ankle_m
         device = names.is_device_joint
         forces = model.tree.inverse_dynamics(q, v, a)
-        whole = forces[:, names.joint_columns]
-        moments = whole.copy()
-        moments[:, device] = self.mass * self.height * trial.moments[:, device]
-        for i, joint in enumerate(names.joints):
-            if device[i]:  # the person bears what the device does not
-                own = names.joint(names.follows(joint))
-                moments[:, own] += whole[:, i] - moments[:, i]
+        moments = forces[:, names.joint_columns]
+        given = self.mass * self.height * trial.moments[:, device]
+        moments = moments + shared_moments(names, given - moments[:, device])
         by_wrench = BodyWrench(model.tree, model.tree.root).by_wrench(q)
         wrench = np.linalg.solve(
             by_wrench[:, names.root_columns],

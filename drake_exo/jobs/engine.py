@@ -24,6 +24,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -213,10 +214,10 @@ def _failed(row: Ended) -> bool:
 
 def _chains(jobs: Sequence[Job]) -> dict[str, int]:
     """How many jobs follow one another, from each on."""
-    names = {job.name for job in jobs}
-    if len(names) < len(jobs):
-        twice = [job.name for job in jobs if job.name in names]
-        raise InputError(f"two jobs are named {twice[0]!r}")
+    names = Counter(job.name for job in jobs)
+    for name, count in names.items():
+        if count > 1:
+            raise InputError(f"two jobs are named {name!r}")
     followers: dict[str, list[str]] = {name: [] for name in names}
     for job in jobs:
         for need in job.needs:

@@ -320,20 +320,22 @@ def test_bands_by_dense_algebra(in_device, coarse):
         own_sd = np.hypot(sd[place(variables)], 0.12 * force)
         off = np.abs(found.cuffs[cuff] - 1.959964 * own_sd)
         assert (off < 0.02 * 1.96 * own_sd.max(axis=0)).all()
-    # What markers show: noise of a sample, and errors of measurement.
+    # What markers show: noise of a sample, and errors of measurement, which
+    # ends have in common with it.
     effects = problem.errors.effects(in_device.trials[0].sample(grid.times))
+    turn = np.zeros(len(in_device.model.coordinates))
     # The foot alone turns: joints on it turn the other way.
-    turn = np.zeros(len(sigma := movement.tracked[0].sigma[0]))
     turn[[2, 3, 6]] = 1.0
-    own = sigma**2 + (turn * sigma[2]) ** 2
-    by_errors = np.einsum("nqa,ab,nqb->nq", effects.q, prior, effects.q)
-    shown = np.sqrt((found.q / 1.959964) ** 2 + own + by_errors)
-    np.testing.assert_allclose(found.seen_q, 1.959964 * shown)
-    by_errors = np.einsum("nqa,ab,nqb->nq", effects.v, prior, effects.v)
-    sigma = movement.tracked[1].sigma[0]
-    own = sigma**2 + (turn * sigma[2]) ** 2
-    shown = np.sqrt((found.v / 1.959964) ** 2 + own + by_errors)
-    np.testing.assert_allclose(found.seen_v, 1.959964 * shown)
+    for shown, variables, by, term in (
+        (found.seen_q, grid.q, effects.q, movement.tracked[0]),
+        (found.seen_v, grid.v, effects.v, movement.tracked[1]),
+    ):
+        sigma = term.sigma[0]
+        both = total[place(variables)] + by @ total[errors]
+        expected = np.sum(both**2, axis=2) + sigma**2 + (turn * sigma[2]) ** 2
+        expected = 1.959964 * np.sqrt(expected)
+        size = expected.max(axis=0)
+        assert (np.abs(shown - expected) < 0.02 * size).all()
     known = result.values[errors]
     assert np.abs(known).max() > 1e-3
     np.testing.assert_allclose(found.off_q, effects.q @ known)
@@ -348,12 +350,12 @@ def test_bands_by_dense_algebra(in_device, coarse):
     by = np.column_stack(
         [-force, np.ones_like(force), -np.gradient(force, grid.times)]
     )
-    widened = np.einsum("na,ab,nb->n", by, prior[np.ix_(own, own)], by)
-    noise = settings.noise.normal_force_n
-    expected = (found.cuffs[mat][:, 1] / 1.959964) ** 2 + widened + noise**2
-    np.testing.assert_allclose(
-        found.mats[mat], 1.959964 * np.sqrt(expected), rtol=1e-6
-    )
+    variables = movement.cuffs[mat][:, 1]
+    both = total[place(variables)] + by @ total[errors[own]]
+    expected = np.sum(both**2, axis=1) + (0.12 * force) ** 2
+    expected += settings.noise.normal_force_n**2
+    expected = 1.959964 * np.sqrt(expected)
+    assert (np.abs(found.mats[mat] - expected) < 0.02 * expected.max()).all()
     np.testing.assert_allclose(found.off_mats[mat], by @ known[own])
 
 

@@ -108,6 +108,11 @@ def test_a_trial_goes_on_the_clock_that_was_found(in_device):
     assert retimed(shown, []) is shown
     mats = [Clock(trial.name, "pressure", 0.04, 0.004)]
     assert retimed(shown, mats) is shown
+    # Of a trial made in Python nothing was taken out.
+    bare = replace(shown, provenance={})
+    own = [Clock(trial.name, "encoders", 0.03, 0.004)]
+    np.testing.assert_allclose(retimed(bare, own).q, found.q)
+    assert left(bare, own).values == pytest.approx([0.03])
 
 
 def test_moments_of_a_device_model_go_with_its_encoders(in_device):

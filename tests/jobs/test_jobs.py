@@ -106,8 +106,8 @@ def test_graphs_that_are_none(needs, words):
 
 
 def test_two_of_one_name():
-    with pytest.raises(InputError, match="two jobs"):
-        run_jobs([Job("a", ""), Job("a", "")], Recorded())
+    with pytest.raises(InputError, match="two jobs are named 'b'"):
+        run_jobs([Job("a", ""), Job("b", ""), Job("b", "")], Recorded())
 
 
 def sums():
