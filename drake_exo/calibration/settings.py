@@ -29,7 +29,7 @@ from drake_exo.contact.strap import (
     SOFTEST_NM_RAD,
 )
 from drake_exo.errors import InputError, check_bounds
-from drake_exo.files.schema import not_negative, positive
+from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.model.assembly import without_side
 from drake_exo.nlp.ipopt import SolverOptions
 
@@ -91,9 +91,9 @@ class Spread:
     0.01
     """
 
-    below: float = field(metadata={"unit": "m", "above": 0.0})
-    above: float = field(metadata={"unit": "m", "above": 0.0})
-    shift: float = field(default=0.0, metadata={"unit": "m"})
+    below: float = quantity("m", above=0.0)
+    above: float = quantity("m", above=0.0)
+    shift: float = quantity("m", 0.0)
     free: bool = True
 
 
@@ -211,17 +211,15 @@ class Solver:
     1e-05
     """
 
-    nodes_per_second: float = field(
-        default=200.0, metadata={"unit": "1/s", "minimum": 10.0}
-    )
+    nodes_per_second: float = quantity("1/s", 200.0, minimum=10.0)
     transcription: Literal["hermite_simpson", "pseudospectral"] = (
         "hermite_simpson"
     )
     reduce: bool = True
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     solver: Literal["ipopt", "drake"] = "ipopt"
-    tolerance: float = field(default=1e-5, metadata={"above": 0.0})
-    max_iterations: int = field(default=300, metadata={"minimum": 1})
+    tolerance: float = quantity(None, 1e-5, above=0.0)
+    max_iterations: int = quantity(None, 300, minimum=1)
 
     def options(self) -> SolverOptions:
         """Options of the bridge to IPOPT."""
@@ -259,12 +257,10 @@ class FootGroundSettings:
     spheres: dict[str, SphereSettings] = field(default_factory=dict)
     noise: TrackingNoise = TrackingNoise()
     end_tolerance: EndTolerance = EndTolerance()
-    prior_weight: float = field(default=0.01, metadata={"minimum": 0.0})
+    prior_weight: float = quantity(None, 0.01, minimum=0.0)
     front: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
     solver: Solver = Solver()
-    sole_at_m: tuple[float, float] | None = field(
-        default=None, metadata={"unit": "m"}
-    )
+    sole_at_m: tuple[float, float] | None = quantity("m", None)
 
     def __post_init__(self):
         if self.of_sole:
@@ -476,9 +472,9 @@ class InteractionSettings:
     cuffs: dict[str, BushingSettings] = field(default_factory=dict)
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: EndTolerance = EndTolerance()
-    stiffness_factor: float = field(default=2.0, metadata={"above": 1.0})
+    stiffness_factor: float = quantity(None, 2.0, above=1.0)
     origin_sd_m: float = positive("m", 0.015)
-    prior_weight: float = field(default=1.0, metadata={"minimum": 0.0})
+    prior_weight: float = quantity(None, 1.0, minimum=0.0)
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
 
@@ -581,16 +577,10 @@ class PredictionSettings:
     objective: Literal["tracking", "comfort"] = "tracking"
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: PredictionEnds = PredictionEnds()
-    torque_limit_nm: float = field(
-        default=1000.0, metadata={"unit": "N m", "above": 0.0}
-    )
+    torque_limit_nm: float = positive("N m", 1000.0)
     ends: Literal["measured", "periodic"] = "measured"
-    speed_m_s: float | None = field(
-        default=None, metadata={"unit": "m/s", "above": 0.0, "maximum": 10.0}
-    )
-    clearance_m: float = field(
-        default=0.01, metadata={"unit": "m", "minimum": 0.0, "maximum": 0.3}
-    )
+    speed_m_s: float | None = quantity("m/s", None, above=0.0, maximum=10.0)
+    clearance_m: float = quantity("m", 0.01, minimum=0.0, maximum=0.3)
     guess: Literal["data", "line"] | None = None
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
@@ -624,29 +614,16 @@ class CuffFreedom:
     (0.0, 0.0)
     """
 
-    along_m: tuple[float, float] = field(
-        default=(-0.1, 0.1), metadata={"unit": "m"}
-    )
-    across_m: tuple[float, float] = field(
-        default=(0.0, 0.0), metadata={"unit": "m"}
-    )
-    preload_across_m: tuple[float, float] = field(
-        default=(0.0, 0.0), metadata={"unit": "m"}
-    )
-    preload_along_m: tuple[float, float] = field(
-        default=(0.0, 0.0), metadata={"unit": "m"}
-    )
-    strap_n_m: float | None = field(
-        default=SOFTEST_N_M, metadata={"unit": "N/m", "minimum": SOFTEST_N_M}
-    )
-    strap_nm_rad: float | None = field(
-        default=SOFTEST_NM_RAD,
-        metadata={"unit": "N m/rad", "minimum": SOFTEST_NM_RAD},
+    along_m: tuple[float, float] = quantity("m", (-0.1, 0.1))
+    across_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    preload_across_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    preload_along_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    strap_n_m: float | None = quantity("N/m", SOFTEST_N_M, minimum=SOFTEST_N_M)
+    strap_nm_rad: float | None = quantity(
+        "N m/rad", SOFTEST_NM_RAD, minimum=SOFTEST_NM_RAD
     )
     area_m2: float = positive("m^2", 0.01)
-    area: tuple[float, float] = field(
-        default=(1.0, 1.0), metadata={"unit": "1", "above": 0.0}
-    )
+    area: tuple[float, float] = positive("1", (1.0, 1.0))
     slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     removable: bool = False
@@ -667,12 +644,8 @@ class JointFreedom:
     (0.0, 0.0)
     """
 
-    along_m: tuple[float, float] = field(
-        default=(0.0, 0.0), metadata={"unit": "m"}
-    )
-    across_m: tuple[float, float] = field(
-        default=(0.0, 0.0), metadata={"unit": "m"}
-    )
+    along_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    across_m: tuple[float, float] = quantity("m", (0.0, 0.0))
 
     def __post_init__(self):
         _check_today(self, ("along_m", "across_m"))
@@ -691,15 +664,9 @@ class GainFreedom:
     5.0
     """
 
-    constant_nm: tuple[float, float] = field(
-        default=(-10.0, 10.0), metadata={"unit": "N m"}
-    )
-    stiffness_nm_rad: float = field(
-        default=20.0, metadata={"unit": "N m/rad", "minimum": 0.0}
-    )
-    damping_nm_s_rad: float = field(
-        default=5.0, metadata={"unit": "N m s/rad", "minimum": 0.0}
-    )
+    constant_nm: tuple[float, float] = quantity("N m", (-10.0, 10.0))
+    stiffness_nm_rad: float = not_negative("N m/rad", 20.0)
+    damping_nm_s_rad: float = not_negative("N m s/rad", 5.0)
 
     def __post_init__(self):
         _check_today(self, ("constant_nm",))
@@ -765,10 +732,10 @@ class Population:
     [('50th percentile', 1.7, 70.0)]
     """
 
-    height_m: tuple[float, float] = field(metadata={"unit": "m", "above": 0.0})
-    mass_kg: tuple[float, float] = field(metadata={"unit": "kg", "above": 0.0})
-    percentiles: tuple[float, ...] = field(
-        default=(5.0, 50.0, 95.0), metadata={"above": 0.0}
+    height_m: tuple[float, float] = quantity("m", above=0.0)
+    mass_kg: tuple[float, float] = quantity("kg", above=0.0)
+    percentiles: tuple[float, ...] = quantity(
+        None, (5.0, 50.0, 95.0), above=0.0
     )
 
     def __post_init__(self):
@@ -838,24 +805,22 @@ class DesignSettings:
     """
 
     objective: Literal["peak", "mean"] = "peak"
-    order: float = field(default=8.0, metadata={"minimum": 4.0})
-    shear_weight: float = field(default=0.25, metadata={"minimum": 0.0})
+    order: float = quantity(None, 8.0, minimum=4.0)
+    shear_weight: float = quantity(None, 0.25, minimum=0.0)
     weight: float = positive("1", 10.0)
     response: Literal["own", "free"] = "own"
     own_angle_deg: float = positive("deg", 0.02)
     effort_nm: float = positive("N m", 2000.0)
     jerk: float | None = positive("rad/s^3", None)
-    draws: int = field(default=0, metadata={"minimum": 0})
-    seed: int = field(default=0, metadata={"minimum": 0})
+    draws: int = quantity(None, 0, minimum=0)
+    seed: int = quantity(None, 0, minimum=0)
     population: Population | None = None
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     joints: dict[str, JointFreedom] = field(default_factory=dict)
-    assistance: tuple[float, float] = field(
-        default=(0.7, 1.3), metadata={"above": 0.0}
-    )
+    assistance: tuple[float, float] = quantity(None, (0.7, 1.3), above=0.0)
     assistance_over: Literal["angle", "movement", "gains"] = "angle"
     gains: GainFreedom = GainFreedom()
-    points: int = field(default=4, metadata={"minimum": 1})
+    points: int = quantity(None, 4, minimum=1)
     limits: DesignLimits = DesignLimits()
     solver: Solver = field(
         default_factory=lambda: Solver(nodes_per_second=50.0, tolerance=1e-4)

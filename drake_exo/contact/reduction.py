@@ -6,7 +6,7 @@ to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
 sole that sticks remembers where it stood, which a law of the velocity does not.
 """
 
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -81,10 +81,6 @@ def softened(share: float) -> SimbodyConstants:
     )
 
 
-def _metres(default=MISSING, **bounds):
-    return field(default=default, metadata={"unit": "m", **bounds})
-
-
 @dataclass(frozen=True)
 class SoleSphere:
     """One sphere of a sole's law.
@@ -98,18 +94,18 @@ class SoleSphere:
         x_m_95, y_m_95, z_m_95: half-widths of 95 %.
     """
 
-    modulus_n_m2: float = field(metadata={"unit": "N/m^2", "above": 0.0})
-    modulus_factor_95: float = field(default=1.0, metadata={"minimum": 1.0})
-    dissipation_s_m: float = field(
-        default=NOMINAL_DISSIPATION, metadata={"unit": "s/m", "minimum": 0.0}
+    modulus_n_m2: float = schema.quantity("N/m^2", above=0.0)
+    modulus_factor_95: float = schema.quantity(None, 1.0, minimum=1.0)
+    dissipation_s_m: float = schema.quantity(
+        "s/m", NOMINAL_DISSIPATION, minimum=0.0
     )
-    radius_m: float = _metres(CONTACT_RADIUS_M, above=0.0)
-    x_m: float = _metres(0.0)
-    x_m_95: float = _metres(0.0, minimum=0.0)
-    y_m: float = _metres(0.0)
-    y_m_95: float = _metres(0.0, minimum=0.0)
-    z_m: float = _metres(0.0)
-    z_m_95: float = _metres(0.0, minimum=0.0)
+    radius_m: float = schema.quantity("m", CONTACT_RADIUS_M, above=0.0)
+    x_m: float = schema.quantity("m", 0.0)
+    x_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
+    y_m: float = schema.quantity("m", 0.0)
+    y_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
+    z_m: float = schema.quantity("m", 0.0)
+    z_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
 
 
 @dataclass(frozen=True)
@@ -133,12 +129,12 @@ class SoleLaw:
     0.2
     """
 
-    size_m: tuple[float, float, float] = _metres(above=0.0)
+    size_m: tuple[float, float, float] = schema.quantity("m", above=0.0)
     spheres: dict[str, SoleSphere]
     constants: SimbodyConstants = field(default_factory=SimbodyConstants)
     planar: bool = False
     force_error_rms: float = 0.0
-    cop_error_rms_m: float = _metres(0.0)
+    cop_error_rms_m: float = schema.quantity("m", 0.0)
 
     def __post_init__(self):
         if len(self.spheres) < 2:

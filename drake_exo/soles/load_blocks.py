@@ -40,8 +40,8 @@ class OneFoot:
 
     file: str
     origin_m: Vector2
-    skip_first: int = field(default=10, metadata={"minimum": 0})
-    skip_last: int = field(default=11, metadata={"minimum": 0})
+    skip_first: int = quantity(None, 10, minimum=0)
+    skip_last: int = quantity(None, 11, minimum=0)
 
     def load(self, root: Path) -> Load:
         """Read it."""
@@ -237,9 +237,7 @@ class Prediction:
 
     file: str
     origin_m: Vector2
-    share: float = field(
-        default=0.5, metadata={"above": 0.0, "maximum": 1.0}
-    )  # fmt: skip
+    share: float = quantity(None, 0.5, above=0.0, maximum=1.0)
     least_force_n: float = positive("N", 20.0)
 
     def load(self, root: Path) -> Load:
@@ -288,9 +286,7 @@ class Constant:
 
     force_n: Vector3
     zmp_m: Vector2
-    samples: int = field(
-        default=1, metadata={"minimum": 1, "maximum": MOST_SAMPLES}
-    )
+    samples: int = quantity(None, 1, minimum=1, maximum=MOST_SAMPLES)
 
     def load(self, root: Path | None = None) -> Load:
         """As a load."""
@@ -307,9 +303,7 @@ class Pattern(Robot):
     """Own walking pattern; the defaults are the authors' 80 kg robot's."""
 
     period_s: float = quantity("s", 0.005, minimum=1e-4)
-    least_share: float = field(
-        default=0.13, metadata={"above": 0.0, "below": 1.0}
-    )
+    least_share: float = quantity(None, 0.13, above=0.0, below=1.0)
     free: tuple[
         Literal["step_length", "step_time", "double_support", "zmp"], ...
     ] = ()
@@ -358,7 +352,7 @@ class LoadBlock:
     end: float | Literal["toe_off"] = field(
         default="toe_off", metadata={"key": "to", "unit": "s"}
     )
-    step: int = field(default=0, metadata={"minimum": 0})
+    step: int = quantity(None, 0, minimum=0)
     least_force_n: float = positive("N", 20.0)
     shift_m: Vector2 = (0.0, 0.0)
     pose: Literal["free", "measured"] = "free"

@@ -5,7 +5,7 @@ relative to --data-root where given, else to the case file's folder.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -79,7 +79,7 @@ class MeshBlock:
     origin_m: Vector3 | None = None
     unit: Unit | None = None
     tets: int = quantity(None, 5000, minimum=500, maximum=1_000_000)
-    top_m: float | None = field(default=None, metadata={"unit": "m"})
+    top_m: float | None = quantity("m", None)
     element: Literal["linear", "smoothed"] = "smoothed"
 
     def __post_init__(self):
@@ -161,9 +161,7 @@ class CostBlock:
     """The paper's cost c = c_tr − w c_rot."""
 
     weight: float = not_negative("", 1.0)
-    heel_strike_fraction: float = field(
-        default=0.1, metadata={"above": 0.0, "maximum": 1.0}
-    )
+    heel_strike_fraction: float = quantity(None, 0.1, above=0.0, maximum=1.0)
     mass_limit_kg: float = quantity("kg", 1.0, above=0.0, maximum=20.0)
     of: Literal["mean", "worst"] = "mean"
 
@@ -181,10 +179,10 @@ class Stage:
     """
 
     divisions: tuple[int, int, int] | None = None
-    samples: int | None = field(default=None, metadata={"minimum": 1})
+    samples: int | None = quantity(None, None, minimum=1)
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
-    iterations: int = field(default=40, metadata={"minimum": 0})
+    iterations: int = quantity(None, 40, minimum=0)
     roughness: float = not_negative("", 1.0)
 
     def __post_init__(self):
@@ -234,9 +232,7 @@ class ShapeBlock:
     fixed_m: tuple[tuple[Vector3, Vector3], ...] = ()
     least_depth_m: float | None = quantity("m", None, above=0.0, below=1.0)
     largest_height_m: float | None = quantity("m", None, above=0.0, below=1.0)
-    draft_deg: float | None = field(
-        default=None, metadata={"unit": "°", "minimum": 0.0, "below": 45.0}
-    )
+    draft_deg: float | None = quantity("°", None, minimum=0.0, below=45.0)
 
     def __post_init__(self):
         low, high = self.least_depth_m, self.largest_height_m
@@ -286,7 +282,7 @@ class OptimizeBlock:
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
     roughness: float = not_negative("", 1.0)
     tolerance: float = positive("", 1e-4)
-    starts: int = field(default=3, metadata={"minimum": 1})
+    starts: int = quantity(None, 3, minimum=1)
     stages: tuple[Stage, ...] | None = None
     shape: ShapeBlock = ShapeBlock()
 
