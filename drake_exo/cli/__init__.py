@@ -16,8 +16,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from drake_exo import __version__
 from drake_exo.errors import InputError
 
-# Each has a module here with `add_arguments(parser)`, which sets
-# `run=function(args)` as a default. It is imported on demand: `drake-exo sole`
+# Each has a module here with `add_arguments(parser)` and `run(args)`; commands
+# of a command set their own `run`. It is imported on demand: `drake-exo sole`
 # must not load the exoskeleton half, nor `drake-exo --help` either of them.
 _COMMANDS = {
     "inspect": "list what recorded files hold",
@@ -116,6 +116,8 @@ def parse(argv: list[str]) -> argparse.Namespace:
         if name == wanted:
             module = importlib.import_module(f"{__name__}.{name}")
             command.description = module.__doc__
+            if hasattr(module, "run"):
+                command.set_defaults(run=module.run)
             module.add_arguments(command)
     return parser.parse_args(argv)
 

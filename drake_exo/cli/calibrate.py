@@ -76,7 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--phase foot-ground draws",
     )
     add_study_arguments(parser)
-    parser.set_defaults(run=run)
 
 
 def add_study_arguments(

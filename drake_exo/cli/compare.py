@@ -20,7 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     parser.add_argument("results", type=Path, nargs="+", metavar="DIR")
     add_out(parser, help="folder for table and figures")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -19,7 +19,6 @@ def add_arguments(parser: ArgumentParser) -> None:
             default=item.default,
             help=f"default {item.default:g} {unit}".rstrip(),
         )
-    parser.set_defaults(run=run)
 
 
 def run(args: Namespace) -> None:

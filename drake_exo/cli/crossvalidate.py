@@ -34,7 +34,6 @@ from drake_exo.study import (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     add_study_arguments(parser, resume=False)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -38,7 +38,6 @@ _SEED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     add_out(parser, required=True)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -29,7 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the .osim file to write",
     )
     add_accept(opensim)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

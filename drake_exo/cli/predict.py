@@ -109,7 +109,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="results of 'drake-exo design': predict with its cuffs, and with "
         "the device's torques as they answer on them",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -312,15 +312,7 @@ class FootGroundKernel:
             wrench = sphere_wrench(
                 self.law, *motion, p[0], p[1], p[4], self.constants
             )
-            total = total + np.stack(
-                [
-                    wrench.force_x,
-                    wrench.force_z,
-                    wrench.point_z * wrench.force_x
-                    - wrench.point_x * wrench.force_z,
-                ],
-                axis=1,
-            )
+            total = total + np.stack(wrench.about_origin, axis=1)
         return total
 
     def evaluate(self, x, data):

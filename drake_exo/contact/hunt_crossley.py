@@ -141,6 +141,12 @@ class SphereWrench(NamedTuple):
     point_x: object  # m
     point_z: object  # m
 
+    @property
+    def about_origin(self) -> tuple:
+        """F_x, F_z and the moment M_y about the origin, z F_x - x F_z."""
+        moment = self.point_z * self.force_x - self.point_x * self.force_z
+        return self.force_x, self.force_z, moment
+
 
 def paper_stiffness(modulus):
     """The paper's k for a plane-strain modulus E [N/m²]: ½ E^(2/3).

@@ -238,20 +238,8 @@ def ground_reaction(wrenches: Sequence[SphereWrench]) -> list:
 
     M_y = z F_x − x F_z, so the centre of pressure on z = 0 is −M_y/F_z.
     """
-    return [
-        sum(values[1:], values[0])
-        for values in zip(
-            *(
-                (
-                    w.force_x,
-                    w.force_z,
-                    w.point_z * w.force_x - w.point_x * w.force_z,
-                )
-                for w in wrenches
-            ),
-            strict=True,
-        )
-    ]
+    parts = zip(*(w.about_origin for w in wrenches), strict=True)
+    return [sum(values[1:], values[0]) for values in parts]
 
 
 class _FootGroundContact:

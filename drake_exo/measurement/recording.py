@@ -23,7 +23,6 @@ from drake_exo.measurement.filters import check_filterable, resample
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     merge_feet,
-    planar_wrench,
     spatial_wrench,
 )
 from drake_exo.measurement.settings import (
@@ -319,16 +318,13 @@ def read_foot_forces(
     time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
     frame = laboratory.force_axes.frame
-    wrenches, plain = {}, {}
+    sign = -1.0 if laboratory.forces_act_on == "plate" else 1.0
+    plain = {}
     for foot in (*SIDES, "both", "chair"):
         used = [_plate(path, recorded, n) for n in plates.of(foot)]
         if used:
-            planar = [planar_wrench(plate, frame) for plate in used]
-            wrenches[foot] = sum(planar[1:], planar[0])
-            plain[foot] = sum(spatial_wrench(plate, frame) for plate in used)
-    if laboratory.forces_act_on == "plate":
-        wrenches = {foot: w.reversed() for foot, w in wrenches.items()}
-        plain = {foot: -w for foot, w in plain.items()}
+            plain[foot] = sign * sum(spatial_wrench(p, frame) for p in used)
+    wrenches = {foot: PlanarWrench.of_spatial(w) for foot, w in plain.items()}
     chair = wrenches.pop("chair", None)
     forces = FootForces(time, wrenches, str(path), chair, recorded=plain)
     check_filterable(

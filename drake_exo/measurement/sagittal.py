@@ -39,10 +39,6 @@ class SagittalFrame:
         """Points, forces or moments (..., 3) -> forward, left, up (..., 3)."""
         return np.asarray(p) @ self.R_PL.T
 
-    def pitch_moment(self, m: np.ndarray) -> np.ndarray:
-        """Moments (..., 3) -> their (...) component about y (left)."""
-        return np.asarray(m) @ self.R_PL[1]
-
 
 def _unit(axis: str) -> np.ndarray:
     e = np.zeros(3)
@@ -88,6 +84,11 @@ class PlanarWrench:
         """From F_x, F_z, M_y (N, 3)."""
         _, _, moment = array.T
         return PlanarWrench(array[:, :2], moment)
+
+    @staticmethod
+    def of_spatial(wrench: np.ndarray) -> "PlanarWrench":
+        """What of (N, 6) force and moment, forward, left, up, is in plane."""
+        return PlanarWrench(wrench[:, [0, 2]], wrench[:, 4])
 
     @property
     def array(self) -> np.ndarray:
@@ -159,20 +160,10 @@ class PlanarWrench:
         return PlanarWrench(self.force[rows], self.moment[rows])
 
 
-def planar_wrench(plate: PlateRecording, frame: SagittalFrame) -> PlanarWrench:
-    """A plate's force on the body in the sagittal plane.
-
-    The moment is taken in space before it is projected, so the free moment
-    and the height of the plate's surface are in it.
-    """
-    return PlanarWrench(
-        frame.points(plate.force),
-        frame.pitch_moment(plate.moment_about_origin()),
-    )
-
-
 def spatial_wrench(plate: PlateRecording, frame: SagittalFrame) -> np.ndarray:
     """A plate's force on the body and its moment about the origin.
+
+    The free moment and the height of the plate's surface are in it.
 
     Returns:
         (N, 6) force [N] and moment [N m], each forward, left, up.

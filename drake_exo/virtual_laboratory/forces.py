@@ -337,9 +337,7 @@ def applied(
 
 def _total(wrench) -> PlanarWrench:
     """Sum over the last axis, moment about the origin."""
-    moment = wrench.point_z * wrench.force_x - wrench.point_x * wrench.force_z
-    force = np.stack([wrench.force_x, wrench.force_z], axis=-2)
-    return PlanarWrench(force.sum(axis=-1), moment.sum(axis=-1))
+    return PlanarWrench.of(np.stack(wrench.about_origin, axis=1).sum(axis=-1))
 
 
 _DIFFERENCE = 1e-6

@@ -28,7 +28,7 @@ from drake_exo.measurement.kinematics import (
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
-    planar_wrench,
+    spatial_wrench,
 )
 
 COORDINATES = (
@@ -234,6 +234,10 @@ def walk(data_root):
     )
 
 
+def planar(plate, frame):
+    return PlanarWrench.of_spatial(spatial_wrench(plate, frame))
+
+
 def moments(walk):
     osim, time, q, (t_plates, looked_up), plates, _ = walk
     v, a = derivatives(time, q)
@@ -241,7 +245,7 @@ def moments(walk):
     Q, V, A, J = with_sliding_knees(osim, q, v, a)
     loads = {}
     for body, plate in zip(("calcn_r", "calcn_l"), plates, strict=True):
-        wrench = planar_wrench(plate, SagittalFrame())
+        wrench = planar(plate, SagittalFrame())
         loads[body] = PlanarWrench(
             resample(t_plates, wrench.force, looked_up),
             resample(t_plates, wrench.moment, looked_up),

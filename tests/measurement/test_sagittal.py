@@ -7,7 +7,7 @@ from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
     merge_feet,
-    planar_wrench,
+    spatial_wrench,
 )
 
 
@@ -17,13 +17,17 @@ def plate(force, point, torque=(0.0, 0.0, 0.0)):
     )
 
 
+def planar(plate, frame):
+    return PlanarWrench.of_spatial(spatial_wrench(plate, frame))
+
+
 @pytest.mark.parametrize(
     ("forward", "up", "left"),
     [("x", "y", (0, 0, -1)), ("-z", "y", (-1, 0, 0)), ("y", "z", (-1, 0, 0))],
 )
 def test_left_is_up_cross_forward(forward, up, left):
     frame = SagittalFrame(forward, up)
-    np.testing.assert_allclose(frame.pitch_moment(left), 1.0)
+    np.testing.assert_allclose(frame.space(left), [0.0, 1.0, 0.0])
     np.testing.assert_allclose(np.linalg.det(frame.R_PL), 1.0)
 
 
@@ -36,7 +40,7 @@ def test_opensim_points():
 
 
 def test_moment_is_z_fx_minus_x_fz():
-    wrench = planar_wrench(
+    wrench = planar(
         plate((30.0, 600.0, 7.0), (0.2, 0.006, -0.5)), SagittalFrame()
     )
     np.testing.assert_allclose(wrench.force, [[30.0, 600.0]])
@@ -45,7 +49,7 @@ def test_moment_is_z_fx_minus_x_fz():
 
 def test_surface_height_moves_the_cop():
     # On a plate 6 mm above the floor the line of action meets z = 0 elsewhere.
-    wrench = planar_wrench(
+    wrench = planar(
         plate((60.0, 600.0, 0.0), (0.2, 0.006, 0.0)), SagittalFrame()
     )
     np.testing.assert_allclose(wrench.cop_x, 0.2 - 0.006 * 60.0 / 600.0)
@@ -53,7 +57,7 @@ def test_surface_height_moves_the_cop():
 
 def test_free_moment_about_the_lateral_axis_counts():
     # OpenSim's z points right, our y left: +5 about z is -5 about y.
-    wrench = planar_wrench(
+    wrench = planar(
         plate((0.0, 500.0, 0.0), (0.1, 0.0, 0.0), (9.0, 9.0, 5.0)),
         SagittalFrame(),
     )
@@ -110,7 +114,7 @@ def test_walking_force_pushes_back_then_forward(data_root):
 
     path = data_root / "opencap_subject4/ID/walking1_grf.mot"
     time, plates = read_plates(path)
-    left = planar_wrench(plates[1], SagittalFrame())
+    left = planar(plates[1], SagittalFrame())
     stance = (time > 0.56) & (time < 1.18)
     cop = left.cop_x[stance]
     direction = np.sign(cop[-1] - cop[0])
