@@ -23,6 +23,7 @@ Written are markers and plates of types 1 to 4.
 
 import io
 import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -221,9 +222,9 @@ def _markers(path, file: C3dContents) -> MarkerData | None:
 
 
 def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
-    values = file.analogs
-    if values.size == 0:
+    if file.analogs.size == 0:
         return None, {}
+    values = _of_unsigned(file)
     names = _unique(file.texts("ANALOG", "LABELS"), values.shape[1], "channel")
     units = file.texts("ANALOG", "UNITS")
     units += [""] * (len(names) - len(units))
@@ -234,6 +235,27 @@ def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
         source=str(path),
     )
     return table, dict(zip(names, units, strict=False))
+
+
+def _of_unsigned(file: C3dContents) -> np.ndarray:
+    """Analog signals (N, C), also those of counts without sign.
+
+    ezc3d takes such counts for signed ones, 65 536 too low where they are
+    large.
+    """
+    values = file.analogs
+    real = file.numbers("POINT", "SCALE")
+    if file.texts("ANALOG", "FORMAT")[:1] != ["UNSIGNED"] or (
+        real is not None and real.flat[0] < 0.0
+    ):
+        return values
+    scale, offset, whole = (
+        file.numbers("ANALOG", name).ravel()[: values.shape[1]]
+        for name in ("SCALE", "OFFSET", "GEN_SCALE")
+    )
+    one, offset = whole[0] * scale, np.mod(offset, 65536.0)
+    is_low = np.sign(one) * (values + offset * one) < -0.5 * np.abs(one)
+    return values + 65536.0 * one * is_low
 
 
 def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
@@ -252,7 +274,7 @@ def _point_unit(path, file: C3dContents) -> float:
 
 
 def _unit(path, text: str, known: dict[str, float], what: str) -> float:
-    unit = text.strip().lower().replace(".", "").replace("*", "")
+    unit = re.sub(r"[\s.*-]", "", text.lower())
     if unit not in known:
         names = ", ".join(known)
         raise InputError(

@@ -58,7 +58,8 @@ def read_table(path: str | Path) -> Table:
     check_names(path, rest[0] + 1, names)
     rows = [(i + 1, lines[i].split()) for i in rest[1:]]
     values = number_rows(path, rows, len(names))
-    _check_count(path, header.get("nrows"), len(rows), "nRows", "rows")
+    for key in ("nRows", "datarows"):
+        _check_count(path, header.get(key.lower()), len(rows), key, "rows")
     check_increasing(str(path), values[:, 0])
     return Table(
         time=values[:, 0],
@@ -76,7 +77,8 @@ def read_trc(path: str | Path) -> MarkerData:
         InputError: the file is unreadable, truncated, or holds text among
             numbers, its unit is unknown, or its time does not increase.
     """
-    lines = read_text(path).splitlines()
+    text = read_text(path)
+    lines = text.splitlines()
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise InputError(f"{path}: is not a .trc file; check the path")
     keys = [k.lower() for k in lines[1].split()]
@@ -93,6 +95,8 @@ def read_trc(path: str | Path) -> MarkerData:
     for i in range(5, len(lines)):
         if lines[i].strip():
             rows.append((i + 1, _fields(lines[i], width)))
+    if rows and text[-1] not in "\r\n":
+        rows[-1] = len(lines), lines[-1].rstrip().split("\t")
     values = number_rows(path, rows, width)
     announced = header.get("numframes")
     if not _is_cut_out(announced, values[:, 0]):
@@ -235,8 +239,9 @@ def write_trc(path: str | Path, markers: MarkerData) -> None:
 
 
 def _header(lines: list[str]) -> dict[str, str]:
-    pairs = (line.split("=", 1) for line in lines if "=" in line)
-    return {key.strip().lower(): value.strip() for key, value in pairs}
+    # SIMM writes blanks, OpenSim "=".
+    pairs = (re.split(r"\s*=\s*|\s+", s.strip(), maxsplit=1) for s in lines)
+    return {p[0].lower(): p[1] for p in pairs if len(p) == 2}
 
 
 def _yes_no(path, text: str | None) -> bool | None:
@@ -275,9 +280,7 @@ def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
 
 def _fields(line: str, width: int) -> list[str]:
     """Cells of a .trc row; markers missing at its end become gaps."""
-    cells = line.rstrip("\r\n").split("\t")
-    while len(cells) > width and not cells[-1].strip():
-        cells.pop()
-    if len(cells) < width and (len(cells) - 2) % 3 == 0:
+    cells = line.rstrip().split("\t")
+    if (len(cells) - 2) % 3 == 0:
         cells += [""] * (width - len(cells))
     return cells

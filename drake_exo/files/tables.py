@@ -142,6 +142,7 @@ class Table:
         values: (N, C), units as `source` says; NaN where missing.
         in_degrees: what the file's header says of angles, None if nothing.
         source: file name, for messages and provenance.
+        units: that a CSV's header names, before they were made SI.
     """
 
     time: np.ndarray
@@ -149,6 +150,7 @@ class Table:
     values: np.ndarray
     in_degrees: bool | None = None
     source: str = ""
+    units: tuple[str, ...] = ()
 
     def column(self, name: str) -> np.ndarray:
         """One column (N,).
@@ -304,8 +306,8 @@ def check_angle_unit(table: Table, angles: np.ndarray) -> None:
 
     No joint turns by more than a full turn, so larger numbers are degrees.
     Numbers within half a turn that move by more than 20 degrees, read as
-    radians, are radians: read as degrees the whole body would stay within
-    3.2 degrees of zero and yet be in motion.
+    radians, are taken for radians: read as degrees all joints would stay
+    within 3.2 degrees of zero and yet be in motion.
 
     Raises:
         InputError: header and values contradict each other, or the header
@@ -328,8 +330,8 @@ def check_angle_unit(table: Table, angles: np.ndarray) -> None:
     if table.in_degrees and largest <= np.pi and motion > np.deg2rad(20.0):
         raise InputError(
             f"{table.source}: inDegrees=yes, but no angle exceeds "
-            f"{largest:.3g}, which can only be radians; correct the header "
-            "to inDegrees=no"
+            f"{largest:.3g}, so these look like radians; correct the header "
+            "to inDegrees=no, or write so small a movement in radians"
         )
 
 
@@ -421,14 +423,14 @@ def read_csv_table(path: str | Path) -> Table:
     lines = [s for s in read_text(path).splitlines() if s.strip()]
     if len(lines) < 3:
         raise InputError(f"{path}: holds fewer than two samples")
-    names, factors = _header(path, comma_separated(path, lines[0]))
+    names, units = _header(path, comma_separated(path, lines[0]))
     rows = [(i, line.split(",")) for i, line in enumerate(lines[1:], 2)]
     values = number_rows(path, rows, len(names))
-    values = values * factors
+    values = values * [UNITS[unit] for unit in units]
     check_increasing(str(path), values[:, 0])
-    return Table(
-        values[:, 0], tuple(names[1:]), values[:, 1:], False, str(path)
-    )
+    time, values = values[:, 0], values[:, 1:]
+    named, units = tuple(names[1:]), tuple(units[1:])
+    return Table(time, named, values, False, str(path), units)
 
 
 def comma_separated(path, header: str) -> list[str]:
@@ -456,8 +458,8 @@ def check_names(path, line: int, names: list[str]) -> None:
             )
 
 
-def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
-    names, factors = [], []
+def _header(path, cells: list[str]) -> tuple[list[str], list[str]]:
+    names, units = [], []
     for cell in cells:
         match = _COLUMN.fullmatch(cell)
         unit = match["unit"].strip().lower() if match else None
@@ -468,11 +470,13 @@ def _header(path, cells: list[str]) -> tuple[list[str], np.ndarray]:
                 f"{', '.join(UNITS)}"
             )
         names.append(match["name"])
-        factors.append(UNITS[unit])
+        units.append(unit)
     check_names(path, 1, names)
-    if names[0].lower() != "time":
-        raise InputError(f"{path}:1: the first column must be 'time [s]'")
-    return names, np.array(factors)
+    if names[0].lower() != "time" or units[0] not in ("s", "ms"):
+        raise InputError(
+            f"{path}:1: the first column must be 'time [s]' or 'time [ms]'"
+        )
+    return names, units
 
 
 def write_csv_table(path: str | Path, table: Table, units: list[str]) -> None:

@@ -73,16 +73,17 @@ def find_rises(
         return []
     rises = []
     above = hip_z > 0.5 * (low + high)
+    sits = hip_z < low + 0.3 * (high - low)
+    stands = hip_z >= low + 0.8 * (high - low)
     ups = np.flatnonzero(~above[:-1] & above[1:]) + 1
     downs = np.flatnonzero(above[:-1] & ~above[1:]) + 1
     for up in ups:
         before = downs[downs < up].max(initial=0)
-        after = downs[downs > up].min(initial=len(time) - 1)
-        seated = hip_z[before:up].min(initial=np.inf)
-        if seated > low + 0.3 * (high - low):
+        top = up + int(np.argmax(stands[up:]))
+        # It may falter halfway, but does not sit down again.
+        if not sits[before:up].any() or not stands[top] or sits[up:top].any():
             continue
-        if hip_z[up : after + 1].max() < low + 0.8 * (high - low):
-            continue
+        after = downs[downs > top].min(initial=len(time) - 1)
         start, had_chair = _seat_off(hip_z, chair_force, weight, before, up)
         end, steady = _standing(time, hip_z, F_z, weight, up, after)
         rises.append(

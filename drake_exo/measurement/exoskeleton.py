@@ -124,7 +124,21 @@ def _read(path, joints, legs, settings: Filter, ending: str) -> Signal:
 def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
     kind = Path(path).suffix.lower()
     if kind == ".csv":
-        return read_csv_table(path)
+        table = read_csv_table(path)
+        known = ("nm", "n m") if ending else ("deg", "rad")
+        for name, unit in zip(table.names, table.units, strict=True):
+            of_moment = _MOMENT in name
+            if (
+                name.startswith(joints)
+                and of_moment == bool(ending)
+                and unit not in known
+            ):
+                raise InputError(
+                    f"{path}:1: column {name!r} is in {unit!r}; give "
+                    f"{'a moment' if ending else 'an angle'} in "
+                    f"{' or '.join(known)}"
+                )
+        return table
     if kind not in (".mot", ".sto"):
         raise InputError(
             f"{path}: is no file of exoskeleton joints that can be read; "

@@ -428,6 +428,8 @@ def _first_guess(model: MarkerModel, p: np.ndarray) -> np.ndarray:
     standing = model.levers @ np.exp(1j * model.standing_angles)
     for k in range(phi.shape[1]):
         of = model.segment_of == k
+        if not of.any():  # all were left out, its neighbours tell
+            continue
         s = standing[of] - standing[of].mean()
         if np.abs(s).max() > 0.01:
             c = p[:, of] - p[:, of].mean(axis=1, keepdims=True)
@@ -696,7 +698,9 @@ def _place(load, settings, tree, time, q, recorded) -> np.ndarray:
     filled, gaps = fill_gaps(
         recorded, load.markers, settings.laboratory.fill_gaps_s
     )
-    gaps.check()
+    start = -np.inf if load.from_s is None else load.from_s
+    end = np.inf if load.to_s is None else load.to_s + load.over_s
+    gaps.check(start, end)
     frame = settings.laboratory.marker_axes.frame
     middle = frame.points(filled.of(load.markers)).mean(axis=1)
     smooth = settings.filter.smooth(middle, recorded.rate_hz, recorded.source)

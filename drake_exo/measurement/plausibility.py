@@ -658,20 +658,23 @@ def _unit_of(ratio: float) -> str | None:
 
 
 def _end(e: Evidence) -> Check:
-    """Whether the recording stops while the body still rises."""
+    """Whether the recording starts or stops while the body rises."""
     motion = e.recording.motion
-    at = np.flatnonzero(e.inside)[-1]
-    hips = np.gradient(motion.hip_z, motion.time)
-    speed = abs(float(hips[at])) if at >= len(motion.time) - 2 else 0.0
+    first, last = np.flatnonzero(e.inside)[[0, -1]]
+    hips = np.abs(np.gradient(motion.hip_z, motion.time))
+    starts = float(hips[first]) if first <= 1 else 0.0
+    stops = float(hips[last]) if last >= len(motion.time) - 2 else 0.0
+    speed = max(starts, stops)
+    at, word = (0, "starts") if starts > stops else (-1, "ends")
     return e.check(
         "end",
         speed,
         LARGEST_END_SPEED_M_S,
         "m/s",
         e.files.forces,
-        f"the recording ends at {motion.time[-1]:g} s while the hips still "
-        f"move at {speed:.2f} m/s; markers or forces stop in the middle of "
-        "the movement: export the whole trial",
+        f"the recording {word} at {motion.time[at]:g} s while the hips "
+        f"move at {speed:.2f} m/s, in the middle of the movement: export the "
+        "whole trial",
     )
 
 

@@ -198,7 +198,8 @@ class Recordings:
     def _long(self, files: TrialFiles) -> list[Gap]:
         found = self.of(files)
         start, end, _ = _bounds(files, found)
-        return found.motion.gaps.too_long(start, end)
+        reach = self._made_with[1].filter.reach_s
+        return found.motion.gaps.too_long(start - reach, end + reach)
 
 
 def load_trials(
@@ -282,7 +283,8 @@ def process(
         recorded, subject.markers.names, laboratory.fill_gaps_s
     )
     forces = read_feet(files, laboratory, low_pass_filter, root)
-    time = common_time(markers, forces, low_pass_filter)
+    on_time = forces.delayed(laboratory.force_delay_s)
+    time = common_time(markers, on_time, low_pass_filter)
     motion = _follow(markers, gaps, time, subject, settings)
     applied = wrenches(
         files, settings, root, model.rigid.tree, time, motion.q, recorded
@@ -350,6 +352,8 @@ def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
     ahead = settings.ground.belt_speed_m_s * markers.time
     forward = settings.laboratory.marker_axes.frame.R_PL[0]
     moved = markers.positions + ahead[:, None, None] * forward
+    # Zeros of hidden markers stay, to be refused.
+    moved[(markers.positions == 0.0).all(axis=2)] = 0.0
     return replace(markers, positions=moved)
 
 

@@ -3,6 +3,7 @@
 Nothing is filtered here but what judges whether a plate is loaded.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -188,18 +189,24 @@ class FootForces:
         found = self._by_plate(less)
         return replace(found, levels=levels)
 
-    def levelled(self) -> "FootForces":
-        """The same forces less offset and drift of unloaded samples."""
+    def levelled(self, feet: bool) -> "FootForces":
+        """The same forces less offset and drift of unloaded samples.
+
+        Args:
+            feet: whether of the feet's plates, too; a chair weighs something.
+        """
         levels = {}
 
         def flat(name, w):
+            if name != "chair" and not feet:
+                return w
             largest = LARGEST_CHAIR_N if name == "chair" else LARGEST_FOOT_N
             w, found = level(self.time, w, largest)
             levels[name] = {**self.levels.get(name, {}), **found}
             return w
 
         found = self._by_plate(flat)
-        return replace(found, levels=levels)
+        return replace(found, levels=self.levels | levels)
 
     def _by_plate(self, function) -> "FootForces":
         """Function of name and wrench, applied to every plate."""
@@ -391,15 +398,23 @@ def read_feet(
             settings,
             loaded=False,
         )
-        borne = sum(float(w[:, 2].mean()) for w in empty.recorded.values())
-        if abs(borne) > _LARGEST_EMPTY_N:
-            raise InputError(
-                f"{empty.source}: empty_plates bear {borne:.0f} N; name a "
-                "recording of the plates with nothing on them, or leave the "
-                "key out"
-            )
+        check_empty(empty.source, empty.recorded.values())
         forces = forces.without(empty)
-    return forces.levelled() if laboratory.remove_plate_drift else forces
+    return forces.levelled(laboratory.remove_plate_drift)
+
+
+def check_empty(source: object, wrenches: Iterable[np.ndarray]) -> None:
+    """Refuse empty plates (N, 6) that bear something.
+
+    Raises:
+        InputError: they do.
+    """
+    borne = sum(float(w[:, 2].mean()) for w in wrenches)
+    if abs(borne) > _LARGEST_EMPTY_N:
+        raise InputError(
+            f"{source}: empty_plates bear {borne:.0f} N; name a recording of "
+            "the plates with nothing on them, or leave the key out"
+        )
 
 
 def merge_plates(

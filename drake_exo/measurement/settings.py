@@ -50,6 +50,15 @@ class Axes:
         """The planar frame in the file's axes."""
         return SagittalFrame(self.forward, self.up)
 
+    @staticmethod
+    def of(R_PL: np.ndarray) -> "Axes":
+        """Axes whose frame is this rotation, of right angles alone."""
+        forward, _, up = (
+            ("-" if row.sum() < 0.0 else "") + "xyz"[np.argmax(np.abs(row))]
+            for row in R_PL
+        )
+        return Axes(forward, up)
+
 
 @dataclass(frozen=True)
 class JointDrive:
@@ -318,7 +327,7 @@ class Plates:
         left, right: under that foot, or several that it steps on in turn;
             one leg's alone count twice.
         both: under both feet.
-        chair: under the chair, whose weight is tared.
+        chair: under the chair; what it bears with nobody on it is taken out.
     """
 
     left: int | tuple[int, ...] | None = quantity(None, None, minimum=1)
@@ -396,6 +405,11 @@ class Filter:
             raise InputError(
                 f"order is {self.order}, but two passes make it even"
             )
+
+    @property
+    def reach_s(self) -> float:
+        """How far a sample is felt in what the filter makes of others [s]."""
+        return 1.0 / self.cutoff_hz
 
     def smooth(
         self, values: np.ndarray, rate_hz: float, source: str
@@ -580,6 +594,12 @@ class RecordingSettings:
                         f"trial {trial.name}: {name!r} is none of the mats "
                         f"({', '.join(self.mats) or 'there are none'})"
                     )
+        if self.assembly.human.sides and self.laboratory.chair_on_thighs:
+            raise InputError(
+                "laboratory.chair_on_thighs is for legs that move alike; of "
+                "two legs the chair's plate does not tell which thigh bears "
+                "what: leave it out"
+            )
         segments = self.assembly.human.segments
         for trial in self.trials:
             for load in trial.loads:

@@ -19,6 +19,7 @@ from drake_exo.measurement.events import Contact, contacts
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.recording import (
     LARGEST_FOOT_N,
+    check_empty,
     plates_under,
     read_markers,
     trend,
@@ -116,10 +117,9 @@ def recorded_step(
         _, empty = plates_under(
             root / files.empty_plates, files.plates.of(foot)
         )
-        each = [
-            w - sign * spatial_wrench(plate, frame).mean(axis=0)
-            for w, plate in zip(each, empty, strict=True)
-        ]
+        bare = [sign * spatial_wrench(plate, frame) for plate in empty]
+        check_empty(files.empty_plates, bare)
+        each = [w - b.mean(axis=0) for w, b in zip(each, bare, strict=True)]
     if lab.remove_plate_drift:
         for k, w in enumerate(each):
             bare = unloaded(time, w[:, 2], LARGEST_FOOT_N)
@@ -213,13 +213,19 @@ def _foot_markers(
         names,
         lab.fill_gaps_s,
     )
-    gaps.check(contact.start_s, contact.end_s)
+    reach = settings.filter.reach_s
+    gaps.check(contact.start_s - reach, contact.end_s + reach)
     points = lab.marker_axes.frame.space(data.of(names))
     smooth = settings.filter.smooth(points, data.rate_hz, data.source)
     return MarkerData(data.time, names, smooth, data.rate_hz, data.source)
 
 
 def _names(settings: RecordingSettings, foot: Side) -> tuple[str, ...]:
+    if settings.markers is None:
+        raise InputError(
+            "a recorded step needs the markers of the foot; give them as "
+            "markers.segments in the study, besides the OpenSim model"
+        )
     segments = settings.markers.segments
     names = (*segments.foot.of(foot), *segments.toes.of(foot))
     if len(dict.fromkeys(names)) < 3:

@@ -25,6 +25,7 @@ from drake_exo.measurement.recording import (
 )
 from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
 from drake_exo.measurement.settings import (
+    Axes,
     JointCentres,
     Markers,
     RecordingSettings,
@@ -271,7 +272,15 @@ def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
     standing = settings.standing
     if standing.forces is None:
         return None
-    forces = read_feet(standing, settings.laboratory, settings.filter, root)
+    laboratory = settings.laboratory
+    if standing.marker_axes is not None:
+        # Who faces another way does so on the plates, too.
+        turn = standing.marker_axes.frame.R_PL @ (
+            laboratory.marker_axes.frame.R_PL.T
+        )
+        axes = Axes.of(turn @ laboratory.force_axes.frame.R_PL)
+        laboratory = replace(laboratory, force_axes=axes)
+    forces = read_feet(standing, laboratory, settings.filter, root)
     inside = _inside(forces.time, standing)
     if not inside.any():
         raise InputError(

@@ -383,7 +383,7 @@ def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     parts: dict[str, dict[str, np.ndarray]] = {}
     for name, x in arrays.items():
         if name.startswith("cuffs."):
-            _, cuff, part = name.split(".")
+            cuff, _, part = name.removeprefix("cuffs.").rpartition(".")
             parts.setdefault(cuff, {})[part] = x
     cuffs = {cuff: CuffForce(**found) for cuff, found in parts.items()}
     return {**fields, "cuffs": cuffs, "feet": feet, "applied": applied}

@@ -155,6 +155,33 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
     )
 
 
+def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
+    """As ezc3d hands them over: read as signed, the offset as it should be."""
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers, [plate], [design(2)], 10)
+    plain = decode(path)
+    offset, scale = 32768, np.abs(plain.analogs).max(axis=0) / 3e4
+    counts = np.round(plain.analogs / scale) + offset
+    signed = counts - 65536.0 * (counts >= 32768)
+    analog = dict(
+        FORMAT=["UNSIGNED"],
+        SCALE=scale,
+        OFFSET=np.full(6, -32768),
+        GEN_SCALE=np.ones(1),
+    )
+    parameters = plain.parameters | {
+        "ANALOG": plain.parameters["ANALOG"] | analog,
+        "POINT": plain.parameters["POINT"] | {"SCALE": np.array([0.1])},
+    }
+    found = replace(
+        plain, analogs=scale * (signed - offset), parameters=parameters
+    )
+    assert (np.abs(found.analogs - plain.analogs) > 100.0 * scale).any()
+    monkeypatch.setattr(c3d_files, "decode", lambda path: found)
+    off = np.abs(read_c3d(path).analog.values - plain.analogs)
+    assert (off <= 0.501 * scale).all()
+
+
 @pytest.mark.slow
 def test_units_of_channels_are_those_that_the_file_names(
     tmp_path, markers, plate

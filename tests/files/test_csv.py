@@ -36,6 +36,7 @@ def test_comes_back_as_written(tmp_path):
         ("exo_knee [deg]", "exo_knee", "names no unit"),
         ("[deg]", "[grad]", "names no unit that is known"),
         ("time [ms]", "frame [s]", "first column must be 'time"),
+        ("time [ms]", "time [deg]", "first column must be 'time"),
         ("exo_knee_moment [Nm]", "exo_knee [deg]", "two columns are named"),
         ("10,45,2", "10,45", ":3: has 2 values where 3"),
         ("10,45,2", "10,x,2", "text among numbers"),

@@ -110,7 +110,7 @@ def test_gap_is_told_when_the_column_is_used(tmp_path, knee):
 def test_header_in_degrees_over_radians(tmp_path, knee):
     text = mot(["knee"], np.deg2rad(knee), in_degrees="yes")
     message = refusal(read_coordinates, write(tmp_path, text))
-    assert "can only be radians" in message and "inDegrees=no" in message
+    assert "look like radians" in message and "inDegrees=no" in message
 
 
 def test_header_in_radians_over_degrees(tmp_path, knee):
@@ -331,3 +331,28 @@ def test_walking5_time_column_contradicts_its_header(data_root):
     found = read_trc(path)
     with pytest.raises(InputError, match="250 frames a second"):
         uniform_time(path.name, found.time, found.rate_hz)
+
+
+def test_a_row_may_end_before_its_last_marker_but_not_within_it(
+    tmp_path, markers
+):
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    lines = path.read_text().splitlines()
+    for ending in ("", "\t", "\t\t"):
+        short = lines[9].rsplit("\t", 3)[0] + ending
+        path.write_text("\n".join([*lines[:9], short, *lines[10:]]) + "\n")
+        found = read_trc(path).positions
+        assert np.isnan(found[:, 2]).any(axis=1).sum() == 1
+    # A file that was cut off ends within a row.
+    path.write_text("\n".join([*lines[:-1], lines[-1].rsplit("\t", 3)[0]]))
+    assert "truncated" in refusal(read_trc, path)
+
+
+def test_simm_s_header_says_how_many_rows(tmp_path):
+    path = tmp_path / "s.mot"
+    text = "name s.mot\ndatacolumns 2\ndatarows 3\nendheader\ntime a\n"
+    path.write_text(text + "0 1\n1 2\n2 3\n")
+    assert len(read_table(path).time) == 3
+    path.write_text(text + "0 1\n1 2\n")
+    assert "datarows=3" in refusal(read_table, path)

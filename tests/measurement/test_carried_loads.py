@@ -9,6 +9,7 @@ from synthetic_recording import load as load_study
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.files.opensim import read_trc, write_trc
 from drake_exo.measurement.kinematics import carried, inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Load
@@ -134,6 +135,19 @@ def test_markers_carry_the_mass(tmp_path):
     subject, (trial,) = load_study(with_loads(tmp_path, load), tmp_path)
     place = POINTS["pelvis"][name.split("_")[-1]]
     check_impulse(subject.model.tree, trial, place, 0.01)
+    # Whether it is seen matters while it is carried.
+    data = read_trc(tmp_path / "sts.trc")
+    data.positions[5:45, data.names.index(name)] = np.nan
+    write_trc(tmp_path / "sts.trc", data)
+    later = with_loads(tmp_path, load | {"from_s": 0.6})
+    (again,) = load_study(later, tmp_path)[1]
+    np.testing.assert_allclose(
+        again.applied["pelvis"].force_z[-20:],
+        trial.applied["pelvis"].force_z[-20:],
+        atol=0.5,
+    )
+    with pytest.raises(InputError, match="marker without a value"):
+        load_study(with_loads(tmp_path, load), tmp_path)
     wrong = {"body": "pelvis", "mass_kg": KG, "markers": ["box"]}
     with pytest.raises(InputError, match="has no marker 'box'"):
         load_study(with_loads(tmp_path, wrong), tmp_path)

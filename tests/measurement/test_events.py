@@ -93,6 +93,18 @@ def test_who_only_dips_does_not_rise_again(lowest, count):
     assert len(rises) == count
 
 
+def test_who_falters_halfway_rises_all_the_same():
+    """It passes half its height twice, and the chair is left once."""
+    hip = 0.5 + 0.21 * smooth(1.0, 1.6) + 0.19 * smooth(2.4, 3.0)
+    hip -= 0.02 * smooth(1.6, 1.8) - 0.02 * smooth(2.0, 2.2)
+    hip += 0.5 * (smooth(4.5, 5.0) * 0.0)
+    chair = 0.9 * WEIGHT * (1.0 - smooth(0.4, 1.0))
+    (rise,) = find(hip, chair, WEIGHT - chair)
+    assert 0.8 < rise.seat_off_s < 1.05 and rise.had_chair
+    assert 1.2 < rise.halfway_s < 1.6
+    assert rise.standing_s > 2.8
+
+
 def test_shuffling_is_no_rise():
     hip = 0.9 + 0.05 * np.sin(TIME)
     assert find(hip, np.zeros(600), np.full(600, WEIGHT)) == []

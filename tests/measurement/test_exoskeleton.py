@@ -173,3 +173,18 @@ def test_a_device_that_carries_itself_leaves_the_human_alone(coupled, nominal):
     resultant = rigid.inverse_dynamics(q6, v6, a6)[:, 3:]
     alone = human.inverse_dynamics(q6, v6, a6)[:, 3:]
     np.testing.assert_allclose(resultant - carried, alone, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("reader", "names", "unit", "words"),
+    [
+        (read_angles, EXO_JOINTS, "N", "'exo_ankle' is in 'n'; give an angle"),
+        (read_angles, EXO_JOINTS, "mm", "in deg or rad"),
+        (read_moments, moment_names(), "deg", "give a moment in nm or n m"),
+    ],
+)
+def test_units_are_those_of_what_is_read(tmp_path, reader, names, unit, words):
+    path = tmp_path / "e.csv"
+    write_csv_table(path, Table(TIME, tuple(names), ANGLES), [unit] * 3)
+    with pytest.raises(InputError, match=words):
+        reader(path, EXO_JOINTS, "both", FILTER)

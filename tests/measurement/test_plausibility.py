@@ -518,7 +518,18 @@ def test_forces_that_end_in_the_middle_of_the_rise(folder):
     table = replace(table, time=table.time[rows], values=table.values[rows])
     write_table(folder / "sts.mot", table)
     text = said(folder, "end")
-    assert "the recording ends at 1.9 s while the hips still move" in text
+    assert "the recording ends at 1.9 s while the hips move" in text
+
+
+def test_a_recording_that_starts_in_the_middle_of_the_rise(folder):
+    table = read_table(folder / "sts.mot")
+    rows = table.time >= 1.6
+    table = replace(table, time=table.time[rows], values=table.values[rows])
+    write_table(folder / "sts.mot", table)
+    edit(folder, "seated_s: 0.8\n", "end_s: 2.6\n")
+    edit(folder, "rise: 1\n", "start_s: 1.6\n")
+    text = said(folder, "end")
+    assert "the recording starts at 1.6 s while the hips move" in text
 
 
 @pytest.mark.slow

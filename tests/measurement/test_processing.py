@@ -21,10 +21,12 @@ from drake_exo.files.opensim import (
     write_table,
     write_trc,
 )
-from drake_exo.files.tables import Table
+from drake_exo.files.tables import MarkerData, Table
+from drake_exo.measurement import processing
+from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import load_trials, process
-from drake_exo.measurement.settings import Scaling
+from drake_exo.measurement.settings import Axes, Ground, Scaling
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
@@ -549,3 +551,65 @@ def test_real_trials_obey_newton(data_root, request):
     for trial in study.trials():
         rms = np.sqrt(np.mean(residual(study.subject, trial) ** 2, axis=0))
         assert (rms < [24.0, 34.0, 24.0]).all(), rms
+
+
+def test_what_is_hidden_just_after_the_used_part_reaches_into_it(files, loaded):
+    """By the filter: as far as a period of its cut-off."""
+    folder, study = files
+    _, (trial, _) = loaded
+    end = round(RATE * (trial.start_s + trial.duration))
+    hide(folder, ["R_sh1"], end + 5, end + 40)
+    _, trials = load(study, folder)
+    assert trials[0].provenance["markers_left_out"] == ["R_sh1"]
+    assert np.abs(trials[0].v - trial.v).max() < 1e-5
+    # All of a segment's own: its neighbours tell where it is.
+    hide(folder, ["R_sh2", "R_kne"], end + 5, end + 40)
+    _, trials = load(study, folder)
+    assert len(trials[0].provenance["markers_left_out"]) == 3
+    assert np.abs(trials[0].v - trial.v).max() < 1e-5
+
+
+def test_zeros_of_hidden_markers_are_told_on_a_belt(made):
+    _, _, study = made
+    belt = replace(study, ground=Ground(belt_speed_m_s=1.2))
+    time = np.arange(100) / RATE
+    positions = np.ones((100, 2, 3))
+    positions[30:40, 1] = 0.0
+    data = MarkerData(time, ("a", "b"), positions, RATE, "walk.trc")
+    moved = processing._on_belt(data, belt)
+    assert np.ptp(moved.positions[:, 0], axis=0).max() > 1.0
+    with pytest.raises(InputError, match="'b' in 10 frames"):
+        fill_gaps(moved, ("a", "b"), 0.1)
+
+
+def test_a_clock_that_is_known_is_set_before_files_are_compared(files, loaded):
+    folder, study = files
+    table = read_table(folder / "sts.mot")
+    write_table(folder / "sts.mot", replace(table, time=table.time + 30.0))
+    late = replace(study.laboratory, force_delay_s=30.0)
+    _, trials = load(replace(study, laboratory=late), folder)
+    for trial, plain in zip(trials, loaded[1], strict=True):
+        np.testing.assert_allclose(
+            trial.ground.force, plain.ground.force, atol=1e-3
+        )
+
+
+def test_who_faces_another_way_in_standing_does_so_on_its_plates(files, human):
+    """Standing on a turned file, with all of its directions turned."""
+    folder, study = files
+    subject = fit_subject(study, folder)
+    data = read_trc(folder / "static.trc")
+    turn = np.array([-1.0, 1.0, -1.0])
+    write_trc(
+        folder / "static.trc", replace(data, positions=data.positions * turn)
+    )
+    table = read_table(folder / "static.mot")
+    signs = [-1.0 if name.endswith(("x", "z")) else 1.0 for name in table.names]
+    write_table(
+        folder / "static.mot", replace(table, values=table.values * signs)
+    )
+    standing = replace(study.standing, marker_axes=Axes("-x", "y"))
+    turned = fit_subject(replace(study, standing=standing), folder)
+    assert turned.model.human.pelvis.com_m == pytest.approx(
+        subject.model.human.pelvis.com_m, abs=1e-4
+    )

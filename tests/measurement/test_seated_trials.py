@@ -215,6 +215,21 @@ def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
     assert found["chair"]["offset_n"] == pytest.approx(60.0, abs=0.5)
 
 
+def test_a_chair_weighs_nothing(files, loaded):
+    """Also where nothing else is levelled."""
+    folder, study = files
+    table = read_table(folder / "sts.mot")
+    values = table.values + 0.0
+    for number in (1, 3):
+        values[:, table.names.index(f"ground_force_{number}_vy")] += 12.0
+    write_table(folder / "sts.mot", replace(table, values=values))
+    _, (trial,) = load(study, folder)
+    off = trial.chair.force_z - loaded[1].chair.force_z
+    assert np.abs(off).max() < 1.0
+    off = trial.ground.force_z - loaded[1].ground.force_z
+    np.testing.assert_allclose(off, 12.0, atol=0.1)
+
+
 def test_plates_that_somebody_stands_on_are_not_empty(files):
     folder, study = files
     with pytest.raises(InputError, match=r"empty_plates bear \d{3} N; name"):

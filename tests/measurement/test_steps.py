@@ -173,6 +173,18 @@ def test_plates_are_levelled_as_the_study_says(tmp_path):
     emptied = replace(study, trials=(files, *study.trials[1:]))
     found = vertical(emptied)
     np.testing.assert_allclose(found, vertical(study) - 14.0, atol=1e-6)
+    # Somebody stands on them.
+    values[:, first] = 300.0
+    body = "\n".join("\t".join(f"{v:.9g}" for v in row) for row in values)
+    (tmp_path / "stood.mot").write_text(
+        f"{head}nColumns=28\nendheader\n{names}\n{body}\n"
+    )
+    loaded = replace(files, empty_plates=Path("stood.mot"))
+    with pytest.raises(InputError, match=r"empty_plates bear \d+ N; name"):
+        vertical(replace(study, trials=(loaded, *study.trials[1:])))
+    object.__setattr__(study, "markers", None)
+    with pytest.raises(InputError, match=r"give them as markers\.segments"):
+        vertical(study)
 
 
 def test_part_of_a_step_by_its_times(tmp_path):

@@ -272,3 +272,12 @@ def test_nothing_is_sampled_outside_of_a_trial(trial):
     for times in ([0.0, end + 0.01], [-0.01, end], []):
         with pytest.raises(InputError, match="are asked for"):
             trial.sample(times)
+
+
+def test_a_cuff_s_name_may_have_dots(whole, tmp_path):
+    named = replace(whole, cuffs={"thigh.left": whole.cuffs["thigh"]})
+    named.save(tmp_path / "dots")
+    for found in (Trial.load(tmp_path / "dots"), named.sample(named.times)):
+        np.testing.assert_allclose(
+            found.cuffs["thigh.left"].normal, whole.cuffs["thigh"].normal
+        )
