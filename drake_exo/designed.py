@@ -450,7 +450,8 @@ class Designed:
                     where=row["cuff"],
                     sentence="deflects along the limb by more than its limit, "
                     f"{row['before']['migration_mm']:.1f} mm today: "
-                    "the design comes no nearer under its other limits",
+                    "the design comes no nearer under its other limits, or "
+                    "its forecast slides on: lower limits.migration_mm",
                 )
         for row in self.variables():
             at = {k: row[k] for k in ("value", "unit")}

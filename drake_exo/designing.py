@@ -42,7 +42,7 @@ from drake_exo.designed import (
     largest_deflection,
     largest_force,
 )
-from drake_exo.errors import InputError, check_type
+from drake_exo.errors import InputError, check_file_name, check_type
 from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
@@ -101,6 +101,9 @@ def design(
         settings, DesignSettings, "settings", studies[0].design
     )
     names = _names(studies)
+    if len(names) > 1:  # files are called after them
+        for name in names:
+            check_file_name("subject.name", name)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):
         contact = contact_of(contact)
@@ -291,7 +294,9 @@ def movements(
             f"trial {trial.name}: the movement does not fit these cuffs",
         )
         seen = (
-            how_it_was(trial, study.model, contact, phase) if is_today else None
+            how_it_was(trial, study.model, contact, phase)
+            if is_today and "encoders" in trial.provenance
+            else None
         )
         found.append(Moved(result.trials[0], bands(result), trial, seen))
         progress.update(trial.name, len(found))
@@ -435,7 +440,7 @@ def _alone(made: Designed, kind: str) -> DesignResult:
     problem = made.found.problem
     held = {
         v.name: v.today
-        for v in problem.design
+        for v in made.today.problem.design
         if not v.name.partition(".")[2].startswith(_KINDS[kind])
     }
     return DesignProblem(

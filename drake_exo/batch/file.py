@@ -264,6 +264,8 @@ def variant_name(changes: dict[str, Any]) -> str:
 
 def _value(value: Any) -> str:
     text = f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float) and float(text) != value:
+        text = repr(value)
     return re.sub(r"[^\w.+-]", "_", text)
 
 
@@ -409,7 +411,8 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
     tasks: dict[str, Task] = {}
     digests = {e: _digests(e.path, root) for e in subjects + soles if e.path}
     further = {
-        step: _of_options(words) for step, words in batch.options.items()
+        step: _of_options(words, folder)
+        for step, words in batch.options.items()
     }
     for entry in subjects + soles:
         known = STUDY_STEPS if entry in subjects else CASE_STEPS
@@ -417,11 +420,13 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
         if entry.seed is not None:
             task = _laboratory(batch, entry)
             tasks[task.name] = task
+        # A laboratory's files lie beside its own study.
+        start = root if entry.seed is None else None
         for changes in _variants(batch, entry in soles):
-            base = root or (entry.path.parent if entry.path else folder)
+            base = start or (entry.path.parent if entry.path else folder)
             own = digests.get(entry, {}) | _named(changes, base)
             for step in steps:
-                task = _task(batch, entry, changes, step, root)
+                task = _task(batch, entry, changes, step, start)
                 keys = [tasks[name].key for name in task.needs.values()]
                 task = _keyed(task, own | further.get(step, {}), keys)
                 tasks[task.name] = task
@@ -536,12 +541,22 @@ def _named(tree, base: Path) -> dict[str, str]:
     return {word: digest for word, digest in found.items() if digest}
 
 
-def _of_options(options: Sequence[str]) -> dict[str, str]:
-    """Digests of the files and folders that a command's options name."""
+def _of_options(options: Sequence[str], folder: Path) -> dict[str, str]:
+    """Digests of files, folders and modules that a command's options name."""
     words = [option.rpartition("=")[2] for option in options]
-    paths = [Path(word) for word in words if word]
-    inside = [q for p in paths if p.is_dir() for q in sorted(p.rglob("*"))]
-    return _named([str(path) for path in (*paths, *inside)], Path())
+    words += [
+        word.partition(":")[0].replace(".", "/") + ".py"
+        for word in words
+        if re.fullmatch(r"[\w.]+:\w+", word)
+    ]
+    inside = [
+        path.relative_to(folder)
+        for word in filter(None, words)
+        if (folder / word).is_dir()
+        for path in sorted((folder / word).rglob("*"))
+        if path.is_relative_to(folder)
+    ]
+    return _named([*words, *map(str, inside)], folder)
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -218,7 +218,7 @@
       const reach = 1.5 * (c - a);
       const ends = v.filter((u) => u >= a - reach && u <= c + reach);
       const label = document.createElement("span");
-      label.textContent = box.label.slice(0, 42);
+      label.textContent = box.label.slice(-42);
       parts.push(
         `<text x="${left - 8}" y="${y + 4}" text-anchor="end">${label.innerHTML} (${v.length})</text>`,
         `<line x1="${x(ends[0])}" x2="${x(ends[ends.length - 1])}" y1="${y}" y2="${y}" stroke="#1f6fb4"/>`,

@@ -26,7 +26,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drake_exo.batch.file import Task
-from drake_exo.batch.run import Batch
+from drake_exo.batch.run import Batch, read_outcome
 from drake_exo.calibration.results import read_trial
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
@@ -116,7 +116,11 @@ def rows_of(batch: Batch) -> list[Row]:
                 task.name,
             )
 
-        rows = [row(*number) for number in _numbers(batch.out, task)]
+        # Results of an earlier study may lie there still.
+        lies = read_outcome(batch.out / task.name)
+        rows = []
+        if lies is not None and lies.key == task.key:
+            rows = [row(*number) for number in _numbers(batch.out, task)]
         if outcome.code not in (0, 3):
             rows.insert(0, row("", "", None, ""))
         found += rows
@@ -159,6 +163,9 @@ def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
         yield "", f"variables.{v['name']}.today", v["today"], v["unit"]
     for felt in summary.get("felt") or []:
         yield from _leaves("", felt, f"felt.{felt['cuff']}")
+    if isinstance(first := summary.get("foot_ground"), dict):
+        for trial, name, *told in _summary(first):
+            yield trial, f"foot_ground.{name}", *told
     for when, energy in (summary.get("support") or {}).items():
         if energy is not None:
             yield "", f"support.{when}", energy, "J"
@@ -413,6 +420,7 @@ def summary(batch: Batch) -> dict:
         "tasks": [
             {
                 "name": task.name,
+                "key": task.key,
                 "step": task.step,
                 "code": found[task.name].code,
                 "verdict": found[task.name].verdict,

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import importlib
 import io
 import json
 import os
 import shutil
 import socket
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -38,8 +38,9 @@ from drake_exo.batch.file import (
     tasks_of,
 )
 from drake_exo.errors import InputError, first_line
-from drake_exo.files.output import MANIFEST, write_json
+from drake_exo.files.output import MANIFEST, locked, write_json
 from drake_exo.jobs.engine import BatchProgress, Ended, Job, Pool, run_jobs
+from drake_exo.jobs.process_child import function_of
 
 TASK, TIMING = "task.json", "timing.json"
 DRAFTS = ".drafts"
@@ -135,7 +136,7 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
     start = time.perf_counter()
     with _printing_to(log):
         try:
-            code, sentence = _run(task, out, draft, earlier, parse)
+            code, sentence = _run(task, out, draft, earlier, parse, near)
         except Exception:
             if _CHECKPOINTS.get(task.step) is None:
                 shutil.rmtree(draft, ignore_errors=True)
@@ -149,8 +150,12 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
         "host": socket.gethostname(),
         "log": log.read_text("utf-8", "replace").splitlines(),
     }
-    for changed in draft.glob("*.yaml"):
-        os.replace(changed, results / changed.name)
+    swept = draft / (task.source.name if task.source else "study.yaml")
+    if swept.is_file():
+        # A design has a case of its own, with the start that it found.
+        name = swept.name
+        name = f"swept_{name}" if (results / name).exists() else name
+        os.replace(swept, results / name)
     write_json(results / TIMING, timing)
     write_json(results / TASK, found)
     _place(results, out / task.name, draft)
@@ -162,11 +167,13 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
     return found.verdict
 
 
-def _run(task, out, draft, earlier, parse) -> tuple[int, str]:
+def _run(task, out, draft, earlier, parse, near) -> tuple[int, str]:
     """Exit code, and the sentence that goes with it."""
     try:
-        args = _function(parse)(_command(task, out, draft, earlier))
-        code = args.run(args) or 0
+        # Paths and modules in options start from the batch file's folder.
+        with _in_folder(near):
+            args = function_of(parse)(_command(task, out, draft, earlier))
+            code = args.run(args) or 0
     except InputError as error:
         _raise_if_full(error)
         return 2, str(error)
@@ -176,10 +183,17 @@ def _run(task, out, draft, earlier, parse) -> tuple[int, str]:
     return code, _why(draft / "out", code, log_of(task, out))
 
 
-def _function(place: str) -> Callable:
-    """What "module:name" stands for."""
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
+@contextlib.contextmanager
+def _in_folder(folder: str):
+    """Work in a folder, whose modules Python finds."""
+    before = os.getcwd()
+    os.chdir(folder)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+        os.chdir(before)
 
 
 def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
@@ -394,12 +408,16 @@ def run_batch(
     todo = [task for task in tasks if task.name not in done]
     if todo:
         _check_sweep(batch, path)
-        _check_options(batch, path, _function(parse))
-    _prepare(out, tasks)
+        _check_options(batch, path, function_of(parse))
+    with _prepared(out, tasks):
+        return _run_all(out, tasks, done, todo, open_pool, parse, path.parent)
+
+
+def _run_all(out, tasks, done, todo, open_pool, parse, near) -> Batch:
     ended: dict[str, Ended] = {}
     interrupted = False
     if todo:
-        jobs = [_job(task, out, parse, path.parent) for task in todo]
+        jobs = [_job(task, out, parse, near) for task in todo]
         ready, held = _without_failed(jobs, done)
         ended |= {row.name: row for row in held}
 
@@ -462,22 +480,26 @@ def _check_options(batch: BatchFile, path: Path, parse: Callable) -> None:
             ) from error
 
 
-def _prepare(out: Path, tasks: list[Task]) -> None:
-    """Make the folder, or see that it is a batch's."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        held = any(out.iterdir())
-        if held and not (out / _MARK).is_file():
+@contextlib.contextmanager
+def _prepared(out: Path, tasks: list[Task]):
+    """The folder for one run at a time, made, or seen to be a batch's."""
+    with contextlib.ExitStack() as held:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            strange = any(out.iterdir()) and not (out / _MARK).is_file()
+            if strange:
+                raise InputError(
+                    f"{out}: holds something that is no batch; choose another "
+                    "folder for --out"
+                )
+            held.enter_context(locked(out))
+            write_json(out / _MARK, {task.name: task.key for task in tasks})
+        except OSError as error:
             raise InputError(
-                f"{out}: holds something that is no batch; choose another "
+                f"{out}: cannot be written ({error.strerror}); choose another "
                 "folder for --out"
-            )
-        write_json(out / _MARK, {task.name: task.key for task in tasks})
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be written ({error.strerror}); choose another "
-            "folder for --out"
-        ) from error
+            ) from error
+        yield
 
 
 def _job(task: Task, out: Path, parse: str, near: Path) -> Job:

@@ -152,7 +152,7 @@ def fewer(
                 tried.append(Tried(without, why_not=why_not))
                 continue
             if rival.solution.was_stopped:
-                return best[1], tried
+                return min(rivals, key=lambda r: r[0], default=best)[1], tried
             try:
                 norm = forecast(rival)
             except InputError as error:

@@ -745,6 +745,8 @@ class Population:
                     f"percentile {percentile:g} is none; give one between 0 "
                     "and 100"
                 )
+        if len(set(self.percentiles)) < len(self.percentiles):
+            raise InputError("a percentile is there twice; give each once")
 
     def bodies(self) -> list[tuple[str, float, float]]:
         """Of each percentile: name, height [m] and mass [kg]."""

@@ -278,11 +278,13 @@ def _write(
     return verdict.exit_code
 
 
-def report_failure(solution: Solution) -> int:
-    """Say why a solve failed; returns the command's exit code."""
+def report_failure(
+    solution: Solution,
+    kept: str = "What was reached so far is written, marked as failed.",
+) -> int:
+    """Say why a solve failed, and what is kept; returns the exit code."""
     print(
         f"not solved: {solution.status} after {solution.iterations} "
-        f"iterations. {solution.explain()} What was reached so far is "
-        "written, marked as failed."
+        f"iterations. {solution.explain()} {kept}"
     )
     return STOPPED_CODE if solution.was_stopped else NOT_SOLVED_CODE

@@ -27,7 +27,9 @@ def run(args: argparse.Namespace) -> int:
     found = compare(args.results)
     text = found.text()
     if args.out is not None:
-        with prepare_output_folder(args.out, args.force) as out:
+        with prepare_output_folder(
+            args.out, args.force, reads=args.results
+        ) as out:
             (out / "compared.txt").write_text(text + "\n", encoding="utf-8")
             mark = joined_mark(found.marks())
             for name, figure in found.figures().items():

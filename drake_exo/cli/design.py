@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--front",
         action="store_true",
-        help="also draw the front of the largest force against the device's "
+        help="also draw the front of the norm of forces against the device's "
         "work",
     )
     parser.add_argument(
@@ -114,11 +114,13 @@ def run(args: argparse.Namespace) -> int:
             checks += found.verdict().checks
         made = design(studies, contacts, parts=args.parts)
         made = replace(made, inputs=tuple(checks))
-        if made.success and laboratory is not None:
-            made = _built(made, studies[0], laboratory, out)
         verdict = made.write(out, args.accept)
         if not made.success:
-            return folder.end(report_failure(made.solution))
+            kept = "Its verdict is written, marked as failed, without a design."
+            return folder.end(report_failure(made.solution, kept))
+        if laboratory is not None:
+            made = _built(made, studies[0], laboratory, out)
+            verdict = made.write(out, args.accept)
         print(made.table())
         if args.front:
             _write_front(made, out)

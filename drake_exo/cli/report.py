@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     found = gather(args.results, args.accept)
     check_one_study(found)
     out = args.out or args.results / "report"
-    with prepare_output_folder(out, args.force) as folder:
+    with prepare_output_folder(out, args.force, reads=[args.results]) as folder:
         write_report(folder, found)
     print(f"report in {out}")
     return 0

@@ -90,17 +90,15 @@ def _print(found, rows) -> None:
     print(format_table(["singular value", "direction"], table))
     for line in found.advice():
         print(line)
-    print("Calibrated again with other radii")
+    spheres = [n.removesuffix(".z") for n in rows[0] if n.endswith(".z")]
+    print("Calibrated again with other radii; z and lowest point in mm")
     print(
         format_table(
             [
                 "radius ×",
                 "objective",
                 "F_z RMSD [N]",
-                "heel.z [mm]",
-                "heel lowest [mm]",
-                "toe.z [mm]",
-                "toe lowest [mm]",
+                *(f"{s}{what}" for s in spheres for what in (".z", " lowest")),
             ],
             [
                 [
@@ -109,7 +107,7 @@ def _print(found, rows) -> None:
                     r["vertical_force_rmsd_n"],
                     *(
                         1e3 * value
-                        for s in ("heel", "toe")
+                        for s in spheres
                         for value in (
                             r[f"{s}.z"],
                             r[f"{s}.z"] - r[f"{s}.radius"],

@@ -22,7 +22,7 @@ import sys
 import textwrap
 import time
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
@@ -226,6 +226,20 @@ def _locked(folder: Path) -> int:
                 "choose another folder for --out"
             ) from None
         os.close(lock)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep a folder to one run.
+
+    Raises:
+        InputError: another run has it.
+    """
+    lock = _locked(folder)
+    try:
+        yield
+    finally:
+        _release(folder, lock)
 
 
 def _read_manifest(folder: Path) -> set[str]:

@@ -461,8 +461,7 @@ class Worker:
         return Ended(job.name, attempts=self.attempt, **answer)
 
     def _died(self, job: Job) -> Ended | None:
-        self._process.stdin.close()
-        self._process.stdout.close()
+        self._close_pipes()
         code = self._process.wait()
         said = self._last_words()
         self._said.close()
@@ -483,6 +482,12 @@ class Worker:
             + "; where memory is short, use fewer workers",
             **how,
         )
+
+    def _close_pipes(self) -> None:
+        # A job that nobody took is still in the buffer.
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
+        self._process.stdout.close()
 
     def _last_words(self) -> str:
         self._said.seek(0, 2)
@@ -505,8 +510,7 @@ class Worker:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
-            self._process.stdin.close()
-            self._process.stdout.close()
+            self._close_pipes()
             self._said.close()
             self._process = None
 

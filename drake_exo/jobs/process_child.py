@@ -55,7 +55,10 @@ def _read(inbox, jobs: queue.SimpleQueue) -> None:
     try:
         while True:
             jobs.put(pickle.load(inbox))
-    except (EOFError, pickle.UnpicklingError):
+    except EOFError:
+        os._exit(1)
+    except BaseException:  # arguments that cannot be read here
+        traceback.print_exc()
         os._exit(1)
 
 

@@ -579,6 +579,8 @@ class RecordingSettings:
         names = [trial.name for trial in self.trials]
         for i, name in enumerate(names):
             check_file_name(f"trials[{i}].name", name)
+            if name == "quality":  # what `check` calls its own file
+                raise InputError("no trial can be named 'quality'; rename it")
             if names.count(name) > 1:
                 raise InputError(f"two trials are named {name!r}; rename one")
         if not names:

@@ -200,9 +200,13 @@ def _shade(axes, trial: Trial, band: Bands, color) -> None:
 def _draw_band(
     ax, trial: Trial, band: Bands, cuff: str, color: str, shown: float = 1.0
 ) -> None:
-    """Where a cuff's normal force, times `shown`, is with 95 %."""
+    """Where a cuff's normal force, times `shown`, is with 95 %.
+
+    Of cuffs with mats: where these would show it.
+    """
     middle = shown * trial.cuffs[cuff].normal
-    width = max(shown, 1.0) * band.cuffs[cuff][:, NORMAL]
+    half = band.mats.get(cuff, band.cuffs[cuff][:, NORMAL])
+    width = max(shown, 1.0) * half
     ax.fill_between(
         trial.times,
         middle - width,
@@ -316,7 +320,11 @@ def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
         for k, (name, solved) in enumerate(found.items()):
             if solved is not None:
                 color = colors[k % len(colors)]
-                curves += _run_curves(solved, name, signals, color, len(found))
+                # Matplotlib leaves names out that begin with "_".
+                said = f" {name}" if name.startswith("_") else name
+                curves += _run_curves(solved, said, signals, color, len(found))
+                if k >= len(colors):
+                    curves[-1][2]["ls"] = "-."
         for times, values, style in curves:
             ax.plot(times, values, **style)
         ax.set_ylabel(label)

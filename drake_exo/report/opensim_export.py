@@ -540,6 +540,11 @@ def export_opensim(
         )
     if out.suffix != ".osim":
         raise InputError(f"{out}: must end in .osim; correct --out")
+    if out.resolve() == Path(model_file).resolve():
+        raise InputError(
+            f"{out}: --out would replace the model that it is made of; "
+            "choose another file"
+        )
     trials = [
         read_trial(folder, path.stem.removeprefix("solution_"))
         for path in sorted(folder.glob("solution_*.npz"))

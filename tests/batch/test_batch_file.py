@@ -178,15 +178,14 @@ def test_keys_follow_contents_alone(folder):
     assert changed["bert/check"] != first["bert/check"]
 
 
-def test_files_of_a_sweep_and_of_options_count(folder, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_files_of_a_sweep_and_of_options_count(folder):
     (folder / "bert" / "b.trc").write_text("1")
     (folder / "cuffs").mkdir()
     (folder / "cuffs" / "design.yaml").write_text("1")
     text = (
         "steps: [check]\nstudies: ['bert/*.yaml']\n"
         "sweep: {standing.m: [a.trc, b.trc]}\n"
-        "options: {check: [--design=cuffs]}"
+        "options: {check: [--design=cuffs, --controller, mine:make]}"
     )
     first = keys(folder, text)
     a, b = (f"bert/standing.m={x}.trc/check" for x in "ab")
@@ -196,6 +195,30 @@ def test_files_of_a_sweep_and_of_options_count(folder, monkeypatch):
     (folder / "cuffs" / "design.yaml").write_text("2")
     third = keys(folder, text)
     assert third[a] != second[a] and third[b] != second[b]
+    (folder / "mine.py").write_text("make = 1")
+    fourth = keys(folder, text)
+    assert fourth[a] != third[a] and fourth[b] != third[b]
+
+
+def test_a_laboratory_reads_its_own_data(folder):
+    text = (
+        "steps: [check]\nstudies: ['bert/*.yaml']\ndata_root: bert\n"
+        "laboratories: {seeds: [3]}"
+    )
+    roots = {t.name: t.root for t in tasks_of(batch(text), folder)}
+    assert roots["seed_3/check"] is None
+    assert roots["bert/check"] == folder / "bert"
+
+
+def test_values_that_are_close_are_told_apart(folder):
+    text = (
+        "steps: [check]\nstudies: ['bert/*.yaml']\n"
+        "sweep: {subject.mass_kg: [70.12341, 70.12342, 70.0]}"
+    )
+    close = ("70.12341", "70.12342", "70")
+    assert set(keys(folder, text)) == {
+        f"bert/subject.mass_kg={x}/check" for x in close
+    }
 
 
 STUDY = """

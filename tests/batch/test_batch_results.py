@@ -65,7 +65,8 @@ def batch(tmp_path):
         if code != 2:
             write_json(folder / "summary.json", SUMMARY)
         tasks.append(task)
-        outcomes[task.name] = outcome(task, code, sentence)
+        outcomes[task.name] = found = outcome(task, code, sentence)
+        write_json(folder / "task.json", found)
     return Batch(tmp_path, tuple(tasks), outcomes, 3)
 
 
@@ -149,6 +150,9 @@ def test_told_once(batch):
     assert is_told(again) and not is_told(batch)
     fewer = Batch(batch.out, batch.tasks[:2], batch.outcomes, 0)
     assert not is_told(fewer)
+    # Done anew on other files, and killed before it was told.
+    other = replace(batch.tasks[0], key="other")
+    assert not is_told(replace(batch, tasks=(other, *batch.tasks[1:]), fresh=0))
     assert summary(batch)["verdicts"] == {
         "holds": 1,
         "does not hold": 1,
@@ -360,3 +364,20 @@ def test_bars_are_means_over_subjects():
     np.testing.assert_allclose(segment[:, 1], [5.0 - half, 5.0 + half])
     dots = ax.lines[-1].get_ydata()
     np.testing.assert_allclose(dots, [3.0, 7.0])
+
+
+def test_numbers_of_an_earlier_study_are_not_told(batch):
+    anna = replace(batch.tasks[0], key="of another file")
+    lost = outcome(anna, None, "not begun: it builds on what failed")
+    found = Batch(batch.out, (anna,), {anna.name: lost}, 0)
+    (row,) = rows_of(found)
+    assert row.value is None and "not begun" in row.verdict
+
+
+def test_numbers_of_phase_a_are_told_beside_those_of_b(batch):
+    both = {"objective": 1.0, "foot_ground": SUMMARY}
+    write_json(batch.out / "anna/calibrate/summary.json", both)
+    found = {r.signal: r.value for r in rows_of(batch) if r.subject == "anna"}
+    assert found["foot_ground.parameters.heel.x"] == 0.01
+    assert found["foot_ground.rmsd.grf_n.vertical"] in (12.0, 14.0)
+    assert found["objective"] == 1.0

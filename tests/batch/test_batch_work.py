@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from drake_exo.batch import run
 from drake_exo.batch.file import Task
 from drake_exo.batch.run import (
     TASK,
@@ -34,7 +35,9 @@ def parse(command):
 
 def act(tmp_path, run, task=TASK_OF_BERT):
     ACTED["run"] = run
-    return run_task(vars(task), str(tmp_path), f"{__name__}:parse", "/b")
+    near = tmp_path.parent / f"{tmp_path.name}_b"
+    near.mkdir(exist_ok=True)
+    return run_task(vars(task), str(tmp_path), f"{__name__}:parse", str(near))
 
 
 def test_results_hold_no_times(tmp_path):
@@ -71,7 +74,9 @@ def test_earlier_results_are_replaced_whole(tmp_path):
 
 
 def refused(out):
-    raise InputError(f"/b/bert.yaml: wrong in {out / 'x'}; mend it")
+    # Its folder is the batch file's.
+    near = Path.cwd()
+    raise InputError(f"{near / 'bert.yaml'}: wrong in {out / 'x'}; mend it")
 
 
 def test_bad_input_is_told_without_the_machine(tmp_path):
@@ -190,3 +195,23 @@ def test_options_are_parsed_before_anything_runs(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         run_batch(path, out, lambda: None, f"{cli.__name__}:parse")
     assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["case.yaml", "bert.yml"])
+def test_a_swept_file_replaces_none_of_the_results(tmp_path, monkeypatch, name):
+    """A design writes a case.yaml of its own, with the start it found."""
+    path = tmp_path / name
+    path.write_text("anything")
+    monkeypatch.setattr(run, "changed_text", lambda *how: "swept")
+    task = replace(TASK_OF_BERT, source=path, changes={"a.b": 1})
+
+    def design(out):
+        out.mkdir()
+        (out / "case.yaml").write_text("found")
+        return 0
+
+    act(tmp_path, design, task)
+    folder = tmp_path / "bert" / "check"
+    assert (folder / "case.yaml").read_text() == "found"
+    other = {"case.yaml": "swept_case.yaml", "bert.yml": "bert.yml"}[name]
+    assert (folder / other).read_text() == "swept"

@@ -97,14 +97,19 @@ def test_what_is_done_is_known_by_its_key(tmp_path):
 
 def test_a_folder_is_a_batchs_or_empty(tmp_path):
     out = tmp_path / "deep" / "out"
-    run._prepare(out, [CALIBRATE])
+    with run._prepared(out, [CALIBRATE]):
+        again = run._prepared(out, [CALIBRATE])
+        with pytest.raises(InputError):  # one at a time
+            again.__enter__()
     (mark,) = out.iterdir()
     assert json.loads(mark.read_text()) == {"anna/calibrate": "k" * 64}
-    run._prepare(out, [CALIBRATE])
+    with run._prepared(out, [CALIBRATE]):
+        pass
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("")
-    with pytest.raises(InputError, match="holds something that is no batch"):
-        run._prepare(tmp_path / "other", [CALIBRATE])
+    strange = run._prepared(tmp_path / "other", [CALIBRATE])
+    with pytest.raises(InputError, match="holds something"), strange:
+        pass
 
 
 def test_the_last_line_of_a_log_is_told(tmp_path):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 
 import numpy as np
 import pytest
@@ -236,6 +237,33 @@ def test_killed_from_outside(pool):
     ended = run_jobs([job("nap", "sleep", seconds=1.0)], pool)
     thread.join()
     assert ended["nap"].state == "done" and ended["nap"].attempts == 2
+
+
+@pytest.mark.slow
+def test_an_idle_process_that_was_killed_is_made_anew():
+    """What nobody took is still in its pipe."""
+    with Processes(1) as pool:
+        first = run_jobs([job("a", "add", a=1, b=2)], pool)
+        assert first["a"].value == 3
+        process = pool._workers[0]._process
+        process.kill()
+        process.wait()
+        ended = run_jobs([job("b", "add", a=2, b=2)], pool)
+    assert ended["b"].value == 4
+
+
+@pytest.mark.slow
+def test_arguments_that_cannot_be_read_there_are_told():
+    module = types.ModuleType("only_here")
+    module.Thing = type("Thing", (), {"__module__": "only_here"})
+    sys.modules["only_here"] = module
+    try:
+        with Processes(1) as pool:
+            strange = [job("a", "add", a=module.Thing(), b=2)]
+            ended = run_jobs(strange, pool)["a"]
+    finally:
+        del sys.modules["only_here"]
+    assert ended.state == "lost" and "only_here" in ended.error
 
 
 @pytest.mark.slow
