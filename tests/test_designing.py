@@ -250,6 +250,11 @@ def test_a_design_without_a_cuff_is_told_and_written(
     assert row["value"] == 1.0
     names = {r["name"] for r in found.variables()}
     assert not names & {"shank.along_m", "shank.strap_normal_n_m"}
+    # One kind alone is of all cuffs, and leaves the others' kinds as today.
+    alone = designing._alone(found, "places").problem
+    held = {v.name for v in alone.design if v.lower == v.upper}
+    assert "shank.along_m" not in held
+    assert {n for n in held if n.startswith("shank.strap")}
     checks = {c.name: c for c in found.checks()}
     assert checks["design.attached"].value > 0.0
     assert checks["design.attached"].holds
@@ -557,6 +562,11 @@ def test_what_is_asked_in_python_is_checked(study):
         ("cuffs: {thigh: {along_m: [0.1, 0.2]}}", "what it is today"),
         ("assistance: [1.1, 1.2]", "factor of today"),
         ("limits: {support: -1}", "support"),
+        (
+            "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
+            "percentiles: [50, 50]}",
+            "percentile is there twice",
+        ),
     ],
 )
 def test_wrong_settings_are_one_sentence(text, said):

@@ -111,6 +111,12 @@ def test_stopped_it_keeps_the_best_so_far(norms):
     assert [t.without for t in tried][-1] == ("pelvis",)
 
 
+def test_stopped_among_rivals_it_keeps_the_best_of_them(norms):
+    norms(shank=0.3, thigh="stopped", pelvis=0.2)
+    best, _ = fewer(design(), built, None)
+    assert best.problem.without == ("shank",)
+
+
 # Of 9: foot, then ankle, knee, hip, then the device's, a little off.
 BENT = np.deg2rad([0.0, 0.0, 2.0, 18.0, 85.0, 70.0, 19.0, 83.0, 71.0])
 POSTURES = np.array([BENT, 0.3 * BENT])

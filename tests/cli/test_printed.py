@@ -38,16 +38,18 @@ def test_sensitivity_tells_the_strongest_parts_and_heights(capsys):
         directions=[np.array([0.1, -0.8, 0.3, 0.5])],
         advice=lambda: ["fix b"],
     )
+    # Whatever the spheres are called.
     row = {
         "radius_factor": 1.25, "objective": 7.0, "vertical_force_rmsd_n": 8.0,
-        "heel.z": -0.05, "heel.radius": 0.03,
-        "toe.z": -0.02, "toe.radius": 0.025,
+        "hind.z": -0.05, "hind.radius": 0.03,
+        "fore.z": -0.02, "fore.radius": 0.025,
     }  # fmt: skip
     sensitivity._print(found, [row])
     said = capsys.readouterr().out.splitlines()
     (parts,) = (x for x in said if "-0.80 b" in x)
     assert parts.endswith("-0.80 b, +0.50 d, +0.30 c")
     assert "fix b" in said
+    assert any("hind.z" in x and "fore lowest" in x for x in said)
     values = [float(x) for x in cells(said[-1])]
     assert values == pytest.approx([1.25, 7.0, 8.0, -50.0, -80.0, -20.0, -45.0])
 

@@ -140,6 +140,13 @@ def test_what_cannot_be_compared(tmp_path, folders, trials, capsys):
     assert "two or more" in capsys.readouterr().err
     assert main(["compare", str(folders[0]), str(tmp_path)]) == 2
     assert "holds 3 results" in capsys.readouterr().err
+    for out in (folders[0], tmp_path):
+        words = [*map(str, folders), "--out", str(out), "--force"]
+        assert main(["compare", *words]) == 2
+        assert "would replace" in capsys.readouterr().err
+    assert main(["report", words[0], "--out", words[0], "--force"]) == 2
+    assert "would replace" in capsys.readouterr().err
+    assert (folders[0] / "summary.json").is_file()
 
 
 @pytest.mark.slow

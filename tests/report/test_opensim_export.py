@@ -485,6 +485,8 @@ def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
     one.export(force=True)
     with pytest.raises(InputError, match=r"must end in .osim"):
         one.export("out.xml")
+    with pytest.raises(InputError, match="would replace the model"):
+        one.export(one.osim, force=True)
     again = replace(one, osim=tmp_path / "out.osim")
     with pytest.raises(InputError, match=r"has a 'contact_ground' already"):
         again.export("again.osim")
