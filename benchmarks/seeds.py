@@ -50,9 +50,11 @@ def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
 def _row(folder: Path, seed: int, floor: bool) -> dict:
     start = time.perf_counter()
     study = dx.read_study(folder / "study.yaml")
+    refused = [c.name for c in study.plausibility() if not c.holds]
     first = dx.calibrate_foot_ground(study)
     cuffs = dx.calibrate_interaction(study, contact=first)
-    row = {"seed": seed, "A": _solve(first), "B": _solve(cuffs)}
+    row = {"seed": seed, "refused": refused}
+    row |= {"A": _solve(first), "B": _solve(cuffs)}
     if not cuffs.success:
         return row
     row["at_bound"] = sum(p.at_bound(p.nominal) for p in cuffs.parameters)
@@ -315,6 +317,7 @@ def summary(rows: list[dict]) -> dict:
     return {
         "seeds": len(rows),
         "solved": len(good),
+        "refused": {r["seed"]: r["refused"] for r in rows if r["refused"]},
         "interaction_n": {
             "median": float(np.median(own)),
             "worst": float(own.max()),

@@ -187,11 +187,9 @@ class Timing(InteractionCalibration):
         if not unknowns:
             return None
         prog = self.program.prog
-        variables = np.array(
-            [prog.NewContinuousVariables(1, u.name)[0] for u in unknowns]
+        variables = self.program.add_variables(
+            [u.name for u in unknowns], [u.sd for u in unknowns]
         )
-        for variable, unknown in zip(variables, unknowns, strict=True):
-            prog.SetVariableScaling(variable, unknown.sd)
         names, mean, covariance = self._prior()
         cuffs = self.variables_of(names[: len(names) - len(unknowns)])
         prog.AddQuadraticErrorCost(

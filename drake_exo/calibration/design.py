@@ -196,16 +196,10 @@ class _Wearing(PhaseProblem):
         prog = self.program.prog
         own = np.array([*bushing.origin, *(1.0 / np.array(bushing.stiffness))])
         known = parameters[len(own) :]
-        variables = np.array(
-            [
-                prog.NewContinuousVariables(1, f"{self.wearer.name} {p.name}")[
-                    0
-                ]
-                for p in parameters
-            ]
+        variables = self.program.add_variables(
+            [f"{self.wearer.name} {p.name}" for p in parameters],
+            [max(abs(p.nominal), 0.01) for p in parameters],
         )
-        for variable, p in zip(variables, parameters, strict=True):
-            prog.SetVariableScaling(variable, max(abs(p.nominal), 0.01))
         design = self._of_cuff(
             group, ("across_m", "along_m", *STRAPS.values(), "area", *RELEASES)
         )
@@ -429,8 +423,7 @@ class _Wearing(PhaseProblem):
         if cuff not in self._beyond:
             prog = self.program.prog
             name = f"{self.wearer.name} {cuff} migration beyond its limit"
-            beyond = prog.NewContinuousVariables(1, name)
-            prog.SetVariableScaling(beyond[0], 1e-3)
+            beyond = self.program.add_variables([name], [1e-3])
             prog.AddBoundingBoxConstraint([0.0], [most], beyond)
             forces = 0.5 * self._posed.settings.weight
             prog.AddLinearCost([_BEYOND * forces / most], 0.0, beyond)
@@ -505,8 +498,7 @@ class _Wearing(PhaseProblem):
         if posed.today is None or limit is None:
             return
         prog, name = self.program.prog, f"{self.wearer.name} work"
-        self._total = prog.NewContinuousVariables(1, name)
-        prog.SetVariableScaling(self._total[0], 10.0)
+        self._total = self.program.add_variables([name], [10.0])
         ways, torques = self._on_the_way()
         prog.AddLinearEqualityConstraint(
             np.r_[ways, -1.0][None],
@@ -667,8 +659,7 @@ class DesignProblem(Compiles):
 
     def _variable(self, v: Variable):
         prog = self.program.prog
-        (variable,) = prog.NewContinuousVariables(1, v.name)
-        prog.SetVariableScaling(variable, v.size)
+        (variable,) = self.program.add_variables([v.name], [v.size])
         prog.AddBoundingBoxConstraint(v.lower, v.upper, variable)
         if v.free:
             prog.AddQuadraticCost(
@@ -689,13 +680,11 @@ class DesignProblem(Compiles):
         """
         x = np.zeros(self.program.prog.num_vars())
         chosen = {
-            v.name: float(
-                np.clip((values or {}).get(v.name, v.today), v.lower, v.upper)
-            )
+            v.name: v.clipped((values or {}).get(v.name, v.today))
             for v in self.design
         }
         for name, value in chosen.items():
-            x[self.program.indices(np.array([self.variables[name]]))] = value
+            x[self.program.index(self.variables[name])] = value
         for part in self.parts:
             name, trials = part.wearer.name, part.trials
             if self.today is not None:
@@ -717,15 +706,7 @@ class DesignProblem(Compiles):
         solution.seconds["build"] = self.build_seconds
         x = solution.raw_values()
         values = {
-            v.name: float(
-                np.clip(
-                    x[self.program.indices(np.array([self.variables[v.name]]))][
-                        0
-                    ],
-                    v.lower,
-                    v.upper,
-                )
-            )
+            v.name: v.clipped(x[self.program.index(self.variables[v.name])])
             for v in self.design
         }
         solution.active_bounds = [

@@ -94,8 +94,7 @@ class DesignResult:
         program = problem.compiled
         y = program.restrict(self.solution.raw_values())
         index = {
-            n: int(problem.program.indices(np.array([v]))[0])
-            for n, v in problem.variables.items()
+            n: problem.program.index(v) for n, v in problem.variables.items()
         }
         fixed = {v.name: index[v.name] for v in problem.design if not v.free}
         free = [i for n, i in index.items() if n not in fixed]

@@ -77,6 +77,10 @@ class Variable:
         """Whether it is the compliance of a strap."""
         return self.name.partition(".")[2] in STRAPS.values()
 
+    def clipped(self, value: float) -> float:
+        """The nearest value within the bounds."""
+        return float(np.clip(value, self.lower, self.upper))
+
     def at_bound(self, value: float) -> bool:
         """Whether a value sits at a bound, within 0.5 % of the range.
 

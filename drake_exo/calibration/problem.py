@@ -251,11 +251,9 @@ class PhaseProblem(Compiles, ABC):
         if self.errors is None or not self.errors.unknowns:
             return None
         prog, unknowns = self.program.prog, self.errors.unknowns
-        variables = np.array(
-            [prog.NewContinuousVariables(1, u.name)[0] for u in unknowns]
+        variables = self.program.add_variables(
+            [u.name for u in unknowns], [u.sd for u in unknowns]
         )
-        for variable, unknown in zip(variables, unknowns, strict=True):
-            prog.SetVariableScaling(variable, unknown.sd)
         mean, covariance = self.errors.prior()
         # Drake's cost has no half.
         weight = 0.5 * np.linalg.inv(covariance)

@@ -405,14 +405,13 @@ def add_parameters(
         (len(parameters),) variables.
     """
     prog = program.prog
-    variables = np.array(
-        [prog.NewContinuousVariables(1, p.name)[0] for p in parameters]
+    variables = program.add_variables(
+        [p.name for p in parameters],
+        [max(abs(p.nominal), 0.1 * p.span) or 1.0 for p in parameters],
     )
     for variable, p in zip(variables, parameters, strict=True):
         bounds = (p.lower, p.upper) if p.free else (p.nominal, p.nominal)
         prog.AddBoundingBoxConstraint(*bounds, variable)
-        size = max(abs(p.nominal), 0.1 * p.span)
-        prog.SetVariableScaling(variable, size or 1.0)
         if not p.free or p.prior_sd is None:
             continue
         if p.log_prior:

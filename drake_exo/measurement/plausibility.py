@@ -1008,7 +1008,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
 
 
 LARGEST_FORCE_LAG_MS = 25.0
-_BETTER = 1.5  # misfit over that at another lag, for a clock to be off
+_BETTER = 1.7  # misfit over that at another lag, for a clock to be off
 LARGEST_FORCE_RATIO = 1.25
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
 _RECORDED = 0.9  # of the used part

@@ -144,6 +144,17 @@ class BatchedProgram:
         costs, constraints = self.prog.GetAllCosts, self.prog.GetAllConstraints
         return self.prog.num_vars(), len(costs()), len(constraints())
 
+    def add_variables(self, names: list[str], sizes: list) -> np.ndarray:
+        """New variables (m,) by name, scaled by their sizes (m,)."""
+        found = [self.prog.NewContinuousVariables(1, n)[0] for n in names]
+        for variable, size in zip(found, sizes, strict=True):
+            self.prog.SetVariableScaling(variable, size)
+        return np.array(found)
+
+    def index(self, variable) -> int:
+        """Index in the program of one variable."""
+        return int(self.indices(np.array([variable]))[0])
+
     def indices(self, variables: np.ndarray) -> np.ndarray:
         """Indices in the program of an array of variables, same shape."""
         flat, known = variables.ravel().tolist(), self._known
