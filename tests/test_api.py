@@ -1,7 +1,9 @@
 """The public names: documented, with examples that run, and on one page."""
 
 import doctest
+import importlib
 import inspect
+import pkgutil
 import subprocess
 import sys
 
@@ -60,6 +62,22 @@ def test_documentation_has_an_example_that_runs(name, monkeypatch):
         verbose=False, optionflags=doctest.ELLIPSIS
     ).run(test)
     assert results.failed == 0
+
+
+def test_examples_of_what_is_not_public_run_too():
+    public = {name.rpartition(".")[2] for name in NAMES} | set(MODULES)
+    run = 0
+    for found in pkgutil.walk_packages(dx.__path__, "drake_exo."):
+        if found.name.endswith(("__main__", "_child")):
+            continue  # they are run, not imported
+        module = importlib.import_module(found.name)
+        for test in doctest.DocTestFinder().find(module, found.name):
+            own = test.name.removeprefix(f"{found.name}.")
+            if test.examples and not public & {own, test.name}:
+                runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+                assert runner.run(test).failed == 0, test.name
+                run += 1
+    assert run > 20
 
 
 def _documented(thing, text: str):
