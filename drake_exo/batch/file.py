@@ -550,13 +550,11 @@ def _of_options(options: Sequence[str], folder: Path) -> dict[str, str]:
         if re.fullmatch(r"[\w.]+:\w+", word)
     ]
     inside = [
-        path.relative_to(folder)
+        str(Path(word) / path.relative_to(folder / word))
         for word in filter(None, words)
-        if (folder / word).is_dir()
         for path in sorted((folder / word).rglob("*"))
-        if path.is_relative_to(folder)
     ]
-    return _named([*words, *map(str, inside)], folder)
+    return _named([*words, *inside], folder)
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

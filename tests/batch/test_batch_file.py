@@ -200,6 +200,19 @@ def test_files_of_a_sweep_and_of_options_count(folder):
     assert fourth[a] != third[a] and fourth[b] != third[b]
 
 
+def test_folders_elsewhere_count_with_all_that_is_in_them(folder, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "a.yaml").write_text("1")
+    text = (
+        "steps: [check]\nstudies: ['bert/*.yaml']\n"
+        f"options: {{check: [--design, {other}]}}"
+    )
+    first = keys(folder, text)
+    (other / "a.yaml").write_text("2")
+    assert keys(folder, text) != first
+
+
 def test_a_laboratory_reads_its_own_data(folder):
     text = (
         "steps: [check]\nstudies: ['bert/*.yaml']\ndata_root: bert\n"
