@@ -571,6 +571,10 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
             ax.plot([k] * len(means), means, ".", color="0.2", ms=4)
         ax.set_xticks(range(len(signals)), list(signals), rotation=60)
         ax.set_ylabel(_GROUPS[group])
+        counts = [len(of_subjects) for of_subjects in signals.values()]
+        fewest, most = min(counts), max(counts)
+        span = f"{most}" if fewest == most else f"{fewest} to {most}"
+        ax.set_title(f"n = {span}")
     figure.tight_layout()
     return figure
 

@@ -364,6 +364,10 @@ def test_bars_are_means_over_subjects():
     np.testing.assert_allclose(segment[:, 1], [5.0 - half, 5.0 + half])
     dots = ax.lines[-1].get_ydata()
     np.testing.assert_allclose(dots, [3.0, 7.0])
+    assert ax.get_title() == "n = 2"
+    rows.append(_row("c", "1", "rmsd.grf_n.horizontal", 1.0))
+    (ax,) = results._over_subjects(rows).axes
+    assert ax.get_title() == "n = 1 to 2"
 
 
 def test_numbers_of_an_earlier_study_are_not_told(batch):
