@@ -20,15 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
-    check_arrays,
-    read_arrays,
     read_json,
     stored_mark,
 )
 from drake_exo.player import Arrow, Clip, Page, Surface, write_page
-from drake_exo.soles.contact.law import ARRAYS, FLAT, Ground
+from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.mesh import TetMesh
-from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY
+from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, read_history
 
 with warnings.catch_warnings():  # its server uses a deprecated part of zmq
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -39,20 +37,6 @@ _MAX_FRAMES = 110
 _MAP = "turbo"
 _METRES_PER_NEWTON = 2e-4
 _GRID_M, _FINE_M = 0.05, 0.01  # between lines; where ground is not flat
-_LARGEST = 1e30
-# What `simulation.write_history` writes: N samples, c contact nodes.
-_HISTORY = {
-    "times": ("N",),
-    "stiffness": ("N", 6, 6),
-    "origin_W": ("N", 3),
-    "rotation_WL": ("N", 3, 3),
-    "place_W": ("N", "c", 3),
-    "force_W": ("N", "c", 3),
-    "contact_nodes:int": ("c",),
-    "nodes_L": ("n", 3),
-    "tets:int": ("e", 4),
-}
-_GROUND = dict(zip(ARRAYS, (("a",), ("b",), ("a", "b")), strict=True))
 _AGAIN = "run the command that wrote it again"
 _PAGE = """<!DOCTYPE html>
 <html>
@@ -107,14 +91,15 @@ class SoleMotion:
         history,
         ground: Ground = FLAT,
         mark: str = "",
+        group: str = "",
     ) -> SoleMotion | None:
         """The converged samples of a `StepHistory`; None if there are none."""
-        good = history.converged
+        good = np.isfinite(history.K_c).all(axis=(1, 2))
         if good.sum() < 2:
             return None
         parts = (times, history.O, history.R, history.P, history.F)
         times, *rest = (part[good] for part in parts)
-        return SoleMotion(title, "", times, mesh, *rest, mark, ground)
+        return SoleMotion(title, group, times, mesh, *rest, mark, ground)
 
     @staticmethod
     def read(
@@ -125,31 +110,7 @@ class SoleMotion:
         Raises:
             InputError: it is missing or damaged.
         """
-        data = read_arrays(path, _AGAIN)
-        wanted = _HISTORY | (_GROUND if ARRAYS[0] in data else {})
-        check_arrays(path, data, wanted, _AGAIN)
-        good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
-        if good.sum() < 2:
-            return None
-        names = ("times", "origin_W", "rotation_WL", "place_W", "force_W")
-        times, *rest = (data[name][good] for name in names)
-        nodes, tets, touching = (
-            data[name] for name in ("nodes_L", "tets", "contact_nodes")
-        )
-        if not all((np.abs(x) < _LARGEST).all() for x in (times, nodes, *rest)):
-            raise InputError(f"{path}: holds gaps; {_AGAIN}")
-        is_sound = tets.size and tets.min() >= 0 and tets.max() < len(nodes)
-        if is_sound:
-            bare = TetMesh(nodes, tets, np.array([], int))
-            surface = np.unique(bare.boundary_faces)
-            fixed = np.setdiff1d(surface, touching)
-            is_sound = len(fixed) + len(touching) == len(surface)
-        if not is_sound:
-            raise InputError(f"{path}: its mesh is damaged; {_AGAIN}")
-        # Sides, too, where they may.
-        mesh = replace(bare, fixed=fixed).with_contact(touching)
-        ground = Ground.of_arrays(data)
-        return SoleMotion(title, group, times, mesh, *rest, mark, ground)
+        return SoleMotion.of(title, *read_history(path, _AGAIN), mark, group)
 
     @property
     def surface(self) -> np.ndarray:

@@ -244,14 +244,8 @@ def brick(
     Neighbouring cells mirror each other (Kuhn cells by parity).
 
     Raises:
-        InputError: A size or a division that is not positive, or too many
-            divisions for any memory.
+        InputError: Too many divisions for any memory.
     """
-    if min(size) <= 0 or min(divisions) < 1:
-        raise InputError(
-            f"brick: size {size} and divisions {divisions} must be positive; "
-            "give metres and whole numbers of cells"
-        )
     if (count := 6 * math.prod(divisions)) > _MOST_TETS:
         raise InputError(
             f"brick: divisions {tuple(divisions)} make {count} tets, more than "
@@ -494,17 +488,6 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
     return np.concatenate([np.array(sides), _ring(block, rim), cavity])
 
 
-def write_mould(path: Path | str, mesh: TetMesh) -> bool:
-    """Write the mould as binary STL in millimetres.
-
-    False, and no file, where the fixed outline turns back on its way round.
-    """
-    if not has_star_outline(mesh):
-        return False
-    write_triangles(path, mould_triangles(mesh))
-    return True
-
-
 def _rim(mesh: TetMesh) -> np.ndarray:
     """Nodes around the fixed surface, counter-clockwise from above."""
     there = set(map(tuple, face_edges(mesh.top_faces).tolist()))
@@ -554,14 +537,6 @@ def _angle(points: np.ndarray) -> np.ndarray:
 
 
 _DEGREE = 2
-
-
-def spherical_angles(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """θ and φ [rad] of points (n, 3), origin on the top plane."""
-    x, y, z = nodes.T
-    # 0.0 - z, not -z: atan2(0, -0.0) = π on the top plane.
-    theta = np.arctan2(y, 0.0 - z)
-    return theta, np.arctan2(x, np.hypot(y, z))
 
 
 @dataclass(frozen=True)
@@ -643,8 +618,10 @@ class SphericalSpline:
         return tuple(np.flatnonzero(felt).tolist())
 
     def _full(self, points: np.ndarray) -> np.ndarray:
-        both = zip(spherical_angles(points), self.intervals, strict=True)
-        N_theta, N_phi = (_basis_matrix(angle, n) for angle, n in both)
+        x, y, z = points.T
+        # 0.0 - z, not -z: atan2(0, -0.0) = π on the top plane.
+        angles = np.arctan2(y, 0.0 - z), np.arctan2(x, np.hypot(y, z))
+        N_theta, N_phi = map(_basis_matrix, angles, self.intervals)
         return np.einsum("nj,nk->njk", N_theta, N_phi).reshape(len(points), -1)
 
     def basis(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,12 +14,11 @@ from drake_exo.files.output import (
     SOLVED,
     Check,
     Verdict,
-    read_arrays,
     write_json,
 )
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
-from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
-from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.law import ContactLaw
+from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.numerics import angles_xyz, tilt_deg
 from drake_exo.soles.settings import Setup
@@ -27,6 +26,7 @@ from drake_exo.soles.simulation import (
     HISTORY,
     StepHistory,
     heel_strike_count,
+    read_history,
     sample_weights,
     sigma_max_translation,
     sigma_min_rotation,
@@ -70,7 +70,7 @@ def step_checks(step) -> tuple[Check, ...]:
     if not len(failed):
         checks = [Check(SOLVED, True, where=step.setup.name)]
     else:
-        q, status = failed[0], step.history.statuses()[failed[0]]
+        q, status = failed[0], step.history.reports[failed[0]].message
         said = f"sample {q} at {step.times[q]:g} s: {status}"
         checks = [
             check(SOLVED, False, float(len(failed)), 0.0, "samples", said)
@@ -384,18 +384,55 @@ class Step:
     @cached_property
     def largest_strain(self) -> float:
         """Largest |principal strain| over elements and converged samples."""
-        return largest_strain(self.sole, self.history)
+        sole, history, largest = self.sole, self.history, 0.0
+        good = np.flatnonzero(history.converged)
+        for part in np.array_split(good, len(good) // _TOGETHER + 1):
+            for u in sole.displacement(history.F[part] @ history.R[part]):
+                eps = sole.strain(u)
+                # |λ| <= Frobenius norm: most elements need no eigenvalues.
+                able = np.sqrt((eps**2).sum(axis=(1, 2))) > largest
+                values = np.abs(np.linalg.eigvalsh(eps[able]))
+                largest = float(values.max(initial=largest))
+        return largest
 
     def complementarity(self) -> float:
-        """How well the contact laws hold, see `complementarity`."""
-        return complementarity(
-            self.history,
-            self.law,
-            self.setup.start,
-            self.sole.positions,
-            self.setup.load.begins,
-            self.setup.ground,
-        )
+        """Largest violation of Signorini's and Coulomb's laws, normalised.
+
+        Forces by |F| of the sample, lengths by |F|/r: negative force, gap,
+        force times gap, force outside the cone, and force not opposite to the
+        slip.
+        """
+        history, law, setup = self.history, self.law, self.setup
+        worst, phase, before = 0.0, None, None
+        for q in np.flatnonzero(history.converged):
+            F, P, R = history.F[q], history.P[q], history.R[q]
+            if (
+                own := np.searchsorted(setup.load.begins, q, side="right")
+            ) != phase:
+                phase, before = own, setup.start.places(R, self.sole.positions)
+            scale = np.linalg.norm(F.sum(axis=0))
+            Q, axes = setup.ground.planes(history.between.get(q, before))
+            f = np.einsum("kij,kj->ki", axes, F) / scale
+            apart = np.einsum("kij,kj->ki", axes, P - Q) * law.penalty / scale
+            gap, slip = apart[:, 2], apart[:, :2]
+            size = np.linalg.norm(f[:, :2], axis=1)
+            margin = law.friction * f[:, 2] - size
+            speed = np.linalg.norm(slip, axis=1)
+            touching = f[:, 2] > 0
+            # Slip with room in the cone, or not against the force.
+            free = np.minimum(margin, speed)[touching]
+            along = (f[:, :2] * slip).sum(axis=1) + size * speed
+            worst = max(
+                worst,
+                -f[:, 2].min(),
+                -gap.min(),
+                np.abs(f[:, 2] * gap).max(),
+                -margin.min(),
+                free.max(initial=0.0),
+                along[touching].max(initial=0.0),
+            )
+            before = P
+        return float(worst)
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
         """What the step has to hold, and whether it does or is accepted."""
@@ -445,9 +482,9 @@ class Step:
         }
         reports = self.history.reports
         failures = [
-            {"step": q, "time_s": float(self.times[q]), "message": status}
-            for q, status in enumerate(self.history.statuses())
-            if not reports[q].converged
+            {"step": q, "time_s": float(self.times[q]), "message": r.message}
+            for q, r in enumerate(reports)
+            if not r.converged
         ]
         iterations = [r.iterations for r in reports]
         return {
@@ -595,68 +632,6 @@ def strikes(setup: Setup) -> list[tuple[int, int]]:
     ]
 
 
-def largest_strain(sole: Sole, history: StepHistory) -> float:
-    """Largest |principal strain| over elements and converged samples."""
-    f_L, largest = history.F @ history.R, 0.0
-    good = np.flatnonzero(history.converged)
-    if len(good) == 0:
-        return largest
-    for part in np.array_split(good, max(1, len(good) // _TOGETHER)):
-        for u in sole.displacement(f_L[part]):
-            eps = sole.strain(u)
-            # |λ| <= Frobenius norm: most elements need no eigenvalues.
-            norm = np.sqrt((eps**2).sum(axis=(1, 2)))
-            able = norm > largest
-            if able.any():
-                values = np.abs(np.linalg.eigvalsh(eps[able]))
-                largest = max(largest, float(values.max()))
-    return largest
-
-
-def complementarity(
-    history: StepHistory,
-    law: ContactLaw,
-    start: Start,
-    lP: np.ndarray,
-    begins: Sequence[int] = (0,),
-    ground: Ground = FLAT,
-) -> float:
-    """Largest violation of Signorini's and Coulomb's laws, normalised.
-
-    Forces by |F| of the sample, lengths by |F|/r: negative force, gap,
-    force times gap, force outside the cone, and force not opposite to the
-    slip.
-    """
-    worst, phase, before = 0.0, None, None
-    for q in np.flatnonzero(history.converged):
-        F, P, R = history.F[q], history.P[q], history.R[q]
-        if (own := np.searchsorted(begins, q, side="right")) != phase:
-            phase, before = own, start.places(R, lP)
-        scale = np.linalg.norm(F.sum(axis=0))
-        Q, axes = ground.planes(history.between.get(q, before))
-        f = np.einsum("kij,kj->ki", axes, F) / scale
-        apart = np.einsum("kij,kj->ki", axes, P - Q) * law.penalty / scale
-        gap, slip = apart[:, 2], apart[:, :2]
-        size = np.linalg.norm(f[:, :2], axis=1)
-        margin = law.friction * f[:, 2] - size
-        speed = np.linalg.norm(slip, axis=1)
-        touching = f[:, 2] > 0
-        # Slip with room in the cone, or not against the force.
-        free = np.minimum(margin, speed)[touching]
-        along = (f[:, :2] * slip).sum(axis=1) + size * speed
-        worst = max(
-            worst,
-            -f[:, 2].min(),
-            -gap.min(),
-            np.abs(f[:, 2] * gap).max(),
-            -margin.min(),
-            free.max(initial=0.0),
-            along[touching].max(initial=0.0),
-        )
-        before = P
-    return float(worst)
-
-
 def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
     """What history.npz of a folder says of the sole as a whole.
 
@@ -669,23 +644,17 @@ def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
         InputError: There is no such file, or it is damaged.
     """
     remedy = "simulate the sole again"
-    data = read_arrays(folder / HISTORY, remedy)
-    try:
-        good = np.isfinite(data["stiffness"]).all(axis=(1, 2))
-        up, P = data["force_W"][good, :, 2], data["place_W"][good]
-        nodes = data["nodes_L"]
-        O, R = data["origin_W"][good], data["rotation_WL"][good]  # noqa: E741
-    except (KeyError, IndexError):
-        raise InputError(
-            f"{folder / HISTORY}: holds no simulation; {remedy}"
-        ) from None
-    if not len(up):
+    mesh, _, history, ground = read_history(folder / HISTORY, remedy)
+    good = np.isfinite(history.K_c).all(axis=(1, 2))
+    if not good.any():
         raise InputError(f"{folder / HISTORY}: no sample converged; {remedy}")
-    if not Ground.of_arrays(data).is_flat:
+    if not ground.is_flat:
         raise InputError(
             f"{folder / HISTORY}: the sole stood on uneven ground; simulate "
             "it without the key ground"
         )
+    up, P, nodes = history.F[good, :, 2], history.P[good], mesh.nodes
+    O, R = history.O[good], history.R[good]  # noqa: E741
     force = up.sum(axis=1)
     cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
     size = np.array([*np.ptp(nodes[:, :2], axis=0), -nodes[:, 2].min()])

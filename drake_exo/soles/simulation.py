@@ -17,7 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
+from drake_exo.errors import InputError
+from drake_exo.files.output import check_arrays, read_arrays
+from drake_exo.soles.contact.law import ARRAYS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.linearisation import Linearisation
 from drake_exo.soles.contact.newton import (
     ContactSolver,
@@ -47,10 +49,7 @@ def sigma_min_rotation(K_c: np.ndarray) -> np.ndarray:
 
 def _singular_values(K: np.ndarray) -> np.ndarray:
     """Singular values (..., 3), largest first; NaN where K is not finite."""
-    fine = np.isfinite(K).all(axis=(-2, -1))
-    safe = np.where(fine[..., None, None], K, 0.0)
-    values = np.linalg.svd(safe, compute_uv=False)
-    return np.where(fine[..., None], values, np.nan)
+    return np.linalg.svd(np.nan_to_num(K), compute_uv=False) + 0.0 * K[..., 0]
 
 
 def stability(K_c: np.ndarray) -> np.ndarray:
@@ -60,10 +59,9 @@ def stability(K_c: np.ndarray) -> np.ndarray:
     symmetric).
     """
     sym = -0.5 * (K_c + np.swapaxes(K_c, -1, -2))
-    fine = np.isfinite(sym).all(axis=(-2, -1))
-    scaled = np.outer(STABILITY_SCALE, STABILITY_SCALE) * sym
-    scaled = np.where(fine[..., None, None], scaled, 0.0)
-    return np.where(fine, np.linalg.eigvalsh(scaled)[..., 0], np.nan)
+    sym = sym * np.outer(STABILITY_SCALE, STABILITY_SCALE)
+    least = np.linalg.eigvalsh(np.nan_to_num(sym))[..., 0]
+    return least + 0.0 * sym[..., 0, 0]
 
 
 def heel_strike_count(samples: int, fraction: float = 0.1) -> int:
@@ -91,6 +89,7 @@ _LEAST_STEP = 1.0 / 256.0  # of the way to a load
 _LEAP = 0.1  # rad between designs
 _SAME = 1e-6  # rad; solutions are far closer than branches
 _LEAST_PART = 1 / 64  # of the time between samples
+_LARGEST = 1e30
 _TOGETHER = 64  # samples whose displacements are computed at a time
 _PATIENCE = 3  # times the Newton steps of a neighbouring design
 # Files of a simulation, and of that of the initial shape beside it.
@@ -405,19 +404,6 @@ class StepHistory:
         """State at sample q (counted from 0)."""
         return State(self.F[q], self.O[q], self.R[q])
 
-    def statuses(self) -> list[str]:
-        """How every sample was reached, in words."""
-
-        def told(report: Convergence) -> str:
-            if report.parts > 1:
-                return f"followed in {report.parts} parts of its time"
-            return "followed"
-
-        return [
-            r.message or (told(r) if r.converged else "not followed")
-            for r in self.reports
-        ]
-
 
 def touches_elsewhere(
     sole: Sole, law: ContactLaw, history: StepHistory, ground: Ground = FLAT
@@ -456,6 +442,51 @@ def write_history(
         tets=mesh.tets,
         **ground.arrays(),
     )
+
+
+# What `simulation.write_history` writes: N samples, c contact nodes.
+_HISTORY = {
+    "times": ("N",),
+    "stiffness": ("N", 6, 6),
+    "origin_W": ("N", 3),
+    "rotation_WL": ("N", 3, 3),
+    "place_W": ("N", "c", 3),
+    "force_W": ("N", "c", 3),
+    "contact_nodes:int": ("c",),
+    "nodes_L": ("n", 3),
+    "tets:int": ("e", 4),
+}
+_GROUND = dict(zip(ARRAYS, (("a",), ("b",), ("a", "b")), strict=True))
+
+
+def read_history(path: Path, remedy: str):
+    """What `write_history` wrote: mesh, times, StepHistory, ground.
+
+    Raises:
+        InputError: It is missing or damaged; the remedy ends the message.
+    """
+    data = read_arrays(path, remedy)
+    wanted = _HISTORY | (_GROUND if ARRAYS[0] in data else {})
+    check_arrays(path, data, wanted, remedy)
+    names = ("force_W", "origin_W", "rotation_WL", "place_W", "stiffness")
+    times, nodes, tets = (data[n] for n in ("times", "nodes_L", "tets"))
+    history = StepHistory(*(data[name] for name in names))
+    good = np.isfinite(history.K_c).all(axis=(1, 2))
+    values = (nodes, *(data[n][good] for n in ("times", *names)))
+    if not all((np.abs(x) < _LARGEST).all() for x in values):
+        raise InputError(f"{path}: holds gaps; {remedy}")
+    is_sound = tets.size and tets.min() >= 0 and tets.max() < len(nodes)
+    if is_sound:
+        touching = data["contact_nodes"]
+        mesh = TetMesh(nodes, tets, np.array([], int))
+        surface = np.unique(mesh.boundary_faces)
+        fixed = np.setdiff1d(surface, touching)
+        is_sound = len(fixed) + len(touching) == len(surface)
+    if not is_sound:
+        raise InputError(f"{path}: its mesh is damaged; {remedy}")
+    # Sides, too, where they may.
+    mesh = replace(mesh, fixed=fixed).with_contact(touching)
+    return mesh, times, history, Ground.of_arrays(data)
 
 
 def simulate(

@@ -134,19 +134,9 @@ class Surface:
     name: str
 
     @property
-    def normals(self) -> np.ndarray:
-        """Outward, as long as twice the area [m²], (t, 3)."""
-        return normals_of(self.corners)
-
-    @property
     def volume(self) -> float:
         """Signed [m³]."""
         return float(np.linalg.det(self.corners).sum() / 6)
-
-    @property
-    def extent(self) -> np.ndarray:
-        """Of its bounding box [m], (3,)."""
-        return np.ptp(self.corners.reshape(-1, 3), axis=0)
 
 
 def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
@@ -270,7 +260,7 @@ def sole_from_surface(
 
 def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
     """Triangles that are fixed to the foot, (t,) bool."""
-    area, z = surface.normals, surface.corners[:, :, 2]
+    area, z = normals_of(surface.corners), surface.corners[:, :, 2]
     up = area[:, 2] > 0.3 * np.linalg.norm(area, axis=1)
     if top_m is not None:
         top = up & (z.min(axis=1) >= top_m)
@@ -280,7 +270,8 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
                 "correct mesh.top_m"
             )
         return top
-    flat = z.min(axis=1) > z.max() - _FLAT * surface.extent.max()
+    longest = np.ptp(surface.corners, axis=(0, 1)).max()
+    flat = z.min(axis=1) > z.max() - _FLAT * longest
     seen = area[:, 2][area[:, 2] > 0].sum()
     if area[up & flat, 2].sum() < _LEAST_TOP * seen:
         raise InputError(
@@ -308,16 +299,13 @@ def _meshed(corners, top, flat: bool, tets: int):
             for a, b in zip(low, high, strict=True)
         )
     )
-    away = _distance(corners[~top] if flat else corners, grid.nodes, h)
+    away = _nearest(corners[~top] if flat else corners, grid.nodes, 0.5 * h)[2]
     inside = thickness.inside(grid.nodes, flat * 0.01 * h)
     level = np.where(inside, -away, away)
-    nodes, cells = _used(
-        *run_mmg(
-            {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h},
-            _SECONDS,
-        )
-    )
-    nodes, cells = _onto(nodes, cells, corners, top, flat)
+    body = {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h}
+    nodes, tets = run_mmg(body, _SECONDS)
+    used, cells = np.unique(tets, return_inverse=True)
+    nodes, cells = _onto(nodes[used], cells.reshape(-1, 4), corners, top, flat)
     size = share * thickness.at(nodes)
     size = np.maximum(size, 0.3 * np.median(size))
     body = {"nodes": nodes, "tets": cells, "size": size}
@@ -420,11 +408,11 @@ def crossings(corners: np.ndarray, places: np.ndarray):
         yield rows, z[starts[rows, None] + np.arange(k)]
 
 
-def _nearest(corners, points, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _nearest(corners, points, step: float):
     """On triangles (t, 3, 3) what is nearest to points (n, 3).
 
     Returns:
-        Points (n, 3) and the triangles that they lie on (n,).
+        Points (n, 3), the triangles that they lie on (n,), how far (n,).
     """
     samples, owner = _sampled(corners, step)
     _, near = cKDTree(samples).query(points, k=min(6, len(samples)))
@@ -436,12 +424,7 @@ def _nearest(corners, points, step: float) -> tuple[np.ndarray, np.ndarray]:
         better = away < least
         best[better], least[better] = p[better], away[better]
         on[better] = column[better]
-    return best, on
-
-
-def _distance(corners, points, step: float) -> np.ndarray:
-    near, _ = _nearest(corners, points, 0.5 * step)
-    return np.linalg.norm(near - points, axis=1)
+    return best, on, least
 
 
 def _sampled(corners, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -481,29 +464,23 @@ def _on_triangles(corners, points) -> np.ndarray:
     return out
 
 
-def _used(nodes, tets) -> tuple[np.ndarray, np.ndarray]:
-    """Without nodes that no cell has."""
-    used, cells = np.unique(tets, return_inverse=True)
-    return nodes[used], cells.reshape(-1, 4)
-
-
 def _onto(nodes, cells, corners, top, flat):
     """The nodes of its surface moved onto the triangles where cells allow."""
     mesh = TetMesh(nodes, cells, np.zeros(0, int))
     skin = np.unique(mesh.boundary_faces)
     aim = nodes.copy()
     size = np.cbrt(np.median(mesh.volumes))
-    aim[skin], on = _nearest(corners, nodes[skin], size)
+    aim[skin], on, _ = _nearest(corners, nodes[skin], size)
     free = np.ones(len(skin), dtype=bool)
     if flat:
         height = corners[top][:, :, 2].max()
         up = skin[np.abs(nodes[skin, 2] - height) < 1e-6]
-        rim = np.setdiff1d(up, _wholly(mesh, up))
+        faces = mesh.boundary_faces
+        rim = np.intersect1d(up, faces[~np.isin(faces, up).all(axis=1)])
         aim[up] = nodes[up]
         # A rim moves within the top, onto the sides' upper edge.
         sides = corners[~top]
-        moved, _ = _nearest(sides, nodes[rim], size)
-        aim[rim, :2] = moved[:, :2]
+        aim[rim, :2] = _nearest(sides, nodes[rim], size)[0][:, :2]
         aim[up, 2] = height
         free = ~np.isin(skin, up)
     _onto_edges(aim, skin, np.where(free, on, -1), corners, size, mesh)
@@ -535,7 +512,7 @@ def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
         return
     own, edge = np.full(len(aim), -1), aim.copy()
     own[skin[on >= 0]] = patch[on[on >= 0]]
-    edge[skin], _ = _nearest(ends[:, [0, 1, 1]], aim[skin], size)
+    edge[skin] = _nearest(ends[:, [0, 1, 1]], aim[skin], size)[0]
     away = np.linalg.norm(edge - aim, axis=1)
     # What is there already belongs to both patches.
     there = (away < _THERE * size) & (own >= 0)
@@ -596,13 +573,6 @@ def _sharp(corners, size: float):
     return patch, ends, points[count > 1]
 
 
-def _wholly(mesh: TetMesh, up: np.ndarray) -> np.ndarray:
-    """Nodes of the top all of whose faces of the surface lie in it."""
-    faces = mesh.boundary_faces
-    beside = np.unique(faces[~np.isin(faces, up).all(axis=1)])
-    return np.setdiff1d(up, beside)
-
-
 def _fixed_nodes(nodes, cells, corners, top, flat) -> np.ndarray:
     """Nodes of the surface that lie on the top."""
     mesh = TetMesh(nodes, cells, np.zeros(0, int))
@@ -611,7 +581,7 @@ def _fixed_nodes(nodes, cells, corners, top, flat) -> np.ndarray:
         height = corners[top][:, :, 2].max()
         return skin[np.abs(nodes[skin, 2] - height) < 1e-9]
     size = np.cbrt(np.median(mesh.volumes))
-    away = _distance(corners[top], nodes[skin], size)
+    away = _nearest(corners[top], nodes[skin], 0.5 * size)[2]
     return skin[away < 0.1 * size]
 
 

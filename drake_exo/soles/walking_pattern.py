@@ -31,6 +31,7 @@ _DEGREE, _PIECES, _GRID = 5, 16, 161
 _SPEED_TIME = 0.03  # [s]; the ZMP's speed times it counts as a distance
 _NEAR = 1e-6  # of a bound's range: where it holds the ZMP
 _HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
+_SIDES = "back_m", "outer_m", "front_m", "inner_m"
 _INSIDE = 0.015  # metres that the ZMP stays inside a sole's outline
 
 
@@ -79,17 +80,16 @@ class Robot:
             )
 
     @property
+    def omega2(self) -> float:
+        """ω² [1/s²]."""
+        return self.gravity_m_per_s2 / self.com_height_m
+
+    @property
     def bounds(self) -> np.ndarray:
         """Of the ZMP in single support: lowest and highest (x, y), (2, 2)."""
-        names = ("back_m", "outer_m"), ("front_m", "inner_m")
-        given = [[getattr(self, name) for name in row] for row in names]
-        own = (-0.1, -0.05), (0.1, 0.05)
-        return np.array(
-            [
-                [b if a is None else a for a, b in zip(*rows, strict=True)]
-                for rows in zip(given, own, strict=True)
-            ]
-        )
+        given = [getattr(self, name) for name in _SIDES]
+        both = zip(given, (-0.1, -0.05, 0.1, 0.05), strict=True)
+        return np.reshape([b if a is None else a for a, b in both], (2, 2))
 
     def bearing(self, least: float) -> tuple[float, float]:
         """From when to when a foot bears a part of the weight [s]."""
@@ -108,11 +108,10 @@ class Robot:
         Raises:
             InputError: The sole is too narrow.
         """
-        names = ("back_m", "outer_m", "front_m", "inner_m")
-        free = [name for name in names if getattr(self, name) is None]
+        free = [name for name in _SIDES if getattr(self, name) is None]
         if not free:
             return self
-        fit = dict(zip(names, _rectangle(places), strict=True))
+        fit = dict(zip(_SIDES, _rectangle(places), strict=True))
         return replace(self, **{name: fit[name] for name in free})
 
 
@@ -151,12 +150,14 @@ class Pattern:
     Attributes:
         robot: What walks.
         com: Spline of (x, y) over [0, step_time].
-        zmp: Likewise, z = c − c̈ / ω².
     """
 
     robot: Robot
     com: BSpline
-    zmp: BSpline
+
+    def zmp(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Likewise, z = c − c̈ / ω², or a derivative."""
+        return _zmp(self.com, self.robot.omega2, t, order)
 
     def at(self, spline: BSpline, t: np.ndarray, order: int = 0) -> np.ndarray:
         """A spline or derivative over it and the mirrored next step, (n, 2)."""
@@ -210,7 +211,7 @@ class Pattern:
         for first in (True, False):
             rows = t <= D if first else t >= T
             s = t[rows] - (0.0 if first else T)
-            a, b = self._lines(s)
+            a, b = _feet(self.zmp, 0.0, s, D)
             share = smooth_share(s / D)[:, None]
             line = b if first else a
             if not first:
@@ -219,13 +220,6 @@ class Pattern:
             own[rows] = line + z[rows] - (1 - share) * a - share * b
         return own
 
-    def _lines(self, s):
-        """Unloading foot's and landing foot's ZMP at s since landing."""
-        D = self.robot.double_support_s
-        z = self.zmp
-        a, b = _progress(np.asarray(s), D)
-        return z(0.0) + a * z(0.0, 1), z(D) + b * z(D, 1)
-
 
 def smooth_share(s: np.ndarray) -> np.ndarray:
     """Share of the landing foot: quintic from 0 to 1, C² at both ends."""
@@ -233,15 +227,15 @@ def smooth_share(s: np.ndarray) -> np.ndarray:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-def _progress(s: np.ndarray, D: float):
-    """Factors of the ZMP's speed in a foot's own double-support path.
+def _feet(z, last: float, s, D: float):
+    """ZMP of the foot that unloads and of the one that lands, at s since that.
 
-    The unloading foot's ZMP starts with the speed it has and comes to rest;
-    the landing foot's starts at rest and takes up its speed: parabolas.
+    Parabolas: the one starts with the place and speed that z has at `last` and
+    comes to rest, the other starts at rest and takes up those at D.
     """
-    a = s - s**2 / (2 * D)
-    b = (s - D) + (s - D) ** 2 / (2 * D)
-    return a[:, None], b[:, None]
+    s = np.asarray(s)[..., None]
+    forth, back = s - s**2 / (2 * D), (s - D) + (s - D) ** 2 / (2 * D)
+    return z(last) + forth * z(last, 1), z(D) + back * z(D, 1)
 
 
 def _mirrored(points, robot: Robot):
@@ -259,14 +253,16 @@ def plan(robot: Robot) -> Pattern:
         InputError: No ZMP inside the bounds carries such a step.
     """
     T, D = robot.step_time_s, robot.double_support_s
-    omega2 = robot.gravity_m_per_s2 / robot.com_height_m
+    omega2 = robot.omega2
     knots = np.pad(np.linspace(0, T, _PIECES + 1), _DEGREE, mode="edge")
     basis = BSpline(knots, np.eye(_PIECES + _DEGREE), _DEGREE)
     t = np.linspace(0, T, _GRID)
-    Z = _zmp(basis, omega2, t)
-    inside = np.concatenate([Z[t >= D], _ends(basis, omega2, T, D)])
-    hold = _HOLD * _double_support_residual(basis, omega2, t[t <= D], D)
-    own, share = _own_rows(basis, omega2, t, T, D)
+    z = partial(_zmp, basis, omega2)
+    # As the right foot lands and as it lifts off, too.
+    ends = _feet(z, T, 0.0, D)[1], _feet(z, T, D, D)[0]
+    inside = np.vstack([z(t[t >= D]), *ends])
+    hold = _HOLD * _double_support_residual(z, t[t <= D], D)
+    own, share = _own_rows(z, t, T, D)
     torque = np.sqrt(robot.torque_weight) * omega2
     speed = _SPEED_TIME * (omega2 * basis(t, 1) - basis(t, 3))
     coefficients = []
@@ -284,8 +280,7 @@ def plan(robot: Robot) -> Pattern:
         coefficients.append(
             _least_squares(A, b, cycle, ahead, inside, low, high)
         )
-    c = BSpline(knots, np.stack(coefficients, axis=1), _DEGREE)
-    return Pattern(robot, c, _as_spline(knots, c, omega2))
+    return Pattern(robot, BSpline(knots, np.stack(coefficients, 1), _DEGREE))
 
 
 def _cycle(basis, T, sign, shift):
@@ -345,52 +340,24 @@ def _zmp(spline, omega2, at, order=0):
     return spline(at, order) - spline(at, order + 2) / omega2
 
 
-def _own_rows(basis, omega2, t, T, D):
+def _own_rows(z, t, T, D):
     """Rows of one foot's ZMP times its share, landing to lift-off."""
-    z = partial(_zmp, basis, omega2)
     landing, alone, off = t[t < D], t[t >= D], t[t <= D]
-    forth, back = _progress(off, D)[0], _progress(landing, D)[1]
-    rows = [
-        z(D) + back * z(D, 1),
-        np.stack([z(s) for s in alone]),
-        z(T) + forth * z(T, 1),
-    ]
-    shares = [
+    rows = _feet(z, T, landing, D)[1], z(alone), _feet(z, T, off, D)[0]
+    share = [
         smooth_share(landing / D),
-        np.ones(len(alone)),
+        0 * alone + 1,
         1 - smooth_share(off / D),
     ]
-    share = np.concatenate(shares)
+    share = np.concatenate(share)
     return share[:, None] * np.concatenate(rows), share
 
 
-def _ends(basis, omega2, T, D):
-    """Rows of the right foot's ZMP as it lands and as it lifts off."""
-    z = partial(_zmp, basis, omega2)
-    return np.stack([z(D) - D / 2 * z(D, 1), z(T) + D / 2 * z(T, 1)])
-
-
-def _double_support_residual(basis, omega2, t, D):
+def _double_support_residual(z, t, D):
     """Rows of z(t) − (1 − α) a(t) − α b(t): the feet keep to lines."""
-    z = partial(_zmp, basis, omega2)
     share = smooth_share(t / D)[:, None]
-    forth, back = _progress(t, D)
-    a, b = z(0.0) + forth * z(0.0, 1), z(D) + back * z(D, 1)
-    return np.stack([z(s) for s in t]) - (1 - share) * a - share * b
-
-
-def _as_spline(knots, c: BSpline, omega2: float) -> BSpline:
-    """The ZMP z = c − c̈/ω² as one spline of degree 5, repeated knots for C²."""
-    inner = knots[_DEGREE:-_DEGREE]
-    first, last = inner[[0, -1]].repeat(_DEGREE + 1).reshape(2, -1)
-    multiple = np.concatenate([first, np.repeat(inner[1:-1], 3), last])
-    count = len(multiple) - _DEGREE - 1
-    # Greville points make interpolation of a member of the space exact.
-    sites = [multiple[i + 1 : i + _DEGREE + 1].mean() for i in range(count)]
-    sites = np.clip(sites, inner[0], inner[-1])  # rounding
-    values = _zmp(c, omega2, sites)
-    design = BSpline.design_matrix(sites, multiple, _DEGREE).toarray()
-    return BSpline(multiple, np.linalg.solve(design, values), _DEGREE)
+    a, b = _feet(z, 0.0, t, D)
+    return z(t) - (1 - share) * a - share * b
 
 
 # How far a walk's numbers may go, as factors.
@@ -494,39 +461,38 @@ class Gait:
 
     def load(self, x: np.ndarray) -> Load:
         """Of the right foot."""
-        return self._planned(x)[0]
+        return self._walked(self.at(x))[0]
 
-    def _load(self, pattern: Pattern) -> Load:
-        return pattern.foot_load(self.period, self.least, self.robot)
+    def _walked(self, robot: Robot):
+        """Load; speed; |c̈|; the CoM's place off its path's middle in time."""
+        pattern, t = plan(robot), np.linspace(0, robot.step_time_s, 41)
+        return (
+            pattern.foot_load(self.period, self.least, self.robot),
+            robot.step_length_m / robot.step_time_s,
+            np.linalg.norm(pattern.com(t, 2), axis=1),
+            pattern.com(t)[:, 1] - robot.step_width_m / 2,
+        )
+
+    @cached_property
+    def _own(self):
+        return self._walked(self.robot)
 
     def limits(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Scaled, at least 0 where kept, by name."""
         return self._planned(x)[1]
 
     def _planned(self, x) -> tuple[Load, dict[str, np.ndarray]]:
-        pattern = plan(self.at(x))
-        load = self._load(pattern)
-        mine, its = _measures(pattern), self._own
+        load, speed, acceleration, sway = self._walked(self.at(x))
+        first, usual, own, its = self._own
         slip = np.linalg.norm(load.force[:, :2], axis=1)
+        bears = np.ptp(load.times) / np.ptp(first.times)
         return load, {
-            "speed": np.array([mine[0] / its[0] - 1.0]),
-            "contact": np.array([1.0 - np.ptp(load.times) / self._bears]),
-            "acceleration": _MORE - mine[1] / its[1].max(),
-            "sway": _MORE - np.abs(mine[2]) / np.abs(its[2]).max(),
+            "speed": np.array([speed / usual - 1.0]),
+            "contact": np.array([1.0 - bears]),
+            "acceleration": _MORE - acceleration / own.max(),
+            "sway": _MORE - np.abs(sway) / np.abs(its).max(),
             "friction": _SLIP - slip / (self.friction * load.force[:, 2]),
         }
-
-    @cached_property
-    def _own_pattern(self) -> Pattern:
-        return plan(self.robot)
-
-    @cached_property
-    def _own(self):
-        return _measures(self._own_pattern)
-
-    @cached_property
-    def _bears(self) -> float:
-        return np.ptp(self._load(self._own_pattern).times)
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, dict]:
         """By the variables: of force and ZMP (G, N, 5), of limits (k, G).
@@ -551,14 +517,3 @@ class Gait:
         }
         ahead, behind = np.swapaxes(loads, 0, 1)
         return (ahead - behind) / (2 * _STEP), limits
-
-
-def _measures(pattern: Pattern):
-    """Speed; |c̈| and the CoM's place off its path's middle in time."""
-    robot = pattern.robot
-    t = np.linspace(0, robot.step_time_s, 41)
-    return (
-        robot.step_length_m / robot.step_time_s,
-        np.linalg.norm(pattern.com(t, 2), axis=1),
-        pattern.com(t)[:, 1] - robot.step_width_m / 2,
-    )

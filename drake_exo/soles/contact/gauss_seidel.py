@@ -106,15 +106,12 @@ class GaussSeidelSolver(ContactSolver):
     def _pose_step(self, state, point, target) -> None:
         """Newton step (24) of the pose; forces follow in the next sweeps."""
         lin = self._linearisation(point, target)
-        dF, _, J = lin.pose_response(
-            target.turn(self.ground, state.R, self.lP[lin.nodes])
-        )
-        dp, at = np.zeros(6), target.asked
-        dp[at] = np.linalg.solve(J[np.ix_(at, at)], -point.wrench[at])
+        turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
+        dF, dp = lin.solve(0.0 * lin.F, point.wrench, target.asked, turn)
         step = capped(dp, 0.15, 0.01)
         new = move(state, np.zeros_like(state.F), step * dp, target.point)
         # Forces predicted by the same linearisation start the next sweeps.
-        new.F[lin.nodes] += step * (dF @ dp)
+        new.F[lin.nodes] += step * dF
         normal = (point.axes[:, 2] * new.F).sum(axis=1)
         new.F[normal < 0] = 0.0
         state.F, state.O, state.R = new.F, new.O, new.R
@@ -155,12 +152,7 @@ def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
                 )
             new[:] = 0.0
             if others[2] < 0.0:
-                for k in range(3):
-                    new[k] = -(
-                        inverse[a, k, 0] * others[0]
-                        + inverse[a, k, 1] * others[1]
-                        + inverse[a, k, 2] * others[2]
-                    )
+                new[:] = -(inverse[a] @ others)
                 size = np.hypot(new[0], new[1])
                 if new[2] <= 0.0 or size > mu * new[2]:
                     new[:] = _slip(own[a], others, mu)
@@ -183,14 +175,6 @@ def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
 
 
 @njit()
-def _times(A, x):
-    out = np.empty(3)
-    for k in range(3):
-        out[k] = A[k, 0] * x[0] + A[k, 1] * x[1] + A[k, 2] * x[2]
-    return out
-
-
-@njit()
 def _slip(Waa, others, mu):
     """One sliding node: Newton on Alart–Curnier's equations with (21)."""
     mean = 0.5 * (Waa[0, 0] + Waa[1, 1])
@@ -201,22 +185,15 @@ def _slip(Waa, others, mu):
     q = np.array([q_t, q_t, 1.0 / Waa[2, 2]])
     F, D, T = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
     F[2] = -others[2] / Waa[2, 2]
-    J = np.zeros((3, 3))
+    one = np.eye(3)
     for _ in range(_LOCAL_STEPS):
-        tau = F - q * (others + _times(Waa, F))
+        tau = F - q * (others + Waa @ F)
         if tau[2] <= 0.0:
             return np.zeros(3)
         project_node(tau, mu, 0.0, 0.0, T, D)
         phi = F - T
-        size = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-        if size <= 1e-15 * (abs(F[2]) + 1e-300):
+        if np.linalg.norm(phi) <= 1e-15 * (abs(F[2]) + 1e-300):
             break
-        for i in range(3):
-            for j in range(3):
-                value = 1.0 if i == j else 0.0
-                for k in range(3):
-                    one = 1.0 if k == j else 0.0
-                    value -= D[i, k] * (one - q[k] * Waa[k, j])
-                J[i, j] = value
+        J = one - D @ (one - q.reshape(3, 1) * Waa)
         F = F - np.linalg.solve(J, phi)
     return F

@@ -36,10 +36,6 @@ class Derivative:
     by_nodes: np.ndarray | float = 0.0
     fields: tuple[np.ndarray, np.ndarray] | None = None
 
-    def acts_on(self, q: int) -> bool:
-        """Whether sample q has a share in it."""
-        return q in self.pairs or q in self.by_turn or q in self.by_force
-
 
 @dataclass
 class Sensitivity:
@@ -132,7 +128,19 @@ def gradients(
         history: Its result, all samples converged.
         functionals: Their direct derivatives.
     """
-    sums = _reversed(sole, solver, load, start, history, functionals)
+    m, count = len(sole.positions), len(load.times)
+    sums = [Sensitivity.zero(m, count) for _ in functionals]
+    for q in reversed(range(count)):
+        live = [
+            (total, own)
+            for total, own in zip(sums, functionals, strict=True)
+            if q in own.pairs | own.by_turn | own.by_force or total.mu.any()
+        ]
+        if not live:
+            continue
+        reference = start if q in load.begins else history.P[q - 1]
+        target = load.target(q, reference, solver.ground)
+        _Step(solver, history, q, target).reverse(*zip(*live, strict=True))
     out = compliance_gradients(
         sole,
         [(np.array(x.left).T, np.array(x.right).T) for x in sums],
@@ -142,35 +150,6 @@ def gradients(
         X[sole.mesh.contact] += total.lP
         X += functional.by_nodes
     return out, np.array([total.load for total in sums])
-
-
-def shape_gradients(*forward) -> np.ndarray:
-    """The first of `gradients`."""
-    return gradients(*forward)[0]
-
-
-def load_gradients(*forward) -> np.ndarray:
-    """The second of `gradients`, by itself."""
-    return np.array([total.load for total in _reversed(*forward)])
-
-
-def _reversed(sole, solver, load, start, history, functionals):
-    """Backwards through all samples: a Sensitivity for each functional."""
-    m, count = len(sole.positions), len(load.times)
-    sums = [Sensitivity.zero(m, count) for _ in functionals]
-    for q in reversed(range(len(load.times))):
-        live = [
-            (total, functional)
-            for total, functional in zip(sums, functionals, strict=True)
-            if functional.acts_on(q) or total.mu.any()
-        ]
-        if not live:
-            continue
-        reference = start if q in load.begins else history.P[q - 1]
-        target = load.target(q, reference, solver.ground)
-        step = _Step(solver, history, q, target)
-        step.reverse(*zip(*live, strict=True))
-    return sums
 
 
 class _Step:

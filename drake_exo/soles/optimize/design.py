@@ -17,9 +17,9 @@ from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
     halved,
+    has_star_outline,
     is_watertight,
     mould_triangles,
-    write_mould,
     write_triangles,
     write_vtk,
 )
@@ -382,20 +382,23 @@ class Design:
 
     def _write_stl(self, folder: Path) -> dict:
         """Sole and mould for printing; what was checked of both."""
-        faces, measured = self.mesh.boundary_faces, self._surface
+        sole = self.mesh.nodes[self.mesh.boundary_faces]
+        measured = self._surface
         told = {
             "sole.stl": {
-                "watertight": is_watertight(self.mesh.nodes[faces]),
+                "watertight": is_watertight(sole),
                 "least_depth_mm": 1e3 * measured["depth"],
                 "height_mm": 1e3 * measured["height"],
                 "least_draft_deg": measured["draft"],
                 "undercut": self.mesh.undercut,
             }
         }
-        write_triangles(folder / "sole.stl", self.mesh.nodes[faces])
-        if write_mould(folder / "mould.stl", self.mesh):
+        write_triangles(folder / "sole.stl", sole)
+        if has_star_outline(self.mesh):
+            mould = mould_triangles(self.mesh)
+            write_triangles(folder / "mould.stl", mould)
             told["mould.stl"] = {
-                "watertight": is_watertight(mould_triangles(self.mesh)),
+                "watertight": is_watertight(mould),
                 "least_wall_mm": 1e3 * WALL,
             }
         return told

@@ -13,7 +13,6 @@ from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import read_columns, read_csv
 from drake_exo.soles.mesh import SphericalSpline, read_mesh
 from drake_exo.soles.numerics import rotations_xyz
-from drake_exo.soles.optimize.optimizer import WarmStart
 from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.simulation import HISTORY
 
@@ -82,14 +81,6 @@ class Checkpoint:
             case=before.case, key=before.key,
         )  # fmt: skip
 
-    def warm_start(self, bounds) -> WarmStart | None:
-        """Multipliers and barrier to go on with; None before the first."""
-        if self.barrier is None:
-            return None
-        return WarmStart.interrupted(
-            self.latest, bounds, self.multipliers, self.barrier, self.p
-        )
-
     def check_fits(self, problem) -> None:
         """Whether it is of this problem.
 
@@ -111,23 +102,12 @@ class Checkpoint:
 
     def write(self, folder: Path) -> None:
         """Write checkpoint.json, whole or not at all."""
-        lower = np.tril_indices(len(self.p))
-        write_json(
-            folder / CHECKPOINT,
-            {
-                "stage": self.stage,
-                "iteration": self.iteration,
-                "coefficients": self.p,
-                "latest": self.latest,
-                "multipliers": self.multipliers,
-                "barrier": self.barrier,
-                "curvature": self.curvature[lower],
-                "strain_scale": self.strain_scale,
-                "starts": self.starts,
-                "case": self.case,
-                "key": self.key,
-            },
-        )
+        kept = vars(self) | {
+            "coefficients": self.p,
+            "curvature": self.curvature[np.tril_indices(len(self.p))],
+        }
+        del kept["p"], kept["begun"]
+        write_json(folder / CHECKPOINT, kept)
 
 
 def start_folder(out: Path | None, start: int) -> Path | None:

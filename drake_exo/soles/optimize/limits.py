@@ -11,8 +11,9 @@ strain| and smooth without eigenvalues. A sample that stands for n_q counts so
 often: thinned samples then give about the norm of all.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from drake_exo.soles.optimize.adjoint import (
     stability_terms,
     tilt_terms,
 )
+from drake_exo.soles.settings import Settings
 from drake_exo.soles.simulation import StepHistory, stability
 
 ORDER = 64  # p
@@ -222,108 +224,87 @@ class Evaluation:
         return StrainNorm(self.sole, self.history, self.counts)
 
 
-@dataclass(frozen=True)
-class StabilityLimit:
-    """Least scaled eigenvalue of −sym K_c; `scale` is the brick's [N/m]."""
-
-    least: float
-    scale: float
-    name = "stability"
-
-    def _excess(self, e: Evaluation):
-        x = stability(e.history.K_c) - self.least
-        y, slope = _saturate(x / self.scale)
-        held = e.load.is_measured  # a pose that is prescribed does not tip
-        return np.where(held, _MET, y), np.where(held, 0.0, slope)
-
-    def value(self, e: Evaluation) -> float:
-        """Scaled excess, soft minimum over samples."""
-        return soft_minimum(self._excess(e)[0])[0]
-
-    def derivative(self, e: Evaluation) -> Derivative:
-        """What the adjoint needs."""
-        y, slope = self._excess(e)
-        share = slope * soft_minimum(y)[1] / self.scale
-        return stability_terms(e.history.K_c, share)
+# Limits: of an evaluation the value, and what makes what the adjoint needs.
 
 
-@dataclass(frozen=True)
-class TiltLimit:
-    """Largest angle between the sole's and the world's vertical."""
-
-    largest_deg: float
-    name = "tilt_deg"
-
-    def _excess(self, e: Evaluation):
-        margin = e.history.R[:, 2, 2] - np.cos(np.deg2rad(self.largest_deg))
-        held = e.load.is_measured  # no shape changes what is prescribed
-        x = np.where(held, _MET, margin / _TILT_SCALE)
-        value, share = soft_minimum(x)
-        return value, np.where(held, 0.0, share)
-
-    def value(self, e: Evaluation) -> float:
-        """Scaled difference of cosines, soft minimum over samples."""
-        return self._excess(e)[0]
-
-    def derivative(self, e: Evaluation) -> Derivative:
-        """What the adjoint needs."""
-        share = self._excess(e)[1] / _TILT_SCALE
-        return tilt_terms(e.history.R, share)
+def limits_of(settings: Settings) -> Limits:
+    """The case's constraints."""
+    block = settings.optimize
+    density = settings.material.material().density_kg_per_m3
+    # A pose that is prescribed does not tip, and no shape changes it.
+    held = all(block.pose == "measured" for block in settings.all_loads)
+    return Limits(
+        settings.cost.mass_limit_kg / density,
+        None if held else block.stability_n_per_m,
+        None if held else block.tilt_deg,
+        block.strain,
+        block.c_rot_nm_per_rad,
+        block.shape.least_depth_m,
+        block.shape.largest_height_m,
+        block.shape.draft_deg,
+    )
 
 
-@dataclass(frozen=True)
-class StrainLimit:
-    """Largest p-norm of the principal strains over elements and samples."""
-
-    largest: float
-    name = "strain"
-
-    def value(self, e: Evaluation) -> float:
-        """1 − Φ / limit."""
-        return 1.0 - e.strain.value / self.largest
-
-    def derivative(self, e: Evaluation) -> Derivative:
-        """What the adjoint needs."""
-        return e.strain.derivatives(-1.0 / self.largest)
+def _stability(e: Evaluation, least: float, scale: float):
+    """Scaled excess of the least eigenvalue of −sym K_c [N/m]."""
+    K = e.history.K_c
+    y, slope = _saturate((stability(K) - least) / scale)
+    value, share = _least_free(e, y)
+    return value, lambda: stability_terms(K, share * slope / scale)
 
 
-@dataclass(frozen=True)
-class RotationLimit:
-    """Least c_rot [N·m/rad]; `by_rot` are the samples' factors."""
-
-    least: float
-    by_rot: np.ndarray
-    name = "c_rot"
-
-    def value(self, e: Evaluation) -> float:
-        """c_rot / limit − 1."""
-        return e.c_rot / self.least - 1.0
-
-    def derivative(self, e: Evaluation) -> Derivative:
-        """What the adjoint needs."""
-        K, factors = e.history.K_c, self.by_rot / self.least
-        return singular_terms(K, np.zeros(len(K)), factors)
+def _tilt(e: Evaluation, largest_deg: float):
+    """Scaled difference of the cosines of the verticals' angle."""
+    R = e.history.R
+    margin = R[:, 2, 2] - np.cos(np.deg2rad(largest_deg))
+    value, share = _least_free(e, margin / _TILT_SCALE)
+    return value, lambda: tilt_terms(R, share / _TILT_SCALE)
 
 
-def active_limits(limits: Limits, first: Evaluation, by_rot: np.ndarray):
-    """Limits that need a simulation, the brick's for scales.
+def strain_limit(e: Evaluation, largest: float):
+    """1 − Φ / limit."""
+    return 1.0 - e.strain.value / largest, (
+        lambda: e.strain.derivatives(-1.0 / largest)
+    )
+
+
+def rotation_limit(e: Evaluation, least: float, by_rot: np.ndarray):
+    """c_rot / limit − 1; `by_rot` are the samples' factors."""
+    zero = np.zeros(len(by_rot))
+    return e.c_rot / least - 1.0, (
+        lambda: singular_terms(e.history.K_c, zero, by_rot / least)
+    )
+
+
+def _least_free(e: Evaluation, x: np.ndarray):
+    """Soft minimum over samples, and its derivatives.
+
+    A pose that is prescribed does not tip, and no shape changes it.
+    """
+    held = e.load.is_measured
+    value, share = soft_minimum(np.where(held, _MET, x))
+    return value, np.where(held, 0.0, share)
+
+
+def active_limits(
+    limits: Limits, first: Evaluation, by_rot: np.ndarray
+) -> dict[str, Callable]:
+    """Limits that need a simulation, by name, the brick's for scales.
 
     `by_rot` are the samples' factors in c_rot.
     """
-    out = []
+    scale = None
     if limits.stability is not None:
         # Of a first shape that hardly stands, the least itself is the size.
-        free = ~first.load.is_measured
-        scale = abs(float(np.min(stability(first.history.K_c)[free])))
-        scale = max(scale, limits.stability)
-        out.append(StabilityLimit(limits.stability, scale))
-    if limits.tilt_deg is not None:
-        out.append(TiltLimit(limits.tilt_deg))
-    if limits.strain is not None:
-        out.append(StrainLimit(limits.strain))
-    if limits.c_rot is not None:
-        out.append(RotationLimit(limits.c_rot, by_rot))
-    return out
+        margin = stability(first.history.K_c)[~first.load.is_measured]
+        scale = max(abs(float(margin.min())), limits.stability)
+    every = {
+        "stability": partial(_stability, least=limits.stability, scale=scale),
+        "tilt_deg": partial(_tilt, largest_deg=limits.tilt_deg),
+        "strain": partial(strain_limit, largest=limits.strain),
+        "c_rot": partial(rotation_limit, least=limits.c_rot, by_rot=by_rot),
+    }
+    return {n: f for n, f in every.items() if getattr(limits, n) is not None}
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,7 @@ _OPTIONS = {
 # are as short at once. Factors on the curvature for a rejected trial (two count
 # at most), for none, and the largest.
 _STIFFER, _SOFTER, _STIFFEST = 2.0, 1 / 1.5, 64.0
+WARM_BARRIER = 1e-7
 # From the optimum of a neighbouring problem: stay close to it.
 _WARM = {
     "warm_start_init_point": "yes",
@@ -100,31 +101,6 @@ _STATUS = {
     5: "stopped by the user",
     -13: "invalid number",
 }
-
-
-@dataclass
-class WarmStart:
-    """Multipliers and barrier to begin with, from a neighbouring problem.
-
-    Attributes:
-        multipliers: Of the constraints, (m,).
-        low, high: Of the bounds, (P,) each.
-        barrier: IPOPT's μ.
-        best: Best design of an interrupted run.
-    """
-
-    multipliers: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    barrier: float = 1e-7
-    best: np.ndarray | None = None
-
-    @classmethod
-    def interrupted(cls, p, bounds, multipliers, barrier, best):
-        """In the middle of a run: bounds' multipliers from the barrier."""
-        low = barrier / np.maximum(p - bounds[0], 1e-9)
-        high = barrier / np.maximum(bounds[1] - p, 1e-9)
-        return cls(multipliers, low, high, barrier, best)
 
 
 @dataclass
@@ -311,7 +287,7 @@ def minimise(
     on_iterate: Callable[[int, "Optimum"], object] | None = None,
     refining: bool = False,
     hessian_approximation: QuasiNewton | None = None,
-    warm: WarmStart | None = None,
+    warm=None,
 ) -> Optimum:
     """Run IPOPT from p0.
 
@@ -325,8 +301,7 @@ def minimise(
         refining: p0 is good already: rejected trials shorten the steps that
             follow.
         hessian_approximation: Curvature known already; learns more.
-        warm: Multipliers of a neighbouring problem, or of this one before
-            an interruption.
+        warm: Where an interrupted run stood, a `Checkpoint`.
     """
     n, m = len(p0), len(problem.names())
     p0, before = np.clip(p0, *bounds), problem.evaluations
@@ -347,10 +322,12 @@ def minimise(
         },
     )
     multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)
-    if warm is not None:
-        multipliers[:], low[:], high[:] = warm.multipliers, warm.low, warm.high
-        if warm.best is not None and problem.evaluate(warm.best) is not None:
-            best.consider(warm.best, *cost_and_violation(problem, warm.best))
+    if warm is not None:  # multipliers of the bounds from the barrier
+        multipliers[:] = warm.multipliers
+        low[:] = warm.barrier / np.maximum(warm.latest - bounds[0], 1e-9)
+        high[:] = warm.barrier / np.maximum(bounds[1] - warm.latest, 1e-9)
+        if problem.evaluate(warm.p) is not None:
+            best.consider(warm.p, *cost_and_violation(problem, warm.p))
     p, _, status = solver.solve(
         p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
     )

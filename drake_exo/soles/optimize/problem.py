@@ -9,34 +9,27 @@ on another branch of poses than the last accepted design's, where the cost
 would leap.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix, diags, identity
 
 from drake_exo.errors import InputError
-from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground
-from drake_exo.soles.contact.newton import ContactSolver, Start
-from drake_exo.soles.elasticity import Element, Material, Sole
+from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import SphericalSpline, TetMesh, face_edges, scatter
-from drake_exo.soles.optimize.adjoint import (
-    gradients,
-    load_gradients,
-    singular_terms,
-)
+from drake_exo.soles.mesh import TetMesh, face_edges, scatter
+from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import (
     Evaluation,
-    Limits,
-    RotationLimit,
     SurfaceLimits,
     active_limits,
+    limits_of,
     soft_minimum,
 )
+from drake_exo.soles.settings import Setup, Stage, stage_mesh
 from drake_exo.soles.simulation import (
-    StepHistory,
     heel_strike_count,
     sigma_max_translation,
     sigma_min_rotation,
@@ -53,60 +46,33 @@ _LEAST_QUALITY = 0.35  # of an element's own at rest
 _BEND = 0.1  # difference of a node from its neighbours that counts one
 
 
-@dataclass
 class ShapeProblem:
-    """Minimise c_tr − w c_rot over shapes.
+    """Minimise c_tr − w c_rot over shapes in one stage.
 
     Attributes:
-        mesh: Reference mesh (s = 1).
-        spline: Parametrisation.
-        material, element: Of the sole.
-        law: Smoothed contact law, r frozen.
-        load: All samples; `picked` are simulated and weighted so that sums
+        setup: The initial shape, its step, cost and limits.
+        stage: What mesh (of s = 1), which samples, and what smoothed law, r
+            frozen; `picked` samples are simulated and weighted so that sums
             stand for all.
-        start: Just before contact.
-        weight: w.
-        limits: Constraints.
-        regularization_weight: Factor of the mean squared `bends` of the
-            surface over 0.1.
-        fraction: Heel strike's part of the samples.
-        samples: How many samples to simulate.
-        of: Of several loads the mean of c over the initial shape's, or the
-            worst.
         branch: History of the last accepted design.
-        first: The initial shape, for the scales; by default simulated on
-            the mesh.
-        ground: That it walks on.
-        strain_norm: Its limit, see `limits.StrainNorm`; by default that of
-            the largest strain.
+        first: The initial shape, for the scales.
     """
 
-    mesh: TetMesh
-    spline: SphericalSpline
-    material: Material
-    law: ContactLaw
-    load: Load
-    start: Start
-    weight: float
-    limits: Limits
-    element: Element = "linear"
-    regularization_weight: float = 0.0
-    fraction: float = 0.1
-    samples: int | None = None
-    of: Literal["mean", "worst"] = "mean"
-    branch: StepHistory | None = None
-    first: Evaluation | None = None
-    ground: Ground = FLAT
-    strain_norm: float | None = None
-    evaluations: int = 0
-    failures: int = 0
-    _cache: dict = field(default_factory=dict)
-
-    def __post_init__(self):
+    def __init__(self, setup: Setup, stage: Stage):
+        self.setup, self.settings = setup, setup.settings
+        self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()
+        self.load, self.limits = setup.load, limits_of(setup.settings)
+        block, cost = self.settings.optimize, self.settings.cost
+        self.weight = cost.weight
+        self.roughness = block.roughness * stage.roughness
+        self.branch, self.evaluations, self._cache = None, 0, {}
         self.M, self.s0 = self.spline.basis(self.mesh.nodes)
-        self._sole = Sole(self.mesh, self.material, self.element)
+        self._sole = setup.sole(self.mesh)
+        self.law = replace(
+            setup.law(self._sole), layer=stage.layer_m, kappa=stage.kappa
+        )
         self.picked, by_tr, by_rot = sample_weights(
-            self.load, self.samples, self.fraction
+            self.load, stage.samples, cost.heel_strike_fraction
         )
         self.thinned = self.load.at(self.picked)
         self.counts = by_rot
@@ -118,21 +84,14 @@ class ShapeProblem:
             self.limits, self.mesh, (self.M != 0).any(axis=1)
         )
         self._rest = self.mesh.quality()
-        if self.first is None:
-            self.first = self.evaluate(self.undeformed)
+        self.first = self.evaluate(self.undeformed)
         if self.first is None:
             raise InputError(
                 "the initial shape cannot be simulated; simulate the case, "
                 "which tells why, and change its load, material or mesh"
             )
         self.scales = np.abs(self._costs(self.first))
-        strain = self.strain_norm or self.limits.strain
-        limits = replace(self.limits, strain=strain)
-        self.limited = active_limits(limits, self.first, self.by_rot)
-
-    def add_rotation_floor(self, least: float) -> None:
-        """Limit c_rot from below [N·m/rad]."""
-        self.limited.append(RotationLimit(least, self.by_rot))
+        self.limited = active_limits(self.limits, self.first, self.by_rot)
 
     @property
     def undeformed(self) -> np.ndarray:
@@ -164,7 +123,6 @@ class ShapeProblem:
             except np.linalg.LinAlgError:  # a shape that cannot carry load
                 self._cache = {key: None}
             self.evaluations += 1
-            self.failures += self._cache[key] is None
         return self._cache[key]
 
     def _simulate(self, p):
@@ -173,20 +131,20 @@ class ShapeProblem:
         if stretch.min() <= 0 or sole.mesh.volumes.min() <= 0:
             return None
         solver = ContactSolver.of(
-            sole, self.law, tolerance=1e-12, ground=self.ground
+            sole, self.law, tolerance=1e-12, ground=self.setup.ground
         )
         load = self.load_of(p).at(self.picked)
         history = simulate(
             solver,
             load,
-            self.start,
+            self.setup.start,
             stop_at_failure=True,
             near=self.branch,
             keep=True,
         )
         if history.failed_steps:
             return None
-        if touches_elsewhere(sole, self.law, history, self.ground):
+        if touches_elsewhere(sole, self.law, history, self.setup.ground):
             # From here on all bare nodes may touch, in every design.
             self.mesh, self.branch = self.mesh.touching_everywhere(), None
             self._sole = replace(self._sole, mesh=self.mesh)
@@ -215,7 +173,7 @@ class ShapeProblem:
         The mean of c / |c̄|, or about the worst of them.
         """
         ratios, shares = self._costs(e) / self.scales, self.load.shares
-        if self.of == "mean":
+        if self.settings.cost.of == "mean":
             return float(shares @ ratios), shares / self.scales
         value, share = soft_minimum(-ratios, _WORST_SHARPNESS)
         return -value, share / self.scales
@@ -234,7 +192,7 @@ class ShapeProblem:
             "volume",
             "elements",
             *(name for name, *_ in surface),
-            *(limit.name for limit in self.limited),
+            *self.limited,
         ]
 
     def constraints(self, p: np.ndarray) -> np.ndarray:
@@ -248,7 +206,7 @@ class ShapeProblem:
                 1.0 - mesh.volume / self.limits.volume,
                 self._elements(mesh)[0],
                 *(value for _, value, _ in self.surface.evaluate(mesh)),
-                *(limit.value(e) for limit in self.limited),
+                *(limit(e)[0] for limit in self.limited.values()),
             ]
         )
 
@@ -273,7 +231,14 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
-        by_nodes, by_load = gradients(*self._backwards(e))
+        by_c = self._combined(e)[1][self.thinned.phase]
+        cost = singular_terms(
+            e.history.K_c, self.by_tr * by_c, -self.weight * self.by_rot * by_c
+        )
+        parts = [cost, *(limit(e)[1]() for limit in self.limited.values())]
+        by_nodes, by_load = gradients(
+            e.sole, e.solver, e.load, self.setup.start, e.history, parts
+        )
         rows = [self.by_coefficients(X) for X in by_nodes]
         volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
         elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
@@ -284,26 +249,10 @@ class ShapeProblem:
         limits = [volume / self.limits.volume, elements, *surface, *rows[1:]]
         return rows[0], np.array(limits), by_load
 
-    def by_load(self, p: np.ndarray) -> np.ndarray:
-        """Derivatives of cost and limits by force and ZMP, (1 + L, N, 5).
-
-        Of the samples that are simulated; limits in the order of `limited`.
-        """
-        return load_gradients(*self._backwards(self.evaluate(p)))
-
-    def _backwards(self, e: Evaluation) -> tuple:
-        """What the adjoint takes: the step, and cost and limits of it."""
-        by_c = self._combined(e)[1][self.thinned.phase]
-        cost = singular_terms(
-            e.history.K_c, self.by_tr * by_c, -self.weight * self.by_rot * by_c
-        )
-        parts = [cost, *(limit.derivative(e) for limit in self.limited)]
-        return e.sole, e.solver, e.load, self.start, e.history, parts
-
     def regularization(self, p: np.ndarray):
         """Of the shape: value, gradient (P,), Hessian (P, P)."""
         d, d0 = self._bends
-        bend, factor = d @ p + d0, self.regularization_weight / len(d)
+        bend, factor = d @ p + d0, self.roughness / len(d)
         return (
             factor * float(bend @ bend),
             2 * factor * (d.T @ bend),
@@ -346,15 +295,13 @@ class ShapeProblem:
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
 
 
-@dataclass
 class WalkProblem(ShapeProblem):
-    """A shape and its walk: after the coefficients the walk's numbers.
+    """A shape and its walk: after the coefficients the walk's numbers."""
 
-    Attributes:
-        gait: What of the walk may change, from 0 to 1.
-    """
-
-    gait: Gait = field(kw_only=True)
+    @cached_property
+    def gait(self) -> Gait:
+        """What of the walk may change, from 0 to 1."""
+        return self.setup.gait
 
     @property
     def undeformed(self) -> np.ndarray:

@@ -34,19 +34,18 @@ from drake_exo.jobs.engine import (
     logged,
     run_jobs,
 )
-from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder
-from drake_exo.soles.optimize.limits import Limits
+from drake_exo.soles.optimize.limits import rotation_limit, strain_limit
 from drake_exo.soles.optimize.optimizer import (
+    WARM_BARRIER,
     Optimum,
     QuasiNewton,
-    WarmStart,
     minimise,
 )
 from drake_exo.soles.optimize.problem import ShapeProblem, WalkProblem
 from drake_exo.soles.results import Step
-from drake_exo.soles.settings import Settings, Setup, Stage, stage_mesh
+from drake_exo.soles.settings import Setup, Stage, stage_mesh
 from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
@@ -57,47 +56,9 @@ _STRAIN_AIM = 0.98
 _TRIES = 20  # bends that are drawn until one can be simulated
 
 
-def limits_of(settings: Settings) -> Limits:
-    """The case's constraints."""
-    block = settings.optimize
-    density = settings.material.material().density_kg_per_m3
-    # A pose that is prescribed does not tip, and no shape changes it.
-    held = all(block.pose == "measured" for block in settings.all_loads)
-    return Limits(
-        settings.cost.mass_limit_kg / density,
-        None if held else block.stability_n_per_m,
-        None if held else block.tilt_deg,
-        block.strain,
-        block.c_rot_nm_per_rad,
-        block.shape.least_depth_m,
-        block.shape.largest_height_m,
-        block.shape.draft_deg,
-    )
-
-
 def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
     """The shape problem of one stage."""
-    settings, mesh = setup.settings, stage_mesh(setup.mesh, stage)
-    block, sole = settings.optimize, setup.sole(mesh)
-    kind = partial(WalkProblem, gait=setup.gait) if setup.gait else ShapeProblem
-    return kind(
-        mesh,
-        setup.spline(),
-        sole.material,
-        ContactLaw(
-            settings.contact.friction, sole.penalty, stage.layer_m, stage.kappa
-        ),
-        setup.load,
-        setup.start,
-        settings.cost.weight,
-        limits_of(settings),
-        settings.mesh.element,
-        block.roughness * stage.roughness,
-        settings.cost.heel_strike_fraction,
-        stage.samples,
-        of=settings.cost.of,
-        ground=setup.ground,
-    )
+    return (WalkProblem if setup.gait else ShapeProblem)(setup, stage)
 
 
 @dataclass
@@ -302,7 +263,7 @@ def finished(setup: Setup, found: Found, say) -> Design:
     began, stages = time.perf_counter(), setup.settings.optimize.stages
     problem = stage_problem(setup, stages[-1])
     if len(stages) > 1:
-        problem = _scaled(problem, found.at)
+        _scale(problem, found.at)
     design = verified(
         setup, problem, found.at, [run.optimum for run in found.runs],
         [run.seconds for run in found.runs],
@@ -432,12 +393,11 @@ def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
     return step.largest_strain / e.strain.value
 
 
-def _scaled(problem: ShapeProblem, at: Checkpoint) -> ShapeProblem:
-    """With a limit on the norm of strains that stands for the largest one's."""
-    if problem.limits.strain is None:
-        return problem
-    largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
-    return replace(problem, strain_norm=largest)
+def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
+    """Limit the norm of strains as it stands for the largest one."""
+    if problem.limits.strain is not None:
+        largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
+        problem.limited["strain"] = partial(strain_limit, largest=largest)
 
 
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
@@ -449,7 +409,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
         if at.iteration == 0 and problem.limits.strain is not None:
             scale = strain_scale(setup, problem, at.p)
             at = replace(at, strain_scale=scale)
-        problem = _scaled(problem, at)
+        _scale(problem, at)
     bounds, own = problem.within(block.bounds), problem.spline.count
     if number + 1 < len(block.stages):  # walks are compared before they move
         bounds[:, own:] = at.latest[own:]
@@ -471,10 +431,10 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     best = minimise(
         problem, settle(problem, at.latest), bounds, left, block.tolerance,
         note, refining=number > 0, hessian_approximation=approximation,
-        warm=at.warm_start(bounds),
+        warm=None if at.barrier is None else at,
     )  # fmt: skip
     best.trace = [(at.iteration + row[0], *row[1:]) for row in best.trace]
-    best.latest = (best.p, best.multipliers, WarmStart.barrier)
+    best.latest = (best.p, best.multipliers, WARM_BARRIER)
     following = min(number + 1, len(block.stages) - 1)
     at = Checkpoint.of(following, 0, best, approximation, at)
     return _Run(best, time.perf_counter() - began, at), problem
@@ -583,7 +543,10 @@ def pareto_front(
     approximation = QuasiNewton(problem.metric)
     for floor in sorted(floors):
         problem = stage_problem(alone, stages[1])
-        problem.add_rotation_floor(_AIM * floor * problem.first.c_rot)
+        problem.limited["c_rot"] = partial(
+            rotation_limit, least=_AIM * floor * problem.first.c_rot,
+            by_rot=problem.by_rot,
+        )  # fmt: skip
         title = f"c_rot above {floor:.3f} of the brick's"
         best = found(problem, p, stages[1], title, approximation)
         points.append(_point_of_front(setup, problem, best, floor, base))
