@@ -22,7 +22,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import SphericalSpline, brick
-from drake_exo.soles.optimize.adjoint import shape_gradients, singular_terms
+from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.search import first_design, stage_problem
@@ -110,7 +110,7 @@ def gradient(load, full):
         other = singular_terms(history.K_c, np.zeros(n), np.ones(n))
 
         def back(f, s=sole, v=solver, h=history):
-            return shape_gradients(s, v, load, START, h, f)
+            return gradients(s, v, load, START, h, f)
 
         def strain(s=sole, h=history):
             return StrainNorm(s, h, np.ones(len(h.K_c))).derivatives()

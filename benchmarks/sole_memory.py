@@ -33,7 +33,7 @@ def simulate(divisions, root, results) -> None:
     from drake_exo.soles.contact.newton import ContactSolver, Start
     from drake_exo.soles.elasticity import MATERIALS, Sole
     from drake_exo.soles.mesh import brick
-    from drake_exo.soles.results import largest_strain
+    from drake_exo.soles.results import Step
     from drake_exo.soles.simulation import (
         heel_strike_count,
         sigma_max_translation,
@@ -48,7 +48,7 @@ def simulate(divisions, root, results) -> None:
     law = ContactLaw(0.8, sole.penalty)
     solver = ContactSolver.of(sole, law)
     history = simulate(solver, load, start)
-    strain = largest_strain(sole, history)
+    strain = Step(None, sole, law, history).largest_strain
     seconds = time.process_time() - began
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     tets = len(sole.mesh.tets)

@@ -747,8 +747,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("sym = -0.5 * (K_c", "sym = 0.5 * (K_c"),
         ("[1.0 / 0.05] * 3", "[0.05] * 3"),
         (
-            "np.linalg.eigvalsh(scaled)[..., 0]",
-            "np.linalg.eigvalsh(scaled)[..., -1]",
+            "np.linalg.eigvalsh(np.nan_to_num(sym))[..., 0]",
+            "np.linalg.eigvalsh(np.nan_to_num(sym))[..., -1]",
         ),
         (
             "int(np.floor(fraction * samples))",
@@ -789,10 +789,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "own[rows] = z[rows]",
         ),
         (
-            "omega2 = robot.gravity_m_per_s2 / robot.com_height_m",
-            "omega2 = robot.com_height_m / robot.gravity_m_per_s2",
+            "return self.gravity_m_per_s2 / self.com_height_m",
+            "return self.com_height_m / self.gravity_m_per_s2",
         ),
-        ("a = s - s**2 / (2 * D)", "a = s - s**2 / D"),
+        ("forth, back = s - s**2 / (2 * D)", "forth, back = s - s**2 / D"),
     ],
     "drake_exo/virtual_laboratory/two_legs.py": [
         (

@@ -515,11 +515,10 @@ class Sole:
         These are in the sole frame [N], (..., m, 3).
         """
         lead = f_L.shape[:-2]
-        f_L = f_L.reshape(-1, len(self.mesh.contact), 3)
-        u = np.zeros((len(f_L), len(self.mesh.nodes), 3))
-        moved = self.carry(f_L.reshape(len(u), -1).T)
-        u[:, self.free] = moved.T.reshape(len(u), -1, 3)
-        return u.reshape(*lead, -1, 3)
+        f_L = f_L.reshape(-1, 3 * len(self.mesh.contact))
+        u = np.zeros((len(f_L), *self.mesh.nodes.shape))
+        u[:, self.free] = self.carry(f_L.T).T.reshape(-1, len(self.free), 3)
+        return u.reshape(*lead, *u.shape[1:])
 
     def strain(self, u: np.ndarray) -> np.ndarray:
         """Small strain of every element, (..., e, 3, 3).

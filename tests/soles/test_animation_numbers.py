@@ -211,14 +211,16 @@ def test_pressure_is_force_over_area_in_kilopascals(motion):
 
 
 def test_one_sample_is_no_motion(motion):
+    K = np.zeros((3, 6, 6))
+    K[1] = np.nan
     history = SimpleNamespace(
-        converged=np.array([True, False, True]),
-        O=motion.origin, R=motion.rotation, P=motion.places, F=motion.force,
+        K_c=K, O=motion.origin, R=motion.rotation, P=motion.places,
+        F=motion.force,
     )  # fmt: skip
     made = SoleMotion.of("it", motion.mesh, TIMES, history)
     np.testing.assert_array_equal(made.times, [0.5, 0.9])
     np.testing.assert_array_equal(made.places, motion.places[[0, 2]])
-    history.converged = np.array([False, True, False])
+    history.K_c[2, 0, 3] = np.nan
     assert SoleMotion.of("it", motion.mesh, TIMES, history) is None
 
 

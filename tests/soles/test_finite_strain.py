@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from as_load import as_load
 from scipy.spatial.transform import Rotation
+from small_parts import complementarity
 
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import (
@@ -24,7 +25,6 @@ from drake_exo.soles.finite_strain import (
 )
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
-from drake_exo.soles.results import complementarity
 from drake_exo.soles.simulation import StepHistory, simulate
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))

@@ -58,7 +58,7 @@ def test_a_checkpoint_is_read_as_it_was_written(tmp_path):
     bare = replace(at, multipliers=None, barrier=None)
     bare.write(tmp_path)
     found = read_checkpoint(tmp_path)
-    assert found.multipliers is None and found.warm_start((0, 1)) is None
+    assert found.multipliers is None and found.barrier is None
 
 
 def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
@@ -101,10 +101,8 @@ def test_a_checkpoint_of_a_running_stage():
     at = Checkpoint.of(1, 5, best, curvature, before)
     np.testing.assert_array_equal(at.latest, np.zeros(4))
     np.testing.assert_array_equal(at.curvature, 3.0 * np.eye(4))
-    warm = at.warm_start((-1.0, 2.0))
-    np.testing.assert_allclose(warm.low, 1e-3)
-    np.testing.assert_allclose(warm.high, 5e-4)
-    assert warm.best is best.p
+    np.testing.assert_array_equal(at.multipliers, np.arange(3.0))
+    assert at.barrier == 1e-3 and at.p is best.p
 
 
 def test_another_case_s_checkpoint_is_told_by_its_sizes():

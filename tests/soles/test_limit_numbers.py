@@ -1,10 +1,12 @@
 """Limits of a shape problem: values by hand, slopes by differences."""
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_parts import with_setup
 
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.loads import Load
@@ -13,11 +15,7 @@ from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize import limits as module
 from drake_exo.soles.optimize.limits import (
     Limits,
-    RotationLimit,
-    StabilityLimit,
-    StrainLimit,
     SurfaceLimits,
-    TiltLimit,
     active_limits,
     soft_minimum,
 )
@@ -71,7 +69,7 @@ def test_slopes_of_cost_and_every_limit(problem, design):
 
 def test_slopes_by_force_and_zmp(problem, design):
     """Of cost and of the limits that need a simulation, each sample's own."""
-    by_load = problem.by_load(design)
+    *_, by_load = problem._derivatives(design)
     assert by_load.shape == (5, 2, 5)
     rng = np.random.default_rng(5)
     for q in range(2):
@@ -83,7 +81,8 @@ def test_slopes_by_force_and_zmp(problem, design):
                 problem.load, force=problem.load.force + step * d[:, :3],
                 zmp=problem.load.zmp + step * d[:, 3:],
             )  # fmt: skip
-            there = replace(problem, load=load, branch=None, _cache={})
+            there = copy(problem)  # the first shape and its scales stay
+            there.load, there.branch, there._cache = load, None, {}
             limits = there.constraints(design)[-4:]
             return np.array([there.cost(design), *limits])
 
@@ -121,11 +120,14 @@ def test_several_loads_count_by_their_weights(problem, design, of):
     """One, and one thrice as much, each over its first shape's."""
     harder = replace(problem.load, force=1.3 * problem.load.force)
     loads = Load.one_after_another([problem.load, harder], [1.0, 3.0])
-    limits = Limits(1e-3)
+    free = problem.setup.optimizing(
+        stability_n_per_m=None, tilt_deg=None, strain=None,
+        c_rot_nm_per_rad=None,
+    ).settings  # fmt: skip
+    settings = replace(free, cost=replace(free.cost, of=of))
 
     def of_load(load):
-        return replace(problem, load=load, limits=limits, first=None, of=of,
-                       branch=None, _cache={})  # fmt: skip
+        return with_setup(problem, load=load, settings=settings)
 
     both = of_load(loads)
     rough = problem.regularization(design)[0]
@@ -195,20 +197,23 @@ def _evaluation(K=None, R=None, held=None):
 
 def test_values_by_hand():
     K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]  # 8 kN/m
-    limit = StabilityLimit(2e3, 3e3)
-    assert limit.value(_evaluation(K)) == pytest.approx(2 / np.sqrt(5))
+
+    def stability(K):
+        return module._stability(_evaluation(K), 2e3, 3e3)[0]
+
+    assert stability(K) == pytest.approx(2 / np.sqrt(5))
     lean = np.array([[np.deg2rad(10.0), 0, 0]])
     R = rotations_xyz(lean)
-    tilt = TiltLimit(20.0).value(_evaluation(R=R))
+    tilt = module._tilt(_evaluation(R=R), 20.0)[0]
     wanted = np.cos(np.deg2rad(10)) - np.cos(np.deg2rad(20))
     assert tilt == pytest.approx(wanted / 0.06)
-    assert StrainLimit(0.4).value(_evaluation(K)) == pytest.approx(0.25)
-    assert RotationLimit(300.0, None).value(_evaluation(K)) == 0.5
-    both = np.concatenate([K, 3 * K])
-    found = limit.value(_evaluation(both))
+    strain, _ = module.strain_limit(_evaluation(K), 0.4)
+    assert strain == pytest.approx(0.25)
+    assert module.rotation_limit(_evaluation(K), 300.0, np.ones(1))[0] == 0.5
+    found = stability(np.concatenate([K, 3 * K]))
     one = 2 / np.sqrt(5)
     assert one - np.log(2) / 60 < found < one
-    found = TiltLimit(20.0).value(_evaluation(R=np.concatenate([R, R])))
+    found = module._tilt(_evaluation(R=np.concatenate([R, R])), 20.0)[0]
     assert found == pytest.approx(tilt - np.log(2) / 60)
 
 
@@ -219,38 +224,40 @@ def test_a_pose_that_is_prescribed_tips_nothing():
     both = np.concatenate([K, -5.0 * K])  # the second would tip
     R = rotations_xyz(np.deg2rad([[2.0, 0, 0], [50.0, 0, 0]]))
     first = _evaluation(both, R, held)
-    stability, tilt = active_limits(Limits(1.0, 2e3, 20.0), first, None)
-    assert stability.scale == pytest.approx(8e3)
-    for limit in (stability, tilt):
-        alone = limit.value(_evaluation(K, R[:1]))
-        assert limit.value(first) == pytest.approx(alone)
+    limits = active_limits(Limits(1.0, 2e3, 20.0), first, None)
+    assert list(limits) == ["stability", "tilt_deg"]
+    assert limits["stability"].keywords["scale"] == pytest.approx(8e3)
+    assert list(limits["stability"](first)[1]().pairs) == [0]
+    ((q, turn),) = limits["tilt_deg"](first)[1]().by_turn.items()
+    share = -0.06 * turn / np.sin(np.deg2rad(2.0))
+    assert q == 0 and share[0] > 0.99 and not share[1:].any()
+    for limit in limits.values():
+        alone = limit(_evaluation(K, R[:1]))[0]
+        assert limit(first)[0] == pytest.approx(alone)
         all_free = _evaluation(both, R, np.zeros(2, bool))
-        assert limit.value(all_free) < 0.0
-    share = tilt._excess(first)[1]
-    assert share[1] == 0.0 and share[0] > 0.99
-    assert stability._excess(first)[1][1] == 0.0
+        assert limit(all_free)[0] < 0.0
 
 
 def test_limits_that_are_given_are_active():
     K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]
     first = _evaluation(np.concatenate([K, 2 * K]))
-    assert active_limits(Limits(1.0), first, None) == []
+    assert active_limits(Limits(1.0), first, None) == {}
     found = active_limits(Limits(1.0, 500.0, 8.0, 0.1, 30.0), first, "w")
-    stability, tilt, strain, c_rot = found
-    assert stability.least == 500.0
-    assert stability.scale == pytest.approx(8e3)
-    assert (tilt.largest_deg, strain.largest) == (8.0, 0.1)
-    assert (c_rot.least, c_rot.by_rot) == (30.0, "w")
+    stability, tilt, strain, c_rot = (x.keywords for x in found.values())
+    assert stability["least"] == 500.0
+    assert stability["scale"] == pytest.approx(8e3)
+    assert (tilt["largest_deg"], strain["largest"]) == (8.0, 0.1)
+    assert (c_rot["least"], c_rot["by_rot"]) == (30.0, "w")
 
 
 def test_a_first_shape_that_tips_does_not_turn_the_limit_round():
     tips = np.diag([1e4, 3e4, -200.0, 50.0, 20.0, 70.0])
     first = _evaluation(-tips[None])
-    (limit,) = active_limits(Limits(1.0, 1000.0), first, None)
+    (limit,) = active_limits(Limits(1.0, 1000.0), first, None).values()
     values = []
     for least in (-200.0, 100.0, 2500.0):
         K = -np.diag([1e4, 3e4, least, 50.0, 20.0, 70.0])[None]
-        values.append(limit.value(_evaluation(K)))
+        values.append(limit(_evaluation(K))[0])
     assert values == sorted(values)
     assert values[1] < 0.0 < values[2]
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from drake_exo.soles.optimize import optimizer
+from drake_exo.soles.optimize.files import Checkpoint
 from drake_exo.soles.optimize.optimizer import (
     FEASIBLE,
     Optimum,
     QuasiNewton,
-    WarmStart,
     _Callbacks,
-    _furthest,
     _verify,
     cost_and_violation,
     minimise,
@@ -125,8 +124,8 @@ def test_curvature_learnt_before_and_multipliers_shorten_the_search(found):
     problem, best, _ = found
     curvature = QuasiNewton(problem.metric, np.eye(4))
     p = _by_hand(problem, 0.0, 2.0)[0]
-    warm = WarmStart.interrupted(
-        p, (0.0, 2.0), best.multipliers, 1e-9, np.full(4, 0.1)
+    warm = Checkpoint(
+        p=np.full(4, 0.1), latest=p, multipliers=best.multipliers, barrier=1e-9
     )
     again = minimise(
         Quadratic(), p, (0.0, 2.0), 60, 1e-6, None, True, curvature, warm
@@ -139,7 +138,9 @@ def test_curvature_learnt_before_and_multipliers_shorten_the_search(found):
 def test_the_best_of_a_run_that_was_interrupted_is_kept():
     problem = Quadratic()
     p, _ = _by_hand(problem, 0.0, 2.0)
-    warm = WarmStart(np.zeros(2), np.ones(4), np.ones(4), 1e-3, p)
+    warm = Checkpoint(
+        p=p, latest=np.full(4, 0.5), multipliers=np.zeros(2), barrier=1e-3
+    )
     best = minimise(problem, np.full(4, 0.5), (0.0, 2.0), 0, 1e-9, warm=warm)
     np.testing.assert_array_equal(best.p, p)
     problem.lost = lambda q: np.array_equal(q, p)
@@ -212,20 +213,52 @@ def test_optimality_is_that_of_ipopts_formula():
     assert best.error == pytest.approx(1.1)  # the violation, Σ AIM = 3.1
 
 
-def test_an_interrupted_run_s_bounds_have_multipliers_of_the_barrier():
-    p = np.array([0.5, 0.3, 1.4])
-    warm = WarmStart.interrupted(p, (0.3, 1.4), "m", 1e-3, "best")
-    np.testing.assert_allclose(warm.low, [5e-3, 1e6, 1e-3 / 1.1])
-    np.testing.assert_allclose(warm.high, [1e-3 / 0.9, 1e-3 / 1.1, 1e6])
-    assert (warm.multipliers, warm.barrier, warm.best) == ("m", 1e-3, "best")
+def _ipopt(monkeypatch, solve=None):
+    """The settings that IPOPT is given from now on; or another solver."""
+    asked, plain = [], optimizer.load_ipyopt()
+
+    def problem(*args, ipopt_options, **more):
+        asked.append(ipopt_options)
+        if solve is not None:
+            return SimpleNamespace(solve=solve)
+        return plain.Problem(*args, ipopt_options=ipopt_options, **more)
+
+    monkeypatch.setattr(
+        optimizer, "load_ipyopt", lambda: SimpleNamespace(Problem=problem)
+    )
+    return asked
 
 
-def test_how_far_outside_a_search_may_go():
+def test_an_interrupted_run_s_bounds_have_multipliers_of_the_barrier(
+    monkeypatch,
+):
+    p, best = np.array([0.5, 0.3, 1.4, 1.0]), np.full(4, 0.4)
+    m, problem, asked = np.array([-0.1, -0.2]), Quadratic(), []
+
+    def solve(p0, mult_g, mult_x_L, mult_x_U):
+        asked.append((mult_g, mult_x_L, mult_x_U))
+        raise KeyboardInterrupt
+
+    _ipopt(monkeypatch, solve)
+    warm = Checkpoint(p=best, latest=p, multipliers=m, barrier=1e-3)
+    with pytest.raises(KeyboardInterrupt):
+        minimise(problem, p, (0.3, 1.4), 5, warm=warm)
+    ((given, low, high),) = asked
+    np.testing.assert_array_equal(given, m)
+    np.testing.assert_allclose(low[:3], [5e-3, 1e6, 1e-3 / 1.1])
+    np.testing.assert_allclose(high[:3], [1e-3 / 0.9, 1e-3 / 1.1, 1e6])
+    np.testing.assert_array_equal(problem.known, best)
+
+
+def test_how_far_outside_a_search_may_go(monkeypatch):
     """One and a half times the sum of what is violated, at least 0.1."""
     problem = Quadratic()
     p = np.array([1.0, 1.0, 0.5, 0.3])  # by 0.8 and by 0.5
-    assert _furthest(problem, p) == pytest.approx(1.5 * 1.3)
-    assert _furthest(problem, np.array([0, 0, 0, 0.9])) == 0.1
+    asked = _ipopt(monkeypatch)
+    for p0 in (p, np.array([0, 0, 0, 0.9])):
+        minimise(problem, p0, (0.0, 2.0), 0)
+    far, near = (options["theta_max_fact"] for options in asked)
+    assert far == pytest.approx(1.5 * 1.3) and near == 0.1
     assert cost_and_violation(problem, p)[1] == pytest.approx(0.8)
     assert cost_and_violation(problem, np.array([0, 0, 0, 0.9]))[1] == 0.0
     assert cost_and_violation(problem, p)[0] == problem.cost(p)
@@ -385,17 +418,13 @@ def test_curvature_meets_the_secant_equation_unless_it_is_damped():
 
 def test_settings_of_the_search_are_what_ipopt_knows():
     """An unknown one would be refused; a warm start brings its barrier."""
-    asked = []
-    plain = optimizer._ipopt
-
-    def ipopt(problem, calls, bounds, options):
-        asked.append(options)
-        return plain(problem, calls, bounds, options)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optimizer, "_ipopt", ipopt)
+        asked = _ipopt(patch)
         minimise(Quadratic(), np.full(4, 0.4), (0.0, 2.0), 1)
-        warm = WarmStart(np.zeros(2), np.ones(4), np.ones(4), 1e-5)
+        warm = Checkpoint(
+            p=np.full(4, 0.4), latest=np.full(4, 0.4),
+            multipliers=np.zeros(2), barrier=1e-5,
+        )  # fmt: skip
         minimise(Quadratic(), np.full(4, 0.4), (0.0, 2.0), 1, warm=warm)
     cold, warm = asked
     assert (cold["mu_init"], warm["mu_init"]) == (1e-3, 1e-5)

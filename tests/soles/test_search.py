@@ -12,10 +12,10 @@ from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import Checkpoint
+from drake_exo.soles.optimize.limits import limits_of
 from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.optimize.search import (
     first_design,
-    limits_of,
     settle,
     stage_mesh,
     stage_problem,
@@ -294,10 +294,11 @@ def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     monkeypatch.setattr(search, "strain_scale", None)
     at = Checkpoint(1, 2, p, p, strain_scale=0.5)
     _, problem = search._run_stage(setup, 1, at, None, str)
-    assert problem.strain_norm == pytest.approx(0.98 * 0.2 / 0.5)
+    largest = problem.limited["strain"].keywords["largest"]
+    assert largest == pytest.approx(0.98 * 0.2 / 0.5)
     assert problem.limits.strain == 0.2
     search._run_stage(setup, 0, Checkpoint(0, 0, p, p), None, str)
-    assert given[-1][0].strain_norm is None
+    assert given[-1][0].limited["strain"].keywords["largest"] == 0.2
 
 
 def test_what_cannot_be_simulated_scales_nothing(case, problem, monkeypatch):
@@ -344,19 +345,23 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
         run.at = replace(run.at, starts=at.starts)
         return run, f"problem {number}"
 
-    def scaled(problem, at):
-        return problem, at.p
+    def scale(problem, at):
+        problem.scaled = at.p
 
     def verified(setup, problem, at, optima, seconds):
         clock[0] += 7.0
-        made.append((problem, at.p, [o.cost for o in optima], seconds))
+        made.append(((problem.stage, problem.scaled), at.p,
+                     [o.cost for o in optima], seconds))  # fmt: skip
         return SimpleNamespace(starts=at.starts)
 
     monkeypatch.setattr(search, "from_start", from_start)
     monkeypatch.setattr(search, "_run_stage", run_stage)
     monkeypatch.setattr(search, "verified", verified)
-    monkeypatch.setattr(search, "_scaled", scaled)
-    monkeypatch.setattr(search, "stage_problem", lambda setup, stage: stage)
+    monkeypatch.setattr(search, "_scale", scale)
+    monkeypatch.setattr(
+        search, "stage_problem",
+        lambda setup, stage: SimpleNamespace(stage=stage, scaled=None),
+    )  # fmt: skip
     monkeypatch.setattr(search, "time", SimpleNamespace(
         perf_counter=lambda: clock[0]))  # fmt: skip
     begun = (Checkpoint(iteration=3, p="q"), None)
@@ -515,9 +520,8 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
 
     def minimise(problem, p, bounds, iterations, tolerance, note, **more):
         calls.append((problem, p, iterations, more["hessian_approximation"]))
-        floors.extend(
-            limit.least for limit in problem.limited if limit.name == "c_rot"
-        )
+        if "c_rot" in problem.limited:
+            floors.append(problem.limited["c_rot"].keywords["least"])
         return Optimum(p * 0.99, error=0.25, violation=0.125)
 
     monkeypatch.setattr(search, "minimise", minimise)

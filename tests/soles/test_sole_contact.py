@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from as_load import as_load
+from small_parts import complementarity
 from sole_at_pose import contact_at_pose
 
 from drake_exo.soles import simulation
@@ -16,7 +17,7 @@ from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation, tilt_deg
-from drake_exo.soles.results import Step, complementarity
+from drake_exo.soles.results import Step
 from drake_exo.soles.simulation import (
     _follow_design,
     first_step,

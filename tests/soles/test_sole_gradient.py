@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_parts import small_problem, with_setup
 
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
@@ -12,20 +13,17 @@ from drake_exo.soles.elasticity import MATERIALS, Sole, energy_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.numerics import rotations_xyz
-from drake_exo.soles.optimize.adjoint import (
-    load_gradients,
-    shape_gradients,
-    singular_terms,
-)
-from drake_exo.soles.optimize.limits import Limits, StrainNorm
-from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.optimize.adjoint import gradients, singular_terms
+from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.search import settle
-from drake_exo.soles.results import largest_strain
+from drake_exo.soles.results import Step
+from drake_exo.soles.settings import Stage
 from drake_exo.soles.simulation import simulate
 
 pytestmark = pytest.mark.slow
 
 SIZE = (0.23, 0.13, 0.03)
+STAGE = {"layer_m": 5e-5, "kappa": 0.2}
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 
 
@@ -69,10 +67,10 @@ class Setting:
 
     def gradient(self, p, by_tr, by_rot):
         sole, solver, history = self.forward(p)
-        X = shape_gradients(
+        (X,), _ = gradients(
             sole, solver, self.load, START, history,
             [singular_terms(history.K_c, by_tr, by_rot)],
-        )[0]  # fmt: skip
+        )  # fmt: skip
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
 
 
@@ -123,7 +121,7 @@ def test_gradient_by_the_load_matches_central_differences(element):
     given = setting.load
     sole, solver, history = setting.forward(p)
     terms = singular_terms(history.K_c, by_tr, by_rot)
-    (found,) = load_gradients(sole, solver, given, START, history, [terms])
+    _, (found,) = gradients(sole, solver, given, START, history, [terms])
 
     def measure(force, zmp):
         setting.load = replace(given, force=force, zmp=zmp)
@@ -173,10 +171,11 @@ def _two_loads(of):
     setting = Setting((6, 4, 3), 6, "smoothed")
     hard = replace(setting.load, force=1.3 * setting.load.force).every(5)
     both = Load.one_after_another([setting.load, hard], [1.0, 3.0])
-    return ShapeProblem(
-        setting.mesh, setting.spline, setting.material, setting.law, both,
-        START, 1.0, Limits(813e-6, tilt_deg=20.0), "smoothed",
-        regularization_weight=1e-2, samples=4, fraction=0.4, of=of,
+    return small_problem(
+        setting.mesh, both, START, Stage(samples=4, **STAGE), "smoothed",
+        {"weight": 1.0, "heel_strike_fraction": 0.4, "of": of},
+        intervals=(6, 6), roughness=1e-2, stability_n_per_m=None,
+        tilt_deg=20.0, strain=None,
     )  # fmt: skip
 
 
@@ -204,7 +203,7 @@ def test_several_loads_are_as_each_alone():
     ratios = []
     for phase, loads in zip(problem.load.phases, (1.0, 3.0), strict=True):
         load = problem.load.at(np.arange(len(problem.load.times))[phase])
-        alone = replace(problem, load=load, branch=None, first=None, _cache={})
+        alone = with_setup(problem, load=load)
         assert alone.load.weights == (loads,)
         free = alone.cost(p) - alone.regularization(p)[0]
         ratios.append(free)
@@ -216,13 +215,11 @@ def test_several_loads_are_as_each_alone():
 
 def _problem(element):
     setting = Setting((6, 4, 3), 12, element)
-    return ShapeProblem(
-        setting.mesh, setting.spline, setting.material, setting.law,
-        setting.load, START, 1.0,
-        Limits(
-            813e-6, stability=500.0, tilt_deg=20.0, strain=0.5, c_rot=1e4
-        ),
-        element, regularization_weight=1e-2, samples=8,
+    return small_problem(
+        setting.mesh, setting.load, START, Stage(samples=8, **STAGE), element,
+        {"weight": 1.0, "heel_strike_fraction": 0.1},
+        intervals=(6, 6), roughness=1e-2, stability_n_per_m=500.0,
+        tilt_deg=20.0, strain=0.5, c_rot_nm_per_rad=1e4,
     )  # fmt: skip
 
 
@@ -282,7 +279,8 @@ def test_strain_gradient_without_its_adjoint_is_caught(problem):
 
 def test_strain_norm_is_close_above_the_largest_strain(problem):
     e = problem.evaluate(np.full(problem.spline.count, 0.97))
-    largest = largest_strain(e.sole, e.history)
+    step = Step(problem.setup, e.sole, problem.law, e.history)
+    largest = step.largest_strain
     assert largest <= e.strain.value < 1.15 * largest
 
 

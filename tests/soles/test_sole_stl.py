@@ -1,5 +1,7 @@
 """STL of sole and mould: closed, outward, of the right volume."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,9 @@ from drake_exo.soles.mesh import (
     has_star_outline,
     is_watertight,
     mould_triangles,
-    write_mould,
     write_triangles,
 )
+from drake_exo.soles.optimize.design import Design
 
 SIZE = (0.23, 0.13, 0.03)
 
@@ -68,7 +70,7 @@ def test_a_missing_triangle_is_noticed(mesh):
 
 
 def test_the_mould_is_a_block_less_the_sole(mesh, tmp_path):
-    assert write_mould(tmp_path / "mould.stl", mesh)
+    write_triangles(tmp_path / "mould.stl", mould_triangles(mesh))
     _, corners = _read(tmp_path / "mould.stl")
     assert _open_edges(corners) == 0
     span = np.ptp(mesh.nodes, axis=0) + np.array([0.02, 0.02, 0.01])
@@ -78,10 +80,18 @@ def test_the_mould_is_a_block_less_the_sole(mesh, tmp_path):
 
 
 def test_an_outline_that_turns_back_has_no_mould(mesh, tmp_path):
-    assert has_star_outline(mesh)
     away = mesh.with_nodes(mesh.nodes + np.array([0.3, 0.0, 0.0]))
-    assert not write_mould(tmp_path / "mould.stl", away)
-    assert not (tmp_path / "mould.stl").exists()
+    told = {"depth": 0.02, "height": 0.04, "draft": 1.0}
+    for shape, has_mould in ((mesh, True), (away, False)):
+        assert has_star_outline(shape) == has_mould
+        folder = tmp_path / str(has_mould)
+        folder.mkdir()
+        checked = Design._write_stl(
+            SimpleNamespace(mesh=shape, _surface=told), folder
+        )
+        assert (folder / "mould.stl").exists() == has_mould
+        assert ("mould.stl" in checked) == has_mould
+        assert (folder / "sole.stl").exists() and "sole.stl" in checked
 
 
 def test_what_a_slicer_refuses_is_not_watertight(mesh):

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_parts import complementarity as violation
 from small_step import write_case, write_step
 
-from drake_exo.soles import results, simulation
+from drake_exo.soles import simulation
 from drake_exo.soles.case import Case
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.load_blocks import Constant
@@ -275,7 +276,7 @@ def test_slip_that_is_not_against_the_force(direction, violated):
         between={},
     )
     start = SimpleNamespace(places=lambda R, lP: lP)
-    found = results.complementarity(history, law, start, np.zeros((1, 3)))
+    found = violation(history, law, start, np.zeros((1, 3)))
     # |f| (|s| + s along f), both over |F| of the sample.
     assert found == pytest.approx(violated / scale**2, abs=1e-12)
 
@@ -292,9 +293,7 @@ def test_a_phase_begins_at_its_start_whatever_came_of_its_first_sample():
     )  # fmt: skip
     slid = iter([P[0], P[3]])
     start = SimpleNamespace(places=lambda R, lP: next(slid))
-    found = results.complementarity(
-        history, law, start, np.zeros((1, 3)), begins=(0, 2)
-    )
+    found = violation(history, law, start, np.zeros((1, 3)), begins=(0, 2))
     assert found == pytest.approx(0.0, abs=1e-12)
 
 

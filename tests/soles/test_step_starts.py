@@ -370,10 +370,11 @@ def test_samples_after_a_failure_are_left_out(monkeypatch):
         said.append((done, count))
 
     history = simulate(solver, load, START, stop_at_failure=True, progress=told)
-    assert history.statuses() == ["lost"] + 4 * ["left out after a failure"]
+    words = [r.message for r in history.reports]
+    assert words == ["lost"] + 4 * ["left out after a failure"]
     assert history.failed_steps == 5 and said == []
     history = simulate(solver, load, START, progress=told)
-    assert history.statuses() == 5 * ["lost"]
+    assert [r.message for r in history.reports] == 5 * ["lost"]
     assert said == [(k, 5) for k in range(1, 6)]
 
 

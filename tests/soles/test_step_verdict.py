@@ -50,7 +50,9 @@ def _told(**changes):
         law=SimpleNamespace(friction=0.8),
         sole=SimpleNamespace(mesh=SimpleNamespace(undercut=made["undercut"])),
         times=np.array([0.0, 0.1, 0.25]),
-        history=SimpleNamespace(statuses=lambda: ["a", "b", "lost"]),
+        history=SimpleNamespace(
+            reports=[SimpleNamespace(message=m) for m in ("", "", "lost")]
+        ),
         complementarity=lambda: made["worst"],
         **{k: made[k] for k in ("converged", "largest_strain", "tilt_deg",
                                 "stability", "zmp_error")},
@@ -217,10 +219,11 @@ def test_strain_is_the_largest_of_any_batch(two, monkeypatch):
     whole = two.largest_strain
     for together in (1, 4, 100):
         monkeypatch.setattr(results, "_TOGETHER", together)
-        found = results.largest_strain(two.sole, two.history)
+        found = replace(two).largest_strain
         assert found == pytest.approx(whole, rel=1e-12)
     scaled = replace(two.history, F=two.history.F * 2.0)
-    assert results.largest_strain(two.sole, scaled) == pytest.approx(2 * whole)
+    found = replace(two, history=scaled).largest_strain
+    assert found == pytest.approx(2 * whole)
 
 
 def test_what_is_drawn_is_the_step_s(two, tmp_path, monkeypatch):
@@ -255,7 +258,8 @@ def test_the_mark_is_on_the_step_s_own_motion(two, tmp_path, monkeypatch):
         lambda path, shown, title: told.append((title, shown)),
     )  # fmt: skip
     lost = [replace(r, converged=False) for r in two.history.reports]
-    still = replace(two, history=replace(two.history, reports=lost))
+    K = np.nan * two.history.K_c
+    still = replace(two, history=replace(two.history, reports=lost, K_c=K))
     two.write_animation(tmp_path / "p.html", "mark", first=two, none=still)
     still.write_animation(tmp_path / "p.html", "mark", first=two)
     still.write_animation(tmp_path / "p.html", "mark")

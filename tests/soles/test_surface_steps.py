@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay
 
 from drake_exo.errors import InputError
 from drake_exo.soles import surface as steps
-from drake_exo.soles.mesh import TetMesh, brick
+from drake_exo.soles.mesh import TetMesh, brick, normals_of
 from drake_exo.soles.surface import Surface
 
 SIZE = (0.2, 0.08, 0.03)
@@ -226,7 +226,7 @@ def test_samples_lie_on_their_triangles_and_leave_no_gap():
 
 def test_of_all_triangles_the_nearest_counts():
     corners, points = _triangles(25) / 3, _triangles(60, 3)[:, 0]
-    near, on = steps._nearest(corners, points, 0.1)
+    near, on, least = steps._nearest(corners, points, 0.1)
     every = np.stack(
         [np.linalg.norm(steps._on_triangles(np.tile(c, (60, 1, 1)), points)
                         - points, axis=1) for c in corners]
@@ -234,9 +234,7 @@ def test_of_all_triangles_the_nearest_counts():
     away = np.linalg.norm(near - points, axis=1)
     np.testing.assert_allclose(away, every.min(axis=0), atol=1e-3)
     np.testing.assert_allclose(every[on, np.arange(60)], away, atol=1e-12)
-    np.testing.assert_allclose(
-        steps._distance(corners, points, 0.1), away, atol=1e-3
-    )
+    np.testing.assert_allclose(least, away, atol=1e-12)
 
 
 # The top
@@ -404,21 +402,38 @@ def test_the_sole_frame_is_below_the_middle_of_the_top(monkeypatch):
                                [0.14, 0.04, -1.5 * h])  # fmt: skip
 
 
-def test_nodes_that_no_cell_has_are_left_out():
-    nodes = np.arange(18.0).reshape(6, 3)
+def test_nodes_that_no_cell_has_are_left_out(monkeypatch):
+    nodes = 1e-2 * np.arange(18.0).reshape(6, 3)
     cells = np.array([[0, 2, 3, 5], [5, 3, 2, 0]])
-    kept, renumbered = steps._used(nodes, cells)
+    corners, given = _brick(), []
+    monkeypatch.setattr(steps, "run_mmg", lambda *_: (nodes, cells))
+
+    def onto(nodes, cells, *_):
+        given.append((nodes, cells))
+        return nodes, cells
+
+    monkeypatch.setattr(steps, "_onto", onto)
+    steps._meshed(corners, (corners[:, :, 2] == 0).all(axis=1), True, 300)
+    kept, renumbered = given[0]
     np.testing.assert_array_equal(kept, nodes[[0, 2, 3, 5]])
     np.testing.assert_array_equal(kept[renumbered], nodes[cells])
 
 
-def test_the_rim_is_what_has_faces_beside_the_top():
-    mesh = brick(SIZE, (4, 3, 2))
-    up = mesh.fixed
-    inner = np.abs(mesh.nodes[up, :2]) < [0.0999, 0.0399]
-    found = steps._wholly(mesh, up)
-    np.testing.assert_array_equal(found, up[inner.all(axis=1)])
-    assert len(found) == 3 * 2
+def test_the_rim_is_what_has_faces_beside_the_top(monkeypatch):
+    """Of the top these nodes alone are led to the sides."""
+    mesh, corners = brick(SIZE, (4, 3, 2)), _brick()
+    up, asked, plain = mesh.fixed, [], steps._nearest
+
+    def nearest(triangles, points, step):
+        asked.append(points)
+        return plain(triangles, points, step)
+
+    monkeypatch.setattr(steps, "_nearest", nearest)
+    top = (corners[:, :, 2] == 0).all(axis=1)
+    steps._onto(mesh.nodes, mesh.tets, corners, top, True)
+    inner = (np.abs(mesh.nodes[up, :2]) < [0.0999, 0.0399]).all(axis=1)
+    np.testing.assert_array_equal(asked[1], mesh.nodes[up[~inner]])
+    assert inner.sum() == 3 * 2
 
 
 @pytest.mark.parametrize("flat", [True, False])
@@ -479,7 +494,7 @@ def test_elements_in_the_way_hold_back_their_own_nodes():
     on = np.zeros(8, int)
     corners = np.eye(3)[None]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(steps, "_nearest", lambda c, p, s: (aim, on))
+        patch.setattr(steps, "_nearest", lambda c, p, s: (aim, on, None))
         new, _ = steps._onto(nodes, cells, corners, None, False)
     np.testing.assert_allclose(new[4:], aim[4:])
     np.testing.assert_allclose(new[:3], nodes[:3])
@@ -489,7 +504,7 @@ def test_elements_in_the_way_hold_back_their_own_nodes():
     assert quality[0] >= 0.3
     # Where no part is small enough, everything stays.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(steps, "_nearest", lambda c, p, s: (aim * 1e9, on))
+        patch.setattr(steps, "_nearest", lambda c, p, s: (aim * 1e9, on, None))
         new, _ = steps._onto(nodes, cells, corners, None, False)
     np.testing.assert_array_equal(new, nodes)
 
@@ -512,17 +527,17 @@ def test_fixed_is_what_lies_near_the_top(off, count):
     np.testing.assert_array_equal(again, mesh.fixed)
 
 
-def test_of_a_surface_volume_normals_and_extent():
+def test_of_a_surface_volume_and_normals():
     surface = Surface(_wedge(), "it")
     assert surface.volume == pytest.approx(0.2 * 0.1 * 0.03)
     assert Surface(_wedge()[:, ::-1], "it").volume < 0
-    np.testing.assert_allclose(surface.extent, [0.2, 0.1, 0.04])
-    np.testing.assert_allclose(surface.normals.sum(axis=0), 0, atol=1e-15)
-    up = surface.normals[:, 2]
+    normals = normals_of(surface.corners)
+    np.testing.assert_allclose(normals.sum(axis=0), 0, atol=1e-15)
+    up = normals[:, 2]
     assert up[up > 0].sum() == pytest.approx(2 * 0.2 * 0.1)
     # Convex, so that every normal looks away from the middle.
     middle = surface.corners.mean(axis=1) - surface.corners.mean((0, 1))
-    assert (surface.normals * middle).sum(axis=1).min() > 0
+    assert (normals * middle).sum(axis=1).min() > 0
 
 
 def test_delaunay_of_a_cloud_keeps_its_hull():

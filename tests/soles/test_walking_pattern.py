@@ -11,7 +11,7 @@ from drake_exo.soles.load_blocks import OneFoot, Playback
 from drake_exo.soles.load_blocks import Pattern as PatternBlock
 from drake_exo.soles.walking_pattern import (
     Robot,
-    _ends,
+    _feet,
     _least_squares,
     _mirrored,
     plan,
@@ -89,8 +89,8 @@ def test_a_foot_comes_to_rest_and_another_sets_off(pattern):
     they are right with any paths.
     """
     h, D = 1e-6, ROBOT.double_support_s
-    a, b = pattern._lines(np.array([0.0, h, D - h, D]))
     z = pattern.zmp
+    a, b = _feet(z, 0.0, np.array([0.0, h, D - h, D]), D)
     np.testing.assert_allclose(a[0], z(0.0), atol=1e-12)
     np.testing.assert_allclose(b[3], z(D), atol=1e-12)
     speed = np.abs(z(np.array([0.0, D]), 1)).max()
@@ -109,13 +109,14 @@ def test_a_foot_comes_to_rest_and_another_sets_off(pattern):
 def test_where_a_foot_lands_and_lifts_off_is_limited(pattern):
     """Its own path's ends, which the programme's rows are of."""
     T, D = ROBOT.step_time_s, ROBOT.double_support_s
-    landing, off = _ends(pattern.com, 9.81 / 0.8085, T, D)
-    a, b = pattern._lines(np.array([0.0, D]))
+    landing = _feet(pattern.zmp, T, 0.0, D)[1]
+    off = _feet(pattern.zmp, T, D, D)[0]
+    a, b = _feet(pattern.zmp, 0.0, np.array([0.0, D]), D)
     np.testing.assert_allclose(landing, b[0], atol=1e-9)
     np.testing.assert_allclose(off, _mirrored(a[1:], ROBOT)[0], atol=1e-6)
     # They hold where the bounds are tight.
     held = plan(replace(ROBOT, back_m=-0.05, front_m=0.05))
-    a, b = held._lines(np.array([0.0, D]))
+    a, b = _feet(held.zmp, 0.0, np.array([0.0, D]), D)
     ends = b[0, 0], _mirrored(a[1:], ROBOT)[0, 0]
     np.testing.assert_allclose(np.abs(ends).max(), 0.05, atol=1e-6)
 
