@@ -751,7 +751,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.linalg.eigvalsh(np.nan_to_num(sym))[..., -1]",
         ),
         (
-            "int(np.floor(fraction * samples))",
+            "int(fraction * samples + 1e-9)",
             "int(np.ceil(fraction * samples))",
         ),
         ("np.arange(n) < heel_strike_count(n, fraction)", "np.arange(n) >= 0"),

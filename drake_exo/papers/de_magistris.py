@@ -566,7 +566,10 @@ def _stiffness(designs: list[StoredDesign]):
     files = {"initial": "initial_steps.csv", "optimised": "steps.csv"}
     soles = {
         design.name: {
-            label: tuple(read_columns(design.folder / file)[k] for k in keys)
+            label: tuple(
+                read_columns(design.folder / file, keys, keys[:1])[k]
+                for k in keys
+            )
             for label, file in files.items()
         }
         for design in designs

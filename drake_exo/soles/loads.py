@@ -382,7 +382,8 @@ def read_csv(path) -> Load:
     A column free_moment_nm may be among the others; load (0, 1, ...) and
     weight tell several contact phases apart.
     """
-    table = read_columns(path, CSV_COLUMNS)
+    used = (*CSV_COLUMNS, "free_moment_nm", "load", "weight")
+    table = read_columns(path, CSV_COLUMNS, used)
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
     load = Load(
         t,
@@ -409,12 +410,13 @@ def read_csv(path) -> Load:
     )
 
 
-def read_columns(path, needed=()) -> dict[str, np.ndarray]:
+def read_columns(path, needed=(), used=None) -> dict[str, np.ndarray]:
     """Columns of a CSV file by the names in its first line, (N,) each.
 
     Args:
         path: The file; a table of a run that took no steps has no rows.
         needed: Names that it must have, in any order, among others.
+        used: Names of columns without gaps; all by default.
 
     Raises:
         InputError: It cannot be read, a name is missing, or a row is damaged.
@@ -430,7 +432,8 @@ def read_columns(path, needed=()) -> dict[str, np.ndarray]:
         )
     if not lines and not needed:
         return {name: np.zeros(0) for name in names}
-    table = numbers_of(path, lines, 2, len(names), ",")
+    whole = [k for k, n in enumerate(names) if used is None or n in used]
+    table = numbers_of(path, lines, 2, len(names), ",", whole)
     return dict(zip(names, table.T, strict=True))
 
 
@@ -439,15 +442,20 @@ def text_lines(path) -> list[str]:
     return read_text(path, "check the path and --data-root").splitlines()
 
 
-def numbers_of(path, lines, first: int, columns: int, separator=None):
-    """Numbers of the lines from number `first` on, empty ones left out."""
+def numbers_of(
+    path, lines, first: int, columns: int, separator=None, whole=...
+) -> np.ndarray:
+    """Numbers of the lines from number `first` on, empty ones left out.
+
+    Columns that are `whole` have no gaps.
+    """
     rows = [
         (number, line.split(separator))
         for number, line in enumerate(lines, first)
         if line.strip()
     ]
     values = number_rows(path, rows, columns)
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    bad = np.flatnonzero(~np.isfinite(values[:, whole]).all(axis=1))
     if len(bad):
         raise InputError(
             f"{path}:{rows[bad[0]][0]}: a number is missing or NaN here "

@@ -149,6 +149,16 @@ def test_finite_strain_on_a_slope_is_flat_ground_turned():
                                rtol=1e-5, atol=1.0)  # fmt: skip
 
 
+def test_an_animation_s_zmp_is_the_load_s():
+    """Horizontal forces act at heights, too."""
+    ground, load = _ground(_bumps), _load()
+    sole, _, history = _simulated(ground, load)
+    motion = SoleMotion.of("it", sole.mesh, load.times, history, ground)
+    found = motion.zero_moment_point()
+    np.testing.assert_allclose(found[:, :2], load.zmp, atol=1e-7)
+    np.testing.assert_allclose(found[:, 2], ground.height(load.zmp), atol=1e-8)
+
+
 def test_methods_agree_on_bumps():
     ground, load = _ground(_bumps), _load()
     newton = _simulated(ground, load)[2]
@@ -307,9 +317,9 @@ def test_a_case_on_bumps(tmp_path):
     motion = SoleMotion.read(tmp_path / "out" / HISTORY, "bumps")
     np.testing.assert_allclose(motion.ground.z, case.ground.z)
     below = motion.ground.height(case.load.zmp)
-    np.testing.assert_allclose(
-        motion.zero_moment_point()[:, 2], below, atol=1e-4
-    )
+    zmp = motion.zero_moment_point()
+    np.testing.assert_allclose(zmp[:, :2], found.step.zmp, atol=1e-7)
+    np.testing.assert_allclose(zmp[:, 2], below, atol=1e-7)
     level = tmp_path / "level.html"
     write_animation(level, [replace(motion, ground=FLAT)], "")
     bumpy = tmp_path / "out" / "animation.html"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.papers import de_magistris
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.law import COLUMNS, FLAT, Ground
 from drake_exo.soles.mesh import SphericalSpline, write_vtk
@@ -22,6 +23,7 @@ from drake_exo.soles.optimize.files import (
     write_case,
 )
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton
+from drake_exo.soles.results import write_csv
 from drake_exo.soles.simulation import HISTORY
 
 
@@ -181,6 +183,29 @@ def test_a_pose_that_was_measured_is_kept_in_degrees(stored):
     R = found.setup.load.rotation
     np.testing.assert_allclose(np.degrees(angles_xyz(R)), angles)
     np.testing.assert_allclose(R, rotations_xyz(np.deg2rad(angles)))
+
+
+def test_a_design_whose_sample_did_not_converge_is_read(stored):
+    """Its stiffness is a gap; a gap in its load is none that a run writes."""
+    folder, case, _ = stored
+    step = case.simulate()
+    step.history.K_c[2] = np.nan
+    lost = replace(step.history.reports[2], converged=False, message="lost")
+    step.history.reports[2] = lost
+    assert step.failed_steps == 1
+    write_csv(folder / "steps.csv", step.table())
+    (found,) = find_designs(folder)
+    np.testing.assert_allclose(found.setup.load.force, case.load.force)
+    write_csv(folder / "initial_steps.csv", step.table())
+    figure = de_magistris._stiffness([found])
+    (line,) = (x for x in figure.axes[0].lines if x.get_label() == "optimised")
+    np.testing.assert_allclose(
+        line.get_ydata(), 1e-3 * step.sigma_max_translation
+    )
+    gap = {"force_x_n": np.full(5, np.nan)}
+    write_csv(folder / "steps.csv", step.table() | gap)
+    with pytest.raises(InputError, match="a number is missing or NaN"):
+        find_designs(folder)
 
 
 def test_a_spline_is_read_from_its_folder(tmp_path):

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from drake_exo.soles.contact.gauss_seidel import _gauss_seidel, _scaled, _slip
+from drake_exo.soles.contact import gauss_seidel
+from drake_exo.soles.contact.gauss_seidel import (
+    GaussSeidelSolver,
+    _gauss_seidel,
+    _scaled,
+    _slip,
+)
 from drake_exo.soles.contact.law import (
     COLUMNS,
     FLAT,
@@ -219,6 +225,19 @@ def test_sweeps_end_in_all_nodes_laws():
     assert (up > 0).any() and (up == 0).any() and (slip[up > 0] > 1e-6).any()
     again, once = _gauss_seidel(W, F, delta, mu, 1e-9, 1)
     assert once == 1 and again < 1e-12
+    assert _gauss_seidel(W, F, delta, mu, 1e-9, 0) == (np.inf, 0)
+
+
+def test_sweeps_without_a_budget_have_not_settled(monkeypatch):
+    solver = GaussSeidelSolver.of(SOLE, ContactLaw(0.5, SOLE.penalty))
+    start = Start(np.array([-0.1, 0.0, -0.03]), np.array([-0.1, 0.0, -1e-4]))
+    places = start.places(np.eye(3), solver.lP)
+    state = State(0.0 * places, start.point_W - start.point_L, np.eye(3))
+    target = Target(np.array([5.0, -3.0, 200.0]), np.zeros(2), places, 0.0)
+    assert solver.solve(state, target, True)[1].converged
+    monkeypatch.setattr(gauss_seidel, "_MAX_SWEEPS", 0)
+    report = solver.solve(state, target, True)[1]
+    assert not report.converged and "did not settle" in report.message
 
 
 def test_wrenches_are_scaled_by_force_and_50_mm():

@@ -83,7 +83,15 @@ def test_stiffness_of_known_matrices():
 
 @pytest.mark.parametrize(
     ("samples", "fraction", "count"),
-    [(10, 0.1, 1), (19, 0.1, 1), (20, 0.1, 2), (5, 0.1, 1), (9, 0.5, 4)],
+    [
+        (10, 0.1, 1),
+        (19, 0.1, 1),
+        (20, 0.1, 2),
+        (5, 0.1, 1),
+        (9, 0.5, 4),
+        (100, 0.29, 29),
+        (99, 0.29, 28),
+    ],
 )
 def test_heel_strike_is_the_first_part(samples, fraction, count):
     assert simulation.heel_strike_count(samples, fraction) == count

@@ -1,9 +1,9 @@
 """The paper's way: Gauss–Seidel on the nodes inside a Newton on the pose.
 
-Algorithms 1, 3 and 4 with their misprints mended (docs/soles.md): nodes one
-by one, sticking first, else Newton on Alart–Curnier's equations with (21);
-sweeps stop early by the relaxation (25). Compiled with numba. Kept as the
-faithful reference; `contact.ContactSolver` is the default.
+Algorithms 1, 3 and 4 with their misprints mended: nodes one by one, sticking
+first, else Newton on Alart–Curnier's equations with (21); sweeps stop early by
+the relaxation (25). Compiled with numba. Kept as the faithful reference;
+`newton.ContactSolver` is the default.
 """
 
 import numpy as np
@@ -138,8 +138,7 @@ def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
         own[a] = W[3 * a : 3 * a + 3, 3 * a : 3 * a + 3]
         inverse[a] = np.linalg.inv(own[a])
     others, new, step = np.empty(3), np.empty(3), np.empty(3)
-    change = 0.0
-    used = 0
+    change, used = np.inf, 0
     for _ in range(max_sweeps):
         used += 1
         diff, norm = 0.0, 0.0

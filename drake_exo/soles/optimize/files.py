@@ -287,8 +287,9 @@ def read_design(folder: Path) -> StoredDesign:
     start = settings.start_pose(mesh, ground)
     held = [block.pose == "measured" for block in settings.all_loads]
     if any(held):
-        table = read_columns(folder / STEPS)
-        angles = [table[f"{name}_deg"] for name in ("roll", "pitch", "yaw")]
+        names = "roll_deg", "pitch_deg", "yaw_deg"
+        table = read_columns(folder / STEPS, names, names)
+        angles = [table[name] for name in names]
         R = rotations_xyz(np.deg2rad(angles).T)
         R[~np.array(held)[load.phase]] = np.nan
         load = replace(load, rotation=R)
