@@ -686,7 +686,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("(hidden or angles", "(angles"),
     ],
     "drake_exo/soles/optimize/design.py": [
-        ("1e6 * limits.volume", "limits.volume"),
+        ('1e6 * limits["volume"]', 'limits["volume"]'),
         ("step.c / before.c - 1", "step.c / before.c"),
     ],
     "drake_exo/soles/optimize/optimizer.py": [
@@ -698,7 +698,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/soles/optimize/search.py": [
         ("return -len(self.runs), *self", "return 0, *self"),
-        ("_STRAIN_AIM * problem.limits.strain", "problem.limits.strain"),
+        ('_STRAIN_AIM * problem.limits["strain"]', 'problem.limits["strain"]'),
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),
         ("bounds[:, own:] = at.latest[own:]", "pass"),

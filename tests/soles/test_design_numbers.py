@@ -11,7 +11,6 @@ from drake_exo.soles.mesh import brick, halved
 from drake_exo.soles.optimize import design as module
 from drake_exo.soles.optimize.design import _at_least_twice
 from drake_exo.soles.optimize.files import Checkpoint
-from drake_exo.soles.optimize.limits import Limits
 from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
 from drake_exo.soles.results import Step
 
@@ -135,9 +134,7 @@ def test_a_limit_is_held_to_a_hundredth(design, name):
         if value < 0:
             limit = value / (2 - part) if sign > 0 else value / part
         given = {"volume": 1.0} | {key: limit}
-        problem = SimpleNamespace(
-            limits=Limits(**given), surface=design.problem.surface
-        )
+        problem = SimpleNamespace(limits=given, surface=design.problem.surface)
         checks = replace(design, problem=problem, optima=[]).verdict().checks
         mine = {c.name: c for c in checks if c.name.startswith("bounds.")}
         assert set(mine) == {"bounds.volume", f"bounds.{name}"}

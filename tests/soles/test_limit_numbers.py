@@ -14,7 +14,6 @@ from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.optimize import limits as module
 from drake_exo.soles.optimize.limits import (
-    Limits,
     SurfaceLimits,
     active_limits,
     soft_minimum,
@@ -107,7 +106,7 @@ def test_cost_is_the_scaled_sum_of_its_samples(problem, design):
     values = dict(zip(NAMES, problem.constraints(design), strict=True))
     mesh = e.sole.mesh
     assert values["volume"] == pytest.approx(
-        1 - mesh.volume / problem.limits.volume
+        1 - mesh.volume / problem.limits["volume"]
     )
     share = (mesh.quality() / problem.mesh.quality()).min()
     assert share - 0.35 - 0.03 < values["elements"] <= share - 0.35
@@ -224,7 +223,7 @@ def test_a_pose_that_is_prescribed_tips_nothing():
     both = np.concatenate([K, -5.0 * K])  # the second would tip
     R = rotations_xyz(np.deg2rad([[2.0, 0, 0], [50.0, 0, 0]]))
     first = _evaluation(both, R, held)
-    limits = active_limits(Limits(1.0, 2e3, 20.0), first, None)
+    limits = active_limits({"stability": 2e3, "tilt_deg": 20.0}, first, None)
     assert list(limits) == ["stability", "tilt_deg"]
     assert limits["stability"].keywords["scale"] == pytest.approx(8e3)
     assert list(limits["stability"](first)[1]().pairs) == [0]
@@ -241,8 +240,9 @@ def test_a_pose_that_is_prescribed_tips_nothing():
 def test_limits_that_are_given_are_active():
     K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]
     first = _evaluation(np.concatenate([K, 2 * K]))
-    assert active_limits(Limits(1.0), first, None) == {}
-    found = active_limits(Limits(1.0, 500.0, 8.0, 0.1, 30.0), first, "w")
+    assert active_limits({"volume": 1.0}, first, None) == {}
+    given = {"stability": 500.0, "tilt_deg": 8.0, "strain": 0.1, "c_rot": 30.0}
+    found = active_limits(given, first, "w")
     stability, tilt, strain, c_rot = (x.keywords for x in found.values())
     assert stability["least"] == 500.0
     assert stability["scale"] == pytest.approx(8e3)
@@ -253,7 +253,7 @@ def test_limits_that_are_given_are_active():
 def test_a_first_shape_that_tips_does_not_turn_the_limit_round():
     tips = np.diag([1e4, 3e4, -200.0, 50.0, 20.0, 70.0])
     first = _evaluation(-tips[None])
-    (limit,) = active_limits(Limits(1.0, 1000.0), first, None).values()
+    (limit,) = active_limits({"stability": 1e3}, first, None).values()
     values = []
     for least in (-200.0, 100.0, 2500.0):
         K = -np.diag([1e4, 3e4, least, 50.0, 20.0, 70.0])[None]
@@ -308,7 +308,7 @@ def test_what_the_surface_measures(problem):
     shear[0, 2] = 0.2  # the heel's side leans out by 11.3° below
     sheared = mesh.with_nodes(mesh.nodes @ shear.T)
     moving = np.ones(len(mesh.nodes), bool)
-    limits = SurfaceLimits(Limits(1.0, depth=0.02, height=0.05, draft_deg=3.0),
+    limits = SurfaceLimits({"depth": 0.02, "height": 0.05, "draft_deg": 3.0},
                            mesh, moving)  # fmt: skip
     told = limits.measures(sheared)
     angle = np.arctan(0.2)
@@ -327,7 +327,7 @@ def test_a_bottom_that_stays_is_measured_as_it_was_given(problem):
     mesh = problem.mesh
     moving = mesh.nodes[:, 2] > -0.0299
     limits = SurfaceLimits(
-        Limits(1.0, depth=0.02, height=0.05, draft_deg=3.0), mesh, moving
+        {"depth": 0.02, "height": 0.05, "draft_deg": 3.0}, mesh, moving
     )
     told = limits.measures(mesh)
     assert told["depth"] == pytest.approx(0.03)
@@ -348,7 +348,7 @@ def test_a_groove_in_a_side_has_no_draft(problem):
     fixed = place[mesh.fixed]
     grooved = TetMesh(mesh.nodes[used], place[kept], fixed)
     limits = SurfaceLimits(
-        Limits(1.0, draft_deg=0.0), grooved, np.ones(len(used), bool)
+        {"draft_deg": 0.0}, grooved, np.ones(len(used), bool)
     )
     assert limits.measures(grooved)["draft"] == pytest.approx(-90.0)
     ((_, value, _),) = limits.evaluate(grooved)

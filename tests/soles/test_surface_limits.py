@@ -12,11 +12,11 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import SphericalSpline, brick
-from drake_exo.soles.optimize.limits import Limits, SurfaceLimits
+from drake_exo.soles.optimize.limits import SurfaceLimits
 from drake_exo.soles.settings import ShapeBlock, stage_mesh
 
 SIZE = (0.24, 0.1, 0.03)
-ALL = Limits(1.0, depth=0.02, height=0.04, draft_deg=3.0)
+ALL = {"depth": 0.02, "height": 0.04, "draft_deg": 3.0}
 
 
 @pytest.fixture(scope="module")

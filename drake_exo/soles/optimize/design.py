@@ -279,14 +279,14 @@ class Design:
         margin = np.min(self.step.stability[free], initial=np.inf)
         tilt = np.max(self.step.tilt_deg[free], initial=0.0)
         held = [
-            ("volume", cm3, 1e6 * limits.volume, "cm³", 1),
-            ("strain", self.step.largest_strain, limits.strain, "", 1),
-            ("tilt", tilt, limits.tilt_deg, "°", 1),
-            ("stability", margin, limits.stability, "N/m", -1),
-            ("c_rot", self.step.c_rot, limits.c_rot, "N·m/rad", -1),
-            ("depth", surface["depth"], limits.depth, "m", -1),
-            ("height", surface["height"], limits.height, "m", 1),
-            ("draft", surface["draft"], limits.draft_deg, "°", -1),
+            ("volume", cm3, 1e6 * limits["volume"], "cm³", 1),
+            ("strain", self.step.largest_strain, limits.get("strain"), "", 1),
+            ("tilt", tilt, limits.get("tilt_deg"), "°", 1),
+            ("stability", margin, limits.get("stability"), "N/m", -1),
+            ("c_rot", self.step.c_rot, limits.get("c_rot"), "N·m/rad", -1),
+            ("depth", surface["depth"], limits.get("depth"), "m", -1),
+            ("height", surface["height"], limits.get("height"), "m", 1),
+            ("draft", surface["draft"], limits.get("draft_deg"), "°", -1),
         ]
         checks = [
             Check(

@@ -175,32 +175,6 @@ _TILT_SCALE = 0.06  # 1 − cos 20°
 _MET = 10.0  # of samples that no limit is on: next to none of a soft minimum
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Constraints; None switches one off.
-
-    Attributes:
-        volume: v_max [m³].
-        stability: Least scaled eigenvalue [N/m], with its margin.
-        tilt_deg: Largest tilt [°].
-        strain: Largest p-norm of the principal strains.
-        c_rot: Least c_rot [N·m/rad], for the front of c_tr against c_rot.
-        depth: Least one of the bottom below the top plane [m].
-        height: Largest one of all of the bare surface [m].
-        draft_deg: Least angle of bare faces with the vertical [°], so that a
-            mould that opens upwards lets go.
-    """
-
-    volume: float
-    stability: float | None = None
-    tilt_deg: float | None = None
-    strain: float | None = None
-    c_rot: float | None = None
-    depth: float | None = None
-    height: float | None = None
-    draft_deg: float | None = None
-
-
 @dataclass
 class Evaluation:
     """A design simulated: sole, history and measures.
@@ -227,22 +201,29 @@ class Evaluation:
 # Limits: of an evaluation the value, and what makes what the adjoint needs.
 
 
-def limits_of(settings: Settings) -> Limits:
-    """The case's constraints."""
-    block = settings.optimize
+def limits_of(settings: Settings) -> dict[str, float]:
+    """The case's constraints that are not switched off, by name.
+
+    Largest volume [m³], strain (its p-norm), tilt_deg and height of the bare
+    surface [m]; least scaled eigenvalue `stability` [N/m], c_rot [N·m/rad],
+    depth of the bottom below the top plane [m] and draft_deg, angle of bare
+    faces with the vertical, so that a mould that opens upwards lets go.
+    """
+    block, shape = settings.optimize, settings.optimize.shape
     density = settings.material.material().density_kg_per_m3
     # A pose that is prescribed does not tip, and no shape changes it.
     held = all(block.pose == "measured" for block in settings.all_loads)
-    return Limits(
-        settings.cost.mass_limit_kg / density,
-        None if held else block.stability_n_per_m,
-        None if held else block.tilt_deg,
-        block.strain,
-        block.c_rot_nm_per_rad,
-        block.shape.least_depth_m,
-        block.shape.largest_height_m,
-        block.shape.draft_deg,
-    )
+    every = {
+        "volume": settings.cost.mass_limit_kg / density,
+        "stability": None if held else block.stability_n_per_m,
+        "tilt_deg": None if held else block.tilt_deg,
+        "strain": block.strain,
+        "c_rot": block.c_rot_nm_per_rad,
+        "depth": shape.least_depth_m,
+        "height": shape.largest_height_m,
+        "draft_deg": shape.draft_deg,
+    }
+    return {name: x for name, x in every.items() if x is not None}
 
 
 def _stability(e: Evaluation, least: float, scale: float):
@@ -287,24 +268,25 @@ def _least_free(e: Evaluation, x: np.ndarray):
 
 
 def active_limits(
-    limits: Limits, first: Evaluation, by_rot: np.ndarray
+    limits: dict[str, float], first: Evaluation, by_rot: np.ndarray
 ) -> dict[str, Callable]:
     """Limits that need a simulation, by name, the brick's for scales.
 
     `by_rot` are the samples' factors in c_rot.
     """
-    scale = None
-    if limits.stability is not None:
+    out = {}
+    if least := limits.get("stability"):
         # Of a first shape that hardly stands, the least itself is the size.
         margin = stability(first.history.K_c)[~first.load.is_measured]
-        scale = max(abs(float(margin.min())), limits.stability)
-    every = {
-        "stability": partial(_stability, least=limits.stability, scale=scale),
-        "tilt_deg": partial(_tilt, largest_deg=limits.tilt_deg),
-        "strain": partial(strain_limit, largest=limits.strain),
-        "c_rot": partial(rotation_limit, least=limits.c_rot, by_rot=by_rot),
-    }
-    return {n: f for n, f in every.items() if getattr(limits, n) is not None}
+        scale = max(abs(float(margin.min())), least)
+        out["stability"] = partial(_stability, least=least, scale=scale)
+    if "tilt_deg" in limits:
+        out["tilt_deg"] = partial(_tilt, largest_deg=limits["tilt_deg"])
+    if "strain" in limits:
+        out["strain"] = partial(strain_limit, largest=limits["strain"])
+    if least := limits.get("c_rot"):
+        out["c_rot"] = partial(rotation_limit, least=least, by_rot=by_rot)
+    return out
 
 
 @dataclass(frozen=True)
@@ -318,7 +300,7 @@ class SurfaceLimits:
             was given.
     """
 
-    limits: Limits
+    limits: dict[str, float]
     mesh: TetMesh
     moving: np.ndarray
 
@@ -364,8 +346,8 @@ class SurfaceLimits:
         mine, out = self.limits, []
         z = mesh.nodes[:, 2]
         for name, nodes, sign, limit in (
-            ("depth", self._bottom, -1.0, mine.depth),
-            ("height", self._bare, 1.0, mine.height),
+            ("depth", self._bottom, -1.0, mine.get("depth")),
+            ("height", self._bare, 1.0, mine.get("height")),
         ):
             if limit is not None and len(nodes):
                 excess = sign * (z[nodes] / limit + 1.0)
@@ -374,10 +356,10 @@ class SurfaceLimits:
                 by_nodes[nodes, 2] = sign * share / limit
                 out.append((name, value, by_nodes))
         faces = self._sides
-        if mine.draft_deg is not None and len(faces):
+        if "draft_deg" in mine and len(faces):
             normal, up, size = _normals(mesh, faces)
             value, share = soft_minimum(
-                -up - np.sin(np.deg2rad(mine.draft_deg)), _SURFACE_SHARPNESS
+                -up - np.sin(np.deg2rad(mine["draft_deg"])), _SURFACE_SHARPNESS
             )
             # ∂(a_z/|a|)/∂a, and a = (p1 − p0) × (p2 − p0).
             pull = -normal * up[:, None]

@@ -203,7 +203,7 @@ class ShapeProblem:
         mesh = e.sole.mesh
         return np.array(
             [
-                1.0 - mesh.volume / self.limits.volume,
+                1.0 - mesh.volume / self.limits["volume"],
                 self._elements(mesh)[0],
                 *(value for _, value, _ in self.surface.evaluate(mesh)),
                 *(limit(e)[0] for limit in self.limited.values()),
@@ -246,7 +246,8 @@ class ShapeProblem:
             self.by_coefficients(by_nodes)
             for *_, by_nodes in self.surface.evaluate(e.sole.mesh)
         ]
-        limits = [volume / self.limits.volume, elements, *surface, *rows[1:]]
+        volume = volume / self.limits["volume"]
+        limits = [volume, elements, *surface, *rows[1:]]
         return rows[0], np.array(limits), by_load
 
     def regularization(self, p: np.ndarray):

@@ -395,8 +395,8 @@ def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
 
 def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
     """Limit the norm of strains as it stands for the largest one."""
-    if problem.limits.strain is not None:
-        largest = _STRAIN_AIM * problem.limits.strain / at.strain_scale
+    if "strain" in problem.limits:
+        largest = _STRAIN_AIM * problem.limits["strain"] / at.strain_scale
         problem.limited["strain"] = partial(strain_limit, largest=largest)
 
 
@@ -406,7 +406,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     problem = problem or stage_problem(setup, block.stages[number])
     at.check_fits(problem)
     if number:
-        if at.iteration == 0 and problem.limits.strain is not None:
+        if at.iteration == 0 and "strain" in problem.limits:
             scale = strain_scale(setup, problem, at.p)
             at = replace(at, strain_scale=scale)
         _scale(problem, at)
@@ -464,7 +464,7 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
     """All coefficients one, or p, shrunk until the volume limit is met."""
     p, own = problem.undeformed if p is None else p, problem.spline.count
     for _ in range(60):
-        if problem.deformed(p).volume <= 0.99 * problem.limits.volume:
+        if problem.deformed(p).volume <= 0.99 * problem.limits["volume"]:
             break
         p = np.concatenate([0.99 * p[:own], p[own:]])
     return np.clip(p, *bounds)
