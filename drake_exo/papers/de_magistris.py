@@ -544,7 +544,7 @@ def _write_page(out: Path, designs, figures, strains: str) -> None:
 
 
 def _drawn(design: StoredDesign):
-    from drake_exo.soles.pictures import DrawnSole, radial_change
+    from drake_exo.soles.pictures import radial_change
 
     row, mesh = design.summary(), design.setup.mesh
     caption = (
@@ -555,7 +555,7 @@ def _drawn(design: StoredDesign):
     )
     initial = read_mesh(design.folder / "initial.vtk", (0.0, 0.0, 0.0))
     change = radial_change(mesh, *design.shape())
-    return DrawnSole(design.name, caption, initial, mesh, change)
+    return design.name, caption, initial, mesh, change
 
 
 def _stiffness(designs: list[StoredDesign]):

@@ -295,18 +295,10 @@ def pressure_figure(
         return None
     picked = picked[np.linspace(0, len(picked) - 1, 8).round().astype(int)]
     pressure = 1e-3 * pressure[picked]
-    faces, place = _underside(mesh)
     top = max(float(pressure.max()), 1e-9)
     figure, axes = panels(2, 4, (11.0, 4.2), sharex=True, sharey=True)
     for axis, q, p in zip(axes.flat, picked, pressure, strict=True):
-        drawn = axis.tripcolor(
-            Triangulation(*(1e3 * place.T), faces),
-            p,
-            shading="gouraud",
-            cmap="inferno",
-            vmin=0,
-            vmax=top,
-        )
+        drawn = _pressed(axis, mesh, p, top)
         axis.plot(*(1e3 * load.zmp[q]), "+", color="cyan", ms=9, mew=2)
         axis.set_title(f"{load.times[q]:.3f} s")
         axis.set_aspect("equal")
@@ -320,6 +312,19 @@ def pressure_figure(
         "Contact pressure, seen from above through the sole (+ ZMP)"
     )
     return figure
+
+
+def _pressed(axis, mesh: TetMesh, kpa: np.ndarray, largest=None):
+    """Pressure at the contact nodes, (m,), on the underside in mm."""
+    faces, place = _underside(mesh)
+    return axis.tripcolor(
+        Triangulation(*(1e3 * place.T), faces),
+        kpa,
+        shading="gouraud",
+        cmap="inferno",
+        vmin=0,
+        vmax=largest,
+    )
 
 
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -404,25 +409,6 @@ def pareto_figure(
     return figure
 
 
-@dataclass(frozen=True)
-class DrawnSole:
-    """What the pictures need of one sole.
-
-    Attributes:
-        name: Case.
-        caption: Second line of its title.
-        initial: Mesh before optimisation.
-        mesh: Optimised mesh.
-        change: Radial change of its every node [%], (n,).
-    """
-
-    name: str
-    caption: str
-    initial: TetMesh
-    mesh: TetMesh
-    change: np.ndarray
-
-
 def radial_change(
     mesh: TetMesh, spline: SphericalSpline, p: np.ndarray
 ) -> np.ndarray:
@@ -432,15 +418,17 @@ def radial_change(
 
 
 @style()
-def soles_figure(soles: list[DrawnSole]) -> Figure:
+def soles_figure(soles: Sequence[tuple]) -> Figure:
     """Every sole from below, the left, the back and in perspective.
 
     One scale for all; colour is the radial change, the initial outline is
     dashed.
+
+    Args:
+        soles: Name, second line of the title, mesh before optimisation and
+            after, radial change of its every node [%] of each.
     """
-    every = np.concatenate(
-        [m.nodes for s in soles for m in (s.mesh, s.initial)]
-    )
+    every = np.concatenate([m.nodes for s in soles for m in s[2:4]])
     boxes = [extent(every, view) for view in VIEWS]
     widths, heights = np.transpose([np.ptp(box, axis=0) for box in boxes])
     widths, height = widths + _GAP, heights.max() + _BETWEEN
@@ -453,15 +441,16 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
         gridspec_kw={"left": 0, "right": 1, "wspace": 0, "hspace": 0,
                      "bottom": _FOOT / tall, "top": 1 - _HEAD / tall},
     )  # fmt: skip
-    largest = max(np.abs(s.change).max() for s in soles)
+    largest = max(np.abs(change).max() for *_, change in soles)
     norm = TwoSlopeNorm(0.0, -largest, largest)
     for row, sole in zip(axes, soles, strict=True):
-        corners = 1e3 * sole.mesh.nodes[sole.mesh.boundary_faces]
-        colours = _coloured(sole, norm)
+        title, caption, initial, mesh, change = sole
+        corners = 1e3 * mesh.nodes[mesh.boundary_faces]
+        colours = _coloured(mesh, change, norm)
         for axis, view, box in zip(row, VIEWS, boxes, strict=True):
             draw(axis, corners, colours, view)
-            outline(axis, sole.initial.nodes, view)
-            _ends(axis, sole, view)
+            outline(axis, initial.nodes, view)
+            _ends(axis, initial, mesh, view)
             half = 0.5 * np.array([np.ptp(box[:, 0]) + _GAP, height])
             low, high = box.mean(axis=0) - half, box.mean(axis=0) + half
             axis.set(
@@ -470,11 +459,11 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
             axis.set_axis_off()
         look = {"y": row[0].get_position().y1, "va": "top"}
         name = figure.text(
-            0.012, s=_as_written(sole.name), size=11, weight="bold", **look
+            0.012, s=_as_written(title), size=11, weight="bold", **look
         )
         end = name.get_window_extent().x1 / figure.bbox.width
         beside = max(0.10, end + 0.02)
-        figure.text(beside, s=sole.caption, size=9, color="0.25", **look)
+        figure.text(beside, s=caption, size=9, color="0.25", **look)
     for axis, view in zip(axes[0], VIEWS, strict=True):
         box = axis.get_position()
         figure.text(0.5 * (box.x0 + box.x1), 1 - 0.12 / tall, view.name,
@@ -483,13 +472,12 @@ def soles_figure(soles: list[DrawnSole]) -> Figure:
     return figure
 
 
-def _coloured(sole: DrawnSole, norm) -> np.ndarray:
+def _coloured(mesh: TetMesh, change: np.ndarray, norm) -> np.ndarray:
     """Colours of its faces by their mean change, (f, 3)."""
-    change = sole.change[sole.mesh.boundary_faces].mean(axis=1)
-    return _COLOURS(norm(change))[:, :3]
+    return _COLOURS(norm(change[mesh.boundary_faces].mean(axis=1)))[:, :3]
 
 
-def _ends(axis, sole, view) -> None:
+def _ends(axis, initial: TetMesh, mesh: TetMesh, view: View) -> None:
     """Write heel and toe, or left and right, under either shape."""
     right = view.axes()[0]
     if max(np.abs(right)) < 0.9:
@@ -498,8 +486,8 @@ def _ends(axis, sole, view) -> None:
     words = ("heel", "toe") if is_along else ("right", "left")
     if (right[0] if is_along else right[1]) < 0:
         words = words[::-1]
-    low, high = extent(sole.initial.nodes, view)
-    below = min(low[1], extent(sole.mesh.nodes, view)[0][1]) - 3
+    low, high = extent(initial.nodes, view)
+    below = min(low[1], extent(mesh.nodes, view)[0][1]) - 3
     look = {"va": "top", "fontsize": 8, "color": "0.4"}
     axis.text(low[0], below, words[0], ha="left", **look)
     axis.text(high[0], below, words[1], ha="right", **look)
@@ -656,12 +644,8 @@ def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
 
 
 def _peak(figure, axis, mesh: TetMesh, peak: np.ndarray) -> None:
-    faces, place = _underside(mesh)
-    place, kpa = 1e3 * place, 1e-3 * peak
-    drawn = axis.tripcolor(
-        Triangulation(*place.T, faces), kpa, shading="gouraud",
-        cmap="inferno", vmin=0,
-    )  # fmt: skip
+    place, kpa = 1e3 * mesh.nodes[mesh.contact][:, :2], 1e-3 * peak
+    drawn = _pressed(axis, mesh, kpa)
     top = int(np.argmax(kpa))
     axis.plot(*place[top], "x", color="cyan")
     axis.set_ylim(place[:, 1].min() - _MARGIN, place[:, 1].max() + _MARGIN)

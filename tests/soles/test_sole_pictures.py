@@ -336,10 +336,8 @@ def sheet(mesh):
     nodes = mesh.nodes * np.where(mesh.nodes[:, :1] > 0, 1.2, 1.0)
     change = np.linspace(-1.0, 2.0, len(mesh.nodes))
     soles = [
-        pictures.DrawnSole("first", "of it", mesh, mesh, change),
-        pictures.DrawnSole(
-            "second", "of that", mesh, mesh.with_nodes(nodes), change
-        ),
+        ("first", "of it", mesh, mesh, change),
+        ("second", "of that", mesh, mesh.with_nodes(nodes), change),
     ]
     figure = pictures.soles_figure(soles)
     figure.draw_without_rendering()
@@ -371,7 +369,7 @@ def test_views_have_a_page_to_themselves(sheet):
         inches[1] - high[0, :, 1] > 0.3
     ).all()
     assert 6 < inches[0] < 16 and inches[1] < inches[0]
-    every = np.concatenate([s.mesh.nodes for s in soles])
+    every = np.concatenate([mesh.nodes for *_, mesh, _ in soles])
     for row in axes:
         for axis, view in zip(row, pictures.VIEWS, strict=True):
             below, above = pictures.extent(every, view)
@@ -400,10 +398,10 @@ def test_each_view_says_its_name_above_itself(sheet):
         assert words[0, 1] > place[1, 1]
     for row, sole in zip(axes, soles, strict=True):
         top = row[0].get_position().y1 * inches[1]
-        for words in (sole.name, sole.caption):
+        for words in sole[:2]:
             assert boxes[words][1, 1] == pytest.approx(top, abs=0.03)
-        assert boxes[sole.name][0, 0] < 0.2
-        assert boxes[sole.caption][0, 0] > boxes[sole.name][1, 0]
+        assert boxes[sole[0]][0, 0] < 0.2
+        assert boxes[sole[1]][0, 0] > boxes[sole[0]][1, 0]
 
 
 def test_ends_are_named_where_they_are(sheet):
@@ -414,10 +412,7 @@ def test_ends_are_named_where_they_are(sheet):
             if view.name == "from below, back left":
                 assert not axis.texts
                 continue
-            lower = min(
-                pictures.extent(m.nodes, view)[0, 1]
-                for m in (sole.initial, sole.mesh)
-            )
+            lower = min(pictures.extent(m.nodes, view)[0, 1] for m in sole[2:4])
             ends = {"heel": (-0.1, 0, 0), "toe": (0.1, 0, 0)}
             if view.name == "back":
                 ends = {"left": (0, 0.05, 0), "right": (0, -0.05, 0)}
@@ -458,8 +453,8 @@ def test_colours_of_a_sole_are_those_of_its_key(sheet, mesh):
     norm = pictures.TwoSlopeNorm(0.0, -2.0, 2.0)
     change = np.zeros(len(mesh.nodes))
     change[0], change[1] = 2.0, -2.0
-    sole = pictures.DrawnSole("", "", mesh, mesh, change)
-    colours, faces = pictures._coloured(sole, norm), mesh.boundary_faces
+    colours = pictures._coloured(mesh, change, norm)
+    faces = mesh.boundary_faces
     has = [(faces == k).any(axis=1) for k in (0, 1)]
     red, blue, grey = colours[has[0] & ~has[1]], colours[has[1] & ~has[0]], (
         colours[~has[0] & ~has[1]]

@@ -98,7 +98,7 @@ def test_stiffness_of_each_sole_has_room():
 def test_the_key_of_all_soles_lies_below_them(mesh):
     """On the same scale: its 50 mm are those of the soles."""
     change = np.linspace(-1.0, 2.0, len(mesh.nodes))
-    sole = pictures.DrawnSole("sole", "said of it", mesh, mesh, change)
+    sole = "sole", "said of it", mesh, mesh, change
     figure = pictures.soles_figure([sole, sole])
     Figure.draw_without_rendering(figure)
     *soles, bar, key = figure.axes

@@ -408,7 +408,7 @@ class Design:
         from drake_exo.soles import pictures
 
         self.step.draw(folder, mark, "optimised", initial=self.first)
-        drawn = pictures.DrawnSole(
+        drawn = (
             self.setup.name,
             f"{1e6 * self.mesh.volume:.0f} cm³",
             self.first.sole.mesh,
