@@ -229,7 +229,8 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     monkeypatch.setattr(search, "_keep", lambda at, out: kept.append(at))
 
     def minimise(problem, p, bounds, iterations, tolerance, note, **more):
-        given.update(more, p=p, bounds=bounds, left=iterations, tol=tolerance)
+        given.update(more, p=p, bounds=bounds, left=iterations, tol=tolerance,
+                     problem=problem)  # fmt: skip
         best = Optimum(p + 1, -0.5, multipliers=np.arange(5.0))
         for k in range(5):
             best.trace.append((k, -0.5 - k, 0.25, 0.125))
@@ -240,7 +241,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     monkeypatch.setattr(search, "minimise", minimise)
     p = np.linspace(0.8, 1.0, n)
     at = Checkpoint(1, 4, p, p, np.ones(5), 1e-3, np.eye(n))
-    run, problem = search._run_stage(setup, 1, at, "out", said.append)
+    run = search._run_stage(setup, 1, at, "out", said.append)
     assert (given["left"], given["tol"]) == (5, block.tolerance)
     np.testing.assert_array_equal(np.transpose(given["bounds"]), n * [BOUNDS])
     assert given["refining"] and tuple(block.bounds) == BOUNDS
@@ -249,7 +250,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
         given["hessian_approximation"].matrix, np.eye(n)
     )
     assert given["warm"].barrier == 1e-3
-    assert problem.law.layer == 1e-4
+    assert given["problem"].law.layer == 1e-4
     assert [row[0] for row in run.optimum.trace] == [4, 5, 6, 7, 8]
     assert run.optimum.trace[2][1:] == (-2.5, 0.25, 0.125)
     # Every third iteration is kept; in the end, the last stage to go on with.
@@ -258,7 +259,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     np.testing.assert_array_equal(run.at.latest, p + 1)
     assert said[2].startswith("stage 2/2, iteration 6: c/|c0| -2.5000, viol")
     assert "violation 2.5e-01, error 1.2e-01" in said[2]
-    run, _ = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
+    run = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
     assert (run.at.stage, given["left"], given["refining"]) == (1, 5, False)
     assert given["warm"] is None
 
@@ -292,7 +293,8 @@ def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     assert value == pytest.approx(1.0 - largest / (0.98 * 0.2), rel=1e-9)
     monkeypatch.setattr(search, "strain_scale", None)
     at = Checkpoint(1, 2, p, p, strain_scale=0.5)
-    _, problem = search._run_stage(setup, 1, at, None, str)
+    search._run_stage(setup, 1, at, None, str)
+    problem, _ = given[-1]
     largest = problem.limited["strain"].keywords["largest"]
     assert largest == pytest.approx(0.98 * 0.2 / 0.5)
     assert problem.limits["strain"] == 0.2
@@ -318,9 +320,12 @@ def _fake_run(number, p, cost, violation=0.0):
 
 
 def test_a_start_that_went_further_is_ahead():
-    near = search._Racer(0, [_fake_run(1, "p", 1.0)])
     runs = [_fake_run(1, "q", 5.0), _fake_run(2, "q", 4.0)]
-    lost, far = search._Racer(2, runs[:1]), search._Racer(1, runs)
+    none = search.Found([], None)
+    near = none.after(_fake_run(1, "p", 1.0))
+    lost = replace(none, start=2).after(runs[0])
+    far = replace(none, start=1).after(runs[0]).after(runs[1])
+    assert far.at is runs[1].at and far.seconds == 11.0 + 12.0
     order = sorted([near, lost, far], key=lambda racer: racer.rank)
     assert [racer.start for racer in order] == [1, 0, 2]
 
@@ -342,7 +347,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
         made.append((number, at.p, [row["cost"] for row in at.starts]))
         run = _fake_run(number + 1, at.p + "'", 3.0)
         run.at = replace(run.at, starts=at.starts)
-        return run, f"problem {number}"
+        return run
 
     def scale(problem, at):
         problem.scaled = at.p
@@ -410,7 +415,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
         assert (problem is None) == (at.iteration + at.stage > 0)
         run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5)
         run.at = replace(run.at, starts=at.starts)
-        return run, None
+        return run
 
     monkeypatch.setattr(search, "_run_stage", run_stage)
     setup = case.optimizing(starts=3)

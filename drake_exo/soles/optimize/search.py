@@ -71,31 +71,30 @@ class _Run:
 
 
 @dataclass
-class _Racer:
-    """A start, by its number, and its stages so far."""
+class Found:
+    """What a search has come to from one start, or from the best.
 
-    start: int
+    Attributes:
+        runs: Stages so far.
+        at: Where it stands.
+        seconds: What they took, in the end those of all starts.
+        start: Its number.
+    """
+
     runs: list[_Run]
+    at: Checkpoint | None
+    seconds: float = 0.0
+    start: int = 0
 
     @property
     def rank(self) -> tuple:
         """Those that went further first, then by their newest optimum."""
         return -len(self.runs), *self.runs[-1].optimum.rank
 
-
-@dataclass
-class Found:
-    """What a search has come to.
-
-    Attributes:
-        runs: Stages of the best start.
-        at: Where it stands.
-        seconds: What the stages of all starts took.
-    """
-
-    runs: list[_Run]
-    at: Checkpoint
-    seconds: float = 0.0
+    def after(self, run: _Run) -> "Found":
+        """One stage further."""
+        seconds = self.seconds + run.seconds
+        return Found([*self.runs, run], run.at, seconds, self.start)
 
 
 def optimise(
@@ -204,7 +203,7 @@ def race(
     bends: Sequence[int],
     say,
     before=(),
-) -> _Racer:
+) -> Found:
     """One of the stages but the last, from one of several starts.
 
     Args:
@@ -214,22 +213,21 @@ def race(
         begun: Where a start was interrupted, if it was.
         before: What the jobs of earlier stages returned, by name.
     """
-    racer = _Racer(place, [])
+    racer = Found([], begun, start=place)
     if before:
         racer = sorted(_racers(before), key=lambda r: r.rank)[place]
-    at, prefix = racer.runs[-1].at if racer.runs else begun, ""
-    starts = _starts(setup)
+    prefix, starts = "", _starts(setup)
     if starts > 1:
         out = start_folder(out, racer.start)
         prefix = f"start {racer.start + 1}/{starts}, "
     run = from_start(
-        setup, bends[racer.start], number, at, out,
+        setup, bends[racer.start], number, racer.at, out,
         lambda line: say(prefix + line),
     )  # fmt: skip
-    return replace(racer, runs=[*racer.runs, run])
+    return racer.after(run)
 
 
-def _racers(before) -> list[_Racer]:
+def _racers(before) -> list[Found]:
     """All starts, as far as they went."""
     return list({racer.start: racer for racer in before.values()}.values())
 
@@ -239,11 +237,9 @@ def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
     found = Found([], at)
     if before:
         racers = _racers(before)
-        runs = min(racers, key=lambda racer: racer.rank).runs
-        rows = tuple(racer.runs[-1].at.starts[-1] for racer in racers)
-        every = (run.seconds for racer in racers for run in racer.runs)
-        at = replace(runs[-1].at, starts=rows)
-        found = Found(runs, at, sum(every))
+        best = min(racers, key=lambda racer: racer.rank)
+        at = replace(best.at, starts=tuple(r.at.starts[-1] for r in racers))
+        found = Found(best.runs, at, sum(racer.seconds for racer in racers))
         _keep(at, out)
         if out is not None:
             for racer in racers:
@@ -252,8 +248,7 @@ def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
     for number in range(
         len(found.runs) or at.stage, len(setup.settings.optimize.stages)
     ):
-        run, _ = _run_stage(setup, number, found.at, out, say)
-        found = Found([*found.runs, run], run.at, found.seconds + run.seconds)
+        found = found.after(_run_stage(setup, number, found.at, out, say))
         _keep(found.at, out)
     return found
 
@@ -334,7 +329,7 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
             multipliers=at.multipliers,
         )  # fmt: skip
         return _Run(done, 0.0, at)
-    run, _ = _run_stage(setup, number, at, out, say, problem)
+    run = _run_stage(setup, number, at, out, say, problem)
     best = run.optimum
     row = {
         "stage": number + 1, "cost": best.cost, "violation": best.violation,
@@ -401,7 +396,7 @@ def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
 
 
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
-    """One stage from where it stands; its run and its last problem."""
+    """One stage from where it stands."""
     began, block = time.perf_counter(), setup.settings.optimize
     problem = problem or stage_problem(setup, block.stages[number])
     at.check_fits(problem)
@@ -437,7 +432,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     best.latest = (best.p, best.multipliers, WARM_BARRIER)
     following = min(number + 1, len(block.stages) - 1)
     at = Checkpoint.of(following, 0, best, approximation, at)
-    return _Run(best, time.perf_counter() - began, at), problem
+    return _Run(best, time.perf_counter() - began, at)
 
 
 def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
