@@ -298,11 +298,6 @@ class Material:
         nu = self.poissons_ratio
         return self.youngs_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
 
-    @property
-    def bulk_modulus(self) -> float:
-        """κ = λ + 2/3 μ [Pa]."""
-        return self.lame_lambda + 2 / 3 * self.shear_modulus
-
 
 # Young's moduli of the paper's Table 1; butyl's density from its v_max of
 # 1098 cm³ for 1 kg.
@@ -374,7 +369,8 @@ def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
         functions; what an element gives to each of its groups [m³], (e,);
         μ and λ [Pa]; rows of the nodes in the matrix, -1 where fixed.
     """
-    shear, bulk = material.shear_modulus, material.bulk_modulus
+    shear = material.shear_modulus
+    bulk = material.lame_lambda + 2 / 3 * shear
     elements = np.arange(len(mesh.tets) + 1, dtype=np.int32)
     parts = [((elements, elements[:-1]), shear, bulk, 1)]
     if pattern.around:
@@ -526,7 +522,9 @@ class Sole:
         With "smoothed", around every node, (..., n, 3, 3): that of a single
         element has no energy of its own, and scatters.
         """
-        H = displacement_gradient(self.mesh, u)
+        H = np.einsum(
+            "...eai,eaj->...eij", u[..., self.mesh.tets, :], self.mesh.gradients
+        )
         eps = 0.5 * (H + np.swapaxes(H, -1, -2))
         if self.element == "linear":
             return eps
@@ -538,11 +536,6 @@ class Sole:
     def node_average(self) -> csr_matrix:
         """Averages around nodes, see `node_average`."""
         return node_average(self.mesh)[0]
-
-
-def displacement_gradient(mesh: TetMesh, u: np.ndarray) -> np.ndarray:
-    """H_ij = ∂u_i/∂X_j in every element, (..., e, 3, 3)."""
-    return np.einsum("...eai,eaj->...eij", u[..., mesh.tets, :], mesh.gradients)
 
 
 # Of the largest eigenvalue: what is left out changes a gradient by some 1e-7
