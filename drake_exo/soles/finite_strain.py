@@ -44,7 +44,6 @@ from drake_exo.soles.contact.law import (
     project_with_derivative,
 )
 from drake_exo.soles.contact.newton import (
-    MOMENT_SCALE,
     ContactSolver,
     Convergence,
     Start,
@@ -53,6 +52,7 @@ from drake_exo.soles.contact.newton import (
     capped,
     line_search,
     newton,
+    wrench_size,
 )
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.loads import Load
@@ -235,7 +235,7 @@ class FiniteStrainSolver:
             # That planes turn with the foot, too, Newton's steps do without.
             turn = target.turn(self.ground, R, self.rest)
             try:
-                lin = _Linearisation(self, point, turn and turn.places)
+                lin = _Linearisation(self, point, turn.places if turn else 0.0)
                 du, zeta, dp = lin.newton_step(target.asked)
             except (np.linalg.LinAlgError, RuntimeError):
                 raise np.linalg.LinAlgError("singular Newton matrix") from None
@@ -266,7 +266,7 @@ class FiniteStrainSolver:
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
-        return _Linearisation(self, point, None).wrench_response()
+        return _Linearisation(self, point, 0.0).wrench_response()
 
     def _planes(self, target, R):
         """What the contact nodes meet, see `Ground.planes`."""
@@ -293,11 +293,7 @@ class FiniteStrainSolver:
         wrench = target.missed(wrench)
         merit = np.inf
         if np.isfinite(balance).all():
-            merit = max(
-                float(np.abs(balance).max()),
-                float(np.abs(wrench[:3]).max()),
-                float(np.abs(wrench[3:]).max()) / MOMENT_SCALE,
-            )
+            merit = max(float(np.abs(balance).max()), wrench_size(wrench))
         state = FiniteState(F, u, O, R)
         return _Point(state, tau, axes, arm, balance, wrench, merit / scale)
 
@@ -347,8 +343,7 @@ class _Linearisation:
         shift = np.zeros((m, 3, 6))
         shift[:, :, :3] = -np.eye(3)
         shift[:, :, 3:] = hat(self.point.arm)
-        if self.dQ is not None:
-            shift[:, :, 3:] += self.dQ
+        shift[:, :, 3:] += self.dQ
         rhs = K[:, s._rows] @ (self.R.T @ shift).reshape(3 * m, 6)
         turned = self.R.T @ hat(self.point.state.F)
         rhs[s._rows, 3:] -= turned.reshape(3 * m, 3)
@@ -359,8 +354,7 @@ class _Linearisation:
         F, arm = self.point.state.F, self.point.arm
         dF = self.solver.law.penalty * self.R @ (self.D @ zeta)
         dP = self.R @ (self.D @ zeta - zeta)
-        if with_pose and self.dQ is not None:
-            dP = dP.copy()
+        if with_pose:
             dP[:, :, 3:] += self.dQ
         moment = np.einsum("kij,kjc->ic", hat(arm), dF)
         moment -= np.einsum("kij,kjc->ic", hat(F), dP)

@@ -7,7 +7,6 @@ from drake_exo.soles.contact import gauss_seidel
 from drake_exo.soles.contact.gauss_seidel import (
     GaussSeidelSolver,
     _gauss_seidel,
-    _scaled,
     _slip,
 )
 from drake_exo.soles.contact.law import (
@@ -25,6 +24,7 @@ from drake_exo.soles.contact.newton import (
     Target,
     deformed,
     residual,
+    wrench_size,
 )
 from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.mesh import brick
@@ -240,7 +240,7 @@ def test_sweeps_without_a_budget_have_not_settled(monkeypatch):
     assert not report.converged and "did not settle" in report.message
 
 
-def test_wrenches_are_scaled_by_force_and_50_mm():
+def test_moments_count_over_50_mm():
     wrench = np.array([1.0, -3.0, 2.0, 0.1, -0.2, 0.05])
-    assert _scaled(wrench, 8.0) == pytest.approx(4.0 / 8)
-    assert _scaled(wrench * [1, 1, 1, 0, 0, 1], 8.0) == pytest.approx(3.0 / 8)
+    assert wrench_size(wrench) == pytest.approx(4.0)
+    assert wrench_size(wrench * [1, 1, 1, 0, 0, 1]) == pytest.approx(3.0)

@@ -10,13 +10,13 @@ import numpy as np
 
 from drake_exo.soles.contact.law import FLAT, Ground, project_node
 from drake_exo.soles.contact.newton import (
-    MOMENT_SCALE,
     ContactSolver,
     Convergence,
     State,
     Target,
     capped,
     move,
+    wrench_size,
 )
 from drake_exo.soles.numerics import njit
 
@@ -52,38 +52,33 @@ class GaussSeidelSolver(ContactSolver):
         if not fixed_pose:
             state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
-        self.sweeps, history = 0, []
+        self.sweeps = 0
         need = np.inf if not fixed_pose else 0.0
         for iteration in range(self.max_iterations):
             tolerance = max(self.sweep_tolerance, min(1e-3, _RELAXATION * need))
             while True:
                 change = self._sweeps(state, target, tolerance)
                 point = self._evaluate(state, target, fixed_pose, scale)
-                need = _scaled(point.wrench, scale)
+                need = wrench_size(point.wrench) / scale
                 if fixed_pose or tolerance <= self.sweep_tolerance:
                     break
                 if tolerance <= _RELAXATION * need:
                     break  # (25): exact enough for this wrench
                 tolerance = max(self.sweep_tolerance, _RELAXATION * need)
-            history.append(need)
             if change > tolerance:
-                return state, Convergence(
-                    False, iteration, need,
-                    "Gauss–Seidel sweeps did not settle", history,
-                )  # fmt: skip
+                said = "Gauss–Seidel sweeps did not settle"
+                return state, Convergence(False, iteration, need, said)
             done = fixed_pose or need < _WRENCH_TOLERANCE
             if done and change <= self.sweep_tolerance:
-                return state, Convergence(
-                    True, iteration + 1, max(need, change), "", history
-                )
+                worst = max(need, change)
+                return state, Convergence(True, iteration + 1, worst)
             if done:
                 need = self.sweep_tolerance
                 continue
             self._pose_step(state, point, target)
         return state, Convergence(
-            False, self.max_iterations, need, "pose Newton did not settle",
-            history,
-        )  # fmt: skip
+            False, self.max_iterations, need, "pose Newton did not settle"
+        )
 
     def _sweeps(self, state: State, target: Target, tolerance) -> float:
         """Algorithm 3 at the state's pose; updates its forces."""
@@ -115,12 +110,6 @@ class GaussSeidelSolver(ContactSolver):
         normal = (point.axes[:, 2] * new.F).sum(axis=1)
         new.F[normal < 0] = 0.0
         state.F, state.O, state.R = new.F, new.O, new.R
-
-
-def _scaled(wrench, scale) -> float:
-    force = np.abs(wrench[:3]).max()
-    moment = np.abs(wrench[3:]).max() / MOMENT_SCALE
-    return float(max(force, moment) / scale)
 
 
 @njit(fastmath=True)

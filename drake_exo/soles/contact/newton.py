@@ -6,7 +6,7 @@ moment about the desired ZMP. What depends on every contact node is compiled.
 Symbols as in docs/soles.md.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
 # Increments (dzO, dω) of a free pose, and of one whose orientation is given;
 # the same components of the wrench are asked for.
 _WHOLE, _SHIFT = np.arange(6), np.arange(3)
-MOMENT_SCALE = 0.05  # metres; moments are divided by it in norms
+_SIZES = np.repeat([1.0, 0.05], 3)  # [m]: moments count over 50 mm in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
 _HALVINGS = 6
 _ALIKE = 0.15  # merits of steps that go in circles
@@ -224,7 +224,6 @@ class Convergence:
     iterations: int
     residual: float
     message: str = ""
-    history: list = field(default_factory=list)
     parts: int = 1  # of the time since the sample before
 
 
@@ -319,9 +318,8 @@ class ContactSolver:
             wrench = np.zeros(6)
         else:
             wrench = target.missed(wrench)
-            off = np.abs(wrench)
-            off[3:] /= MOMENT_SCALE
-            merit = float(np.maximum(merit, off.max() / scale))  # NaN stays
+            off = wrench_size(wrench) / scale
+            merit = float(np.maximum(merit, off))  # NaN stays
         active = tau[:, 2] > -law.epsilon
         return _Point(state, P, axes, arm, tau, phi, wrench, active, merit)
 
@@ -390,9 +388,14 @@ def newton(
         history.append(point.merit)
     steps, merit = len(history) - 1, history[-1]
     if merit <= tolerance:
-        return point, Convergence(True, steps, merit, "", history)
+        return point, Convergence(True, steps, merit)
     message = message or f"no convergence in {steps} Newton steps"
-    return point, Convergence(False, steps, merit, message, history)
+    return point, Convergence(False, steps, merit, message)
+
+
+def wrench_size(wrench: np.ndarray) -> float:
+    """Largest component [N] of a wrench (6,), moments over 50 mm."""
+    return float(np.abs(wrench / _SIZES).max())
 
 
 def capped(dp: np.ndarray, turn: float, shift: float) -> float:
