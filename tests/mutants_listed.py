@@ -711,7 +711,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("lit = _AMBIENT + _DIFFUSE", "lit = _AMBIENT - _DIFFUSE"),
     ],
     "drake_exo/soles/results.py": [
-        ("load.force[:, k]", "load.force[:, 0]"),
+        ("zip(forces, load.force.T", "zip(forces, load.force[:, [0, 0, 2]].T"),
         ("angles = np.rad2deg(self.angles)", "angles = self.angles"),
         ('"volume_cm3": 1e6 * mesh.volume', '"volume_cm3": 1e3 * mesh.volume'),
         ('"mass_kg": mesh.volume * density', '"mass_kg": mesh.volume'),

@@ -406,10 +406,10 @@ def certainty_table(rows: list[dict]) -> str:
             f"{row['name']:11s} {row['c']:10.3e} {paper_cost(row):10.3e} "
             f"{_number(row.get('optimality_error'), '8.1e')} "
             f"{_number(row.get('complementarity'), '8.1e')} "
-            f"{_percent(row.get('exact_change'), 9)} "
-            f"{_percent(finer.get('change'), 7)} "
-            f"{_percent(finer.get('brick_change'), 7)} "
-            f"{_percent(row.get('spread'), 7)} "
+            f"{_number(row.get('exact_change'), '+9.2%')} "
+            f"{_number(finer.get('change'), '+7.2%')} "
+            f"{_number(finer.get('brick_change'), '+7.2%')} "
+            f"{_number(row.get('spread'), '+7.2%')} "
             f"{row['max_strain']:6.2f} {row['tilt_max_deg']:5.1f} "
             f"{'yes' if row['stable'] else 'no':>6s} {row['seconds']:6.0f}"
         )
@@ -418,14 +418,8 @@ def certainty_table(rows: list[dict]) -> str:
 
 def _number(value, form: str) -> str:
     if value is None:
-        return f"{'-':>{form.split('.')[0]}s}"
+        return f"{'-':>{form.strip('+').split('.')[0]}s}"
     return f"{value:{form}}"
-
-
-def _percent(value, width: int) -> str:
-    if value is None:
-        return f"{'-':>{width}s}"
-    return f"{100 * value:+{width - 1}.2f}%"
 
 
 def front_table(points: list[dict]) -> str:
@@ -436,17 +430,13 @@ def front_table(points: list[dict]) -> str:
     ]
     lines += [
         f"{p['case']:11s} {p['floor']:6.3f} {_number(p['c_tr'], '9.2e')} "
-        f"{_number(p['ratio_tr'], '6.3f')} {_paper(p):6s} "
+        f"{_number(p['ratio_tr'], '6.3f')} "
+        f"{_number(p.get('paper_ratio_tr'), '6.3f')} "
         f"{_number(p['c_rot'], '9.2e')} {_number(p['ratio_rot'], '6.3f')} "
         f"{p['optimality_error']:8.1e}"
         for p in points
     ]
     return "\n".join(lines)
-
-
-def _paper(point: dict) -> str:
-    ratio = point.get("paper_ratio_tr")
-    return "" if ratio is None else f"{ratio:6.3f}"
 
 
 def draw_front(

@@ -443,28 +443,29 @@ class Step:
         load, reports = self.setup.load, self.history.reports
         angles = np.rad2deg(self.angles)
         columns = {"time_s": load.times}
-        for k, axis in enumerate("xyz"):
-            columns[f"force_{axis}_n"] = load.force[:, k]
+        forces = "force_x_n", "force_y_n", "force_z_n"
+        columns |= zip(forces, load.force.T, strict=True)
         columns["zmp_x_m"], columns["zmp_y_m"] = load.zmp.T
         if len(load.begins) > 1:
             columns["load"] = load.phase
             columns["weight"] = np.array(load.weights)[load.phase]
         if load.free_moment is not None:
             columns["free_moment_nm"] = load.free_moment
-        for k, axis in enumerate("xyz"):
-            columns[f"origin_{axis}_m"] = self.origin[:, k]
-        for k, name in enumerate(("roll", "pitch", "yaw")):
-            columns[f"{name}_deg"] = angles[:, k]
-        columns["tilt_deg"] = self.tilt_deg
-        columns["sigma_max_tr_n_per_m"] = self.sigma_max_translation
-        columns["sigma_min_rot_nm_per_rad"] = self.sigma_min_rotation
-        columns["stability_n_per_m"] = self.stability
-        columns["nodes_in_contact"] = self.touching.sum(axis=1)
-        columns["newton_iterations"] = np.array([r.iterations for r in reports])
-        columns["parts_of_time"] = np.array([r.parts for r in reports])
-        columns["residual"] = np.array([r.residual for r in reports])
-        columns["converged"] = self.converged.astype(int)
-        return columns
+        places = "origin_x_m", "origin_y_m", "origin_z_m"
+        columns |= zip(places, self.origin.T, strict=True)
+        turns = "roll_deg", "pitch_deg", "yaw_deg"
+        columns |= zip(turns, angles.T, strict=True)
+        return columns | {
+            "tilt_deg": self.tilt_deg,
+            "sigma_max_tr_n_per_m": self.sigma_max_translation,
+            "sigma_min_rot_nm_per_rad": self.sigma_min_rotation,
+            "stability_n_per_m": self.stability,
+            "nodes_in_contact": self.touching.sum(axis=1),
+            "newton_iterations": np.array([r.iterations for r in reports]),
+            "parts_of_time": np.array([r.parts for r in reports]),
+            "residual": np.array([r.residual for r in reports]),
+            "converged": self.converged.astype(int),
+        }
 
     def summary(self) -> dict:
         """What summary.json says of the simulation (no seconds)."""

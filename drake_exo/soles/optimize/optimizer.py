@@ -264,12 +264,6 @@ class _Callbacks:
         return not (self.raised or self.stalled)
 
 
-def _furthest(problem, p) -> float:
-    """IPOPT's bound on violations: far outside, a simulation says little."""
-    violation = np.maximum(-problem.constraints(p), 0.0).sum()
-    return max(0.1, 1.5 * float(violation))
-
-
 def cost_and_violation(problem, p) -> tuple[float, float]:
     """Cost and largest violation, infinite where nothing can be simulated."""
     values = problem.constraints(p)
@@ -309,14 +303,26 @@ def minimise(
     curvature = hessian_approximation or QuasiNewton(problem.metric)
     curvature.forget_point()
     calls = _Callbacks(problem, curvature, best, on_iterate, refining)
-    solver = _ipopt(
-        problem,
-        calls,
-        bounds,
-        {
+    outside = float(np.maximum(-problem.constraints(p0), 0.0).sum())
+    solver = load_ipyopt().Problem(
+        n,
+        *(np.full(n, side) for side in bounds),
+        m,
+        np.zeros(m),
+        np.full(m, 1e20),
+        np.divmod(np.arange(m * n), n),
+        np.tril_indices(n),
+        calls.guarded(problem.cost),
+        calls.guarded(calls.gradient),
+        calls.guarded(calls.constraints),
+        calls.guarded(calls.jacobian),
+        calls.guarded(calls.hessian),
+        intermediate_callback=calls.guarded(calls.watch, False),
+        ipopt_options={
             "max_iter": iterations,
             "tol": tolerance,
-            "theta_max_fact": _furthest(problem, p0),
+            # Of violations: far outside, a simulation says little.
+            "theta_max_fact": max(0.1, 1.5 * outside),
             **_OPTIONS,
             **({**_WARM, "mu_init": warm.barrier} if warm else {}),
         },
@@ -345,27 +351,6 @@ def minimise(
     best.fall_back(problem)
     best.simulations = problem.evaluations - before
     return best
-
-
-def _ipopt(problem, calls: _Callbacks, bounds, options: dict):
-    """IPOPT's problem: constraints at least 0, dense derivatives."""
-    n, m = len(calls.best.p), len(problem.names())
-    return load_ipyopt().Problem(
-        n,
-        *(np.full(n, side) for side in bounds),
-        m,
-        np.zeros(m),
-        np.full(m, 1e20),
-        np.divmod(np.arange(m * n), n),
-        np.tril_indices(n),
-        calls.guarded(problem.cost),
-        calls.guarded(calls.gradient),
-        calls.guarded(calls.constraints),
-        calls.guarded(calls.jacobian),
-        calls.guarded(calls.hessian),
-        intermediate_callback=calls.guarded(calls.watch, False),
-        ipopt_options=options,
-    )
 
 
 def _verify(problem, best, p, bounds, gradient, jacobian) -> None:
