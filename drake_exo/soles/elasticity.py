@@ -1,26 +1,18 @@
 """Linear elasticity of the sole, condensed onto contact nodes, and by shape.
 
-K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ] for linear tetrahedra; the
-fixed nodes do not move; K_ff N = E gives the compliance C = Eᵀ N of the
-nodes that may touch, in the sole frame (paper, (7)-(9)).
+K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ]; K_ff N = E, C = Eᵀ N (paper,
+(7)-(9)), in the sole frame. Averages around edges and nodes: Nguyen-Thoi, Liu,
+Lam, Zhang, Int. J. Numer. Meth. Engng 78, 2009; Bonet and Burton, Commun.
+Numer. Meth. Engng 14, 1998.
 
-The locking-free element "smoothed" takes the deviatoric strain as its
-average around each edge and the dilatation as its average around each node
-(edge- and node-based smoothed finite elements: Nguyen-Thoi, Liu, Lam, Zhang,
-Int. J. Numer. Meth. Engng 78, 2009; node averages: Bonet and Burton, Commun.
-Numer. Meth. Engng 14, 1998). The unknowns stay those of linear tetrahedra,
-and so do the contact nodes.
-
-Sparse Cholesky factorisation by dense fronts. Nested dissection by places
-(George, SIAM J. Numer. Anal. 10, 1973) halves the nodes until few are left; a
-front is what a separator and its neighbours among later ones make of a dense
-matrix (multifrontal method: Duff and Reid, ACM Trans. Math. Softw. 9, 1983).
-Some nodes come last, all together: the inverse of what is left there is the
-compliance between them. Nearly all of the work is in LAPACK and BLAS.
+Nested dissection by places (George, SIAM J. Numer. Anal. 10, 1973) halves the
+nodes until few are left; a front is what a separator and its neighbours among
+later ones make of a dense matrix (multifrontal method: Duff and Reid, ACM
+Trans. Math. Softw. 9, 1983). Contact nodes come last, all together.
 
 By the node positions: dC = −Nᵀ dK N, so that all that is needed are
-derivatives of wᵀ K w for fields w held at the nodes: all fields together are
-one matrix Σ λ w wᵀ, of which the stiffness matrix's own blocks count.
+derivatives of wᵀ K w for fields w held at the nodes, all together of one
+matrix Σ λ w wᵀ.
 """
 
 from dataclasses import dataclass, replace

@@ -1,29 +1,20 @@
 """Finite strain: a neo-Hookean sole, its contact, and beside small strain.
 
-The compressible solid on linear tetrahedra, total Lagrangian. Energy per rest
-volume, I1 = tr FᵀF (Bonet and Wood, Nonlinear Continuum Mechanics for Finite
-Element Analysis, 2nd ed., chapter 6):
-
-    W = μ/2 (I1 − 3 − 2 ln J) + λ/2 (ln J)²
-
-with Lamé's constants λ and μ of small strain, which it tends to. With
-F = I + Σ u_a g_aᵀ and the pushed-forward gradients ĝ = F⁻ᵀ g:
+Linear tetrahedra, total Lagrangian (Bonet and Wood, Nonlinear Continuum
+Mechanics for Finite Element Analysis, 2nd ed., chapter 6). F = I + Σ u_a g_aᵀ,
+ĝ = F⁻ᵀ g, energy W of docs/soles.md with Lamé's constants λ and μ:
 
     P = μ (F − F⁻ᵀ) + λ ln J F⁻ᵀ
     K_ab = V [μ g_a·g_b I + (μ − λ ln J) ĝ_b ĝ_aᵀ + λ ĝ_a ĝ_bᵀ]
 
-The node law F = T(τ), τ = F − r δ (see `contact/law.py`) is solved in τ: a
-contact node carries F = T(τ) and lies at P = Q + (T(τ) − τ)/r, so that
-Signorini's and Coulomb's laws hold exactly at every iterate. Unknowns are the
-displacements of the interior nodes, τ of the contact nodes and the six of the
-pose; equations are the balance of every free node and the wrench:
+The node law F = T(τ), τ = F − r δ is solved in τ: a contact node lies at
+P = Q + (T(τ) − τ)/r, so that the laws hold exactly at every iterate. Unknowns
+are the interior displacements, τ and the pose; equations
 
     f_int(u) − Eᵀ Rᵀ F = 0,  Σ F = F_des,  Σ (P − Z_des) × F = 0.
 
-With D = ∂T/∂τ and dτ = r R ζ a contact node has, in the sole frame,
-du = (D̂ − I) ζ and dF = r D̂ ζ at fixed pose, D̂ = Rᵀ D R; a unit pose
-increment adds Rᵀ(−dzO + hat(P − Z) dω) to du. Eliminating all but the pose
-from the Newton matrix of a converged state gives K_c.
+With D̂ = Rᵀ (∂T/∂τ) R and dτ = r R ζ: du = (D̂ − I) ζ and dF = r D̂ ζ at fixed
+pose, in the sole frame; a pose increment adds Rᵀ(−dzO + hat(P − Z) dω) to du.
 """
 
 from collections.abc import Callable

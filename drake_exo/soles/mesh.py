@@ -1,15 +1,12 @@
 """Tetrahedral meshes of soles: bricks, files, checks, STL; their shapes.
 
 Sole frame: x forward, y left, z up, origin at the centre of the top plane
-(the surface fixed to the rigid foot); the sole lies below, at z <= 0.
+(the surface fixed to the rigid foot); the sole lies below, at z <= 0. Shapes
+by (4) and (5) of the paper.
 
 A mould is a block with the sole as its cavity, open at the fixed surface.
 Radial deformations keep the directions of the fixed outline from the origin,
 so that the ring between it and the block's edge is filled by going round both.
-
-A shape is a radial deformation by a B-spline in spherical angles:
-X' = s(p, θ, φ) X with θ = atan2(y, -z), φ = atan2(x, √(y² + z²)) and
-s = Σ p_jk N_j(θ) N_k(φ), degree 2, clamped at ±π/2 (paper, (4) and (5)).
 """
 
 import math

@@ -1,14 +1,13 @@
 """From a closed surface (STL, OBJ) to the tetrahedra of a sole.
 
-The surface becomes the zero level of a signed distance on a grid, which Mmg
-cuts (Dapogny, Dobrzynski, Frey, J. Comput. Phys. 262, 2014); the nodes of what
-is inside are moved onto the surface and its sharp edges, which a level set cuts
-off. It is meshed anew, its cells' size in proportion to the local thickness,
-and the surface nodes are moved once more. A flat top is a face of the grid, so
-that it stays flat and its rim sharp.
+Mmg cuts a grid at the zero level of a signed distance (Dapogny, Dobrzynski,
+Frey, J. Comput. Phys. 262, 2014); the nodes of what is inside are moved onto
+the surface and its sharp edges, which a level set cuts off. It is meshed anew
+by the local thickness, and its nodes are moved once more. A flat top is a face
+of the grid.
 
 Mmg works in a process of its own, this module run as a script, since there are
-bodies that it runs on without end about; arrays go through stdin and stdout.
+bodies that it runs on without end; arrays go through stdin and stdout.
 """
 
 import io

@@ -1,16 +1,8 @@
 """Walking pattern of one cyclic step: ZMP, CoM and forces of one foot.
 
-Linear inverted pendulum, c̈ = ω² (c − z) with ω² = g / h. The CoM is a
-B-spline of degree 5 over uniform knots, so that the ZMP z = c − c̈ / ω² is a
-piecewise polynomial, twice differentiable. A quadratic programme finds its
-coefficients: least energy of the pendulum's actuation and of the ankles,
-
-    ∫ |c̈|² + w ω⁴ |α (z_foot − a)|² + ω⁴ τ² |ż|² dt,
-
-with the ZMP inside the support and cyclic boundary conditions (one step later
-the state is the same, mirrored and one step length ahead); see docs/soles.md.
-The landing foot is the right one; y is to the left; sole frame of the right
-foot.
+The programme of docs/soles.md: c̈ = ω² (c − z), ω² = g / h, cyclic: one step
+later the state is the same, mirrored and one step length ahead. The landing
+foot is the right one; y is to the left; sole frame of the right foot.
 """
 
 from dataclasses import dataclass, replace

@@ -1,20 +1,17 @@
 """What a node meets: Signorini's and Coulomb's law, and the ground.
 
-Exact or smoothed, the law is one projection. Residual φ = F − T(F − r δ). With
-τ = F − r δ (force of the ground on the sole F, place relative to its reference
-δ):
+Residual φ = F − T(τ), τ = F − r δ (force F of the ground on the sole, place δ
+relative to its reference):
 
     p = plus_ε(τ_n),  g = μ p,  T = (τ_t / s, p),  s = 1 + plus_κ(|τ_t|/g − 1)
 
 ε = r ℓ (layer thickness ℓ) and κ smooth the corners twice differentiably;
 ε = κ = 0 is the exact law, at whose solution φ = 0 is the same as
-Alart–Curnier's. With D = ∂T/∂τ the derivatives are ∂φ/∂F = I − D and
-∂φ/∂δ = r D: a firmly sticking node has D = I.
+Alart–Curnier's. With D = ∂T/∂τ: ∂φ/∂F = I − D, ∂φ/∂δ = r D.
 
-The ground is flat, or heights of a grid. Heights are interpolated by a bicubic
-spline, whose slope and curvature are continuous. During a sample every node
-meets the plane that touches the ground below its place at the sample before:
-exact for a slope and for nodes that stick, off by half the curvature times the
+The ground is flat, or a bicubic spline through heights of a grid. A node meets
+the plane that touches it below the node's place at the sample before: exact
+for a slope and for nodes that stick, off by half the curvature times the
 square of a slip for others.
 """
 

@@ -1,12 +1,9 @@
 """The shape problem: cost, constraints and their gradients at a design.
 
 Design variables are the free coefficients of the spline, and of a walk that
-is sought with its sole its numbers. Every evaluation
-simulates the whole step from a cold start; the last accepted design's history
-only gives first guesses for the samples after the first. A failed simulation
-gives NaN, which the solver takes as a rejected step; so does a first contact
-on another branch of poses than the last accepted design's, where the cost
-would leap.
+is sought with its sole its numbers. The last accepted design's history only
+gives first guesses. A failed simulation is NaN, which the solver takes as a
+rejected step; so is a first contact on another branch of poses.
 """
 
 from dataclasses import replace

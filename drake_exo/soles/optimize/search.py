@@ -1,16 +1,12 @@
 """The search for a shape: several starts, then stage by stage.
 
-Stages start from the best design of the one before. Those but the last are
-searched from several starts, the brick and smooth bends of it: after each of
-them the better half goes on (successive halving: Jamieson and Talwalkar,
-AISTATS 2016), into the last stage the best. Ctrl-C leaves the best so far on
-disk.
+After each stage but the last the better half of the starts goes on (successive
+halving: Jamieson and Talwalkar, AISTATS 2016). Ctrl-C leaves the best so far
+on disk.
 
-The front of c_tr against c_rot: an epsilon-constraint: c_tr alone is minimised
-under c_rot >= floor, from the lowest floor to the highest. The first point
-starts from the case's own optimum, each further one from the point before,
-with what was learnt of the curvature. On the coarse mesh with a few samples,
-verified by the exact law there with all samples.
+The front: c_tr alone under c_rot >= floor, from the lowest floor to the
+highest, the first from the case's own optimum, each further one from the point
+before with what was learnt of the curvature.
 """
 
 import shutil
