@@ -34,8 +34,7 @@ quick: $(VENV)/installed
 	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 docs: $(VENV)/installed
-	$(BIN)/pdoc drake_exo drake_exo.contact drake_exo.soles \
-	    drake_exo.calibration.settings drake_exo.virtual_laboratory.synthetic -o docs/api
+	$(BIN)/python docs/make_api.py docs/api
 
 coverage: $(VENV)/installed
 	$(TEST_ENV) $(BIN)/python -m pytest -n 2 --dist worksteal \
