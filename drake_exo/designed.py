@@ -707,9 +707,7 @@ def _half_width(moved: Moved, cuff: str) -> float:
     if moved.bands is None or cuff not in moved.trial.cuffs:
         return 0.0
     at = int(np.argmax(np.abs(moved.trial.cuffs[cuff].normal)))
-    if cuff in moved.bands.mats:
-        return float(moved.bands.mats[cuff][at])
-    return float(moved.bands.cuffs[cuff][at, NORMAL])
+    return float(moved.bands.normal(cuff)[at])
 
 
 def _mean(values: Sequence[float]) -> float | None:

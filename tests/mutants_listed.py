@@ -513,8 +513,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('Trial.coordinate, "°")', 'Trial.velocity, "°")'),
         ('Trial.velocity, "°/s")', 'Trial.velocity, "°")'),
         (
-            "half = band.mats.get(cuff, band.cuffs[cuff][:, NORMAL])",
-            "half = band.cuffs[cuff][:, 0]",
+            "width = max(shown, 1.0) * band.normal(cuff)",
+            "width = band.normal(cuff)",
         ),
         ("middle - width,", "middle,"),
         ('y = [r["grf_n"] for r in some]', 'y = [r["cop_mm"] for r in rows]'),

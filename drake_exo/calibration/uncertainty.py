@@ -525,6 +525,10 @@ class Bands:
     off_v: np.ndarray
     off_mats: dict[str, np.ndarray]
 
+    def normal(self, cuff: str) -> np.ndarray:
+        """Of a cuff's normal force (n,) [N]: as its mats show it, if any."""
+        return self.mats.get(cuff, self.cuffs[cuff][:, NORMAL])
+
     def coverage(self, found: Trial, measured: Trial) -> dict:
         """Share of measured samples within the bands around a prediction.
 

@@ -249,10 +249,13 @@ def _of_unsigned(file: C3dContents) -> np.ndarray:
         real is not None and real.flat[0] < 0.0
     ):
         return values
-    scale, offset, whole = (
-        file.numbers("ANALOG", name).ravel()[: values.shape[1]]
+    told = [
+        file.numbers("ANALOG", name)
         for name in ("SCALE", "OFFSET", "GEN_SCALE")
-    )
+    ]
+    if any(x is None for x in told):
+        return values
+    scale, offset, whole = (x.ravel()[: values.shape[1]] for x in told)
     one, offset = whole[0] * scale, np.mod(offset, 65536.0)
     is_low = np.sign(one) * (values + offset * one) < -0.5 * np.abs(one)
     return values + 65536.0 * one * is_low

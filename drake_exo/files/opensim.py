@@ -77,8 +77,7 @@ def read_trc(path: str | Path) -> MarkerData:
         InputError: the file is unreadable, truncated, or holds text among
             numbers, its unit is unknown, or its time does not increase.
     """
-    text = read_text(path)
-    lines = text.splitlines()
+    lines = read_text(path).splitlines(keepends=True)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise InputError(f"{path}: is not a .trc file; check the path")
     keys = [k.lower() for k in lines[1].split()]
@@ -95,8 +94,6 @@ def read_trc(path: str | Path) -> MarkerData:
     for i in range(5, len(lines)):
         if lines[i].strip():
             rows.append((i + 1, _fields(lines[i], width)))
-    if rows and text[-1] not in "\r\n":
-        rows[-1] = len(lines), lines[-1].rstrip().split("\t")
     values = number_rows(path, rows, width)
     announced = header.get("numframes")
     if not _is_cut_out(announced, values[:, 0]):
@@ -279,8 +276,11 @@ def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
 
 
 def _fields(line: str, width: int) -> list[str]:
-    """Cells of a .trc row; markers missing at its end become gaps."""
+    """Cells of a .trc row; markers missing at its end become gaps.
+
+    A row without an end of line may have been cut off.
+    """
     cells = line.rstrip().split("\t")
-    if (len(cells) - 2) % 3 == 0:
+    if (len(cells) - 2) % 3 == 0 and line.endswith(("\n", "\r")):
         cells += [""] * (width - len(cells))
     return cells

@@ -31,6 +31,11 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 
 _MOMENT = "_moment"
+# Ending of the columns -> what they hold, and its units in a .csv.
+_UNITS = {
+    "": ("an angle", ("deg", "rad")),
+    _MOMENT: ("a moment", ("nm", "n m")),
+}
 
 
 @dataclass(frozen=True)
@@ -125,18 +130,13 @@ def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
     kind = Path(path).suffix.lower()
     if kind == ".csv":
         table = read_csv_table(path)
-        known = ("nm", "n m") if ending else ("deg", "rad")
-        for name, unit in zip(table.names, table.units, strict=True):
-            of_moment = _MOMENT in name
-            if (
-                name.startswith(joints)
-                and of_moment == bool(ending)
-                and unit not in known
-            ):
+        what, known = _UNITS[ending]
+        for name in _columns(table, joints, ending):
+            unit = table.units[table.names.index(name)]
+            if unit not in known:
                 raise InputError(
-                    f"{path}:1: column {name!r} is in {unit!r}; give "
-                    f"{'a moment' if ending else 'an angle'} in "
-                    f"{' or '.join(known)}"
+                    f"{path}:1: column {name!r} is in {unit!r}; give {what} "
+                    f"in {' or '.join(known)}"
                 )
         return table
     if kind not in (".mot", ".sto"):
@@ -147,9 +147,18 @@ def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
     table = read_table(path)
     if ending:
         return table
-    angles = tuple(n for n in table.names if n.startswith(joints))
-    others = [n for n in table.names if n not in angles or _MOMENT in n]
+    angles = _columns(table, joints, ending)
+    others = [n for n in table.names if n not in angles]
     return table.in_radians(tuple(n for n in others if not is_translation(n)))
+
+
+def _columns(table: Table, joints: tuple[str, ...], ending: str) -> list[str]:
+    """Names of the joints' angles, or of their moments."""
+    return [
+        name
+        for name in table.names
+        if name.startswith(joints) and (_MOMENT in name) == bool(ending)
+    ]
 
 
 def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:

@@ -20,7 +20,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drake_exo.calibration.uncertainty import Bands
-from drake_exo.contact.bushing import NORMAL
 from drake_exo.contact.hunt_crossley import (
     LAWS,
     friction_coefficient,
@@ -205,8 +204,7 @@ def _draw_band(
     Of cuffs with mats: where these would show it.
     """
     middle = shown * trial.cuffs[cuff].normal
-    half = band.mats.get(cuff, band.cuffs[cuff][:, NORMAL])
-    width = max(shown, 1.0) * half
+    width = max(shown, 1.0) * band.normal(cuff)
     ax.fill_between(
         trial.times,
         middle - width,
@@ -322,9 +320,11 @@ def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
                 color = colors[k % len(colors)]
                 # Matplotlib leaves names out that begin with "_".
                 said = f" {name}" if name.startswith("_") else name
-                curves += _run_curves(solved, said, signals, color, len(found))
-                if k >= len(colors):
-                    curves[-1][2]["ls"] = "-."
+                # A dash of its own where colours begin again.
+                dash = "--" if k < len(colors) else "-."
+                curves += _run_curves(
+                    solved, said, signals, color, dash, len(found)
+                )
         for times, values, style in curves:
             ax.plot(times, values, **style)
         ax.set_ylabel(label)
@@ -339,8 +339,8 @@ def _measured_curves(trial: Trial, signals):
     return [(trial.times, x, style) for x, style in found if x is not None]
 
 
-def _run_curves(trial: Trial, name: str, signals, color, count):
-    style = {"label": name, "color": color, "lw": 1.6, "ls": "--"}
+def _run_curves(trial: Trial, name: str, signals, color, dash, count):
+    style = {"label": name, "color": color, "lw": 1.6, "ls": dash}
     curves = [(trial.times, signals[0](trial), style)]
     for device in signals[1:]:
         style = {

@@ -178,6 +178,9 @@ def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
     )
     assert (np.abs(found.analogs - plain.analogs) > 100.0 * scale).any()
     monkeypatch.setattr(c3d_files, "decode", lambda path: found)
+    bare = {k: v for k, v in parameters["ANALOG"].items() if k != "OFFSET"}
+    less = replace(found, parameters=parameters | {"ANALOG": bare})
+    assert c3d_files._of_unsigned(less) is found.analogs
     off = np.abs(read_c3d(path).analog.values - plain.analogs)
     assert (off <= 0.501 * scale).all()
 

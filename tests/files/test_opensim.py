@@ -344,6 +344,9 @@ def test_a_row_may_end_before_its_last_marker_but_not_within_it(
         path.write_text("\n".join([*lines[:9], short, *lines[10:]]) + "\n")
         found = read_trc(path).positions
         assert np.isnan(found[:, 2]).any(axis=1).sum() == 1
+    # Blanks behind the last row are no row that was cut off.
+    path.write_text("\n".join([*lines[:9], short, *lines[10:], "  "]))
+    np.testing.assert_array_equal(read_trc(path).positions, found)
     # A file that was cut off ends within a row.
     path.write_text("\n".join([*lines[:-1], lines[-1].rsplit("\t", 3)[0]]))
     assert "truncated" in refusal(read_trc, path)

@@ -50,6 +50,17 @@ def same(line, times, values):
     np.testing.assert_allclose(line, [times, values], rtol=1e-12, atol=1e-12)
 
 
+def test_five_results_look_each_its_own_way_and_all_are_named(trials, found):
+    """Colours begin again with another dash; Matplotlib hides "_" names."""
+    names = ["_old", "b", "c", "d", "e"]
+    runs = dict.fromkeys(names, found)
+    figure = figures.ground_reaction_figure(runs, trials)
+    drawn = figure.axes[0].get_lines()
+    looks = {(x.get_color(), x.get_linestyle()) for x in drawn}
+    assert len(drawn) == len(looks) == 6
+    assert " _old" in {x.get_label() for x in drawn}
+
+
 def test_ground_reaction_and_cop(trials, found):
     figure = figures.ground_reaction_figure({"model": found}, trials)
     rows = panels(figure, 2)
