@@ -1,12 +1,12 @@
 """What a design tells, number by number, of a program that nothing solved."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from worn import as_guessed
+from worn import as_guessed, bands_of
 from worn import wearer as worn
 
 from drake_exo import designed, designing
@@ -20,7 +20,6 @@ from drake_exo.calibration.settings import (
     Population,
     Solver,
 )
-from drake_exo.calibration.uncertainty import Bands
 from drake_exo.designed import Designed, Moved, forecast_norm
 from drake_exo.designing import front
 from drake_exo.model.plant import nominal_model
@@ -201,9 +200,7 @@ def test_bands_are_at_the_largest_force(made):
     mats, cuffs = np.zeros(n), np.zeros((n, 3))
     mats[at], cuffs[at] = 4.0, (1.0, 2.0, 3.0)
     for known, width in (({"thigh": mats}, 4.0), ({}, 2.0)):
-        own = {"mats": known, "cuffs": {"thigh": cuffs}}
-        nothing = dict.fromkeys(f.name for f in fields(Bands))
-        bands = Bands(**nothing | own)
+        bands = bands_of({"thigh": cuffs}, known)
         moved = Moved(trial, bands, trial)
         assert designed._half_width(moved, "thigh") == width
     without = replace(trial, cuffs={})

@@ -447,7 +447,7 @@ def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():
         return SimpleNamespace(cuffs={"thigh": force})
 
     band = np.array([[0, 1, 0], [0, 4, 0], [0, 1, 0]])
-    bands = SimpleNamespace(mats={}, cuffs={"thigh": band})
+    bands = worn.bands_of({"thigh": band}, {})
 
     def moved(*peaks):
         return [

@@ -1,11 +1,12 @@
 """A wearer at once: a drawn rise whose torques and forces nothing solved."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from drake_exo.calibration.settings import CuffFreedom, JointFreedom
+from drake_exo.calibration.uncertainty import Bands
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.measurement.trial import CuffForce, Trial
@@ -81,3 +82,9 @@ def as_guessed(problem):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drake_exo.calibration.design.ipopt.solve", solve)
         return problem.solve()
+
+
+def bands_of(cuffs, mats) -> Bands:
+    """Bands of which half widths of cuffs and mats alone are looked at."""
+    nothing = dict.fromkeys(f.name for f in fields(Bands))
+    return Bands(**nothing | {"cuffs": cuffs, "mats": mats})
