@@ -66,6 +66,7 @@ def test_documentation_has_an_example_that_runs(name, monkeypatch):
     assert results.failed == 0
 
 
+@pytest.mark.slow
 def test_examples_of_what_is_not_public_run_too():
     public = {name.rpartition(".")[2] for name in NAMES} | set(MODULES)
     run = 0

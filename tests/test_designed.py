@@ -303,6 +303,7 @@ def test_a_migration_at_its_limit_is_within_it(made, felt, monkeypatch):
         assert ("design.migration" in names) == told
 
 
+@pytest.mark.slow
 def test_a_built_design_is_held_against_its_forecast(told):
     """By the mean of what mats then show."""
     name, (moved, *_) = next(iter(told.after.items()))

@@ -43,6 +43,7 @@ def _by_x(problem, result):
     return index, unit * found.by_gradient @ program.unknowns.matrix.T
 
 
+@pytest.mark.slow
 def test_what_encoders_show_moves_parameters_as_a_second_solve_says(coarse):
     """Errors take up what they can: they move with the targets, too."""
     made, result = coarse
@@ -73,6 +74,7 @@ def test_what_encoders_show_moves_parameters_as_a_second_solve_says(coarse):
     np.testing.assert_allclose(expected / sd, change / sd, atol=3e-3)
 
 
+@pytest.mark.slow
 def test_noise_and_curvature_tell_nearly_the_same(coarse):
     """Two paths: noise sent through the optimum, and the cost's curvature."""
     _, result = coarse
@@ -95,6 +97,7 @@ def test_noise_and_curvature_tell_nearly_the_same(coarse):
     assert (found.half_width <= 2.0 * found.prior_sd).all()
 
 
+@pytest.mark.slow
 def test_a_prior_pulls_nothing(coarse):
     """It is a measurement; energy and jerk are none."""
     _, result = coarse

@@ -451,6 +451,7 @@ def test_one_trial_at_a_glance(trials, found):
     assert [t.get_text() for t in figure.texts] == [measured.name]
 
 
+@pytest.mark.slow
 def test_legends_stay_inside_narrow_figures(trials, found):
     for figure in (
         figures.kinematics_figure({"predicted": found[:1]}, trials[:1]),

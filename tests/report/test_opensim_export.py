@@ -433,6 +433,7 @@ def test_cuffs_that_are_written_give_the_calibrated_forces(case, kind):
         np.testing.assert_allclose(turned, moment, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_device_hangs_on_both_legs(case):
     one = case("coupled")
     model = read_osim(one.export().files[0])
@@ -445,6 +446,7 @@ def test_the_device_hangs_on_both_legs(case):
         )
 
 
+@pytest.mark.slow
 def test_ground_forces_are_each_foots(case):
     for kind, share in (("alone", 0.5), ("two legs", 1.0)):
         _, _, forces = case(kind).export(f"{share}.osim").files
@@ -513,6 +515,7 @@ def test_toes_that_the_model_holds_are_refused(case):
         one.export()
 
 
+@pytest.mark.slow
 def test_the_command(case, capsys):
     one = case("alone")
     out = one.folder.parent / "c.osim"

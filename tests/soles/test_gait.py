@@ -42,6 +42,7 @@ def kept(gait, x):
     return all((limit >= 0).all() for limit in gait.limits(x).values())
 
 
+@pytest.mark.slow
 def test_walks_to_begin_with_differ_and_keep_the_limits(gait):
     """The same ones every time; the own walk where there are none."""
     found = [gait.walk(k) for k in range(4)]

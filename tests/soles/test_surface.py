@@ -218,6 +218,7 @@ def test_parts_that_overlap_are_refused():
         sole_from_surface(surface, 2000)
 
 
+@pytest.mark.slow
 def test_a_top_that_is_not_flat_is_asked_for_and_taken():
     corners = shoe_surface(60, 10)
     corners[..., 2] += 4 * corners[..., 1] ** 2  # a cup for the foot

@@ -62,6 +62,7 @@ def test_accelerations_are_how_the_velocity_changed(truth, dipped):
     np.testing.assert_allclose(given, gained, atol=1.0)
 
 
+@pytest.mark.slow
 def test_what_is_recorded_is_near_the_plan(truth, dipped):
     plan, trial = dipped
     names = trial.coordinates
