@@ -101,7 +101,7 @@ def test_a_killed_worker_loses_nothing(machines):
     jobs = [*naps(12, 0.7), Job("bad", HERE + "refuse")]
     jobs.append(Job("next", HERE + "add", {"a": 1, "b": 2}, ("n0", "n1")))
     with Cluster(machines.address) as cluster:
-        while jobs.workers() < 3:
+        while cluster.workers() < 3:
             time.sleep(0.2)
         timer = after(1.5, workers[0].kill)
         ended = run_jobs(jobs, cluster)
@@ -174,8 +174,8 @@ def test_encrypted(tmp_path, monkeypatch):
 
 def test_nobody_answers(monkeypatch):
     pytest.importorskip("distributed", reason="dask.distributed is absent")
-    from drake_exo.batch import jobs
+    from drake_exo.jobs import engine
 
-    monkeypatch.setattr(jobs, "_CONNECT_SECONDS", 0.0)
+    monkeypatch.setattr(engine, "_CONNECT_SECONDS", 0.0)
     with pytest.raises(InputError, match="does not answer"):
         Cluster("tcp://127.0.0.1:9")
