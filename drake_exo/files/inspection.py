@@ -120,7 +120,7 @@ def _of_csv(path: Path) -> list[Section]:
     cells = first.split(",")
     if [cell.strip() for cell in cells[:2]] == ["row", "column"]:
         return [_places(path, lines)]
-    if ";" in cells[0]:
+    if ";" in cells[0] and len(cells) > 1:
         whole = {"cells": (1, len(cells) - 1)}
         return [_pressure(read_pressure_csv(path, whole))]
     return [_channels(read_csv_table(path), "in SI units, angles in radians")]

@@ -79,7 +79,8 @@ def number_rows(
         if len(cells) != width:
             raise InputError(
                 f"{path}:{line}: has {len(cells)} values where {width} are "
-                "named; the file is truncated or damaged"
+                "named; the file is truncated or damaged, or its numbers have "
+                "decimal commas"
             )
     texts = [[cell.strip() or "nan" for cell in cells] for _, cells in rows]
     try:

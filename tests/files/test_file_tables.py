@@ -120,6 +120,8 @@ def test_numbers_of_rows_are_told_by_their_line():
     np.testing.assert_array_equal(found, [[1.0, np.nan], [2.0, 1e30]])
     with pytest.raises(InputError, match=r"f:5: '-2e30' is larger"):
         number_rows("f", [rows[0], (5, ["2", "-2e30"])], 2)
+    with pytest.raises(InputError, match=r"f:5: has 4 .* decimal commas$"):
+        number_rows("f", [rows[0], (5, ["0", "01", "1", "5"])], 2)
 
 
 def test_gaps_are_counted():

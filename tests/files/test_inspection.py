@@ -101,6 +101,9 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     (tmp_path / "p.csv").write_text("\n".join(rows) + "\n")
     found = text(tmp_path / "p.csv")
     assert "cells: 3 cells, up to 19.9 kPa, 1 of them pressed" in found
+    (tmp_path / "a.csv").write_text("time [s];exo_knee [deg]\n0,0;1\n0,1;2\n")
+    with pytest.raises(InputError, match="semicolons separate the columns"):
+        inspect(tmp_path / "a.csv")
     rows = ["row,column,x,y,z", "1,1,20.5,75,703", "1,2,21,75,717"]
     (tmp_path / "cells.csv").write_text("\n".join(rows) + "\n")
     found = text(tmp_path / "cells.csv")
