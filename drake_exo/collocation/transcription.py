@@ -207,9 +207,8 @@ class HermiteSimpson(Transcription):
         for i, binding in enumerate(bindings):
             binding.evaluator().set_description(f"{self.name} collocation[{i}]")
         # As Drake orders the inputs of each.
-        inputs = np.hstack(
-            [time_steps, states[:-1], states[1:], self.jerk[:-1], self.jerk[1:]]
-        )
+        at, x, u = map(program.indices, (time_steps, states, self.jerk))
+        inputs = np.hstack([at, x[:-1], x[1:], u[:-1], u[1:]])
         for step, which in _by_length(steps):
             some = [bindings[i] for i in which]
             zero = np.zeros((len(some), 3 * n_dof))

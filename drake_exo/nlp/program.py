@@ -235,21 +235,20 @@ class BatchedProgram:
             )
             for t in range(len(variables))
         ]
-        return self.register(
-            name, kernel, bindings, variables, lower, upper, data
-        )
+        index = self.indices(variables)
+        return self.register(name, kernel, bindings, index, lower, upper, data)
 
     def register(
-        self, name, kernel, bindings, variables, lower, upper, data=None
+        self, name, kernel, bindings, index, lower, upper, data=None
     ) -> Batch:
         """Tell that constraint bindings already in the program are a batch.
 
         Args:
             bindings: n of them.
-            variables: (n, n_in) of each, in the kernel's order.
+            index: (n, n_in) of their variables, in the kernel's order.
             name, kernel, lower, upper, data: see `add_constraints`.
         """
-        batch = Batch(name, kernel, self.indices(variables), lower, upper, data)
+        batch = Batch(name, kernel, index, lower, upper, data)
         self.constraints.append(batch)
         self._cover(bindings)
         return batch
