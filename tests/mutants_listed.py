@@ -721,8 +721,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("return self.costs[0]", "return self.costs[1]"),
         (
-            '"tilt_max_deg": float(self.tilt_deg.max())',
-            '"tilt_max_deg": float(self.tilt_deg.min())',
+            "np.max(self.tilt_deg[self.converged], initial=0.0)",
+            "np.max(self.tilt_deg, initial=0.0)",
         ),
         (
             "moved.sum(axis=1) / F[:, :, 2].sum(axis=1)[:, None]",

@@ -174,18 +174,24 @@ def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
     )
     colours = ("red", "green", "blue")
     for axis, force, colour in zip("xyz", load.force.T, colours, strict=True):
-        right.plot(
-            *_apart(load.begins, load.times, force),
-            color=f"tab:{colour}", label=f"$F_{axis}$",
-        )  # fmt: skip
+        _over_time(right, load.begins, load.times, force,
+                   color=f"tab:{colour}", label=f"$F_{axis}$")  # fmt: skip
     right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
     right.legend(ncols=3)
     return figure
 
 
-def _apart(begins: Sequence[int], *columns: np.ndarray) -> list[np.ndarray]:
-    """Values (N,) of loads with a gap in front of each but the first."""
-    return [np.insert(c.astype(float), begins[1:], np.nan) for c in columns]
+def _over_time(axis, begins: Sequence[int], t, values, **look) -> None:
+    """Draw values (N,) of loads, a gap in front of each but the first.
+
+    A load of one sample is a point.
+    """
+    if 1 in np.diff([*begins, len(t)]):
+        look["marker"] = "."
+    axis.plot(
+        *(np.insert(x.astype(float), begins[1:], np.nan) for x in (t, values)),
+        **look,
+    )
 
 
 def _as_written(name: str) -> str:
@@ -223,11 +229,8 @@ def stiffness_figure(
             for axis, values, scale in zip(
                 axes[:, column], both, (1e-3, 1.0), strict=True
             ):
-                axis.plot(
-                    *_apart(begins, t, scale * values),
-                    label=_as_written(label),
-                    **look,
-                )
+                _over_time(axis, begins, t, scale * values,
+                           label=_as_written(label), **look)  # fmt: skip
         for axis in axes[:, column]:
             for k, (first, end) in enumerate(strikes):
                 axis.axvspan(
@@ -248,13 +251,14 @@ def stiffness_figure(
 
 @style()
 def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
-    """Pose, stability and nodes in contact over time."""
+    """Pose, stability and nodes in contact over time, where it converged."""
     begins = [0]
     if "load" in columns:
         begins += list(np.flatnonzero(np.diff(columns["load"])) + 1)
 
     def draw(axis, values, **look):
-        axis.plot(*_apart(begins, columns["time_s"], values), **look)
+        values = np.where(columns["converged"], values, np.nan)
+        _over_time(axis, begins, columns["time_s"], values, **look)
 
     figure, axes = panels(2, 2, (9.0, 6.0), sharex=True)
     (place, turn), (stable, nodes) = axes
@@ -636,7 +640,8 @@ def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
     At `place` in the picture, where z = 0 is at `lift`.
     """
     corners = 1e3 * mesh.nodes[mesh.boundary_faces]
-    point = np.array([[x, y]]) + 1e-4  # off the edges of regular meshes
+    # Off the edges of regular meshes, and off their diagonals.
+    point = np.array([[x, y]]) + 1e-4 * np.array([np.pi, np.e])
     for _, (z,) in crossings(corners, point):
         low, high = z.min(), z.max()
         text = f"{high - low:.1f}"

@@ -511,7 +511,9 @@ class Step:
             "least_quality": float(mesh.quality().min()),
             "stable": bool(self.failed_steps == 0 and margin.min() > 0),
             "stability_min_n_per_m": float(np.min(margin)),
-            "tilt_max_deg": float(self.tilt_deg.max()),
+            "tilt_max_deg": float(
+                np.max(self.tilt_deg[self.converged], initial=0.0)
+            ),
             "max_strain": self.largest_strain,
             "zmp_error_rms_m": self.zmp_error,
             "friction_used": self.setup.friction_used,
@@ -570,7 +572,7 @@ class Step:
         from drake_exo.soles import pictures
 
         load, mesh = self.setup.load, self.sole.mesh
-        peak = np.nan_to_num(self.pressure).max(axis=0)
+        peak = self.pressure[self.converged].max(axis=0, initial=0.0)
         drawn = {
             "drawing": pictures.drawing_figure(mesh, self.setup.name, peak),
             "load": pictures.load_figure(load, mesh, self.setup.ground),

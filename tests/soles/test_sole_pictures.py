@@ -1,5 +1,6 @@
 """What the pictures of soles show: places, units, words, and where they lie."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -196,13 +197,24 @@ def test_heel_strike_is_shaded_in_the_stiffness():
     assert "rad" in axes[2].get_ylabel()
 
 
+def test_a_load_of_one_sample_is_a_point(mesh):
+    load = _load(mesh, 4)
+    for begins, marker in (((0,), "None"), ((0, 1), "."), ((0, 3), ".")):
+        parts = replace(load, begins=begins, weights=(1.0,) * len(begins))
+        _, force, _ = pictures.load_figure(parts, mesh).axes
+        assert [line.get_marker() for line in force.lines] == 3 * [marker]
+
+
 def test_pose_in_millimetres_degrees_and_kilonewtons():
     t = np.linspace(0, 1, 5)
     names = ("origin_x_m", "origin_y_m", "origin_z_m", "roll_deg",
              "pitch_deg", "yaw_deg", "stability_n_per_m",
              "nodes_in_contact")  # fmt: skip
     columns = {name: 0.01 * (k + 1) + t**k for k, name in enumerate(names)}
+    columns["converged"] = np.array([1, 1, 0, 1, 1])
     figure = pictures.pose_figure({"time_s": t, **columns})
+    columns = {n: np.where(columns["converged"], columns[n], np.nan)
+               for n in names}  # fmt: skip
     place, turn, stable, nodes = figure.axes
     lines = {
         **dict(zip(names[:3], place.lines, strict=True)),
@@ -650,3 +662,11 @@ def test_what_stands_at_the_side_of_a_thickness_is_not_measured(wedge):
     axis = Figure().add_subplot()
     pictures._thickness(axis, wedge, 130.0, 0.0, 0.0)
     assert not axis.texts
+
+
+def test_a_thickness_is_measured_on_the_mesh_s_own_lines():
+    axis = Figure().add_subplot()
+    mesh = brick((0.3, 0.12, 0.025), (20, 8, 3))
+    for x in (0.0, 15.0, 45.0):
+        pictures._thickness(axis, mesh, x, 0.0, x)
+    assert [words.get_text() for *_, words in _arrows(axis)] == 3 * ["25.0"]

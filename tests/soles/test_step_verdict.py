@@ -206,7 +206,11 @@ def test_failures_are_told_with_time_and_reason(two):
     K = two.history.K_c.copy()
     K[3] = np.nan
     history = replace(two.history, reports=reports, K_c=K)
-    told = replace(two, history=history).summary()
+    R = two.rotation.copy()
+    R[3] = np.diag([1.0, -1.0, -1.0])
+    told = replace(two, history=replace(history, R=R)).summary()
+    rest = np.delete(two.tilt_deg, 3)
+    assert told["tilt_max_deg"] == pytest.approx(rest.max())
     assert told["failures"] == [
         {"step": 3, "time_s": pytest.approx(0.015), "message": "stuck"}
     ]
