@@ -378,8 +378,9 @@ def replay_soles(folder: Path, path: Path) -> None:
     shown = [motion for motion in motions if motion is not None]
     if not shown:
         raise InputError(
-            f"{folder}: holds no {HISTORY} of a sole that converged; give the "
-            "--out folder of 'drake-exo sole simulate', 'optimize' or 'study'"
+            f"{folder}: holds no {HISTORY} of a sole of which two samples "
+            "converged; give the --out folder of 'drake-exo sole simulate', "
+            "'optimize' or 'study'"
         )
     groups = sorted({motion.group for motion in shown})
     write_animation(path, shown, f"Sole {', '.join(groups)}")

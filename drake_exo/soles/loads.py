@@ -400,9 +400,12 @@ def read_csv(path) -> Load:
             f"{path}: column 'load' has to count from 0 on, each number in "
             "rows that follow one another"
         )
-    _, begins = np.unique(number, return_index=True)
-    if not (weight[begins] > 0).all():
-        raise InputError(f"{path}: column 'weight' has to be above 0")
+    _, begins, phase = np.unique(number, return_index=True, return_inverse=True)
+    if not ((weight > 0) & (weight == weight[begins][phase])).all():
+        raise InputError(
+            f"{path}: column 'weight' has to be above 0, and one number in "
+            "all rows of a load"
+        )
     return replace(
         load,
         begins=tuple(map(int, begins)),

@@ -233,6 +233,9 @@ def test_costs_that_are_none_are_no_number(tmp_path):
     (tmp_path / "summary.json").write_text('{"c": null, "c_tr": 2, "x": null}')
     found = read_summary(tmp_path)
     assert np.isnan(found["c"]) and found["c_tr"] == 2 and found["x"] is None
+    (tmp_path / "summary.json").write_text("[1]")
+    with pytest.raises(InputError, match="is no summary"):
+        read_summary(tmp_path)
 
 
 # Grounds

@@ -302,6 +302,9 @@ def read_summary(folder: Path) -> dict:
     Raises:
         InputError: It cannot be read, or is no JSON.
     """
-    data = read_json(folder / SUMMARY, "optimise the sole again")
+    remedy = "optimise the sole again"
+    data = read_json(folder / SUMMARY, remedy)
+    if not isinstance(data, dict):
+        raise InputError(f"{folder / SUMMARY}: is no summary; {remedy}")
     missing = [key for key in _COSTS if key in data and data[key] is None]
     return data | dict.fromkeys(missing, np.nan)
