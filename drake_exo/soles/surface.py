@@ -339,7 +339,7 @@ class _Thickness:
         i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
         places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
         total = np.zeros(len(places))
-        for rows, z in crossings(self.corners, places):
+        for rows, z, _ in crossings(self.corners, places):
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
@@ -372,18 +372,19 @@ class _Thickness:
         order = np.argsort(which, kind="stable")
         ends = np.searchsorted(which[order], np.arange(len(places) + 1))
         nudge = 1e-7 * np.array([np.pi, np.e])
-        for rows, heights in crossings(self.corners, places + nudge):
-            for row, own in zip(rows, heights, strict=True):
+        for found in crossings(self.corners, places + nudge):
+            for row, own, up in zip(*found, strict=True):
                 here = order[ends[row] : ends[row + 1]]
-                below = (own[None] > z[here, None]).sum(axis=1)
-                out[here] = below % 2 == 1
+                # Parts that overlap are one.
+                out[here] = (own > z[here, None]) @ up > 0
         return out
 
 
 def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
-    Yields rows of places with a like number of crossings, heights (rows, k).
+    Yields rows of places with a like number of crossings, heights (rows, k), and
+    1 where triangles look upwards there, else -1.
     """
     a, b, c = np.swapaxes(corners, 0, 1)
     e, f = (b - a)[:, :2], (c - a)[:, :2]
@@ -398,13 +399,14 @@ def crossings(corners: np.ndarray, places: np.ndarray):
         hit = (u >= 0) & (v >= 0) & (u + v < 1) & ~steep
         row, t = np.nonzero(hit)
         z = a[t, 2] + u[hit] * (b - a)[t, 2] + v[hit] * (c - a)[t, 2]
-        found.append((row + first, z))
-    row, z = (np.concatenate(x) for x in zip(*found, strict=True))
+        found.append((row + first, z, np.sign(det[t])))
+    row, z, up = (np.concatenate(x) for x in zip(*found, strict=True))
     counts = np.bincount(row, minlength=len(places))
     starts = np.cumsum(counts) - counts
     for k in np.unique(counts[counts > 0]):
         rows = np.flatnonzero(counts == k)
-        yield rows, z[starts[rows, None] + np.arange(k)]
+        at = starts[rows, None] + np.arange(k)
+        yield rows, z[at], up[at]
 
 
 def _nearest(corners, points, step: float):

@@ -100,7 +100,7 @@ def test_lines_meet_triangles_where_their_planes_say():
     corners = np.concatenate([corners, upright])
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (600, 2))
     found = [[] for _ in places]
-    for rows, heights in steps.crossings(corners, places):
+    for rows, heights, _ in steps.crossings(corners, places):
         for row, own in zip(rows, heights, strict=True):
             assert not found[row]
             found[row] = sorted(own)
@@ -115,6 +115,16 @@ def test_lines_meet_triangles_where_their_planes_say():
     assert max(map(len, wanted)) > 5
     for a, b in zip(found, wanted, strict=True):
         np.testing.assert_allclose(a, sorted(b), atol=1e-9)
+
+
+def test_inside_is_what_any_of_some_parts_holds():
+    """A part that lies within another leaves no hollow; a cavity does."""
+    corners = _boundary(brick((0.2, 0.1, 0.04), (2, 2, 2)))
+    part = 0.5 * corners - [0.0, 0.0, 0.01]
+    places = 0.01 * np.array([[1, 2, -2], [7, 1, -2], [0, 0, -5]])
+    for inner, wanted in ((part, [1, 1, 0]), (part[:, ::-1], [0, 1, 0])):
+        thickness = steps._Thickness(np.concatenate([corners, inner]))
+        np.testing.assert_array_equal(thickness.inside(places, 0.0), wanted)
 
 
 def test_thickness_of_a_wedge_is_linear():
