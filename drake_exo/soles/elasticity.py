@@ -466,21 +466,11 @@ class Sole:
         """Rest positions of the contact nodes in the sole frame, (m, 3)."""
         return self.mesh.nodes[self.mesh.contact]
 
-    def solve(self, forces: np.ndarray) -> np.ndarray:
-        """Displacements of the free dofs under forces, both (3 n_f, k)."""
-        return self._factor.solve(forces)
-
     @cached_property
-    def _factor(self) -> SparseCholesky:
+    def factor(self) -> SparseCholesky:
+        """Of the stiffness of the free nodes, sole frame [N/m]."""
         K = assembled(self.mesh, self.material, self.pattern)
         return SparseCholesky(K, self.pattern.fronts)
-
-    def carry(self, forces: np.ndarray) -> np.ndarray:
-        """Free displacements N f = K_ff⁻¹ E f, (3 n_f, k), of contact forces.
-
-        These are in the sole frame [N], (3m, k).
-        """
-        return self._factor.carry(forces)
 
     @cached_property
     def contact_rows(self) -> np.ndarray:
@@ -490,7 +480,7 @@ class Sole:
     @property
     def compliance(self) -> np.ndarray:
         """C = Eᵀ N in the sole frame [m/N], (3m, 3m), symmetric."""
-        return self._factor.last_inverse
+        return self.factor.last_inverse
 
     @property
     def penalty(self) -> float:
@@ -505,7 +495,9 @@ class Sole:
         lead = f_L.shape[:-2]
         f_L = f_L.reshape(-1, 3 * len(self.mesh.contact))
         u = np.zeros((len(f_L), *self.mesh.nodes.shape))
-        u[:, self.free] = self.carry(f_L.T).T.reshape(-1, len(self.free), 3)
+        u[:, self.free] = self.factor.carry(f_L.T).T.reshape(
+            -1, len(self.free), 3
+        )
         return u.reshape(*lead, *u.shape[1:])
 
     def strain(self, u: np.ndarray) -> np.ndarray:
@@ -551,7 +543,7 @@ def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
         *(_forces(sole, *term) for term in terms), strict=True
     )
     ends = np.cumsum([f.shape[1] for f in forces])
-    fields = np.split(sole.carry(np.hstack(forces)), ends[:-1], axis=1)
+    fields = np.split(sole.factor.carry(np.hstack(forces)), ends[:-1], axis=1)
     both = list(zip(fields, factors, strict=True))
     for k, more in enumerate(held):
         if more is not None:

@@ -131,7 +131,7 @@ class MaterialBlock:
 class ContactBlock:
     """Contact and its solver."""
 
-    friction: float = not_negative("", 0.8)
+    friction: float = positive("", 0.8)  # else nothing holds the foot
     method: Literal["newton", "gauss_seidel"] = "newton"
 
 
@@ -332,11 +332,6 @@ class Settings:
             stages = STAGES if self.mesh.brick else OWN_STAGES
             block = replace(self.optimize, stages=stages)
             object.__setattr__(self, "optimize", block)
-        if self.contact.friction == 0:
-            raise InputError(
-                "contact.friction is 0: without friction nothing holds a "
-                "foot whose pose is free; give a value above 0"
-            )
 
     @property
     def all_loads(self) -> tuple[LoadBlock, ...]:

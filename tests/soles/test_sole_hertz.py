@@ -42,7 +42,7 @@ def _normal_compliance(sole, near):
     rows = sole.contact_rows[3 * near + 2]
     columns = np.zeros((3 * len(sole.free), len(near)))
     columns[rows, np.arange(len(near))] = 1.0
-    normal = sole.solve(columns)[rows]
+    normal = sole.factor.solve(columns)[rows]
     C = np.zeros((3 * len(near), 3 * len(near)))
     C[2::3, 2::3] = 0.5 * (normal + normal.T)
     tangential = np.arange(3 * len(near)) % 3 < 2

@@ -37,28 +37,18 @@ class Derivative:
     fields: tuple[np.ndarray, np.ndarray] | None = None
 
 
-@dataclass
 class Sensitivity:
     """Derivatives of one functional by what the elements hand over.
 
-    Attributes:
-        lP: By the rest positions of the contact nodes, (m, 3).
-        left, right: Columns with ∂/∂C = Σ left rightᵀ, lists of (3m,).
-        mu: By the places of the sample before, (m, 3).
-        load: By force and ZMP of every sample, (N, 5).
+    By the rest positions lP of the contact nodes and their places at the sample
+    before (`mu`), (m, 3) each; columns with ∂/∂C = Σ left rightᵀ, (3m,); by
+    force and ZMP of every sample (`load`), (N, 5).
     """
 
-    lP: np.ndarray  # noqa: N815
-    left: list
-    right: list
-    mu: np.ndarray
-    load: np.ndarray
-
-    @classmethod
-    def zero(cls, m: int, samples: int) -> "Sensitivity":
-        """Nothing yet."""
-        zero = np.zeros((m, 3))
-        return cls(zero, [], [], zero.copy(), np.zeros((samples, 5)))
+    def __init__(self, m: int, samples: int):
+        self.lP, self.mu = np.zeros((2, m, 3))
+        self.left, self.right = [], []
+        self.load = np.zeros((samples, 5))
 
     def add(self, left: np.ndarray, right: np.ndarray) -> None:
         """∂/∂C += left rightᵀ for fields (m, 3)."""
@@ -129,7 +119,7 @@ def gradients(
         functionals: Their direct derivatives.
     """
     m, count = len(sole.positions), len(load.times)
-    sums = [Sensitivity.zero(m, count) for _ in functionals]
+    sums = [Sensitivity(m, count) for _ in functionals]
     for q in reversed(range(count)):
         live = [
             (total, own)

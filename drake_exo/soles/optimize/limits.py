@@ -109,7 +109,7 @@ class StrainNorm:
         kept = heavy(pull)
         free = sole.free
         u = self._u[kept][:, free].reshape(len(kept), -1).T
-        v = sole.solve(pull[kept][:, free].reshape(len(kept), -1).T)
+        v = sole.factor.solve(pull[kept][:, free].reshape(len(kept), -1).T)
         by_force = {
             q: factor * column.reshape(-1, 3)
             for q, column in zip(kept, v[sole.contact_rows].T, strict=True)
