@@ -248,7 +248,8 @@ def sole_from_surface(
     fixed = _fixed_nodes(nodes, cells, corners, top, top_m is None)
     mesh = checked_mesh(nodes, cells, fixed, surface.name)
     enclosed = float(np.linalg.det(corners).sum() / 6.0)
-    if abs(mesh.volume - enclosed) > _SAME_VOLUME * enclosed:
+    missed = abs(mesh.volume / enclosed - 1.0)
+    if max(missed, _Thickness(corners).doubled) > _SAME_VOLUME:
         raise InputError(
             f"{surface.name}: encloses {1e6 * enclosed:.1f} cm³, of which "
             f"{1e6 * mesh.volume:.1f} cm³ were meshed: its parts overlap or "
@@ -323,7 +324,10 @@ def _share(thickness: "_Thickness", tets: int) -> float:
 
 
 class _Thickness:
-    """Crossings of vertical lines with a surface, on a plane grid."""
+    """Crossings of vertical lines with a surface, on a plane grid.
+
+    `doubled` is the part of what it encloses that two of its parts count.
+    """
 
     def __init__(self, corners: np.ndarray, count: int = 120):
         flat = corners[:, :, :2].reshape(-1, 2)
@@ -338,11 +342,13 @@ class _Thickness:
     def _inside_length(self) -> np.ndarray:
         i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
         places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
-        total = np.zeros(len(places))
-        for rows, z, _ in crossings(self.corners, places):
+        total, enclosed = np.zeros(len(places)), 0.0
+        for rows, z, up in crossings(self.corners, places):
+            enclosed += float((z * up).sum())
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
+        self.doubled = 1.0 - total.sum() / enclosed
         return total.reshape(self.shape)
 
     @property

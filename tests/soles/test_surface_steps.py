@@ -125,6 +125,8 @@ def test_inside_is_what_any_of_some_parts_holds():
     for inner, wanted in ((part, [1, 1, 0]), (part[:, ::-1], [0, 1, 0])):
         thickness = steps._Thickness(np.concatenate([corners, inner]))
         np.testing.assert_array_equal(thickness.inside(places, 0.0), wanted)
+        twice = 2 / 9 if wanted[0] else 0.0  # an eighth, over nine of them
+        assert thickness.doubled == pytest.approx(twice, abs=0.01)
 
 
 def test_thickness_of_a_wedge_is_linear():
