@@ -516,12 +516,12 @@ class Setup:
         block = self.settings.optimize
         stages = tuple(replace(s, iterations=0) for s in block.stages)
         block = replace(block, stages=stages)
-        mesh, load = self.mesh, self.load
+        mesh, load = self.mesh, replace(self.load, name="")
         return checksum(
             [
                 replace(self.settings, name="", optimize=block),
                 [mesh.nodes, mesh.tets, mesh.fixed],
-                [load.times, load.force, load.zmp, load.weights],
+                [load, self.ground],
             ]
         )
 

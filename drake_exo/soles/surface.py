@@ -389,8 +389,8 @@ class _Thickness:
 def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
-    Yields rows of places with a like number of crossings, heights (rows, k), and
-    1 where triangles look upwards there, else -1.
+    Yields rows of places with a like number of crossings, heights (rows, k),
+    and 1 where triangles look upwards there, else -1.
     """
     a, b, c = np.swapaxes(corners, 0, 1)
     e, f = (b - a)[:, :2], (c - a)[:, :2]

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -13,6 +14,7 @@ from small_step import optimize, stage, write_case, write_step
 from drake_exo.errors import InputError
 from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
 from drake_exo.soles.case import Case
+from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.mesh import SphericalSpline, brick, read_mesh
 from drake_exo.soles.optimize.files import read_checkpoint
@@ -227,6 +229,27 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     )
     assert optimize(folder / "named.yaml", never, "--resume", out) == 2
     assert "this one is 'another'" in capsys.readouterr().err
+
+
+def test_all_that_a_search_is_of_is_in_its_key(folder):
+    case = Case.read(folder / "case.yaml")
+    line, load = np.array([-1.0, 1.0]), case.load
+    n = len(load.times)
+    turned = np.tile(np.eye(3), (n, 1, 1))
+    others = [
+        replace(case, ground=Ground(line, line, np.full((2, 2), 0.01))),
+        *(
+            replace(case, load=replace(load, **other))
+            for other in (
+                {"force": 1.01 * load.force},
+                {"free_moment": np.ones(n)},
+                {"rotation": turned},
+            )
+        ),
+    ]
+    assert len({case.key, *(other.key for other in others)}) == 5
+    named = replace(case, load=replace(load, name="elsewhere.csv"))
+    assert named.key == case.key
 
 
 def test_without_limits_stability_tilt_and_strain_are_free():
