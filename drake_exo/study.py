@@ -412,7 +412,7 @@ class Calibration(_Solved):
         head = f"Calibration({self.phase!r}, {self.solution.status!r})"
         if not self.success:
             return head
-        width = max(len(p.name) for p in self.parameters)
+        width = max((len(p.name) for p in self.parameters), default=0)
         rows = [
             f"  {p.name:<{width}} {p.nominal:.4g} {p.unit}".rstrip()
             for p in self.parameters

@@ -289,6 +289,7 @@ def test_with_a_sole_nothing_of_the_feet_is_calibrated(worn, tmp_path):
     ours.write(tmp_path)
     again = dx.read_contact(tmp_path)
     assert again.ground.of_sole and again.ground == worn.ground
+    assert repr(ours) == "Calibration('foot-ground', 'solved')"
 
 
 def test_a_solution_is_kept_until_its_results_are_written(tmp_path, capsys):
