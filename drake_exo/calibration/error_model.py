@@ -179,6 +179,8 @@ class ErrorModel:
             if unknown.trial not in (None, at.name):
                 continue
             kind, *rest = unknown.name.split(".")
+            if unknown.trial is not None:  # whatever the trial is called
+                kind = rest[-1]
             if kind in ("skin", "bend"):
                 segment, joint = rest
                 j = names.index(joint)
@@ -200,7 +202,7 @@ class ErrorModel:
                 if cuff in normal:
                     f = at.cuffs[cuff].normal
                     normal[cuff][:, k] = -f if what == "unseen" else 1.0
-            elif rest[-1] == "encoder_clock":
+            elif kind == "encoder_clock":
                 q[:, device, k] = -at.v[:, device]
                 v[:, device, k] = -at.a[:, device]
                 # Recorded with the angles, or a function of them.

@@ -62,6 +62,18 @@ def spoiled(made, trial, skin=0.0, encoder=0.0, unseen=0.0):
     return replace(trial, q=q, v=v, a=a, moments=moments, cuffs=cuffs)
 
 
+@pytest.mark.parametrize("name", ["mat", "skin.1", "encoder", "friction"])
+def test_a_trial_may_be_called_like_an_error(in_device, name):
+    trial = in_device.trials[0]
+    named = replace(trial, name=name)
+    usual, found = (
+        ErrorModel(in_device.model, [t], SIZES).effects(t)
+        for t in (trial, named)
+    )
+    np.testing.assert_array_equal(found.q, usual.q)
+    np.testing.assert_array_equal(found.moments, usual.moments)
+
+
 def test_effects_are_what_instruments_do(in_device, errors):
     """Against a trial that was spoiled by other code, sizes one by one."""
     for trial in in_device.trials:
