@@ -465,7 +465,7 @@ def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
         parameters = []
         for p in problem.parameters:
             if p.name.endswith(".radius"):
-                p = replace(p, nominal=factor * p.nominal, free=False)
+                p = ContactParameter.fixed(p.name, p.unit, factor * p.nominal)
             elif p.name.endswith(".z"):
                 dz = rise[p.name.removesuffix("z")]
                 p = replace(
@@ -478,6 +478,9 @@ def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
         found = FootGroundCalibration(
             problem.model, problem.trials, problem.settings, parameters
         ).solve()
+        if found.solution.was_stopped:
+            raise KeyboardInterrupt
+        success, found = found.success, found.unsealed()
         errors = [
             rms(
                 t.ground.force_z - trial.sample(t.times).ground.force_z,
@@ -487,7 +490,7 @@ def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
         ]
         yield {
             "radius_factor": factor,
-            "success": found.success,
+            "success": success,
             "objective": found.solution.objective,
             "vertical_force_rmsd_n": float(np.mean(errors)),
             **{

@@ -102,7 +102,8 @@ def _print(found, rows) -> None:
             ],
             [
                 [
-                    f"{r['radius_factor']:g}",
+                    f"{r['radius_factor']:g}"
+                    + ("" if r["success"] else " (failed)"),
                     r["objective"],
                     r["vertical_force_rmsd_n"],
                     *(
