@@ -63,7 +63,7 @@ from drake_exo.contact.parameters import (
     Posterior,
     nominal_contact,
 )
-from drake_exo.errors import InputError, check_bounds, check_type
+from drake_exo.errors import InputError, check_bounds, check_type, nearest
 from drake_exo.files import schema
 from drake_exo.files.output import (
     Check,
@@ -84,6 +84,7 @@ from drake_exo.measurement.settings import (
 from drake_exo.measurement.steps import RecordedStep, recorded_step
 from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial, as_trials
+from drake_exo.model.assembly import without_side
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
@@ -111,6 +112,18 @@ class StudyFile(RecordingSettings):
     def __post_init__(self):
         super().__post_init__()
         self.foot_ground.law_constants()
+        own = [s for named in self.assembly.spheres.values() for s in named]
+        spheres = dict.fromkeys((*own, *map(without_side, own)))
+        for key, given, known in (
+            ("foot_ground.spheres", self.foot_ground.spheres, spheres),
+            ("interaction.cuffs", self.interaction.cuffs, self.assembly.cuffs),
+        ):
+            for name in given:
+                if known and name not in known:
+                    raise InputError(
+                        f"{key}: the model has no {name!r}; it has "
+                        f"{', '.join(known)}{nearest(name, known)}"
+                    )
 
 
 class Study:

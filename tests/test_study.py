@@ -60,6 +60,23 @@ def test_data_root_must_be_a_folder(tmp_path):
             "two different axes",
         ),
         ("rise: 1", "rise: 0", "at least 1"),
+        ("  prior", "  spheres: {hel: {}}\n  prior", "did you mean 'heel'"),
+        ("  prior", "  front: [0.5, 0]\n  prior", "must be above 0"),
+        ("  prior", "  end_tolerance: {velocity_m_s: -1}\n  prior", "least 0"),
+        ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {thigh: {normal_n_m: {nominal: 0, lower: 0, "
+            "upper: 9}}}\nfoot_ground:",
+            "normal_n_m: nominal is 0",
+        ),
+        (
+            "model: human",
+            "model: {device: {weld: {exo_foot: foot}}, "
+            "cuffs: {calf: {human: shank, device: exo_shank}}}\n"
+            "interaction: {cuffs: {calv: {}}}",
+            "interaction.cuffs: the model has no 'calv'; it has calf",
+        ),
     ],
 )
 def test_refuses(old, new, words, tmp_path):

@@ -78,6 +78,16 @@ class Range:
         check_range(self.nominal, self.lower, self.upper)
 
 
+def _check_not_negative(settings) -> None:
+    """Refuse ranges that reach below zero."""
+    for name, value in vars(settings).items():
+        if isinstance(value, Range) and value.lower < 0.0:
+            raise InputError(
+                f"{name}: lower bound {value.lower:g} is negative; give 0 or "
+                "more"
+            )
+
+
 @dataclass(frozen=True)
 class Spread:
     """A parameter whose nominal value the model gives.
@@ -118,6 +128,9 @@ class SphereSettings:
     x_m: Spread = Spread(0.06, 0.06)
     z_m: Spread = Spread(0.025, 0.025)
     radius_m: Range = Range(0.032, 0.01, 0.06, free=False)
+
+    def __post_init__(self):
+        _check_not_negative(self)
 
 
 @dataclass(frozen=True)
@@ -175,8 +188,8 @@ class EndTolerance:
     x_m: float = positive("m", 0.01)
     z_m: float = positive("m", 0.005)
     pitch_deg: float = positive("deg", 2.0)
-    velocity_m_s: float | None = None
-    pitch_rate_deg_s: float | None = None
+    velocity_m_s: float | None = quantity("m/s", None, minimum=0.0)
+    pitch_rate_deg_s: float | None = quantity("deg/s", None, minimum=0.0)
 
 
 @dataclass(frozen=True)
@@ -258,7 +271,7 @@ class FootGroundSettings:
     noise: TrackingNoise = TrackingNoise()
     end_tolerance: EndTolerance = EndTolerance()
     prior_weight: float = quantity(None, 0.01, minimum=0.0)
-    front: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    front: tuple[float, ...] = quantity(None, (0.25, 0.5, 2.0, 4.0), above=0.0)
     solver: Solver = Solver()
     sole_at_m: tuple[float, float] | None = quantity("m", None)
 
@@ -410,6 +423,14 @@ class BushingSettings:
                 f"slip_n: lower bound {self.slip_n.lower:g} is no force; give "
                 "one above 0, or null for a cuff that never slips"
             )
+        _check_not_negative(self)
+        for name in ("tangential_n_m", "normal_n_m", "rotational_nm_rad"):
+            given = getattr(self, name)
+            if given.free and given.nominal == 0.0:
+                raise InputError(
+                    f"{name}: nominal is 0, and its prior is a factor on it; "
+                    "give one above 0, or free: false"
+                )
 
     @property
     def damping(self) -> dict[str, float]:
