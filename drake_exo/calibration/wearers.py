@@ -34,13 +34,13 @@ from drake_exo.calibration.settings import (
 from drake_exo.collocation.kernels import BodyWrench
 from drake_exo.collocation.trial_program import Tracking
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import Design, links_above
+from drake_exo.contact.strap import Design, links_above, movable
 from drake_exo.errors import InputError
 from drake_exo.measurement.exoskeleton import friction_moments
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Device
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.description import fit_exoskeleton
+from drake_exo.model.description import refitted
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CUFFED, SEGMENTS, HumanParameters
 
@@ -440,6 +440,12 @@ def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
                 f"design.cuffs.{cuff}: the model has no such cuff; it has "
                 f"{', '.join(first.cuffs) or 'none'}"
             )
+    for joint in settings.joints:
+        if joint not in movable(first):
+            raise InputError(
+                f"design.joints.{joint}: a design moves no such joint of the "
+                f"device; it moves {', '.join(movable(first)) or 'none'}"
+            )
     for wearer in wearers:
         if list(wearer.model.cuffs) != list(first.cuffs):
             raise InputError(
@@ -531,12 +537,14 @@ class Size:
                 inertia_kg_m2=self.mass * self.height**2 * part.inertia_kg_m2,
                 length_m=self.height * part.length_m,
             )
-            for name in SEGMENTS
-            for part in (getattr(human, name),)
+            for name in (*SEGMENTS, "toes")
+            if (part := getattr(human, name)) is not None
         }
+        places = ("heel_m", "toe_m", "ball_m", *(f"{c}_cuff_m" for c in CUFFED))
         points = {
-            name: self._point(getattr(human, name))
-            for name in ("heel_m", "toe_m", *(f"{c}_cuff_m" for c in CUFFED))
+            name: self._point(point)
+            for name in places
+            if (point := getattr(human, name)) is not None
         }
         ankle = self.height * human.ankle_height_m
         return replace(human, **parts, **points, ankle_height_m=ankle)
@@ -651,7 +659,8 @@ def sized(
     for name, height, mass in population.bodies():
         size = Size(name, height / human.height_m, mass / human.mass_kg)
         body = size.human(human)
-        own = replace(model, human=body, exoskeleton=fit_exoskeleton(body))
+        device = refitted(model.exoskeleton, human, body)
+        own = replace(model, human=body, exoskeleton=device)
         contact = size.contact(wearer.contact, ankle)
         trials = [size.trial(t, own, ankle) for t in wearer.trials]
         moved = OwnMovement(own, trials, contact, settings).solve()

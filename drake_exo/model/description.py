@@ -15,7 +15,7 @@ import copy
 import importlib.resources
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 from math import sqrt
 from pathlib import Path
@@ -319,6 +319,32 @@ def fit_exoskeleton(
         pelvis_cuff_m=human.pelvis_cuff_m,
     )
     return with_overrides(fitted, overrides, "exoskeleton")
+
+
+def refitted(
+    device: ExoskeletonParameters,
+    human: HumanParameters,
+    other: HumanParameters,
+) -> ExoskeletonParameters:
+    """The device on another body: what was overridden stays.
+
+    Args:
+        device: as it is fitted to `human`, with overrides.
+        human: its wearer.
+        other: the other body.
+    """
+
+    def kept(found, own, usual):
+        changes = {}
+        for name, value in vars(own).items():
+            was = getattr(usual, name)
+            if is_dataclass(value):
+                changes[name] = kept(getattr(found, name), value, was)
+            elif value != was:
+                changes[name] = value
+        return replace(found, **changes)
+
+    return kept(fit_exoskeleton(other), device, fit_exoskeleton(human))
 
 
 def human_sdf(human: HumanParameters, person: Person | None = None) -> str:

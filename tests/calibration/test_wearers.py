@@ -8,11 +8,18 @@ import pytest
 from worn import wearer as worn
 
 from drake_exo.calibration import wearers
-from drake_exo.calibration.settings import Population, PredictionSettings
+from drake_exo.calibration.settings import (
+    CuffFreedom,
+    DesignSettings,
+    JointFreedom,
+    Population,
+    PredictionSettings,
+)
 from drake_exo.calibration.wearers import (
     Size,
     Wearer,
     assisted,
+    check_wearers,
     drawn,
     sized,
     with_more,
@@ -137,7 +144,12 @@ def test_no_draw_of_a_stiffness_is_beyond_belief(wearer):
 def test_a_body_of_another_size_is_as_tables_have_it():
     """Tables are in proportion to height and mass; so is a body."""
     human = scale_human(70.0, 1.7)
+    toes = replace(human.foot, mass_kg=0.3)
+    human = replace(human, toes=toes, ball_m=(0.12, -0.05))
     found = Size("large", 1.1, 1.4).human(human)
+    assert found.toes.mass_kg == pytest.approx(1.4 * 0.3)
+    assert found.toes.length_m == pytest.approx(1.1 * toes.length_m)
+    assert found.ball_m == pytest.approx((0.132, -0.055))
     expected = scale_human(1.4 * 70.0, 1.1 * 1.7)
     for name in ("foot", "shank", "thigh", "pelvis"):
         own, other = getattr(found, name), getattr(expected, name)
@@ -227,14 +239,15 @@ def test_contact_of_another_body_is_where_its_sole_is(wearer, law, power):
     assert found.posterior is None
 
 
+def as_given(model, trials, contact, settings):
+    """An own movement that is not solved."""
+    result = SimpleNamespace(success=True, trials=trials)
+    return SimpleNamespace(solve=lambda: result)
+
+
 def test_a_population_has_its_heights_and_masses(wearer, monkeypatch):
     """Of each percentile a body, whose own movement is looked for."""
-
-    def posed(model, trials, contact, settings):
-        result = SimpleNamespace(success=True, trials=trials)
-        return SimpleNamespace(solve=lambda: result)
-
-    monkeypatch.setattr(wearers, "OwnMovement", posed)
+    monkeypatch.setattr(wearers, "OwnMovement", as_given)
     height, mass = wearer.model.human.height_m, wearer.model.human.mass_kg
     people = Population((height + 0.1, 0.08), (mass, 9.0), (5.0, 50.0))
     found = sized(wearer, people, PredictionSettings())
@@ -254,6 +267,26 @@ def test_a_population_has_its_heights_and_masses(wearer, monkeypatch):
                 wearer.model.human.ankle_height_m + was.z
             )
         assert own.model.exoskeleton == fit_exoskeleton(human)
+
+
+def test_a_population_wears_the_study_s_device(wearer, monkeypatch):
+    monkeypatch.setattr(wearers, "OwnMovement", as_given)
+    device = wearer.model.exoskeleton
+    heavy = replace(device, thigh=replace(device.thigh, mass_kg=11.0))
+    wearer = replace(wearer, model=replace(wearer.model, exoskeleton=heavy))
+    people = Population((1.5, 0.1), (60.0, 9.0), (50.0,))
+    (found,) = sized(wearer, people, PredictionSettings())
+    usual = fit_exoskeleton(found.model.human)
+    thigh = replace(usual.thigh, mass_kg=11.0)
+    assert found.model.exoskeleton == replace(usual, thigh=thigh)
+
+
+@pytest.mark.parametrize("what", ["joints", "cuffs"])
+def test_what_a_device_has_not_is_not_designed(wearer, what):
+    freedom = {"joints": JointFreedom(), "cuffs": CuffFreedom()}[what]
+    settings = DesignSettings(**{what: {"knee": freedom}})
+    with pytest.raises(InputError, match=rf"design\.{what}\.knee: "):
+        check_wearers([wearer], settings)
 
 
 def test_bodies_are_at_their_percentiles():
