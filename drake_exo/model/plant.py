@@ -66,6 +66,9 @@ GRAVITY = 9.81
 Kind = Literal["coupled", "rigid", "human"]
 KINDS = tuple(ASSEMBLIES)
 
+_OWN = "take it out, or name others"
+_FITTED = f"those of the shipped device are {', '.join(CUFFED)}, on one leg"
+
 # Turns z to -y and +y. Written out, because cos(pi/2) is not zero in floating
 # point and would litter the symbolic equations of motion.
 _Z_TO_MINUS_Y = RotationMatrix(
@@ -140,12 +143,19 @@ class Model:
         """Batched dynamics of the plant.
 
         Raises:
-            InputError: the device is none that moves in the plane.
+            InputError: the device is none that moves in the plane, or a cuff
+                joins nothing.
         """
         plant, device = self.plant(), self.assembly.device
         if device is not None:
             check_planar(plant, device)
         tree = PlanarTree.from_plant(plant)
+        for cuff in self.assembly.closed:
+            if cuff not in tree.cuffs:
+                raise InputError(
+                    f"cuff {cuff!r} joins no two links that move against each "
+                    f"other; {_FITTED if self.assembly.is_fitted else _OWN}"
+                )
         tree = replace(
             tree,
             cuffs={
@@ -392,8 +402,9 @@ def _add_cuffs(plant, body, worn, assembly: Assembly, human) -> None:
 
 def _poses(model: Model) -> dict[str, np.ndarray]:
     """Body -> x, z and angle in the world while all stand upright."""
-    plant = model.plant()
-    check_planar(plant, model.assembly.device)
+    plant, device = model.plant(), model.assembly.device
+    if device is not None:
+        check_planar(plant, device)
     tree = PlanarTree.from_plant(plant)
     q = np.zeros((1, tree.num_positions))
     return {

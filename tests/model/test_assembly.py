@@ -19,6 +19,7 @@ from drake_exo.files import schema
 from drake_exo.model import plant as plant_module
 from drake_exo.model.assembly import (
     ASSEMBLIES,
+    COUPLED,
     Assembly,
     CuffLinks,
     DeviceFile,
@@ -523,12 +524,23 @@ def test_descriptions_that_cannot_be_are_refused(text, words):
             replace(ANKLE, cuffs={"f": CuffLinks("foot", "calf")}),
             "cuff 'f' has no usual place on foot",
         ),
+        (
+            replace(ANKLE, cuffs={"f": CuffLinks("foot", "shoe", (0.0, 0.0))}),
+            "cuff 'f' joins no two links that move",
+        ),
     ],
 )
 def test_names_that_are_not_there_are_refused(assembly, words):
     model = built(assembly)
     with pytest.raises(InputError, match=words):
         model.cuffs, model.spheres  # noqa: B018
+
+
+def test_cuffs_of_the_shipped_device_are_called_as_their_segments(nominal):
+    calf = {"calf": CuffLinks("shank", "exo_shank")}
+    named = replace(COUPLED, cuffs=COUPLED.cuffs | calf)
+    with pytest.raises(InputError, match=r"'calf' joins .* shank, thigh, pelv"):
+        replace(nominal("coupled"), kind=named).tree  # noqa: B018
 
 
 def test_files_that_are_no_device_are_refused(tmp_path):
