@@ -204,10 +204,15 @@ class InteractionCalibration(PhaseProblem):
         check_has_cuffs(model)
         settings = schema.checked(settings, InteractionSettings, "settings")
         check_type(contact, ContactModel, "contact")
+        bushings = {
+            cuff: replace(own, preload_x=x, preload_z=z)
+            for cuff, own in settings.bushings(model.cuffs).items()
+            for x, z in [model.preload(cuff)]
+        }
         super().__init__(
             model,
             trials,
-            replace(contact, bushings=settings.bushings(model.cuffs)),
+            replace(contact, bushings=bushings),
             settings.parameters(model.cuffs),
             settings,
             settings.errors,

@@ -254,13 +254,14 @@ class Model:
     def preload(self, cuff: str) -> tuple[float, float]:
         """How far (x, z) the device's cuff is from the human's [m].
 
-        A device of the user's own is worn without.
+        A device of the user's own is worn without, and a cuff whose place the
+        description says.
         """
-        if self.exoskeleton is None:
+        links = self.assembly.cuffs[cuff]
+        if self.exoskeleton is None or links.at_m is not None:
             return (0.0, 0.0)
-        segment = self.assembly.cuffs[cuff].human
         x, z = self._cuff_m(cuff)
-        device_x, device_z = self.exoskeleton.cuff_m(segment)
+        device_x, device_z = self.exoskeleton.cuff_m(links.human)
         return device_x - x, device_z - z
 
     def plant(self, plant: MultibodyPlant | None = None) -> MultibodyPlant:

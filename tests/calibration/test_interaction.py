@@ -7,6 +7,7 @@ import pytest
 from measured_trials import saying
 
 from drake_exo.calibration.audit import audit, between_nodes, rmsd
+from drake_exo.calibration.phases import InteractionCalibration
 from drake_exo.calibration.uncertainty import noise_basis, uncertainty
 from drake_exo.cli import main
 from drake_exo.measurement.trial import CuffForce
@@ -54,6 +55,19 @@ def test_all_forces_come_back(exact, in_device):
 
 
 @pytest.mark.slow
+def test_a_strap_that_the_device_holds_elsewhere_is_strained(in_device):
+    model = in_device.model
+    x, z = model.exoskeleton.thigh_cuff_m
+    device = replace(model.exoskeleton, thigh_cuff_m=(x + 0.004, z - 0.01))
+    model = replace(model, exoskeleton=device)
+    posed = InteractionCalibration(
+        model, in_device.trials[:1], in_device.contact
+    )
+    cuffs = posed.contact.bushings
+    assert cuffs["thigh"].preload == pytest.approx((0.004, -0.01, 0.0))
+    assert cuffs["shank"].preload == (0.0, 0.0, 0.0)
+
+
 def test_audit_simulates_with_the_cuffs(exact):
     checked = audit(exact)
     assert checked.simulated_interaction_n < 1.0

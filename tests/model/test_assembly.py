@@ -306,6 +306,11 @@ def test_part_of_the_shipped_device():
     model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
     assert list(model.tree.cuffs) == ["thigh"]
     assert model.coordinates == whole.coordinates
+    # Where the description says, it is slack.
+    cuffs = {"thigh": replace(cuffs["thigh"], at_m=(0.0, 0.3))}
+    model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
+    assert model.cuffs == {"thigh": (0.0, 0.3)}
+    assert model.preload("thigh") == (0.0, 0.0)
 
 
 LEG = ("hip", "knee", "ankle")
