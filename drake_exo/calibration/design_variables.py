@@ -25,6 +25,7 @@ from drake_exo.contact.strap import (
     links_above,
     movable,
 )
+from drake_exo.model.assembly import without_side
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 
@@ -208,7 +209,7 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
     """How far a cuff may go along the limb of every wearer [m]."""
     lower, upper = wanted
     for wearer in wearers:
-        segment = wearer.model.tree.cuffs[cuff][0]
+        segment = without_side(wearer.model.tree.cuffs[cuff][0])
         part = getattr(wearer.model.human, segment, None)
         length = np.inf if part is None else part.length_m
         place = wearer.contact.bushings[cuff].origin_z

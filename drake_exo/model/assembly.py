@@ -250,14 +250,14 @@ class Assembly:
         return self.device is not None and self.device.file is None
 
 
-def without_side(sphere: str) -> str:
-    """What a sphere is on either foot.
+def without_side(part: str) -> str:
+    """What a sphere or segment is on either leg.
 
     >>> without_side("heel_left"), without_side("heel")
     ('heel', 'heel')
     """
-    name, _, side = sphere.rpartition("_")
-    return name if name and side in SIDES else sphere
+    name, _, side = part.rpartition("_")
+    return name if name and side in SIDES else part
 
 
 _SHIPPED = ("foot", *CUFFED)

@@ -24,6 +24,7 @@ from drake_exo.calibration.design_result import (
 )
 from drake_exo.calibration.design_variables import (
     Variable,
+    _along,
     assistance_of,
     design_of,
     design_variables,
@@ -760,3 +761,17 @@ def test_nothing_changed_is_no_design(wearer):
     contact = wearer.contact
     assert design.contact(contact).values() == contact.values()
     assert design.assistance["exo_knee"].factor == (1.0,)
+
+
+def test_a_cuff_of_one_of_two_legs_stays_on_its_limb(model, wearer):
+    both = SimpleNamespace(
+        model=SimpleNamespace(
+            human=model.human,
+            tree=SimpleNamespace(cuffs={"left": ("thigh_left", "bar")}),
+        ),
+        contact=SimpleNamespace(
+            bushings={"left": wearer.contact.bushings["thigh"]}
+        ),
+    )
+    wanted = (-1.0, 1.0)
+    assert _along("left", [both], wanted) == _along("thigh", [wearer], wanted)
