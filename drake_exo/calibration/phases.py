@@ -352,7 +352,9 @@ class PredictionProblem(PhaseProblem):
             return [minimised(movement.torque, noise.torque_nm), *toes]
         return [
             *ground_terms(movement, at, noise),
-            *torque_terms(movement, at, noise, effects),
+            *torque_terms(
+                movement, at, noise, effects, device=self._controller is None
+            ),
             *toes,
         ]
 

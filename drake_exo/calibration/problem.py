@@ -967,19 +967,21 @@ def torque_terms(
     at: Trial,
     noise,
     effects: Effects | None = None,
+    *,
+    device: bool = True,
 ) -> list[Tracking]:
     """Joint moments tracked where known, minimised otherwise.
 
     Of two legs, moments of one are known the better the less its foot bears:
     where the ground's force acts is what they are mostly wrong by. How foot
-    and toes share a plate's force is not known: toes are not tracked.
+    and toes share a plate's force is not known: toes are not tracked. Nor is
+    the device, unless `device`: a controller gives other moments.
     """
     if at.moments is None:
         return [minimised(movement.torque, noise.torque_nm)]
     names = movement.coordinates
-    sigma = np.where(
-        names.is_device_joint, noise.exo_moment_nm, noise.moment_nm
-    )
+    of_device = noise.exo_moment_nm if device else np.inf
+    sigma = np.where(names.is_device_joint, of_device, noise.moment_nm)
     sigma = np.tile(sigma, (len(at.times), 1))
     for side, wrench in at.feet.items():
         share = np.clip(wrench.force_z / at.ground.force_z.mean(), 0.0, 1.0)

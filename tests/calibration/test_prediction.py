@@ -101,6 +101,9 @@ def test_a_controller_gives_the_torques(in_device):
         if nm:
             expected = expected - 0.5 * t.velocity(joint)
         np.testing.assert_allclose(t.moment(joint), expected, atol=1e-2)
+    # The device does not straighten until its torques are those measured.
+    off = rmsd(t, in_device.trials[0])["angles_deg"]
+    assert max(off[joint] for joint in in_device.model.coordinates.device) < 7.0
 
 
 @pytest.mark.slow
