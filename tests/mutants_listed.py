@@ -456,10 +456,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.r_[root_v, np.deg2rad(joint_v)]",
             "np.r_[root_v, np.deg2rad(joint_q)]",
         ),
-        (
-            "names.is_device_joint, noise.exo_moment_nm, noise.moment_nm",
-            "names.is_device_joint, noise.moment_nm, noise.moment_nm",
-        ),
+        ("of_device = noise.exo_moment_nm", "of_device = noise.moment_nm"),
         ("noise.cop_m * reference", "noise.cop_m"),
         (
             "np.sqrt(grid.quadrature[used])[:, None]",

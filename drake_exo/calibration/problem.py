@@ -948,7 +948,8 @@ def ground_terms(
         added = np.tile(np.eye(2), wrenches.shape[1])
         rows = np.ones((len(loaded), 1, loads.shape[1]))
         rows[:, 0, 0::2] = np.where(loaded, measured.cop_x, 0.0)[:, None]
-        reference = measured.force_z[loaded].mean()
+        # Of a foot in the air nothing is tracked.
+        reference = measured.force_z[loaded].mean() if loaded.any() else 1.0
         spread = np.where(loaded, noise.cop_m * reference, np.inf)[:, None]
         terms += [
             Tracking(

@@ -7,8 +7,17 @@ import pytest
 from program_bounds import bounds
 
 from drake_exo.calibration.error_model import _squared
-from drake_exo.calibration.phases import PeriodicStep, _middle, mirrored
-from drake_exo.calibration.settings import PredictionSettings, Solver
+from drake_exo.calibration.phases import (
+    FootGroundCalibration,
+    PeriodicStep,
+    _middle,
+    mirrored,
+)
+from drake_exo.calibration.settings import (
+    FootGroundSettings,
+    PredictionSettings,
+    Solver,
+)
 from drake_exo.calibration.uncertainty import _regulariser
 from drake_exo.collocation.kernels import PoseKernel
 from drake_exo.contact.parameters import nominal_contact
@@ -210,3 +219,13 @@ def test_derivatives_of_a_square():
     np.testing.assert_allclose(
         found[2], (up - 2.0 * at + down) / h**2, rtol=1e-4, atol=1e-2
     )
+
+
+def test_a_foot_that_stays_in_the_air_has_no_centre_of_pressure(model, step):
+    """All warnings are errors here."""
+    air = PlanarWrench.of(np.zeros((len(TIMES), 3)))
+    hop = replace(step, feet={**step.feet, "right": air})
+    settings = FootGroundSettings(solver=Solver(20.0))
+    (movement,) = FootGroundCalibration(model, [hop], settings).movements
+    tracked = [np.isfinite(t.sigma).any() for t in movement.tracked]
+    assert tracked.count(False) == 1
