@@ -767,7 +767,12 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
     ):
         if what == "spheres" and contact.ground.of_sole:
             continue
-        if not set(own) <= set(known) or (what == "spheres" and len(own) < 2):
+        if what == "spheres" and len(own) == 1:
+            raise InputError(
+                f"a foot rolls over the sphere {next(iter(own))} alone; give "
+                "it two or more (model.ground)"
+            )
+        if not set(own) <= set(known) or (what == "spheres" and not own):
             raise InputError(
                 f"the contact has the {what} {', '.join(own) or 'none'}, the "
                 f"model {', '.join(known) or 'none'}; calibrate with this "

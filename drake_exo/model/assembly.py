@@ -202,6 +202,17 @@ class Assembly:
         segments = self.human.segments
         if self.cuffs and self.device is None:
             raise InputError("cuffs need a device; name its file, or drop them")
+        spheres = {s for named in self.spheres.values() for s in named}
+        for name in (*self.cuffs, *spheres):  # parameters are NAME.KEY
+            if "." in name or not name.strip():
+                raise InputError(
+                    f"{name!r} is no name of a cuff or sphere; give one "
+                    "without dots"
+                )
+            if name in self.cuffs and name in spheres:
+                raise InputError(
+                    f"a cuff and a sphere are called {name!r}; rename one"
+                )
         for name, cuff in self.cuffs.items():
             self._check(f"cuff {name!r}", cuff.human)
         for body, spheres in self.ground.items():

@@ -90,6 +90,7 @@ def cuff(contact, old, new):
     ("change", "words"),
     [
         (lambda c: sphere(c, "toe", "midfoot"), "midfoot.*heel, toe"),
+        (lambda c: sphere(c, "toe", "heel"), "over the sphere heel alone"),
         (lambda c: cuff(c, "thigh", "trunk"), "interaction parameters"),
         (lambda c: ContactModel(c.ground), "interaction parameters"),
     ],

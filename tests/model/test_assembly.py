@@ -501,6 +501,12 @@ def test_loops_are_refused():
         ("{human: {legs: three}}", "human.legs must be one of one, two"),
         ("{cuffs: {thigh: {human: thigh, device: x}}}", "cuffs need a device"),
         ("{ground: {foot: []}}", "foot has no sphere"),
+        ("{ground: {foot: [heel, a.b]}}", "'a.b' is no name of a cuff or sph"),
+        (
+            "{device: {weld: {exo_foot: foot}}, "
+            "cuffs: {heel: {human: thigh, device: exo_thigh}}}",
+            "a cuff and a sphere are called 'heel'",
+        ),
         ("{ground: {sole: [heel]}}", "no segment 'sole'"),
         (
             "{human: {legs: two}, ground: {foot_left: [heel, toe]}}",
