@@ -354,7 +354,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "covariance = -unit[:, None] * found[:, columns] * unit",
             "covariance = -unit[:, None] * found[:, columns]",
         ),
-        ("yield (R[:, :, r] * sigma) @ values", "yield R[:, :, r] @ values"),
+        (
+            "yield (R[:, :, r] * sigma[:, r]) @ values",
+            "yield R[:, :, r] @ values",
+        ),
         ("np.hstack([-omega * s, omega * c])", "np.hstack([-s, c])"),
         (
             "(np.sqrt(2.0) - 1.0) * (frequencies / cutoff_hz) ** order",

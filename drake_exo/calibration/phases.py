@@ -29,6 +29,7 @@ from drake_exo.calibration.problem import (
     PhaseProblem,
     PhaseResult,
     ground_terms,
+    has_encoders,
     kinematic_terms,
     normal_force_terms,
     torque_terms,
@@ -222,7 +223,9 @@ class InteractionCalibration(PhaseProblem):
     def _terms(self, movement, at, effects):
         noise = self.settings.noise
         return [
-            *kinematic_terms(movement, at, noise, effects),
+            *kinematic_terms(
+                movement, at, noise, effects, encoders=has_encoders(at)
+            ),
             *ground_terms(movement, at, noise),
             *torque_terms(movement, at, noise, effects),
             *normal_force_terms(movement, at, noise, effects),
@@ -259,10 +262,10 @@ def check_knows_cuffs(contact: ContactModel, model: Model) -> None:
 
 
 def check_is_measured(trials: Sequence[Trial]) -> None:
-    """Raises InputError if nothing of the device was measured.
+    """Raises InputError if nothing of the device was measured, or no angles.
 
     Without angles, moments and mats there is nothing that cuffs could be
-    calibrated with.
+    calibrated with, without angles nothing that tells how they are strained.
     """
     if not any(
         t.cuffs or t.moments is not None or "encoders" in t.provenance
@@ -272,6 +275,11 @@ def check_is_measured(trials: Sequence[Trial]) -> None:
             "nothing of the exoskeleton was measured: no trial has encoders, "
             "exo_moments or pressure, and the study has no device; say "
             "'model: human' if none was worn, or use --phase foot-ground"
+        )
+    if not any(map(has_encoders, trials)):
+        raise InputError(
+            "no trial has encoders, and where the device was on its cuffs is "
+            "not known without; give those of one trial at least"
         )
 
 
@@ -372,7 +380,13 @@ class PredictionProblem(PhaseProblem):
         at_ends = np.zeros(len(at.times))
         at_ends[[0, -1]] = END_WEIGHT_S
         movement.add_tracking_cost(
-            kinematic_terms(movement, at, self.settings.noise, effects),
+            kinematic_terms(
+                movement,
+                at,
+                self.settings.noise,
+                effects,
+                encoders=has_encoders(at),
+            ),
             self.error_variables,
             at_ends,
         )

@@ -887,6 +887,11 @@ def kinematic_terms(
     return terms
 
 
+def has_encoders(trial: Trial) -> bool:
+    """Whether the device's angles are its own, not taken as the human's."""
+    return "exoskeleton_angles" not in trial.provenance
+
+
 def _against_the_foot(
     movement: TrialProgram, variables, target, sigma, role, effects
 ) -> Tracking:

@@ -231,15 +231,20 @@ def _noise(movement: TrialProgram, problem, found, by_x, cut, order):
         if term.role in responses:
             variables = problem.program.indices(term.variables)
             _add_ends(R, variables, problem.compiled, found)
-            responses[term.role].append((R, term.sigma))
+            responses[term.role].append((R, _finite(term.sigma)))
             continue
+        sigma = _finite(term.sigma)
         for r in range(R.shape[2]):
-            sigma = np.where(np.isfinite(term.sigma[:, r]), term.sigma[:, r], 0)
-            yield (R[:, :, r] * sigma) @ values
+            yield (R[:, :, r] * sigma[:, r]) @ values
     # Of the coordinates, and of each foot where there are two.
     for (R, sigma), (R_v, _) in zip(*responses.values(), strict=True):
         for d in range(R.shape[2]):
             yield sigma[0, d] * (R[:, :, d] @ values + R_v[:, :, d] @ slopes)
+
+
+def _finite(sigma: np.ndarray) -> np.ndarray:
+    """Noise of what is tracked, none of what is not."""
+    return np.where(np.isfinite(sigma), sigma, 0.0)
 
 
 def by_target(term: Tracking, problem: PhaseProblem, by_x) -> np.ndarray:
@@ -540,9 +545,9 @@ class Bands:
             measured: the same trial.
 
         Returns:
-            trial; angles_deg and velocities_deg_s by joint, interaction_n
-            (normal force) by cuff that has mats; and half_width_n, the mean
-            half width of each such band.
+            trial; angles_deg and velocities_deg_s by joint that was measured,
+            interaction_n (normal force) by cuff that has mats; and
+            half_width_n, the mean half width of each such band.
         """
         at, names = measured.sample(found.times), found.coordinates
 
@@ -551,7 +556,8 @@ class Bands:
 
         q, v = found.q + self.off_q, found.v + self.off_v
 
-        joints = [(n, names.index(n)) for n in names.joints]
+        told = np.isfinite(self.seen_q).all(axis=0)
+        joints = [(n, k) for n in names.joints if told[k := names.index(n)]]
         cuffs = [c for c in self.mats if c in at.cuffs]
         return {
             "trial": found.name,

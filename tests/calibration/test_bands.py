@@ -82,6 +82,10 @@ def test_coverage_is_the_share_of_samples_within():
     assert told["velocities_deg_s"]["hip"] == 10 / 101
     assert told["interaction_n"] == {"pelvis": 20 / 101}
     assert told["half_width_n"] == {"pelvis": 19.5}
+    # Without encoders nobody saw the device's knee.
+    blind = np.where(np.arange(9) == 7, np.inf, band.seen_q)
+    told = replace(band, seen_q=blind).coverage(found, measured)
+    assert set(JOINTS) - set(told["angles_deg"]) == {JOINTS[4]}
     # What is known of instruments' errors is no miss of the prediction.
     known = replace(
         band,

@@ -10,6 +10,7 @@ from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
 from drake_exo.calibration.phases import (
     InteractionCalibration,
     PredictionProblem,
+    check_is_measured,
 )
 from drake_exo.calibration.results import read_calibration, write_contact
 from drake_exo.calibration.settings import PredictionSettings, Solver
@@ -385,3 +386,32 @@ def test_a_verdict_says_whether_calibrating_helps():
     assert not worse["helps"] and worse["ratio"] == pytest.approx(1.5)
     nothing = verdict([{"success": False}])
     assert nothing["helps"] is None and nothing["ratio"] is None
+
+
+def unseen(trial):
+    """A trial without encoders: its device's angles are the human's."""
+    names = trial.coordinates
+    aligned = {
+        k: names.aligned(getattr(trial, k)[:, names.body_columns])
+        for k in ("q", "v", "a")
+    }
+    said = {"exoskeleton_angles": "as the human's (no encoders)"}
+    return replace(trial, **aligned, jerk=None, provenance=said)
+
+
+def test_angles_that_no_encoder_told_are_not_tracked(in_device):
+    made, trials = in_device, in_device.trials[:1]
+    blind = list(map(unseen, trials))
+    device = made.model.coordinates.device_columns
+    for own, known in ((trials, True), (blind, False)):
+        for problem in (
+            InteractionCalibration(made.model, own, made.contact),
+            PredictionProblem(made.model, own, made.contact),
+        ):
+            (movement,) = problem.movements
+            for term in movement.tracked[:2]:
+                assert np.isfinite(term.sigma[:, device]).all() == known
+                assert np.isfinite(term.sigma[:, :6]).all()
+    check_is_measured([*trials, *blind])
+    with pytest.raises(InputError, match="no trial has encoders"):
+        check_is_measured(blind)

@@ -156,3 +156,8 @@ def test_noise_of_every_foot_counts():
     first, second = (np.linalg.norm(p, axis=1) for p in parts)
     assert first[0] > 0.0 and first[1] == 0.0
     assert second[1] == pytest.approx(2.0 * first[0]) and second[0] == 0.0
+    for term in tracked[:2]:  # one that nobody measured
+        term.sigma = np.full(term.sigma.shape, np.inf)
+    none, again = intervals._noise(movement, problem, found, by_x, 6.0, 4)
+    assert not none.any()
+    np.testing.assert_array_equal(again, parts[1])
