@@ -31,6 +31,7 @@ from drake_exo.collocation.trial_program import (
 )
 from drake_exo.contact.bushing import CALIBRATED, NORMAL, BushingKinematics
 from drake_exo.contact.parameters import (
+    TYPICAL_JERK,
     ContactModel,
     ContactParameter,
     Posterior,
@@ -745,14 +746,16 @@ def typical_jerk(trials: Sequence[Trial]) -> float:
     """Three times the RMS of the human joints' jerk in some trials [rad/s^3].
 
     So large that what is measured at all is hardly pulled, and small enough
-    that a device does not swing on its cuffs.
+    that a device does not swing on its cuffs. Of trials that keep still, that
+    of a brisk rise.
     """
     rows = []
     for trial in trials:
         names = trial.coordinates
         human = names.joint_columns[~names.is_device_joint]
         rows.append(np.gradient(trial.a[:, human], trial.times, axis=0))
-    return 3.0 * float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+    jerk = 3.0 * float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+    return jerk or TYPICAL_JERK
 
 
 def _in_order(contact: ContactModel, model: Model) -> ContactModel:

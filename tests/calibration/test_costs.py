@@ -17,7 +17,11 @@ from drake_exo.calibration.phases import (
     InteractionCalibration,
     PredictionProblem,
 )
-from drake_exo.calibration.problem import foot_turn, torque_terms
+from drake_exo.calibration.problem import (
+    foot_turn,
+    torque_terms,
+    typical_jerk,
+)
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     InteractionNoise,
@@ -26,6 +30,7 @@ from drake_exo.calibration.settings import (
     Solver,
     TrackingNoise,
 )
+from drake_exo.contact.parameters import TYPICAL_JERK
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.coordinates import Coordinates
@@ -268,6 +273,8 @@ def test_typical_jerk_is_that_of_what_calibrates(in_device, trial):
         assert posed.jerk == posed.contact.jerk
     told = replace(contact, jerk=33.0)
     assert PredictionProblem(model, [moved], told).jerk == 16.5
+    still = replace(trial, a=np.zeros_like(trial.a))
+    assert typical_jerk([still]) == TYPICAL_JERK
 
 
 def energies(in_device, cost) -> dict[str, np.ndarray]:
