@@ -690,7 +690,8 @@ def _coordinates(files, recording: Recording, inside, model: Model):
         aligned = [model.coordinates.aligned(x) for x in body]
         return aligned, {"exoskeleton_angles": "as the human's (no encoders)"}
     exo = recording.angles.motion(motion.time[inside])
-    return [np.hstack(pair) for pair in zip(body, exo, strict=True)], {
+    names = model.coordinates
+    return [names.joined(*pair) for pair in zip(body, exo, strict=True)], {
         "encoders": files.encoders.as_posix(),
         "encoder_legs": recording.angles.one_leg or "both",
     }
@@ -732,7 +733,7 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
         )
     human = resultant - exo @ names.turned_by
     said = {"human": "resultant - exoskeleton", "exoskeleton": source}
-    return np.hstack([human, exo]), friction, said
+    return names.joined(human, exo), friction, said
 
 
 def _cuff_forces(recording: Recording, time):

@@ -47,7 +47,7 @@ class Coordinates:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """All hinges, the human's first."""
+        """All hinges."""
         return self.names[len(_ROOT) :]
 
     @property
@@ -155,6 +155,20 @@ class Coordinates:
         row = np.abs(self.turned_by[self.device.index(name)])
         return self.human[int(np.argmax(row))]
 
+    def joined(self, human: np.ndarray, device: np.ndarray) -> np.ndarray:
+        """Columns of human and device side by side, in the order of names.
+
+        A plant numbers hinges along its branches: a device's may lie between
+        the human's.
+
+        Args:
+            human: (n, .) of `body`, or of `human`.
+            device: (n, .) of `device`.
+        """
+        both = np.hstack([human, device])
+        columns = np.concatenate([self.body_columns, self.device_columns])
+        return both[:, np.argsort(columns[len(self) - both.shape[1] :])]
+
     def aligned(self, body: np.ndarray) -> np.ndarray:
         """All coordinates (n, nq) of a device that moves as the human does.
 
@@ -162,7 +176,7 @@ class Coordinates:
             body: (n, len(self.body)) coordinates of `body`.
         """
         human = body[:, len(_ROOT) :]
-        return np.hstack([body, human @ self.turned_by.T])
+        return self.joined(body, human @ self.turned_by.T)
 
 
 def read_coordinates(plant: MultibodyPlant) -> Coordinates:

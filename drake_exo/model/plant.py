@@ -268,7 +268,7 @@ class Model:
         """The model as a plant.
 
         Positions and velocities are x, z and pitch of the root, then the
-        hinges of the human, then those of the device.
+        hinges along its branches, as `coordinates` names them.
 
         Args:
             plant: an unfinalized plant to add to, such as one registered with
@@ -315,7 +315,6 @@ def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
         if assembly.is_fitted:
             width = body_width(human)
             text = hinged(exoskeleton_sdf(model.exoskeleton, width))
-        # Human first: Drake numbers positions in the order joints are added.
         worn = add_device(parser, plant, device, text)
         _weld(plant, body, worn, device)
         _check_links(plant, worn, assembly)

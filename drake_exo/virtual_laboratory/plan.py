@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import Multiplexer
+from pydrake.systems.primitives import MatrixGain, Multiplexer
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.optimize import least_squares
 
@@ -518,11 +518,16 @@ class DeviceController(LeafSystem):
         output.SetFromVector(found[0])
 
 
-def controller(subject: SubjectController, device: DeviceController) -> Diagram:
+def controller(
+    names: Coordinates, subject: SubjectController, device: DeviceController
+) -> Diagram:
     """Both as one system with the output joint_torques."""
     builder = DiagramBuilder()
     sizes = [s.GetOutputPort("torques").size() for s in (subject, device)]
     joined = builder.AddSystem(Multiplexer(sizes))
+    columns = np.split(np.eye(sum(sizes)), sizes[:1], axis=1)
+    ordered = builder.AddSystem(MatrixGain(names.joined(*columns).T))
+    builder.Connect(joined.get_output_port(), ordered.get_input_port())
     exported = set()
     for i, system in enumerate((subject, device)):
         builder.AddSystem(system)
@@ -536,7 +541,7 @@ def controller(subject: SubjectController, device: DeviceController) -> Diagram:
             else:
                 builder.ExportInput(port, port.get_name())
                 exported.add(port.get_name())
-    builder.ExportOutput(joined.get_output_port(), "joint_torques")
+    builder.ExportOutput(ordered.get_output_port(), "joint_torques")
     diagram = builder.Build()
     diagram.set_name("subject_and_device")
     return diagram

@@ -72,7 +72,7 @@ def simulate(
     built = build_diagram(
         truth.model,
         ContactModel(truth.contact),
-        controller=controller(subject, device),
+        controller=controller(truth.model.coordinates, subject, device),
         forces=_forces(truth, seat),
     )
     context = built.diagram.CreateDefaultContext()
@@ -182,11 +182,9 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     subject, device = controllers
     loads = np.column_stack([wrench.force_z for wrench in stood.values()])
     exo = names.device_columns
-    torque = np.hstack(
-        [
-            subject.torques(times, q, v, loads),
-            device.torques(times, q[:, exo], v[:, exo], ground.force_z),
-        ]
+    torque = names.joined(
+        subject.torques(times, q, v, loads),
+        device.torques(times, q[:, exo], v[:, exo], ground.force_z),
     )
     loads = applied(tree, truth.contact, truth.cuffs, seat, q, v)
     loads[:, names.joint_columns] += torque

@@ -72,7 +72,16 @@ def test_a_device_of_one_joint(assembly, mass, beside):
     assert model.tree.mass == pytest.approx(model.rigid.tree.mass)
 
 
-@pytest.mark.parametrize("assembly", [ANKLE, HIP])
+# Hinges of the device between those of the person.
+HIP_AND_TOES = replace(HIP, human=Person(toes="hinged"))
+LEFT_ANKLE = Assembly(
+    Person("two"),
+    DeviceFile({"shoe": "foot_left"}, Path("ankle_only.urdf")),
+    {"calf": CuffLinks("shank_left", "calf")},
+)
+
+
+@pytest.mark.parametrize("assembly", [ANKLE, HIP, HIP_AND_TOES, LEFT_ANKLE])
 def test_worn_stiffly_it_moves_as_the_person_does(assembly):
     """The rigid model's forces are S^T of those with the device's joints."""
     model = built(assembly)

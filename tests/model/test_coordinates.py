@@ -80,6 +80,19 @@ def test_follows_the_name_not_the_order():
     )
 
 
+def test_a_device_s_hinge_may_lie_between_the_human_s():
+    names = Coordinates(
+        (*ROOT, "ankle_left", "exo_ankle_left", "ankle_right"),
+        ("exo_ankle_left",),
+    )
+    np.testing.assert_array_equal(
+        names.aligned(np.arange(5.0)[None]), [[0, 1, 2, 3, 3, 4]]
+    )
+    # Of hinges alone.
+    found = names.joined(np.array([[7.0, 8.0]]), np.array([[9.0]]))
+    np.testing.assert_array_equal(found, [[7, 9, 8]])
+
+
 def test_unknown_names_are_refused(coupled):
     with pytest.raises(InputError, match=r"no coordinate 'toe'; known .*hip"):
         coupled.index("toe")

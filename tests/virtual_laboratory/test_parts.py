@@ -200,7 +200,7 @@ def test_controllers_join_to_six_torques():
         reference.ground[:, 1],
     )
     subject = SubjectController(truth.model.coordinates, reference, expected)
-    both = controller(subject, device)
+    both = controller(truth.model.coordinates, subject, device)
     context = both.CreateDefaultContext()
     q = np.r_[reference.q[0], reference.q[0, 3:]]
     v = np.r_[np.zeros(6), 1.0, -1.0, 0.0]
