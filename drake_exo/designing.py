@@ -106,7 +106,7 @@ def design(
             check_file_name("subject.name", name)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):
-        contact = contact_of(contact)
+        contact = own.worn(contact_of(contact))
         before[name] = movements(own, contact, settings)
         wearers.append(wearer(name, own, contact, before[name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]

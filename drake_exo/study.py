@@ -273,10 +273,13 @@ class Study:
         found = read_calibration(folder)
         law = None if self.sole else self.foot_ground.law
         checks = found.checks(self.name, self.model, law, trials)
-        contact = found.taken(checks, accepted)
-        if self.sole is not None:
-            contact = replace(contact, ground=self.ground)
-        return contact, checks
+        return self.worn(found.taken(checks, accepted)), checks
+
+    def worn(self, contact: ContactModel) -> ContactModel:
+        """The contact on the study's sole, if it has one."""
+        if self.sole is None:
+            return contact
+        return replace(contact, ground=self.ground)
 
 
 class RecordedStudy(Study):
@@ -778,7 +781,7 @@ def calibrate_interaction(
     check_is_measured(trials)
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
-    ground = contact_of(contact)
+    ground = study.worn(contact_of(contact))
 
     def pose(refined):
         return InteractionCalibration(
@@ -814,7 +817,7 @@ def find_clocks(
     """
     found = []
     for trial in trials:
-        result, own = _timing(study, trial, contact_of(contact))
+        result, own = _timing(study, trial, study.worn(contact_of(contact)))
         if result is not None and result.solution.was_stopped:
             raise KeyboardInterrupt
         found += own
@@ -899,7 +902,7 @@ def predict(
     as_trials([trial])
     if near is not None:
         check_type(near, Prediction, "near")
-    known = contact_of(contact)
+    known = study.worn(contact_of(contact))
     if clocks is None:
         timing, clocks = _timing(study, trial, known)
         if timing is not None and timing.solution.was_stopped:
@@ -912,8 +915,6 @@ def predict(
     if scaled.posterior is not None:
         both = scaled.posterior.beside(left(trial, own))
         scaled = replace(scaled, posterior=both)
-    if study.sole is not None:
-        scaled = replace(scaled, ground=study.ground)
 
     settings = schema.checked(
         settings, PredictionSettings, "settings", study.prediction

@@ -17,6 +17,7 @@ from drake_exo.calibration.clocks import (
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
 from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.parameters import Posterior
+from drake_exo.contact.reduction import SoleLaw, SoleSphere
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.report.gathering import clocks_table
 from drake_exo.study import (
@@ -278,6 +279,25 @@ def test_a_trial_to_predict_is_timed_with_known_cuffs(studied):
     assert other.clocks == tuple(given)
     # Cuffs that nobody calibrated time nothing.
     assert find_clocks(study, [trial], cuffs.result.contact) == []
+
+
+def test_clocks_are_found_on_the_study_s_sole(in_device, monkeypatch):
+    spheres = {"heel": SoleSphere(2e7, x_m=-0.1), "toe": SoleSphere(2e7)}
+    law = SoleLaw((0.26, 0.1, 0.02), spheres)
+    trial = recorded(in_device.trials[0])
+    study = Study(in_device.model, [trial], sole=law)
+    known = replace(in_device.contact, posterior=known_of(trial, 0.0, 0.0))
+    seen = []
+
+    def stopped(model, trials, contact, settings):
+        seen.append(contact.ground)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("drake_exo.study.Timing", stopped)
+    for find in (find_clocks, lambda s, t, c: predict(s, t[0], c)):
+        with pytest.raises(KeyboardInterrupt):
+            find(study, [trial], known)
+    assert seen == [study.ground] * 2
 
 
 def test_what_is_known_comes_before_a_trials_own_data(in_device):
