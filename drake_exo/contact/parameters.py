@@ -161,12 +161,22 @@ class GroundContact:
 
         Segments may have spheres of one name, which share their parameters;
         where one segment touches, all spheres are its own.
+
+        Raises:
+            InputError: there is none of a name that a segment has.
         """
         if self.of_sole:
             person = model.assembly.human
             return {f"foot{end}": self for end in person.suffixes}
         if len(model.soles) == 1:
             return dict.fromkeys(model.soles, self)
+        for name in model.spheres:
+            if name not in self.spheres:
+                raise InputError(
+                    f"the contact has the spheres {', '.join(self.spheres)}, "
+                    f"the model {', '.join(model.spheres)}; calibrate with "
+                    "this model"
+                )
         return {
             body: replace(self, spheres={n: self.spheres[n] for n in names})
             for body, names in model.soles.items()

@@ -13,6 +13,7 @@ from drake_exo.contact.parameters import (
     nominal_contact,
 )
 from drake_exo.errors import InputError
+from drake_exo.model.assembly import Assembly, Person
 
 
 @pytest.fixture(params=["paper", "simbody"])
@@ -38,6 +39,18 @@ def test_nominal_contact_touches_where_there_are_cuffs(nominal):
     ]
     for kind in ("human", "rigid"):
         assert nominal_contact(nominal(kind)).bushings == {}
+
+
+def test_spheres_of_another_foot_are_refused(nominal):
+    stiff = nominal("human")
+    bent = replace(stiff, kind=Assembly(Person(toes="hinged")))
+    ground = nominal_contact(bent).ground
+    assert {b: list(g.spheres) for b, g in ground.under(bent).items()} == {
+        "foot": ["heel", "ball"],
+        "toes": ["toe"],
+    }
+    with pytest.raises(InputError, match="heel, toe, the model heel, ball"):
+        nominal_contact(stiff).ground.under(bent)
 
 
 def test_values_name_spheres_and_what_is_calibrated_of_bushings(contact):
