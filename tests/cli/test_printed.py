@@ -40,7 +40,8 @@ def test_sensitivity_tells_the_strongest_parts_and_heights(capsys):
     )
     # Whatever the spheres are called.
     row = {
-        "radius_factor": 1.25, "objective": 7.0, "vertical_force_rmsd_n": 8.0,
+        "radius_factor": 1.25, "success": True,
+        "objective": 7.0, "vertical_force_rmsd_n": 8.0,
         "hind.z": -0.05, "hind.radius": 0.03,
         "fore.z": -0.02, "fore.radius": 0.025,
     }  # fmt: skip
