@@ -8,10 +8,12 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import (
+    UNITS,
     check_gaps,
     check_increasing,
     number_rows,
     read_text,
+    shown,
 )
 
 _PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
@@ -91,8 +93,8 @@ def read_pressure_csv(
 ) -> PressureRecording:
     """Read a CSV table: time, then each mat's cells row by row.
 
-    The first line names the columns, its first cell the time and the unit
-    of pressure: "time [s]; kPa".
+    The first line names the columns, its first cell the time, in s or ms,
+    and the unit of pressure: "time [s]; kPa".
 
     Args:
         path: the file.
@@ -107,9 +109,16 @@ def read_pressure_csv(
         raise InputError(f"{path}: holds fewer than two frames of pressure")
     first = lines[0].split(",")[0]
     scale = _unit(path, first)
+    time = re.match(r"\s*time\s*\[\s*(m?s)\s*\]", first, re.IGNORECASE)
+    if not time:
+        raise InputError(
+            f"{path}:1: the first column must begin with 'time [s]' or "
+            f"'time [ms]', but is {shown(first)!r}"
+        )
     width = len(lines[0].split(","))
     groups = split(path, width - 1, mats)
     values = _table(path, lines, 1, width, ",")
+    values[:, 0] *= UNITS[time[1].lower()]
     check_increasing(str(path), values[:, 0])
     return _recording(path, values, scale, groups)
 

@@ -10,7 +10,7 @@ time [s],exo_ankle [deg],exo_knee [deg],exo_hip [deg]
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -169,27 +169,25 @@ class Table:
         """Several columns (N, len(names)); raises as `column`."""
         return np.stack([self.column(name) for name in names], axis=1)
 
-    def in_radians(self, translations: tuple[str, ...] = ()) -> "Table":
+    def in_radians(self, angles: Sequence[str] | None = None) -> "Table":
         """The same table with angles in radians.
 
         Args:
-            translations: columns that are not angles; names ending in _tx,
-                _ty, _tz, _x, _y or _z never are.
+            angles: columns that are such; by default all whose names do not
+                end in _tx, _ty, _tz, _x, _y or _z.
 
         Raises:
             InputError: the header does not say degrees or radians, or says
                 what the values cannot be.
         """
-        rotational = [
-            i
-            for i, name in enumerate(self.names)
-            if name not in translations and not is_translation(name)
-        ]
-        angles = self.values[:, rotational]
-        check_angle_unit(self, angles)
+        if angles is None:
+            angles = [n for n in self.names if not is_translation(n)]
+        columns = [self.names.index(name) for name in angles]
+        found = self.values[:, columns]
+        check_angle_unit(self, found)
         values = self.values.copy()
         if self.in_degrees:
-            values[:, rotational] = np.deg2rad(angles)
+            values[:, columns] = np.deg2rad(found)
         return replace(self, values=values, in_degrees=False)
 
 

@@ -15,7 +15,6 @@ from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.tables import (
     Table,
-    is_translation,
     missing_column,
     read_csv_table,
     uniform_time,
@@ -147,18 +146,14 @@ def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
     table = read_table(path)
     if ending:
         return table
-    angles = _columns(table, joints, ending)
-    others = [n for n in table.names if n not in angles]
-    return table.in_radians(tuple(n for n in others if not is_translation(n)))
+    return table.in_radians(_columns(table, joints, ending))
 
 
 def _columns(table: Table, joints: tuple[str, ...], ending: str) -> list[str]:
     """Names of the joints' angles, or of their moments."""
-    return [
-        name
-        for name in table.names
-        if name.startswith(joints) and (_MOMENT in name) == bool(ending)
-    ]
+    own = [joint + ending for joint in joints]
+    sided = [f"{name}_{side}" for name in own for side in SIDES]
+    return [name for name in table.names if name in (*own, *sided)]
 
 
 def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:
@@ -172,6 +167,14 @@ def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:
     if legs == "both":
         if all(s in table.names for s in sided):
             return table.columns(sided).mean(axis=1)
+        for side, one in zip(SIDES, sided, strict=True):
+            if one in table.names and name not in table.names:
+                key = "moment_legs" if is_moment else "encoder_legs"
+                raise InputError(
+                    f"{table.source}: has no column {name!r}, and of "
+                    f"{', '.join(sided)} only {one!r}; say '{key}: {side}' "
+                    "in device, or add the other leg's"
+                )
         return table.column(name) * (0.5 if is_moment else 1.0)
     one = f"{name}_{legs}"
     if one in table.names:

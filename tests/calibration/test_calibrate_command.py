@@ -77,7 +77,7 @@ def test_intervals_are_reported(summary):
 @pytest.mark.slow
 def test_trajectories_are_read_back(calibrated):
     table = read_table(calibrated / "rise1_coordinates.sto")
-    table = table.in_radians(("foot_x", "foot_z"))
+    table = table.in_radians()
     assert table.names[:3] == ("foot_x", "foot_z", "foot_pitch")
     assert np.isfinite(table.values).all()
 

@@ -99,7 +99,7 @@ def test_only_angles_are_turned_into_radians():
         np.arange(2.0), ("knee", "pelvis_tx", "slide"),
         np.array([[90.0, 2.0, 3.0], [180.0, 2.0, 3.0]]), True, "f",
     )  # fmt: skip
-    found = table.in_radians(("slide",))
+    found = table.in_radians(("knee",))
     np.testing.assert_allclose(
         found.values, [[np.pi / 2, 2.0, 3.0], [np.pi, 2.0, 3.0]]
     )

@@ -104,10 +104,10 @@ def test_wrong_number_of_cells_is_refused(tmp_path):
     assert found.matrix("right mat", 3, 1).shape == (25, 3, 1)
 
 
-def csv(cells=6, unit="kPa"):
-    lines = [f"time [s]; {unit}," + ",".join(f"c{i}" for i in range(cells))]
+def csv(cells=6, unit="kPa", time="time [s]", step=0.02):
+    lines = [f"{time}; {unit}," + ",".join(f"c{i}" for i in range(cells))]
     for i in range(4):
-        row = [0.02 * i, *(2.5 * (i + k) for k in range(cells))]
+        row = [step * i, *(2.5 * (i + k) for k in range(cells))]
         lines.append(",".join(f"{x:g}" for x in row))
     return "\n".join(lines) + "\n"
 
@@ -119,6 +119,10 @@ def test_csv_of_several_mats(tmp_path):
     found = read_pressure_csv(write(tmp_path, csv(), "p.csv"), MATS)
     shank = found.matrix("shank", 2, 2)
     np.testing.assert_allclose(shank[1], [[7.5e3, 10e3], [12.5e3, 15e3]])
+    text = csv(time="Time [ms]", step=20.0)
+    same = read_pressure_csv(write(tmp_path, text, "p.csv"), MATS)
+    np.testing.assert_allclose(same.time, found.time)
+    np.testing.assert_array_equal(same.pressure, found.pressure)
 
 
 @pytest.mark.parametrize(
@@ -126,6 +130,8 @@ def test_csv_of_several_mats(tmp_path):
     [
         (csv(cells=7), "has 7 cells, but the mats (thigh 1 x 2, shank 2 x 2)"),
         (csv(unit="psi"), "no unit of pressure"),
+        (csv(time="time"), "must begin with 'time [s]' or 'time [ms]'"),
+        (csv(time="time [min]"), "must begin with 'time [s]'"),
         (csv()[:-6], "truncated"),
         (csv()[:54], "fewer than two frames"),
     ],

@@ -53,6 +53,21 @@ def test_moments_stand_beside_angles_in_degrees(tmp_path):
     np.testing.assert_allclose(found.values[INNER], moments[INNER], atol=6e-3)
 
 
+def test_joints_are_angles_whatever_their_names_end_in(tmp_path):
+    """hip_y turns about y; slides and moments beside it stay what they are."""
+    names = ("hip_y", "knee_z_left", "knee_z_right", "hip_y_slide")
+    values = np.rad2deg(ANGLES[:, [0, 1, 1, 2]])
+    write_table(tmp_path / "e.mot", Table(TIME, names, values, True))
+    found = read_angles(tmp_path / "e.mot", ("hip_y", "knee_z"), "both", FILTER)
+    np.testing.assert_allclose(
+        found.values[INNER], ANGLES[INNER, :2], atol=2e-4
+    )
+    small = np.column_stack([1e-3 * ANGLES[:, 0], values[:, 1:]])
+    write_table(tmp_path / "e.mot", Table(TIME, names, small, False))
+    with pytest.raises(InputError, match="can only be degrees"):
+        read_angles(tmp_path / "e.mot", ("hip_y", "knee_z"), "both", FILTER)
+
+
 def test_legs_are_averaged_added_or_doubled(tmp_path):
     left, right = ANGLES, 3.0 * ANGLES
     for ending, read in (("", read_angles), ("_moment", read_moments)):
@@ -98,7 +113,7 @@ def test_a_delay_moves_the_clock(tmp_path):
     [
         (("exo_ankle", "exo_kne", "exo_hip"), "both", "did you mean 'exo_kne"),
         (tuple(f"{j}_left" for j in EXO_JOINTS), "right", "exo_ankle_right"),
-        (tuple(f"{j}_left" for j in EXO_JOINTS), "both", "no column"),
+        (tuple(f"{j}_left" for j in EXO_JOINTS), "both", "encoder_legs: left"),
     ],
 )
 def test_refuses_joints_that_are_missing(tmp_path, names, legs, words):
