@@ -728,6 +728,7 @@ def _told(check: Check) -> str:
 
 
 def _amount(value: float | None, unit: str) -> str:
+    unit = "" if unit == "1" else unit
     return "" if value is None else f"{value:.3g} {unit}".rstrip()
 
 

@@ -458,10 +458,10 @@ def check_loaded(
         return
     cause = (
         "check the numbers in plates, the unit of force (N, not kN), "
-        "subject.mass_kg and the part that is used"
+        "subject.mass_kg, a device's masses and the part that is used"
     )
     raise InputError(
-        f"{source}: the feet bear {most:.3g} N at most ({where}), the body "
+        f"{source}: the feet bear {most:.4g} N at most ({where}), the body "
         f"weighs {weight:.0f} N; {cause}"
     )
 

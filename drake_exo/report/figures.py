@@ -85,7 +85,8 @@ def plot_trials(
 
     Returns:
         "ground_reaction", "kinematics" and, where there are such signals,
-        "interaction" and "moments".
+        "interaction" and "moments" (not of a person and a device that do not
+        touch, as in Phase A: theirs mean nothing).
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
@@ -108,7 +109,8 @@ def plot_trials(
     }
     if found[0].cuffs:
         drawn["interaction"] = interaction_figure(runs, measured, bands)
-    if measured[0].moments is not None:
+    touch = found[0].cuffs or not found[0].coordinates.device
+    if touch and measured[0].moments is not None:
         drawn["moments"] = moments_figure(runs, measured)
     return drawn
 

@@ -64,6 +64,11 @@ def test_failures_come_last_and_red():
     assert "bounds (thigh.x)" in text
 
 
+def test_a_ratio_is_told_without_a_unit():
+    made = Verdict((Check("a", False, 1.3, 2.0, "1", "hip", level="note"),))
+    assert "note  a (hip, 1.3, limit 2)" in made.text()
+
+
 def test_of_many_that_hold_the_nearest_to_its_limit_is_told():
     checks = [
         Check("audit", True, value, 1.0, "N", f"rise{i}")

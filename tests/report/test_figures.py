@@ -185,6 +185,9 @@ def test_all_figures_that_there_are_signals_for(trials, found):
     assert curves == {"measured", "calibrated", "uncalibrated"}
     bare = [replace(one[0], moments=None, cuffs={})]
     assert list(figures.plot_trials(bare, bare)) == names[:2]
+    # Before cuffs are known person and device do not touch.
+    apart = [replace(model[0], cuffs={})]
+    assert list(figures.plot_trials(apart, one)) == names[:2]
 
 
 def test_a_front_is_force_against_angle():
