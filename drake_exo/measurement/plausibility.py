@@ -851,7 +851,7 @@ def _follows(e: Evidence, name: str, h, d) -> Iterator[Check]:
         e.files.encoders,
         f"{name} does not follow the person's joint (correlation {r:.2f}); "
         + (
-            "its sign looks flipped"
+            "its sign looks flipped: negate the column"
             if r < -LEAST_CORRELATION
             else "the file may be of another joint or trial"
         ),

@@ -602,6 +602,13 @@ class RecordingSettings:
                 "two legs the chair's plate does not tell which thigh bears "
                 "what: leave it out"
             )
+        device, fitted = self.assembly.device, ExoskeletonOverrides()
+        if device and device.file and self.exoskeleton != fitted:
+            raise InputError(
+                "exoskeleton has values of the shipped device, but the "
+                f"model's is {device.name}; state them in that file, and leave "
+                "exoskeleton out"
+            )
         segments = self.assembly.human.segments
         for trial in self.trials:
             for load in trial.loads:
