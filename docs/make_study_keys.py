@@ -170,7 +170,7 @@ def _is_number(hint: Any) -> bool:
 def _unit(cls, field, hint) -> str:
     if cls is Range:
         return "of its key" if hint is float else ""
-    if not _is_number(hint) and hint is not Range:
+    if not _is_number(hint) and Range not in (hint, *typing.get_args(hint)):
         return ""
     unit = field.metadata.get("unit")
     if unit is None:

@@ -566,7 +566,7 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
     for ax, (group, signals) in zip(axes, values.items(), strict=True):
         for k, of_subjects in enumerate(signals.values()):
             means = [np.mean(v) for v in of_subjects.values()]
-            sd = np.std(means, ddof=1) if len(means) > 1 else 0.0
+            sd = np.std(means, ddof=1) if len(means) > 1 else None
             ax.bar(k, np.mean(means), yerr=sd, color="#cfe2f3", capsize=3)
             ax.plot([k] * len(means), means, ".", color="0.2", ms=4)
         ax.set_xticks(range(len(signals)), list(signals), rotation=60)

@@ -677,10 +677,18 @@ def wrenches(
         recorded: its markers.
 
     Raises:
-        InputError: markers or forces are missing, or do not cover it.
+        InputError: markers or forces are missing, or do not cover it; a load
+            is not carried while it lasts.
     """
     found: dict[str, PlanarWrench] = {}
     for load in files.loads:
+        late = load.from_s is not None and load.from_s >= time[-1]
+        if late or (load.to_s is not None and load.to_s <= time[0]):
+            raise InputError(
+                f"{root / files.markers}: lasts from {time[0]:g} to "
+                f"{time[-1]:g} s, when the load on the {load.body} is never "
+                "carried; correct from_s and to_s of loads"
+            )
         if load.forces is not None:
             wrench = _of_file(load, settings, root, time)
         else:

@@ -458,7 +458,9 @@ class Load:
     body: str
     mass_kg: float | None = quantity("kg", None, above=0.0, maximum=500.0)
     markers: tuple[str, ...] = ()
-    at_m: tuple[float, float] | None = quantity("m", None)
+    at_m: tuple[float, float] | None = quantity(
+        "m", None, minimum=-3.0, maximum=3.0
+    )
     from_s: float | None = quantity("s", None)
     to_s: float | None = quantity("s", None)
     over_s: float = quantity("s", 0.2, above=0.0, maximum=10.0)
@@ -474,6 +476,13 @@ class Load:
             raise InputError(
                 "where a mass is say either markers on it or at_m in the "
                 "segment"
+            )
+        placed = self.markers or self.at_m is not None
+        timed = self.from_s is not None or self.to_s is not None
+        if self.forces is not None and (placed or timed):
+            raise InputError(
+                "a load's file of forces says where and when they act; leave "
+                "markers, at_m, from_s and to_s out"
             )
         start = -np.inf if self.from_s is None else self.from_s
         if self.to_s is not None and self.to_s <= start:

@@ -365,6 +365,8 @@ def test_bars_are_means_over_subjects():
     dots = ax.lines[-1].get_ydata()
     np.testing.assert_allclose(dots, [3.0, 7.0])
     assert ax.get_title() == "n = 2"
+    (alone,) = results._over_subjects(rows[:2]).axes
+    assert not alone.collections  # one subject has no SD, not one of 0
     rows.append(_row("c", "1", "rmsd.grf_n.horizontal", 1.0))
     (ax,) = results._over_subjects(rows).axes
     assert ax.get_title() == "n = 1 to 2"

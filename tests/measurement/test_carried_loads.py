@@ -160,6 +160,8 @@ def test_markers_carry_the_mass(tmp_path):
         ({"body": "pelvis", "mass_kg": 1}, "either markers on it or at_m"),
         ({"body": "pelvis"}, "either a mass_kg or a file of forces"),
         ({"body": "pelvis", "mass_kg": 0, "at_m": [0, 0]}, "above 0 kg"),
+        ({"body": "pelvis", "mass_kg": 1, "at_m": [0, 300]}, "at most 3 m"),
+        ({"body": "pelvis", "forces": "f.mot", "from_s": 1}, "leave markers, "),
         (
             {
                 "body": "pelvis",
@@ -176,6 +178,14 @@ def test_loads_that_cannot_be_are_refused(tmp_path, load, words):
     write_recording(tmp_path, nominal_human(), model="human")
     with pytest.raises(InputError, match=words):
         with_loads(tmp_path, load)
+
+
+@pytest.mark.parametrize("when", [{"from_s": 8750.0}, {"to_s": -0.1}])
+def test_a_load_that_is_never_carried_is_refused(tmp_path, when):
+    write_recording(tmp_path, nominal_human(), model="human")
+    load = {"body": "pelvis", "mass_kg": KG, "at_m": list(AT)}
+    with pytest.raises(InputError, match=r"sts\.trc: .* is never carried"):
+        load_study(with_loads(tmp_path, load | when), tmp_path)
 
 
 def test_a_force_file_without_that_plate_is_refused(tmp_path):
