@@ -254,9 +254,8 @@ def _replay_design(folder: Path, path: Path) -> None:
 
 def _title(found: Sequence[Results]) -> str:
     names = {r.summary.get("subject", "") for r in found} - {""}
-    steps = any(len(m.soles) > 1 for r in found for _, m in r.pairs())
     who = ", ".join(sorted(names)) or "a subject"
-    return f"{'Steps' if steps else 'Rise'} of {who}".replace("_", " ")
+    return f"Movements of {who}".replace("_", " ")
 
 
 @dataclass(frozen=True)

@@ -183,6 +183,7 @@ def test_page_is_small_needs_no_network_and_repeats_itself(folder, page):
     assert len(page.read_bytes()) < 20e6
     assert network_addresses(page) == []
     assert "500 N" in page.read_text()
+    assert "<title>Movements of " in page.read_text()
     assert clip_titles(page) == {
         "Calibrated, human and exoskeleton, Phase B": ["B: rise 1"]
     }
