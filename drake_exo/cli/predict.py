@@ -175,8 +175,6 @@ def write_predictions(
     if done is not None:
         print(f"{out} is complete; nothing to resume")
         return done.exit_code
-    write_inputs(out, study.model, trials)
-    write_contact(out, contact)
     usual = uncalibrated(study.model, contact)
     how = {"scale_interaction": scale_interaction, "controller": controller}
     found: list[Prediction] = []
@@ -222,6 +220,9 @@ def write_predictions(
         checks += phase_checks(prediction.result, audited, prediction.clocks)
         if stopped:
             break
+    # Not before: what a problem refuses leaves no folder behind.
+    write_inputs(out, study.model, trials)
+    write_contact(out, contact)
     verdict = Verdict(tuple(checks), tuple(accepted))
     summary = {
         "inputs": of,

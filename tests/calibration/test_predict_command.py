@@ -1,6 +1,7 @@
 """Calibrated contact predicts rises of a real recording."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,12 @@ from undrawn import undrawn
 from drake_exo.calibration.results import write_contact
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
+from drake_exo.cli.predict import write_predictions
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
-from drake_exo.study import Prediction
+from drake_exo.files.output import prepare_output_folder
+from drake_exo.study import Prediction, Study
+from drake_exo.virtual_laboratory import synthetic
 
 
 @pytest.fixture(scope="module")
@@ -140,6 +144,19 @@ def test_bad_options_are_one_sentence(
     assert main([*command("predict"), *more, *options]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
+
+
+def test_what_a_prediction_refuses_leaves_no_folder(tmp_path):
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    study = Study(made.model, made.trials)
+    ground = replace(made.contact, bushings={})
+    out = tmp_path / "out"
+    with (
+        pytest.raises(InputError, match="holds no interaction parameters"),
+        prepare_output_folder(out) as folder,
+    ):
+        write_predictions(study, ground, folder)
+    assert not out.exists()
 
 
 @pytest.mark.slow
