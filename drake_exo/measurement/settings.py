@@ -545,6 +545,13 @@ class TrialFiles:
                     f"{key} and {time} both say where the used part "
                     f"{'starts' if key == 'from' else 'ends'}; leave one out"
                 )
+        mats = [name for file in self.pressure for name in file.mats]
+        for name in mats:
+            if mats.count(name) > 1:
+                raise InputError(
+                    f"pressure names {name} in two files, and its force would "
+                    "count as often; name it once"
+                )
         if self.seated_s > 0.0 and self.rise is None:
             raise InputError("seated_s counts back from a rise; name it")
         if self.seated_s > 0.0 and self.plates.chair is None:

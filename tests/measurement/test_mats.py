@@ -25,8 +25,10 @@ from drake_exo.measurement.settings import (
     Axes,
     Filter,
     Mat,
+    Plates,
     PressureFile,
     Scan,
+    TrialFiles,
 )
 
 RADIUS, HEIGHT = 0.08, 0.4
@@ -395,6 +397,10 @@ def test_every_mat_of_a_file_counts_once(folder):
         read(("m",), "mn")
     with pytest.raises(InputError, match="names m more than once"):
         PressureFile(Path("p.asc"), ("m", "n", "m"))
+    twice = tuple(PressureFile(Path(f), ("m",)) for f in ("p.asc", "q.asc"))
+    markers, forces = Path("m.trc"), Path("f.mot")
+    with pytest.raises(InputError, match="names m in two files"):
+        TrialFiles("one", markers, forces, Plates(both=1), pressure=twice)
 
 
 def test_refuses_a_matrix_of_the_wrong_size(folder):
