@@ -34,6 +34,13 @@ CUFFED = SEGMENTS[1:]  # segments with a place for a cuff
 # Radius of the heel and toe contact spheres when nothing else is said [m].
 CONTACT_RADIUS_M = 0.032
 
+_FAR_M = 3.0  # what lies further off in a body was given in mm
+
+
+def _place(default: Any = MISSING) -> Any:
+    """A field for a point (x, z) in a segment's frame."""
+    return quantity("m", default, minimum=-_FAR_M, maximum=_FAR_M)
+
 
 @dataclass(frozen=True)
 class SegmentParameters:
@@ -48,9 +55,9 @@ class SegmentParameters:
     """
 
     mass_kg: float = quantity("kg", above=0.0)
-    com_m: tuple[float, float] = quantity("m")
+    com_m: tuple[float, float] = _place()
     inertia_kg_m2: float = quantity("kg m^2", above=0.0)
-    length_m: float = quantity("m", above=0.0)
+    length_m: float = quantity("m", above=0.0, maximum=_FAR_M)
 
     def heavier(self, ratio: float) -> "SegmentParameters":
         """The same with so many times the mass and the inertia."""
@@ -92,14 +99,14 @@ class HumanParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    ankle_height_m: float = quantity("m", above=0.0)
-    heel_m: tuple[float, float] = quantity("m")
-    toe_m: tuple[float, float] = quantity("m")
-    shank_cuff_m: tuple[float, float] = quantity("m")
-    thigh_cuff_m: tuple[float, float] = quantity("m")
-    pelvis_cuff_m: tuple[float, float] = quantity("m")
+    ankle_height_m: float = quantity("m", above=0.0, maximum=_FAR_M)
+    heel_m: tuple[float, float] = _place()
+    toe_m: tuple[float, float] = _place()
+    shank_cuff_m: tuple[float, float] = _place()
+    thigh_cuff_m: tuple[float, float] = _place()
+    pelvis_cuff_m: tuple[float, float] = _place()
     toes: SegmentParameters | None = None
-    ball_m: tuple[float, float] | None = quantity("m", None)
+    ball_m: tuple[float, float] | None = _place(None)
 
     @property
     def height_m(self) -> float:
@@ -131,13 +138,13 @@ class ExoskeletonParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    heel_m: tuple[float, float] = quantity("m")
-    toe_m: tuple[float, float] = quantity("m")
-    shank_cuff_m: tuple[float, float] = quantity("m")
-    thigh_cuff_m: tuple[float, float] = quantity("m")
-    pelvis_cuff_m: tuple[float, float] = quantity("m")
-    knee_off_m: tuple[float, float] = quantity("m", (0.0, 0.0))
-    hip_off_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    heel_m: tuple[float, float] = _place()
+    toe_m: tuple[float, float] = _place()
+    shank_cuff_m: tuple[float, float] = _place()
+    thigh_cuff_m: tuple[float, float] = _place()
+    pelvis_cuff_m: tuple[float, float] = _place()
+    knee_off_m: tuple[float, float] = _place((0.0, 0.0))
+    hip_off_m: tuple[float, float] = _place((0.0, 0.0))
 
 
 def _overrides(name: str, of: type, doc: str) -> type:

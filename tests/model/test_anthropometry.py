@@ -202,6 +202,8 @@ def test_overrides_replace_single_values_only():
         ({"shank": SegmentOverrides(mass_kg="6")}, r"a number \[kg\]"),
         ({"heel_m": ("a", "b")}, r"heel_m must be a number \[m\]"),
         ({"toe_m": (0.1, float("nan"))}, "toe_m.*finite"),
+        ({"thigh_cuff_m": (0.0, 250.0)}, "thigh_cuff_m is 250, .* most 3 m"),
+        ({"shank": SegmentOverrides(length_m=430.0)}, "length_m.*most 3 m"),
     ],
 )
 def test_impossible_overrides_are_refused(overrides, words):
