@@ -308,8 +308,9 @@ class StoredCalibration:
             return self._check(
                 "calibration",
                 False,
-                "it is not known what it was calibrated on; run "
-                "'drake-exo calibrate' again",
+                "it is not known what it was calibrated on; name a folder "
+                "that 'drake-exo calibrate' wrote (not a prediction's or a "
+                "design's), or run that again",
             )
         return self._check(
             "calibration",
