@@ -214,6 +214,7 @@ def _draw_band(
         color=color,
         alpha=0.15,
         lw=0.0,
+        label="95 % band",
     )
 
 

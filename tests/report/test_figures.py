@@ -338,7 +338,7 @@ def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
     assert not axes[0, 1].get_ylabel()
     legend = [t.get_text() for t in figure.legends[0].get_texts()]
     assert sorted(legend) == [
-        "design", "measured as built", "measured today", "today",
+        "95 % band", "design", "measured as built", "measured today", "today",
     ]  # fmt: skip
     assert figure.get_suptitle().endswith(": a")
 
