@@ -127,7 +127,7 @@ class FootForces:
         chair: of the plate under the chair, if there is one.
         levels: plate ("left", ..., "chair") -> offset and drift taken out.
         recorded: plate -> (N, 6) force [N] and moment about the origin [N m],
-            forward, left, up, neither levelled nor filtered.
+            forward, left, up, neither levelled but by `without` nor filtered.
     """
 
     time: np.ndarray
@@ -187,7 +187,11 @@ class FootForces:
             return PlanarWrench(w.force - force, w.moment - moment)
 
         found = self._by_plate(less)
-        return replace(found, levels=levels)
+        recorded = {
+            name: w - empty.recorded[name].mean(axis=0)
+            for name, w in self.recorded.items()
+        }
+        return replace(found, levels=levels, recorded=recorded)
 
     def levelled(self, feet: bool) -> "FootForces":
         """The same forces less offset and drift of unloaded samples.

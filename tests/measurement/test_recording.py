@@ -232,6 +232,10 @@ def test_empty_plates_are_taken_out_by_their_mean():
     assert found.levels == {
         "left": {"empty_plate_n": -4.0}, "chair": {"empty_plate_n": 6.0},
     }  # fmt: skip
+    # What judges centres of pressure would see feet in the air as loaded.
+    bare = replace(empty, recorded={"left": np.full((7, 6), 0.5)})
+    recorded = forces.without(bare).recorded["left"]
+    np.testing.assert_allclose(recorded[0], [0.5, 1.5, 2.5, 3.5, 4.5, 5.5])
 
 
 def test_one_plate_of_two_feet_counts_twice():
