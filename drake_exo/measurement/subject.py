@@ -110,6 +110,12 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         markers = build_marker_model(
             upright, named, SagittalFrame(), ball, feet
         )
+    if who.sides and markers.sides != SIDES:
+        raise InputError(
+            f"{standing.source}: the model has two legs, but only the "
+            f"{markers.sides[0]} one has all its markers; complete "
+            "markers.joint_centres and markers.segments of the other"
+        )
     points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
     poses = solve_poses(markers, points, standing.source)
     ankles = ankle_paths(markers, poses)

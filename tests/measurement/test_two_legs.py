@@ -217,3 +217,12 @@ def test_toes_need_a_marker(walk):
     study = RecordedStudy(file, walk.root)
     with pytest.raises(InputError, match="markers on thigh, shank, foot, toes"):
         study.subject  # noqa: B018
+
+
+def test_two_legs_need_the_markers_of_both(tmp_path):
+    _, study = write_recording(tmp_path, nominal_human(), model=TWO)
+    centres = study.markers.joint_centres
+    knee = replace(centres.knee, left=())
+    markers = replace(study.markers, joint_centres=replace(centres, knee=knee))
+    with pytest.raises(InputError, match="only the right one has all its"):
+        load(replace(study, markers=markers), tmp_path)
