@@ -99,6 +99,37 @@ def test_triangles_that_face_inwards_are_turned(tmp_path):
     assert surface.normals(on, found, 0.007)[0, 0] > 0.99
 
 
+@pytest.mark.parametrize(
+    ("bent", "ahead", "refused"),
+    [
+        (1.5, False, False),  # it bulges
+        (1.5, True, True),  # inside out
+        (-1.5, False, True),  # a lumbar spine
+        (0.0, False, False),
+        (0.0, True, False),
+    ],
+)
+def test_no_patch_of_a_back_is_turned(tmp_path, bent, ahead, refused):
+    y, z = (0.01 * i.ravel() for i in np.indices((11, 11)))
+    x = 0.1 * y + bent * (z - 0.05) ** 2
+    i = np.arange(110).reshape(10, 11)[:, :10].ravel()
+    triangles = np.concatenate(
+        [np.stack(t, 1) for t in ((i, i + 11, i + 12), (i, i + 12, i + 1))]
+    )
+    if not ahead:
+        triangles = triangles[:, ::-1]
+    path = tmp_path / "scan.stl"
+    write(path, np.column_stack([x, y, z]), triangles)
+    if refused:
+        with pytest.raises(InputError, match="outer side cannot be told"):
+            read_surface(path, scan())
+        return
+    surface = read_surface(path, scan())
+    on, found = surface.closest(np.array([[0.005, 0.05, 0.05]]))
+    normal = surface.normals(on, found, 0.007)[0, 0]
+    assert abs(normal - (1.0 if ahead else -1.0)) < 0.02
+
+
 def test_units_and_axes_of_the_scanner(tmp_path):
     """A scan in mm whose y is up and z is to the right."""
     points, triangles = cylinder()
