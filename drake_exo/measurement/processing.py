@@ -185,13 +185,14 @@ class Recordings:
     def problem(self, files: TrialFiles) -> str | None:
         """What is hidden for too long where too few other markers are left."""
         long = self._long(files)
-        markers = self._made_with[0].markers
-        loose = markers.without(gap.marker for gap in long).loose()
+        motion = self.of(files).motion
+        gone = [*(gap.marker for gap in long), *motion.absent]
+        loose = self._made_with[0].markers.without(gone).loose()
         if loose is None:
             return None
-        gaps = self.of(files).motion.gaps
         return (
-            f"{gaps.source}: trial {files.name}: {gaps.sentence(long)}, and "
+            f"{motion.gaps.source}: trial {files.name}: "
+            f"{motion.gaps.sentence(long)}, and "
             f"too few others are left on the {loose.replace('_', ' ')}"
         )
 

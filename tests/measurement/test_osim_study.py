@@ -1,5 +1,7 @@
 """Studies whose person is a scaled OpenSim model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_osim import small_osim
@@ -7,14 +9,14 @@ from synthetic_recording import load
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.opensim import write_trc
+from drake_exo.files.opensim import read_trc, write_trc
 from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.kinematics import coordinates, solve_poses
 from drake_exo.measurement.quality import assess, text_of
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.measurement.subject import fit_subject
-from drake_exo.study import StudyFile, read_study
+from drake_exo.study import RecordedStudy, StudyFile, read_study
 
 STUDY = """
 subject: {name: small, height_m: 1.75}
@@ -172,3 +174,20 @@ def test_a_real_model_follows_its_markers(opencap):
         assert found.marker_rms_all_m < 0.02
         assert max(found.residual_n) < 40.0
     assert any("'walker_knee_r' slides" in note for note in quality.notes)
+
+
+@pytest.mark.slow
+def test_markers_that_lack_and_hide_at_once_are_told(opencap, tmp_path):
+    """Two of a foot's three are not there, the third is hidden."""
+    study, _ = opencap
+    first = study.file.trials[0]
+    seen = read_trc(study.root / first.markers)
+    keep = [i for i, n in enumerate(seen.names) if n not in ("L_toe", "L_calc")]
+    names = tuple(seen.names[i] for i in keep)
+    p = seen.positions[:, keep]
+    p[50:200, names.index("L_5meta")] = np.nan
+    write_trc(tmp_path / "m.trc", replace(seen, names=names, positions=p))
+    trials = (replace(first, markers=tmp_path / "m.trc"),)
+    study = RecordedStudy(replace(study.file, trials=trials), study.root)
+    with pytest.raises(InputError, match="too few others are left on the foot"):
+        study.trials()
