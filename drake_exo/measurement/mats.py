@@ -377,6 +377,15 @@ def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:
                 )
         return recording
     groups = split(path, recording.pressure.shape[1], sizes)
+    for name, own in recording.groups.items():
+        # A file without a mask has one group of all cells.
+        named = len(recording.groups) > 1 and name in groups
+        if named and not np.array_equal(own, groups[name]):
+            raise InputError(
+                f"{path}: holds the mats {', '.join(recording.groups)}; "
+                f"{name} is elsewhere in pressure.mats: name them all as the "
+                "file does, or list them in its order"
+            )
     return replace(recording, groups=groups)
 
 

@@ -426,6 +426,10 @@ def test_every_mat_of_a_file_counts_once(folder):
     np.testing.assert_allclose(alone.normal, 24.0, rtol=1e-9)
     with pytest.raises(InputError, match=r"p\.asc: holds the mat n, too"):
         read(("m",), "mn")
+    # Of names that the file does not know the order counts, if it can.
+    assert [mat.name for mat in read(("o", "n"), "no")] == ["o", "n"]
+    with pytest.raises(InputError, match=r"the mats m, n; n is elsewhere in"):
+        read(("n", "o"), "no")
     with pytest.raises(InputError, match="names m more than once"):
         PressureFile(Path("p.asc"), ("m", "n", "m"))
     twice = tuple(PressureFile(Path(f), ("m",)) for f in ("p.asc", "q.asc"))
