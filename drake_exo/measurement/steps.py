@@ -129,12 +129,11 @@ def recorded_step(
     contact = _chosen(found, start, end, number, where)
     first = contact.start_s if isinstance(start, str) else start
     last = contact.end_s if isinstance(end, str) else end
-    _check_one_plate(time, each, (first, last), files.plates.of(foot), where)
-    used = int(np.argmax([w[:, 2].max() for w in each]))
+    used = _one_plate(time, each, (first, last), files.plates.of(foot), where)
     height = _surface(plates[used], each[used], frame)
     markers = _foot_markers(settings, root, files, foot, contact)
     inside = between(markers.time, first, last)
-    wrench = _at_frames(time, sum(each), markers)
+    wrench = _at_frames(time, each[used], markers)
     inside &= wrench[:, 2] >= least_force_n
     if inside.sum() < 2:
         raise InputError(
@@ -177,8 +176,8 @@ def _chosen(every, start, end, number, where) -> Contact:
     )
 
 
-def _check_one_plate(time, each, part, numbers, where) -> None:
-    """Refuse a step in which a second plate of the foot is loaded."""
+def _one_plate(time, each, part, numbers, where) -> int:
+    """Which plate of the foot a step lies on; refused if on a second, too."""
     inside = between(time, *part)
     loaded = [inside & (w[:, 2] >= COP_THRESHOLD_N) for w in each]
     used = [i for i, here in enumerate(loaded) if here.any()]
@@ -190,6 +189,7 @@ def _check_one_plate(time, each, part, numbers, where) -> None:
             f"(from {when:.2f} s on); where it is one of them cannot be told "
             "apart from the other foot: take another step"
         )
+    return used[0] if used else 0
 
 
 def _surface(plate: PlateRecording, wrench, frame: SagittalFrame) -> float:
@@ -261,7 +261,10 @@ def _at_frames(time, wrench: np.ndarray, markers: MarkerData) -> np.ndarray:
     """Wrench (N, 6) at the markers' frames, averaged over one frame each."""
     each = max(round((1 / markers.rate_hz) / (time[1] - time[0])), 1)
     if each > 1:
-        ones = np.ones(each) / each
+        ones = np.ones(each)
+        if each % 2 == 0:  # half of either end, or all would be late
+            ones = np.r_[0.5, ones[1:], 0.5]
+        ones /= each
         wrench = np.stack(
             [np.convolve(x, ones, mode="same") for x in wrench.T], axis=1
         )
