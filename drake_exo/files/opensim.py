@@ -122,8 +122,9 @@ def read_plates(path: str | Path) -> tuple[np.ndarray, list[PlateRecording]]:
 
 
 def has_plates(table: Table) -> bool:
-    """Whether some columns are of force plates."""
-    return any(map(_PLATE_COLUMN.fullmatch, table.names))
+    """Whether some columns are forces on plates, such as ground_force_vx."""
+    found = map(_PLATE_COLUMN.fullmatch, table.names)
+    return any(match and match["kind"] == "v" for match in found)
 
 
 def plates_of(table: Table) -> list[PlateRecording]:

@@ -92,6 +92,13 @@ def test_tables_say_their_unit_of_angles(tmp_path):
     assert "mostly along y (700 N)" in text(tmp_path / "b.sto")
 
 
+def test_what_truly_happened_is_no_file_of_plates(tmp_path):
+    """Its forces are planar: ground_force_x, ground_force_z."""
+    names = ("ground_force_x", "ground_force_z", "ground_moment_y")
+    write_table(tmp_path / "a.sto", Table(TIME, names, np.ones((200, 3))))
+    assert "  ground_force_z: 1 throughout" in text(tmp_path / "a.sto")
+
+
 def test_csv_of_signals_and_of_pressure(tmp_path):
     table = Table(TIME, ("exo_knee",), TIME[:, None], False)
     write_csv_table(tmp_path / "a.csv", table, ["deg"])
