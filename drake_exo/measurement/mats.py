@@ -274,6 +274,7 @@ def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
 
 
 _PITCH = (0.5, 2.0)  # cells' distance on the scan against their size
+_LONG = 3.0  # times farther apart one way than the other: rows are columns
 
 
 @dataclass(frozen=True)
@@ -416,27 +417,34 @@ def cell_directions(
     points = place_cells(surface, scan, mat.rows, mat.columns, root)
     on, triangles = surface.closest(points)
     size = np.sqrt(mat.cell_area_m2)
-    pitch = _pitch(points.reshape(mat.rows, mat.columns, 3))
-    if pitch and not _PITCH[0] < pitch / size < _PITCH[1]:
+    steps = _steps(points.reshape(mat.rows, mat.columns, 3))
+    pitch = np.concatenate(steps).mean() if steps else size
+    if not _PITCH[0] < pitch / size < _PITCH[1]:
         raise InputError(
             f"{surface.source}: cells of {name} lie {1e3 * pitch:.1f} mm "
             f"apart on the scan, but measure {1e3 * size:.1f} mm; correct "
             "the mat's corners, its size or cell_area_m2"
         )
+    apart = [1e3 * d.mean() for d in steps]
+    if apart and max(apart) > _LONG * min(apart):
+        raise InputError(
+            f"{surface.source}: cells of {name} lie {apart[0]:.1f} mm apart "
+            f"from row to row, {apart[1]:.1f} mm in a row; rows and columns "
+            "look exchanged, or the mat's corners begin with another one"
+        )
     outward = surface.normals(on, triangles, 0.5 * size)
     report = {"surface": scan.file.as_posix()}
-    if pitch:
-        report["cell_distance_mm"] = 1e3 * pitch
+    if steps:
+        report["cell_distance_mm"] = 1e3 * float(pitch)
     return -outward @ _to_segment(scan).T, report
 
 
-def _pitch(grid: np.ndarray) -> float | None:
-    """Mean distance of neighbouring cells; None for a single one."""
+def _steps(grid: np.ndarray) -> list[np.ndarray]:
+    """Distances of neighbours, from row to row and in a row, if there are."""
     steps = [
         np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)
     ]
-    steps = np.concatenate(steps)
-    return float(steps.mean()) if len(steps) else None
+    return [d for d in steps if len(d)]
 
 
 def _to_segment(scan: Scan) -> np.ndarray:

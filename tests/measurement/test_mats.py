@@ -12,8 +12,8 @@ from drake_exo.measurement.mats import (
     Surface,
     _along,
     _closest_on_triangles,
-    _pitch,
     _seen,
+    _steps,
     _to_segment,
     cell_directions,
     check_size,
@@ -492,8 +492,9 @@ def test_places_along_a_bent_line_and_between_cells():
     # Two rows of three: 3 steps of 2 m up, 4 steps of 1 m across.
     y, z = np.meshgrid([0.0, 1.0, 2.0], [0.0, 2.0])
     grid = np.stack([0.0 * y, y, z], axis=2)
-    assert _pitch(grid) == pytest.approx((3 * 2.0 + 4 * 1.0) / 7)
-    assert _pitch(grid[:1, :1]) is None
+    up, across = _steps(grid)
+    assert up.tolist() == [2.0] * 3 and across.tolist() == [1.0] * 4
+    assert _steps(grid[:1, :1]) == []
 
 
 def test_a_segments_axes_follow_its_joint_centres():
@@ -540,3 +541,20 @@ def test_cells_lie_as_far_apart_as_they_are_large(folder):
         area = (pitch / times) ** 2
         with pytest.raises(InputError, match="mm apart on the scan"):
             cell_directions(replace(small, cell_area_m2=area), "m", folder)
+
+
+def test_rows_that_are_columns_are_told_by_their_distance(folder):
+    """5 rows of 12 on a quarter of the front; corners may be turned, too."""
+    write(folder / "scan.stl", *cylinder(72, 9))
+    area = 0.1 / 4 * RADIUS * np.pi / 2 / 11
+    long = replace(MAT, rows=5, columns=12, cell_area_m2=area)
+    cell_directions(long, "m", folder)
+    turned = replace(long.scan, corners=(*CORNERS[1:], CORNERS[0]))
+    for wrong in (
+        replace(long, rows=12, columns=5),
+        replace(long, scan=turned),
+    ):
+        with pytest.raises(InputError, match="rows and columns look exchanged"):
+            cell_directions(wrong, "m", folder)
+    single = replace(MAT, rows=1, columns=5, cell_area_m2=1e-3)
+    cell_directions(single, "m", folder)
