@@ -345,17 +345,24 @@ def read_mat_forces(
 
 
 def _seen(pressure: np.ndarray) -> dict[str, float]:
-    """Peak, and how much of the readings sits exactly at it.
+    """Peak, how much of the readings sits exactly at it, and stuck cells.
 
     Cells that saturate do so at one value: many readings at the peak mean
-    that forces are underestimated.
+    that forces are underestimated. One that never changes, and shows twice as
+    much as any that does, is broken.
     """
     peak = float(pressure.max())
     loaded = pressure > 0.0
     share = 0.0
     if peak > 0.0:
         share = float((pressure[loaded] >= peak * (1.0 - 1e-9)).mean())
-    return {"peak_kpa": 1e-3 * peak, "at_peak_share": share}
+    cells = pressure.reshape(len(pressure), -1)
+    moves = np.ptp(cells, axis=0) > 0.0
+    beyond = cells[0, ~moves] > 2.0 * cells[:, moves].max(initial=0.0)
+    found = {"peak_kpa": 1e-3 * peak, "at_peak_share": share}
+    if moves.any() and beyond.any():
+        found["stuck_cells"] = int(beyond.sum())
+    return found
 
 
 def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:

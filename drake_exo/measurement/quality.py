@@ -186,6 +186,12 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
         for name, d in said["delays_s"].items()
         if abs(d) > LARGEST_DELAY_S
     ]
+    warnings += [
+        f"stuck cells of {mat}: {found['stuck_cells']} never change, twice as "
+        "high as all others, and their force is in the cuff's"
+        for mat, found in said["mats"].items()
+        if "stuck_cells" in found
+    ]
     return TrialQuality(
         name=trial.name,
         start_s=trial.start_s,
@@ -231,7 +237,7 @@ def _notes(trial: Trial):
         yield f"load: {load}"
     for mat, found in said["mats"].items():
         parts = [
-            f"{k} {v:.3g}" if isinstance(v, float) else str(v)
+            str(v) if isinstance(v, str) else f"{k} {v:.3g}"
             for k, v in found.items()
         ]
         yield f"mat {mat}: {', '.join(parts)}"

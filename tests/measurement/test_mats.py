@@ -515,6 +515,14 @@ def test_saturation_is_told_from_a_peak(folder):
     assert _seen(0.0 * pressure) == {"peak_kpa": 0.0, "at_peak_share": 0.0}
 
 
+@pytest.mark.parametrize(("at_pa", "stuck"), [(8.1e3, True), (7.9e3, False)])
+def test_cells_that_stand_still_above_all_others_are_stuck(at_pa, stuck):
+    """One at 4 kPa moves; strapped ones at 1 kPa do not, and may."""
+    pressure = np.array([[0.0, 1e3, at_pa], [4e3, 1e3, at_pa]])
+    assert _seen(pressure).get("stuck_cells") == (1 if stuck else None)
+    assert "stuck_cells" not in _seen(pressure[:1])  # all stand still
+
+
 @pytest.mark.parametrize("side", [0.0795, 0.0805, 2.99, 3.01])
 def test_a_body_is_of_8_cm_to_3_m(side):
     points = np.array([[0.0, 0.0, 0.0], [0.01, side, 0.02]])

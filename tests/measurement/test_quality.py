@@ -60,6 +60,13 @@ def test_a_trial_in_numbers(assessed):
     assert "plates +4 ms" in text and "joint moments: knee: bench" in text
 
 
+def test_stuck_cells_of_a_mat_are_warned_of(assessed):
+    mats = {"front": {"stuck_cells": 3}, "back": {"peak_kpa": 5.0}}
+    (t,) = assessed(said={"mats": mats}).trials
+    assert t.warnings[-1].startswith("stuck cells of front: 3 never change")
+    assert "mat front: stuck_cells 3" in t.notes
+
+
 @pytest.mark.parametrize("beyond", [0.99, 1.01])
 def test_what_is_beyond_its_limit_is_warned_of(assessed, beyond):
     """Markers, Newton, gaps, clocks and the mass, each by one per cent."""
