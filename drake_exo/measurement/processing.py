@@ -514,7 +514,13 @@ def cut(
             f"period of what the filter leaves ({settings.filter.cutoff_hz:g} "
             "Hz); give a longer part by start_s and end_s"
         )
-    feet = {foot: w.cut(inside) for foot, w in recording.feet.items()}
+    # Where a belt has come to in minutes, numbers have lost their digits.
+    ahead = recording.belt_speed_m_s * float(motion.time[inside][0])
+
+    def here(wrench: PlanarWrench) -> PlanarWrench:
+        return wrench.cut(inside).shifted(-ahead)
+
+    feet = {foot: here(w) for foot, w in recording.feet.items()}
     if subject.model.assembly.human.sides:
         wrench, shifts = _both_feet(files, feet), {}
     else:
@@ -528,6 +534,7 @@ def cut(
     )
     time = motion.time[inside]
     (q, v, a), exo = _coordinates(files, recording, inside, subject.model)
+    q[:, subject.model.coordinates.root_columns[0]] -= ahead
     cuffs, mats = _cuff_forces(recording, time)
     trial = Trial(
         name=files.name,
@@ -540,9 +547,9 @@ def cut(
         ground=wrench,
         feet=feet,
         cuffs=cuffs,
-        chair=None if recording.chair is None else recording.chair.cut(inside),
+        chair=None if recording.chair is None else here(recording.chair),
         chair_on_thighs=settings.laboratory.chair_on_thighs,
-        applied={b: w.cut(inside) for b, w in motion.applied.items()},
+        applied={b: here(w) for b, w in motion.applied.items()},
         mass_kg=subject.mass_kg,
     )
     moments, friction, source = _moments(

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.files.opensim import read_plates, read_trc
+from drake_exo.files.opensim import (
+    read_plates,
+    read_table,
+    read_trc,
+    write_table,
+    write_trc,
+)
 from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.recording import FootForces
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -183,3 +189,28 @@ def test_standing_may_face_another_way(walk):
     assert ahead > 0.1
     turned = study.subject.markers.levers[toe].sum().real
     assert abs(turned) < 0.1
+
+
+@pytest.mark.slow
+def test_a_trial_starts_here_however_long_the_belt_has_run(walk, tmp_path):
+    """The same files, 5 minutes later on the clock of a long recording."""
+    (files,), late = walk.file.trials, 300.0
+    seen = read_trc(walk.root / files.markers)
+    forces = read_table(walk.root / files.forces)
+    write_trc(tmp_path / "m.trc", replace(seen, time=seen.time + late))
+    path = tmp_path / "f.mot"
+    write_table(path, replace(forces, time=forces.time + late), digits=17)
+    files = replace(
+        files,
+        markers=tmp_path / "m.trc",
+        forces=path,
+        start_s=files.start_s + late,
+        end_s=files.end_s + late,
+    )
+    study = RecordedStudy(replace(walk.file, trials=(files,)), walk.root)
+    (trial,), (usual,) = study.trials(), walk.trials()
+    np.testing.assert_allclose(trial.q, usual.q, atol=1e-6)
+    for side, wrench in usual.feet.items():
+        found = trial.feet[side].array
+        np.testing.assert_allclose(found, wrench.array, atol=1e-3)
+    assert all(check.holds for check in study.plausibility())
