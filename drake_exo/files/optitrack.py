@@ -89,6 +89,11 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
     rows = _rows(path)
     start = _find(path, rows, "MocapFrame")
     head = {r[0].strip(): r[1] for r in rows[:start] if len(r) > 1}
+    if (space := head.get("Coordinate Space", "Local").strip()) != "Local":
+        raise InputError(
+            f"{path}: the plate's Coordinate Space is {space!r}; export it in "
+            "'Local', the plate's own"
+        )
     names = [n.strip() for n in rows[start]]
     for name in ("MocapTime", *_CHANNELS):
         if name not in names:

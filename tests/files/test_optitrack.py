@@ -98,6 +98,11 @@ def test_plate_acts_on_the_body(tmp_path):
         ),
         (read_markers_csv, markers().replace("Marker,", "Bone,"), "no markers"),
         (read_plate_csv, plate().replace("PosX_PosY_X", "P"), "no corners"),
+        (
+            read_plate_csv,
+            plate().replace("1.0,\n", "1.0,\nCoordinate Space,Global,\n"),
+            "Coordinate Space is 'Global'",
+        ),
         (read_plate_csv, plate().replace(" Fz", " Fq"), "no column 'Fz'"),
         (read_plate_csv, plate().replace("700", "7oo"), "text among numbers"),
         (read_plate_csv, plate()[:-12], "truncated"),
