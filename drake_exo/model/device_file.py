@@ -67,18 +67,16 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
         InputError: it is no XML, a joint to fix is missing, or an inertia is
             that of no body.
     """
-    device = assembly.device
+    device, notes = assembly.device, []
     root, owner = _owner(device, text)
     for element in list(owner):
         if element.tag in ("transmission", "gazebo"):
             owner.remove(element)
         for limits in element.findall("safety_controller"):
             element.remove(limits)
-    notes = [
-        note
-        for link in owner.findall("link")
-        for note in _possible_inertia(device, link)
-    ]
+        notes += _without_dynamics(device, element)
+    for link in owner.findall("link"):
+        notes += _possible_inertia(device, link)
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
     for name in device.fixed:
         if name not in joints:
@@ -173,6 +171,20 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
         f"{where}: no body has such products of inertia; they are left out, "
         f"its {b:g} kg m^2 about y stay"
     )
+
+
+def _without_dynamics(device: DeviceFile, joint: ET.Element):
+    """Take damping and springs out of a joint, and say so."""
+    for owner in (joint, *joint.findall("axis")):
+        for element in owner.findall("dynamics"):
+            owner.remove(element)
+            said = [*element.attrib.values(), *(e.text for e in element)]
+            if any((text or "").strip(" \n0.-+e") for text in said):
+                name = joint.get("name")
+                yield (
+                    f"{device.name}: joint {name!r}: its dynamics in the file "
+                    f"are left out; give them as device.joints.{name}"
+                )
 
 
 def _turn(device: DeviceFile, root: ET.Element) -> None:

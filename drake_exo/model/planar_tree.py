@@ -9,21 +9,22 @@ constants are read from the plant, so the SDF stays the only source, and the
 result is compared with the plant's own inverse dynamics before it is used.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BodyIndex,
-    FrameIndex,
     JacobianWrtVariable,
     MultibodyForces,
 )
 
 from drake_exo.model.coordinates import Coordinates, read_coordinates
 
-_CUFF, DEVICE = "_cuff", "exo_"  # in the names of frames
+DEVICE = "exo_"  # before the names of the shipped device's links and joints
 _SAMPLES = 64
 _AGREEMENT = 1e-9
 
@@ -34,9 +35,8 @@ class PlanarTree:
 
     Attributes:
         coordinates: names of the coordinates.
-        cuffs: cuff -> (link of the human, link of the device) that it joins:
-            where both have a frame NAME_cuff and can move against each
-            other.
+        cuffs: cuff -> (link of the human, link of the device) that it joins,
+            where they can move against each other.
         joints: hinge -> (parent, child) that it joins.
         root: body whose place and pitch are coordinates.
         names: body names, length nb.
@@ -80,18 +80,22 @@ class PlanarTree:
         return self.mass * self.gravity
 
     @staticmethod
-    def from_plant(plant: MultibodyPlant) -> "PlanarTree":
+    def from_plant(
+        plant: MultibodyPlant,
+        cuffs: Mapping[str, tuple[str, str]] = MappingProxyType({}),
+    ) -> "PlanarTree":
         """Read the constants of a finalized planar plant.
 
         Args:
             plant: positions are x, z [m] and angles [rad] of one tree, all
                 revolute joints parallel to y.
+            cuffs: (link of the human, link of the device) by name.
 
         Raises:
             ValueError: if the plant is not such a tree.
 
         """
-        tree = _read_tree(plant)
+        tree = _read_tree(plant, cuffs)
         _check_against_plant(tree, plant)
         return tree
 
@@ -256,7 +260,7 @@ class PlanarTree:
         return w, v[:, 2:] @ T, vdot[:, 2:] @ T, base
 
 
-def _read_tree(plant: MultibodyPlant) -> PlanarTree:
+def _read_tree(plant: MultibodyPlant, cuffs) -> PlanarTree:
     context = plant.CreateDefaultContext()
     bodies = [
         plant.get_body(index)
@@ -290,7 +294,7 @@ def _read_tree(plant: MultibodyPlant) -> PlanarTree:
         coordinates=read_coordinates(plant),
         cuffs={
             cuff: links
-            for cuff, links in _cuffs(plant).items()
+            for cuff, links in cuffs.items()
             if len({segment_of[names.index(link)] for link in links}) == 2
         },
         joints=_joints(plant),
@@ -306,17 +310,6 @@ def _read_tree(plant: MultibodyPlant) -> PlanarTree:
         inertias=inertias,
         gravity=-float(gravity[2]),
     )
-
-
-def _cuffs(plant) -> dict[str, tuple[str, str]]:
-    """Cuff -> links of human and device that have a frame of its name."""
-    found: dict[str, list[str]] = {}
-    for index in range(plant.num_frames()):
-        frame = plant.get_frame(FrameIndex(index))
-        if frame.name().endswith(_CUFF):
-            cuff = frame.name().removesuffix(_CUFF).removeprefix(DEVICE)
-            found.setdefault(cuff, []).append(frame.body().name())
-    return {c: tuple(links) for c, links in found.items() if len(links) == 2}
 
 
 def _joints(plant) -> dict[str, tuple[str, str]]:

@@ -67,6 +67,7 @@ Kind = Literal["coupled", "rigid", "human"]
 KINDS = tuple(ASSEMBLIES)
 
 _OWN = "take it out, or name others"
+_SHELL = "_shell"  # after a cuff's name, what it holds on to
 _FITTED = f"those of the shipped device are {', '.join(CUFFED)}, on one leg"
 
 # Turns z to -y and +y. Written out, because cos(pi/2) is not zero in floating
@@ -149,24 +150,23 @@ class Model:
         plant, device = self.plant(), self.assembly.device
         if device is not None:
             check_planar(plant, device)
-        tree = PlanarTree.from_plant(plant)
+        tree = PlanarTree.from_plant(plant, _cuff_links(self.assembly))
         for cuff in self.assembly.closed:
             if cuff not in tree.cuffs:
                 raise InputError(
                     f"cuff {cuff!r} joins no two links that move against each "
                     f"other; {_FITTED if self.assembly.is_fitted else _OWN}"
                 )
-        tree = replace(
-            tree,
-            cuffs={
-                cuff: links
-                for cuff, links in tree.cuffs.items()
-                if cuff in self.assembly.closed
-            },
-        )
         if device is None or self.assembly.is_fitted:
             return tree
-        names = replace(tree.coordinates, coupling=_coupling(self, tree))
+        names = tree.coordinates
+        for joint in names.device:
+            if names.names.count(joint) > 1:
+                raise InputError(
+                    f"{device.name}: joint {joint!r} is called as one of the "
+                    "person's; rename it in the file"
+                )
+        names = replace(names, coupling=_coupling(self, tree))
         return replace(tree, coordinates=names)
 
     @cached_property
@@ -319,7 +319,7 @@ def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
         _weld(plant, body, worn, device)
         _check_links(plant, worn, assembly)
         if not assembly.is_fitted:
-            _add_cuffs(plant, body, worn, assembly, human)
+            _add_shells(plant, worn, assembly, human)
     if plant.geometry_source_is_registered():
         _draw_ground(plant)
     return plant
@@ -374,13 +374,25 @@ def _check_links(plant, worn, assembly: Assembly) -> None:
             raise missing_link(assembly.device, cuff.device, known)
 
 
-def _add_cuffs(plant, body, worn, assembly: Assembly, human) -> None:
-    """Frames of the cuffs on a device of the user's own.
+def _cuff_links(assembly: Assembly) -> dict[str, tuple[str, str]]:
+    """Cuff that bears something -> links that it joins.
+
+    Those of the shipped device have their segment's name.
+    """
+    found = {n: assembly.cuffs[n] for n in assembly.closed}
+    if not assembly.is_fitted:
+        return {n: (cuff.human, n + _SHELL) for n, cuff in found.items()}
+    own = {n: (n, DEVICE + n) for n in CUFFED}
+    links = {n: (cuff.human, cuff.device) for n, cuff in found.items()}
+    return {n: ends for n, ends in links.items() if ends == own.get(n)}
+
+
+def _add_shells(plant, worn, assembly: Assembly, human) -> None:
+    """Where the cuffs of a device of the user's own hold on to it.
 
     A cuff is strained by how the device's link moves against the segment. Its
     link gets a body without mass that lies on the segment's frame while both
-    stand upright, so that their frames coincide there as those of the shipped
-    device do.
+    stand upright, as links of the shipped device do.
     """
     if not assembly.cuffs:
         return
@@ -388,16 +400,8 @@ def _add_cuffs(plant, body, worn, assembly: Assembly, human) -> None:
     for name, cuff in assembly.cuffs.items():
         weld = _seen_from(bare, cuff.device, cuff.human)
         link = plant.GetFrameByName(cuff.device, worn)
-        held = plant.AddRigidBody(f"{name}_shell", worn, SpatialInertia.Zero())
+        held = plant.AddRigidBody(name + _SHELL, worn, SpatialInertia.Zero())
         plant.WeldFrames(link, held.body_frame(), placed(weld))
-        segment = plant.GetFrameByName(cuff.human, body)
-        for frame, owner, names in (
-            (segment, body, f"{name}_cuff"),
-            (held.body_frame(), worn, f"{DEVICE}{name}_cuff"),
-        ):
-            if plant.HasFrameNamed(names, owner):
-                continue
-            plant.AddFrame(FixedOffsetFrame(names, frame, RigidTransform()))
 
 
 def _poses(model: Model) -> dict[str, np.ndarray]:
@@ -442,26 +446,27 @@ def _riding(model: Model) -> dict[str, str]:
     ends = [(j.parent_body().name(), j.child_body().name()) for j in joints]
     stiff = ends[: sum(not j.num_positions() for j in joints)]
     segments = assembly.human.segments
-    # Outwards from what is held; each pass reaches one joint further.
-    for edges in [stiff] * len(stiff) + [ends] * len(ends):
-        for a, b in [*edges, *((b, a) for a, b in edges)]:
+    # Down the chain as far as it goes before a joint up, in whatever order
+    # the file has them.
+    for edges in (stiff, ends):
+        up = [(b, a) for a, b in edges]
+        for a, b in ([*edges * len(edges), *up]) * len(edges):
             if a in rides and b not in (*rides, *segments):
                 rides[b] = rides[a]
-    shells = [f"{name}_shell" for name in assembly.cuffs]
+    shells = [name + _SHELL for name in assembly.cuffs]
     return {link: s for link, s in rides.items() if link not in shells}
 
 
 def _coupling(model: Model, tree: PlanarTree) -> tuple[tuple[float, ...], ...]:
     """Turn of the device's hinges by the human's, while it moves with them."""
-    plant, rides, names = model.plant(), _riding(model), tree.coordinates
+    rides, names = _riding(model), tree.coordinates
     columns = names.columns(names.human)
     rows = []
     for name in names.device:
-        joint = plant.GetJointByName(name)
-        ends = [joint.child_body().name(), joint.parent_body().name()]
-        ends = [rides.get(end, end) for end in ends]
-        child, parent = (tree.turning(end)[columns] for end in ends)
-        sign = tree.turning(joint.child_body().name())[names.index(name)]
+        parent, child = map(tree.turning, tree.joints[name])
+        sign = (child - parent)[names.index(name)]
+        ends = (rides.get(end, end) for end in tree.joints[name])
+        parent, child = (tree.turning(end)[columns] for end in ends)
         rows.append(tuple(float(x) + 0.0 for x in sign * (child - parent)))
     return tuple(rows)
 

@@ -1,5 +1,6 @@
 """Models put together from descriptions, and what is refused."""
 
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -39,6 +40,7 @@ ANKLE = Assembly(
     device=DeviceFile({"shoe": "foot"}, Path("ankle_only.urdf")),
     cuffs={"calf": CuffLinks("shank", "calf")},
 )
+HUMAN = nominal_human()
 HIP = Assembly(
     device=DeviceFile({"belt": "pelvis"}, Path("hip_only.urdf")),
     cuffs={"thigh": CuffLinks("thigh", "bar")},
@@ -143,6 +145,73 @@ def test_a_joint_that_counts_the_other_way_round():
     model = edited(ANKLE, ('xyz="0 1 0"', 'xyz="0 -1 0"'))
     assert model.coordinates.turned_by.tolist() == [[-1.0, 0.0, 0.0]]
     assert model.coordinates.follows("motor") == "ankle"
+
+
+def test_a_device_written_from_its_other_end_is_the_same():
+    """An angle is the child's against the parent, whichever is welded."""
+    turned = edited(
+        ANKLE,
+        ('<parent link="shoe"/>', '<parent link="X"/>'),
+        ('<child link="calf"/>', '<child link="shoe"/>'),
+        ('<parent link="X"/>', '<parent link="calf"/>'),
+        ('xyz="0 1 0"', 'xyz="0 -1 0"'),
+    )
+    assert turned.coordinates == built(ANKLE).coordinates
+    motion = np.random.default_rng(1).normal(size=(3, 2, 7))
+    np.testing.assert_allclose(
+        turned.tree.inverse_dynamics(*motion),
+        built(ANKLE).tree.inverse_dynamics(*motion),
+    )
+
+
+def test_joints_may_be_written_in_any_order():
+    """Of a chain of three between pelvis and thigh the last one is the hip."""
+    link = """<link name="{}"><inertial><mass value="0.5"/><inertia ixx="0.01"
+      iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    joint = """<joint name="{0}_{1}" type="continuous"><parent link="{0}"/>
+      <child link="{1}"/><axis xyz="0 -1 0"/></joint>"""
+    chain = ("belt", "a", "b", "bar")
+    joints = [joint.format(*ends) for ends in itertools.pairwise(chain)]
+    for order in itertools.permutations(joints):
+        text = "".join([*map(link.format, chain), *order])
+        model = Model(brought_in(HIP, f"<robot name='r'>{text}</robot>"), HUMAN)
+        names = model.coordinates
+        turned = dict(zip(names.device, names.turned_by.tolist(), strict=True))
+        assert turned.pop("b_bar") == [0.0, 0.0, 1.0]
+        assert turned == {k: [0.0] * 3 for k in ("belt_a", "a_b")}
+
+
+@pytest.mark.parametrize("joint", ["knee", "foot_pitch"])
+def test_joints_called_as_the_person_s_are_refused(joint):
+    with pytest.raises(InputError, match=rf"joint '{joint}' is called as one"):
+        edited(ANKLE, ('name="motor"', f'name="{joint}"')).tree  # noqa: B018
+
+
+@pytest.mark.parametrize("name", ["calf", "thigh", "exo_calf", "shank_cuff"])
+def test_a_cuff_s_name_says_nothing_of_what_it_joins(name):
+    cuffs = {name: CuffLinks("shank", "calf")}
+    model = built(replace(ANKLE, cuffs=cuffs))
+    assert model.tree.cuffs == {name: ("shank", f"{name}_shell")}
+    other = {"shank": CuffLinks("shank", "exo_thigh")}
+    crossed = replace(
+        nominal_model("coupled"), kind=replace(COUPLED, cuffs=other)
+    )
+    with pytest.raises(InputError, match=r"'shank' joins no two links"):
+        crossed.tree  # noqa: B018
+
+
+def test_dynamics_in_the_file_are_left_out():
+    """The study's are used; those of the file were no planar tree's."""
+    axis, said = '<axis xyz="0 1 0"/>', []
+    for damping in ("0.3", "0.0"):
+        own = f'{axis}<dynamics damping="{damping}" friction="0.0"/>'
+        model = edited(ANKLE, (axis, own))
+        assert model.tree.mass == built(ANKLE).tree.mass
+        said.append(model.assembly.device.notes)
+    ((note,), nothing) = said
+    assert "joint 'motor': its dynamics" in note
+    assert "device.joints.motor" in note
+    assert nothing == ()
 
 
 def test_cuffs_are_slack_while_both_stand_upright():
