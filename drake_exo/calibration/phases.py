@@ -526,8 +526,11 @@ class PeriodicStep(PredictionProblem):
 def mirrored(names: Coordinates) -> np.ndarray:
     """Matrix (nq, nq) that exchanges left and right.
 
+    A joint of the device may count the other way than that of its other side.
+
     Raises:
-        InputError: a coordinate has no other side.
+        InputError: a coordinate has no other side, or turns with other joints
+            of the person than its other side does.
     """
     other = {"left": "right", "right": "left"}
     found = np.zeros((len(names), len(names)))
@@ -539,6 +542,19 @@ def mirrored(names: Coordinates) -> np.ndarray:
                 "step needs two, say human: {legs: two}"
             )
         found[i, names.index("_".join(parts))] = 1.0
+    human, device = names.columns(names.human), names.device_columns
+    turned = names.turned_by @ found[np.ix_(human, human)]
+    beside = found[np.ix_(device, device)] @ names.turned_by
+    for name, i, own, other in zip(
+        names.device, device, turned, beside, strict=True
+    ):
+        if not np.allclose(np.abs(own), np.abs(other)):
+            raise InputError(
+                f"prediction.ends: {name} is not beside the joint that its "
+                "other side is beside; a periodic step needs a device that is "
+                "alike left and right"
+            )
+        found[i] *= -1.0 if own @ other < 0.0 else 1.0
     return found
 
 

@@ -215,7 +215,8 @@ def posture_law(
 
 
 def _link(model: Model, joint: str) -> str:
-    return model.tree.joints[joint][1]
+    above = links_above(model, joint)
+    return next(end for end in model.tree.joints[joint] if end in above)
 
 
 def _turning(model: Model) -> np.ndarray:

@@ -508,12 +508,9 @@ def movable(model: Model) -> tuple[str, ...]:
 
 
 def links_above(model: Model, joint: str) -> list[str]:
-    """Links of the device beyond one of its joints."""
-    found = [model.tree.joints[joint][1]]
-    for parent, child in model.tree.joints.values():
-        if parent in found:
-            found.append(child)
-    return found
+    """Links of the device beyond one of its joints: they turn with it."""
+    tree, column = model.tree, model.coordinates.index(joint)
+    return [link for link in tree.names if tree.turning(link)[column]]
 
 
 def weight_above(model: Model, joint: str) -> float:

@@ -33,7 +33,7 @@ from drake_exo.files.output import save_figure, write_json
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.planar_tree import DEVICE
+from drake_exo.model.assembly import without_side
 from drake_exo.report.gathering import rounded
 
 Runs = Mapping[str, Sequence[Trial | None]]
@@ -571,8 +571,8 @@ def device_figure(designed) -> Figure:
         end = f"end of {trial.name}"
         for axis, row, title in ((axes[0], 0, "start"), (axes[1], -1, end)):
             q = trial.q[[row]]
-            for parent, child in tree.joints.values():
-                _draw_link(axis, wearer.model, q, parent, child)
+            for joint in tree.joints:
+                _draw_link(axis, wearer.model, q, joint)
             _draw_ends(axis, wearer.model, q)
             for cuff, (link, _) in tree.cuffs.items():
                 was, at = (
@@ -651,11 +651,14 @@ def _told(cuff: str, design: CuffDesign) -> str:
     return f"{cuff}: " + "\n    ".join(said)
 
 
-def _draw_link(axis, model, q, parent: str, child: str) -> None:
+def _draw_link(axis, model, q, joint: str) -> None:
     """From one joint to the next."""
     tree = model.tree
-    ends = [tree.point_positions(q, b, np.zeros(2))[0] for b in (parent, child)]
-    device = child.startswith(DEVICE)
+    ends = [
+        tree.point_positions(q, link, np.zeros(2))[0]
+        for link in tree.joints[joint]
+    ]
+    device = joint in tree.coordinates.device
     axis.plot(
         *np.transpose(ends),
         color=_LINKS if device else _PERSON,
@@ -672,8 +675,8 @@ def _draw_ends(axis, model, q) -> None:
     tree, human = model.tree, model.human
     ends = {"pelvis": [(0.0, 0.0), (0.0, human.pelvis.length_m)]}
     ends["foot"] = [human.heel_m, (0.0, 0.0), human.toe_m]
-    for body, points in ends.items():
-        if body in tree.names:
+    for body in tree.names:
+        if points := ends.get(without_side(body)):
             p_W = [tree.point_positions(q, body, p)[0] for p in points]
             axis.plot(
                 *np.transpose(p_W), color=_PERSON, lw=5, solid_capstyle="round"

@@ -87,6 +87,26 @@ def test_left_and_right_are_exchanged():
         mirrored(nominal_model("human").coordinates)
 
 
+def test_joints_of_a_device_may_count_the_other_way_on_the_other_side():
+    root = ("pelvis_x", "pelvis_z", "pelvis_pitch")
+    legs = ("hip_left", "knee_left", "motor_left", "hip_right", "knee_right")
+    turned = {"hip": (1.0, 0.0, 0.0, 0.0), "other": (0.0, 0.0, -1.0, 0.0)}
+    names = Coordinates(
+        (*root, *legs, "motor_right"),
+        ("motor_left", "motor_right"),
+        tuple(turned.values()),
+    )
+    found = mirrored(names) @ np.arange(1.0, 10.0)
+    np.testing.assert_array_equal(found, [1, 2, 3, 7, 8, -9, 4, 5, -6])
+    # It moves as the person does, before and after.
+    S = names.aligned(np.eye(7)).T
+    human = mirrored(Coordinates(names.body))
+    np.testing.assert_array_equal(mirrored(names) @ S, S @ human)
+    knee = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    with pytest.raises(InputError, match="motor_left is not beside"):
+        mirrored(replace(names, coupling=knee))
+
+
 @pytest.mark.parametrize("speed", [None, 0.7])
 def test_a_step_ends_as_it_began_but_ahead(model, step, speed):
     """With a leg's angles those of the other, and its rates."""

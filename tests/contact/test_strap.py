@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,11 +18,16 @@ from drake_exo.contact.strap import (
     JointDesign,
     device_sdf,
     in_series,
+    links_above,
     read_design,
     splines,
     write_design,
 )
 from drake_exo.errors import InputError
+from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile
+from drake_exo.model.description import models_path, nominal_human
+from drake_exo.model.device_file import brought_in
+from drake_exo.model.plant import Model
 
 MOVED = Design(
     {
@@ -40,6 +46,31 @@ MOVED = Design(
     {"exo_hip": JointDesign(0.01, -0.02)},
     {"exo_hip": Gains(0.9, 1.5, 4.0, 0.2)},
 )
+
+
+def test_links_beyond_a_joint_turn_with_it():
+    """Also those that are fixed on, what cuffs hold, and from the other end."""
+    text = (models_path() / "ankle_only.urdf").read_text()
+    two = {
+        "calf": CuffLinks("shank", "calf"),
+        "low": CuffLinks("shank", "calf", (0.0, 0.1)),
+    }
+    device = DeviceFile({"shoe": "foot"}, Path("ankle_only.urdf"))
+    swap = {"shoe": "calf", "calf": "shoe"}
+    turned = re.sub(
+        r'(<(?:parent|child) link=")(\w+)',
+        lambda m: m[1] + swap[m[2]],
+        text.replace("0 1 0", "0 -1 0"),
+    )
+    for written in (text, turned):
+        assembly = brought_in(Assembly(device=device, cuffs=two), written)
+        model = Model(assembly, nominal_human())
+        found = links_above(model, "motor")
+        assert found == ["calf", "calf_shell", "low_shell"]
+        Design({"low": CuffDesign(removed=True)}).check(model)
+        gone = dict.fromkeys(two, CuffDesign(removed=True))
+        with pytest.raises(InputError, match="calf and low nothing holds"):
+            Design(gone).check(model)
 
 
 @pytest.fixture
