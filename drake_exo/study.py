@@ -43,6 +43,7 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.settings import (
+    BushingSettings,
     DesignSettings,
     FootGroundSettings,
     InteractionSettings,
@@ -86,6 +87,7 @@ from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial, as_trials
 from drake_exo.model.assembly import without_side
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import CUFFED
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
 
@@ -114,9 +116,15 @@ class StudyFile(RecordingSettings):
         self.foot_ground.law_constants()
         own = [s for named in self.assembly.spheres.values() for s in named]
         spheres = dict.fromkeys((*own, *map(without_side, own)))
+        own = self.assembly.cuffs
+        cuffs = dict.fromkeys((*own, *map(without_side, own)))
+        usual = [
+            c for c in CUFFED if self.interaction.of(c) != BushingSettings()
+        ]
         for key, given, known in (
             ("foot_ground.spheres", self.foot_ground.spheres, spheres),
-            ("interaction.cuffs", self.interaction.cuffs, self.assembly.cuffs),
+            ("interaction.cuffs", self.interaction.cuffs, cuffs),
+            ("interaction", usual, cuffs),
         ):
             for name in given:
                 if known and name not in known:
@@ -178,6 +186,8 @@ class Study:
         self.design = schema.checked(design, DesignSettings, "design")
         self.filter = schema.checked(filter, Filter, "filter")
         self._trials = as_trials(trials)
+        if device is not None:
+            device.check(model.coordinates)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"

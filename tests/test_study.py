@@ -77,6 +77,24 @@ def test_data_root_must_be_a_folder(tmp_path):
             "interaction: {cuffs: {calv: {}}}",
             "interaction.cuffs: the model has no 'calv'; it has calf",
         ),
+        (
+            "model: human",
+            "model: {device: {weld: {exo_foot: foot}}, "
+            "cuffs: {calf: {human: shank, device: exo_shank}}}\n"
+            "interaction: {shank: {slip_n: null}}",
+            "interaction: the model has no 'shank'; it has calf",
+        ),
+        (
+            "model: human",
+            "model: {device: {file: a.urdf, weld: {a: foot}}}\n"
+            "exoskeleton: {shank: {mass_kg: 2}}",
+            "exoskeleton has values of the shipped device",
+        ),
+        (
+            "model: human",
+            "model: {human: {legs: two}}\ndevice: {moment_legs: left}",
+            "device.moment_legs is 'left', which takes one leg for both",
+        ),
     ],
 )
 def test_refuses(old, new, words, tmp_path):

@@ -31,6 +31,7 @@ from drake_exo.contact.strap import (
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.model.assembly import without_side
+from drake_exo.model.segments import CUFFED
 from drake_exo.nlp.ipopt import SolverOptions
 
 __all__ = [
@@ -472,6 +473,7 @@ class InteractionSettings:
     """Phase B, and the models of Phase C.
 
     Attributes:
+        shank, thigh, pelvis: of the cuffs of these names, on either leg.
         cuffs: of those that the model's `cuffs` names otherwise.
         stiffness_factor: one standard deviation of the prior of every
             stiffness and of the force at which a cuff slips, which is
@@ -500,9 +502,10 @@ class InteractionSettings:
     solver: Solver = Solver()
 
     def of(self, cuff: str) -> BushingSettings:
-        """Of one cuff by name."""
-        own = {"shank": self.shank, "thigh": self.thigh, "pelvis": self.pelvis}
-        return (own | self.cuffs).get(cuff, BushingSettings())
+        """Of one cuff by name; those of `thigh` are `thigh_left`'s, too."""
+        own = {name: getattr(self, name) for name in CUFFED} | self.cuffs
+        usual = own.get(without_side(cuff), BushingSettings())
+        return own.get(cuff, usual)
 
     def parameters(
         self, places: dict[str, tuple[float, float]]

@@ -12,12 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from drake_exo.errors import InputError, check_file_name
+from drake_exo.errors import InputError, check_file_name, nearest
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.model.assembly import ASSEMBLIES, Assembly
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
 
 Side = Literal["left", "right"]
@@ -82,6 +83,9 @@ class JointDrive:
     rest_deg: float = quantity("deg", 0.0)
 
 
+_BESIDE = ("ankle", "knee", "hip")
+
+
 @dataclass(frozen=True)
 class Device:
     """How the exoskeleton was measured, and its model where it was not.
@@ -90,7 +94,7 @@ class Device:
         encoder_legs, moment_legs: legs whose angles and moments the files
             hold; moments of one leg are doubled, angles are means.
         ankle, knee, hip: identified dynamics of the joints beside the
-            person's.
+            person's; of two legs each joint has them as they are.
         joints: likewise by the name of the device's own joint.
         carries_itself: share of the links' own weight and inertia that the
             drives bear, 0 for a passive device, 1 for a transparent one.
@@ -103,6 +107,27 @@ class Device:
     hip: JointDrive = JointDrive()
     joints: dict[str, JointDrive] = field(default_factory=dict)
     carries_itself: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
+
+    def check(self, names: Coordinates) -> None:
+        """Refuse what no joint of the device has.
+
+        Raises:
+            InputError: a joint that it has not, or one beside none of its own.
+        """
+        if not names.device:
+            return
+        beside = {names.follows(n).split("_")[0] for n in names.device}
+        usual = [k for k in _BESIDE if getattr(self, k) != JointDrive()]
+        for key, own, known in (
+            ("device.joints", self.joints, names.device),
+            ("device", usual, sorted(beside)),
+        ):
+            for name in own:
+                if name not in known:
+                    raise InputError(
+                        f"{key}.{name}: the device has no such joint; it has "
+                        f"{', '.join(known)}{nearest(name, known)}"
+                    )
 
     def of(self, joint: str, beside: str) -> JointDrive:
         """Dynamics of a joint that sits beside one of the person's."""
@@ -633,6 +658,14 @@ class RecordingSettings:
                         f"trial {trial.name}: loads: the person has no segment "
                         f"{load.body!r}; it has {', '.join(segments)}"
                     )
+        device = self.device or Device()
+        for key in ("encoder_legs", "moment_legs"):
+            legs = getattr(device, key)
+            if self.assembly.human.sides and legs != "both":
+                raise InputError(
+                    f"device.{key} is {legs!r}, which takes one leg for both; "
+                    "of two legs each joint is one leg's own: leave it out"
+                )
         cuffs = self.assembly.closed
         for name, mat in self.mats.items():
             if self.assembly.device and mat.segment not in cuffs:

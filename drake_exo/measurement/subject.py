@@ -149,7 +149,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     )
     human = with_overrides(human, settings.subject.segments, "subject.segments")
     model = _with_device(settings, human)
-    _check_drives(settings, model)
+    if settings.device is not None:
+        settings.device.check(model.coordinates)
     q = coordinates(model, markers, poses)
     report["standing_angles_deg"] = np.rad2deg(q[0, 2:])
     if settings.scaling.trunk_com == "standing":
@@ -160,17 +161,6 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         report["standing_cop_x_m"] = float(wrench.cop_x[0])
         report["standing_com_x_m"] = float(com)
     return SubjectModel(model, markers, mass, report)
-
-
-def _check_drives(settings: RecordingSettings, model: Model) -> None:
-    """Refuse drives of joints that the device does not have."""
-    known = model.coordinates.device
-    for joint in settings.device.joints if settings.device and known else ():
-        if joint not in known:
-            raise InputError(
-                f"device.joints: {settings.assembly.device.name} has no joint "
-                f"{joint!r}; it has {', '.join(known)}"
-            )
 
 
 def model_markers(

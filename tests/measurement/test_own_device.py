@@ -1,15 +1,23 @@
 """A study whose model is a description: one leg in a device of one joint."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from synthetic_recording import load, write_recording
 
+from drake_exo.calibration.settings import (
+    BushingSettings,
+    InteractionSettings,
+    Range,
+)
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.tables import Table, write_csv_table
+from drake_exo.measurement.settings import Device, JointDrive
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import models_path, nominal_human
 from drake_exo.study import StudyFile
 
@@ -190,3 +198,41 @@ def test_devices_that_cannot_be_end_a_command(
     assert "Traceback" not in said
     (sentence,) = (s for s in said.splitlines() if "drake-exo: error" in s)
     assert sentence == said.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        (
+            {"joints": {"moter": {"coulomb_nm": 2}}},
+            "device.joints.moter: the device has no such joint; it has motor; "
+            "did you mean 'motor'?",
+        ),
+        (
+            {"hip": {"coulomb_nm": 2}},
+            "device.hip: the device has no such joint; it has ankle",
+        ),
+    ],
+)
+def test_friction_of_no_joint_ends_a_command(folder, capsys, device, words):
+    write_recording(folder, nominal_human())
+    path = folder / "study.yaml"
+    study = schema.yaml.safe_load(path.read_text())
+    said = {**study, "model": MODEL, "device": device}
+    path.write_text(schema.yaml.safe_dump(said))
+    assert main(["check", str(path), "--out", str(folder / "out")]) == 2
+    assert words in capsys.readouterr().err
+    names = Coordinates(("x", "z", "pitch", "ankle", "motor_ankle"))
+    drives = Device(joints={"moter": JointDrive()})
+    drives.check(names)  # of a person alone nothing is asked
+    with pytest.raises(InputError, match="moter"):
+        drives.check(replace(names, device=("motor_ankle",)))
+
+
+def test_cuffs_of_either_leg_have_their_segment_s_settings():
+    stiff = BushingSettings(normal_n_m=Range(9e3, 1e3, 2e4))
+    own = BushingSettings(normal_n_m=Range(7e3, 1e3, 2e4))
+    found = InteractionSettings(thigh=stiff, cuffs={"thigh_right": own})
+    assert found.of("thigh_left") == found.of("thigh") == stiff
+    assert found.of("thigh_right") == own
+    assert found.of("strap") == found.of("shank_left") == BushingSettings()
