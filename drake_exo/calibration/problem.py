@@ -997,12 +997,17 @@ def torque_terms(
     of_device = noise.exo_moment_nm if device else np.inf
     sigma = np.where(names.is_device_joint, of_device, noise.moment_nm)
     sigma = np.tile(sigma, (len(at.times), 1))
+    # Whatever a device calls its joints.
+    beside = [
+        names.follows(name) if name in names.device else name
+        for name in names.joints
+    ]
     for side, wrench in at.feet.items():
         share = np.clip(wrench.force_z / at.ground.force_z.mean(), 0.0, 1.0)
         # Filters smear touch-down and lift-off.
         near = np.abs(at.times[:, None] - at.times) < _SMEARED_S
         share = np.where(near, share, 0.0).max(axis=1)
-        own = [name.endswith(f"_{side}") for name in names.joints]
+        own = [name.endswith(f"_{side}") for name in beside]
         sigma[:, own] *= np.maximum(share, _IN_SWING)[:, None]
     sigma[:, [name.startswith("toes") for name in names.joints]] = np.inf
     effects = effects and effects.moments

@@ -215,8 +215,7 @@ def posture_law(
 
 
 def _link(model: Model, joint: str) -> str:
-    above = links_above(model, joint)
-    return next(end for end in model.tree.joints[joint] if end in above)
+    return model.tree.joints[joint][1]
 
 
 def _turning(model: Model) -> np.ndarray:

@@ -37,7 +37,8 @@ class PlanarTree:
         coordinates: names of the coordinates.
         cuffs: cuff -> (link of the human, link of the device) that it joins,
             where they can move against each other.
-        joints: hinge -> (parent, child) that it joins.
+        joints: hinge -> links that it joins; the second turns with it,
+            whichever of them the file calls the child.
         root: body whose place and pitch are coordinates.
         names: body names, length nb.
         segment_of: (nb,) index of the rigid segment that carries each body.
@@ -290,14 +291,16 @@ def _read_tree(plant: MultibodyPlant, cuffs) -> PlanarTree:
         total += mass
     gravity = plant.gravity_field().gravity_vector()
     names = tuple(body.name() for body in bodies)
+    coordinates = read_coordinates(plant)
+    turn = dict(zip(names, turns, strict=True))
     return PlanarTree(
-        coordinates=read_coordinates(plant),
+        coordinates=coordinates,
         cuffs={
             cuff: links
             for cuff, links in cuffs.items()
             if len({segment_of[names.index(link)] for link in links}) == 2
         },
-        joints=_joints(plant),
+        joints=_joints(plant, turn, coordinates),
         root=bodies[0].name(),
         names=names,
         segment_of=segment_of,
@@ -312,13 +315,15 @@ def _read_tree(plant: MultibodyPlant, cuffs) -> PlanarTree:
     )
 
 
-def _joints(plant) -> dict[str, tuple[str, str]]:
-    joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
-    return {
-        j.name(): (j.parent_body().name(), j.child_body().name())
-        for j in joints
-        if j.num_positions() == 1
-    }
+def _joints(plant, turn, coordinates) -> dict[str, tuple[str, str]]:
+    found = {}
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        if joint.num_positions() == 1:
+            ends = (joint.parent_body().name(), joint.child_body().name())
+            column = coordinates.index(joint.name()) - 2
+            outward = turn[ends[1]][column] != 0.0
+            found[joint.name()] = ends if outward else ends[::-1]
+    return found
 
 
 def _angles(plant, context, bodies):

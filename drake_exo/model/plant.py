@@ -179,7 +179,7 @@ class Model:
             return replace(self, kind="rigid")
         welds = {
             link: _seen_from(self, segment, link)
-            for link, segment in _riding(self).items()
+            for link, segment in _riding(self, self.tree).items()
         }
         welded = replace(self.assembly, device=replace(device, weld=welds))
         return replace(self, kind=replace(welded, cuffs={}))
@@ -429,11 +429,11 @@ def _seen_from(model: Model, base: str, body: str) -> Weld:
     return Weld(base, at, float(np.rad2deg(angle)))
 
 
-def _riding(model: Model) -> dict[str, str]:
+def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     """Link of the device -> segment of the person that it moves with.
 
     That which it is welded or strapped to; a link that is neither goes with
-    the next one up its chain.
+    the next one towards the welded one.
     """
     assembly = model.assembly
     plant = model.plant()
@@ -442,15 +442,18 @@ def _riding(model: Model) -> dict[str, str]:
         rides.setdefault(cuff.device, cuff.human)
     joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
     # What is fixed to a link goes with it before what hinges on it does.
-    joints.sort(key=lambda j: j.num_positions())
-    ends = [(j.parent_body().name(), j.child_body().name()) for j in joints]
-    stiff = ends[: sum(not j.num_positions() for j in joints)]
+    stiff = [
+        (j.parent_body().name(), j.child_body().name())
+        for j in joints
+        if not j.num_positions()
+    ]
+    ends = stiff + [tree.joints[name] for name in tree.coordinates.device]
     segments = assembly.human.segments
-    # Down the chain as far as it goes before a joint up, in whatever order
-    # the file has them.
+    # Outward as far as it goes before a joint inward, in whatever order the
+    # file has them.
     for edges in (stiff, ends):
-        up = [(b, a) for a, b in edges]
-        for a, b in ([*edges * len(edges), *up]) * len(edges):
+        inward = [(b, a) for a, b in edges]
+        for a, b in ([*edges * len(edges), *inward]) * len(edges):
             if a in rides and b not in (*rides, *segments):
                 rides[b] = rides[a]
     shells = [name + _SHELL for name in assembly.cuffs]
@@ -459,15 +462,16 @@ def _riding(model: Model) -> dict[str, str]:
 
 def _coupling(model: Model, tree: PlanarTree) -> tuple[tuple[float, ...], ...]:
     """Turn of the device's hinges by the human's, while it moves with them."""
-    rides, names = _riding(model), tree.coordinates
+    rides, names = _riding(model, tree), tree.coordinates
     columns = names.columns(names.human)
     rows = []
     for name in names.device:
-        parent, child = map(tree.turning, tree.joints[name])
-        sign = (child - parent)[names.index(name)]
-        ends = (rides.get(end, end) for end in tree.joints[name])
-        parent, child = (tree.turning(end)[columns] for end in ends)
-        rows.append(tuple(float(x) + 0.0 for x in sign * (child - parent)))
+        ends = tree.joints[name]
+        sign = tree.turning(ends[1])[names.index(name)]
+        inner, outer = (
+            tree.turning(rides.get(end, end))[columns] for end in ends
+        )
+        rows.append(tuple(float(x) + 0.0 for x in sign * (outer - inner)))
     return tuple(rows)
 
 

@@ -224,6 +224,16 @@ def test_moments_of_a_leg_are_known_the_better_the_less_it_bears():
         np.testing.assert_allclose(other[times < 0.39], 0.75 * 8.0)
         np.testing.assert_allclose(other[times > 0.41], 8.0)
     assert np.isinf(term.sigma[:, [3, 7]]).all()
+    # A device's joint is of the leg that it is beside, whatever its name.
+    rows = (tuple(float(k == 4) for k in range(8)),)
+    worn = Coordinates((*names.names[:4], "m_left", *hinges[1:]), ("m_left",))
+    q = np.zeros((21, len(worn)))
+    worn, q = replace(worn, coupling=rows), np.zeros((21, len(worn)))
+    own = {"coordinates": worn, "q": q, "v": q, "a": q, "moments": q[:, 3:]}
+    at = replace(at, **own)
+    movement = SimpleNamespace(coordinates=worn, torque=q[:, 3:])
+    (term,) = torque_terms(movement, at, InteractionNoise(exo_moment_nm=2.0))
+    np.testing.assert_allclose(term.sigma[times > 0.41, 1], 2.0)
 
 
 @pytest.mark.slow

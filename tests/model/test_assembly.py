@@ -10,6 +10,7 @@ import pytest
 from opensim_answers import expanded
 from scipy.interpolate import make_interp_spline
 
+from drake_exo.calibration.problem import foot_turn
 from drake_exo.calibration.settings import (
     FootGroundSettings,
     Range,
@@ -157,6 +158,11 @@ def test_a_device_written_from_its_other_end_is_the_same():
         ('xyz="0 1 0"', 'xyz="0 -1 0"'),
     )
     assert turned.coordinates == built(ANKLE).coordinates
+    assert turned.tree.joints == built(ANKLE).tree.joints
+    assert turned.tree.joints["motor"] == ("shoe", "calf")
+    np.testing.assert_array_equal(
+        foot_turn(turned.tree), foot_turn(built(ANKLE).tree)
+    )
     motion = np.random.default_rng(1).normal(size=(3, 2, 7))
     np.testing.assert_allclose(
         turned.tree.inverse_dynamics(*motion),
@@ -165,14 +171,17 @@ def test_a_device_written_from_its_other_end_is_the_same():
 
 
 def test_joints_may_be_written_in_any_order():
-    """Of a chain of three between pelvis and thigh the last one is the hip."""
+    """Of a chain of three from pelvis to thigh the last one is the hip."""
     link = """<link name="{}"><inertial><mass value="0.5"/><inertia ixx="0.01"
       iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-    joint = """<joint name="{0}_{1}" type="continuous"><parent link="{0}"/>
-      <child link="{1}"/><axis xyz="0 -1 0"/></joint>"""
+    joint = """<joint name="{0}_{1}" type="continuous"><parent link="{2}"/>
+      <child link="{3}"/><axis xyz="0 {4} 0"/></joint>"""
     chain = ("belt", "a", "b", "bar")
-    joints = [joint.format(*ends) for ends in itertools.pairwise(chain)]
-    for order in itertools.permutations(joints):
+    ends = list(itertools.pairwise(chain))
+    down = [joint.format(*e, *e, -1) for e in ends]
+    up = [joint.format(*e, *e[::-1], 1) for e in ends]
+    orders = [*itertools.permutations(down), *itertools.permutations(up)]
+    for order in orders:
         text = "".join([*map(link.format, chain), *order])
         model = Model(brought_in(HIP, f"<robot name='r'>{text}</robot>"), HUMAN)
         names = model.coordinates
