@@ -98,6 +98,16 @@ def test_a_sum_of_both_legs_is_not_doubled(tmp_path):
     np.testing.assert_allclose(one, 2.0 * both)
 
 
+def test_columns_that_nothing_reads_have_any_unit(tmp_path):
+    names = ("motor", "motor_current", "motor_moment_arm")
+    table = Table(TIME, names, ANGLES)
+    write_csv_table(tmp_path / "e.csv", table, ["rad", "N", "m"])
+    found = read_angles(tmp_path / "e.csv", ("motor",), "both", FILTER)
+    np.testing.assert_allclose(
+        found.values[INNER, 0], ANGLES[INNER, 0], atol=1e-3
+    )
+
+
 def test_a_delay_moves_the_clock(tmp_path):
     path = tmp_path / "e.csv"
     write_csv_table(path, Table(TIME, EXO_JOINTS, ANGLES), ["rad"] * 3)
