@@ -15,6 +15,7 @@ from drake_exo.calibration.wearers import (
     Wearer,
 )
 from drake_exo.contact.strap import (
+    MOVABLE,
     RELEASES,
     STRAPS,
     Assistance,
@@ -26,7 +27,6 @@ from drake_exo.contact.strap import (
     movable,
 )
 from drake_exo.model.assembly import without_side
-from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 
 # A cuff stays this far from the joints at its limb's ends.
@@ -241,7 +241,7 @@ def design_of(
         value = float(value)
         if is_assistance(name):
             factors.setdefault(group, {})[what] = value
-        elif group.startswith(DEVICE):
+        elif group in MOVABLE:
             joints.setdefault(group, {})[what] = value
         elif what.startswith("strap"):
             strap = 1.0 / value if value > 0.0 else None

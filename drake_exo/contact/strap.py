@@ -446,7 +446,7 @@ class Design:
                 z + cuff.along_m + cuff.preload_along_m,
             )
         for name, joint in self.joints.items():
-            key = _OFF[name]
+            key = MOVABLE[name]
             x, z = getattr(device, key)
             moved[key] = x + joint.across_m, z + joint.along_m
         return replace(model, exoskeleton=replace(device, **moved))
@@ -497,14 +497,14 @@ class Design:
 
 
 # Joint that may be moved -> key of where it is.
-_OFF = {"exo_knee": "knee_off_m", "exo_hip": "hip_off_m"}
+MOVABLE = {"exo_knee": "knee_off_m", "exo_hip": "hip_off_m"}
 
 
 def movable(model: Model) -> tuple[str, ...]:
     """Joints of the device that a design may move."""
     if model.exoskeleton is None or not model.assembly.is_fitted:
         return ()
-    return tuple(j for j in _OFF if j in model.coordinates.device)
+    return tuple(j for j in MOVABLE if j in model.coordinates.device)
 
 
 def links_above(model: Model, joint: str) -> list[str]:

@@ -732,6 +732,7 @@ def test_a_design_of_values_of_all_kinds():
         "thigh.strap_normal_n_m": 1e-4,
         "thigh.strap_tangential_n_m": 0.0,
         "thigh.area": 1.2,
+        "exo_strap.area": 1.1,
         "exo_hip.across_m": 0.01,
         "exo_hip.factor_at_-20_deg": 0.9,
         "exo_hip.factor_at_30_deg": 1.1,
@@ -745,6 +746,7 @@ def test_a_design_of_values_of_all_kinds():
     assert (thigh.along_m, thigh.area) == (0.02, 1.2)
     assert thigh.strap_normal_n_m == pytest.approx(1e4)
     assert thigh.strap_tangential_n_m is None
+    assert found.cuffs["exo_strap"].area == 1.1  # of an own device
     assert found.removed == ("pelvis",)
     assert found.joints["exo_hip"].across_m == 0.01
     assert found.assistance == {
