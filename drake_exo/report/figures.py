@@ -175,14 +175,15 @@ def interaction_figure(
     """
     found = next(t for run in runs.values() for t in run if t is not None)
     rows = _cuff_rows(found)
-    figure = _drawn(runs, trials, rows)
     first = next(iter(runs.values()))
-    axes = np.reshape(figure.axes, (len(rows), len(trials)))
     color = _SEVERAL[0] if len(runs) > 1 else _ONE[0]
-    for column, (trial, band) in enumerate(zip(first, bands, strict=False)):
-        if band is not None and trial is not None:
-            _shade(axes[:, column], trial, band, color)
-    return figure
+
+    def shade(axes) -> None:
+        for column, trial, band in zip(axes.T, first, bands, strict=False):
+            if band is not None and trial is not None:
+                _shade(column, trial, band, color)
+
+    return _drawn(runs, trials, rows, shade=shade)
 
 
 def _cuff_rows(found: Trial) -> list[tuple]:
@@ -294,8 +295,11 @@ def front_figure(rows: list[dict]) -> Figure:
     return figure
 
 
-def _drawn(runs, trials, rows, height=1.9) -> Figure:
-    """Panels of rows (label, signal[, the device's]) by trial."""
+def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
+    """Panels of rows (label, signal[, the device's]) by trial.
+
+    `shade` adds to all of them before the legend is made.
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(max(3.0 * len(trials), 4.4), height * len(rows) + 0.6)
@@ -309,6 +313,8 @@ def _drawn(runs, trials, rows, height=1.9) -> Figure:
             _fill(axes[:, k], found, trial, rows)
         for ax in axes[:, 1:].flat:
             ax.set_ylabel("")
+        if shade is not None:
+            shade(axes)
         _finish(figure, axes)
     return figure
 

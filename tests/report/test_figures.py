@@ -158,6 +158,9 @@ def test_bands_lie_around_the_first_run(trials, found, runs):
         named, trials, [band_of(found[0], 3.0), None]
     )
     rows = panels(figure, 2)
+    legend = [t.get_text() for t in figure.legends[0].get_texts()]
+    assert legend[0] == "measured"
+    assert "95 % band" in legend
     for cuff, force in found[0].cuffs.items():
         (area,) = rows[f"{cuff} [N]"][0].collections
         corners = area.get_paths()[0].vertices
