@@ -41,9 +41,9 @@ from drake_exo.measurement.settings import (
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import LEG_JOINTS
 
 LEG = ("thigh", "shank", "foot", "toes")
-_JOINTS = ("ankle", "knee", "hip")
 # Weight of markers on a foot that a device is welded to: they stay within a
 # millimetre, others slide by 10 mm and more (Peters et al., Gait & Posture 31,
 # 2010). With equal weights skin that slides on a shank turns the foot by two
@@ -210,7 +210,7 @@ def _complete_sides(markers: Markers, source: str, leg) -> tuple[str, ...]:
     sides = tuple(
         side
         for side in SIDES
-        if all(getattr(markers.joint_centres, j).of(side) for j in _JOINTS)
+        if all(getattr(markers.joint_centres, j).of(side) for j in LEG_JOINTS)
         and all(getattr(markers.segments, s).of(side) for s in leg)
     )
     if not sides:
@@ -233,7 +233,7 @@ def _joint_centres(standing, markers, frame, sides):
             joint: _mean_point(
                 standing, getattr(markers.joint_centres, joint).of(side), frame
             )
-            for joint in _JOINTS
+            for joint in LEG_JOINTS
         }
         for side in sides
     }

@@ -27,8 +27,8 @@ from drake_exo.measurement.settings import Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
+from drake_exo.model.segments import LEG_JOINTS
 
-JOINTS = ("ankle", "knee", "hip")
 # A plate that bears less has no centre of pressure worth a judgement [N].
 LOADED_N = 50.0
 # The foot reaches so far behind its hindmost marker, and its markers so far
@@ -541,7 +541,7 @@ def _belt(e: Evidence) -> Check:
 def _ranges(e: Evidence) -> Iterator[Check]:
     for side, angles in e.recording.motion.legs.items():
         deg = np.rad2deg(angles[e.inside])
-        for joint, x in zip(JOINTS, deg.T, strict=True):
+        for joint, x in zip(LEG_JOINTS, deg.T, strict=True):
             low, high = RANGES_DEG[joint]
             bent = x.min() if low - x.min() > x.max() - high else x.max()
             backwards = joint == "knee" and bent < low
@@ -690,9 +690,9 @@ def _legs(e: Evidence) -> Iterator[Check]:
         LARGEST_LEG_DIFFERENCE_DEG,
         "deg",
         e.files.markers,
-        f"left and right {JOINTS[worst]} differ by {rms[worst]:.0f} deg RMS, "
-        f"but {one}; this may be walking or a step, or markers of left and "
-        "right exchanged",
+        f"left and right {LEG_JOINTS[worst]} differ by {rms[worst]:.0f} deg "
+        f"RMS, but {one}; this may be walking or a step, or markers of left "
+        "and right exchanged",
     )
     x = [motion.ankles[s][e.inside, 0].mean() for s in SIDES]
     yield e.check(

@@ -19,7 +19,12 @@ from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.model.assembly import ASSEMBLIES, Assembly
 from drake_exo.model.coordinates import Coordinates
-from drake_exo.model.segments import ExoskeletonOverrides, HumanOverrides
+from drake_exo.model.segments import (
+    LEG_JOINTS,
+    ExoskeletonOverrides,
+    HumanOverrides,
+    place,
+)
 
 Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
@@ -83,9 +88,6 @@ class JointDrive:
     rest_deg: float = quantity("deg", 0.0)
 
 
-_BESIDE = ("ankle", "knee", "hip")
-
-
 @dataclass(frozen=True)
 class Device:
     """How the exoskeleton was measured, and its model where it was not.
@@ -117,7 +119,7 @@ class Device:
         if not names.device:
             return
         beside = {names.follows(n).split("_")[0] for n in names.device}
-        usual = [k for k in _BESIDE if getattr(self, k) != JointDrive()]
+        usual = [k for k in LEG_JOINTS if getattr(self, k) != JointDrive()]
         for key, own, known in (
             ("device.joints", self.joints, names.device),
             ("device", usual, sorted(beside)),
@@ -483,9 +485,7 @@ class Load:
     body: str
     mass_kg: float | None = quantity("kg", None, above=0.0, maximum=500.0)
     markers: tuple[str, ...] = ()
-    at_m: tuple[float, float] | None = quantity(
-        "m", None, minimum=-3.0, maximum=3.0
-    )
+    at_m: tuple[float, float] | None = place(None)
     from_s: float | None = quantity("s", None)
     to_s: float | None = quantity("s", None)
     over_s: float = quantity("s", 0.2, above=0.0, maximum=10.0)
@@ -643,11 +643,11 @@ class RecordingSettings:
                 "two legs the chair's plate does not tell which thigh bears "
                 "what: leave it out"
             )
-        device, fitted = self.assembly.device, ExoskeletonOverrides()
-        if device and device.file and self.exoskeleton != fitted:
+        worn, fitted = self.assembly.device, ExoskeletonOverrides()
+        if worn and worn.file and self.exoskeleton != fitted:
             raise InputError(
                 "exoskeleton has values of the shipped device, but the "
-                f"model's is {device.name}; state them in that file, and leave "
+                f"model's is {worn.name}; state them in that file, and leave "
                 "exoskeleton out"
             )
         segments = self.assembly.human.segments

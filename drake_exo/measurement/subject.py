@@ -46,6 +46,7 @@ from drake_exo.model.osim_person import OsimPerson, read_person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
+    LEG_JOINTS,
     SEGMENTS,
     HumanParameters,
     SegmentParameters,
@@ -181,7 +182,7 @@ def model_markers(
         (joint, side): f"{joint} of {person.osim.source}, {side}"
         for side, own in person.places.items()
         for joint in own
-        if joint in ("ankle", "knee", "hip")
+        if joint in LEG_JOINTS
     }
     places = {
         name: person.places[side][joint]
@@ -211,7 +212,7 @@ def model_markers(
             joint: SidedMarkers(
                 **{side: (centres[joint, side],) for side in SIDES}
             )
-            for joint in ("ankle", "knee", "hip")
+            for joint in LEG_JOINTS
         }
     )
     p = np.array([[z.real, z.imag, 0.0] for z in places.values()])

@@ -30,6 +30,7 @@ from drake_exo.files.schema import quantity
 
 SEGMENTS = ("foot", "shank", "thigh", "pelvis")
 CUFFED = SEGMENTS[1:]  # segments with a place for a cuff
+LEG_JOINTS = ("ankle", "knee", "hip")  # between them
 
 # Radius of the heel and toe contact spheres when nothing else is said [m].
 CONTACT_RADIUS_M = 0.032
@@ -37,7 +38,7 @@ CONTACT_RADIUS_M = 0.032
 _FAR_M = 3.0  # what lies further off in a body was given in mm
 
 
-def _place(default: Any = MISSING) -> Any:
+def place(default: Any = MISSING) -> Any:
     """A field for a point (x, z) in a segment's frame."""
     return quantity("m", default, minimum=-_FAR_M, maximum=_FAR_M)
 
@@ -55,7 +56,7 @@ class SegmentParameters:
     """
 
     mass_kg: float = quantity("kg", above=0.0)
-    com_m: tuple[float, float] = _place()
+    com_m: tuple[float, float] = place()
     inertia_kg_m2: float = quantity("kg m^2", above=0.0)
     length_m: float = quantity("m", above=0.0, maximum=_FAR_M)
 
@@ -100,13 +101,13 @@ class HumanParameters(_Chain):
     thigh: SegmentParameters
     pelvis: SegmentParameters
     ankle_height_m: float = quantity("m", above=0.0, maximum=_FAR_M)
-    heel_m: tuple[float, float] = _place()
-    toe_m: tuple[float, float] = _place()
-    shank_cuff_m: tuple[float, float] = _place()
-    thigh_cuff_m: tuple[float, float] = _place()
-    pelvis_cuff_m: tuple[float, float] = _place()
+    heel_m: tuple[float, float] = place()
+    toe_m: tuple[float, float] = place()
+    shank_cuff_m: tuple[float, float] = place()
+    thigh_cuff_m: tuple[float, float] = place()
+    pelvis_cuff_m: tuple[float, float] = place()
     toes: SegmentParameters | None = None
-    ball_m: tuple[float, float] | None = _place(None)
+    ball_m: tuple[float, float] | None = place(None)
 
     @property
     def height_m(self) -> float:
@@ -138,13 +139,13 @@ class ExoskeletonParameters(_Chain):
     shank: SegmentParameters
     thigh: SegmentParameters
     pelvis: SegmentParameters
-    heel_m: tuple[float, float] = _place()
-    toe_m: tuple[float, float] = _place()
-    shank_cuff_m: tuple[float, float] = _place()
-    thigh_cuff_m: tuple[float, float] = _place()
-    pelvis_cuff_m: tuple[float, float] = _place()
-    knee_off_m: tuple[float, float] = _place((0.0, 0.0))
-    hip_off_m: tuple[float, float] = _place((0.0, 0.0))
+    heel_m: tuple[float, float] = place()
+    toe_m: tuple[float, float] = place()
+    shank_cuff_m: tuple[float, float] = place()
+    thigh_cuff_m: tuple[float, float] = place()
+    pelvis_cuff_m: tuple[float, float] = place()
+    knee_off_m: tuple[float, float] = place((0.0, 0.0))
+    hip_off_m: tuple[float, float] = place((0.0, 0.0))
 
 
 def _overrides(name: str, of: type, doc: str) -> type:

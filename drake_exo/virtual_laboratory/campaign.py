@@ -19,6 +19,7 @@ from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.segments import LEG_JOINTS
 from drake_exo.virtual_laboratory.instruments import (
     MARKER_RATE_HZ,
     PLATES,
@@ -49,9 +50,6 @@ from drake_exo.virtual_laboratory.truth import (
     wearing,
     write_parameters,
 )
-
-_JOINTS = ("ankle", "knee", "hip")
-
 
 # Standard deviation of each signal as it reaches a phase: markers slide on
 # skin, the foot's do not.
@@ -172,7 +170,7 @@ def _laboratory(laboratory: Laboratory) -> dict:
 def _device(truth: Truth, found: tuple[float, ...]) -> dict:
     friction = truth.friction
     section: dict = {"encoder_legs": "both", "moment_legs": "both"}
-    for i, joint in enumerate(_JOINTS):
+    for i, joint in enumerate(LEG_JOINTS):
         section[joint] = {
             "viscous_nm_s": found[i] * friction.viscous[i],
             "coulomb_nm": found[i] * friction.coulomb[i],
