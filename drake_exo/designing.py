@@ -47,7 +47,7 @@ from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
-from drake_exo.study import Calibration, Study, contact_of
+from drake_exo.study import Calibration, Study
 
 # Mats and model differ by no more than this factor, or one of them is wrong.
 _DIFFER = 2.0
@@ -106,7 +106,7 @@ def design(
             check_file_name("subject.name", name)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):
-        contact = own.worn(contact_of(contact))
+        contact = own.worn(contact)
         before[name] = movements(own, contact, settings)
         wearers.append(wearer(name, own, contact, before[name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]

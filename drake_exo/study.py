@@ -285,8 +285,9 @@ class Study:
         checks = found.checks(self.name, self.model, law, trials)
         return self.worn(found.taken(checks, accepted)), checks
 
-    def worn(self, contact: ContactModel) -> ContactModel:
-        """The contact on the study's sole, if it has one."""
+    def worn(self, contact: Calibration | ContactModel) -> ContactModel:
+        """The contact, see `contact_of`, on the study's sole if it has one."""
+        contact = contact_of(contact)
         if self.sole is None:
             return contact
         return replace(contact, ground=self.ground)
@@ -791,7 +792,7 @@ def calibrate_interaction(
     check_is_measured(trials)
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
-    ground = study.worn(contact_of(contact))
+    ground = study.worn(contact)
 
     def pose(refined):
         return InteractionCalibration(
@@ -825,9 +826,9 @@ def find_clocks(
     >>> find_clocks(Study(made.model, made.trials), made.trials, made.contact)
     []
     """
-    found = []
+    found, known = [], study.worn(contact)
     for trial in trials:
-        result, own = _timing(study, trial, study.worn(contact_of(contact)))
+        result, own = _timing(study, trial, known)
         if result is not None and result.solution.was_stopped:
             raise KeyboardInterrupt
         found += own
@@ -912,7 +913,7 @@ def predict(
     as_trials([trial])
     if near is not None:
         check_type(near, Prediction, "near")
-    known = study.worn(contact_of(contact))
+    known = study.worn(contact)
     if clocks is None:
         timing, clocks = _timing(study, trial, known)
         if timing is not None and timing.solution.was_stopped:

@@ -238,8 +238,9 @@ def sole_from_surface(
     if origin is None:
         origin = (*(0.5 * (low + high))[:2], high[2])
     corners = surface.corners - np.asarray(origin)
+    thickness = _Thickness(corners)
     try:
-        nodes, cells = _meshed(corners, top, top_m is None, tets)
+        nodes, cells = _meshed(thickness, top, top_m is None, tets)
     except MmgError as error:
         raise InputError(
             f"{surface.name}: cannot be meshed ({error}); give another number "
@@ -249,7 +250,7 @@ def sole_from_surface(
     mesh = checked_mesh(nodes, cells, fixed, surface.name)
     enclosed = float(np.linalg.det(corners).sum() / 6.0)
     missed = abs(mesh.volume / enclosed - 1.0)
-    if max(missed, _Thickness(corners).doubled) > _SAME_VOLUME:
+    if max(missed, thickness.doubled) > _SAME_VOLUME:
         raise InputError(
             f"{surface.name}: encloses {1e6 * enclosed:.1f} cm³, of which "
             f"{1e6 * mesh.volume:.1f} cm³ were meshed: its parts overlap or "
@@ -284,10 +285,10 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
     return up & flat
 
 
-def _meshed(corners, top, flat: bool, tets: int):
+def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
     """Nodes (n, 3) [m] and cells (e, 4) inside, about so many."""
+    corners = thickness.corners
     points = corners.reshape(-1, 3)
-    thickness = _Thickness(corners)
     share = _share(thickness, tets)
     h = _GRID * share * thickness.usual
     low, high = points.min(axis=0) - 1.5 * h, points.max(axis=0) + 1.5 * h

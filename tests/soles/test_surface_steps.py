@@ -392,7 +392,7 @@ def test_small_elements_are_no_smaller_than_a_third_of_the_usual(monkeypatch):
     )
     body = _shrunk(0.0, (0.224, 0.1, 0.02))
     asked = _asked(monkeypatch, [body, body])
-    steps._meshed(lip, np.zeros(len(lip), bool), False, 300)
+    steps._meshed(steps._Thickness(lip), np.zeros(len(lip), bool), False, 300)
     size = asked[1]["size"]
     usual = np.median(size)
     assert size.min() == pytest.approx(0.3 * usual)
@@ -425,7 +425,8 @@ def test_nodes_that_no_cell_has_are_left_out(monkeypatch):
         return nodes, cells
 
     monkeypatch.setattr(steps, "_onto", onto)
-    steps._meshed(corners, (corners[:, :, 2] == 0).all(axis=1), True, 300)
+    top = (corners[:, :, 2] == 0).all(axis=1)
+    steps._meshed(steps._Thickness(corners), top, True, 300)
     kept, renumbered = given[0]
     np.testing.assert_array_equal(kept, nodes[[0, 2, 3, 5]])
     np.testing.assert_array_equal(kept[renumbered], nodes[cells])
