@@ -678,7 +678,7 @@ class DesignProblem(Compiles):
         Args:
             values: of design variables; those of today by default.
         """
-        x = np.zeros(self.program.prog.num_vars())
+        x = self.program.start()
         chosen = {
             v.name: v.clipped((values or {}).get(v.name, v.today))
             for v in self.design

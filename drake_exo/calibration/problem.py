@@ -122,18 +122,17 @@ class Compiles:
         build_seconds: time to pose and compile.
     """
 
-    _counts = None
+    _compiled_for: tuple | None = None
 
     @cached_property
     def compiled(self) -> SparseProgram:
         """The sparse problem, as the solver sees it.
 
-        Of the program as it is when first asked for; a solve makes it anew
-        where something was added since.
+        Of the program as it is when first asked for, and at each solve.
         """
         solver = self.settings.solver
         start = time.perf_counter()
-        self._counts = self.program.counts
+        self._compiled_for = self.program.counts
         substitutions = (
             tuple(m.grid.substitution(self.program) for m in self.movements)
             if solver.reduce
@@ -146,10 +145,15 @@ class Compiles:
         return compiled
 
     def compiled_anew(self) -> SparseProgram:
-        """The same, with what was added to the program since."""
-        if self.program.counts != self._counts:
+        """The same for a solve, of the program as it is now.
+
+        Counts tell what was added. What was replaced, or given other bounds
+        or coefficients, nothing tells: it is made once for each solve.
+        """
+        if self.program.counts != self._compiled_for:
             vars(self).pop("compiled", None)
-        return self.compiled
+        compiled, self._compiled_for = self.compiled, None
+        return compiled
 
 
 class PhaseProblem(Compiles, ABC):
@@ -462,7 +466,7 @@ class PhaseProblem(Compiles, ABC):
         if values is None:
             values = np.array([p.nominal for p in self.parameters])
         contact = self.with_values(values)
-        x = np.zeros(self.program.prog.num_vars())
+        x = self.program.start()
         for group, variables in self._variables.items():
             x[self.program.indices(variables)] = [
                 p.nominal for p in contact.fixed(group)
@@ -477,7 +481,7 @@ class PhaseProblem(Compiles, ABC):
         Motion follows the polynomials of its grid: a finer one that has all of
         its nodes starts at the very same motion.
         """
-        x = np.zeros(self.program.prog.num_vars())
+        x = self.program.start()
         # Parameters and errors come before all movements, in both programs.
         shared = [*self._variables.values()]
         if self.error_variables is not None:

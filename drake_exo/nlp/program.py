@@ -144,6 +144,10 @@ class BatchedProgram:
         costs, constraints = self.prog.GetAllCosts, self.prog.GetAllConstraints
         return self.prog.num_vars(), len(costs()), len(constraints())
 
+    def start(self) -> np.ndarray:
+        """Its initial guess (num_vars,), zero where it has none."""
+        return np.nan_to_num(self.prog.initial_guess())
+
     def add_variables(self, names: list[str], sizes: list) -> np.ndarray:
         """New variables (m,) by name, scaled by their sizes (m,)."""
         found = [self.prog.NewContinuousVariables(1, n)[0] for n in names]

@@ -36,17 +36,30 @@ def _value(posed, found, variable):
 @pytest.mark.slow
 def test_what_is_added_after_a_solve_counts_in_the_next(posed):
     first = posed.solve()
-    compiled = posed.compiled
-    posed.solve()
-    assert posed.compiled is compiled
-    knee = _knee(posed)
+    knee, prog = _knee(posed), posed.program.prog
     at = _value(posed, first, knee) + 0.02
-    posed.program.prog.AddLinearConstraint(knee >= at)
+    added = prog.AddLinearConstraint(knee >= at)
     found = posed.solve()
     assert found.success
     assert _value(posed, found, knee) == pytest.approx(at, abs=1e-6)
-    posed.program.prog.AddCost(1e4 * (knee - at - 0.02) ** 2)
+    # Drake's own ways to change what is there leave as many constraints.
+    added.evaluator().UpdateLowerBound([at + 0.01])
+    found = posed.solve()
+    assert _value(posed, found, knee) == pytest.approx(at + 0.01, abs=1e-6)
+    prog.RemoveConstraint(added)
+    prog.AddLinearConstraint(knee >= at + 0.005)
+    found = posed.solve()
+    assert _value(posed, found, knee) == pytest.approx(at + 0.005, abs=1e-6)
+    prog.AddCost(1e4 * (knee - at - 0.02) ** 2)
     assert _value(posed, posed.solve(), knee) > at + 0.01
+
+
+def test_a_variable_of_ones_own_starts_where_the_program_says(posed):
+    prog = posed.program.prog
+    near, nothing = prog.NewContinuousVariables(2, "own")
+    prog.SetInitialGuess(near, 0.7)
+    own = posed.program.indices(np.array([near, nothing]))
+    assert posed.guess()[own].tolist() == [0.7, 0.0]
 
 
 @pytest.mark.slow
