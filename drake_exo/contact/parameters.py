@@ -197,6 +197,16 @@ class Posterior:
     values: np.ndarray
     covariance: np.ndarray
 
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Posterior)
+            and self.names == other.names
+            and np.array_equal(self.values, other.values)
+            and np.array_equal(self.covariance, other.covariance)
+        )
+
+    __hash__ = None
+
     def of(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Values (k,) and covariance (k, k) of some."""
         i = [self.names.index(name) for name in names]
@@ -243,7 +253,7 @@ class ContactModel:
 
     ground: GroundContact
     bushings: dict[str, BushingParameters] = field(default_factory=dict)
-    posterior: Posterior | None = None
+    posterior: Posterior | None = field(default=None, repr=False)
     jerk: float = TYPICAL_JERK
 
     def values(self) -> dict[str, float]:

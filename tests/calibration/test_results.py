@@ -18,7 +18,7 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.settings import PredictionSettings, Solver
-from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.parameters import ContactModel, Posterior
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict, read_json
 
@@ -35,6 +35,17 @@ def test_contact_survives_disk(in_device, read_back):
     assert read_back == contact
     assert read_back.values() == contact.values()
     assert read_back.units() == contact.units()
+
+
+def test_what_is_known_of_a_contact_survives_disk(in_device, tmp_path):
+    names = ("thigh.normal_stiffness", "encoder.exo_hip")
+    known = Posterior(names, np.array([5e3, 0.1]), np.diag([1.0, 1.0 / 3.0]))
+    contact = replace(in_device.contact, posterior=known)
+    write_contact(tmp_path, contact)
+    assert read_calibration(tmp_path).contact == contact
+    wider = replace(known, covariance=2.0 * known.covariance)
+    assert replace(contact, posterior=wider) != contact != in_device.contact
+    assert "covariance" not in repr(contact)
 
 
 def test_preload_of_a_strap_survives_disk(in_device, tmp_path):
