@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drake_exo.calibration.results import read_trial
+from drake_exo.calibration.results import (
+    read_calibration,
+    read_model,
+    read_trial,
+)
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     SOLVED,
@@ -251,13 +255,23 @@ class Comparison:
         return format_table(header, [[k, *cells] for k, cells in rows.items()])
 
     def settings(self) -> dict[str, list[str]]:
-        """Dotted key -> what each says, of keys that are not the same."""
+        """Dotted key -> what each says, of keys that are not the same.
+
+        Of predictions with the contact that they are made with; of one
+        subject with the model; with the filter of the first common trial.
+        """
         found = []
+        alone = len({r.summary["subject"] for r in self.results}) == 1
         for r in self.results:
             asked = {k: r.summary.get(k) for k in _ASKED}
             asked["accepted"] = ", ".join(asked["accepted"] or ()) or None
             if r.phase == "prediction":  # else it is the value reached
                 asked["objective"] = r.summary.get("objective")
+                asked["contact"] = read_calibration(r.folder).contact.values()
+            if alone:
+                asked["model"] = asdict(read_model(r.folder))
+            measured = read_trial(r.folder, self.trials[0], "measured")
+            asked["filter"] = measured.provenance.get("filter")
             found.append(dict(_leaves(asked, "")))
         rows = {}
         for key in dict.fromkeys(key for asked in found for key in asked):

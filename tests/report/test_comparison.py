@@ -7,10 +7,16 @@ import pytest
 from unmarked import unmarked
 
 from drake_exo.calibration.audit import rmsd
-from drake_exo.calibration.results import write_trial
+from drake_exo.calibration.results import (
+    write_contact,
+    write_model,
+    write_trial,
+)
 from drake_exo.cli import main
+from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict, write_json
+from drake_exo.model.plant import nominal_model
 from drake_exo.report.gathering import _labels, compare
 from drake_exo.virtual_laboratory import synthetic
 
@@ -34,9 +40,15 @@ def trials():
     return synthetic.rises_in_device(duration_s=0.8, nodes_per_second=40).trials
 
 
-def leave(folder, trials, force, **more):
+MODEL = nominal_model("coupled")
+CONTACT = nominal_contact(MODEL)
+
+
+def leave(folder, trials, force, model=MODEL, contact=CONTACT, **more):
     """Results whose normal forces are off by `force` [N]."""
     folder.mkdir(parents=True)
+    write_model(folder, model)
+    write_contact(folder, contact)
     rows = []
     for trial in trials:
         trial.save(folder / f"measured_{trial.name}")
@@ -88,6 +100,26 @@ def test_side_by_side(folders, trials):
         np.mean([np.abs(x + f).max() for x in with_mat]) for f in (5, 20, 0)
     ]
     assert ours == [f"{p:.2f}" for p in peaks]
+
+
+def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
+    filtered = [
+        replace(t, provenance={"filter": {"cutoff_hz": 8.0}}) for t in trials
+    ]
+    name = "thigh.normal_stiffness"
+    stiff = CONTACT.with_values({name: 6000.0})
+    light = replace(MODEL, gravity_m_s2=1.62)
+    first = leave(tmp_path / "a", trials, 0.0)
+    other = leave(tmp_path / "b", filtered, 0.0, model=light, contact=stiff)
+    expected = {
+        f"contact.{name}": ["5000", "6000"],
+        "model.gravity_m_s2": ["9.81", "1.62"],
+        "filter.cutoff_hz": ["-", "8"],
+    }
+    assert compare([first, other]).settings() == expected
+    # Two people differ in all of a model.
+    bert = leave(tmp_path / "c", trials, 0.0, model=light, subject="bert")
+    assert list(compare([first, bert]).settings()) == ["subject"]
 
 
 def test_half_widths_and_marks(folders, tmp_path, trials):
