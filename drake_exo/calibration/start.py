@@ -66,8 +66,8 @@ def _rolling_feet(problem, movement, at, contact) -> Start:
     tree, times = problem.tree, movement.grid.times
     targets = []
     for side, bodies in problem.feet.items():
-        foot = next(b for b in bodies if b.startswith("foot"))
-        tie = PoseKernel(tree, foot)
+        # Whether it touches itself, or what moves against it alone.
+        tie = PoseKernel(tree, "foot" if side == "both" else f"foot_{side}")
         measured = tie.poses(at.q, at.v)[:, :3]
         spheres = [problem.sphere_values(contact, b) for b in bodies]
         places = [
@@ -75,7 +75,7 @@ def _rolling_feet(problem, movement, at, contact) -> Start:
             for body, own in zip(bodies, spheres, strict=True)
         ]
         pose, rate = settle_rolling(
-            problem.kernels[foot],
+            problem.kernels[bodies[0]],
             np.concatenate(spheres),
             np.concatenate(places, axis=1),
             times,

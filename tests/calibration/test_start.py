@@ -293,6 +293,32 @@ def test_toes_that_creep_leave_their_foot_s_force_as_measured(tree, problem):
         assert np.abs(parts[1][2:-2, 0]).max() > 5.0
 
 
+def test_a_foot_that_touches_with_its_toes_alone_is_settled(tree, problem):
+    """As if on tiptoe; the other stands on its whole sole."""
+    q, _ = _standing(tree)
+    times = np.linspace(0.0, 0.2, 11)
+    q = np.tile(q[0], (len(times), 1))
+    foot, toes = "foot_right", "toes_right"
+    problem.feet["right"] = (toes,)
+    problem.soles[toes] = problem.soles.pop(foot)
+    problem.kernels[toes] = problem.kernels.pop(foot)
+    load = np.full(len(times), 300.0)
+    wrench = np.column_stack([0.0 * load, load, -0.1 * load])
+    at = SimpleNamespace(
+        q=q,
+        v=np.zeros_like(q),
+        soles={
+            side: SimpleNamespace(array=wrench, force_x=wrench[:, 0])
+            for side in problem.feet
+        },
+    )
+    movement = SimpleNamespace(grid=SimpleNamespace(times=times))
+    found = start.settled(problem, movement, at, None)
+    assert list(found.ground) == ["foot_left", toes]
+    for ground in found.ground.values():
+        np.testing.assert_allclose(ground[:, 1], load, atol=15.0)
+
+
 def test_one_foot_bears_what_a_chair_does_not(nominal_human):
     """Where no plate was under it, by the equations of motion."""
     model, trial = nominal_human
