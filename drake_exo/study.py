@@ -171,7 +171,6 @@ class Study:
     ):
         self.model = model
         self.sole = sole
-        self.device = device
         self.name = name
         check_type(model, Model, "model")
         self.foot_ground = schema.checked(
@@ -186,8 +185,10 @@ class Study:
         self.design = schema.checked(design, DesignSettings, "design")
         self.filter = schema.checked(filter, Filter, "filter")
         self._trials = as_trials(trials)
+        self.device = device
         if device is not None:
-            device.check(model.coordinates)
+            self.device = schema.check(device, Device, "device")
+            self.device.check(model.coordinates)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"

@@ -86,7 +86,7 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
 
 
 def check(settings: T, cls: type[T], name: str) -> T:
-    """Settings made in Python, if a file could say them as well.
+    """Settings made in Python as a file would say them: a dict is a group.
 
     Raises:
         InputError: they are none of `cls`, or hold what it does not allow.
@@ -98,8 +98,7 @@ def check(settings: T, cls: type[T], name: str) -> T:
         raise InputError(
             f"{name}: {first_line(str(error.args[-1]))}"
         ) from error
-    _Reader(name).read(node, cls, "", {})
-    return settings
+    return _Reader(name).read(node, type(settings), "", {})
 
 
 def checked(given, cls: type, what: str, usual=None):

@@ -567,7 +567,7 @@ class Setup:
             InputError: a file could not say them.
         """
         block = replace(self.settings.optimize, **changes)
-        schema.check(block, OptimizeBlock, f"{self.name}: optimize")
+        block = schema.check(block, OptimizeBlock, f"{self.name}: optimize")
         settings = replace(self.settings, optimize=block)
         return replace(self, settings=settings)
 

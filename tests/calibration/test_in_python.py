@@ -33,6 +33,19 @@ def _value(posed, found, variable):
     return found.values[posed.program.indices(np.array([variable]))][0]
 
 
+def test_groups_of_settings_may_be_dicts(made):
+    noise = {"moment_nm": 3.0}
+    given = dx.settings.PredictionSettings(noise=noise, solver=COARSE)
+    study = dx.Study(made.model, made.trials, prediction=given)
+    assert study.prediction.noise.moment_nm == 3.0
+    posed = dx.PredictionProblem(
+        made.model, made.trials[:1], made.contact, given
+    )
+    assert posed.settings == study.prediction
+    with pytest.raises(InputError, match=r"device is \{.*give a Device"):
+        dx.Study(made.model, made.trials, device={"carries_itself": 1.0})
+
+
 @pytest.mark.slow
 def test_what_is_added_after_a_solve_counts_in_the_next(posed):
     first = posed.solve()

@@ -230,11 +230,21 @@ def test_loads_file(tmp_path):
 )
 def test_settings_made_in_python_are_held_to_the_same(changes, words):
     made = schema.load_text(GOOD, Study)
-    assert schema.check(made, Study, "settings") is made
+    assert schema.check(made, Study, "settings") == made
     numbers = dataclasses.replace(made, start_s=np.float64(0.1))
     schema.check(numbers, Study, "settings")
     with pytest.raises(InputError, match=words):
         schema.check(dataclasses.replace(made, **changes), Study, "settings")
+
+
+def test_groups_made_in_python_are_read_as_in_a_file():
+    made = schema.load_text(GOOD, Study)
+    given = dataclasses.replace(made, filter={"length_m": 0.5})
+    found = schema.check(given, Study, "settings")
+    assert found == dataclasses.replace(made, filter=Segment(0.5))
+    wrong = dataclasses.replace(made, filter={"lenght_m": 0.5})
+    with pytest.raises(InputError, match="settings: unknown key 'lenght_m'"):
+        schema.check(wrong, Study, "settings")
 
 
 def test_settings_of_another_class_are_refused():
