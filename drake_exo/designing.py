@@ -420,6 +420,8 @@ def _parts(made: Designed) -> dict[str, float]:
     reached = {"nothing": made.today.norm_n}
     for kind in _KINDS:
         alone = _alone(made, kind)
+        if alone.solution.was_stopped:
+            return reached | {"all": made.found.norm_n}
         if alone.solution.success:
             reached[f"{kind} alone"] = alone.norm_n
     if problem.without:
@@ -448,9 +450,10 @@ def _alone(made: Designed, kind: str) -> DesignResult:
     ).solve(on_iterate=SolveWatch(f"{kind} alone"))
 
 
-def front(
-    made: Designed, shares: Sequence[float] = (0.25, 0.5, 0.75, 1.0, 1.25)
-) -> list[dict]:
+SHARES = (0.25, 0.5, 0.75, 1.0, 1.25)
+
+
+def front(made: Designed, shares: Sequence[float] = SHARES) -> list[dict]:
     """The least norm of forces for each share of today's support.
 
     Args:
@@ -459,7 +462,9 @@ def front(
             as low as the share asks for.
 
     Returns:
-        Rows share, work_j, norm_n, success, design.
+        Rows share, work_j, norm_n, success, design, and whether another one
+        gives as much support for less (dominated): with little, the person
+        bears the device. Fewer where the user stops a solve.
     """
     rows = []
     problem, settings = made.found.problem, made.settings
@@ -487,4 +492,10 @@ def front(
                 "design": asdict(design_of(found.values, problem.without)),
             }
         )
-    return [row for row in rows if row["success"]]
+    solved = [row for row in rows if row["success"]]
+    for row in rows:
+        row["dominated"] = any(
+            other["share"] >= row["share"] and other["norm_n"] < row["norm_n"]
+            for other in solved
+        )
+    return rows

@@ -11,7 +11,7 @@ from worn import wearer as worn
 
 from drake_exo import designed, designing
 from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_result import norm_of, works
+from drake_exo.calibration.design_result import DesignResult, norm_of, works
 from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.settings import (
     CuffFreedom,
@@ -20,6 +20,8 @@ from drake_exo.calibration.settings import (
     Population,
     Solver,
 )
+from drake_exo.cli import design as command
+from drake_exo.contact.strap import Design
 from drake_exo.designed import Designed, Moved, forecast_norm
 from drake_exo.designing import front
 from drake_exo.model.plant import nominal_model
@@ -390,8 +392,45 @@ def test_a_front_asks_for_shares_of_today_s_work(made, monkeypatch):
     assert low == ((pytest.approx(0.35), 1.3), 0.5)
     assert mid == ((0.7, 1.3), 1.0)
     assert high == ((0.7, pytest.approx(2.6)), 2.0)
+    assert not any(r["dominated"] for r in rows)
     # All as today: its work, whatever was asked for.
     assert rows[0]["work_j"] == pytest.approx(made.support["before"])
+
+
+def test_points_of_a_front_that_nobody_would_take_are_told(
+    made, monkeypatch, tmp_path, capsys
+):
+    """Less support for more force; a failed solve; all after Ctrl-C."""
+    norms = {0.25: 9.0, 0.5: 5.0, 0.75: 4.0, 1.0: 6.0}
+
+    class Posed:
+        def __init__(self, wearers, settings, support, **_):
+            self.support = support
+
+        def solve(self, **_):
+            solution = SimpleNamespace(
+                success=self.support != 0.75,
+                was_stopped=self.support not in norms,
+            )
+            return replace(
+                made.found,
+                solution=solution,
+                values=made.found.values | {"share": self.support},
+            )
+
+    monkeypatch.setattr(designing, "DesignProblem", Posed)
+    monkeypatch.setattr(designing, "design_of", lambda *_: Design())
+    norm = property(lambda r: norms.get(r.values.get("share"), 1.0))
+    monkeypatch.setattr(DesignResult, "norm_n", norm)
+    rows = front(made)
+    assert [r["share"] for r in rows] == list(norms)
+    assert [r["success"] for r in rows] == [True, True, False, True]
+    assert [r["dominated"] for r in rows][:2] == [True, False]
+    assert not command._write_front(made, tmp_path)
+    printed = capsys.readouterr().out
+    for words in ("0.25 (dominated)", "0.75 (failed)", "after 4 points"):
+        assert words in printed
+    assert (tmp_path / "front.png").is_file()
 
 
 def test_wearers_stand_for_others(made, monkeypatch):

@@ -22,7 +22,7 @@ from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
-from drake_exo.nlp.ipopt import Iterate
+from drake_exo.nlp.ipopt import STOPPED_BY_USER, Iterate
 
 _STEP_RAD = 1e-5
 
@@ -152,7 +152,8 @@ def fewer(
                 tried.append(Tried(without, why_not=why_not))
                 continue
             if rival.solution.was_stopped:
-                return min(rivals, key=lambda r: r[0], default=best)[1], tried
+                tried.append(Tried(without, why_not=STOPPED_BY_USER))
+                return min([best, *rivals], key=lambda r: r[0])[1], tried
             try:
                 norm = forecast(rival)
             except InputError as error:

@@ -124,7 +124,7 @@ def pareto_front(result: PhaseResult) -> list[dict]:
 
     Returns:
         One row for each factor: factor, success, and of each of FRONT_KINDS the
-        mean and the worst RMSD.
+        mean and the worst RMSD; fewer where the user stops a solve.
     """
     problem = result.problem
     settings, noise = problem.settings, problem.settings.noise
@@ -146,6 +146,8 @@ def pareto_front(result: PhaseResult) -> list[dict]:
                 problem.parameters,
                 refined=problem.refined,
             ).solve(near=result)
+            if found.solution.was_stopped:
+                break
         rows.append(_row(factor, found))
         progress.update(f"factor {factor:g}", done=i + 1)
     return rows

@@ -258,7 +258,7 @@ def _write(
 ) -> int:
     """Write what a phase found and say it; returns the exit code."""
     verdict = found.verdict(checks, accepted)
-    summary = found.write(out, verdict) | more
+    summary, stopped = found.write(out, verdict) | more, False
     print(parameters_table(summary["parameters"]))
     if summary["clocks"]:
         print(clocks_table(summary["clocks"]))
@@ -266,16 +266,21 @@ def _write(
     if found.success:
         print(audit_table(summary["audit"]))
         if front:
-            summary["front"] = pareto_front(found.result)
+            rows = summary["front"] = pareto_front(found.result)
+            stopped = len(rows) < len({1.0, *found.study.foot_ground.front})
             print("Pareto front of kinematics against forces")
-            print(front_table(summary["front"]))
-            figure = front_figure(summary["front"])
-            save_figure(out / "front.png", figure, verdict.mark)
+            print(front_table(rows) + told_stopped(stopped, len(rows)))
+            save_figure(out / "front.png", front_figure(rows), verdict.mark)
     write_json(out / SUMMARY, summary)
     print(verdict.text())
     if not found.success:
         return report_failure(found.solution)
-    return verdict.exit_code
+    return STOPPED_CODE if stopped else verdict.exit_code
+
+
+def told_stopped(stopped: bool, count: int) -> str:
+    """A line below the table of a front that has so many points, if so."""
+    return f"\nstopped by the user after {count} points" if stopped else ""
 
 
 def report_failure(

@@ -11,12 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from drake_exo.cli import add_accept, add_out, add_study
-from drake_exo.cli.calibrate import report_failure
+from drake_exo.cli.calibrate import report_failure, told_stopped
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.designed import Designed
-from drake_exo.designing import built, design, front
+from drake_exo.designing import SHARES, built, design, front
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
+    STOPPED_CODE,
     Check,
     prepare_output_folder,
     save_figure,
@@ -122,11 +123,11 @@ def run(args: argparse.Namespace) -> int:
             made = _built(made, studies[0], laboratory, out)
             verdict = made.write(out, args.accept)
         print(made.table())
-        if args.front:
-            _write_front(made, out)
+        stopped = args.front and not _write_front(made, out)
         print(verdict.text())
-    print(f"results in {args.out}")
-    return verdict.exit_code
+        folder.end(STOPPED_CODE if stopped else verdict.exit_code)
+    print(f"results in {folder.path}")
+    return STOPPED_CODE if stopped else verdict.exit_code
 
 
 def _laboratory(path: Path) -> dict:
@@ -152,14 +153,31 @@ def _built(
     return built(made, study, {name: measured})
 
 
-def _write_front(made: Designed, out: Path) -> None:
+def _told(row: dict) -> str:
+    if not row["success"]:
+        return " (failed)"
+    return " (dominated)" if row["dominated"] else ""
+
+
+def _write_front(made: Designed, out: Path) -> bool:
+    """Whether it went to its end."""
     rows = front(made)
+    whole = len(rows) == len(SHARES)
     write_json(out / "front.json", rows)
     print(
         format_table(
             ["work of the device, share", "work [J]", "norm of forces [N]"],
-            [[f"{r['share']:g}", r["work_j"], r["norm_n"]] for r in rows],
+            [
+                [
+                    f"{r['share']:g}{_told(r)}",
+                    r["work_j"],
+                    r["norm_n"],
+                ]
+                for r in rows
+            ],
         )
+        + told_stopped(not whole, len(rows))
     )
     mark = made.verdict().mark
     save_figure(out / "front.png", design_front_figure(rows), mark)
+    return whole

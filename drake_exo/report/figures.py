@@ -690,11 +690,12 @@ def _draw_ends(axis, model, q) -> None:
 
 
 def design_front_figure(rows: list[dict]) -> Figure:
-    """Norm of the forces against the device's work.
+    """Norm of the forces against the device's work; hollow if dominated.
 
     Args:
         rows: as `designing.front` gives them.
     """
+    rows = [row for row in rows if row["success"]]
     with matplotlib.rc_context(STYLE):
         figure = Figure((4.2, 3.2), layout="constrained")
         axis = figure.subplots()
@@ -702,6 +703,15 @@ def design_front_figure(rows: list[dict]) -> Figure:
             [row["work_j"] for row in rows],
             [row["norm_n"] for row in rows],
             "o-",
+            color=_AFTER,
+            ms=4,
+            mfc="none",
+        )
+        best = [row for row in rows if not row["dominated"]]
+        axis.plot(
+            [row["work_j"] for row in best],
+            [row["norm_n"] for row in best],
+            "o",
             color=_AFTER,
             ms=4,
         )

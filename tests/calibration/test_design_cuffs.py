@@ -108,13 +108,17 @@ def test_stopped_it_keeps_the_best_so_far(norms):
     norms(shank=0.8, thigh=0.9, shank_thigh="stopped")
     best, tried = fewer(design(), built, None)
     assert best.problem.without == ("shank",)
-    assert [t.without for t in tried][-1] == ("pelvis",)
+    assert [t.without for t in tried][-2:] == [("pelvis",), ("shank", "thigh")]
+    assert tried[-1].why_not == "stopped by the user"
 
 
 def test_stopped_among_rivals_it_keeps_the_best_of_them(norms):
     norms(shank=0.3, thigh="stopped", pelvis=0.2)
     best, _ = fewer(design(), built, None)
     assert best.problem.without == ("shank",)
+    norms(shank=1.3)
+    best, _ = fewer(design(), built, None)
+    assert best.problem.without == ()
 
 
 # Of 9: foot, then ankle, knee, hip, then the device's, a little off.

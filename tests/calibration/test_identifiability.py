@@ -4,6 +4,7 @@ import argparse
 import json
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,11 +20,13 @@ from drake_exo.calibration.uncertainty import (
     contact_sensitivity,
     radius_profile,
 )
+from drake_exo.cli import calibrate
 from drake_exo.cli import sensitivity as command
 from drake_exo.collocation.kernels import (
     FootGroundKernel,
 )
-from drake_exo.files.output import save_figure
+from drake_exo.files.output import Verdict, save_figure
+from drake_exo.nlp.ipopt import STOPPED_BY_USER
 from drake_exo.report.figures import front_figure
 from drake_exo.report.gathering import front_table
 from drake_exo.study import Study
@@ -141,6 +144,34 @@ def test_a_front_s_failed_solve_is_told(result):
     rows = pareto_front(PhaseResult(problem, result.solution))
     assert [r["success"] for r in rows] == [False, True]
     assert "0.5 (failed)" in front_table(rows)
+
+
+def test_a_front_ends_where_it_is_stopped(result, monkeypatch, tmp_path):
+    """With what it has, and the rest of the results as they are."""
+    stopped = replace(result.solution, success=False, status=STOPPED_BY_USER)
+    monkeypatch.setattr(
+        PhaseProblem, "solve", lambda p, **_: PhaseResult(p, stopped)
+    )
+    problem = copy(result.problem)
+    problem.settings = replace(problem.settings, front=(2.0, 4.0))
+    rows = pareto_front(PhaseResult(problem, result.solution))
+    assert [r["factor"] for r in rows] == [1.0]
+    study = SimpleNamespace(foot_ground=problem.settings)
+    told = SimpleNamespace(
+        study=study,
+        result=PhaseResult(problem, result.solution),
+        success=True,
+        verdict=lambda *_: Verdict((), ()),
+        write=lambda *_: (
+            dict.fromkeys(("parameters", "rmsd", "measured_sd", "audit"), ())
+            | {"clocks": ()}
+        ),
+    )
+    for name in ("parameters_table", "rmsd_table", "audit_table"):
+        monkeypatch.setattr(calibrate, name, lambda *_: "")
+    assert calibrate._write(told, tmp_path, {}, True, (), ()) == 130
+    found = json.loads((tmp_path / "summary.json").read_text())
+    assert [r["factor"] for r in found["front"]] == [1.0]
 
 
 def test_a_front_is_of_the_grid_that_was_found(result, monkeypatch):

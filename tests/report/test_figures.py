@@ -418,10 +418,14 @@ def test_what_is_to_be_built_is_told_in_words(design, words):
 
 
 def test_a_design_s_front_is_force_against_work():
-    rows = [{"work_j": 5.0, "norm_n": 70.0}, {"work_j": 9.0, "norm_n": 50.0}]
+    rows = [
+        {"work_j": w, "norm_n": n, "success": n < 99.0, "dominated": n > 60.0}
+        for w, n in ((5.0, 70.0), (7.0, 99.0), (9.0, 50.0))
+    ]
     (ax,) = figures.design_front_figure(rows).axes
-    (line,) = ax.get_lines()
+    line, best = ax.get_lines()
     np.testing.assert_array_equal(line.get_data(), [[5.0, 9.0], [70.0, 50.0]])
+    np.testing.assert_array_equal(best.get_data(), [[9.0], [50.0]])
 
 
 @pytest.mark.slow
