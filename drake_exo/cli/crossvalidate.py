@@ -9,7 +9,8 @@ import argparse
 
 import numpy as np
 
-from drake_exo.calibration.phases import check_has_cuffs
+from drake_exo.calibration.phases import check_has_cuffs, check_is_measured
+from drake_exo.calibration.problem import has_encoders
 from drake_exo.cli.calibrate import add_study_arguments
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
@@ -46,10 +47,15 @@ def run(args: argparse.Namespace) -> int:
             f"{args.study}: has one trial with 'use: calibration', and none "
             "to leave out; give at least two"
         )
+    check_is_measured(trials)
+    told = [t.name for t in trials if has_encoders(t)]
+    # Without it nothing could be calibrated.
+    trials = tuple(t for t in trials if [t.name] != told)
     if not any(t.cuffs for t in trials):
         raise InputError(
-            f"{args.study}: no trial for calibration has pressure mats to "
-            "compare with; give 'pressure' for at least one"
+            f"{args.study}: no trial that can be left out has pressure mats to "
+            "compare with; give 'pressure' for at least one, and 'encoders' "
+            "for two"
         )
     plausible = study.gate("calibration", args.accept)
     folds: list[dict] = []
@@ -67,6 +73,8 @@ def run(args: argparse.Namespace) -> int:
             if folds[-1]["stopped"]:
                 break
     print(_table(folds))
+    if len(told) == 1:
+        print(f"{told[0]} alone has encoders, and is never left out")
     print(summary["sentence"])
     print(held.text())
     print(f"results in {args.out}")

@@ -58,7 +58,10 @@ def test_sensitivity_tells_the_strongest_parts_and_heights(capsys):
 @pytest.fixture
 def left_out(monkeypatch):
     """Cross-validation of three trials whose folds are as they are put."""
-    trials = [SimpleNamespace(name=n, cuffs=["pelvis"]) for n in "abc"]
+    trials = [
+        SimpleNamespace(name=n, cuffs=["pelvis"], provenance={"encoders": n})
+        for n in "abc"
+    ]
     study = SimpleNamespace(
         model=None, name="x", trials=lambda use: trials, gate=lambda *_: ()
     )
@@ -81,7 +84,24 @@ def left_out(monkeypatch):
         )
         return crossvalidate.run(args), json.loads((out / SUMMARY).read_text())
 
+    run.trials = trials
     return run
+
+
+def test_the_only_trial_with_encoders_is_not_left_out(
+    left_out, tmp_path, capsys
+):
+    """Without it nothing could be calibrated."""
+    for trial in left_out.trials[1:]:
+        trial.provenance = {"exoskeleton_angles": "the human's"}
+    code, summary = left_out(tmp_path / "one")
+    assert code == 0
+    assert [f["trial"] for f in summary["folds"]] == ["b", "c"]
+    assert "a alone has encoders, and is never left" in capsys.readouterr().out
+    for trial in left_out.trials[1:]:
+        trial.cuffs = []
+    with pytest.raises(InputError, match="no trial that can be left out has"):
+        left_out(tmp_path / "none")
 
 
 def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
