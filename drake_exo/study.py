@@ -43,11 +43,11 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.settings import (
-    BushingSettings,
     DesignSettings,
     FootGroundSettings,
     InteractionSettings,
     PredictionSettings,
+    own_keys,
 )
 from drake_exo.calibration.solving import SolveWatch, forget, solve
 from drake_exo.calibration.uncertainty import (
@@ -87,7 +87,6 @@ from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial, as_trials
 from drake_exo.model.assembly import without_side
 from drake_exo.model.plant import Model
-from drake_exo.model.segments import CUFFED
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
 
@@ -118,13 +117,11 @@ class StudyFile(RecordingSettings):
         spheres = dict.fromkeys((*own, *map(without_side, own)))
         own = self.assembly.cuffs
         cuffs = dict.fromkeys((*own, *map(without_side, own)))
-        usual = [
-            c for c in CUFFED if self.interaction.of(c) != BushingSettings()
-        ]
         for key, given, known in (
             ("foot_ground.spheres", self.foot_ground.spheres, spheres),
             ("interaction.cuffs", self.interaction.cuffs, cuffs),
-            ("interaction", usual, cuffs),
+            ("foot_ground", own_keys(self.foot_ground), spheres),
+            ("interaction", own_keys(self.interaction), cuffs),
         ):
             for name in given:
                 if known and name not in known:

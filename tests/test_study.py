@@ -86,6 +86,22 @@ def test_data_root_must_be_a_folder(tmp_path):
         ),
         (
             "model: human",
+            "model: {ground: {foot: [heel, ball]}}",
+            "foot_ground: the model has no 'toe'; it has heel, ball",
+        ),
+        (
+            "  prior",
+            "  spheres: {toe: {}}\n  prior",
+            "spheres: 'toe' is said by the key toe, too; keep one of them",
+        ),
+        (
+            "model: human",
+            "model: human\ninteraction: {thigh: {slip_n: null}, "
+            "cuffs: {thigh: {}}}",
+            "cuffs: 'thigh' is said by the key thigh, too",
+        ),
+        (
+            "model: human",
             "model: {device: {file: a.urdf, weld: {a: foot}}}\n"
             "exoskeleton: {shank: {mass_kg: 2}}",
             "exoskeleton has values of the shipped device",

@@ -277,6 +277,7 @@ class FootGroundSettings:
     sole_at_m: tuple[float, float] | None = quantity("m", None)
 
     def __post_init__(self):
+        _check_once(self, "spheres")
         if self.of_sole:
             if self.law.suffix not in (".yaml", ".yml"):
                 raise InputError(
@@ -354,6 +355,30 @@ class FootGroundSettings:
                 self.law_constants(),
             )
         )
+
+
+# Spheres with keys of their own, as CUFFED cuffs.
+_SPHERES = ("heel", "toe")
+
+
+def own_keys(settings) -> list[str]:
+    """Usual spheres or cuffs of which something is said by their own key."""
+    usual = {f.name: f for f in fields(settings)}
+    return [
+        k
+        for k in (*_SPHERES, *CUFFED)
+        if k in usual and getattr(settings, k) != _default(usual[k])
+    ]
+
+
+def _check_once(settings, group: str) -> None:
+    """Refuse a name that has its own key in a group of names, too."""
+    for name in own_keys(settings):
+        if name in getattr(settings, group):
+            raise InputError(
+                f"{group}: {name!r} is said by the key {name}, too; keep one "
+                "of them"
+            )
 
 
 def _default(f: Field):
@@ -500,6 +525,9 @@ class InteractionSettings:
     prior_weight: float = quantity(None, 1.0, minimum=0.0)
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
+
+    def __post_init__(self):
+        _check_once(self, "cuffs")
 
     def of(self, cuff: str) -> BushingSettings:
         """Of one cuff by name; those of `thigh` are `thigh_left`'s, too."""
