@@ -166,6 +166,11 @@ class Model:
                     f"{device.name}: joint {joint!r} is called as one of the "
                     "person's; rename it in the file"
                 )
+            if "." in joint:  # unknowns and variables are NAME.KEY
+                raise InputError(
+                    f"{device.name}: joint {joint!r} has a dot in its name; "
+                    "rename it in the file"
+                )
         names = replace(names, coupling=_coupling(self, tree))
         return replace(tree, coordinates=names)
 

@@ -196,6 +196,14 @@ def test_joints_called_as_the_person_s_are_refused(joint):
         edited(ANKLE, ('name="motor"', f'name="{joint}"')).tree  # noqa: B018
 
 
+def test_joints_with_dots_are_refused():
+    """What is found of a joint is called encoder.JOINT or JOINT.factor."""
+    with pytest.raises(
+        InputError, match=r"'left\.motor' has a dot in its name"
+    ):
+        edited(ANKLE, ('name="motor"', 'name="left.motor"')).tree  # noqa: B018
+
+
 @pytest.mark.parametrize("name", ["calf", "thigh", "exo_calf", "shank_cuff"])
 def test_a_cuff_s_name_says_nothing_of_what_it_joins(name):
     cuffs = {name: CuffLinks("shank", "calf")}
