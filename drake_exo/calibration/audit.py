@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.problem import PhaseResult, has_encoders
 from drake_exo.collocation.bushing_kernels import UNITS
 from drake_exo.collocation.kernels import (
     FORCE_UNIT,
@@ -360,8 +360,9 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
             nothing while human and exoskeleton do not touch (Phase A).
 
     Returns:
-        trial, angles_deg and velocities_deg_s by joint, the root's place under
-        its name (x_mm, z_mm, pitch_deg), grf_n (horizontal, vertical) and
+        trial, angles_deg and velocities_deg_s by joint, the device's where it
+        had encoders, the root's place under its name (x_mm, z_mm, pitch_deg),
+        grf_n (horizontal, vertical) and
         cop_mm, each by foot where there are two; where they were measured,
         moments_nm by joint and interaction_n (normal force) by cuff, empty
         otherwise.
@@ -385,10 +386,14 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
         if cuff in found.cuffs:
             off = found.cuffs[cuff].normal - force.normal
             interaction[cuff] = float(rms(off, times))
+    angles, rates = _of_joints(names, d_q), _of_joints(names, d_v)
+    if not has_encoders(measured):
+        for joint in names.device:
+            del angles[joint], rates[joint]
     return {
         "trial": found.name,
-        "angles_deg": _of_joints(names, d_q),
-        "velocities_deg_s": _of_joints(names, d_v),
+        "angles_deg": angles,
+        "velocities_deg_s": rates,
         names.root[0].removesuffix("_x"): {
             "x_mm": float(1e3 * x),
             "z_mm": float(1e3 * z),

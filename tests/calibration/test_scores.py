@@ -58,6 +58,11 @@ def test_each_signal_by_its_name_in_its_unit():
         assert found["velocities_deg_s"][joint] == pytest.approx(10.0 * angle)
         assert found["moments_nm"][joint] == pytest.approx(k + 2.0)
     assert list(found["angles_deg"]) == list(JOINTS)
+    # Without encoders the device's angles are the human's.
+    bare = {"exoskeleton_angles": "the human's"}
+    found = rmsd(off, replace(measured, provenance=bare))
+    for kind in ("angles_deg", "velocities_deg_s"):
+        assert list(found[kind]) == ["ankle", "knee", "hip"]
     assert found["foot"] == pytest.approx(
         {"x_mm": 1.0, "z_mm": 2.0, "pitch_deg": 0.003 * degrees}
     )
