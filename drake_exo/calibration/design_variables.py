@@ -171,18 +171,21 @@ def _gains(joint: str, settings: DesignSettings) -> list[Variable]:
 
 def _driven(wearers: Sequence[Wearer]) -> list[str]:
     """Joints of the device with more than friction to offer."""
-    joints = wearers[0].model.coordinates.device
-    most = np.max(
-        [
-            [np.abs(t.moment(joint)).max() for joint in joints]
-            for w in wearers
-            for t in w.trials
-        ],
-        axis=0,
+    names = wearers[0].model.coordinates
+    trials = [(w, t) for w in wearers for t in w.trials]
+    # A bench may be wrong about friction: both count.
+    most, drive = (
+        np.max([np.abs(x).max(axis=0) for x in torques], axis=0)
+        for torques in (
+            [t.moments[:, names.is_device_joint] for _, t in trials],
+            [w.drive(t) for w, t in trials],
+        )
     )
     return [
         joint
-        for joint, moment in zip(joints, most, strict=True)
+        for joint, moment in zip(
+            names.device, np.minimum(most, drive), strict=True
+        )
         if moment > _DRIVEN * most.max()
     ]
 

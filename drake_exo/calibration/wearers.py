@@ -369,6 +369,19 @@ class Wearer:
         """Of the device's joints in a trial, see `joint_friction`."""
         return joint_friction(trial, self.model, self.contact, self.device)
 
+    def drive(self, trial: Trial) -> np.ndarray:
+        """What the device's joints give (n, m) in a trial but friction [N m].
+
+        Nothing where the study's device model gives the torques of one that
+        bears nothing of itself: springs and rotors are no drives.
+        """
+        given = trial.moments[:, trial.coordinates.is_device_joint]
+        source = trial.provenance.get("moments", {}).get("exoskeleton", "")
+        modelled = self.device is not None and "device model" in source
+        if modelled and not self.device.carries_itself:
+            return np.zeros(given.shape)
+        return given - self.friction(trial)
+
     def slope(self, trial: Trial) -> np.ndarray:
         """Of the drives' torques in a trial, see `posture_slope`."""
         return posture_slope(self.model, self.law, trial.q)

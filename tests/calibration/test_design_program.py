@@ -44,6 +44,7 @@ from drake_exo.contact.strap import (
     Gains,
     weight_above,
 )
+from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.model.plant import nominal_model
 
 CUFFS = ("shank", "thigh", "pelvis")
@@ -673,6 +674,30 @@ def test_factors_are_over_the_range_that_a_joint_moves_in(wearer):
     assert [n for n in names if n.startswith("exo_hip.factor")] == [
         f"exo_hip.factor_at_{k}_of_3" for k in (1, 2, 3)
     ]
+
+
+def test_what_no_drive_gives_has_no_factor(wearer):
+    """Friction as recorded; springs and friction of a passive device."""
+    (own,) = wearer.trials
+    device = Device(hip=JointDrive(viscous_nm_s=20.0))
+    rubs = replace(wearer, device=device)
+    hip = [n.startswith("exo_hip.factor") for n in _factors(rubs)]
+    assert any(hip) and not all(hip)
+    moments = own.moments.copy()
+    joint = own.coordinates.joint("exo_hip")
+    moments[:, joint] = rubs.friction(own)[:, -1]
+    assert np.abs(moments[:, joint]).max() > 10.0
+    rubs = replace(rubs, trials=(replace(own, moments=moments),))
+    assert {n.partition(".")[0] for n in _factors(rubs)} == {"exo_knee"}
+    said = {"moments": {"exoskeleton": "device model"}}
+    passive = replace(rubs, trials=(replace(own, provenance=said),))
+    assert not _factors(passive)
+    assert _factors(replace(passive, device=Device(carries_itself=1.0)))
+
+
+def _factors(wearer):
+    names = [v.name for v in design_variables([wearer], SETTINGS)]
+    return [n for n in names if ".factor" in n]
 
 
 def test_gains_have_their_bounds(wearer):
