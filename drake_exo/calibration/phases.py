@@ -501,19 +501,16 @@ class PeriodicStep(PredictionProblem):
         movement = super()._add(trial)
         grid, names = movement.grid, movement.coordinates
         at = trial.sample(grid.times)
-        for side, wrench in at.feet.items():
-            foot = f"foot_{side}"
-            swings = _middle(~wrench.is_loaded)
-            if not len(swings):
-                continue
-            kernel = SoleKernel(self.sphere_values(self.contact, foot))
-            self.program.add_constraints(
-                f"{movement.name} clearance of {foot}",
-                kernel,
-                movement.poses[foot][swings],
-                self.settings.clearance_m,
-                np.inf,
-            )
+        for side, bodies in self.feet.items():
+            swings = _middle(~at.feet[side].is_loaded)
+            for body in bodies if len(swings) else ():
+                self.program.add_constraints(
+                    f"{movement.name} clearance of {body}",
+                    SoleKernel(self.sphere_values(self.contact, body)),
+                    movement.poses[body][swings],
+                    self.settings.clearance_m,
+                    np.inf,
+                )
         for name in names.human:
             lower, upper = np.deg2rad(_RANGES_DEG[name.split("_")[0]])
             q, own = grid.q[:, names.index(name)], at.coordinate(name)

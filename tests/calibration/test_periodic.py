@@ -184,6 +184,22 @@ def test_a_swinging_foot_clears_the_ground_in_the_middle(model, step):
         assert value == pytest.approx(place[1] + turned.imag - radius)
 
 
+def test_toes_clear_the_ground_as_their_foot_does(step):
+    """Those of the foot in the air, which hang lower than its heel."""
+    kind = Assembly(Person("two", "hinged"))
+    hinged = Model(kind, scale_human(70.0, 1.75))
+    names = hinged.coordinates
+    columns = [names.index(n) for n in step.coordinates.names]
+    motion = [np.zeros((len(TIMES), len(names))) for _ in range(3)]
+    for own, x in zip(motion, (step.q, step.v, step.a), strict=True):
+        own[:, columns] = x
+    q, v, a = motion
+    walked = replace(step, coordinates=names, q=q, v=v, a=a)
+    problem = posed(hinged, walked, clearance_m=0.02)
+    found = [b.name.split()[-1] for b in blocks(problem, "clearance")]
+    assert found == ["foot_right", "toes_right"]
+
+
 def test_the_middle_half_of_the_longest_run():
     free = np.zeros(30, bool)
     free[2:10] = free[20:24] = True
