@@ -182,8 +182,12 @@ def _check_complete(path: Path) -> None:
         raise _truncated(path)
     if processor[0] not in (_INTEL, _DEC, _MIPS):
         raise _damaged(path, "names no processor type")
-    order = ">" if processor[0] == _MIPS else "<"
-    words = np.frombuffer(data[:24], order + "u2").astype(int)
+    if processor[0] == _MIPS:  # which ezc3d does not read
+        raise InputError(
+            f"{path}: holds numbers of a MIPS processor, which cannot be "
+            "read; save it with those of a PC (Intel)"
+        )
+    words = np.frombuffer(data[:24], "<u2").astype(int)
     points, analogs, first, last, start = words[[1, 2, 3, 4, 8]]
     if last == _LONG:
         return
