@@ -190,7 +190,7 @@ def _cuff_rows(found: Trial) -> list[tuple]:
     def signal(cuff):
         return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
 
-    return [(f"{cuff} [N]", signal(cuff)) for cuff in found.cuffs]
+    return [(f"{cuff} normal [N]", signal(cuff)) for cuff in found.cuffs]
 
 
 def _shade(axes, trial: Trial, band: Bands, color) -> None:
@@ -536,7 +536,7 @@ def forces_figure(designed) -> Figure:
                 if column == 0:
                     out = cuff in designed.design.removed
                     end = ",\nleft out" if out else ""
-                    axis.set_ylabel(f"{cuff} [N]{end}")
+                    axis.set_ylabel(f"{cuff} normal [N]{end}")
             several = f"{name}\n" if len(wearers) > 1 else ""
             title = f"{several}{before.trial.name}"
             axes[0, column].set_title(title, fontsize=8)

@@ -82,7 +82,11 @@ def test_cuffs_are_calibrated(cuffs, made):
     value = f"{stiffness.nominal:.4g}"
     assert ["pelvis.normal_stiffness", value, "N/m"] in map(str.split, rows)
     labels = [ax.get_ylabel() for ax in cuffs.plot().axes]
-    assert labels == ["shank [N]", "thigh [N]", "pelvis [N]"]
+    assert labels == [
+        "shank normal [N]",
+        "thigh normal [N]",
+        "pelvis normal [N]",
+    ]
     told = {row["name"]: row for row in cuffs.summary()["parameters"]}
     assert told["pelvis.normal_stiffness"]["half_width_95"] > 0.0
 

@@ -129,15 +129,19 @@ def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
     runs = {"C1": found, "C2": [None, other]}
     figure = figures.interaction_figure(runs, trials)
     rows = panels(figure, 2)
-    assert list(rows) == ["thigh [N]", "pelvis [N]", "shank [N]"]
-    assert set(lines(rows["shank [N]"][0])) == {"C1"}  # has no mat
-    first = lines(rows["thigh [N]"][0])
+    assert list(rows) == [
+        "thigh normal [N]",
+        "pelvis normal [N]",
+        "shank normal [N]",
+    ]
+    assert set(lines(rows["shank normal [N]"][0])) == {"C1"}  # has no mat
+    first = lines(rows["thigh normal [N]"][0])
     assert set(first) == {"measured", "C1"}  # C2 failed there
-    second = lines(rows["thigh [N]"][1])
+    second = lines(rows["thigh normal [N]"][1])
     same(second["measured"], trials[1].times, trials[1].cuffs["thigh"].normal)
     same(second["C1"], found[1].times, found[1].cuffs["thigh"].normal)
     same(second["C2"], other.times, other.cuffs["thigh"].normal)
-    used = colours(rows["thigh [N]"][1])
+    used = colours(rows["thigh normal [N]"][1])
     assert len(set(used.values())) == 3
     legend = [t.get_text() for t in figure.legends[0].get_texts()]
     assert legend == ["measured", "C1", "C2"]
@@ -162,7 +166,7 @@ def test_bands_lie_around_the_first_run(trials, found, runs):
     assert legend[0] == "measured"
     assert "95 % band" in legend
     for cuff, force in found[0].cuffs.items():
-        (area,) = rows[f"{cuff} [N]"][0].collections
+        (area,) = rows[f"{cuff} normal [N]"][0].collections
         corners = area.get_paths()[0].vertices
         low, high = corners.min(axis=0), corners.max(axis=0)
         normal = force.normal
@@ -172,10 +176,10 @@ def test_bands_lie_around_the_first_run(trials, found, runs):
         np.testing.assert_allclose(
             [start.min(), start.max()], [normal[0] - 3.0, normal[0] + 3.0]
         )
-        ax = rows[f"{cuff} [N]"][0]
+        ax = rows[f"{cuff} normal [N]"][0]
         colour = to_rgb(colours(ax)["C1"])
         np.testing.assert_allclose(area.get_facecolor()[0, :3], colour)
-        assert not rows[f"{cuff} [N]"][1].collections
+        assert not rows[f"{cuff} normal [N]"][1].collections
 
 
 @pytest.mark.slow
@@ -336,8 +340,8 @@ def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
                 y = areas[0].get_paths()[0].vertices[:, 1]
                 assert y.min() == pytest.approx((0.5 * own).min() - 6.0)
                 assert y.max() == pytest.approx((0.5 * own).max() + 6.0)
-    assert axes[0, 0].get_ylabel() == "thigh [N]"
-    assert axes[1, 0].get_ylabel() == "pelvis [N],\nleft out"
+    assert axes[0, 0].get_ylabel() == "thigh normal [N]"
+    assert axes[1, 0].get_ylabel() == "pelvis normal [N],\nleft out"
     assert not axes[0, 1].get_ylabel()
     legend = [t.get_text() for t in figure.legends[0].get_texts()]
     assert sorted(legend) == [
@@ -448,16 +452,20 @@ def test_one_trial_at_a_glance(trials, found):
     axes = {ax.get_ylabel(): ax for ax in figure.axes}
     units = [f"{joint} [{u}]" for u in ("°", "°/s") for joint in JOINTS[:3]]
     ground = ["$F_x$ [N]", "$F_z$ [N]", "CoP $x$ [m]"]
-    assert set(axes) == {*units, *(f"{cuff} [N]" for cuff in CUFFS), *ground}
-    drawn = lines(axes["thigh [N]"])
+    assert set(axes) == {
+        *units,
+        *(f"{cuff} normal [N]" for cuff in CUFFS),
+        *ground,
+    }
+    drawn = lines(axes["thigh normal [N]"])
     same(drawn["measured"], measured.times, measured.cuff("thigh").normal)
     same(drawn["predicted"], predicted.times, predicted.cuff("thigh").normal)
     for cuff, force in predicted.cuffs.items():
-        (area,) = axes[f"{cuff} [N]"].collections
+        (area,) = axes[f"{cuff} normal [N]"].collections
         y = area.get_paths()[0].vertices[:, 1]
         around = [force.normal.min() - 4.0, force.normal.max() + 4.0]
         np.testing.assert_allclose([y.min(), y.max()], around)
-    assert "measured" not in lines(axes["shank [N]"])
+    assert "measured" not in lines(axes["shank normal [N]"])
     assert [t.get_text() for t in figure.texts] == [measured.name]
 
 
