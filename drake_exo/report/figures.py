@@ -194,19 +194,20 @@ def _cuff_rows(found: Trial) -> list[tuple]:
 
 
 def _shade(axes, trial: Trial, band: Bands, color) -> None:
-    """Bands of normal forces, one cuff after the other."""
+    """Bands of normal forces, as `Bands.coverage` counts them."""
     for ax, cuff in zip(axes, trial.cuffs, strict=True):
-        _draw_band(ax, trial, band, cuff, color)
+        off = band.off_mats.get(cuff, 0.0)
+        _draw_band(ax, trial, band, cuff, color, off=off)
 
 
 def _draw_band(
-    ax, trial: Trial, band: Bands, cuff: str, color: str, shown: float = 1.0
+    ax, trial: Trial, band: Bands, cuff: str, color: str, shown=1.0, off=0.0
 ) -> None:
     """Where a cuff's normal force, times `shown`, is with 95 %.
 
-    Of cuffs with mats: where these would show it.
+    Of cuffs with mats: where these would show it, `off` by what is known [N].
     """
-    middle = shown * trial.cuffs[cuff].normal
+    middle = shown * trial.cuffs[cuff].normal + off
     width = max(shown, 1.0) * band.normal(cuff)
     ax.fill_between(
         trial.times,

@@ -155,6 +155,22 @@ def band_of(trial, width: float) -> Bands:
 
 
 @pytest.mark.slow
+def test_bands_are_where_mats_would_show_the_force(trials, found):
+    """Those that `band_coverage` counts: moved by what mats do not see."""
+    trial = found[0]
+    off, width = np.linspace(-9.0, 4.0, len(trial.times)), 6.0 + trial.times
+    band = replace(
+        band_of(trial, 3.0), mats={"thigh": width}, off_mats={"thigh": off}
+    )
+    rows = panels(figures.interaction_figure({"C1": found}, trials, [band]), 2)
+    middle = trial.cuffs["thigh"].normal + off
+    (area,) = rows["thigh normal [N]"][0].collections
+    y = area.get_paths()[0].vertices[:, 1]
+    ends = [(middle - width).min(), (middle + width).max()]
+    np.testing.assert_allclose([y.min(), y.max()], ends)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [1, 2])
 def test_bands_lie_around_the_first_run(trials, found, runs):
     named = dict.fromkeys(["C1", "C2"][:runs], found)
