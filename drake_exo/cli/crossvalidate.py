@@ -6,6 +6,8 @@ with calibrated cuffs and with nominal ones, and compared with its mats.
 """
 
 import argparse
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -58,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
             "for two"
         )
     plausible = study.gate("calibration", args.accept)
+    with_mats = Counter(cuff for t in trials for cuff in t.cuffs)
+    alone = [cuff for cuff, count in with_mats.items() if count == 1]
     folds: list[dict] = []
     with prepare_output_folder(args.out, args.force) as out:
         for trial in trials:
@@ -68,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
             )
             held = Verdict((*plausible, *solved), tuple(args.accept))
             summary = {"subject": study.name, "folds": folds}
-            summary |= verdict(folds) | held.summary()
+            summary |= verdict(folds, alone) | held.summary()
             write_json(out / "summary.json", summary)
             if folds[-1]["stopped"]:
                 break
@@ -113,8 +117,12 @@ def fold(study: Study, name: str) -> dict:
     return row | {"success": True, "stopped": False}
 
 
-def verdict(folds: list[dict]) -> dict:
+def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:
     """Whether calibrating helps, and by how much.
+
+    Args:
+        folds: as `fold` gives them.
+        alone: cuffs that one trial alone has mats of.
 
     Returns:
         helps, ratio of mean normal forces' RMSD (calibrated over not; both
@@ -136,6 +144,11 @@ def verdict(folds: list[dict]) -> dict:
         f"{np.mean(own):.1f} N instead of {np.mean(usual):.1f} N with nominal "
         f"cuffs ({len(own)} of them, {better} nearer, ratio {ratio:.2f})"
     )
+    if alone:
+        sentence += (
+            f"; mats of {' and '.join(alone)} are in one trial alone, "
+            "without which nothing tells their force"
+        )
     return {"helps": ratio < 1.0, "ratio": ratio, "sentence": sentence}
 
 

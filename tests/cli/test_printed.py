@@ -62,6 +62,7 @@ def left_out(monkeypatch):
         SimpleNamespace(name=n, cuffs=["pelvis"], provenance={"encoders": n})
         for n in "abc"
     ]
+    trials[2].cuffs.append("thigh")
     study = SimpleNamespace(
         model=None, name="x", trials=lambda use: trials, gate=lambda *_: ()
     )
@@ -108,6 +109,7 @@ def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
     code, summary = left_out(tmp_path / "whole")
     assert code == 0 and len(summary["folds"]) == 3
     assert summary["ratio"] == pytest.approx(0.25)
+    assert "mats of thigh are in one trial alone" in summary["sentence"]
     code, summary = left_out(tmp_path / "stopped", b=True)
     assert code == STOPPED_CODE
     assert [f["trial"] for f in summary["folds"]] == ["a", "b"]
