@@ -45,6 +45,7 @@ class SolveWatch:
         self._checkpoint = checkpoint
         self._fingerprint = fingerprint
         self._saved = -np.inf
+        self._newest = None
 
     def __call__(self, iterate: Iterate) -> None:
         """See `nlp.ipopt.solve`."""
@@ -56,10 +57,17 @@ class SolveWatch:
         now = time.monotonic()
         if self._checkpoint is None or iterate.x is None:
             return
+        self._newest = iterate.x
         if now - self._saved < _CHECKPOINT_SECONDS:
             return
         self._saved = now
         self.save(iterate.x)
+
+    def end(self, result: PhaseResult) -> None:
+        """Keep what was found, or where a solve without success ended."""
+        x = result.values if result.success else self._newest
+        if x is not None:
+            self.save(x)
 
     def save(self, x: np.ndarray) -> None:
         """Keep program variables as the checkpoint."""
@@ -205,8 +213,7 @@ def _solve_first(
         near = None
     watch = SolveWatch(title, checkpoint, fingerprint)
     found = problem.solve(guess, watch, near)
-    if found.success:
-        watch.save(found.values)
+    watch.end(found)
     return found
 
 

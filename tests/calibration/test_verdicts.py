@@ -255,3 +255,27 @@ def test_stopped_on_a_finer_grid_is_stopped(tmp_path):
     assert not found.success
     assert found.solution.was_stopped
     assert (tmp_path / "checkpoint.npz").is_file()
+
+
+@pytest.mark.slow
+def test_a_solve_without_success_leaves_where_it_ended(tmp_path, monkeypatch):
+    """However short it was: not its start, which is kept first."""
+    model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    settings = FootGroundSettings(solver=Solver(12.0, max_iterations=3))
+    seen, follow = [], solving.SolveWatch.__call__
+
+    def followed(watch, iterate):
+        seen.append(iterate.x)
+        follow(watch, iterate)
+
+    monkeypatch.setattr(solving, "_CHECKPOINT_SECONDS", np.inf)
+    monkeypatch.setattr(solving.SolveWatch, "__call__", followed)
+    found = solve(
+        lambda refined: FootGroundCalibration(model, trials, settings),
+        "calibrate",
+        tmp_path,
+    )
+    assert not found.success
+    with np.load(tmp_path / "checkpoint.npz") as kept:
+        np.testing.assert_array_equal(kept["x"], seen[-1])
+    assert np.abs(seen[-1] - seen[0]).max() > 0.0
