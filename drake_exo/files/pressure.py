@@ -16,6 +16,7 @@ from drake_exo.files.tables import (
     shown,
 )
 
+_RATE_ERROR = 0.01  # of the header's, beside half a frame
 _PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
 
 
@@ -80,6 +81,12 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
     count = len(lines[start].split())
     values = _table(path, lines, start + 1, count, None)
     check_increasing(str(path), values[:, 0])
+    steps, span = len(values) - 1, float(np.ptp(values[:, 0]))
+    if abs(span * rate - steps) > 0.5 + _RATE_ERROR * steps:
+        raise InputError(
+            f"{path}: announces {rate:g} Hz, but its time column runs at "
+            f"{steps / span:.4g} Hz; correct the wrong one, or export it again"
+        )
     if abs(len(values) - total * rate) > 1.5:
         raise InputError(
             f"{path}: announces {total:g} s at {rate:g} Hz, but holds "

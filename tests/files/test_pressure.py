@@ -83,6 +83,10 @@ def refusal(reader, path, *args):
         (asc(unit="mmHg"), "no unit of pressure"),
         (asc(left="1,2,3,"), "names 6 cells, but the table has 5"),
         (asc(total=5.0), "announces 5 s at 50 Hz, but holds 25 frames"),
+        (
+            asc(total=0.25).replace("rate [Hz]:   50", "rate [Hz]:   100"),
+            "announces 100 Hz, but its time column runs at 50 Hz",
+        ),
         (asc()[:-30], "truncated"),
         (asc().replace("time[secs]", "t"), "starting with time[secs]"),
         (asc().replace("   2.500\t", "     abc\t", 1), "text among numbers"),
