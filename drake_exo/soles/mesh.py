@@ -34,6 +34,7 @@ _DOWNWARDS = 1e-3  # of a face's normal: beyond rounding
 UPWARDS = 0.0175  # of a face's normal: a degree, vertical sides as meshed
 _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
+_LEAST_TOP = 0.3  # of the area seen from above that is a flat top
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +80,14 @@ class TetMesh:
         return faces[np.sort(index[count == 1])]
 
     @cached_property
-    def _is_top(self) -> np.ndarray:
+    def is_top(self) -> np.ndarray:
         """Which triangles are wholly on the fixed surface, (f,)."""
         return np.isin(self.boundary_faces, self.fixed).all(axis=1)
 
     @property
     def top_faces(self) -> np.ndarray:
         """Those triangles."""
-        return self.boundary_faces[self._is_top]
+        return self.boundary_faces[self.is_top]
 
     @cached_property
     def bare(self) -> np.ndarray:
@@ -122,7 +123,7 @@ class TetMesh:
     @cached_property
     def contact_faces(self) -> np.ndarray:
         """Surface triangles that are not wholly on the fixed surface."""
-        return self.boundary_faces[~self._is_top]
+        return self.boundary_faces[~self.is_top]
 
     @cached_property
     def contact_areas(self) -> np.ndarray:
@@ -357,9 +358,32 @@ def read_mesh(
     if origin is None:
         origin = _guess_origin(TetMesh(nodes, tets, top), extent, path)
     glued = np.ravel(said.get(_FIXED, []))
-    if len(glued) > used.max():  # a file of `write_vtk`
+    is_told = len(glued) > used.max()  # a file of `write_vtk`
+    if is_told:
         top = np.flatnonzero(glued[used] > 0)
-    return checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
+    mesh = checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
+    if not is_told:
+        check_top(mesh.nodes[mesh.boundary_faces], mesh.is_top, path)
+    return mesh
+
+
+def check_top(corners: np.ndarray, top: np.ndarray, name, more="") -> None:
+    """Refuse a highest plane that is no flat top.
+
+    Args:
+        corners: Of a surface's outward triangles [m], (f, 3, 3).
+        top: Which of them lie in that plane, (f,).
+        name: Of the file.
+        more: Ends the sentence: another remedy.
+    """
+    up = normals_of(corners)[:, 2]
+    part = up[top].sum() / up[up > 0].sum()
+    if part < _LEAST_TOP:
+        raise InputError(
+            f"{name}: its highest plane is no flat top ({part:.0%} of what is "
+            "seen from above); turn the sole so that the surface glued to the "
+            f"foot is on top{more}"
+        )
 
 
 def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
@@ -428,6 +452,12 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             "plane (highest z); turn the mesh so that the flat surface glued "
             "to the foot is on top"
         )
+    below = nodes[mesh.contact, :2]
+    if np.linalg.matrix_rank(below - below[:1], 1e-9) < 2:
+        raise InputError(
+            f"{name}: the nodes of faces that look downwards lie in a line; "
+            "give a sole that has an underside"
+        )
     return mesh
 
 
@@ -487,12 +517,25 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
 
 def _rim(mesh: TetMesh) -> np.ndarray:
     """Nodes around the fixed surface, counter-clockwise from above."""
-    there = set(map(tuple, face_edges(mesh.top_faces).tolist()))
-    after = {a: b for a, b in there if (b, a) not in there}
-    ring = [min(after)]
-    while after[ring[-1]] != ring[0]:
-        ring.append(after[ring[-1]])
-    return np.array(ring)
+    return rings(mesh.top_faces)[0]
+
+
+def rings(faces: np.ndarray) -> list[np.ndarray]:
+    """Nodes along the borders of triangles (f, 3), the way that these go."""
+    there = set(map(tuple, face_edges(faces).tolist()))
+    after, found = {}, []
+    for a, b in sorted(there):
+        if (b, a) not in there:
+            after.setdefault(a, []).append(b)
+    while after:
+        ring, node = [], min(after)
+        while node in after:  # as often left as entered: back to the first
+            ring.append(node)
+            node = after[node].pop()
+            if not after[ring[-1]]:
+                del after[ring[-1]]
+        found.append(np.array(ring))
+    return found
 
 
 def _ring(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:

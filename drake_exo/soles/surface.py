@@ -28,6 +28,7 @@ from drake_exo.files.mesh import read_cells
 from drake_exo.soles.mesh import (
     TetMesh,
     check_size,
+    check_top,
     checked_mesh,
     face_edges,
     grid_mesh,
@@ -107,7 +108,6 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 SUFFIXES = (".stl", ".obj")
 _FOOT = (0.1, 0.45)  # longest side of a foot's sole [m]
 _FLAT = 2e-3  # of the longest side: faces of one flat top
-_LEAST_TOP = 0.3  # of the area seen from above that is a flat top
 _GRID = 0.5  # of an element's size: cells that are cut
 _SECONDS = 120  # of processor time for Mmg
 _GRADATION = 1.3
@@ -273,15 +273,11 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
         return top
     longest = np.ptp(surface.corners, axis=(0, 1)).max()
     flat = z.min(axis=1) > z.max() - _FLAT * longest
-    seen = area[:, 2][area[:, 2] > 0].sum()
-    if area[up & flat, 2].sum() < _LEAST_TOP * seen:
-        raise InputError(
-            f"{surface.name}: its highest plane is no flat top "
-            f"({area[up & flat, 2].sum() / seen:.0%} of what is seen from "
-            "above); turn the sole so that the surface glued to the foot is "
-            "on top, or give mesh.top_m, the height above which faces that "
-            "look upwards are fixed to the foot"
-        )
+    more = (
+        ", or give mesh.top_m, the height above which faces that look "
+        "upwards are fixed to the foot"
+    )
+    check_top(surface.corners, up & flat, surface.name, more)
     return up & flat
 
 

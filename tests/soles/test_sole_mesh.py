@@ -144,6 +144,25 @@ def test_a_mesh_without_flat_top_is_refused(tmp_path):
         read_mesh(path)
 
 
+def test_a_bump_is_no_top(tmp_path):
+    """A sixth of what is seen from above: nobody glues a foot to it."""
+    mesh = brick(SIZE, (6, 4, 2))
+    middle = np.abs(mesh.nodes[mesh.fixed, :2]).sum(axis=1).argmin()
+    near = mesh.nodes[mesh.fixed] - mesh.nodes[mesh.fixed[middle]]
+    raised = (np.abs(near[:, :2]) < 0.3 * np.array(SIZE[:2])).all(axis=1)
+    mesh.nodes[mesh.fixed[raised], 2] += 0.005
+    path = tmp_path / "bump.vtk"
+    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
+    with pytest.raises(InputError, match="no flat top"):
+        read_mesh(path)
+
+
+def test_a_sole_without_an_underside_is_refused():
+    nodes = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0], [0, 0, -0.3]]) / 10
+    with pytest.raises(InputError, match="lie in a line"):
+        checked_mesh(nodes, np.array([[0, 2, 1, 3]]), np.arange(3), "one")
+
+
 def test_stl_holds_the_closed_surface(tmp_path):
     mesh = brick(SIZE, (3, 2, 2))
     path = tmp_path / "sole.stl"
