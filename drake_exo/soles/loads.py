@@ -385,31 +385,35 @@ def read_csv(path) -> Load:
     used = (*CSV_COLUMNS, "free_moment_nm", "load", "weight")
     table = read_columns(path, CSV_COLUMNS, used)
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
-    load = Load(
+    begins, weights = np.zeros(1, int), np.ones(1)
+    if "load" in table:
+        number, weight = table["load"], table.get("weight", np.ones(len(t)))
+        counts = np.isin(np.diff(number), (0, 1)).all()
+        if (number[:1] != 0).any() or not counts:
+            raise InputError(
+                f"{path}: column 'load' has to count from 0 on, each number "
+                "in rows that follow one another"
+            )
+        _, begins, phase = np.unique(
+            number, return_index=True, return_inverse=True
+        )
+        weights = weight[begins]
+        if not ((weight > 0) & (weight == weights[phase])).all():
+            raise InputError(
+                f"{path}: column 'weight' has to be above 0, and one number "
+                "in all rows of a load"
+            )
+        for k in begins[1:]:  # where it has a clock of its own
+            if t[k] <= t[k - 1]:
+                t[k:] += t[k - 1] + _PAUSE_S - t[k]
+    return Load(
         t,
         np.stack([fx, fy, fz], 1),
         np.stack([zx, zy], 1),
         str(path),
         table.get("free_moment_nm"),
-    )
-    if "load" not in table:
-        return load
-    number, weight = table["load"], table.get("weight", np.ones(len(t)))
-    if number[0] != 0 or not np.isin(np.diff(number), (0, 1)).all():
-        raise InputError(
-            f"{path}: column 'load' has to count from 0 on, each number in "
-            "rows that follow one another"
-        )
-    _, begins, phase = np.unique(number, return_index=True, return_inverse=True)
-    if not ((weight > 0) & (weight == weight[begins][phase])).all():
-        raise InputError(
-            f"{path}: column 'weight' has to be above 0, and one number in "
-            "all rows of a load"
-        )
-    return replace(
-        load,
         begins=tuple(map(int, begins)),
-        weights=tuple(map(float, weight[begins])),
+        weights=tuple(map(float, weights)),
     )
 
 

@@ -190,6 +190,7 @@ class Stage:
             _check_divisions(self.divisions)
 
 
+_FAR = 2.0  # metres: on no sole
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start. Smooth
 # shapes first; then twice, since each stage begins with what the largest strain
@@ -241,6 +242,11 @@ class ShapeBlock:
                 f"least_depth_m {low:g} has to be below largest_height_m "
                 f"{high:g}"
             )
+        if np.abs(self.fixed_m).max(initial=0.0) > _FAR:
+            raise InputError(
+                f"fixed_m reaches over {_FAR:g} m from the top's middle; give "
+                "corners in metres"
+            )
 
     def spline(
         self, meshes: Sequence[TetMesh], intervals, fixed_top
@@ -277,7 +283,7 @@ class OptimizeBlock:
     fixed_top: bool = False
     bounds: Vector2 = (0.3, 1.4)
     stability_n_per_m: float | None = positive("N/m", 1000.0)
-    tilt_deg: float | None = positive("°", 20.0)
+    tilt_deg: float | None = quantity("°", 20.0, above=0.0, maximum=90.0)
     strain: float | None = quantity("", 0.3, above=0.0, maximum=2.0)
     c_rot_nm_per_rad: float | None = positive("N·m/rad")
     roughness: float = not_negative("", 1.0)

@@ -15,7 +15,7 @@ from drake_exo.files import schema
 from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import read_csv
-from drake_exo.soles.settings import MeshBlock, ShapeBlock
+from drake_exo.soles.settings import MeshBlock, OptimizeBlock, ShapeBlock
 
 HEAD = "time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"
 
@@ -54,6 +54,18 @@ def test_loads_without_weights_weigh_the_same(tmp_path):
     assert found.begins == (0, 2) and found.weights == (1.0, 1.0)
 
 
+def test_loads_with_clocks_of_their_own_follow_one_another(tmp_path):
+    """The second begins 0.2 s after the first; each runs forwards."""
+    path = tmp_path / "l.csv"
+    rows = [f"{t},0,0,300,0,0,{n}" for n in (0, 1) for t in (0, 0.1, 0.3)]
+    path.write_text("\n".join([f"{HEAD},load", *rows]))
+    times = read_csv(path).times
+    np.testing.assert_allclose(times, [0, 0.1, 0.3, 0.5, 0.6, 0.8])
+    path.write_text("\n".join([f"{HEAD},load", *rows[:3], *rows[:2:-1]]))
+    with pytest.raises(InputError, match="time runs backwards"):
+        read_csv(path)
+
+
 def test_ground_in_millimetres():
     x, y = (v.ravel() for v in np.meshgrid(*[50.0 * np.arange(5)] * 2))
     table = {"x_m": x, "y_m": y, "z_m": 0.0 * x}
@@ -72,6 +84,11 @@ def test_lengths_and_keys_of_a_case():
         off.start_pose(made.mesh)
     text = "least_depth_m: 25"
     with pytest.raises(InputError, match="least_depth_m is 25, but must be be"):
+        schema.load_text(text, ShapeBlock)
+    with pytest.raises(InputError, match="tilt_deg is 100, but must be"):
+        schema.load_text("tilt_deg: 100", OptimizeBlock)
+    text = "fixed_m: [[[-115, -65, -30], [0, 65, 0]]]"
+    with pytest.raises(InputError, match="fixed_m reaches over 2 m"):
         schema.load_text(text, ShapeBlock)
     text = "force_n: [0, 0, 9]\nzmp_m: [0, 0]\nsamples: 1000000000"
     with pytest.raises(InputError, match="samples is 1000000000, but must be"):
