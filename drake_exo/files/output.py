@@ -616,10 +616,11 @@ def mark_of(word: str, failed: Sequence[str]) -> str:
 def joined_mark(marks: Mapping[str, str]) -> str:
     """The mark of what shows several results, whose marks these are by name.
 
-    >>> joined_mark({"a": "", "b": "NOT SOLVED: solved"})
-    'DOES NOT HOLD: b: NOT SOLVED: solved'
+    >>> joined_mark({"a": "", "b": "DOES NOT HOLD: x", "c": "NOT SOLVED: y"})
+    'DOES NOT HOLD: b: x; c: NOT SOLVED: y'
     """
-    told = [f"{name}: {mark}" for name, mark in marks.items() if mark]
+    said = f"{FAILS.upper()}: "
+    told = [f"{n}: {m.removeprefix(said)}" for n, m in marks.items() if m]
     return mark_of(FAILS, told) if told else ""
 
 

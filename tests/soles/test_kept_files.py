@@ -151,6 +151,10 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
         json.dumps({"cases": [{"name": "design"}, {"name": "gone"}]})
     )
     assert [d.folder for d in find_designs(tmp_path)] == [folder]
+    for rows in (7, ["design"], [{"name": 7}]):
+        (tmp_path / "summary.json").write_text(json.dumps({"cases": rows}))
+        with pytest.raises(InputError, match=r"summary\.json: is no summary"):
+            find_designs(tmp_path)
     (folder / "sole.vtk").unlink()
     with pytest.raises(InputError, match=r"sole\.vtk: is missing"):
         find_designs(folder)

@@ -304,7 +304,11 @@ def read_summary(folder: Path) -> dict:
     """
     remedy = "optimise the sole again"
     data = read_json(folder / SUMMARY, remedy)
-    if not isinstance(data, dict):
+    rows = data.get("cases", []) if isinstance(data, dict) else None
+    if not isinstance(rows, list) or not all(
+        isinstance(row, dict) and isinstance(row.get("name"), str)
+        for row in rows
+    ):
         raise InputError(f"{folder / SUMMARY}: is no summary; {remedy}")
     missing = [key for key in _COSTS if key in data and data[key] is None]
     return data | dict.fromkeys(missing, np.nan)
