@@ -488,7 +488,7 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
 <style>body {{font: 15px sans-serif; max-width: 75em; margin: 2em auto;
-padding: 0 1em}} img {{max-width: 100%}} pre {{overflow-x: auto}}
+padding: 0 1em}} img {{max-width: 100%}} pre {{white-space: pre-wrap}}
 .mark {{color: #c8102e; font-weight: bold}}</style></head>
 <body><h1>{title}</h1>
 {body}

@@ -29,6 +29,7 @@ from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
     normals_of,
+    rings,
 )
 from drake_exo.soles.surface import crossings
 
@@ -87,10 +88,17 @@ def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
     )
 
 
-def outline(axis, nodes: np.ndarray, view: View) -> None:
-    """Dashed silhouette of the convex hull of nodes [m]."""
-    ring = _ring(1e3 * nodes @ view.axes()[:2].T)
-    axis.plot(*ring.T, color="0.25", lw=0.8, ls=(0, (4, 3)))
+def outline(axis, mesh: TetMesh, view: View) -> None:
+    """Dashed border of what is seen of a sole."""
+    seen = 1e3 * mesh.nodes @ view.axes().T
+    faces = mesh.boundary_faces
+    # Beyond rounding: else edge-on faces would count now and then.
+    facing = normals_of(seen[faces])[:, 2] > 1e-6
+    lines = [seen[np.append(r, r[0]), :2] for r in rings(faces[facing])]
+    spans = [np.ptp(line, axis=0).prod() for line in lines]
+    for line, span in zip(lines, spans, strict=True):
+        if span > 0.05 * max(spans):  # not every dent
+            axis.plot(*line.T, color="0.25", lw=0.8, ls=(0, (4, 3)))
 
 
 def _ring(points: np.ndarray) -> np.ndarray:
@@ -140,13 +148,15 @@ def save(figure: Figure, path: Path, mark: str = "") -> None:
 
 
 @style()
-def load_figure(load: Load, mesh: TetMesh, ground: Ground = FLAT) -> Figure:
+def load_figure(
+    load: Load, outline: np.ndarray, ground: Ground = FLAT
+) -> Figure:
     """ZMP on the sole's outline, and force over time (Figs. 6 and 7).
 
-    With the contours of a ground that is not flat.
+    With the contours of a ground that is not flat. The outline goes round
+    nodes of the sole as it is set down [m], (m, 2).
     """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
-    outline = mesh.nodes[mesh.contact][:, :2]
     ring = 1e3 * _ring(outline)
     left.fill(*ring.T, color="0.93", zorder=0)
     left.plot(*ring.T, color="0.5", lw=1)
@@ -287,24 +297,32 @@ def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
 
 @style()
 def pressure_figure(
-    mesh: TetMesh, load: Load, pressure: np.ndarray, converged: np.ndarray
+    mesh: TetMesh,
+    times: np.ndarray,
+    zmp: np.ndarray,
+    pressure: np.ndarray,
+    converged: np.ndarray,
 ) -> Figure | None:
-    """Contact pressure from below at eight samples of the step.
+    """Contact pressure from below at up to eight samples of the step.
 
-    Of pressures at the contact nodes [Pa], (N, m), at samples that converged
-    (N,); None if there is none.
+    At times (N,) [s], of ZMPs in the sole's frame [m], (N, 2), and pressures at
+    the contact nodes [Pa], (N, m), at samples that converged (N,); None if
+    there is none.
     """
     picked = np.flatnonzero(converged)
     if len(picked) == 0:
         return None
-    picked = picked[np.linspace(0, len(picked) - 1, 8).round().astype(int)]
+    count = min(8, len(picked))
+    picked = picked[np.linspace(0, len(picked) - 1, count).round().astype(int)]
     pressure = 1e-3 * pressure[picked]
     top = max(float(pressure.max()), 1e-9)
     figure, axes = panels(2, 4, (11.0, 4.2), sharex=True, sharey=True)
-    for axis, q, p in zip(axes.flat, picked, pressure, strict=True):
+    for axis in axes.flat[count:]:
+        axis.set_axis_off()
+    for axis, q, p in zip(axes.flat, picked, pressure, strict=False):
         drawn = _pressed(axis, mesh, p, top)
-        axis.plot(*(1e3 * load.zmp[q]), "+", color="cyan", ms=9, mew=2)
-        axis.set_title(f"{load.times[q]:.3f} s")
+        axis.plot(*(1e3 * zmp[q]), "+", color="cyan", ms=9, mew=2)
+        axis.set_title(f"{times[q]:.3f} s")
         axis.set_aspect("equal")
         axis.grid(False)
     for axis in axes[-1]:
@@ -453,7 +471,7 @@ def soles_figure(soles: Sequence[tuple]) -> Figure:
         colours = _coloured(mesh, change, norm)
         for axis, view, box in zip(row, VIEWS, boxes, strict=True):
             draw(axis, corners, colours, view)
-            outline(axis, initial.nodes, view)
+            outline(axis, initial, view)
             _ends(axis, initial, mesh, view)
             half = 0.5 * np.array([np.ptp(box[:, 0]) + _GAP, height])
             low, high = box.mean(axis=0) - half, box.mean(axis=0) + half

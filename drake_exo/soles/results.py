@@ -249,6 +249,13 @@ class Step:
             return moved.sum(axis=1) / F[:, :, 2].sum(axis=1)[:, None]
 
     @property
+    def _zmp_in_sole(self) -> np.ndarray:
+        """The same in the sole's frame [m], (N, 2)."""
+        height = self.setup.ground.height(self.setup.load.zmp)
+        from_origin = np.column_stack([self.zmp, height]) - self.origin
+        return np.einsum("qij,qi->qj", self.rotation, from_origin)[:, :2]
+
+    @property
     def zmp_error(self) -> float:
         """Distance of the ZMP from the load's, RMS of what converged [m].
 
@@ -572,14 +579,19 @@ class Step:
         from drake_exo.soles import pictures
 
         load, mesh = self.setup.load, self.sole.mesh
+        level = self.setup.start.places(np.eye(3), self.sole.positions)[:, :2]
         peak = self.pressure[self.converged].max(axis=0, initial=0.0)
         drawn = {
             "drawing": pictures.drawing_figure(mesh, self.setup.name, peak),
-            "load": pictures.load_figure(load, mesh, self.setup.ground),
+            "load": pictures.load_figure(load, level, self.setup.ground),
             "stiffness": self.plot(label, **beside),
             "pose": pictures.pose_figure(self.table()),
             "pressure": pictures.pressure_figure(
-                mesh, load, self.pressure, self.converged
+                mesh,
+                load.times,
+                self._zmp_in_sole,
+                self.pressure,
+                self.converged,
             ),
         }
         for name, figure in drawn.items():

@@ -1,6 +1,7 @@
 """What the pictures of soles show: places, units, words, and where they lie."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from drake_exo.soles import pictures
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import brick
+from drake_exo.soles.mesh import TetMesh, brick
 from drake_exo.soles.pictures import View
 
 SIZE = (0.2, 0.1, 0.04)
@@ -20,6 +21,11 @@ ABOVE = View("", (0, 0, 1), (0, 1, 0))  # right: forward; up: left
 @pytest.fixture(scope="module")
 def mesh():
     return brick(SIZE, (4, 2, 1))
+
+
+def _level(mesh):
+    """Places of the nodes that may touch, set down [m]."""
+    return mesh.nodes[mesh.contact, :2]
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +123,7 @@ def test_what_looks_at_the_light_is_brightest():
         (ABOVE, (1, 0, 0), (0, 1, 0)),
     ],
 )
-def test_outline_and_extent_in_millimetres(view, right, up):
-    """The corners of a box, and nothing inside it."""
+def test_extent_in_millimetres(view, right, up):
     nodes = np.array(
         [[x, y, z] for x in (-0.1, 0.02, 0.1) for y in (-0.03, 0.05)
          for z in (-0.04, 0.01)]
@@ -127,16 +132,24 @@ def test_outline_and_extent_in_millimetres(view, right, up):
     low, high = flat.min(axis=0), flat.max(axis=0)
     found = pictures.extent(nodes, view)
     np.testing.assert_allclose(found, [low, high], atol=1e-9)
-    axis = Figure().add_subplot()
-    pictures.outline(axis, nodes, view)
-    (line,) = axis.lines
-    ring = line.get_xydata()
-    np.testing.assert_allclose(ring[0], ring[-1])
-    corners = {tuple(p) for p in ring.round(6) + 0.0}
-    assert corners == {
-        (x, y) for x in (low[0], high[0]) for y in (low[1], high[1])
-    }
-    assert len(ring) == 5
+
+
+def test_outline_of_a_sole_goes_round_its_waist():
+    """As from above a quarter of a block is missing; its sides are whole."""
+    block = brick(SIZE, (4, 2, 1))
+    x, y, _ = block.nodes[block.tets].mean(axis=1).T
+    waist = TetMesh(block.nodes, block.tets[(x < 0) | (y < 0)], block.fixed)
+    for view, area in zip((ABOVE, *pictures.VIEWS), (15000, 15000, 8000, 4000),
+                          strict=False):  # fmt: skip
+        axis = Figure().add_subplot()
+        pictures.outline(axis, waist, view)
+        twice = 0.0
+        for line in axis.lines:
+            ring = line.get_xydata()
+            np.testing.assert_allclose(ring[0], ring[-1])
+            pairs = np.stack([ring[:-1], ring[1:]], axis=1)
+            twice += np.linalg.det(pairs).sum()
+        assert twice == pytest.approx(2 * area)
 
 
 # Plots of a step
@@ -151,7 +164,7 @@ def _load(mesh, count=23):
 
 def test_heel_strike_is_where_the_load_begins(mesh):
     load = _load(mesh)
-    left, right, *_ = pictures.load_figure(load, mesh, FLAT).axes
+    left, right, *_ = pictures.load_figure(load, _level(mesh), FLAT).axes
     start = 1e3 * load.zmp[0]
     np.testing.assert_allclose(left.lines[1].get_xydata(), [start])
     (words,) = left.texts
@@ -167,7 +180,7 @@ def test_uneven_ground_is_drawn_under_the_sole(mesh):
     x, y = np.linspace(-0.3, 0.3, 31), np.linspace(-0.2, 0.2, 21)
     ridge = np.maximum(0.0, 0.02 - np.abs(x - 0.04))
     ground = Ground(x, y, np.repeat(ridge[:, None], 21, axis=1))
-    left = pictures.load_figure(_load(mesh), mesh, ground).axes[0]
+    left = pictures.load_figure(_load(mesh), _level(mesh), ground).axes[0]
     np.testing.assert_allclose(left.get_xlim(), [-110, 110])
     np.testing.assert_allclose(left.get_ylim(), [-55, 55])
     (heights,) = (c for c in left.collections if hasattr(c, "levels"))
@@ -201,7 +214,7 @@ def test_a_load_of_one_sample_is_a_point(mesh):
     load = _load(mesh, 4)
     for begins, marker in (((0,), "None"), ((0, 1), "."), ((0, 3), ".")):
         parts = replace(load, begins=begins, weights=(1.0,) * len(begins))
-        _, force, _ = pictures.load_figure(parts, mesh).axes
+        _, force, _ = pictures.load_figure(parts, _level(mesh)).axes
         assert [line.get_marker() for line in force.lines] == 3 * [marker]
 
 
@@ -242,12 +255,13 @@ def test_pose_in_millimetres_degrees_and_kilonewtons():
 @pytest.mark.slow
 def test_pressure_at_eight_times_of_those_that_converged(mesh):
     load = _load(mesh)
+    draw = partial(pictures.pressure_figure, mesh, load.times, load.zmp)
     rng = np.random.default_rng(2)
     pressure = rng.uniform(0, 9e4, (len(load.times), len(mesh.contact)))
     converged = np.ones(len(load.times), dtype=bool)
     converged[[0, 22]] = False
     pressure[0] = 1e9
-    figure = pictures.pressure_figure(mesh, load, pressure, converged)
+    figure = draw(pressure, converged)
     *axes, bar = figure.axes
     assert len(axes) == 8
     # The 21 that are left, in even steps: 0, 2.86, 5.71, …, 20, rounded.
@@ -267,10 +281,13 @@ def test_pressure_at_eight_times_of_those_that_converged(mesh):
     assert all(axis.get_xlabel() == "x [mm]" for axis in axes[4:])
     assert [axis.get_ylabel() for axis in axes[::4]] == 2 * ["y [mm]"]
     assert "kPa" in bar.get_ylabel()
-    none = pictures.pressure_figure(mesh, load, pressure, converged & False)
+    none = draw(pressure, converged & False)
     assert none is None
-    still = pictures.pressure_figure(mesh, load, 0 * pressure, converged)
+    still = draw(0 * pressure, converged)
     assert still.axes[0].collections[0].get_clim()[1] > 0
+    few = draw(pressure, converged & (np.arange(len(pressure)) < 4))
+    titles = [axis.get_title() for axis in few.axes[:8]]
+    assert titles == [f"{t:.3f} s" for t in load.times[1:4]] + 5 * [""]
 
 
 def test_the_underside_is_what_looks_down(wedge):

@@ -62,7 +62,8 @@ def test_a_load_is_drawn_in_millimetres_and_newtons(mesh):
     t = np.linspace(0.0, 1.0, 5)
     force = np.stack([3.0 * t, 5.0 - t, 700.0 + t], axis=1)
     zmp = np.stack([0.02 * t, -0.01 * t], axis=1)
-    left, right = pictures.load_figure(Load(t, force, zmp), mesh).axes[:2]
+    level = mesh.nodes[mesh.contact, :2]
+    left, right = pictures.load_figure(Load(t, force, zmp), level).axes[:2]
     (dots,) = left.collections
     np.testing.assert_allclose(dots.get_offsets(), 1e3 * zmp)
     np.testing.assert_allclose(dots.get_array(), t)
