@@ -297,11 +297,14 @@ class RecordedStudy(Study):
     Attributes:
         file: what the study file says.
         root: folder that its paths start from.
+        reads: the study file and all that it names.
     """
 
-    def __init__(self, file: StudyFile, root: Path):
+    def __init__(self, file: StudyFile, root: Path, path: Path | None = None):
         self.file = file
         self.root = root
+        named = [root / name for name in schema.paths_of(file)]
+        self.reads = [*named, path] if path else named
         self.name = file.subject.name
         self.foot_ground = file.foot_ground
         self.interaction = file.interaction
@@ -393,7 +396,7 @@ or directory); check the path
     root = Path(path).parent if data_root is None else Path(data_root)
     if not root.is_dir():
         raise InputError(f"{root}: is not a folder; check --data-root")
-    return RecordedStudy(file, root)
+    return RecordedStudy(file, root, Path(path))
 
 
 class _Solved:

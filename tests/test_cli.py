@@ -121,6 +121,18 @@ def test_what_the_laboratory_is_to_leave_out(
     assert asked == [left]
 
 
+@pytest.mark.parametrize("what", ["--design", "--model"])
+def test_the_laboratory_does_not_replace_what_it_reads(
+    what, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(lab, "read_design", lambda folder: None)
+    (tmp_path / "design.yaml").touch()
+    read = tmp_path if what == "--design" else tmp_path / "design.yaml"
+    words = [what, str(read), "--out", str(tmp_path), "--force"]
+    assert cli.main(["lab", *words]) == 2
+    assert "would replace" in capsys.readouterr().err
+
+
 def test_sums_do_not_depend_on_how_many_cores_there_are():
     """One thread, said before numpy loads its BLAS, unless a user says else."""
     said = (

@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
             contact, made_of = study.calibrated(args.calibration, args.accept)
             checks += made_of
     folder = prepare_output_folder(
-        args.out, args.force, args.resume, [args.calibration]
+        args.out, args.force, args.resume, [*study.reads, args.calibration]
     )
     with folder as out:
         of = inputs(

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     study = read_study(args.study, args.data_root)
     folder = None
     if args.out is not None:
-        folder = prepare_output_folder(args.out, args.force)
+        folder = prepare_output_folder(args.out, args.force, reads=study.reads)
     quality = study.quality()
     verdict = Verdict(quality.checks, tuple(args.accept))
     print(text_of(quality))

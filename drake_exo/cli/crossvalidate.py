@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     with_mats = Counter(cuff for t in trials for cuff in t.cuffs)
     alone = [cuff for cuff, count in with_mats.items() if count == 1]
     folds: list[dict] = []
-    with prepare_output_folder(args.out, args.force) as out:
+    with prepare_output_folder(args.out, args.force, reads=study.reads) as out:
         for trial in trials:
             folds.append(fold(study, trial.name))
             solved = tuple(

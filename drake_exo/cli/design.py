@@ -105,7 +105,9 @@ def run(args: argparse.Namespace) -> int:
         if args.response:
             study.design = replace(study.design, response=args.response)
     laboratory = _laboratory(args.study[0]) if args.verify else None
-    folder = prepare_output_folder(args.out, args.force, reads=args.calibration)
+    reads = [path for study in studies for path in study.reads]
+    reads += args.calibration
+    folder = prepare_output_folder(args.out, args.force, reads=reads)
     with folder as out:
         if not contacts:
             found = calibrate_interaction(studies[0])

@@ -108,7 +108,9 @@ def run(args: argparse.Namespace) -> int:
         )
     trials = NUM_USED if args.trials is None else args.trials
     design = None if args.design is None else read_design(args.design)
-    with prepare_output_folder(args.out, args.force) as folder:
+    with prepare_output_folder(
+        args.out, args.force, reads=[args.design]
+    ) as folder:
         study = write_campaign(
             folder,
             args.seed,
@@ -133,7 +135,9 @@ def _described(args: argparse.Namespace, active: list[str]) -> int:
             "out, or --model"
         )
     trials = 3 if args.trials is None else args.trials
-    with prepare_output_folder(args.out, args.force) as folder:
+    with prepare_output_folder(
+        args.out, args.force, reads=[args.model]
+    ) as folder:
         study = write_movements(
             folder,
             args.model,

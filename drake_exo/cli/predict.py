@@ -117,6 +117,7 @@ def run(args: argparse.Namespace) -> int:
     controller = load_controller(args.controller)
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
+    reads = [*study.reads, args.calibration, args.design]
     # Bad input ends before a folder is made.
     contact, checks = study.calibrated(
         args.calibration, args.accept, study.trials("prediction")
@@ -127,9 +128,7 @@ def run(args: argparse.Namespace) -> int:
         # Of the cuffs that were worn.
         clocks = find_clocks(study, study.trials("prediction"), contact)
         study, contact = on_design(study, contact, read_design(args.design))
-    folder = prepare_output_folder(
-        args.out, args.force, args.resume, [args.calibration, args.design]
-    )
+    folder = prepare_output_folder(args.out, args.force, args.resume, reads)
     with folder as out:
         code = write_predictions(
             study,

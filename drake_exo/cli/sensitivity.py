@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
             "give foot_ground.law: simbody"
         )
     plausible = study.gate("calibration", args.accept)
-    folder = prepare_output_folder(args.out, args.force)
+    folder = prepare_output_folder(args.out, args.force, reads=study.reads)
     with folder as out:
         calibrated = calibrate_foot_ground(study)
         verdict = calibrated.verdict(plausible, args.accept)

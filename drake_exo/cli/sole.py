@@ -170,7 +170,7 @@ def _out_or_source(args, name: str) -> OutputFolder:
         name: File among the results that earlier ones are known by.
     """
     if args.out is not None:
-        return prepare_output_folder(args.out, args.force)
+        return prepare_output_folder(args.out, args.force, reads=[args.source])
     if (args.source / name).exists() and not args.force:
         raise InputError(
             f"{args.source}: already holds {name}; give --out, or replace "
@@ -239,7 +239,7 @@ def _study(args) -> int:
         args.data_root, args.mesh, args.coarse, args.limits, args.iterations
     )
     print(f"load: {study.source}")
-    with prepare_output_folder(args.out, args.force) as out:
+    with prepare_output_folder(args.out, args.force, reads=[args.mesh]) as out:
         verdict, text = study.run(out, args.jobs, args.front, args.accept)
         print(text)
         print(paper.report(out, soles.find_designs(out)))

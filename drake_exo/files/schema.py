@@ -145,6 +145,17 @@ def _plain(value: Any, hint: Any = None) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+def paths_of(value: Any) -> list[Path]:
+    """All paths in dataclasses and what they hold, as they are written."""
+    if dataclasses.is_dataclass(value):
+        value = [getattr(value, f.name) for f in dataclasses.fields(value)]
+    elif isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        return [path for item in value for path in paths_of(item)]
+    return [value] if isinstance(value, Path) else []
+
+
 class _Settings(yaml.representer.SafeRepresenter):
     """Values of Python as the nodes that a file of them would have."""
 

@@ -9,6 +9,7 @@ from seated_recording import write_seated
 from drake_exo.cli import main
 from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.opensim import read_plates, read_trc
+from drake_exo.files.output import MANIFEST
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.segments import scale_human
 
@@ -66,6 +67,22 @@ def test_prints_and_writes_the_report(folder, capsys):
     assert Trial.load(out / "rise1").chair is not None
     assert main(["check", str(study), "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+def test_recordings_of_an_earlier_run_are_not_replaced(folder, capsys):
+    # A laboratory's folder lists all its files as a run's own.
+    names = sorted(path.name for path in folder.iterdir())
+    (folder / MANIFEST).write_text("\n".join(names), encoding="utf-8")
+    study = str(folder / "study.yaml")
+    root = ["--data-root", str(folder), "--out", str(folder), "--force"]
+    other = folder.parent / f"{folder.name}.yaml"
+    other.write_bytes((folder / "study.yaml").read_bytes())
+    for words in ([study, *root[2:]], [str(other), *root]):
+        assert main(["check", *words]) == 2
+        assert "would replace" in capsys.readouterr().err
+    assert names == sorted(
+        path.name for path in folder.iterdir() if path.name != MANIFEST
+    )
 
 
 @pytest.mark.slow

@@ -79,6 +79,11 @@ def test_the_stored_design_gives_the_same_figures(study, tmp_path):
 def test_results_are_not_overwritten_unasked(study, capsys):
     assert cli.main(["sole", "strain", str(study / "small")]) == 2
     assert "--force" in capsys.readouterr().err
+    for job in ("strain", "report"):
+        for out in (study, study / "small"):
+            where = [str(study / "small"), "--out", str(out), "--force"]
+            assert cli.main(["sole", job, *where]) == 2
+            assert "would replace" in capsys.readouterr().err
 
 
 def test_a_case_file_is_judged_without_optimising(tmp_path):
