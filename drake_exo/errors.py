@@ -133,7 +133,9 @@ def nearest(name: str | None, names: Iterable[str]) -> str:
 
 def printable(text: str, keep: str = "") -> str:
     """The text with question marks for what cannot be printed."""
-    return "".join(c if c.isprintable() or c in keep else "?" for c in text)
+    # By the few characters that a text is made of: recordings are long.
+    bad = (c for c in set(text) if not c.isprintable() and c not in keep)
+    return text.translate(dict.fromkeys(map(ord, bad), "?"))
 
 
 def first_line(text: str) -> str:
