@@ -530,7 +530,7 @@ def _digests(path: Path, root: Path | None) -> dict[str, str]:
     found = {"": _digest(path)}
     try:
         tree = yaml.load(path.read_bytes(), Loader=_Loader)
-    except (OSError, yaml.YAMLError, ValueError):
+    except (OSError, yaml.YAMLError, ValueError, RecursionError):
         return found  # its task says what is wrong
     return found | _named(tree, path.parent if root is None else root)
 

@@ -40,6 +40,8 @@ _TRUE, _FALSE = ("true", "yes", "on"), ("false", "no", "off")
 _NOT_FINITE = ("nan", "inf", "infinity")
 _LARGEST = 1e150  # its square is still a number
 _LONGEST = 40  # characters of a value in a message
+# No file can be called so, and of half a surrogate no file can be written.
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def load(path: str | Path, cls: type[T]) -> T:
@@ -76,7 +78,7 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
         raise InputError(
             f"{name}{line}: is not valid YAML ({error.problem})"
         ) from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise InputError(f"{name}: is not valid YAML text") from error
     if node is None:
         node = yaml.MappingNode(
@@ -327,10 +329,14 @@ class _Reader:
         if not isinstance(node, yaml.ScalarNode) or _is_null(node):
             raise self._wrong(node, hint, where, meta)
         text = node.value
-        if hint is str:
-            return text
-        if hint is Path:
-            return Path(text)
+        if hint in (str, Path):
+            if _CONTROL.search(text):
+                raise self.error(
+                    node,
+                    f"{where} is {_short(ascii(text))}, with a character that "
+                    "cannot be printed; remove it",
+                )
+            return hint(text)
         if node.style is not None:  # quoted: meant as text
             raise self._wrong(node, hint, where, meta)
         if hint is bool:

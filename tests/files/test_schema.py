@@ -170,6 +170,9 @@ def test_empty_text_misses_its_first_key():
         ("filter: {length_m: 0.3}", "filter: six", "must be a number"),
         ("subject:\n", "subject: 3\nother:\n", "unknown key 'other'"),
         ("model: human", "model: [human", "not valid YAML"),
+        ("model: human", f"model: {'[' * 3000}", "not valid YAML"),
+        ("name: S4", 'name: "S\\ud800"', r"subject.name is 'S\ud800', with a"),
+        ("here/there", '"a\\0b"', r"folder is 'a\x00b', with a character"),
     ],
 )
 def test_refuses(old, new, words):
