@@ -381,9 +381,13 @@ def solve_poses(
         if largest < _CONVERGED:
             break
     else:
+        off = np.where(hidden, 0.0, np.abs(r))
+        worst = int(np.argmax(off.max(axis=0)))
         raise InputError(
-            f"{source}: inverse kinematics does not converge; check that "
-            "the markers are named as in the standing trial"
+            f"{source}: inverse kinematics does not converge; marker "
+            f"{model.names[worst]!r} lies up to {off[:, worst].max():.3g} m "
+            "off the model; check where it is, and that the markers are named "
+            "as in the standing trial"
         )
     phi = np.unwrap(phi, axis=0)
     r = p - hip[:, None] - np.exp(1j * phi) @ model.levers.T

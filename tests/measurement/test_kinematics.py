@@ -151,6 +151,19 @@ def test_a_marker_without_weight_has_no_say(tree, human, markers):
     assert residual_rms(model, poses)["L_sh1"] == pytest.approx(0.1)
 
 
+def test_the_marker_that_keeps_it_from_converging_is_named(
+    tree, human, markers
+):
+    model = build_marker_model(standing(tree, human), markers, FRAME)
+    times = np.linspace(2.0, 2.1, 5)
+    data = marker_data(tree, human, times, motion(times, human))
+    data.positions[2, data.names.index("L_sh1"), 0] = -999.0
+    with pytest.raises(
+        InputError, match=r"marker 'L_sh1' lies up to 9.* m off"
+    ):
+        solve_poses(model, FRAME.points(data.of(model.names)))
+
+
 def refusal(tree, human, markers):
     with pytest.raises(InputError) as caught:
         build_marker_model(standing(tree, human), markers, FRAME)
