@@ -56,6 +56,9 @@ def read_table(path: str | Path) -> Table:
             f"{path}:{rest[0] + 1}: the first column must be 'time'"
         )
     check_names(path, rest[0] + 1, names)
+    for key in ("nColumns", "datacolumns"):
+        announced = header.get(key.lower())
+        _check_count(path, announced, len(names), key, "column names")
     rows = [(i + 1, lines[i].split()) for i in rest[1:]]
     values = number_rows(path, rows, len(names))
     for key in ("nRows", "datarows"):

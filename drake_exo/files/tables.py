@@ -84,6 +84,8 @@ def number_rows(
             )
     texts = [[cell.strip() or "nan" for cell in cells] for _, cells in rows]
     try:
+        if not all(map(_is_plain, map("".join, texts))):
+            raise ValueError
         values = np.array(texts, dtype=float)
     except ValueError:
         raise _not_a_number(path, rows, texts) from None
@@ -115,11 +117,16 @@ def frame_rate(path: str | Path, text: str | None, key: str) -> float:
     return rate
 
 
+def _is_plain(text: str) -> bool:
+    """Whether no 1_000 of Python's nor digits of other scripts are in it."""
+    return text.isascii() and "_" not in text
+
+
 def _not_a_number(path, rows, texts) -> InputError:
     for (line, _), cells in zip(rows, texts, strict=True):
         for cell in cells:
             try:
-                float(cell)
+                float(cell if _is_plain(cell) else "text")
             except ValueError:
                 return InputError(
                     f"{path}:{line}: holds text among numbers "
@@ -317,7 +324,9 @@ def check_angle_unit(table: Table, angles: np.ndarray) -> None:
             f"{table.source}: the header does not say whether angles are in "
             "degrees; add 'inDegrees=yes' or 'inDegrees=no'"
         )
-    if angles.size == 0 or not np.isfinite(angles).any():
+    # Columns without any value are told where they are asked for.
+    angles = angles[:, np.isfinite(angles).any(axis=0)]
+    if angles.size == 0:
         return
     largest = np.nanmax(np.abs(angles))
     motion = np.nanmax(np.nanmax(angles, 0) - np.nanmin(angles, 0))
@@ -419,11 +428,12 @@ def read_csv_table(path: str | Path) -> Table:
         InputError: unreadable, a column without a known unit, damaged rows,
             no time, or time that does not increase.
     """
-    lines = [s for s in read_text(path).splitlines() if s.strip()]
-    if len(lines) < 3:
+    lines = enumerate(read_text(path).splitlines(), 1)
+    (_, head), *rows = [one for one in lines if one[1].strip()] or [(1, "")]
+    if len(rows) < 2:
         raise InputError(f"{path}: holds fewer than two samples")
-    names, units = _header(path, comma_separated(path, lines[0]))
-    rows = [(i, line.split(",")) for i, line in enumerate(lines[1:], 2)]
+    names, units = _header(path, comma_separated(path, head))
+    rows = [(i, line.split(",")) for i, line in rows]
     values = number_rows(path, rows, len(names))
     values = values * [UNITS[unit] for unit in units]
     check_increasing(str(path), values[:, 0])

@@ -107,6 +107,15 @@ def test_gap_is_told_when_the_column_is_used(tmp_path, knee):
         table.column("knee")
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_column_of_gaps_alone_warns_of_nothing(tmp_path, knee):
+    values = np.hstack([knee, np.full_like(knee, np.nan)])
+    path = write(tmp_path, mot(["knee", "hip"], values, in_degrees="yes"))
+    found = read_coordinates(path)
+    with pytest.raises(InputError, match="25 of 25 frames"):
+        found.column("hip")
+
+
 def test_header_in_degrees_over_radians(tmp_path, knee):
     text = mot(["knee"], np.deg2rad(knee), in_degrees="yes")
     message = refusal(read_coordinates, write(tmp_path, text))
@@ -140,6 +149,7 @@ def test_standing_still_in_degrees_is_believed(tmp_path):
         (lambda s: s.replace("\n0.2\t", "\n0.18\t"), "from 0.18 to 0.18 s"),
         (lambda s: s.replace("\n0.2\t", "\nx0.2\t"), "among numbers ('x0.2')"),
         (lambda s: s.replace("\tknee", "\tknee\tknee"), "two columns"),
+        (lambda s: s.replace("Columns=2", "Columns=3"), "nColumns=3, but"),
         (lambda s: b"\x00\x01" + s.encode(), "binary file"),
         (lambda s: "", "no line 'endheader'"),
     ],
