@@ -16,6 +16,7 @@ from drake_exo.files.tables import (
     shown,
 )
 
+_LARGEST_PA = 5e6  # mats that are worn end at some 1.2 MPa
 _RATE_ERROR = 0.01  # of the header's, beside half a frame
 _PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
 
@@ -163,6 +164,13 @@ def _recording(path, values, scale, groups) -> PressureRecording:
     if pressure.min() < 0.0:
         raise InputError(
             f"{path}: holds pressures below zero; export it without offset"
+        )
+    if pressure.max() > _LARGEST_PA:
+        frame = int(np.argmax(pressure.max(axis=1)))
+        raise InputError(
+            f"{path}: a cell reaches {pressure[frame].max() / 1e3:.4g} kPa at "
+            f"{values[frame, 0]:g} s, more than mats measure; correct the unit "
+            "of pressure in the header, or that cell"
         )
     return PressureRecording(values[:, 0], pressure, groups, str(path))
 

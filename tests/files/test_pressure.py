@@ -92,6 +92,7 @@ def refusal(reader, path, *args):
         (asc().replace("   2.500\t", "     abc\t", 1), "text among numbers"),
         (asc().replace("   0.10000\t", "   0.08000\t"), "does not increase"),
         (asc().replace("   2.500\t", "  -2.500\t", 1), "below zero"),
+        (asc().replace("   2.500\t", "250000.0\t", 1), "2.5e+05 kPa at 0.02 s"),
         (asc().replace("   2.500\t", "     nan\t", 1), "no value in 1 of 25"),
         (asc().replace("rate [Hz]:   50", "rate [Hz]:"), "scanning rate"),
         (b"\x00\x01\x02" * 100, "binary"),
