@@ -64,7 +64,11 @@ def left_out(monkeypatch):
     ]
     trials[2].cuffs.append("thigh")
     study = SimpleNamespace(
-        model=None, name="x", trials=lambda use: trials, gate=lambda *_: ()
+        model=None,
+        name="x",
+        trials=lambda use: trials,
+        gate=lambda *_: (),
+        reads=(),
     )
     monkeypatch.setattr(crossvalidate, "read_study", lambda *_: study)
     monkeypatch.setattr(crossvalidate, "check_has_cuffs", lambda _: None)
