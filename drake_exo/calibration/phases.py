@@ -309,6 +309,17 @@ class PredictionProblem(PhaseProblem):
     >>> sorted(posed.bushings)
     ['pelvis', 'shank', 'thigh']
 
+    What is added to the program counts in the next `solve`, of which `values`
+    are of all its variables:
+
+    >>> (rise,) = posed.movements
+    >>> knee = rise.grid.q[:, rise.coordinates.index("knee")]
+    >>> _ = posed.program.prog.AddBoundingBoxConstraint(0.0, 2.0, knee)
+    >>> found = posed.solve()
+    >>> values = found.values[posed.program.indices(knee)]
+    >>> bool((values == found.trials[0].coordinate("knee")).all())
+    True
+
     Raises:
         InputError: the model has cuffs, but the contact knows nothing of
             them; or the controller is none that can be used.
