@@ -27,7 +27,7 @@ optimize:
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Case(Setup):
     """A sole, the step that it takes, and how its shape is judged.
 

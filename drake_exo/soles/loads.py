@@ -67,6 +67,13 @@ class Load:
     begins: tuple[int, ...] = (0,)
     weights: tuple[float, ...] = (1.0,)
 
+    def __repr__(self) -> str:
+        # As Step's.
+        return (
+            f"Load({self.name!r}, {len(self.times)} samples, up to "
+            f"{self.force[:, 2].max():.1f} N vertically)"
+        )
+
     def __post_init__(self):
         shapes = {
             "times": (), "force": (3,), "zmp": (2,), "free_moment": (),

@@ -58,6 +58,9 @@ class TetMesh:
     tets: np.ndarray
     fixed: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"TetMesh({len(self.nodes)} nodes, {len(self.tets)} tets)"
+
     def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
         """The same connectivity at other node positions."""
         out = TetMesh(np.asarray(nodes, float), self.tets, self.fixed)

@@ -422,6 +422,10 @@ class Setup:
     start: Start
     ground: Ground = FLAT
 
+    def __repr__(self) -> str:
+        kind = type(self).__name__
+        return f"{kind}({self.name!r}, {self.mesh!r}, {self.load!r})"
+
     @classmethod
     def open(
         cls,

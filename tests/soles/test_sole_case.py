@@ -295,3 +295,11 @@ def test_what_a_case_asks_for_in_vain_names_its_file(tmp_path):
         InputError, match=r"case\.yaml: constant load: .* above"
     ):
         Case.read(path)
+
+
+def test_a_notebook_shows_no_arrays():
+    case = Case.from_text(EXAMPLE)
+    mesh, load = "TetMesh(60 nodes, 144 tets)", repr(case.load)
+    assert load == "Load('constant load', 5 samples, up to 400.0 N vertically)"
+    assert repr(case.mesh) == mesh
+    assert repr(case) == f"Case('example', {mesh}, {load})"
