@@ -484,6 +484,9 @@ _ALL = "all"
 _RED, _PLAIN = "\x1b[31m", "\x1b[0m"
 
 
+Level = Literal["fail", "note"]
+
+
 @dataclass(frozen=True)
 class Check:
     """One thing that a result has to hold.
@@ -507,7 +510,7 @@ class Check:
     unit: str = ""
     where: str = ""
     sentence: str = ""
-    level: Literal["fail", "note"] = "fail"
+    level: Level = "fail"
 
 
 @dataclass(frozen=True)

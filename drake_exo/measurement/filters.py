@@ -11,7 +11,7 @@ held in those frames and hardly counts; whether that matters is judged in the
 part of the recording that is used.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -215,32 +215,65 @@ class Gaps:
 
 
 @dataclass(frozen=True)
-class Leap:
-    """A marker that moves faster between two frames than any body does.
+class MarkerFault:
+    """A marker that does what nothing on a body does.
 
     Attributes:
         marker: its name.
-        time_s: of the later frame.
-        speed_m_s: between the two.
+        time_s: of the first frame in which it does.
+        size: of the fault.
     """
 
     marker: str
     time_s: float
-    speed_m_s: float
+    size: float
 
 
 def leaps(
     data: MarkerData, names: Iterable[str], most_m_s: float
-) -> tuple[Leap, ...]:
-    """Where markers that are seen move faster, in their order."""
+) -> tuple[MarkerFault, ...]:
+    """Where markers change their velocity by more from frame to frame [m/s].
+
+    Velocity itself says less: limbs are fast, but not at once.
+    """
     found = []
     for name in names:
         p = data.positions[:, data.names.index(name)]
-        speed = data.rate_hz * np.linalg.norm(np.diff(p, axis=0), axis=1)
+        change = np.diff(p, n=2, axis=0)
+        size = data.rate_hz * np.linalg.norm(change, axis=1)
         found += [
-            Leap(name, float(data.time[k + 1]), float(speed[k]))
-            for k in np.flatnonzero(speed > most_m_s)
+            MarkerFault(name, float(data.time[k + 2]), float(size[k]))
+            for k in np.flatnonzero(size > most_m_s)
         ]
+    return tuple(found)
+
+
+_STILL_FRAMES = 5
+
+
+def standstills(
+    data: MarkerData, groups: Iterable[Sequence[str]]
+) -> tuple[MarkerFault, ...]:
+    """Where markers repeat one place while those beside them move on [m].
+
+    Args:
+        data: as recorded.
+        groups: names of the markers on each segment.
+    """
+    found = []
+    for names in groups:
+        p = data.positions[:, [data.names.index(name) for name in names]]
+        still = (np.diff(p, axis=0) == 0.0).all(axis=2)
+        for i, name in enumerate(names):
+            for start, end in runs(still[:, i]):
+                if end - start < _STILL_FRAMES:
+                    continue
+                others = np.delete(p[start : end + 1], i, axis=1)
+                moved = np.linalg.norm(np.ptp(others, axis=0), axis=1)
+                moved = moved[np.isfinite(moved)]
+                if len(moved):
+                    at, size = data.time[start], np.median(moved)
+                    found.append(MarkerFault(name, float(at), float(size)))
     return tuple(found)
 
 

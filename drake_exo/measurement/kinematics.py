@@ -91,6 +91,22 @@ class MarkerModel:
         own = self.segment_of == self.index(segment, side)
         return [n for n, here in zip(self.names, own, strict=True) if here]
 
+    def by_segment(self) -> list[list[str]]:
+        """Names of the markers on each segment."""
+        return [
+            [self.names[i] for i in np.flatnonzero(self.segment_of == k)]
+            for k in range(len(self.segments))
+        ]
+
+    def foot_heights_m(self, side: str) -> np.ndarray:
+        """How high the markers on a foot are in standing (k,) [m]."""
+        foot = self.index("foot", side)
+        own = self.segment_of == foot
+        arm = self.levers[own, foot] - self.ankles[side][foot]
+        return self.ankle_height_m + np.imag(
+            np.exp(1j * self.standing_angles[foot]) * arm
+        )
+
     def without(self, names: Iterable[str]) -> "MarkerModel":
         """The same model without some markers."""
         gone = set(names)

@@ -333,6 +333,7 @@ def read_mat_forces(
             cells = pressure.reshape(len(time), -1) * mat.cell_area_m2
             force = settings.smooth(cells @ inward, rate, recording.source)
             report |= _seen(pressure)
+            report["forward_share"] = float(inward[:, 0].mean())
             if mat.legs != "both" and not seen[mat.segment] >= set(SIDES):
                 force = 2.0 * force
                 report["doubled"] = f"{mat.legs} leg measured, doubled"

@@ -15,15 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import Check, Verdict
+from drake_exo.files.output import Check, Level, Verdict
 from drake_exo.files.tables import between, runs
+from drake_exo.measurement.filters import MarkerFault
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import (
-    LARGEST_SPEED_M_S,
+    LEAST_LEAP_M_S,
     Recording,
     needed_force,
 )
-from drake_exo.measurement.settings import Standing, TrialFiles
+from drake_exo.measurement.settings import Plates, Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
@@ -37,7 +38,9 @@ _HEEL_M = 0.03
 _WHOLE = 0.5  # of a foot's length that markers with the heel's among them span
 
 
-def _judged(name, value, limit, unit, where, sentence, holds=None) -> Check:
+def _judged(
+    name, value, limit, unit, where, sentence, holds=None, level="fail"
+) -> Check:
     """A check, by default that a value is within a limit."""
     holds = bool(value <= limit if holds is None else holds)
     return Check(
@@ -48,6 +51,7 @@ def _judged(name, value, limit, unit, where, sentence, holds=None) -> Check:
         unit,
         where,
         "" if holds else sentence,
+        level,
     )
 
 
@@ -76,6 +80,7 @@ class Evidence:
         file: object,
         sentence: str,
         holds: bool | None = None,
+        level: Level = "fail",
     ) -> Check:
         """A check of this trial, by default that a value is within a limit.
 
@@ -87,9 +92,10 @@ class Evidence:
             file: that the sentence speaks of.
             sentence: for a check that does not hold.
             holds: where more than the limit decides.
+            level: whether it refuses, or is told alone.
         """
         where, sentence = self.trial.name, f"{file}: {sentence}"
-        return _judged(name, value, limit, unit, where, sentence, holds)
+        return _judged(name, value, limit, unit, where, sentence, holds, level)
 
     @property
     def weight(self) -> float:
@@ -250,6 +256,15 @@ class Evidence:
         return float(np.nanmean(nearer)) if np.isfinite(nearer).any() else 0.0
 
     @property
+    def feet_apart_m(self) -> float:
+        """How far the left foot stands left of the right one [m]."""
+        feet = self.recording.motion.feet
+        left, right = (
+            feet[side][self.inside, :, 1].mean(axis=1) for side in SIDES
+        )
+        return float(np.median(left - right))
+
+    @property
     def has_both_feet(self) -> bool:
         """Whether both feet carry markers."""
         return all(side in self.recording.motion.feet for side in SIDES)
@@ -272,8 +287,10 @@ def plate_checks(e: Evidence) -> Iterator[Check]:
     for foot in e.plates:
         if np.isfinite(e.outside(foot)[0]):
             yield from _pressure(e, foot)
-    if e.has_two_plates and e.has_both_feet:
-        yield _sides(e)
+    if e.has_both_feet:
+        yield _foot_sides(e)
+        if e.has_two_plates:
+            yield _sides(e)
     for name, w in e.recording.forces.recorded.items():
         yield _flat(e, name, w[:, 2])
         yield _clipped(e, name, w[:, 2])
@@ -292,6 +309,8 @@ def likely_cause(e: Evidence) -> str | None:
         if _fits(e, scale=scale):
             return f"the points of the force file look like {unit}"
     exchanged = e.has_two_plates and e.has_both_feet and e.off_side() < 0.0
+    if exchanged and e.feet_apart_m < 0.0:
+        return "the names of left and right markers look exchanged"
     if exchanged and e.pitch_error() <= e.pitch_error(turned=True):
         return "plates.left and plates.right look exchanged"
     if _fits(e, turned=True):
@@ -342,6 +361,21 @@ def _pressure(e: Evidence, foot: str) -> Iterator[Check]:
         f"the centre of pressure of plate {foot!r} is {size:.3g} m from the "
         f"origin; {cause}",
         size <= _FAR_M or _fits(e) or not is_unit,
+    )
+
+
+def _foot_sides(e: Evidence) -> Check:
+    """Whether the left foot is left of the right one."""
+    apart = e.feet_apart_m
+    return e.check(
+        "foot_sides",
+        apart,
+        0.0,
+        "m",
+        e.files.markers,
+        f"markers of the left foot lie {-apart:.2f} m right of the other's; "
+        "the names of left and right markers look exchanged",
+        apart > 0.0,
     )
 
 
@@ -436,8 +470,13 @@ LARGEST_MARKER_RMS_M = 0.05
 _LEAP_REACH_S = 0.25  # what the filter carries into the used part
 LARGEST_FORCE_SHARE = 0.15  # RMS, of body weight
 LARGEST_MOMENT_M = 0.10  # RMS, over body weight
-LEAST_SHEAR_CORRELATION = -0.3
-_SHEAR_SHARE = 0.02  # of body weight: less says nothing of a sign
+LARGEST_MEAN_SHARE = 0.03  # of body weight, along and across
+LARGEST_WEIGHT_ERROR = 0.07  # of 1, what plates bear over what motion asks for
+LARGEST_SHEAR_RATIO = 1.1
+LARGEST_FLOOR_M = 0.015
+LARGEST_FROZEN_M = 0.02
+LARGEST_LEAP_M_S, LEAP_M_S = 8.0, LEAST_LEAP_M_S  # refused, and told
+LARGEST_STATURE_ERROR = 0.10
 LARGEST_LEG_SHARE = 0.65
 LARGEST_FEET_APART_M = 0.10
 LARGEST_LEG_DIFFERENCE_DEG = 15.0
@@ -485,6 +524,20 @@ def standing_checks(
         "laboratory.marker_axes may be wrong, markers.joint_centres may name "
         "other markers, or this is no upright standing",
     )
+    leg = said["lengths_m"]["shank"] + said["lengths_m"]["thigh"]
+    leg += said["ankle_height_m"]
+    ratio = leg / said["table_leg_m"]
+    yield _judged(
+        "stature",
+        100.0 * abs(ratio - 1.0),
+        100.0 * LARGEST_STATURE_ERROR,
+        "%",
+        "standing",
+        f"{standing.markers}: the hips are {leg:.2f} m above the floor, which "
+        f"is {100 * ratio:.0f} % of what subject.height_m makes usual; check "
+        "the height, or markers.joint_centres",
+        level="note",
+    )
     if "standing_cop_x_m" in said:
         gap = said["standing_cop_x_m"] - said["standing_com_x_m"]
         if "trunk_com_shift_m" in said:
@@ -507,6 +560,8 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     yield from _ranges(e)
     yield _markers(e)
     yield _leap(e)
+    yield _standstill(e)
+    yield from _floor(e)
     yield from _dynamics(e)
     if e.subject.model.assembly.human.sides:
         yield _belt(e)
@@ -581,25 +636,79 @@ def _markers(e: Evidence) -> Check:
 
 def _leap(e: Evidence) -> Check:
     """Whether a marker was taken for another, or a reflection for it."""
-    start, end = e.trial.start_s, e.trial.start_s + e.trial.duration
-    near = [
-        leap
-        for leap in e.recording.motion.leaps
-        if start - _LEAP_REACH_S < leap.time_s < end + _LEAP_REACH_S
-    ]
-    worst = max(near, key=lambda leap: leap.speed_m_s, default=None)
+    near = _near(e, e.recording.motion.leaps)
+    worst = max(near, key=lambda leap: leap.size, default=None)
+    speed = worst.size if worst else 0.0
+    far = speed > LARGEST_LEAP_M_S
     return e.check(
         "marker_leap",
-        worst.speed_m_s if worst else 0.0,
-        LARGEST_SPEED_M_S,
+        speed,
+        LARGEST_LEAP_M_S if far else LEAP_M_S,
         "m/s",
         e.files.markers,
         worst
         and f"marker {worst.marker!r} leaps at {worst.time_s:g} s "
-        f"({worst.speed_m_s:.0f} m/s between two frames); it was taken for "
+        f"(by {speed:.3g} m/s from frame to frame); it was taken for "
         "another marker or for a reflection: correct its label, or delete it "
         "in these frames (gaps are filled)",
+        level="fail" if far else "note",
     )
+
+
+def _standstill(e: Evidence) -> Check:
+    """Whether a marker keeps its place while those beside it move on."""
+    worst = max(
+        _near(e, e.recording.motion.standstills),
+        key=lambda found: found.size,
+        default=None,
+    )
+    return e.check(
+        "marker_frozen",
+        worst.size if worst else 0.0,
+        LARGEST_FROZEN_M,
+        "m",
+        e.files.markers,
+        worst
+        and f"marker {worst.marker!r} stays in exactly one place from "
+        f"{worst.time_s:g} s on while its segment moves by "
+        f"{worst.size:.2g} m; it was filled in, not measured: delete it in "
+        "these frames",
+    )
+
+
+def _near(e: Evidence, found: Iterable[MarkerFault]) -> list[MarkerFault]:
+    """Those in the used part, and what the filter carries into it."""
+    start, end = e.trial.start_s, e.trial.start_s + e.trial.duration
+    return [
+        one
+        for one in found
+        if start - _LEAP_REACH_S < one.time_s < end + _LEAP_REACH_S
+    ]
+
+
+def _floor(e: Evidence) -> Iterator[Check]:
+    """Whether feet that bear something are as high as in standing."""
+    motion = e.recording.motion
+    model = e.subject.markers.without((*motion.without, *motion.absent))
+    for side, markers in motion.feet.items():
+        plate = side if side in e.plates else "both"
+        if plate not in e.plates or not e.loaded(plate).any():
+            continue
+        z = markers[e.inside, :, 2][e.loaded(plate)]
+        # Of all that a foot does on the floor, flat is the lowest.
+        above = (z - model.foot_heights_m(side)).mean(axis=1)
+        above = float(np.quantile(above, 0.05))
+        yield e.check(
+            "floor",
+            abs(above),
+            LARGEST_FLOOR_M,
+            "m",
+            e.files.markers,
+            f"markers of the {side} foot are {1e3 * abs(above):.0f} mm "
+            f"{'higher' if above > 0.0 else 'lower'} than in standing while it "
+            "bears weight; the floor of the two recordings, or where markers "
+            "are on the foot, differs",
+        )
 
 
 def _dynamics(e: Evidence) -> Iterator[Check]:
@@ -608,14 +717,8 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
     moment = e.pitch_error()
     force = float(rms[:2].max())
     borne = float(np.mean(e.measured[:, 1]) / np.mean(e.needed[:, 1]))
-    cause = _unit_of(borne) or likely_cause(e)
-    if cause is None and abs(borne - 1.0) > 0.1:
-        cause = (
-            f"plates bear {100 * borne:.0f} % of what the motion asks for: "
-            "subject.mass_kg, a foot beside its plate, or a part in which "
-            "the chair still bears"
-        )
-    cause = cause or "check subject.mass_kg, plates, axes and clocks"
+    unit = _unit_of(borne)
+    cause = unit or likely_cause(e) or "check plates, axes and clocks"
     yield e.check(
         "newton",
         force,
@@ -633,20 +736,79 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
         e.files.forces,
         f"Euler's law misses {moment:.0f} N m RMS about the ankle; {cause}",
     )
-    needed, measured = e.needed[:, 0], e.measured[:, 0]
-    least = _SHEAR_SHARE * e.weight
-    if np.std(needed) > least and np.std(measured) > 1e-3 * e.weight:
-        found = float(np.corrcoef(needed, measured)[0, 1])
-        yield e.check(
-            "shear_sign",
-            found,
-            LEAST_SHEAR_CORRELATION,
-            "",
-            e.files.forces,
-            f"fore-aft force goes against the motion (correlation {found:.2f})"
-            "; laboratory.force_axes or marker_axes look turned round",
-            found >= LEAST_SHEAR_CORRELATION,
+    means = {"forward": float(missing[:, 0].mean())}
+    if not e.recording.forces.is_one_leg:
+        means["sideways"] = -float(
+            sum(w[:, 1] for w in e.plates.values()).mean()
         )
+    for way, mean in means.items():
+        yield e.check(
+            f"mean_{way}",
+            abs(mean),
+            LARGEST_MEAN_SHARE * e.weight,
+            "N",
+            e.files.forces,
+            f"plates bear {-mean:+.0f} N {way} on average that the motion does "
+            f"not ask for ({100 * abs(mean) / e.weight:.0f} % of body weight); "
+            "a plate's axes, or its corners in the file, look turned",
+        )
+    yield e.check(
+        "mean_weight",
+        100.0 * abs(borne - 1.0),
+        100.0 * LARGEST_WEIGHT_ERROR,
+        "%",
+        e.files.forces,
+        f"plates bear {100 * borne:.0f} % of what the motion asks for; "
+        + (
+            unit
+            or "check subject.mass_kg, each plate's gain, a foot beside its "
+            "plate, or a part in which the chair still bears"
+        ),
+    )
+
+
+def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
+    """Whether fore-aft forces have the sign that motions ask for.
+
+    Of each plate, and of all together, in all trials with the same plates: one
+    alone may hold too little of it.
+    """
+    groups: dict[Plates, list[Evidence]] = {}
+    for e in evidence:
+        groups.setdefault(e.files.plates, []).append(e)
+    for group in groups.values():
+        names = list(group[0].plates)
+        turned = [[name] for name in names]
+        if len(names) > 1:
+            turned.append(names)
+        own = sum(_shear_missed(e) for e in group)
+        fits = [sum(_shear_missed(e, some) for e in group) for some in turned]
+        best = int(np.argmin(fits))
+        ratio = float(np.sqrt(own / max(fits[best], 1e-9)))
+        which = " and ".join(map(repr, turned[best]))
+        yield group[0].check(
+            "shear_sign",
+            ratio,
+            LARGEST_SHEAR_RATIO,
+            "",
+            group[0].files.forces,
+            f"fore-aft force of plate {which} fits the motion {ratio:.2g} "
+            f"times better turned round ({len(group)} trials); its axes, "
+            "corners or laboratory.force_axes look wrong",
+        )
+
+
+def _shear_missed(e: Evidence, turned: Iterable[str] = ()) -> float:
+    """Square sum of F_x that is missed, about its mean, in body weights.
+
+    Args:
+        e: a trial.
+        turned: plates whose F_x counts the other way.
+    """
+    factor = 2.0 if e.recording.forces.is_one_leg else 1.0
+    added = factor * sum(2.0 * e.plates[name][:, 0] for name in turned)
+    missed = (e.needed - e.measured)[:, 0] + added
+    return float(np.sum((missed - missed.mean()) ** 2)) / e.weight**2
 
 
 def _unit_of(ratio: float) -> str | None:
@@ -748,6 +910,7 @@ LARGEST_RATIO = 1.5
 LARGEST_SWAPPED = 1.25  # and two files the movements of each other
 _REACH_S = 0.06
 LARGEST_FROZEN_DEG = 5.0
+LARGEST_ONE_SIDED, _FACES = 0.9, 0.3  # of a mat's area, along the normal
 LEAST_CHANGE_N, LARGEST_LEVER_M = 1.0, 0.5
 _MOVES_DEG = 10.0  # a joint that moves less says little
 _FAR_DEG = 30.0  # and of speeds, one that moves less
@@ -780,9 +943,9 @@ def device_checks(e: Evidence) -> Iterator[Check]:
             "encoder's zero is wrong, or it is another joint's",
         )
         yield _frozen(e, i)
-    moving = [i for i, h in enumerate(human.T) if np.ptp(h) > _FAR_DEG]
-    yield from _exchanged(e, human, device, moving)
-    if moving:
+    spans = np.ptp(human, axis=0)
+    yield from _exchanged(e, human, device, np.flatnonzero(spans > _MOVES_DEG))
+    if (spans > _FAR_DEG).any():
         yield _mismatch(e)
 
 
@@ -800,6 +963,7 @@ def load_checks(e: Evidence) -> Iterator[Check]:
             "whole trial; they are unplugged, or stand still",
             change >= LEAST_CHANGE_N,
         )
+        yield _one_sided(e, cuff)
     if e.trial.moments is None:
         return
     names = e.trial.coordinates
@@ -817,6 +981,24 @@ def load_checks(e: Evidence) -> Iterator[Check]:
             f"body's weight {LARGEST_LEVER_M:g} m away; it may be in N mm, "
             "or friction of device is in other units",
         )
+
+
+def _one_sided(e: Evidence, cuff: str) -> Check:
+    """Whether mats lie on both sides of what a cuff presses on."""
+    mats = [m for m in e.recording.mats if m.segment == cuff]
+    faces = np.array([m.report["forward_share"] for m in mats])
+    share = abs(faces.sum()) / max(np.abs(faces).sum(), _FACES)
+    side = "behind" if faces.sum() > 0.0 else "the front"
+    return e.check(
+        "mat_sides",
+        share,
+        LARGEST_ONE_SIDED,
+        "",
+        mats[0].source,
+        f"mats of {cuff} ({', '.join(m.name for m in mats)}) all press from "
+        f"{side}; unless nothing lies opposite, name that mat, too",
+        level="note",
+    )
 
 
 def _offsets(e: Evidence) -> np.ndarray:
@@ -1008,6 +1190,8 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
 
 
 LARGEST_FORCE_LAG_MS = 25.0
+LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
+_COMMON_S, _COMMON_BETTER = 0.045, 1.15
 _BETTER = 1.7  # misfit over that at another lag, for a clock to be off
 LARGEST_FORCE_RATIO = 1.25
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
@@ -1041,13 +1225,51 @@ def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
     return float(np.std(missed[known]))
 
 
+def _best_lag(missed: np.ndarray, reach_s: float) -> tuple[float, float]:
+    """Where a misfit over `_LAGS_S` is least [ms], and how much better that is.
+
+    Beyond a reach, or at the edge of the search, nothing is said.
+    """
+    best = int(np.argmin(missed))
+    lag = float(_LAGS_S[best])
+    if abs(lag) > reach_s:
+        return 0.0, 1.0
+    return 1e3 * lag, _ratio(missed[len(_LAGS_S) // 2], missed[best])
+
+
+def _common_clock(evidence: Sequence[Evidence], missed: np.ndarray) -> Check:
+    """Of all trials together: skin moves the clock of each another way.
+
+    Args:
+        evidence: of k trials.
+        missed: (k, lags) misfits over `_LAGS_S`.
+    """
+    lag, better = _best_lag(np.linalg.norm(missed, axis=0), _COMMON_S)
+    return evidence[0].check(
+        "force_clock",
+        abs(lag) if better >= _COMMON_BETTER else 0.0,
+        LARGEST_COMMON_LAG_MS,
+        "ms",
+        evidence[0].files.forces,
+        f"forces of all {len(evidence)} trials fit the motion {better:.2g} "
+        f"times better {lag:+.0f} ms away; plates are filtered otherwise, or "
+        "their clock is not the markers' (laboratory.estimate_force_delay)",
+        level="note",
+    )
+
+
 def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Whether plates keep the markers' time, and are of the trial itself."""
-    for e in evidence:
+    if not evidence:
+        return
+    missed = np.array(
+        [[force_misfit(e, e, lag) for lag in _LAGS_S] for e in evidence]
+    )
+    if len(evidence) > 1:
+        yield _common_clock(evidence, missed)
+    for e, fits in zip(evidence, missed, strict=True):
         own = force_misfit(e, e)
-        fits = {1e3 * lag: force_misfit(e, e, lag) for lag in _LAGS_S}
-        lag = min(fits, key=fits.get)
-        better = _ratio(own, fits[lag])
+        lag, better = _best_lag(fits, np.inf)
         lag = lag if better >= _BETTER else 0.0
         yield e.check(
             "force_clock",
@@ -1255,7 +1477,7 @@ def plausibility(
     for e in evidence:
         checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
         checks += load_checks(e)
-    checks += force_checks(evidence)
+    checks += [*shear_checks(evidence), *force_checks(evidence)]
     return (*checks, *between_trials(evidence), *wearer_checks(evidence))
 
 

@@ -28,12 +28,13 @@ from drake_exo.measurement.exoskeleton import (
 from drake_exo.measurement.filters import (
     Gap,
     Gaps,
-    Leap,
+    MarkerFault,
     derivatives,
     fill_gaps,
     gap_remedy,
     leaps,
     resample,
+    standstills,
 )
 from drake_exo.measurement.kinematics import (
     MarkerModel,
@@ -68,8 +69,8 @@ from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import Model
 
-# Between two frames; a runner's foot moves at 10 m/s.
-LARGEST_SPEED_M_S = 15.0
+# Told, if not refused: heels that strike change by 2 m/s between two frames.
+LEAST_LEAP_M_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ class Motion:
         without: markers that are hidden for too long, and left out.
         absent: markers of an OpenSim model that the file does not have.
         applied: segment -> wrench (N,) of what it carries.
-        leaps: of the markers, where they move faster than 15 m/s.
+        leaps: of the markers, see `filters.leaps` [m/s].
+        standstills: see `filters.standstills` [m].
     """
 
     time: np.ndarray
@@ -119,7 +121,8 @@ class Motion:
     without: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     applied: dict[str, PlanarWrench] = field(default_factory=dict)
-    leaps: tuple[Leap, ...] = ()
+    leaps: tuple[MarkerFault, ...] = ()
+    standstills: tuple[MarkerFault, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -271,9 +274,8 @@ def process(
         InputError: as `load_trials`.
     """
     laboratory, low_pass_filter = settings.laboratory, settings.filter
-    recorded = _on_belt(
-        read_markers(root / files.markers, low_pass_filter), settings
-    )
+    seen = read_markers(root / files.markers, low_pass_filter)
+    recorded = _on_belt(seen, settings)
     absent: tuple[str, ...] = ()
     if settings.markers is None:
         absent = _absent(subject.markers, recorded)
@@ -292,7 +294,8 @@ def process(
     )
     motion = replace(
         motion, without=without, absent=absent, applied=applied,
-        leaps=leaps(recorded, subject.markers.names, LARGEST_SPEED_M_S),
+        leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
+        standstills=standstills(seen, followed.by_segment()),
     )  # fmt: skip
     force_clock = _force_clock(
         motion, forces.filtered(low_pass_filter), model.rigid, laboratory

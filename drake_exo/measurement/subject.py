@@ -130,6 +130,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         "standing_gaps_filled": gaps.frames(-np.inf, np.inf),
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),
+        "table_leg_m": _table_leg_m(settings),
     }
     if settings.assembly.device is not None:
         report["device_notes"] = settings.assembly.device.notes
@@ -220,6 +221,13 @@ def model_markers(
         np.zeros(1), tuple(places), p[None], seen.rate_hz, person.osim.source
     )
     return Markers(joints, SegmentMarkers(**sided)), upright
+
+
+def _table_leg_m(settings: RecordingSettings) -> float:
+    """Height of the hips of somebody so tall, by the table [m]."""
+    subject = settings.subject
+    human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
+    return human.ankle_height_m + human.shank.length_m + human.thigh.length_m
 
 
 def _standing_frame(settings: RecordingSettings) -> SagittalFrame:

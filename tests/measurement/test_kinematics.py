@@ -75,6 +75,11 @@ def test_lengths_are_those_of_the_body(human, model):
     assert model.lengths_m["shank"] == pytest.approx(human.shank.length_m)
     assert model.lengths_m["thigh"] == pytest.approx(human.thigh.length_m)
     assert model.ankle_height_m == pytest.approx(human.ankle_height_m)
+    # As they stand: heel, forefoot and ankle, see POINTS.
+    z = human.ankle_height_m + np.array([-0.03, -0.04, 0.0])
+    np.testing.assert_allclose(model.foot_heights_m("left"), z, atol=1e-9)
+    segments = dict(zip(model.segments, model.by_segment(), strict=True))
+    assert segments["foot_right"] == ["R_heel", "R_meta", "R_ank"]
 
 
 @pytest.mark.parametrize(

@@ -310,6 +310,8 @@ def test_known_load_on_a_curved_surface(folder):
     """
     write_pressure(folder / "p.csv", MAT)
     (found,) = forces(folder, {"front": MAT}, "front")
+    mean = np.sin(np.pi / 4.0) / (np.pi / 4.0)
+    assert found.report["forward_share"] == pytest.approx(-mean, rel=0.01)
     load = 1e3 * KPA * 2 * RADIUS * np.sin(np.pi / 4) * 0.1
     assert load == pytest.approx(226.3, abs=0.1)
     np.testing.assert_allclose(found.normal, -load, rtol=5e-3)

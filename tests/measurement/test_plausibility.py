@@ -102,6 +102,8 @@ def test_a_sound_recording_holds_every_check(folder):
     assert names >= {
         "mass", "standing_posture", "standing_balance", "markers", "end",
         "ankle_range", "knee_range", "hip_range", "newton", "euler",
+        "marker_leap", "marker_frozen", "floor", "foot_sides", "stature",
+        "mean_forward", "mean_sideways", "mean_weight", "shear_sign",
         "leg_angles", "feet_apart", "leg_share", "lifted_foot",
         "cop_along", "cop_across", "cop_unit", "plate_sides", "chair",
         "flat_channel", "saturated_channel", "encoder_sign",
@@ -488,6 +490,79 @@ def test_plates_exchanged(folder):
     edit(folder, "left: 2\n    right: 1", "left: 1\n    right: 2")
     text = said(folder, "plate_sides")
     assert "plates.left and plates.right look exchanged" in text
+
+
+def test_left_and_right_exchanged_in_the_names_of_markers(folder):
+    def renamed(name):
+        return {"L": "R", "R": "L"}[name[0]] + name[1:]
+
+    for file in ("sts.trc", "static.trc"):
+        data = read_trc(folder / file)
+        names = tuple(renamed(name) for name in data.names)
+        write_trc(folder / file, replace(data, names=names))
+    found = failing(folder)
+    for name in ("foot_sides", "plate_sides"):
+        assert "left and right markers look exchanged" in found[name][0]
+
+
+@pytest.mark.parametrize(
+    ("plates", "told"),
+    [("1", "'right'"), ("2", "'left'"), ("[12]", "'left' and 'right'")],
+)
+def test_plates_whose_fore_aft_force_counts_backwards(folder, plates, told):
+    names = rf"ground_force_{plates}_vx"
+    forces(folder, lambda _, x: -x, names)
+    text = said(folder, "shear_sign")
+    assert "sts.mot" in text and f"of plate {told} fits the motion" in text
+
+
+def test_a_plate_with_another_gain_in_the_trial(folder):
+    forces(folder, lambda _, x: 1.2 * x, r"ground_force_2_(v|m).")
+    found = failing(folder)
+    assert "newton" not in found and "mass" not in found
+    assert "each plate's gain" in found["mean_weight"][0]
+
+
+def test_plates_that_push_the_person_over(folder):
+    forces(folder, lambda _, x: x + 30.0, "ground_force_2_vz")
+    assert "-30 N sideways on average" in said(folder, "mean_sideways")
+
+
+@pytest.mark.parametrize(("up_m", "word"), [(0.03, "higher"), (-0.03, "lower")])
+def test_a_floor_that_is_not_that_of_standing(folder, up_m, word):
+    markers(folder, lambda d: d.positions + np.array([0.0, up_m, 0.0]))
+    text = said(folder, "floor")
+    assert f"left foot are 30 mm {word} than in standing" in text
+
+
+def test_a_marker_that_is_off_for_three_frames(folder):
+    def change(data):
+        points = data.positions.copy()
+        points[180:183, data.names.index("L_meta")] += [0.11, 0.0, 0.0]
+        return points
+
+    markers(folder, change)
+    assert "'L_meta' leaps at 1.8" in said(folder, "marker_leap")
+
+
+def test_a_marker_that_was_filled_with_its_last_place(folder):
+    def change(data):
+        points = data.positions.copy()
+        i = data.names.index("L_th1")
+        points[160:200, i] = points[160, i]
+        return points
+
+    markers(folder, change)
+    text = said(folder, "marker_frozen")
+    assert "'L_th1' stays in exactly one place from 1.6 s on" in text
+
+
+def test_a_height_that_is_another_persons(folder):
+    """Told, not refused: people's legs differ."""
+    edit(folder, "height_m: 1.7", "height_m: 1.4")
+    checks = read_study(folder / "study.yaml").plausibility()
+    (check,) = [c for c in checks if c.name == "plausibility.stature"]
+    assert check.level == "note" and "check the height" in check.sentence
 
 
 def test_a_mass_that_plates_do_not_show(folder):

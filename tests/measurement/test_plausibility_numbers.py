@@ -7,7 +7,7 @@ import pytest
 
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement import plausibility
-from drake_exo.measurement.filters import Leap, leaps
+from drake_exo.measurement.filters import MarkerFault, leaps, standstills
 from drake_exo.measurement.plausibility import Evidence
 from drake_exo.measurement.sagittal import PlanarWrench
 
@@ -70,7 +70,13 @@ def told(checks, *names):
 
 def standing(worn_kg=0.0, **said):
     """Checks of a standing trial of a person of 60 kg."""
-    report = {"stated_mass_kg": 60.0, "standing_angles_deg": [0, 5, -40, 12]}
+    report = {
+        "stated_mass_kg": 60.0,
+        "standing_angles_deg": [0, 5, -40, 12],
+        "lengths_m": {"shank": 0.4, "thigh": 0.42},
+        "ankle_height_m": 0.08,
+        "table_leg_m": 0.9,
+    }
     subject = SimpleNamespace(
         report=report | said,
         mass_kg=60.0,
@@ -95,6 +101,12 @@ def test_what_a_standing_trial_says():
     found = standing(6.0, standing_mass_kg=0.6)
     assert "forces look like kgf or daN" in found[0].sentence
     assert "beyond the device in" in found[0].sentence
+    assert told(found, "stature") == [(0.0, 10.0, True)]
+    (tall,) = [
+        c for c in standing(table_leg_m=1.01) if c.name.endswith("stature")
+    ]
+    assert (tall.value, tall.holds) == (pytest.approx(1100 / 101), False)
+    assert tall.level == "note" and "0.90 m above the floor" in tall.sentence
     cop = {"standing_cop_x_m": 0.03, "standing_com_x_m": -0.04}
     assert told(standing(**cop), "standing_balance") == [(0.07, 0.1, True)]
     cop["trunk_com_shift_m"] = -0.11
@@ -139,6 +151,7 @@ def test_markers_are_told_by_their_mean_square():
 def test_newton_and_euler_by_hand():
     """10 N along, 30 N up and 60 N m about an ankle at (0.2, 0.1) too few."""
     e = made(legs={"left": np.zeros((200, 3))})
+    e.recording.forces = SimpleNamespace(is_one_leg=False)
     turn = np.linspace(0.0, 4.0 * np.pi, N)
     shear = 50.0 * np.sin(turn)
     measured = np.column_stack([shear, np.full(N, 600.0), np.full(N, 5.0)])
@@ -146,26 +159,78 @@ def test_newton_and_euler_by_hand():
     q = np.zeros((N, 6))
     q[:, 0], q[:, 1] = 0.2, 0.1
     e.trial.q = e.trial.v = e.trial.a = q
-    known(e, needed=measured + lost, measured=measured, plates={})
+    across = {"left": -15.0, "right": 40.0}
+    plates = {k: np.full((N, 1), x) * np.eye(6)[1] for k, x in across.items()}
+    known(e, needed=measured + lost, measured=measured, plates=plates)
     found = list(plausibility._dynamics(e))
-    assert told(found, "newton", "euler", "shear_sign") == [
+    assert told(found, "newton", "euler", "mean_forward") == [
         (30.0, 105.0, True),
         (60.0, 70.0, True),
-        (1.0, -0.3, True),
+        (10.0, 21.0, True),
     ]
-    known(e, measured=measured * [-1.0, 1.0, 1.0])
-    assert told(list(plausibility._dynamics(e)), "shear_sign") == [
-        (-1.0, -0.3, False)
+    assert told(found, "mean_sideways", "mean_weight") == [
+        (25.0, 21.0, False),
+        (100.0 * 30.0 / 630.0, pytest.approx(7.0), True),
     ]
-    # 45 N of amplitude are 32 N RMS, more than 14; 15 N are not.
-    known(e, needed=measured * [0.3, 1.0, 1.0] + lost)
+    assert "+25 N sideways" in found[3].sentence
+    known(e, needed=measured + 2.2 * lost)
+    found = list(plausibility._dynamics(e))
+    assert [(c.holds, c.sentence[7:39]) for c in found[2::2]] == [
+        (False, "plates bear -22 N forward on ave"),
+        (False, "plates bear 90 % of what the mot"),
+    ]
+    # One foot on a plate says nothing of the other's push.
+    e.recording.forces.is_one_leg = True
     names = [c.name for c in plausibility._dynamics(e)]
-    assert "plausibility.shear_sign" not in names
+    assert "plausibility.mean_sideways" not in names
     # Turned: F_x and M_y change their signs.
     known(e, needed=np.array([[10.0, 600.0, -20.0]] * N))
     known(e, measured=np.array([[-10.0, 600.0, 20.0]] * N))
     assert e.pitch_error(turned=True) == pytest.approx(0.0)
     assert e.pitch_error() == pytest.approx(40.0 + 0.1 * 20.0)
+
+
+def sheared(plates, left, right, one_leg=False):
+    """A trial whose motion asks for a swing of 50 N, half on each plate.
+
+    Args:
+        plates: of the study.
+        left, right: share of its half that the plate shows.
+    """
+    e = made()
+    e.files.plates = plates
+    e.recording.forces = SimpleNamespace(is_one_leg=one_leg)
+    swing = 50.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, N, endpoint=False))
+    own = {"left": left * swing / 2.0, "right": right * swing / 2.0}
+    own = {k: np.outer(x, np.eye(6)[0]) for k, x in own.items()}
+    needed = np.outer(swing, [1.0, 0.0, 0.0])
+    if one_leg:
+        del own["right"]
+    measured = (2.0 if one_leg else 1.0) * sum(own.values())[:, :3] + 7.0
+    return known(e, needed=needed, measured=measured, plates=own)
+
+
+def test_signs_of_fore_aft_forces_are_told_by_all_trials_together():
+    """Of shares that are shown, misfits of what is asked for follow."""
+    (found,) = plausibility.shear_checks(
+        [sheared("a", 1.2, 0.6), sheared("a", 0.2, 1.0)]
+    )
+    # Missed 0.1 and 0.4; the left one turned, 1.3 and 0.6.
+    ratio = np.hypot(0.1, 0.4) / np.hypot(1.3, 0.6)
+    assert told(found, "shear_sign") == [(ratio, 1.1, True)]
+    found = list(
+        plausibility.shear_checks(
+            [sheared("a", -1.2, 0.6), sheared("b", -0.8, -0.8)]
+        )
+    )
+    assert told(found, "shear_sign") == [
+        (1.3 / 0.1, 1.1, False),
+        (1.8 / 0.2, 1.1, False),
+    ]
+    assert "of plate 'left' fits the motion 13 times" in found[0].sentence
+    assert "of plate 'left' and 'right' fits" in found[1].sentence
+    found = plausibility.shear_checks([sheared("a", -0.9, 0.0, one_leg=True)])
+    assert told(list(found), "shear_sign") == [(1.9 / 0.1, 1.1, False)]
 
 
 @pytest.mark.parametrize(
@@ -428,31 +493,120 @@ def test_encoders_against_the_person_by_hand():
 
 
 def test_a_marker_that_leaps_near_the_used_part():
-    """0.25 s around it at most."""
+    """0.25 s around it at most; by less than 8 m/s, it is only told."""
 
-    def leapt(*times):
-        found = [Leap("KNEE", t, 20.0 + k) for k, t in enumerate(times)]
+    def leapt(*times, size=20.0):
+        found = [MarkerFault("KNEE", t, size + k) for k, t in enumerate(times)]
         return plausibility._leap(made(leaps=tuple(found)))
 
-    for times, value, holds in (
-        ((), 0.0, True), ((1.2, 2.3), 0.0, True), ((1.3,), 20.0, False),
-        ((2.2,), 20.0, False), ((1.6, 1.7), 21.0, False),
+    for times, value, limit in (
+        ((), 0.0, 4.0), ((1.2, 2.3), 0.0, 4.0), ((1.3,), 20.0, 8.0),
+        ((2.2,), 20.0, 8.0), ((1.6, 1.7), 21.0, 8.0),
     ):  # fmt: skip
         check = leapt(*times)
-        assert told(check, "marker_leap") == [(value, 15.0, holds)]
-    assert "'KNEE' leaps at 1.7 s (21 m/s between" in check.sentence
+        assert told(check, "marker_leap") == [(value, limit, limit == 4.0)]
+    assert check.level == "fail"
+    assert "'KNEE' leaps at 1.7 s (by 21 m/s from" in check.sentence
+    check = leapt(1.6, size=7.9)
+    assert told(check, "marker_leap") == [(7.9, 4.0, False)]
+    assert check.level == "note"
 
 
 def test_leaps_are_between_frames_that_are_seen():
-    """0.16 m in a hundredth of a second; hidden frames say nothing."""
+    """0.16 m in a hundredth of a second; hidden frames say nothing.
+
+    A marker that moves on as fast leaps where it starts, and stops.
+    """
     p = np.zeros((40, 2, 3))
-    p[10:, 0, 1] = 0.16
+    p[10:, 0, 1] = np.minimum(0.16 * np.arange(1, 31), 0.8)
     p[20:, 0, 0] = 0.14
     p[30, 1] = np.nan
     p[31:, 1] = 1.0
     data = MarkerData(np.arange(40) / 100.0, ("A", "B"), p, 100.0)
-    (leap,) = leaps(data, ("B", "A"), 15.0)
-    assert leap == Leap("A", 0.1, pytest.approx(16.0))
+    found = leaps(data, ("B", "A"), 15.0)
+    assert found == tuple(
+        MarkerFault("A", t, pytest.approx(16.0)) for t in (0.1, 0.15)
+    )
+
+
+def test_markers_that_stand_still_beside_others_that_move():
+    """Ten frames in one place, while the next marker moves by 0.1 m."""
+    p = np.zeros((40, 3, 3))
+    p[:, :, 0] = 0.01 * np.arange(40)[:, None]
+    p[10:21, 0] = p[10, 0]
+    p[30:34, 1] = p[30, 1]  # too few to tell
+    p[15, 2] = np.nan
+    data = MarkerData(np.arange(40) / 100.0, ("A", "B", "C"), p, 100.0)
+    fault = MarkerFault("A", 0.1, pytest.approx(0.1))
+    assert standstills(data, [["B", "A"], ["C"]]) == (fault,)
+    assert standstills(data, [["C", "A"]]) == ()  # C is hidden meanwhile
+    e = made(standstills=(MarkerFault("A", 1.6, 0.019),))
+    assert told(plausibility._standstill(e), "marker_frozen") == [
+        (0.019, 0.02, True)
+    ]
+    e.recording.motion.standstills += (MarkerFault("B", 1.7, 0.1),)
+    check = plausibility._standstill(e)
+    assert "'B' stays in exactly one place from 1.7 s" in check.sentence
+    assert not check.holds
+
+
+def test_feet_are_as_high_as_in_standing_while_they_bear():
+    """Flat for a quarter of the time, 4 and 6 mm low; else a heel lifts."""
+    feet = np.zeros((200, 2, 3))
+    feet[..., 2] = [0.05, 0.02]
+    feet[INSIDE, :, 2] += np.where(np.arange(N) < 15, -0.005, 0.03)[:, None]
+    feet[INSIDE, 0, 2] += 0.001
+    feet[INSIDE, 1, 2] -= 0.001
+    e = made(feet={"left": feet}, without=("X",), absent=())
+    e.subject.markers = SimpleNamespace(
+        without=lambda names: SimpleNamespace(
+            foot_heights_m=lambda side: np.array([0.05, 0.02])
+        )
+    )
+    bears = np.outer(np.where(np.arange(N) < 40, 300.0, 0.0), np.eye(6)[2])
+    known(e, plates={"left": bears})
+    assert told(list(plausibility._floor(e)), "floor") == [(0.005, 0.015, True)]
+    feet[..., 2] += 0.03
+    (check,) = plausibility._floor(e)
+    assert told(check, "floor") == [(0.025, 0.015, False)]
+    assert "left foot are 25 mm higher than in standing" in check.sentence
+    # Where nothing is borne, a foot may be anywhere.
+    assert list(plausibility._floor(known(e, plates={"left": 0 * bears}))) == []
+
+
+def test_names_of_left_and_right_exchanged():
+    feet = {
+        side: np.full((200, 2, 3), y)
+        for side, y in (("left", -0.1), ("right", 0.09))
+    }
+    check = plausibility._foot_sides(made(feet=feet))
+    assert told(check, "foot_sides") == [(-0.19, 0.0, False)]
+    assert "0.19 m right of the other's" in check.sentence
+    feet = {"left": feet["right"], "right": feet["left"]}
+    check = plausibility._foot_sides(made(feet=feet))
+    assert told(check, "foot_sides") == [(0.19, 0.0, True)]
+
+
+def test_mats_on_one_side_alone_are_told():
+    def judged(**shares):
+        e = made()
+        e.recording.mats = [
+            SimpleNamespace(
+                name=name, segment=name.split("_")[0], source="a.asc",
+                report={"forward_share": share},
+            )
+            for name, share in shares.items()
+        ]  # fmt: skip
+        return plausibility._one_sided(e, "thigh")
+
+    found = judged(thigh_front=-0.8, thigh_back=0.7, shank_back=0.6)
+    assert told(found, "mat_sides") == [(0.1 / 1.5, 0.9, True)]
+    found = judged(thigh_front=-0.8, shank_back=0.6)
+    assert told(found, "mat_sides") == [(1.0, 0.9, False)]
+    assert "(thigh_front) all press from the front" in found.sentence
+    assert found.level == "note"
+    # One that is wrapped around presses from all sides.
+    assert told(judged(thigh_all=0.02), "mat_sides")[0][2]
 
 
 def borne(name, force, late_s=0.0, seconds=2.4):
@@ -537,10 +691,30 @@ def test_plates_of_another_trial():
     checks = list(plausibility.force_checks([own, near, far]))
     ratios = told(checks, "force_file")
     assert [holds for *_, holds in ratios] == [True, False, False]
-    assert "forces of trial a fit this motion" in checks[3].sentence
+    assert "forces of trial a fit this motion" in checks[4].sentence
     assert all(limit == 1.25 for _, limit, _ in ratios)
     far.files.forces = near.files.forces = own.files.forces  # parts of one
-    assert len(list(plausibility.force_checks([own, near, far]))) == 3
+    assert len(list(plausibility.force_checks([own, near, far]))) == 4
+
+
+def test_a_clock_that_is_late_in_all_trials():
+    """Of one trial 20 ms may be skin that slides; of all they are a clock."""
+
+    def judged(*late):
+        trials = [borne(str(t), swing(90.0, 7 + t), t) for t in late]
+        for i, e in enumerate(trials):
+            known(e, needed_z=600 + 90 * np.sin((7 + late[i]) * TIME))
+        return list(plausibility.force_checks(trials))
+
+    found = judged(0.02, 0.02)
+    assert told(found, "force_clock")[0] == (20.0, 12.0, False)
+    assert found[0].level == "note"
+    assert "forces of all 2 trials fit" in found[0].sentence
+    assert "times better +20 ms away" in found[0].sentence
+    assert told(found, "force_clock")[1:] == [(20.0, 25.0, True)] * 2
+    assert told(judged(0.02, -0.02), "force_clock")[0] == (0.0, 12.0, True)
+    assert told(judged(0.06, 0.06), "force_clock")[0] == (0.0, 12.0, True)
+    assert len(told(judged(0.02), "force_clock")) == 1
 
 
 def loaded(normal, moment):
@@ -548,6 +722,12 @@ def loaded(normal, moment):
     e = made()
     e.files.pressure, e.files.exo_moments = (), None
     e.trial.cuffs = {"shank": SimpleNamespace(normal=np.array(normal))}
+    e.recording.mats = [
+        SimpleNamespace(
+            name="mat", segment="shank", source="a.asc",
+            report={"forward_share": 0.0},
+        )
+    ]  # fmt: skip
     e.trial.coordinates.is_device_joint = np.arange(6) >= 3
     e.trial.moments = np.zeros((2, 6))
     e.trial.moments[1, 4] = moment
