@@ -332,7 +332,8 @@ def _reduce(args) -> int:
     print(
         f"{args.spheres} spheres in {where}: force "
         f"{100 * found.force_error:.1f} % of the largest, centre of "
-        f"pressure {1e3 * found.cop_error:.1f} mm where loaded (RMS); "
+        f"pressure {1e3 * found.cop_error:.1f} mm where loaded (RMS)"
+        f"{'' if found.is_near else ', too far: take more spheres'}; "
         f"{args.out}, every sample in {rows}"
     )
     return 0 if found.is_near else 1

@@ -363,7 +363,8 @@ class Load:
                 f"its path lies {500 * off[0]:.0f} mm before and "
                 f"{500 * off[1]:.0f} mm left of the sole's: move the load "
                 "(origin_m and yaw_rad, shift_m of a recording) or the block "
-                "start, or take a larger sole"
+                "start, take a larger sole, or leave these samples out "
+                "(least_force_n, from, to)"
             )
 
 

@@ -72,6 +72,12 @@ def step_checks(step) -> tuple[Check, ...]:
     else:
         q, status = failed[0], step.history.reports[failed[0]].message
         said = f"sample {q} at {step.times[q]:g} s: {status}"
+        pressed = step.pressed
+        if pressed > SMALL_STRAIN:
+            said += (
+                f"; the load presses the sole by some {pressed:.0%} of its "
+                "thickness: check youngs_modulus_pa and the load's units"
+            )
         checks = [
             check(SOLVED, False, float(len(failed)), 0.0, "samples", said)
         ]
@@ -288,6 +294,13 @@ class Step:
     def pressure(self) -> np.ndarray:
         """At the m nodes that may touch, over their area [Pa], (N, m)."""
         return self.history.F[:, :, 2] / self.sole.mesh.contact_areas
+
+    @property
+    def pressed(self) -> float:
+        """Largest upward force over Young's modulus and the sole's area."""
+        area = self.sole.mesh.contact_areas.sum()
+        stiff = self.sole.material.youngs_modulus_pa * area
+        return float(self.setup.load.force[:, 2].max() / stiff)
 
     @property
     def touching(self) -> np.ndarray:

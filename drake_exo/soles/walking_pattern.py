@@ -127,7 +127,8 @@ def _rectangle(places: np.ndarray) -> list[float]:
         method="SLSQP",
         constraints=LinearConstraint(corner, -np.inf, room),
     )
-    if (corner @ found.x > room + 1e-6).any():
+    low, high = np.split(found.x, 2)
+    if (corner @ found.x > room + 1e-6).any() or (low >= high).any():
         raise InputError(
             "pattern: no place of the sole lies 15 mm inside its outline; "
             "give back_m, front_m, outer_m and inner_m, or a larger sole"

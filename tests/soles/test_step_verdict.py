@@ -37,6 +37,7 @@ def _told(**changes):
         "measured": np.array([False, False, False]),
         "force_z": [100.0, 300.0, 200.0],
         "times": [0.0, 0.1, 0.25],
+        "pressed": 0.1,
     } | changes
     step = SimpleNamespace(
         setup=SimpleNamespace(
@@ -55,7 +56,7 @@ def _told(**changes):
         ),
         complementarity=lambda: made["worst"],
         **{k: made[k] for k in ("converged", "largest_strain", "tilt_deg",
-                                "stability", "zmp_error")},
+                                "stability", "zmp_error", "pressed")},
     )  # fmt: skip
     return {check.name: check for check in step_checks(step)}
 
@@ -66,6 +67,14 @@ def test_a_sample_that_failed_is_named_by_its_time():
     assert "sample 2 at 0.25 s: lost" in check.sentence
     assert _told(converged=np.ones(3, bool))["solved"].holds
     assert list(_told(converged=np.zeros(3, bool))) == ["solved"]
+    assert "youngs_modulus_pa" not in check.sentence
+    assert "by some 1300% of its thick" in _told(pressed=13)["solved"].sentence
+
+
+def test_a_block_is_pressed_by_force_over_modulus_and_area():
+    case = Case.from_text(EXAMPLE)  # 400 N on 0.23 x 0.13 m of 1 MPa
+    step = SimpleNamespace(setup=case, sole=case.sole())
+    assert Step.pressed.fget(step) == pytest.approx(400 / 0.0299e6)
 
 
 @pytest.mark.parametrize(

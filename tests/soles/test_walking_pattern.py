@@ -219,8 +219,9 @@ def test_bounds_are_15_mm_inside_the_sole():
     np.testing.assert_allclose(
         Robot().within(disc).bounds, [[-side] * 2, [side] * 2], atol=2e-4
     )
-    with pytest.raises(InputError, match="15 mm inside"):
-        Robot().within(0.2 * brick)
+    for narrow in (0.2 * brick, brick * [1.0, 0.2]):
+        with pytest.raises(InputError, match="no place of the sole lies 15 mm"):
+            Robot().within(narrow)
 
 
 def test_straight_goes_from_heel_to_toe(pattern):
