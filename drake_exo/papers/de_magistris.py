@@ -36,11 +36,7 @@ from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
-from drake_exo.soles.optimize.search import (
-    finished,
-    pareto_front,
-    search_jobs,
-)
+from drake_exo.soles.optimize.search import finished, pareto_front, search_jobs
 from drake_exo.soles.results import strikes
 from drake_exo.soles.settings import (
     STAGES,
@@ -231,10 +227,7 @@ class Study:
             raise
         checks = [
             Check(
-                "solved",
-                False,
-                where=row.name,
-                sentence=row.cause or row.error,
+                "solved", False, where=row.name, sentence=row.cause or row.error
             )
             for row in ended.values()
             if row.state != "done" and row.name.endswith(_TOLD)

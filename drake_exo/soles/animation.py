@@ -19,10 +19,7 @@ from matplotlib import colormaps
 from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import (
-    read_json,
-    stored_mark,
-)
+from drake_exo.files.output import read_json, stored_mark
 from drake_exo.player import Arrow, Clip, Page, Surface, write_page
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.mesh import TetMesh
@@ -61,16 +58,9 @@ function show(text) {{
 class SoleMotion:
     """A sole through one contact phase, as it is drawn.
 
-    Attributes:
-        title: by which it is chosen.
-        group: motions of one group are listed together.
-        times: (N,) increasing [s].
-        mesh: at rest, in the sole's frame.
-        origin, rotation: of that frame, world, (N, 3) [m] and (N, 3, 3).
-        places: of the contact nodes, world [m], (N, m, 3).
-        force: of the ground on them, world [N], (N, m, 3).
-        mark: of a result that does not hold.
-        ground: that it stands on.
+    Times (N,) [s], place (N, 3) [m] and orientation (N, 3, 3) of its frame in
+    the world, places [m] and forces [N] of its contact nodes there, (N, m, 3);
+    `mark` is that of a result that does not hold, a `group` is listed together.
     """
 
     title: str
@@ -106,11 +96,7 @@ class SoleMotion:
     def read(
         path: Path, title: str, group: str = "", mark: str = ""
     ) -> SoleMotion | None:
-        """The same of what `simulation.write_history` wrote.
-
-        Raises:
-            InputError: it is missing or damaged.
-        """
+        """The same of what `simulation.write_history` wrote."""
         return SoleMotion.of(title, *read_history(path, _AGAIN), mark, group)
 
     @property
@@ -167,10 +153,7 @@ def write_animation(
 ) -> None:
     """Write a page that plays motions of soles, the first one at first.
 
-    Args:
-        path: HTML file; 1 MB and at most 1.5 MB for each motion.
-        motions: of one or several soles.
-        title: of the page.
+    An HTML file of 1 MB and at most 1.5 MB for each motion.
     """
     motions = [motion.thinned(_MAX_FRAMES) for motion in motions]
     pressures = [motion.pressure() for motion in motions]

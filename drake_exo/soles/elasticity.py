@@ -167,12 +167,9 @@ def mirrored(lower: np.ndarray) -> np.ndarray:
 def fronts_of(
     graph: csr_matrix, places: np.ndarray, last: np.ndarray
 ) -> list[Front]:
-    """Fronts in the order of elimination.
+    """Fronts in the order of elimination, some nodes last, together.
 
-    Args:
-        graph: Which nodes touch, (n, n).
-        places: Of the nodes, (n, 3).
-        last: Nodes that are eliminated last, together, (m,), m > 0.
+    Of which nodes touch (n, n), their places (n, 3), and the last (m,), m > 0.
     """
     others = np.setdiff1d(np.arange(len(places)), last)
     parts: list[tuple[np.ndarray, list[int]]] = []
@@ -355,11 +352,10 @@ def assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
 def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
     """Groups of elements over which strains are averaged, for compiled code.
 
-    Returns:
-        A tuple for each part of the energy: where each group begins among
-        the elements that follow, (k + 1,); tets; gradients of their shape
-        functions; what an element gives to each of its groups [m³], (e,);
-        μ and λ [Pa]; rows of the nodes in the matrix, -1 where fixed.
+    A tuple for each part of the energy: where each group begins among the
+    elements that follow, (k + 1,); tets; gradients of their shape functions;
+    what an element gives to each of its groups [m³], (e,); μ and λ [Pa]; rows
+    of the nodes in the matrix, -1 where fixed.
     """
     shear = material.shear_modulus
     bulk = material.lame_lambda + 2 / 3 * shear
@@ -531,13 +527,8 @@ def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
     """Derivatives of tr(C̄ᵀ C) with C̄ = left rightᵀ by the nodes, (f, n, 3).
 
     C is symmetric: the eigenvectors of C̄'s symmetric part are all the fields
-    that it takes.
-
-    Args:
-        sole: The condensed sole.
-        terms: Pairs of left and right, (3m, c) each, one for each C̄.
-        held: For each further fields and factors as of `energy_gradients`,
-            whose derivative is added, or None.
+    that it takes. For each C̄ terms are left and right, (3m, c) each; held are
+    further fields and factors as of `energy_gradients`, or None.
     """
     forces, factors = zip(
         *(_forces(sole, *term) for term in terms), strict=True
@@ -626,11 +617,8 @@ def _add_gradients(
     """Add −∂(W : K)/∂X of the groups' energies, see `groups_of`.
 
     That of a group is Σ G_aᵀ M_ab G_b / V with G = Σ v g, V = Σ v and
-    M = μ (tr W I + Wᵀ) + λ W.
-
-    Args:
-        W: Blocks with a <= b, (nnz, f, 3, 3).
-        out: (f, n, 3).
+    M = μ (tr W I + Wᵀ) + λ W, of blocks with a <= b, (nnz, f, 3, 3), into
+    (f, n, 3).
     """
     slot = np.full(len(number), -1)
     nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))

@@ -45,7 +45,7 @@ from drake_exo.soles.contact.newton import (
     newton,
     wrench_size,
 )
-from drake_exo.soles.elasticity import Material, Sole
+from drake_exo.soles.elasticity import Material, Sole, node_dofs
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import exp_rotation, hat, tilt_deg
@@ -72,12 +72,7 @@ def first_stress(F: np.ndarray, material: Material) -> np.ndarray:
 
 
 class NeoHookeanBody:
-    """Internal forces and tangent of a meshed sole fixed at its top.
-
-    Args:
-        mesh: The mesh at rest.
-        material: Its Lamé constants.
-    """
+    """Internal forces and tangent of a meshed sole fixed at its top."""
 
     def __init__(self, mesh: TetMesh, material: Material):
         self.mesh, self.material = mesh, material
@@ -185,10 +180,7 @@ class FiniteState:
 class FiniteStrainSolver:
     """Newton for one neo-Hookean sole and one contact law.
 
-    Args:
-        body, law, ground: The sole, its contact and what it stands on.
-        tolerance: On the largest unbalanced nodal force over |F_des|.
-        max_iterations: Newton steps before giving up.
+    The tolerance is on the largest unbalanced nodal force over |F_des|.
     """
 
     def __init__(
@@ -204,7 +196,7 @@ class FiniteStrainSolver:
         self.nodes = body.mesh.contact
         self.rest = body.mesh.nodes[self.nodes]
         rows = np.searchsorted(body.free, self.nodes)
-        self._rows = (3 * rows[:, None] + np.arange(3)).ravel()
+        self._rows = node_dofs(rows)
         self._blocks = rows
 
     def places(self, state: FiniteState) -> np.ndarray:
@@ -356,11 +348,7 @@ class _Linearisation:
         return self._wrench_change(self._pose, True)
 
     def newton_step(self, asked):
-        """Interior du (n_f, 3), ζ (m, 3), pose increment (6,).
-
-        Args:
-            asked: Components of wrench and pose that are solved for.
-        """
+        """Interior du (n_f, 3), ζ (m, 3), pose increment (6,) as `asked`."""
         x = self._lu.solve(-self.point.balance.reshape(-1, 1))
         carried = self._wrench_change(x, False)[:, 0]
         dp, G = np.zeros(6), self.wrench_response()[np.ix_(asked, asked)]
@@ -423,19 +411,11 @@ def follow(
 ) -> FiniteHistory:
     """Follow force and ZMP sample by sample, with the contact's history.
 
-    The first sample is entered from the small-strain solution, at a part of
-    its load where need be; the others from the sample before. Where Newton
-    fails the load's way is bisected. Without an equilibrium the contact's
-    history ends: the samples that follow are left out.
-
-    Args:
-        sole: Mesh and material.
-        law: Contact law, as in small strain.
-        load: What is asked for at N samples.
-        start: How the sole is held just before contact.
-        entry: Small-strain solution of the first sample, if known.
-        progress: Called with samples done and samples in all.
-        ground: What it stands on.
+    The first sample is entered from the small-strain solution (`entry`, if
+    known), at a part of its load where need be; the others from the sample
+    before. Where Newton fails the load's way is bisected. Without an
+    equilibrium the contact's history ends: the samples that follow are left
+    out. `progress` is called with samples done and samples in all.
     """
     body = NeoHookeanBody(sole.mesh, sole.material)
     solver = FiniteStrainSolver(body, law, ground=ground)
@@ -618,11 +598,7 @@ def _sample(
 
 
 def table(found: dict[str, dict]) -> str:
-    """Text table of several soles, small beside finite strain.
-
-    Args:
-        found: Sole's name -> what `compare_strains` returned.
-    """
+    """Text table of several soles by name, small beside finite strain."""
     head = (
         f"{'sole':11s} {'sample':>6s} {'σ_max(K_tr) [N/m]':>21s} "
         f"{'σ_min(K_rot) [N·m/rad]':>22s} {'tilt [°]':>13s} "

@@ -39,13 +39,7 @@ _LIGHT = np.array([-0.4, -0.2, 0.894])  # right, up, towards the viewer
 
 @dataclass(frozen=True)
 class View:
-    """Where from a sole is seen; x forward, y left, z up.
-
-    Attributes:
-        name: Title.
-        toward: From the sole to the viewer.
-        up: What is up in the picture.
-    """
+    """Where from a sole is seen: toward the viewer, and up in the picture."""
 
     name: str
     toward: tuple[float, float, float]

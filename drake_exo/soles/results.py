@@ -10,12 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import (
-    SOLVED,
-    Check,
-    Verdict,
-    write_json,
-)
+from drake_exo.files.output import SOLVED, Check, Verdict, write_json
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver

@@ -160,18 +160,12 @@ def first_step(
 ) -> tuple[State | None, Convergence]:
     """Solve the first step of a contact phase, from a cold start.
 
-    Every candidate is pressed into the ground at its own pose, then force
+    Every candidate is pressed into the ground at its own pose, by at least a
+    fifth of the phase's largest |F| [N], so that enough nodes touch. Then force
     and ZMP are led to the wanted ones: with the wanted law, else with a
-    smoother law that is sharpened afterwards.
-
-    Args:
-        solver: Newton solver with the wanted law.
-        target: First sample; its reference is a Start.
-        largest_force: Largest |F| of the phase [N]; pressing in uses at
-            least a fifth of it, so that enough nodes touch.
-        near: First state of a neighbouring design. A pose turned far from
-            it that does not follow from it either is a leap, and fails.
-        patience: Newton steps after which no other facet is tried.
+    smoother law that is sharpened afterwards. A pose turned far from the first
+    state `near` of a neighbouring design that does not follow from it either is
+    a leap, and fails. After `patience` Newton steps no other facet is tried.
     """
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
     state, report = _cold_start(solver, target, press, patience)
@@ -301,10 +295,8 @@ def follow_load(
 def lead(solver, state, before: Target, target: Target):
     """From equilibrium at `before` to `target`, bisecting the way.
 
-    In small or finite strain; the target's references hold all along.
-
-    Returns:
-        Last equilibrium, report at the target, part of the way reached.
+    In small or finite strain; the target's references hold all along. Last
+    equilibrium, report at the target, part of the way reached.
     """
     done, step, total = 0.0, 1.0, 0
     while done < 1.0 and step >= _LEAST_STEP:
@@ -333,11 +325,8 @@ def refine_time(
 
     Unlike `follow_load`, every part is a step of its own: the references are
     the places where the part before it has left the nodes. `state` and
-    `places` are those of `before`; references of both loads are not used.
-
-    Returns:
-        The last state that was found; its report: how many parts it took or
-        up to which part of the way it got; the places before it there.
+    `places` are those of `before`. The last state that was found, its report,
+    the places before it.
     """
     done, part, parts, total = 0.0, 0.5, 0, 0
     references = places
@@ -503,18 +492,15 @@ def simulate(
     """Follow the desired force and ZMP sample by sample.
 
     Args:
-        solver: Of the sole and its contact law.
-        load: What is asked for at N samples.
-        start: How the sole is held just before contact.
+        solver, load, start: The sole and its contact law, what is asked for,
+            and how the sole is held just before contact.
         stop_at_failure: Leave the remaining samples out after a failure.
             Otherwise a sample that cannot be reached from the one before is
             led to by samples in between, see `refine_time`.
         near: History of a neighbouring design: a start on another branch
             fails, so does a step that takes far more Newton steps, and its
-            increments from sample to sample are the first guess of this
-            one's. None: any branch will do.
-        largest_force: Largest |F| of the phase [N], by which the first
-            contact is found; of the samples given where None.
+            increments are the first guess of this one's.
+        largest_force: |F| [N] for `first_step`; by default of these samples.
         keep: Keep every sample's linearisation, for derivatives.
         progress: Called with samples done and samples in all.
     """

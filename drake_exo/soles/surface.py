@@ -122,12 +122,7 @@ _SHORTER = 12  # times that a move is halved
 
 @dataclass(frozen=True)
 class Surface:
-    """A closed surface of outward triangles.
-
-    Attributes:
-        corners: (t, 3, 3) [m].
-        name: Of the file.
-    """
+    """A closed surface of outward triangles (t, 3, 3) [m]; its file's name."""
 
     corners: np.ndarray
     name: str
@@ -415,8 +410,7 @@ def crossings(corners: np.ndarray, places: np.ndarray):
 def _nearest(corners, points, step: float):
     """On triangles (t, 3, 3) what is nearest to points (n, 3).
 
-    Returns:
-        Points (n, 3), the triangles that they lie on (n,), how far (n,).
+    Points (n, 3), the triangles that they lie on (n,), how far (n,).
     """
     samples, owner = _sampled(corners, step)
     _, near = cKDTree(samples).query(points, k=min(6, len(samples)))
@@ -532,16 +526,11 @@ def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
 
 
 def _sharp(corners, size: float):
-    """Smooth patches of a surface, and what lies between them.
+    """Smooth patches of a surface (t, 3, 3), and what lies between them.
 
-    Args:
-        corners: Of its triangles [m], (t, 3, 3).
-        size: Patches of few such squares do not count [m].
-
-    Returns:
-        Patch of each triangle, counted by falling area, -1 for none (t,);
-        ends of edges between two (k, 2, 3) and points where edges of several
-        patches meet (m, 3) [m].
+    Patches of few squares of a size [m] do not count. Patch of each triangle,
+    by falling area, -1 for none (t,); ends of edges between two (k, 2, 3) and
+    points where edges of several patches meet (m, 3) [m].
     """
     places = corners.reshape(-1, 3)
     step = 1e-6 * np.ptp(places, axis=0).max()

@@ -191,11 +191,9 @@ class Linearisation:
     def _respond(self, T, known, phi_g=None, turned=None):
         """Solve dF = S dδ + S rhs for dF and dδ, (3k, c) each, sole frame.
 
-        Args:
-            T: S times both rhs and the dδ that are known, (3k, c).
-            known: These dδ, zero elsewhere, (3k, c); filled.
-            phi_g: Law residual of the loose nodes, (3g,), in the first column.
-            turned: Likewise for the turn, (3g, 3), in the last ones.
+        T is S times both rhs and the dδ that are `known` (zero elsewhere,
+        filled). The law residual of the loose nodes is `phi_g` (3g,) in the
+        first column, and `turned` (3g, 3) in the last ones.
         """
         if self._lu is None:
             return T, known
@@ -312,9 +310,7 @@ class Linearisation:
     def solve_transposed(self, Sb: np.ndarray):
         """Solve J_Fᵀ z = b for b given as S b, world, (c, k, 3).
 
-        Returns:
-            z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e;
-            world, (c, k, 3) each.
+        z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e, likewise.
         """
         local = (Sb @ self.R).reshape(len(Sb), -1)
         y, e, z_g = local, np.zeros_like(local), None

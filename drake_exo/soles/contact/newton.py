@@ -53,17 +53,11 @@ def deformed(C, lP, R, F):
 
 @njit()
 def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
-    """Residuals of the node law and of the wrench at places P.
+    """Residuals at world places P [m] and forces F [N], (m, 3) each.
 
-    Args:
-        P, F: World places [m] and forces [N], (m, 3) each.
-        Q, axes: As of `Ground.planes`.
-        zmp: Desired ZMP on the ground [m], (3,).
-        r, mu, epsilon, kappa: The contact law's, see `law`.
-
-    Returns:
-        τ = F − r δ in the planes' axes and φ = F − T(τ) (m, 3) [N], arms
-        P − ZMP (m, 3) [m], force and moment about the ZMP (6,), largest |φ|.
+    Of Q and axes as of `Ground.planes`: τ = F − r δ in the planes' axes and
+    φ = F − T(τ) (m, 3) [N], arms P − ZMP (m, 3) [m], force and moment about
+    the ZMP (6,), largest |φ|.
     """
     m = len(P)
     tau, phi, arm = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
@@ -264,13 +258,10 @@ class ContactSolver:
     def solve(
         self, state: State, target: Target, fixed_pose: bool = False
     ) -> tuple[State, Convergence]:
-        """Newton from `state`; returns the last state and its report.
+        """Newton from `state`, which stays; the last state and its report.
 
-        Args:
-            state: First guess; not changed.
-            target: Desired force, ZMP and references.
-            fixed_pose: Keep the pose and solve for the forces alone (the
-                paper's Algorithm 3); target.force only scales the residual.
+        A `fixed_pose` is kept, and forces alone are solved for (the paper's
+        Algorithm 3); the target's force only scales the residual.
         """
         state = state.copy()
         if not fixed_pose:

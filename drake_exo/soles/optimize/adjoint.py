@@ -110,13 +110,7 @@ def gradients(
     """Derivatives of each functional, by one way back through the samples.
 
     By all node positions (f, n, 3); by every sample's force and ZMP (f, N, 5).
-
-    Args:
-        sole: The condensed sole.
-        solver: The solver of the forward simulation (its law counts).
-        load, start: What it was asked for, and how it was held.
-        history: Its result, all samples converged.
-        functionals: Their direct derivatives.
+    All samples have converged.
     """
     m, count = len(sole.positions), len(load.times)
     sums = [Sensitivity(m, count) for _ in functionals]
@@ -230,14 +224,10 @@ class _Step:
         return by_point[:2] + by_point[2] * self.rise
 
     def _stiffness_terms(self, sums, terms, bP, bF, bQ, bA, b_w) -> None:
-        """Add direct derivatives of uᵀ K_c v.
+        """Add direct derivatives of uᵀ K_c v; terms are functional, u and v.
 
-        Args:
-            sums: Of the functionals.
-            terms: Number of a functional, u and v.
-            bP, bF, bQ, bA: By places, forces, references and the turns of
-                their planes, (c, k, 3) each.
-            b_w: By the turn, (c, 3).
+        By places, forces, references and the turns of their planes (bP, bF,
+        bQ, bA, (c, k, 3) each), and by the turn (b_w, (c, 3)).
         """
         lin, R, F, arm = self.lin, self.state.R, self.lin.F, self.lin.arm
         owners, *both = zip(*terms, strict=True)
@@ -278,8 +268,7 @@ class _Step:
     def _adjoint(self, bF, b_O, b_w):
         """Solve the transposed Newton system for all functionals.
 
-        Returns:
-            Bᵀ λ (c, k, 3), by the turns of the planes (c, k, 3), l_w (c, 6).
+        Bᵀ λ (c, k, 3), by the turns of the planes (c, k, 3), l_w (c, 6).
         """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
         tau, Z = lin.tau_world / lin.r, self.target.point

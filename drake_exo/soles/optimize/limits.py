@@ -40,13 +40,7 @@ _FAINT = 0.5
 
 @dataclass
 class StrainNorm:
-    """Φ of one simulated design and its derivatives.
-
-    Args:
-        sole: The sole.
-        history: Its simulation.
-        counts: How many samples each stands for, (N,), at least 1.
-    """
+    """Φ of one simulated design; each sample stands for `counts`, (N,)."""
 
     sole: Sole
     history: StepHistory
@@ -124,8 +118,7 @@ class StrainNorm:
     def _elements_around(self, by_nodes: np.ndarray):
         """Samples, elements, their H and ∂Φ/∂ε, of the nodes that count.
 
-        Args:
-            by_nodes: Gets the part of the averages' own shares, (n, 3).
+        `by_nodes` (n, 3) gets the part of the averages' own shares.
         """
         mesh, A = self.sole.mesh, self._nodes
         counts = np.diff(A.indptr)[self._e]
@@ -293,11 +286,8 @@ def active_limits(
 class SurfaceLimits:
     """Limits on the shape alone, minima over nodes or faces.
 
-    Args:
-        limits: Those on depth, height and draft count.
-        mesh: The undeformed sole, which says what is its bottom.
-        moving: Which of its nodes a design moves, (n,); what stays is as it
-            was given.
+    The undeformed sole says what is its bottom; of its nodes those count that a
+    design moves, (n,) bool.
     """
 
     limits: dict[str, float]
@@ -308,9 +298,6 @@ class SurfaceLimits:
         """Least depth, largest height [m] and least draft [°].
 
         Where nothing of it moves, those of the bottom as it was given.
-
-        Args:
-            mesh: The deformed sole.
         """
         z = mesh.nodes[:, 2]
         up = _normals(mesh, self._sides)[1].max(initial=-1.0)

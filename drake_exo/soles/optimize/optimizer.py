@@ -283,13 +283,10 @@ def minimise(
     hessian_approximation: QuasiNewton | None = None,
     warm=None,
 ) -> Optimum:
-    """Run IPOPT from p0.
+    """Run IPOPT from p0, clipped into the bounds, numbers or (P,) each.
 
     Args:
-        problem: What to minimise.
-        p0: First design; clipped into the bounds.
-        bounds: Lower and upper bound of a design, numbers or (P,) each.
-        iterations: IPOPT iterations.
+        problem, p0, bounds, iterations: What to minimise, and how long.
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far.
         refining: p0 is good already: rejected trials shorten the steps that

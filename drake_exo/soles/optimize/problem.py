@@ -392,10 +392,8 @@ def thinned(total: int, samples: int | None, fraction: float):
     """Which samples to simulate and what each counts in the sums.
 
     A third of them in heel strike, whose stiffness changes most from sample to
-    sample; what lies between two counts as linear in time.
-
-    Returns:
-        picked (k,), weights in c_tr (k,), weights in c_rot (k,).
+    sample; what lies between two counts as linear in time. Picked, weights in
+    c_tr and in c_rot, (k,) each.
     """
     strike = heel_strike_count(total, fraction)
     count = min(samples or total, total)
@@ -423,10 +421,8 @@ def bends(mesh: TetMesh) -> csr_matrix:
     """At bare nodes a field's mean over the neighbours less its own value.
 
     h²/4 to 3 h²/8 of its Laplacian on the surface, h the elements' size: what
-    the elements do not resolve counts, whatever the spline could.
-
-    Returns:
-        (k, n); nodes at the rim of the fixed surface have no row.
+    the elements do not resolve counts, whatever the spline could. (k, n): nodes
+    at the rim of the fixed surface have no row.
     """
     faces = mesh.contact_faces
     edges = face_edges(faces)

@@ -101,17 +101,10 @@ def optimise(
     at_once: int = 1,
     bends: Sequence[int] | None = None,
 ) -> Design:
-    """Run the case's stages.
+    """Run the case's stages, as `Case.optimize` says.
 
-    Args:
-        setup: The initial shape and its step; settings with the stages.
-        out: Folder for checkpoint.json, one below it for each start while
-            they are searched; None for none.
-        say: Called with one line of progress now and then.
-        resume: An earlier checkpoint to go on from.
-        at_once: Processes for the starts; with 1 this one makes them all.
-        bends: Shape of each start, see `start_design`; the brick and the
-            first bends by themselves.
+    While starts are searched each has a folder below `out`; `bends` is the
+    shape of each, see `start_design`, by default the brick and the first bends.
     """
     began = time.perf_counter()
     jobs = search_jobs(setup, out, resume, bends)
@@ -200,14 +193,10 @@ def race(
     say,
     before=(),
 ) -> Found:
-    """One of the stages but the last, from one of several starts.
+    """One of the stages but the last (`number`, from 0), from a start.
 
-    Args:
-        setup, out, bends, say: Those of `optimise`.
-        number: Of the stage, from 0.
-        place: Of the start, after the stage before.
-        begun: Where a start was interrupted, if it was.
-        before: What the jobs of earlier stages returned, by name.
+    `place` is the start's after the stage before, `begun` where it was
+    interrupted, if it was, `before` what jobs of earlier stages returned.
     """
     racer = Found([], begun, start=place)
     if before:
@@ -275,13 +264,7 @@ def _walking(setup: Setup, robot: Robot) -> Setup:
 
 
 def _beside_alone(setup: Setup, design: Design, search) -> Design:
-    """The better of a sole with its walk and of one for the case's own walk.
-
-    Args:
-        setup: Whose load is planned, with numbers that are free.
-        design: Of sole and walk.
-        search: Looks for the sole of a setup.
-    """
+    """The better of a sole with its walk and of one for the case's own walk."""
     gait, x = design.problem.gait, design.walk
     alone = search(in_own_walk(setup))
     if not alone.step.failed_steps and not alone.step.c > design.step.c:
