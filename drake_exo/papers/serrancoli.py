@@ -93,8 +93,9 @@ def comparison(runs: dict[str, Results]) -> list[list]:
 
     A run that does not hold says so in its header.
 
-    Mean and SD over trials of each, one standard deviation over the measured
-    trials, and the paper's figure for the virtual subject.
+    Mean and SD over trials of each, of a prediction the mean with nominal
+    cuffs as well; one standard deviation over the measured trials, and the
+    paper's figure for the virtual subject.
     """
     every = [s for r in runs.values() for s in r.summary["rmsd"]]
     last = list(runs.values())[-1].summary
@@ -103,6 +104,8 @@ def comparison(runs: dict[str, Results]) -> list[list]:
     for label, run in runs.items():
         name = f"{label} ({run.mark.partition(':')[0]})" if run.mark else label
         header += [f"{name} mean", f"{name} SD"]
+        if run.uncalibrated:
+            header.append(f"{label} uncalibrated")
     header.append("measured SD")
     if beside:
         header += [f"paper {label}" for label in runs]
@@ -112,6 +115,9 @@ def comparison(runs: dict[str, Results]) -> list[list]:
         for r in runs.values():
             values = [lookup(s, path) for s in r.summary["rmsd"]]
             row += mean_and_sd(values)
+            if r.uncalibrated:
+                usual = [lookup(s, path) for s in r.uncalibrated]
+                row.append(mean_and_sd(usual)[0])
         row.append(lookup(last["measured_sd"], path))
         if beside:
             for name in runs:

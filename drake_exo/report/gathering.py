@@ -80,6 +80,12 @@ class Results:
         solves = self.summary.get("solves", [])
         return [s["trial"] for s in solves if not s.get("success")]
 
+    @property
+    def uncalibrated(self) -> list[dict]:
+        """Scores of a prediction's trials with nominal cuffs, if any."""
+        rows = self.summary.get("rmsd_uncalibrated", [])
+        return [row for row in rows if row is not None]
+
     def pairs(self) -> list[tuple[Trial, Trial]]:
         """Every scored trial as found, and as measured."""
         return [
@@ -168,9 +174,12 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     rows = summary.get("rmsd")
+    usual = summary.get("rmsd_uncalibrated", [])
     solves = summary.get("solves", [])
     whole = (
         isinstance(rows, list)
+        and isinstance(usual, list)
+        and all(isinstance(r, dict | None) and _are_scores(r) for r in usual)
         and isinstance(solves, list)
         and all(
             isinstance(s, dict) and isinstance(s.get("trial"), str)

@@ -17,7 +17,7 @@ from drake_exo.virtual_laboratory import synthetic
 
 def leave(folder, trials, phase, **more):
     """What a phase leaves behind, as far as a report looks."""
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     found = []
     for trial in trials:
         trial.save(folder / f"measured_{trial.name}")
@@ -102,6 +102,16 @@ def test_a_folder_without_results_is_one_sentence(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "no results" in error and error.count("\n") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("usual", [3.0, [3.0], [{"angles_deg": "x"}]])
+def test_damaged_scores_of_nominal_cuffs_are_one_sentence(
+    tmp_path, trials, capsys, usual
+):
+    leave(tmp_path, trials[:1], "prediction", rmsd_uncalibrated=usual)
+    assert main(["report", str(tmp_path)]) == 2
+    assert "is not as a phase writes it" in capsys.readouterr().err
 
 
 _OFF = Verdict((Check("audit", False, 2.5, 1.0, "N", "rise1"),)).summary()

@@ -213,6 +213,26 @@ def predicted(scale, thigh, **more):
     return Told("prediction", rows, more).results()
 
 
+def test_a_prediction_stands_beside_nominal_cuffs():
+    """Means of those that were solved with them."""
+    usual = [{"trial": "a", "interaction_n": {"thigh": 9.0}}, None]
+    runs = {
+        "C1": predicted(1.0, 4.0, rmsd_uncalibrated=usual),
+        "C2": predicted(1.4, 6.0),
+    }
+    rows = serrancoli.comparison(runs)
+    place = rows[0].index("C1 uncalibrated")
+    assert rows[0][place - 1 : place + 2] == [
+        *("C1 SD", "C1 uncalibrated", "C2 mean"),
+    ]
+    found = {row[0]: row for row in rows}
+    assert found["normal force thigh [N]"][place - 2 : place + 2] == [
+        *(4.0, 0.0, 9.0, 6.0),
+    ]
+    assert found["angle knee [deg]"][place] is None
+    assert {len(row) for row in rows} == {len(rows[0])}
+
+
 def test_changes_by_a_scaled_interaction_are_ratios():
     found = [
         predicted(1.0, 4.0, starts_from="the data"),
