@@ -310,8 +310,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "values[names.joint_columns]",
         ),
         (
-            '"velocities_deg_s": _of_joints(names, d_v)',
-            '"velocities_deg_s": _of_joints(names, d_q)',
+            "_of_joints(names, d_q), _of_joints(names, d_v)",
+            "_of_joints(names, d_q), _of_joints(names, d_q)",
         ),
         ("ddof=1", "ddof=0"),
         (
