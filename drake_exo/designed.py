@@ -60,6 +60,8 @@ _BOLD = 1e-3  # of a change that is one
 _REMOVED = ".removed"
 # Share that a forecast may be off the norm that the design promised.
 _KEPT = 0.1
+# Of a limit, from where on a forecast is beyond it.
+_BEYOND = 1.02
 
 
 @dataclass(frozen=True)
@@ -397,7 +399,12 @@ class Designed:
             most,
             "N",
             sentence="the person's movement would have to change for what "
-            "the design promised: lower design.own_angle_deg or weight",
+            "the design promised: "
+            + (
+                "lower design.own_angle_deg or weight"
+                if self.settings.response == "own"
+                else "moving as before it bears more; design for response: own"
+            ),
         )
         largest = max(p.forecast_after for p in self.peaks.values())
         today = max(p.today for p in self.peaks.values())
@@ -453,6 +460,17 @@ class Designed:
                     "the design comes no nearer under its other limits, or "
                     "its forecast slides on: lower limits.migration_mm",
                 )
+            for key, unit, name, most in self._other_limits(row):
+                if row["after"][key] > _BEYOND * most:
+                    yield note(
+                        "design.limits",
+                        value=row["after"][key],
+                        limit=most,
+                        unit=unit,
+                        where=row["cuff"],
+                        sentence="is beyond its limit in the forecast, where "
+                        f"the person moves as before: lower limits.{name}",
+                    )
         for row in self.variables():
             at = {k: row[k] for k in ("value", "unit")}
             at["where"] = row["name"]
@@ -466,6 +484,21 @@ class Designed:
         for cuff in self.softened():
             said = "deflects further than in any trial of today"
             yield note("design.extrapolation", where=cuff, sentence=said)
+
+    def _other_limits(self, row: dict) -> Iterator[tuple]:
+        """Of a row of `felt`: its key, unit, the limit's name and value."""
+        limits, before = self.settings.limits, row["before"]
+        for key, unit, name, today in (
+            ("peak_n", "N", "normal_n", 1.0),
+            ("pressure_kpa", "kPa", "pressure_kpa", 1.0),
+            ("shear_n", "N", "shear_n", 1.0),
+            ("shear_n", "N", "shear_factor", before["shear_n"]),
+            ("moment_nm", "N m", "moment_nm", 1.0),
+            ("moment_nm", "N m", "moment_factor", before["moment_nm"]),
+        ):
+            most = getattr(limits, name)
+            if most is not None:
+                yield key, unit, name, most * today
 
     def _hold(self) -> Hold:
         """By how much the built cuffs hold the device in the forecast."""

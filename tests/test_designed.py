@@ -306,6 +306,34 @@ def test_a_migration_at_its_limit_is_within_it(made, felt, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
+    """By the limit's own name; one of today's counts from there."""
+    row = felt[0]
+    now = row["after"]
+    row = row | {"before": dict.fromkeys(now, 1.0)}
+    monkeypatch.setattr(Designed, "felt", lambda _: [row])
+    free = DesignLimits(moment_factor=None)
+    for name, key, unit in (
+        ("normal_n", "peak_n", "N"),
+        ("pressure_kpa", "pressure_kpa", "kPa"),
+        ("shear_n", "shear_n", "N"),
+        ("shear_factor", "shear_n", "N"),
+        ("moment_nm", "moment_nm", "N m"),
+        ("moment_factor", "moment_nm", "N m"),
+    ):
+        for share, beyond in ((0.99, False), (0.9, True)):
+            most = share * now[key]
+            limits = replace(free, **{name: most})
+            own = replace(made, settings=replace(SETTINGS, limits=limits))
+            told = [c for c in own.checks() if c.name == "design.limits"]
+            assert [c.where for c in told] == [row["cuff"]] * beyond
+            for check in told:
+                assert check.limit == pytest.approx(most)
+                assert check.unit == unit
+                assert check.sentence.endswith(f"lower limits.{name}")
+
+
+@pytest.mark.slow
 def test_a_built_design_is_held_against_its_forecast(told):
     """By the mean of what mats then show."""
     name, (moved, *_) = next(iter(told.after.items()))
