@@ -43,6 +43,13 @@ from drake_exo.report.figures import STYLE
 _AGAIN = "run the batch again"
 # Ends of keys that tell the unit of the numbers below them.
 _UNITS = {
+    "_nm_per_rad": "N m/rad",
+    "_n_per_m": "N/m",
+    "c_rot": "N m/rad",
+    "c_rot_initial": "N m/rad",
+    "c_tr": "N/m",
+    "c_tr_initial": "N/m",
+    "_cm3": "cm^3",
     "_deg_s": "deg/s",
     "_deg": "deg",
     "_nm": "N m",

@@ -98,6 +98,9 @@ def test_units():
     assert unit_of("rmsd.velocities_deg_s.hip") == "deg/s"
     assert unit_of("rmsd.moments_nm.knee") == "N m"
     assert unit_of("iterations") == ""
+    assert unit_of("stability_min_n_per_m") == unit_of("c_tr") == "N/m"
+    assert unit_of("c_rot_mean_nm_per_rad") == "N m/rad"
+    assert unit_of("volume_cm3") == "cm^3"
     assert unit_of("felt.thigh.before.pressure_kpa") == "kPa"
     assert unit_of("band_coverage.angles_deg.exo_hip") == ""
 
