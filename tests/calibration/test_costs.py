@@ -151,8 +151,15 @@ def tracked(cost, variables, sigma, d):
     assert abs(cost.tilt(variables, d)) < 1e-6 * expected
 
 
+# Of the foot, the person and the device one each; the others take seconds.
 @pytest.mark.parametrize("phase", ["phase_a", "phase_b"])
-@pytest.mark.parametrize("k", range(9))
+@pytest.mark.parametrize(
+    "k",
+    [
+        pytest.param(k, marks=[] if k in (0, 4, 8) else pytest.mark.slow)
+        for k in range(9)
+    ],
+)
 def test_coordinates_and_velocities_are_tracked(request, phase, k):
     cost = request.getfixturevalue(phase)
     grid = cost.movement.grid

@@ -136,6 +136,7 @@ def test_slopes_of_a_walk_agree_with_wider_differences():
             assert (np.abs(got - wanted) <= 2e-3 * size + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_slopes_agree_with_differences():
     """Of cost and all limits by shape and walk, through plan and simulation."""
     case = Case.from_text(_case())
