@@ -229,20 +229,6 @@ def _halves(graph, places, nodes, axis):
 Element = Literal["linear", "smoothed"]
 
 
-def node_average(mesh: TetMesh) -> tuple[csr_matrix, np.ndarray]:
-    """Averages around nodes: matrix (n, e), volumes of nodes [m³], (n,).
-
-    Each element gives an equal part of its volume to its nodes.
-    """
-    part = np.repeat(mesh.volumes / 4, 4)
-    total = np.bincount(mesh.tets.ravel(), part)
-    element = np.repeat(np.arange(len(mesh.tets)), 4)
-    share = csr_matrix(
-        (part, (mesh.tets.ravel(), element)), (len(total), len(mesh.tets))
-    )
-    return (diags(1 / total) @ share).tocsr(), total
-
-
 def gradient_operators(mesh: TetMesh) -> list[csr_matrix]:
     """∂/∂x, ∂/∂y, ∂/∂z of a nodal field in every element, (e, n) each."""
     e, n = len(mesh.tets), len(mesh.nodes)
@@ -514,8 +500,18 @@ class Sole:
 
     @cached_property
     def node_average(self) -> csr_matrix:
-        """Averages around nodes, see `node_average`."""
-        return node_average(self.mesh)[0]
+        """Averages of elements around nodes, (n, e).
+
+        Each element gives an equal part of its volume to its nodes.
+        """
+        tets = self.mesh.tets
+        part = np.repeat(self.mesh.volumes / 4, 4)
+        total = np.bincount(tets.ravel(), part)
+        element = np.repeat(np.arange(len(tets)), 4)
+        share = csr_matrix(
+            (part, (tets.ravel(), element)), (len(total), len(tets))
+        )
+        return (diags(1 / total) @ share).tocsr()
 
 
 # Of the largest eigenvalue: what is left out changes a gradient by some 1e-7

@@ -95,12 +95,6 @@ def outline(axis, mesh: TetMesh, view: View) -> None:
             axis.plot(*line.T, color="0.25", lw=0.8, ls=(0, (4, 3)))
 
 
-def _ring(points: np.ndarray) -> np.ndarray:
-    """Closed line around points (n, 2)."""
-    ring = ConvexHull(points).vertices
-    return points[np.append(ring, ring[0])]
-
-
 def extent(nodes: np.ndarray, view: View) -> np.ndarray:
     """Lower and upper corner of nodes [m] in a view [mm], (2, 2)."""
     flat = 1e3 * nodes @ view.axes()[:2].T
@@ -151,7 +145,8 @@ def load_figure(
     nodes of the sole as it is set down [m], (m, 2).
     """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
-    ring = 1e3 * _ring(outline)
+    around = ConvexHull(outline).vertices
+    ring = 1e3 * outline[np.append(around, around[0])]
     left.fill(*ring.T, color="0.93", zorder=0)
     left.plot(*ring.T, color="0.5", lw=1)
     if not ground.is_flat:
