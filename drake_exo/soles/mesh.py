@@ -366,7 +366,8 @@ def read_mesh(
         top = np.flatnonzero(glued[used] > 0)
     mesh = checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
     if not is_told:
-        check_top(mesh.nodes[mesh.boundary_faces], mesh.is_top, path)
+        more = f", or mark the nodes glued to it by 1 in point data {_FIXED!r}"
+        check_top(mesh.nodes[mesh.boundary_faces], mesh.is_top, path, more)
     return mesh
 
 

@@ -153,8 +153,12 @@ def test_a_bump_is_no_top(tmp_path):
     mesh.nodes[mesh.fixed[raised], 2] += 0.005
     path = tmp_path / "bump.vtk"
     meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
-    with pytest.raises(InputError, match="no flat top"):
+    with pytest.raises(InputError, match=r"no flat top .*point data 'fixed'"):
         read_mesh(path)
+    told = np.isin(np.arange(len(mesh.nodes)), mesh.fixed).astype(np.int32)
+    cells = [("tetra", mesh.tets)]
+    meshio.Mesh(mesh.nodes, cells, {"fixed": told}).write(path)
+    np.testing.assert_array_equal(read_mesh(path).fixed, mesh.fixed)
 
 
 def test_a_sole_without_an_underside_is_refused():
