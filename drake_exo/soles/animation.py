@@ -196,7 +196,9 @@ class _Box:
     def mirror(self) -> np.ndarray:
         """Matrix that shows the underside in front of the sole, (4, 4)."""
         matrix = np.diag([1.0, 1.0, -1.0, 1.0])
-        matrix[1, 3] = -(self.high[1] - self.low[1]) - 0.08
+        # A foot that rolls far lifts it: then farther in front.
+        apart = max(0.08, self.high[2])
+        matrix[1, 3] = -(self.high[1] - self.low[1]) - apart
         matrix[2, 3] = self.high[2]
         return matrix
 

@@ -82,6 +82,8 @@ def test_the_underside_is_a_mirror_s_before_the_sole(motion):
     both = _Box.of([motion, far])
     np.testing.assert_allclose(both.low, box.low)
     np.testing.assert_allclose(both.high, box.high + 0.1)
+    # A foot that rolls far, 0.2 m high: 0.2 m from it.
+    assert _Box(np.zeros(3), np.full(3, 0.2)).mirror[1, 3] == -0.4
 
 
 def test_sole_and_mirror_are_in_the_picture(motion):
