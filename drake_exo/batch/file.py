@@ -48,6 +48,7 @@ Step = Literal[
 BUILDS_ON = {"predict": "calibrate", "design": "calibrate"}
 _OURS = ("--out", "--force", "--resume", "--data-root", "--calibration")
 _LONGEST = 100  # characters of a variant's name
+_MOST_SEEDS = 100_000  # more tasks than a scheduler's memory holds
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,11 @@ class SeedRange:
     def __post_init__(self):
         if self.last < self.first:
             raise InputError(f"last ({self.last}) is before first")
+        if self.last - self.first >= _MOST_SEEDS:
+            raise InputError(
+                f"first to last are {self.last - self.first + 1} subjects; "
+                f"give {_MOST_SEEDS} at most"
+            )
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,11 @@ def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
         ),
         ("steps: [check]\nlaboratories: {seeds: [-1]}", "at least 0"),
         (
+            "steps: [check]\n"
+            f"laboratories: {{seeds: {{first: 3, last: {10**20}}}}}",
+            "give 100000 at most",
+        ),
+        (
             "steps: [check]\nlaboratories: {seeds: {first: 3, last: 1}}",
             "before first",
         ),
