@@ -244,7 +244,9 @@ def locked(folder: Path) -> Iterator[None]:
 
 def _read_manifest(folder: Path) -> set[str]:
     place = folder / MANIFEST
-    lines = place.read_text("utf-8").splitlines() if place.is_file() else []
+    text = place.read_bytes() if place.is_file() else b""
+    # Of a damaged one what is still the name of a file.
+    lines = text.decode("utf-8", "replace").replace("\0", "\n").splitlines()
     return {line for line in lines if line and _is_inside(folder, line)}
 
 

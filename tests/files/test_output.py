@@ -311,6 +311,17 @@ def test_a_run_that_wrote_nothing_leaves_no_folder_of_its_own(tmp_path, there):
     assert (target / "checkpoint.txt").exists()
 
 
+@pytest.mark.parametrize("damage", [b"\xff\xfe\n", b"a\0b.txt\n"])
+def test_a_damaged_list_of_files_removes_nothing(tmp_path, damage):
+    with prepare_output_folder(tmp_path) as folder:
+        (folder / "one.txt").write_text("old")
+    (tmp_path / MANIFEST).write_bytes(damage)
+    with prepare_output_folder(tmp_path, force=True) as folder:
+        (folder / "two.txt").write_text("new")
+    assert (tmp_path / "one.txt").read_text() == "old"
+    assert (tmp_path / "two.txt").read_text() == "new"
+
+
 def test_what_is_read_is_not_replaced(tmp_path):
     target = tmp_path / "out"
     with prepare_output_folder(target / "foot_ground") as folder:
