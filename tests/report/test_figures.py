@@ -10,6 +10,7 @@ from matplotlib.colors import to_rgb
 from measured_trials import CUFFS, JOINTS, prediction, seen
 from replayed_results import CONTACT, solution
 from replayed_results import MODEL as COUPLED
+from undrawn import undrawn
 
 from drake_exo.calibration.uncertainty import Bands
 from drake_exo.contact.strap import CuffDesign, Design
@@ -50,6 +51,7 @@ def same(line, times, values):
     np.testing.assert_allclose(line, [times, values], rtol=1e-12, atol=1e-12)
 
 
+@undrawn()
 def test_five_results_look_each_its_own_way_and_all_are_named(trials, found):
     """Colours begin again with another dash; Matplotlib hides "_" names."""
     names = ["_old", "b", "c", "d", "e"]
@@ -61,6 +63,7 @@ def test_five_results_look_each_its_own_way_and_all_are_named(trials, found):
     assert " _old" in {x.get_label() for x in drawn}
 
 
+@undrawn()
 def test_ground_reaction_and_cop(trials, found):
     figure = figures.ground_reaction_figure({"model": found}, trials)
     rows = panels(figure, 2)
@@ -86,6 +89,7 @@ def test_ground_reaction_and_cop(trials, found):
 
 
 @pytest.mark.slow
+@undrawn()
 def test_angles_and_velocities_of_both(trials, found):
     figure = figures.kinematics_figure({"model": found}, trials)
     rows = panels(figure, 2)
@@ -110,6 +114,7 @@ def test_angles_and_velocities_of_both(trials, found):
 
 
 @pytest.mark.slow
+@undrawn()
 def test_moments_of_every_joint(trials, found):
     rows = panels(figures.moments_figure({"model": found}, trials), 2)
     assert list(rows) == [f"{j.replace('exo_', 'exo. ')} [N m]" for j in JOINTS]
@@ -121,6 +126,7 @@ def test_moments_of_every_joint(trials, found):
 
 
 @pytest.mark.slow
+@undrawn()
 def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
     half = {
         c: CuffForce.of(0.5 * x.components) for c, x in found[1].cuffs.items()
@@ -155,6 +161,7 @@ def band_of(trial, width: float) -> Bands:
 
 
 @pytest.mark.slow
+@undrawn()
 def test_bands_are_where_mats_would_show_the_force(trials, found):
     """Those that `band_coverage` counts: moved by what mats do not see."""
     trial = found[0]
@@ -172,6 +179,7 @@ def test_bands_are_where_mats_would_show_the_force(trials, found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("runs", [1, 2])
+@undrawn()
 def test_bands_lie_around_the_first_run(trials, found, runs):
     named = dict.fromkeys(["C1", "C2"][:runs], found)
     figure = figures.interaction_figure(
@@ -199,6 +207,7 @@ def test_bands_lie_around_the_first_run(trials, found, runs):
 
 
 @pytest.mark.slow
+@undrawn()
 def test_all_figures_that_there_are_signals_for(trials, found):
     one, model = trials[:1], found[:1]
     drawn = figures.plot_trials(model, one, model)
@@ -462,6 +471,7 @@ def test_a_legend_leaves_room_for_the_titles(trials, found):
         assert all(ax.get_visible() for ax in figure.axes)
 
 
+@undrawn()
 def test_one_trial_at_a_glance(trials, found):
     measured, predicted = trials[1], found[1]
     figure = figures.overview_figure(predicted, measured, band_of(predicted, 4))
