@@ -474,13 +474,16 @@ def front(made: Designed, shares: Sequence[float] = SHARES) -> list[dict]:
             settings,
             assistance=(min(low, low * share), max(high, high * share)),
         )
-        found = DesignProblem(
-            problem.wearers,
-            wide,
-            today=made.today,
-            support=share,
-            without=problem.without,
-        ).solve(on_iterate=SolveWatch(f"support x {share:g}"))
+        try:
+            found = DesignProblem(
+                problem.wearers,
+                wide,
+                today=made.today,
+                support=share,
+                without=problem.without,
+            ).solve(on_iterate=SolveWatch(f"support x {share:g}"))
+        except KeyboardInterrupt:  # between solves
+            break
         if found.solution.was_stopped:
             break
         rows.append(

@@ -430,12 +430,15 @@ def test_points_of_a_front_that_nobody_would_take_are_told(
 ):
     """Less support for more force; a failed solve; all after Ctrl-C."""
     norms = {0.25: 9.0, 0.5: 5.0, 0.75: 4.0, 1.0: 6.0}
+    between = []
 
     class Posed:
         def __init__(self, wearers, settings, support, **_):
             self.support = support
 
         def solve(self, **_):
+            if self.support not in norms and between:
+                raise KeyboardInterrupt
             solution = SimpleNamespace(
                 success=self.support != 0.75,
                 was_stopped=self.support not in norms,
@@ -454,6 +457,7 @@ def test_points_of_a_front_that_nobody_would_take_are_told(
     assert [r["share"] for r in rows] == list(norms)
     assert [r["success"] for r in rows] == [True, True, False, True]
     assert [r["dominated"] for r in rows][:2] == [True, False]
+    between.append("solves")
     assert not command._write_front(made, tmp_path)
     printed = capsys.readouterr().out
     for words in ("0.25 (dominated)", "0.75 (failed)", "after 4 points"):

@@ -126,31 +126,35 @@ def pareto_front(result: PhaseResult) -> list[dict]:
         One row for each factor: factor, success, and of each of FRONT_KINDS the
         mean and the worst RMSD; fewer where the user stops a solve.
     """
-    problem = result.problem
-    settings, noise = problem.settings, problem.settings.noise
     rows = []
-    factors = sorted({1.0, *settings.front})
+    factors = sorted({1.0, *result.problem.settings.front})
     progress = Progress("front", total=len(factors))
     for i, factor in enumerate(factors):
-        found = result
-        if factor != 1.0:
-            scaled = replace(
-                noise,
-                force_n=factor * noise.force_n,
-                cop_m=factor * noise.cop_m,
-            )
-            found = FootGroundCalibration(
-                problem.model,
-                problem.trials,
-                replace(settings, noise=scaled),
-                problem.parameters,
-                refined=problem.refined,
-            ).solve(near=result)
-            if found.solution.was_stopped:
-                break
-        rows.append(_row(factor, found))
+        try:
+            found = result if factor == 1.0 else _scaled(result, factor)
+            row = _row(factor, found)
+        except KeyboardInterrupt:  # between solves
+            break
+        if found.solution.was_stopped:
+            break
+        rows.append(row)
         progress.update(f"factor {factor:g}", done=i + 1)
     return rows
+
+
+def _scaled(result: PhaseResult, factor: float) -> PhaseResult:
+    problem = result.problem
+    settings, noise = problem.settings, problem.settings.noise
+    scaled = replace(
+        noise, force_n=factor * noise.force_n, cop_m=factor * noise.cop_m
+    )
+    return FootGroundCalibration(
+        problem.model,
+        problem.trials,
+        replace(settings, noise=scaled),
+        problem.parameters,
+        refined=problem.refined,
+    ).solve(near=result)
 
 
 def _row(factor: float, found: PhaseResult) -> dict:

@@ -156,6 +156,12 @@ def test_a_front_ends_where_it_is_stopped(result, monkeypatch, tmp_path):
     problem.settings = replace(problem.settings, front=(2.0, 4.0))
     rows = pareto_front(PhaseResult(problem, result.solution))
     assert [r["factor"] for r in rows] == [1.0]
+
+    def interrupted(problem, **_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PhaseProblem, "solve", interrupted)
+    assert pareto_front(PhaseResult(problem, result.solution)) == rows
     study = SimpleNamespace(foot_ground=problem.settings)
     told = SimpleNamespace(
         study=study,
