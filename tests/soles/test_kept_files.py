@@ -155,6 +155,9 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
         (tmp_path / "summary.json").write_text(json.dumps({"cases": rows}))
         with pytest.raises(InputError, match=r"summary\.json: is no summary"):
             find_designs(tmp_path)
+    (folder / "summary.json").write_text(json.dumps({"c_tr": 1, "c": "x"}))
+    with pytest.raises(InputError, match="c_rot is missing, or no number"):
+        found.summary()
     (folder / "sole.vtk").unlink()
     with pytest.raises(InputError, match=r"sole\.vtk: is missing"):
         find_designs(folder)

@@ -165,6 +165,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
 CASE, MESH, STEPS = "case.yaml", "sole.vtk", "steps.csv"
 SUMMARY, DESIGN = "summary.json", "design.json"
 _COSTS = ("c_tr", "c_rot", "c", "ratio_tr", "ratio_rot")
+_SIZES = ("tets", "volume_cm3", "max_strain", "tilt_max_deg", "seconds")
+_SHOWN = (*_COSTS, *_SIZES, "optimal", "stable")
 
 
 @dataclass
@@ -195,8 +197,19 @@ class StoredDesign:
         return self.setup.name
 
     def summary(self) -> dict:
-        """Its summary.json."""
-        return read_summary(self.folder)
+        """Its summary.json.
+
+        Raises:
+            InputError: It lacks a figure that reports show.
+        """
+        found = read_summary(self.folder)
+        for key in _SHOWN:
+            if not isinstance(found.get(key), int | float):
+                raise InputError(
+                    f"{self.folder / SUMMARY}: {key} is missing, or no number; "
+                    "optimise the sole again"
+                )
+        return found
 
     def shape(self) -> tuple[SphericalSpline, np.ndarray]:
         """Its spline and free coefficients.
