@@ -163,12 +163,7 @@ def _case(args) -> soles.Case:
 
 
 def _out_or_source(args, name: str) -> OutputFolder:
-    """The folder --out, or the source itself.
-
-    Args:
-        args: With the arguments of `_add_source`.
-        name: File among the results that earlier ones are known by.
-    """
+    """The folder --out, or the source, if it has no such file already."""
     if args.out is not None:
         return prepare_output_folder(args.out, args.force, reads=[args.source])
     if (args.source / name).exists() and not args.force:

@@ -547,15 +547,13 @@ class Setup:
         Raises:
             InputError: that is no whole number from 0 on.
         """
-        whole = isinstance(iterations, int | np.integer)
-        if iterations is not None and not (whole and iterations >= 0):
+        if iterations is None:
+            return self
+        if not (isinstance(iterations, int | np.integer) and iterations >= 0):
             raise InputError(
                 f"iterations is {iterations!r}; give a whole number from 0 on"
             )
-        return (
-            self if iterations is None
-            else self._with_last_stage(iterations=iterations)
-        )  # fmt: skip
+        return self._with_last_stage(iterations=iterations)
 
     def on_own_mesh(self) -> "Setup":
         """The last stage on the mesh at hand; all, where it is no brick."""

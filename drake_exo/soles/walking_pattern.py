@@ -110,11 +110,7 @@ class Robot:
 def _rectangle(places: np.ndarray) -> list[float]:
     """The largest upright one 15 mm inside the hull of places (m, 2).
 
-    Returns:
-        Lowest x, y and highest x, y, to 0.1 mm.
-
-    Raises:
-        InputError: There is none.
+    Lowest x, y and highest x, y, to 0.1 mm.
     """
     *normal, offset = ConvexHull(places).equations.T
     # Of every edge the farthest corner is inside.
