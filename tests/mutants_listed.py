@@ -705,7 +705,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("not alone.step.c > design.step.c", "alone.step.c > design.step.c"),
     ],
     "drake_exo/soles/pictures.py": [
-        ("axis.plot(*(1e3 * load.zmp[q])", "axis.plot(*(load.zmp[q])"),
+        ("axis.plot(*(1e3 * zmp[q])", "axis.plot(*(load.zmp[q])"),
         ("(0, high - low), text)", "(0, high), text)"),
         ("d + p[:, 1:] * [-1, 1]", "d + p[:, 1:]"),
         ("lit = _AMBIENT + _DIFFUSE", "lit = _AMBIENT - _DIFFUSE"),

@@ -305,7 +305,10 @@ def pressure_figure(
     picked = picked[np.linspace(0, len(picked) - 1, count).round().astype(int)]
     pressure = 1e-3 * pressure[picked]
     top = max(float(pressure.max()), 1e-9)
-    figure, axes = panels(2, 4, (11.0, 4.2), sharex=True, sharey=True)
+    columns, rows = min(count, 4), -(-count // 4)
+    size = max(1.0 + 2.5 * columns, 6.0), 0.6 + 1.8 * rows
+    look = {"sharex": True, "sharey": True, "squeeze": False}
+    figure, axes = panels(rows, columns, size, **look)
     for axis in axes.flat[count:]:
         axis.set_axis_off()
     for axis, q, p in zip(axes.flat, picked, pressure, strict=False):

@@ -286,8 +286,8 @@ def test_pressure_at_eight_times_of_those_that_converged(mesh):
     still = draw(0 * pressure, converged)
     assert still.axes[0].collections[0].get_clim()[1] > 0
     few = draw(pressure, converged & (np.arange(len(pressure)) < 4))
-    titles = [axis.get_title() for axis in few.axes[:8]]
-    assert titles == [f"{t:.3f} s" for t in load.times[1:4]] + 5 * [""]
+    titles = [axis.get_title() for axis in few.axes[:-1]]
+    assert titles == [f"{t:.3f} s" for t in load.times[1:4]]
 
 
 def test_the_underside_is_what_looks_down(wedge):
