@@ -544,7 +544,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
     ],
     "drake_exo/measurement/plausibility.py": [
-        ("LARGEST_DISAGREEMENT = 0.45", "LARGEST_DISAGREEMENT = 45.0"),
+        ('"encoder_stranger": (0.45,', '"encoder_stranger": (45.0,'),
         ("known[j]) - alone[i] - alone[j]", "known[j]) - alone[i]"),
         ("np.nanargmin(row)", "np.nanargmax(row)"),
         ("_SKIN * human,", "human,"),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from drake_exo.files.output import Check, Level, Verdict
 from drake_exo.files.tables import between, runs
 from drake_exo.measurement.filters import MarkerFault
 from drake_exo.measurement.kinematics import inverse_dynamics
+from drake_exo.measurement.mats import MatForce
 from drake_exo.measurement.processing import (
     LEAST_LEAP_M_S,
     Recording,
@@ -38,14 +40,89 @@ _HEEL_M = 0.03
 _WHOLE = 0.5  # of a foot's length that markers with the heel's among them span
 
 
+# Name -> limit, its unit, and the file that a sentence speaks of. How each was
+# chosen, and how often it errs: docs/plausibility.md.
+LIMITS: dict[str, tuple[float, str, str]] = {
+    # of standing
+    "mass": (5.0, "%", "standing"),
+    "standing_posture": (35.0, "deg", "standing"),
+    "stature": (10.0, "%", "standing"),
+    "standing_balance": (0.10, "m", "standing"),
+    # of the body
+    "ankle_range": (60.0, "deg", "markers"),
+    "knee_range": (165.0, "deg", "markers"),
+    "hip_range": (150.0, "deg", "markers"),
+    "markers": (0.05, "m", "markers"),
+    "marker_leap": (8.0, "m/s", "markers"),
+    "marker_frozen": (0.02, "m", "markers"),
+    "floor": (0.015, "m", "markers"),
+    "newton": (0.15, "N", "forces"),
+    "euler": (0.10, "N m", "forces"),
+    "mean_forward": (0.03, "N", "forces"),
+    "mean_sideways": (0.03, "N", "forces"),
+    "mean_weight": (7.0, "%", "forces"),
+    "shear_sign": (1.1, "", "forces"),
+    # Feet over ground move at 0.02 m/s, slow belts at 0.5.
+    "belt": (0.3, "m/s", "markers"),
+    "end": (0.15, "m/s", "forces"),
+    "leg_angles": (15.0, "deg", "markers"),
+    "feet_apart": (0.10, "m", "markers"),
+    "leg_share": (65.0, "%", "forces"),
+    "lifted_foot": (5.0, "%", "forces"),
+    # of the plates
+    "cop_along": (0.03, "m", "forces"),
+    "cop_across": (0.05, "m", "forces"),
+    "cop_unit": (2.0, "m", "forces"),
+    "foot_sides": (0.0, "m", "markers"),
+    "plate_sides": (0.0, "m", "forces"),
+    # A plate repeats itself to the last digit only where it does not measure.
+    "flat_channel": (25.0, "%", "forces"),
+    "saturated_channel": (0.0, "s", "forces"),
+    "chair": (0.15, "N", "forces"),
+    "force_clock": (25.0, "ms", "forces"),
+    "force_file": (1.25, "", "forces"),
+    # of the device
+    "encoder_sign": (0.5, "", "encoders"),
+    "encoder_unit": (2.5, "", "encoders"),
+    "encoder_offset": (9.0, "deg", "encoders"),
+    "encoder_frozen": (5.0, "deg", "encoders"),
+    "encoder_joints": (1.1, "", "encoders"),
+    "encoder_motion": (35.0, "%", "encoders"),
+    # So much better may encoders fit the movement of another trial, and two
+    # files the movements of each other.
+    "encoder_file": (1.5, "", "encoders"),
+    "encoder_swap": (1.25, "", "encoders"),
+    "encoder_stranger": (0.45, "", "encoders"),
+    "mat_still": (1.0, "N", "pressure"),
+    "mat_sides": (0.9, "", "pressure"),
+    "device_moment": (0.5, "N m", "exo_moments"),
+}
+_LEAST = {"foot_sides", "plate_sides", "encoder_sign", "mat_still"}
+_OF_WEIGHT = {
+    *("newton", "euler", "mean_forward", "mean_sideways", "chair"),
+    "device_moment",
+}
+
+
 def _judged(
-    name, value, limit, unit, where, sentence, holds=None, level="fail"
+    name: str,
+    value: float,
+    where: str,
+    sentence: str,
+    holds: bool | None = None,
+    limit: float | None = None,
+    level: Level = "fail",
+    weight: float = 1.0,
 ) -> Check:
-    """A check, by default that a value is within a limit."""
-    holds = bool(value <= limit if holds is None else holds)
+    """A check, by default that a value keeps to its limit."""
+    usual, unit, _ = LIMITS[name]
+    limit = usual if limit is None else limit
+    limit *= weight if name in _OF_WEIGHT else 1.0
+    if holds is None:
+        holds = value >= limit if name in _LEAST else value <= limit
     return Check(
         f"plausibility.{name}",
-        holds,
+        bool(holds),
         float(value),
         float(limit),
         unit,
@@ -75,27 +152,23 @@ class Evidence:
         self,
         name: str,
         value: float,
-        limit: float,
-        unit: str,
-        file: object,
         sentence: str,
-        holds: bool | None = None,
-        level: Level = "fail",
+        file: object = None,
+        **changed: Any,
     ) -> Check:
-        """A check of this trial, by default that a value is within a limit.
+        """A check of this trial, by default that a value keeps to its limit.
 
         Args:
-            name: without "plausibility.".
+            name: of `LIMITS`.
             value: found.
-            limit: not to be exceeded.
-            unit: of both.
-            file: that the sentence speaks of.
             sentence: for a check that does not hold.
-            holds: where more than the limit decides.
-            level: whether it refuses, or is told alone.
+            file: that it speaks of, where not the usual one.
+            changed: `holds`, where more than the limit decides; another
+                `limit`; or the `level` "note".
         """
-        where, sentence = self.trial.name, f"{file}: {sentence}"
-        return _judged(name, value, limit, unit, where, sentence, holds, level)
+        file = file or getattr(self.files, LIMITS[name][2])
+        where, told = self.trial.name, f"{file}: {sentence}"
+        return _judged(name, value, where, told, weight=self.weight, **changed)
 
     @property
     def weight(self) -> float:
@@ -270,16 +343,10 @@ class Evidence:
         return all(side in self.recording.motion.feet for side in SIDES)
 
 
-LARGEST_ALONG_M = 0.03
-LARGEST_ACROSS_M = 0.05
-_FAR_M = 2.0  # beyond it, a unit is the likelier cause
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2}
-# A plate repeats itself to the last digit only where it does not measure.
-LARGEST_FLAT_SHARE = 0.25  # of the time it is loaded
 _FLAT_SAMPLES, _FLAT_S = 5, 0.05
 _FLAT_N = 20.0
 _MOVES_SHARE = 0.02  # of body weight: the motion asks for another force
-LARGEST_CHAIR_SHARE = 0.15  # of body weight, RMS
 
 
 def plate_checks(e: Evidence) -> Iterator[Check]:
@@ -325,7 +392,7 @@ def _fits(e: Evidence, **changed) -> bool:
     """Whether each centre of pressure would be under its own foot."""
     for foot in e.plates:
         along, across = e.outside(foot, **changed)
-        if along > LARGEST_ALONG_M or across > LARGEST_ACROSS_M:
+        if along > LIMITS["cop_along"][0] or across > LIMITS["cop_across"][0]:
             return False
     if e.has_two_plates and e.has_both_feet:
         return e.off_side(**changed) >= 0.0
@@ -335,18 +402,15 @@ def _fits(e: Evidence, **changed) -> bool:
 def _pressure(e: Evidence, foot: str) -> Iterator[Check]:
     along, across = e.outside(foot)
     cause = likely_cause(e)
-    for name, value, limit, words in (
-        ("cop_along", along, LARGEST_ALONG_M, "in front of or behind"),
-        ("cop_across", across, LARGEST_ACROSS_M, "beside"),
+    for name, value, words in (
+        ("cop_along", along, "in front of or behind"),
+        ("cop_across", across, "beside"),
     ):
         if not np.isfinite(value):
             continue
         yield e.check(
             name,
             value,
-            limit,
-            "m",
-            e.files.forces,
             f"the centre of pressure of plate {foot!r} is {value:.3g} m "
             f"{words} the foot that its markers show; {cause}",
         )
@@ -355,12 +419,9 @@ def _pressure(e: Evidence, foot: str) -> Iterator[Check]:
     yield e.check(
         "cop_unit",
         size,
-        _FAR_M,
-        "m",
-        e.files.forces,
         f"the centre of pressure of plate {foot!r} is {size:.3g} m from the "
         f"origin; {cause}",
-        size <= _FAR_M or _fits(e) or not is_unit,
+        holds=size <= LIMITS["cop_unit"][0] or _fits(e) or not is_unit,
     )
 
 
@@ -370,12 +431,8 @@ def _foot_sides(e: Evidence) -> Check:
     return e.check(
         "foot_sides",
         apart,
-        0.0,
-        "m",
-        e.files.markers,
         f"markers of the left foot lie {-apart:.2f} m right of the other's; "
         "the names of left and right markers look exchanged",
-        apart > 0.0,
     )
 
 
@@ -384,12 +441,8 @@ def _sides(e: Evidence) -> Check:
     return e.check(
         "plate_sides",
         nearer,
-        0.0,
-        "m",
-        e.files.forces,
         f"the centre of pressure of each plate is {-nearer:.2f} m nearer to "
         f"the other foot; {likely_cause(e)}",
-        nearer >= 0.0,
     )
 
 
@@ -416,9 +469,6 @@ def _flat(e: Evidence, name: str, F_z: np.ndarray) -> Check:
     return e.check(
         "flat_channel",
         100.0 * share,
-        100.0 * LARGEST_FLAT_SHARE,
-        "%",
-        e.files.forces,
         f"plate {name!r} stays at exactly {F_z[longest[0]]:.4g} N for "
         f"{seconds:.2g} s while the body moves; the channel is a filler, not "
         "a measurement: leave the plate out of plates or export its signal",
@@ -434,9 +484,6 @@ def _clipped(e: Evidence, name: str, F_z: np.ndarray) -> Check:
     return e.check(
         "saturated_channel",
         seconds,
-        0.0,
-        "s",
-        e.files.forces,
         f"plate {name!r} is cut off at {top:.4g} N for {seconds:.2g} s; its "
         "amplifier is saturated: choose a larger range and record again",
     )
@@ -451,40 +498,16 @@ def _chair(e: Evidence) -> Check:
     return e.check(
         "chair",
         rms,
-        LARGEST_CHAIR_SHARE * e.weight,
-        "N",
-        e.files.forces,
         f"feet and chair together miss {rms:.0f} N RMS of what the motion "
         "asks for over the whole recording; the plate named as plates.chair "
         "may be another, or not measure",
     )
 
 
-# How each limit was chosen, and how often it errs: docs/plausibility.md.
-LARGEST_MASS_ERROR = 0.05
-LARGEST_STANDING_DEG = 35.0  # ankle, knee, hip
-LARGEST_STANDING_GAP_M = 0.10
 RANGES_DEG = {"ankle": (-50.0, 60.0), "knee": (-20.0, 165.0)}
 RANGES_DEG["hip"] = (-45.0, 150.0)
-LARGEST_MARKER_RMS_M = 0.05
 _LEAP_REACH_S = 0.25  # what the filter carries into the used part
-LARGEST_FORCE_SHARE = 0.15  # RMS, of body weight
-LARGEST_MOMENT_M = 0.10  # RMS, over body weight
-LARGEST_MEAN_SHARE = 0.03  # of body weight, along and across
-LARGEST_WEIGHT_ERROR = 0.07  # of 1, what plates bear over what motion asks for
-LARGEST_SHEAR_RATIO = 1.1
-LARGEST_FLOOR_M = 0.015
-LARGEST_FROZEN_M = 0.02
-LARGEST_LEAP_M_S, LEAP_M_S = 8.0, LEAST_LEAP_M_S  # refused, and told
-LARGEST_STATURE_ERROR = 0.10
-LARGEST_LEG_SHARE = 0.65
-LARGEST_FEET_APART_M = 0.10
-LARGEST_LEG_DIFFERENCE_DEG = 15.0
-LARGEST_LIFTED_SHARE = 0.05
 _LIFTED, _STANDS = 0.05, 0.3  # of body weight, on one foot and the other
-LARGEST_END_SPEED_M_S = 0.15
-# Of feet that bear half the body; 0.02 over ground, slow belts start at 0.5.
-LARGEST_STANDING_M_S = 0.3
 # The last two differ by 2 %, less than plates of people do.
 _UNITS = {"kN": 1e-3, "lbf": 1.0 / 4.448, "kgf or daN": 0.1}
 
@@ -504,8 +527,6 @@ def standing_checks(
         yield _judged(
             "mass",
             100.0 * abs(off),
-            100.0 * LARGEST_MASS_ERROR,
-            "%",
             "standing",
             f"{standing.forces}: the plates bear {measured:.3g} kg {beyond}in "
             f"standing, subject.mass_kg says {stated:.3g} kg; "
@@ -517,8 +538,6 @@ def standing_checks(
     yield _judged(
         "standing_posture",
         abs(angles[worst]),
-        LARGEST_STANDING_DEG,
-        "deg",
         "standing",
         f"{standing.markers}: {worst} at {angles[worst]:.0f} deg in standing; "
         "laboratory.marker_axes may be wrong, markers.joint_centres may name "
@@ -530,8 +549,6 @@ def standing_checks(
     yield _judged(
         "stature",
         100.0 * abs(ratio - 1.0),
-        100.0 * LARGEST_STATURE_ERROR,
-        "%",
         "standing",
         f"{standing.markers}: the hips are {leg:.2f} m above the floor, which "
         f"is {100 * ratio:.0f} % of what subject.height_m makes usual; check "
@@ -545,8 +562,6 @@ def standing_checks(
         yield _judged(
             "standing_balance",
             abs(gap),
-            LARGEST_STANDING_GAP_M,
-            "m",
             "standing",
             f"{standing.forces}: the centre of pressure is {gap:.2f} m in "
             "front of the centre of mass in standing; laboratory.force_axes "
@@ -585,9 +600,6 @@ def _belt(e: Evidence) -> Check:
     return e.check(
         "belt",
         abs(speed),
-        LARGEST_STANDING_M_S,
-        "m/s",
-        e.files.markers,
         f"feet that bear the body move at {speed:+.2f} m/s, as on a "
         f"treadmill; say 'ground: {{belt_speed_m_s: {belt:.2f}}}'",
     )
@@ -603,9 +615,6 @@ def _ranges(e: Evidence) -> Iterator[Check]:
             yield e.check(
                 f"{joint}_range",
                 bent,
-                low if bent == x.min() else high,
-                "deg",
-                e.files.markers,
                 f"the {side} {joint} turns to {bent:.0f} deg, beyond "
                 f"{low:.0f} to {high:.0f} deg; "
                 + (
@@ -614,7 +623,8 @@ def _ranges(e: Evidence) -> Iterator[Check]:
                     if backwards
                     else "check the names of markers and marker_axes"
                 ),
-                low <= x.min() and x.max() <= high,
+                holds=low <= x.min() and x.max() <= high,
+                limit=low if bent == x.min() else high,
             )
 
 
@@ -625,9 +635,6 @@ def _markers(e: Evidence) -> Check:
     return e.check(
         "markers",
         overall,
-        LARGEST_MARKER_RMS_M,
-        "m",
-        e.files.markers,
         f"markers lie {1e3 * overall:.0f} mm off a body of rigid segments, "
         f"most {worst} ({1e3 * rms[worst]:.0f} mm); markers may be exchanged, "
         "or laboratory.marker_axes wrong",
@@ -639,18 +646,16 @@ def _leap(e: Evidence) -> Check:
     near = _near(e, e.recording.motion.leaps)
     worst = max(near, key=lambda leap: leap.size, default=None)
     speed = worst.size if worst else 0.0
-    far = speed > LARGEST_LEAP_M_S
+    far = speed > LIMITS["marker_leap"][0]
     return e.check(
         "marker_leap",
         speed,
-        LARGEST_LEAP_M_S if far else LEAP_M_S,
-        "m/s",
-        e.files.markers,
         worst
         and f"marker {worst.marker!r} leaps at {worst.time_s:g} s "
         f"(by {speed:.3g} m/s from frame to frame); it was taken for "
         "another marker or for a reflection: correct its label, or delete it "
         "in these frames (gaps are filled)",
+        limit=None if far else LEAST_LEAP_M_S,
         level="fail" if far else "note",
     )
 
@@ -665,9 +670,6 @@ def _standstill(e: Evidence) -> Check:
     return e.check(
         "marker_frozen",
         worst.size if worst else 0.0,
-        LARGEST_FROZEN_M,
-        "m",
-        e.files.markers,
         worst
         and f"marker {worst.marker!r} stays in exactly one place from "
         f"{worst.time_s:g} s on while its segment moves by "
@@ -701,9 +703,6 @@ def _floor(e: Evidence) -> Iterator[Check]:
         yield e.check(
             "floor",
             abs(above),
-            LARGEST_FLOOR_M,
-            "m",
-            e.files.markers,
             f"markers of the {side} foot are {1e3 * abs(above):.0f} mm "
             f"{'higher' if above > 0.0 else 'lower'} than in standing while it "
             "bears weight; the floor of the two recordings, or where markers "
@@ -722,18 +721,12 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
     yield e.check(
         "newton",
         force,
-        LARGEST_FORCE_SHARE * e.weight,
-        "N",
-        e.files.forces,
         f"Newton's law misses {force:.0f} N RMS "
         f"({100 * force / e.weight:.0f} % of body weight); {cause}",
     )
     yield e.check(
         "euler",
         moment,
-        LARGEST_MOMENT_M * e.weight,
-        "N m",
-        e.files.forces,
         f"Euler's law misses {moment:.0f} N m RMS about the ankle; {cause}",
     )
     means = {"forward": float(missing[:, 0].mean())}
@@ -745,9 +738,6 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
         yield e.check(
             f"mean_{way}",
             abs(mean),
-            LARGEST_MEAN_SHARE * e.weight,
-            "N",
-            e.files.forces,
             f"plates bear {-mean:+.0f} N {way} on average that the motion does "
             f"not ask for ({100 * abs(mean) / e.weight:.0f} % of body weight); "
             "a plate's axes, or its corners in the file, look turned",
@@ -755,9 +745,6 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
     yield e.check(
         "mean_weight",
         100.0 * abs(borne - 1.0),
-        100.0 * LARGEST_WEIGHT_ERROR,
-        "%",
-        e.files.forces,
         f"plates bear {100 * borne:.0f} % of what the motion asks for; "
         + (
             unit
@@ -789,9 +776,6 @@ def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield group[0].check(
             "shear_sign",
             ratio,
-            LARGEST_SHEAR_RATIO,
-            "",
-            group[0].files.forces,
             f"fore-aft force of plate {which} fits the motion {ratio:.2g} "
             f"times better turned round ({len(group)} trials); its axes, "
             "corners or laboratory.force_axes look wrong",
@@ -831,9 +815,6 @@ def _end(e: Evidence) -> Check:
     return e.check(
         "end",
         speed,
-        LARGEST_END_SPEED_M_S,
-        "m/s",
-        e.files.forces,
         f"the recording {word} at {motion.time[at]:g} s while the hips "
         f"move at {speed:.2f} m/s, in the middle of the movement: export the "
         "whole trial",
@@ -849,9 +830,6 @@ def _legs(e: Evidence) -> Iterator[Check]:
     yield e.check(
         "leg_angles",
         rms[worst],
-        LARGEST_LEG_DIFFERENCE_DEG,
-        "deg",
-        e.files.markers,
         f"left and right {LEG_JOINTS[worst]} differ by {rms[worst]:.0f} deg "
         f"RMS, but {one}; this may be walking or a step, or markers of left "
         "and right exchanged",
@@ -860,9 +838,6 @@ def _legs(e: Evidence) -> Iterator[Check]:
     yield e.check(
         "feet_apart",
         abs(x[0] - x[1]),
-        LARGEST_FEET_APART_M,
-        "m",
-        e.files.markers,
         f"the feet stand {1e3 * abs(x[0] - x[1]):.0f} mm apart fore and aft, "
         f"but {one}; record with the feet side by side",
     )
@@ -879,9 +854,6 @@ def _shares(e: Evidence, one: str) -> Iterator[Check]:
     yield e.check(
         "leg_share",
         100.0 * share,
-        100.0 * LARGEST_LEG_SHARE,
-        "%",
-        e.files.forces,
         f"the {most} leg bears {100 * share:.0f} % of the weight, but {one}; "
         "one foot may stand beside its plate",
     )
@@ -892,26 +864,14 @@ def _shares(e: Evidence, one: str) -> Iterator[Check]:
     yield e.check(
         "lifted_foot",
         100.0 * lifted.mean(),
-        100.0 * LARGEST_LIFTED_SHARE,
-        "%",
-        e.files.forces,
         f"one foot is in the air for {100 * lifted.mean():.0f} % of the used "
         f"part, but {one}; this may be walking, not a rise",
     )
 
 
-LEAST_CORRELATION = 0.5
 GAINS = (0.4, 2.5)
-LARGEST_OFFSET_DEG = 9.0
-LARGEST_MISMATCH = 0.35  # of the joints' speed, at the best lag of clocks
-LARGEST_EXCHANGED = 1.1
-# So much better may encoders fit the movement of another trial.
-LARGEST_RATIO = 1.5
-LARGEST_SWAPPED = 1.25  # and two files the movements of each other
 _REACH_S = 0.06
-LARGEST_FROZEN_DEG = 5.0
-LARGEST_ONE_SIDED, _FACES = 0.9, 0.3  # of a mat's area, along the normal
-LEAST_CHANGE_N, LARGEST_LEVER_M = 1.0, 0.5
+_FACES = 0.3  # of a mat's area, along the normal
 _MOVES_DEG = 10.0  # a joint that moves less says little
 _FAR_DEG = 30.0  # and of speeds, one that moves less
 _UPRIGHT_SHARE = 0.05  # of the trial, around its most upright posture
@@ -935,9 +895,6 @@ def device_checks(e: Evidence) -> Iterator[Check]:
         yield e.check(
             "encoder_offset",
             abs(offset),
-            LARGEST_OFFSET_DEG,
-            "deg",
-            e.files.encoders,
             f"{name} reads {offset:+.0f} deg off the person's "
             f"{names.follows(name)} in the most upright posture; the "
             "encoder's zero is wrong, or it is another joint's",
@@ -952,51 +909,44 @@ def device_checks(e: Evidence) -> Iterator[Check]:
 def load_checks(e: Evidence) -> Iterator[Check]:
     """Of mats, and of the device's joint moments, in one trial."""
     for cuff, force in e.trial.cuffs.items():
+        mats = [m for m in e.recording.mats if m.segment == cuff]
+        file = next(f for f in e.files.pressure if mats[0].name in f.mats).file
         change = float(np.ptp(force.normal))
         yield e.check(
             "mat_still",
             change,
-            LEAST_CHANGE_N,
-            "N",
-            e.files.pressure[0].file if e.files.pressure else "pressure",
             f"the force of {cuff}'s mats changes by {change:.3g} N in the "
             "whole trial; they are unplugged, or stand still",
-            change >= LEAST_CHANGE_N,
+            file=file,
         )
-        yield _one_sided(e, cuff)
+        yield _one_sided(e, mats, file)
     if e.trial.moments is None:
         return
     names = e.trial.coordinates
-    largest = LARGEST_LEVER_M * e.weight
     own = e.trial.moments[:, names.is_device_joint]
     for name, moment in zip(names.device, own.T, strict=True):
         found = float(np.abs(moment).max())
         yield e.check(
             "device_moment",
             found,
-            largest,
-            "N m",
-            e.files.exo_moments or "device",
             f"the moment of {name} reaches {found:.3g} N m, more than the "
-            f"body's weight {LARGEST_LEVER_M:g} m away; it may be in N mm, "
-            "or friction of device is in other units",
+            f"body's weight {LIMITS['device_moment'][0]:g} m away; it may be "
+            "in N mm, or friction of device is in other units",
+            file=e.files.exo_moments or "device",
         )
 
 
-def _one_sided(e: Evidence, cuff: str) -> Check:
-    """Whether mats lie on both sides of what a cuff presses on."""
-    mats = [m for m in e.recording.mats if m.segment == cuff]
+def _one_sided(e: Evidence, mats: Sequence[MatForce], file: Path) -> Check:
+    """Whether a cuff's mats lie on both sides of what it presses on."""
     faces = np.array([m.report["forward_share"] for m in mats])
     share = abs(faces.sum()) / max(np.abs(faces).sum(), _FACES)
     side = "behind" if faces.sum() > 0.0 else "the front"
     return e.check(
         "mat_sides",
         share,
-        LARGEST_ONE_SIDED,
-        "",
-        mats[0].source,
-        f"mats of {cuff} ({', '.join(m.name for m in mats)}) all press from "
-        f"{side}; unless nothing lies opposite, name that mat, too",
+        f"mats of {mats[0].segment} ({', '.join(m.name for m in mats)}) all "
+        f"press from {side}; unless nothing lies opposite, name that mat, too",
+        file=file,
         level="note",
     )
 
@@ -1028,28 +978,22 @@ def _follows(e: Evidence, name: str, h, d) -> Iterator[Check]:
     yield e.check(
         "encoder_sign",
         r,
-        LEAST_CORRELATION,
-        "",
-        e.files.encoders,
         f"{name} does not follow the person's joint (correlation {r:.2f}); "
         + (
             "its sign looks flipped: negate the column"
-            if r < -LEAST_CORRELATION
+            if r < -LIMITS["encoder_sign"][0]
             else "the file may be of another joint or trial"
         ),
-        r >= LEAST_CORRELATION,
     )
     gain = float(np.std(d) / np.std(h))
     low, high = GAINS
     yield e.check(
         "encoder_unit",
         gain,
-        low if gain < 1.0 else high,
-        "",
-        e.files.encoders,
         f"{name} moves {gain:.3g} times as far as the person's joint; degrees "
         "may be taken for radians or the other way round",
-        low <= gain <= high,
+        holds=low <= gain <= high,
+        limit=low if gain < 1.0 else high,
     )
 
 
@@ -1066,9 +1010,6 @@ def _frozen(e: Evidence, i: int) -> Check:
     return e.check(
         "encoder_frozen",
         most,
-        LARGEST_FROZEN_DEG,
-        "deg",
-        e.files.encoders,
         f"{e.trial.coordinates.device[i]} stands still while the person's "
         f"joint turns by {most:.0f} deg; the channel is flat or saturated",
     )
@@ -1088,9 +1029,6 @@ def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
         yield e.check(
             "encoder_joints",
             own / max(other, 1e-9),
-            LARGEST_EXCHANGED,
-            "",
-            e.files.encoders,
             f"{names[a]} moves as the joint of {names[b]} should, and the "
             "other way round; their columns look exchanged",
         )
@@ -1130,9 +1068,6 @@ def _mismatch(e: Evidence) -> Check:
     return e.check(
         "encoder_motion",
         100.0 * found,
-        100.0 * LARGEST_MISMATCH,
-        "%",
-        e.files.encoders,
         f"{100 * found:.0f} % of the joints' speed is not in the "
         "encoders; the file may be of another trial, or its clock far off",
     )
@@ -1157,16 +1092,13 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield e.check(
             "encoder_file",
             ratio,
-            LARGEST_RATIO,
-            "",
-            e.files.encoders,
             f"holds the same angles as the file of trial {name}; one of the "
             "two is another trial's"
             if same
             else f"its angles fit the movement of trial "
             f"{known[best].trial.name} {ratio:.1f} times better; it is "
             "another trial's file",
-            not same and ratio <= LARGEST_RATIO,
+            holds=not same and ratio <= LIMITS["encoder_file"][0],
         )
         # What cuffs make of all movements alike is in both and cancels.
         swapped = {
@@ -1180,20 +1112,15 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield e.check(
             "encoder_swap",
             swapped[other],
-            LARGEST_SWAPPED,
-            "",
-            e.files.encoders,
             f"this trial and {known[other].trial.name} fit "
             f"{swapped[other]:.2f} times better with each other's encoders; "
             "the two files look exchanged",
         )
 
 
-LARGEST_FORCE_LAG_MS = 25.0
 LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
 _COMMON_S, _COMMON_BETTER = 0.045, 1.15
 _BETTER = 1.7  # misfit over that at another lag, for a clock to be off
-LARGEST_FORCE_RATIO = 1.25
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
 _RECORDED = 0.9  # of the used part
 
@@ -1248,12 +1175,10 @@ def _common_clock(evidence: Sequence[Evidence], missed: np.ndarray) -> Check:
     return evidence[0].check(
         "force_clock",
         abs(lag) if better >= _COMMON_BETTER else 0.0,
-        LARGEST_COMMON_LAG_MS,
-        "ms",
-        evidence[0].files.forces,
         f"forces of all {len(evidence)} trials fit the motion {better:.2g} "
         f"times better {lag:+.0f} ms away; plates are filtered otherwise, or "
         "their clock is not the markers' (laboratory.estimate_force_delay)",
+        limit=LARGEST_COMMON_LAG_MS,
         level="note",
     )
 
@@ -1274,9 +1199,6 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield e.check(
             "force_clock",
             abs(lag),
-            LARGEST_FORCE_LAG_MS,
-            "ms",
-            e.files.forces,
             f"forces fit the motion {better:.1f} times better {lag:+.0f} ms "
             "away; the plates' clock is not the markers' "
             "(laboratory.estimate_force_delay)",
@@ -1290,9 +1212,6 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield e.check(
             "force_file",
             ratio,
-            LARGEST_FORCE_RATIO,
-            "",
-            e.files.forces,
             f"forces of trial {best} fit this motion {ratio:.1f} "
             "times better; the file is another trial's",
         )
@@ -1325,7 +1244,6 @@ def _equal(e: Evidence, other: Evidence) -> bool:
     return a.shape == b.shape and np.array_equal(a, b)
 
 
-LARGEST_DISAGREEMENT = 0.45  # for each independent sample
 _LAG_REACH_S = 0.06
 _DEG = np.pi / 180.0
 # Standard deviations of what the difference of angles depends on.
@@ -1451,9 +1369,6 @@ def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield e.check(
             "encoder_stranger",
             row[best],
-            LARGEST_DISAGREEMENT,
-            "",
-            e.files.encoders,
             f"the device moves against the person otherwise than in {others}; "
             "the encoders' file may be of a trial that is not in the study",
         )

@@ -589,19 +589,17 @@ def test_names_of_left_and_right_exchanged():
 
 def test_mats_on_one_side_alone_are_told():
     def judged(**shares):
-        e = made()
-        e.recording.mats = [
+        mats = [
             SimpleNamespace(
-                name=name, segment=name.split("_")[0], source="a.asc",
-                report={"forward_share": share},
+                name=name, segment="thigh", report={"forward_share": share}
             )
             for name, share in shares.items()
-        ]  # fmt: skip
-        return plausibility._one_sided(e, "thigh")
+        ]
+        return plausibility._one_sided(made(), mats, "a.asc")
 
-    found = judged(thigh_front=-0.8, thigh_back=0.7, shank_back=0.6)
+    found = judged(thigh_front=-0.8, thigh_back=0.7)
     assert told(found, "mat_sides") == [(0.1 / 1.5, 0.9, True)]
-    found = judged(thigh_front=-0.8, shank_back=0.6)
+    found = judged(thigh_front=-0.8)
     assert told(found, "mat_sides") == [(1.0, 0.9, False)]
     assert "(thigh_front) all press from the front" in found.sentence
     assert found.level == "note"
@@ -720,7 +718,8 @@ def test_a_clock_that_is_late_in_all_trials():
 def loaded(normal, moment):
     """Mats of the shank, and moments of the device's knee."""
     e = made()
-    e.files.pressure, e.files.exo_moments = (), None
+    e.files.pressure = (SimpleNamespace(file="a.asc", mats=["mat"]),)
+    e.files.exo_moments = None
     e.trial.cuffs = {"shank": SimpleNamespace(normal=np.array(normal))}
     e.recording.mats = [
         SimpleNamespace(
@@ -834,7 +833,10 @@ def fitted(monkeypatch, fits):
             ),
             files=SimpleNamespace(markers=f"{name}.trc", encoders="e"),
             trial=SimpleNamespace(name=name),
-            check=lambda *said: (name, said[0], said[1], said[2], said[-1]),
+            check=lambda check, value, _, holds=None: (
+                *(name, check, value, plausibility.LIMITS[check][0]),
+                holds,
+            ),
         )
 
     def fit(e, other, reach):
