@@ -302,6 +302,46 @@ def pounds(p: Plant) -> None:
     )
 
 
+def plate_sign(p: Plant) -> None:
+    """Fore-aft force of the left plate counts the other way."""
+
+    def change(_, plate):
+        x = -1.0 if plate.number == LEFT else 1.0
+        return replace(plate, force=plate.force * [x, 1.0, 1.0])
+
+    p.forces(change)
+
+
+def plate_gain(p: Plant) -> None:
+    """The left plate reads 1.2 times what it bears."""
+
+    def change(_, plate):
+        gain = 1.2 if plate.number == LEFT else 1.0
+        force, torque = gain * plate.force, gain * plate.torque
+        return replace(plate, force=force, torque=torque)
+
+    p.forces(change)
+
+
+def floor(p: Plant) -> None:
+    """Markers 3 cm higher than in standing."""
+    up = np.array([0.0, 0.0, 0.03])
+    p.markers(lambda data: replace(data, positions=data.positions + up))
+
+
+def marker_off(p: Plant) -> None:
+    """A marker of the foot is 11 cm off for three frames."""
+    middle = 0.5 * (p.trial["start_s"] + p.trial["end_s"])
+
+    def change(data):
+        points = data.positions.copy()
+        at = np.searchsorted(data.time, middle)
+        points[at : at + 3, data.names.index("L_MT5"), 0] += 0.11
+        return replace(data, positions=points)
+
+    p.markers(change)
+
+
 def unloaded(p: Plant) -> None:
     """The chair's plate, which bears nothing, named as that of both feet."""
     p.alone()
@@ -345,6 +385,10 @@ MISTAKES: dict[Callable[[Plant], None], tuple[str, ...]] = {
     feet_apart: ("feet_apart",),
     kilonewtons: ("input",),
     pounds: ("newton",),
+    plate_sign: ("shear_sign",),
+    plate_gain: ("mean_weight",),
+    floor: ("floor",),
+    marker_off: ("marker_leap",),
     unloaded: ("input",),
     standing_unloaded: ("input",),
     millimetres: ("input",),
