@@ -152,6 +152,8 @@ class Study:
     ['rise1', 'rise2']
     """
 
+    reads: Sequence[Path] = ()  # files that it is made of
+
     def __init__(
         self,
         model: Model,

@@ -41,7 +41,7 @@ _NOT_FINITE = ("nan", "inf", "infinity")
 _LARGEST = 1e150  # its square is still a number
 _LONGEST = 40  # characters of a value in a message
 # No file can be called so, and of half a surrogate no file can be written.
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def load(path: str | Path, cls: type[T]) -> T:

@@ -72,6 +72,12 @@ def changed(old: str, new: str) -> str:
     return refusal(GOOD.replace(old, new))
 
 
+def test_a_text_of_several_lines_is_one():
+    """As the description of a device in model.json."""
+    study = schema.load_text(GOOD.replace("S4", '"a\\n\\tb"'), Study)
+    assert study.subject.name == "a\n\tb"
+
+
 def test_reads_every_kind_of_value():
     study = schema.load_text(GOOD, Study)
     assert study.subject == Subject(
