@@ -556,7 +556,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("100.0 * found,", "found,"),
         ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
-        ("lag if better >= _BETTER else 0.0", "lag"),
+        ("1e3 * lag if is_told else 0.0", "1e3 * lag"),
         ("np.std(missed[known])", "np.abs(missed[known]).max()"),
         (
             "device.T[upright] - human[upright], axis=0",

@@ -127,7 +127,7 @@ def pareto_front(result: PhaseResult) -> list[dict]:
         mean and the worst RMSD; fewer where the user stops a solve.
     """
     rows = []
-    factors = sorted({1.0, *result.problem.settings.front})
+    factors = result.problem.settings.front_factors
     progress = Progress("front", total=len(factors))
     for i, factor in enumerate(factors):
         try:

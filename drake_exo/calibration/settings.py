@@ -1,5 +1,6 @@
 """Settings of the Phases A to D, as they stand in a study file."""
 
+from collections.abc import Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from math import log
 from pathlib import Path
@@ -284,9 +285,7 @@ class FootGroundSettings:
                     f"law is {str(self.law)!r}; give simbody, paper or a .yaml "
                     "file of 'drake-exo sole reduce'"
                 )
-            usual = {f.name: f for f in fields(self)}
-            own = ("constants", "heel", "toe", "spheres")
-            given = [k for k in own if getattr(self, k) != _default(usual[k])]
+            given = _given(self, ("constants", *_SPHERES, "spheres"))
             if given:
                 raise InputError(
                     f"{given[0]} belongs to calibrated spheres, and {self.law} "
@@ -294,6 +293,11 @@ class FootGroundSettings:
                 )
         elif self.sole_at_m is not None:
             raise InputError("sole_at_m belongs to a law of a sole; give law")
+
+    @property
+    def front_factors(self) -> list[float]:
+        """Those of the Pareto front, with what is calibrated itself."""
+        return sorted({1.0, *self.front})
 
     @property
     def of_sole(self) -> bool:
@@ -363,10 +367,15 @@ _SPHERES = ("heel", "toe")
 
 def own_keys(settings) -> list[str]:
     """Usual spheres or cuffs of which something is said by their own key."""
+    return _given(settings, (*_SPHERES, *CUFFED))
+
+
+def _given(settings, keys: Sequence[str]) -> list[str]:
+    """Which of some keys, as far as there are, say what is not usual."""
     usual = {f.name: f for f in fields(settings)}
     return [
         k
-        for k in (*_SPHERES, *CUFFED)
+        for k in keys
         if k in usual and getattr(settings, k) != _default(usual[k])
     ]
 

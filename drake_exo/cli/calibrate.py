@@ -267,7 +267,7 @@ def _write(
         print(audit_table(summary["audit"]))
         if front:
             rows = summary["front"] = pareto_front(found.result)
-            stopped = len(rows) < len({1.0, *found.study.foot_ground.front})
+            stopped = len(rows) < len(found.study.foot_ground.front_factors)
             print("Pareto front of kinematics against forces")
             print(front_table(rows) + told_stopped(stopped, len(rows)))
             save_figure(out / "front.png", front_figure(rows), verdict.mark)

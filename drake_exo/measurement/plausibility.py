@@ -1122,6 +1122,7 @@ LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
 _COMMON_S, _COMMON_BETTER = 0.045, 1.15
 _BETTER = 1.7  # misfit over that at another lag, for a clock to be off
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
+_NOW = len(_LAGS_S) // 2  # no lag
 _RECORDED = 0.9  # of the used part
 
 
@@ -1152,16 +1153,17 @@ def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
     return float(np.std(missed[known]))
 
 
-def _best_lag(missed: np.ndarray, reach_s: float) -> tuple[float, float]:
+def _best_lag(
+    missed: np.ndarray, least: float, reach_s: float = np.inf
+) -> tuple[float, float]:
     """Where a misfit over `_LAGS_S` is least [ms], and how much better that is.
 
-    Beyond a reach, or at the edge of the search, nothing is said.
+    No lag beyond a reach, or where the misfit is not so much better.
     """
     best = int(np.argmin(missed))
-    lag = float(_LAGS_S[best])
-    if abs(lag) > reach_s:
-        return 0.0, 1.0
-    return 1e3 * lag, _ratio(missed[len(_LAGS_S) // 2], missed[best])
+    lag, better = float(_LAGS_S[best]), _ratio(missed[_NOW], missed[best])
+    is_told = better >= least and abs(lag) <= reach_s
+    return 1e3 * lag if is_told else 0.0, better
 
 
 def _common_clock(evidence: Sequence[Evidence], missed: np.ndarray) -> Check:
@@ -1171,10 +1173,11 @@ def _common_clock(evidence: Sequence[Evidence], missed: np.ndarray) -> Check:
         evidence: of k trials.
         missed: (k, lags) misfits over `_LAGS_S`.
     """
-    lag, better = _best_lag(np.linalg.norm(missed, axis=0), _COMMON_S)
+    together = np.linalg.norm(missed, axis=0)
+    lag, better = _best_lag(together, _COMMON_BETTER, _COMMON_S)
     return evidence[0].check(
         "force_clock",
-        abs(lag) if better >= _COMMON_BETTER else 0.0,
+        abs(lag),
         f"forces of all {len(evidence)} trials fit the motion {better:.2g} "
         f"times better {lag:+.0f} ms away; plates are filtered otherwise, or "
         "their clock is not the markers' (laboratory.estimate_force_delay)",
@@ -1193,9 +1196,7 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
     if len(evidence) > 1:
         yield _common_clock(evidence, missed)
     for e, fits in zip(evidence, missed, strict=True):
-        own = force_misfit(e, e)
-        lag, better = _best_lag(fits, np.inf)
-        lag = lag if better >= _BETTER else 0.0
+        lag, better = _best_lag(fits, _BETTER)
         yield e.check(
             "force_clock",
             abs(lag),
@@ -1208,7 +1209,7 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
             continue
         misfits = {o.trial.name: force_misfit(e, o) for o in others}
         best = min(misfits, key=misfits.get)
-        ratio = _ratio(own, misfits[best])
+        ratio = _ratio(fits[_NOW], misfits[best])
         yield e.check(
             "force_file",
             ratio,

@@ -700,22 +700,16 @@ def design_front_figure(rows: list[dict]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure((4.2, 3.2), layout="constrained")
         axis = figure.subplots()
-        axis.plot(
-            [row["work_j"] for row in rows],
-            [row["norm_n"] for row in rows],
-            "o-",
-            color=_AFTER,
-            ms=4,
-            mfc="none",
-        )
         best = [row for row in rows if not row["dominated"]]
-        axis.plot(
-            [row["work_j"] for row in best],
-            [row["norm_n"] for row in best],
-            "o",
-            color=_AFTER,
-            ms=4,
-        )
+        for some, style, face in ((rows, "o-", "none"), (best, "o", _AFTER)):
+            axis.plot(
+                [row["work_j"] for row in some],
+                [row["norm_n"] for row in some],
+                style,
+                color=_AFTER,
+                ms=4,
+                mfc=face,
+            )
         axis.set_xlabel("work of the device [J]")
         axis.set_ylabel("norm of the cuffs' forces [N]")
     return figure
