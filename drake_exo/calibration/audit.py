@@ -20,7 +20,7 @@ from drake_exo.collocation.kernels import (
 from drake_exo.collocation.transcription import stands_for
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.diagram import build_diagram, integrate
-from drake_exo.contact.systems import Chair, TrackingController
+from drake_exo.contact.systems import Chair_, TrackingController
 from drake_exo.files.output import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
@@ -322,7 +322,7 @@ def _borne(model, trial: Trial) -> list:
             plant.GetBodyByName(name).index(): share
             for name, share in shares.items()
         }
-        system = Chair(bodies, trial.times, wrench.array)
+        system = Chair_[float](bodies, trial.times, wrench.array)
         system.set_name(f"borne_{len(systems)}")
         systems.append(system)
     return systems

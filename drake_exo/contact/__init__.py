@@ -1,6 +1,6 @@
 """Force laws and their derivatives, and LeafSystems around them.
 
-Names are imported as they are asked for: the systems take a second to define.
+Names are imported as they are asked for.
 """
 
 import drake_exo

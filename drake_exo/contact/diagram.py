@@ -38,8 +38,8 @@ from scipy.integrate import OdeSolution, Radau
 
 from drake_exo.contact.parameters import ContactModel, nominal_contact
 from drake_exo.contact.systems import (
-    FootGroundContact,
-    HumanExoskeletonBushings,
+    FootGroundContact_,
+    HumanExoskeletonBushings_,
 )
 from drake_exo.errors import InputError, check_type
 from drake_exo.model.plant import Model
@@ -116,7 +116,7 @@ def build_diagram(
     plant = _add_plant(builder, model, meshcat)
     contacts = {
         body: builder.AddSystem(
-            FootGroundContact(plant.GetBodyByName(body).index(), own)
+            FootGroundContact_[float](plant.GetBodyByName(body).index(), own)
         )
         for body, own in contact.ground.under(model).items()
     }
@@ -268,9 +268,6 @@ def JointTorques_(T):
     return Impl
 
 
-JointTorques = JointTorques_[None]
-
-
 def _add_plant(builder, model: Model, meshcat):
     if meshcat is None:
         plant = model.plant()
@@ -296,7 +293,7 @@ def _bushings(plant, model: Model, bushings) -> LeafSystem:
         for name, links in cuffs.items()
         if name in bushings
     }
-    return HumanExoskeletonBushings(
+    return HumanExoskeletonBushings_[float](
         pairs, {name: bushings[name] for name in pairs}
     )
 
@@ -323,7 +320,7 @@ def _connect(
     builder.Connect(
         total.get_output_port(), plant.get_applied_spatial_force_input_port()
     )
-    torques = builder.AddSystem(JointTorques(plant.num_velocities()))
+    torques = builder.AddSystem(JointTorques_[float](plant.num_velocities()))
     builder.Connect(
         torques.get_output_port(),
         plant.get_applied_generalized_force_input_port(),

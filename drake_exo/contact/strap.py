@@ -24,6 +24,7 @@ from scipy.interpolate import BSpline
 
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.systems import made_on_demand
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
@@ -226,7 +227,7 @@ def GainController_(T):
     return Impl
 
 
-GainController = GainController_[None]
+__getattr__ = made_on_demand(globals())
 
 
 DESIGN = "design.yaml"

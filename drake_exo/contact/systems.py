@@ -14,7 +14,7 @@ program itself.
 
 import functools
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple
 from typing import NamedTuple
 
@@ -51,6 +51,29 @@ from drake_exo.contact.hunt_crossley import (
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import arctan2, sin
 from drake_exo.errors import InputError, check_fields
+
+
+def made_on_demand(scope: dict) -> Callable[[str], type]:
+    """`__getattr__` of a module: the float system of its template `NAME_`.
+
+    Made as NAME is asked for: Drake looks through all modules for each.
+
+    Args:
+        scope: The module's globals.
+    """
+
+    def __getattr__(name: str) -> type:  # noqa: N807
+        template = scope.get(f"{name}_")
+        if not isinstance(template, TemplateSystem):
+            raise AttributeError(
+                f"module {scope['__name__']!r} has no attribute {name!r}"
+            )
+        return template[float]
+
+    return __getattr__
+
+
+__getattr__ = made_on_demand(globals())
 
 
 def declare_body_inputs(system: LeafSystem, T) -> None:
@@ -391,9 +414,6 @@ def FootGroundContact_(T):
     return Impl
 
 
-FootGroundContact = FootGroundContact_[None]
-
-
 class _Bushings:
     """What `HumanExoskeletonBushings_` does for every scalar type."""
 
@@ -553,9 +573,6 @@ def HumanExoskeletonBushings_(T):
     return Impl
 
 
-HumanExoskeletonBushings = HumanExoskeletonBushings_[None]
-
-
 @TemplateSystem.define(
     "Chair_", T_list=[float, AutoDiffXd], scope=sys.modules[__name__]
 )
@@ -644,9 +661,6 @@ def Chair_(T):
             output.SetFromVector(self._wrench(context))
 
     return Impl
-
-
-Chair = Chair_[None]
 
 
 class TrackingController(LeafSystem):
@@ -750,6 +764,3 @@ def AssistController_(T):
                 output.SetAtIndex(joint, torque)
 
     return Impl
-
-
-AssistController = AssistController_[None]

@@ -13,6 +13,7 @@ from force_models import (
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.symbolic import Evaluate, Expression, MakeVectorVariable
 
+from drake_exo.contact import strap, systems
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import PaperConstants
 from drake_exo.contact.parameters import ContactSphere, nominal_contact
@@ -218,3 +219,15 @@ def test_bad_parameters_are_refused():
         )
     with pytest.raises(InputError, match="name the same"):
         HumanExoskeletonBushings({"shank": (body, body)}, {})
+
+
+def test_default_systems_are_made_as_they_are_asked_for():
+    """Each takes Drake a tenth of a second, in every command's start."""
+    for module, name in (
+        (systems, "FootGroundContact"), (strap, "GainController"),
+    ):  # fmt: skip
+        template = getattr(module, f"{name}_")
+        assert name not in vars(module)
+        assert getattr(module, name) is template[float]
+        with pytest.raises(AttributeError, match="has no attribute 'Chairs'"):
+            _ = module.Chairs
