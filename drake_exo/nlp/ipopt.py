@@ -13,6 +13,7 @@ import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.solvers import SolverOptions as DrakeSolverOptions
 
+from drake_exo.errors import InputError
 from drake_exo.nlp import load_ipyopt
 from drake_exo.nlp.infeasibility import Excess, relax
 from drake_exo.nlp.program import (
@@ -230,21 +231,27 @@ def solve(
     """Solve from a guess of all program variables.
 
     Ctrl-C stops after the running iteration; the best iterate is returned in
-    a sealed solution.
+    a sealed solution, as of a failed solve.
 
     Args:
         problem: the compiled program.
         guess: (num_vars,) program variables.
-        options: tolerances and strategies.
+        options: tolerances and strategies; IPOPT's that its
+            MathematicalProgram holds (`SetSolverOption`) go before them.
         on_iterate: called once for each iteration.
+
+    Raises:
+        InputError: IPOPT knows no such option, or not with such a value.
     """
     options = options or SolverOptions()
+    own = _program_options(problem.program.prog)
+    options = replace(options, extra={**options.extra, **own})
     start = time.perf_counter()
     # Of this solve alone: a program may be solved from several guesses.
     problem.seconds.clear()
     problem.evaluations.clear()
     y0 = problem.restrict(guess)
-    total, binding, hopeful = 0, None, True
+    watches, binding, hopeful = [], None, True
     exact = problem.exact_hessian
     stop = threading.Event()
 
@@ -257,8 +264,8 @@ def solve(
                 continue  # dear, and nothing says that it would help
             problem.use_exact_hessian(exact or strategy == "exact")
             watch = _Watch(problem, strategy, start, on_iterate, stop)
+            watches.append(watch)
             y, objective, status = _attempt(problem, y0, options, watch)
-            total += watch.iterations
             if status in _ACCEPTED or stop.is_set():
                 break
             if binding:
@@ -269,9 +276,11 @@ def solve(
                 # none has to give way is a better start.
                 y0, binding = relax(problem, y0, relaxed)
             hopeful = hopeful or binding == []
-    if status not in _ACCEPTED and watch.best is not None:
-        y = watch.best
+    best = min(watches, key=lambda w: w.best_key).best
+    if status not in _ACCEPTED and best is not None:
+        y = best
         objective = problem.objective(y)
+    total = sum(w.iterations for w in watches)
     elapsed = time.perf_counter() - start
     solution = _solution(problem, y, objective, status, watch, total, elapsed)
     if not solution.success and stop.is_set():
@@ -375,6 +384,11 @@ _NEAR = {
 }
 
 
+def _program_options(prog: MathematicalProgram) -> dict:
+    """IPOPT's options that a program holds, by name."""
+    return prog.solver_options().options.get(IpoptSolver.id().name(), {})
+
+
 def _ipopt_options(options, strategy) -> dict:
     return {
         "tol": options.tolerance,
@@ -449,8 +463,15 @@ def _attempt(problem, y0, options, watch):
         guarded(jacobian),
         guarded(hessian),
         intermediate_callback=guarded(watch, False),
-        ipopt_options=_ipopt_options(options, watch.strategy),
     )
+    for name, value in _ipopt_options(options, watch.strategy).items():
+        try:
+            nlp.set(**{name: value})
+        except ValueError as error:
+            raise InputError(
+                f"IPOPT takes no option {name!r} of {value!r}; see its list of "
+                "options, and write what it calls a real number with a point"
+            ) from error
     # A trial step may go far off; IPOPT shortens it when it sees infinity.
     with np.errstate(all="ignore"):
         y, objective, status = nlp.solve(y0.copy())
@@ -532,8 +553,9 @@ def solve_with_drake(
     options = options or SolverOptions()
     settings = DrakeSolverOptions()
     solver = IpoptSolver()
-    settings.SetOption(solver.solver_id(), "tol", options.tolerance)
-    settings.SetOption(solver.solver_id(), "max_iter", options.max_iterations)
+    given = {"tol": options.tolerance, "max_iter": options.max_iterations}
+    for name, value in (given | _program_options(program.prog)).items():
+        settings.SetOption(solver.solver_id(), name, value)
     start = time.perf_counter()
     scale = variable_scaling(program.prog)
     scaled = _scaled_copy(program.prog, scale)

@@ -118,8 +118,9 @@ class BatchedProgram:
     """A MathematicalProgram together with what is known of its structure.
 
     Attributes:
-        prog: the program; anything may be added to it directly, and what is
-            not in a batch is evaluated binding by binding.
+        prog: the program; anything may be added to it directly, options for
+            IPOPT too, and what is not in a batch is evaluated binding by
+            binding.
         constraints: batches lower <= f(x) <= upper.
         residuals: batches whose cost is half the sum of squares of f(x).
         labelled: kind -> indices of variables that `label` has named.

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydrake.math import cos
-from pydrake.solvers import MathematicalProgram
+from pydrake.solvers import IpoptSolver, MathematicalProgram
 from small_programs import Circle, valleys
 
+from drake_exo.errors import InputError
 from drake_exo.nlp import ipopt, load_ipyopt
 from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
 from drake_exo.nlp.program import BatchedProgram, variable_bounds
@@ -31,6 +32,21 @@ def test_solves_and_reads():
     assert solution.jacobian_nonzeros == 6
     assert solution.evaluations["jacobian"] > 1
     assert "solve" in solution.seconds
+
+
+def test_options_of_ipopt_that_the_program_holds_count():
+    program, _ = valleys()
+    program.prog.SetSolverOption(IpoptSolver.id(), "max_iter", 2)
+    once = SolverOptions(strategies=("adaptive",))
+    found = ipopt.solve(SparseProgram(program), np.zeros(6), once)
+    assert found.status == "maximum number of iterations exceeded"
+    assert found.iterations == 2
+    assert not ipopt.solve_with_drake(program, np.zeros(6)).success
+    for name, value in (("max_iter", 2.5), ("iterations", 2)):
+        program, _ = valleys()
+        program.prog.SetSolverOption(IpoptSolver.id(), name, value)
+        with pytest.raises(InputError, match=f"no option '{name}' of {value}"):
+            ipopt.solve(SparseProgram(program), np.zeros(6))
 
 
 def test_drakes_own_solver_reaches_the_same_optimum():
@@ -77,6 +93,28 @@ def test_a_second_strategy_is_tried_when_the_first_fails():
     assert not solution.success
     assert used[0] == "adaptive"
     assert "monotone" in used
+
+
+def test_the_best_of_all_attempts_is_kept():
+    """Not the start of the one that was stopped as it began."""
+    program, _ = valleys()
+    seen = []
+
+    def interrupt(iterate):
+        if iterate.infeasibility <= 1e-4:
+            seen.append(iterate.objective)
+        if iterate.strategy == "monotone":
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found = ipopt.solve(
+        SparseProgram(program),
+        np.zeros(6),
+        SolverOptions(max_iterations=6),
+        interrupt,
+    )
+    assert found.was_stopped
+    assert found.objective == pytest.approx(min(seen))
+    assert found.objective < seen[-1]
 
 
 def test_interruption_keeps_the_best_iterate():
