@@ -512,7 +512,7 @@ def write_bands(
     write_table(path, table, _titled("Bands of 95 %", mark))
 
 
-_SOURCES = ("solution", "measured", "before", "after")
+_SOURCES = ("solution", "measured", "uncalibrated", "before", "after")
 
 
 def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
@@ -521,7 +521,8 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
     Args:
         folder: of the results.
         name: of the trial.
-        source: "solution" or "measured"; of a design "before" or "after".
+        source: "solution" or "measured"; of a prediction "uncalibrated" (with
+            nominal cuffs); of a design "before" or "after".
 
     Raises:
         InputError: it is missing or damaged, or there is no such source.

@@ -231,13 +231,13 @@ def write_predictions(
         **verdict.summary(),
     }
     good = [
-        (p, b, p.timed(t))
+        (p, b if b is not None and b.success else None, p.timed(t))
         for p, b, t in zip(found, baseline, trials, strict=False)
         if p.success
     ]
     bands = [p.bands() for p, _, _ in good]
     summary["rmsd_uncalibrated"] = [
-        b.rmsd(t) if b is not None and b.success else None for _, b, t in good
+        None if b is None else b.rmsd(t) for _, b, t in good
     ]
     summary["band_coverage"] = [
         band.coverage(p, t)
@@ -344,8 +344,10 @@ def _write(
     out: Path, good: list[tuple], bands, summary: dict, mark: str
 ) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
-    for (prediction, _, measured), band in zip(good, bands, strict=True):
+    for (prediction, usual, measured), band in zip(good, bands, strict=True):
         write_trial(out, prediction, mark)
+        if usual is not None:
+            usual.save(out / f"uncalibrated_{usual.name}")
         # On the clock that was found, as it is compared with here.
         measured.save(out / f"measured_{measured.name}")
         if band is not None:
@@ -372,7 +374,7 @@ def _write(
         out,
         [p for p, _, _ in good],
         [t for _, _, t in good],
-        [b if b is not None and b.success else None for _, b, _ in good],
+        [b for _, b, _ in good],
         bands,
         mark,
     )

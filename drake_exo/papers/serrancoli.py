@@ -201,4 +201,9 @@ def _curves(results: dict[str, Results]):
     for label, run in pairs.items():
         found = {t.name: t for t, _ in run}
         runs[label] = [found.get(name) for name in trials]
+    for label, result in results.items():
+        usual = [result.uncalibrated_trial(name) for name in trials]
+        if any(usual):
+            runs[f"{label} uncalibrated"] = usual
+            break  # scaled, they lie so close that they would only hide it
     return runs, list(trials.values())

@@ -96,6 +96,13 @@ class Results:
             for row in self.summary["rmsd"]
         ]
 
+    def uncalibrated_trial(self, trial: str) -> Trial | None:
+        """A trial as predicted with nominal cuffs, where that was solved."""
+        source = "uncalibrated"
+        if not (self.folder / f"{source}_{trial}.json").is_file():
+            return None
+        return read_trial(self.folder, trial, source)
+
 
 def is_design(folder: Path) -> bool:
     """Whether `drake-exo design` wrote a folder."""

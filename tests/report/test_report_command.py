@@ -10,9 +10,11 @@ from undrawn import undrawn
 
 from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.results import read_trial, write_trial
-from drake_exo.cli import main
+from drake_exo.cli import main, predict
 from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.measurement.trial import CuffForce
+from drake_exo.papers import serrancoli
+from drake_exo.report.gathering import gather
 from drake_exo.virtual_laboratory import synthetic
 
 
@@ -31,6 +33,8 @@ def leave(folder, trials, phase, **more):
             cuffs=dict.fromkeys(("shank", "thigh", "pelvis"), force),
         )
         write_trial(folder, solved)
+        if "rmsd_uncalibrated" in more:
+            solved.save(folder / f"uncalibrated_{trial.name}")
         found.append(solved)
     summary = {
         "phase": phase,
@@ -67,6 +71,37 @@ def test_tables_and_figures_are_there(folder):
     names = {p.name for p in (folder / "report").iterdir()}
     assert {f"figure_{k}.png" for k in range(2, 8)} <= names
     assert {"table_2.csv", "table_3.csv", "tables.txt"} <= names
+
+
+def test_predictions_stand_beside_uncalibrated_ones(trials, tmp_path):
+    """Of the first run alone, and of none that an earlier version left."""
+    for name, more in (("x", {}), ("c1", {"rmsd_uncalibrated": []})):
+        leave(tmp_path / name / "c1", trials[:1], "prediction", **more)
+        stiff = {"scale_interaction": 1.4, **more}
+        leave(tmp_path / name / "c2", trials[:2], "prediction", **stiff)
+    names = ["C1", "C2", "C1 uncalibrated"]
+    for name, shown in (("x", names[:2]), ("c1", names)):
+        found = {r.label: r for r in gather(tmp_path / name)}
+        runs, measured = serrancoli._curves(found)
+        assert list(runs) == shown
+        assert [t.name for t in measured] == ["rise1", "rise2"]
+    usual, missing = runs["C1 uncalibrated"]
+    np.testing.assert_array_equal(usual.moments, runs["C1"][0].moments)
+    assert missing is None
+
+
+def test_what_is_predicted_uncalibrated_is_kept(trials, tmp_path, monkeypatch):
+    usual = replace(trials[0], source="solved", moments=trials[0].moments + 9.0)
+    names = ("rmsd", "rmsd_uncalibrated", "solves")
+    summary = dict.fromkeys(names, ()) | {"measured_sd": {}, "starts_from": ""}
+    shown = []
+    monkeypatch.setattr(predict, "draw_figures", lambda *a: shown.extend(a[3]))
+    good = [(trials[0], usual, trials[0]), (trials[1], None, trials[1])]
+    predict._write(tmp_path, good, [None, None], summary, "")
+    assert shown == [usual, None]
+    found = read_trial(tmp_path, "rise1", "uncalibrated")
+    np.testing.assert_array_equal(found.moments, usual.moments)
+    assert len(list(tmp_path.glob("uncalibrated_*"))) == 2
 
 
 @pytest.mark.slow
