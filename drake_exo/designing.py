@@ -106,6 +106,7 @@ def design(
             check_file_name("subject.name", name)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):
+        own.warn_of(own.trials("prediction"))
         contact = own.worn(contact)
         before[name] = movements(own, contact, settings)
         wearers.append(wearer(name, own, contact, before[name]))

@@ -6,6 +6,7 @@ Nothing below imports this module; the commands call exactly this.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -260,6 +261,9 @@ class Study:
         refuse(checks, accepted, self.name)
         return checks
 
+    def warn_of(self, trials: Sequence[Trial]) -> None:
+        """Warn of trials that `gate` would refuse, unless it has seen them."""
+
     def calibrated(
         self,
         folder: str | Path,
@@ -322,6 +326,7 @@ class RecordedStudy(Study):
             self.sole = SoleLaw.read(root / self.foot_ground.law)
             self.sole.check_worn(file.assembly.human)
         self._loaded: dict[str, Trial] = {}
+        self._judged: set[str] = set()
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self.file.trials)})"
@@ -366,12 +371,30 @@ class RecordedStudy(Study):
 
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
         """See Study."""
+        return self._judge(self.trials(use))
+
+    def warn_of(self, trials: Sequence[Trial]) -> None:
+        """See Study."""
+        new = [
+            t
+            for t in trials
+            if self._loaded.get(t.name) is t and t.name not in self._judged
+        ]
+        checks = self._judge(new) if new else ()
+        try:
+            refuse(checks, (), self.name)
+        except InputError as error:
+            # Of the line that called what calls this.
+            warnings.warn(str(error), stacklevel=3)
+
+    def _judge(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
         evidence = [
             Evidence(f, trial, self.recordings.used(f), self.subject)
-            for trial in self.trials(use)
+            for trial in trials
             for f in self.file.trials
             if f.name == trial.name
         ]
+        self._judged |= {trial.name for trial in trials}
         return plausibility(self.subject, self.file.standing, evidence)
 
 
@@ -747,6 +770,7 @@ def calibrate_foot_ground(
     trials = (
         study.trials("calibration") if trials is None else as_trials(trials)
     )
+    study.warn_of(trials)
 
     def pose(refined):
         return FootGroundCalibration(
@@ -793,6 +817,7 @@ def calibrate_interaction(
         study.trials("calibration") if trials is None else as_trials(trials)
     )
     check_is_measured(trials)
+    study.warn_of(trials)
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
     ground = study.worn(contact)
@@ -913,7 +938,7 @@ def predict(
             f"scale_interaction is {scale_interaction:g}, but the study's "
             f"model '{study.model.name}' has no cuffs; leave it out"
         )
-    as_trials([trial])
+    study.warn_of(as_trials([trial]))
     if near is not None:
         check_type(near, Prediction, "near")
     known = study.worn(contact)

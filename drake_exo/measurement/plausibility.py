@@ -1417,5 +1417,6 @@ def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):
     names = " ".join(f"--accept {name}" for name in first)
     raise InputError(
         f"{study}: recordings are not plausible: {'; '.join(told)}; correct "
-        f"them, see all with 'drake-exo check', or take them with {names}"
+        f"them, see all with 'drake-exo check', or take them with {names} (in "
+        f"Python: study.gate(accepted={list(first)}) before)"
     )

@@ -15,7 +15,9 @@ import pytest
 from seated_recording import EXO_JOINTS, write_seated
 from unmarked import unmarked
 
+import drake_exo as dx
 from drake_exo.cli import main
+from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import (
     read_table,
@@ -729,6 +731,37 @@ def test_nothing_is_solved_with_input_that_cannot_be(folder, capsys, command):
     assert "plausibility.plate_sides (rise1)" in message
     assert "--accept plausibility.plate_sides" in message
     assert not out.exists()
+
+
+def test_in_python_nothing_is_solved_without_a_warning(folder, monkeypatch):
+    """Once, unless somebody has looked."""
+    edit(folder, "left: 2\n    right: 1", "left: 1\n    right: 2")
+    edit(folder, "name: rise1", "name: rise1\n  use: prediction")
+    made = read_study(folder / "study.yaml")
+    (trial,), contact = made.trials(), nominal_contact(made.model)
+    for name in ("solve", "_prediction"):
+        monkeypatch.setattr(f"drake_exo.study.{name}", lambda *_: None)
+    monkeypatch.setattr("drake_exo.designing.movements", None)
+
+    def design():
+        with pytest.raises(TypeError):
+            dx.design(made, contact)
+
+    for solve in (
+        lambda: dx.calibrate_foot_ground(made, [trial]),
+        lambda: dx.calibrate_interaction(made, [trial], contact),
+        lambda: dx.predict(made, trial, contact),
+        design,
+    ):
+        made._judged.clear()
+        said = r"plate_sides \(rise1\).*gate\(accepted=\['plausibility.plate"
+        with pytest.warns(UserWarning, match=said) as told:
+            solve()
+        assert told[0].filename == __file__
+        solve()
+    made._judged.clear()
+    made.gate(accepted=["plausibility"])
+    solve()
 
 
 def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
