@@ -488,7 +488,11 @@ def _titled(title: str, mark: str) -> str:
 def write_bands(
     folder: Path, trial: Trial, found: Bands, mark: str = ""
 ) -> None:
-    """Lower and upper ends of 95 % bands as a table that OpenSim reads."""
+    """Lower and upper ends of 95 % bands as a table that OpenSim reads.
+
+    Around the prediction; CUFF_mats around what a cuff's mats would show of
+    its normal force, which is what `Bands.coverage` counts and figures shade.
+    """
     names = trial.coordinates
     unit = np.where(names.is_angle, np.rad2deg(1.0), 1.0)
     columns: list[str] = []
@@ -505,6 +509,9 @@ def write_bands(
         force = trial.cuffs[cuff].components
         for i, component in enumerate(COMPONENTS):
             add(f"{cuff}_{component}", force[:, i], width[:, i])
+    for cuff, width in found.mats.items():
+        shown = trial.cuffs[cuff].normal + found.off_mats[cuff]
+        add(f"{cuff}_mats", shown, width)
     table = Table(
         trial.times, tuple(columns), np.column_stack(values), in_degrees=True
     )

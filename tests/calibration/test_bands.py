@@ -482,7 +482,8 @@ def test_a_trial_on_disk_is_in_opensims_units(tmp_path):
 
 def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
     trial = prediction(seen())
-    found = wide(trial)
+    late = {c: np.full(len(trial.times), 2.0) for c in CUFFS}
+    found = replace(wide(trial), off_mats=late)
     write_bands(tmp_path, trial, found)
     columns, degrees = read(tmp_path / "rise_bands.sto")
     assert degrees
@@ -506,6 +507,13 @@ def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
             middle = trial.cuffs[cuff].components[:, i]
             low = columns[f"{cuff}_{component}_lower"]
             np.testing.assert_allclose(low, middle - width, atol=1e-9)
+    for cuff, width in found.mats.items():
+        shown = trial.cuffs[cuff].normal + 2.0
+        for end, sign in (("lower", -1.0), ("upper", 1.0)):
+            np.testing.assert_allclose(
+                columns[f"{cuff}_mats_{end}"], shown + sign * width, rtol=1e-6
+            )
+    assert f"{CUFFS[2]}_mats_lower" not in columns
 
 
 def test_a_summary_holds_parameters_with_their_bounds(coarse):
