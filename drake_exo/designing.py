@@ -95,7 +95,7 @@ def design(
     if len(studies) != len(contacts):
         raise InputError(
             f"there are {len(studies)} studies and {len(contacts)} "
-            "calibrations; give one --calibration for each study"
+            "calibrations; give one for each study"
         )
     settings = schema.checked(
         settings, DesignSettings, "settings", studies[0].design

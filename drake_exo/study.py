@@ -420,7 +420,7 @@ or directory); check the path
     file = schema.load(path, StudyFile)
     root = Path(path).parent if data_root is None else Path(data_root)
     if not root.is_dir():
-        raise InputError(f"{root}: is not a folder; check --data-root")
+        raise InputError(f"{root}: is no folder; check data_root (--data-root)")
     return RecordedStudy(file, root, Path(path))
 
 
@@ -720,6 +720,7 @@ class Prediction(_Solved, Trial):
 
     def view(self, meshcat: Meshcat) -> None:
         """Show it as an animation with its ground reaction in meshcat."""
+        check_type(meshcat, Meshcat, "meshcat")
         from drake_exo.report.replay import show_trial
 
         show_trial(meshcat, self.result.problem.model, self)

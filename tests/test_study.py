@@ -39,7 +39,7 @@ def test_study_survives_writing():
 
 
 def test_data_root_must_be_a_folder(tmp_path):
-    with pytest.raises(InputError, match="--data-root"):
+    with pytest.raises(InputError, match=r"data_root \(--data-root\)"):
         read_study(STUDY, tmp_path / "none")
 
 

@@ -261,9 +261,8 @@ def check_knows_cuffs(contact: ContactModel, model: Model) -> None:
     """Raises InputError if the model has cuffs that the contact lacks."""
     if not set(model.cuffs) <= set(contact.bushings):
         raise InputError(
-            "the calibration holds no interaction parameters; run "
-            "'drake-exo calibrate' without --phase, or with --phase "
-            "interaction"
+            "the calibration holds no interaction parameters; calibrate the "
+            "cuffs, too (--phase interaction)"
         )
 
 
@@ -280,7 +279,8 @@ def check_is_measured(trials: Sequence[Trial]) -> None:
         raise InputError(
             "nothing of the exoskeleton was measured: no trial has encoders, "
             "exo_moments or pressure, and the study has no device; say "
-            "'model: human' if none was worn, or use --phase foot-ground"
+            "'model: human' if none was worn, or calibrate foot and ground "
+            "alone (--phase foot-ground)"
         )
     if not any(map(has_encoders, trials)):
         raise InputError(

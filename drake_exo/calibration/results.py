@@ -343,7 +343,8 @@ class StoredCalibration:
             options = " ".join(f"--accept {c.name}" for c in refused)
             raise InputError(
                 f"{self.folder}: is refused: {why}. Give a calibration of this "
-                f"study that holds, or {options}"
+                f"study that holds, or accept it: {options} (in Python "
+                f"{[c.name for c in refused]})"
             )
         return self.contact
 
@@ -359,8 +360,8 @@ def read_calibration(folder: str | Path) -> StoredCalibration:
         stored = schema.load(path, _Stored)
     except InputError as error:
         raise InputError(
-            f"no calibrated parameters ({error}); give the --out folder of a "
-            "successful 'drake-exo calibrate'"
+            f"no calibrated parameters ({error}); give the folder that a "
+            "successful calibration was written to"
         ) from error
     return StoredCalibration(Path(folder), stored.contact, stored.origin)
 

@@ -19,6 +19,7 @@ from drake_exo.files.output import Progress, read_arrays
 from drake_exo.nlp.ipopt import Iterate, Solution
 
 CHECKPOINT = "checkpoint.npz"
+_AFRESH = "start afresh without resume (--resume)"
 REFINEMENTS = 4
 _AT_ONCE = 4.0  # parts of an interval
 _AIM = 0.5  # of what is allowed: a finer grid misses elsewhere
@@ -225,7 +226,7 @@ def read_checkpoint(
     Raises:
         InputError: it is damaged, or of another problem.
     """
-    arrays = read_arrays(path, "leave out --resume to start afresh")
+    arrays = read_arrays(path, _AFRESH)
     structure, values = fingerprint
     own = arrays.get("values")
     if (
@@ -236,8 +237,7 @@ def read_checkpoint(
         or not np.allclose(own, values, _SAME, _SAME)
     ):
         raise InputError(
-            f"{path}: is of another study or other settings; leave out "
-            "--resume to start afresh"
+            f"{path}: is of another study or other settings; {_AFRESH}"
         )
     x = arrays.get("x")
     if (
@@ -247,7 +247,6 @@ def read_checkpoint(
         or not np.isfinite(x).all()
     ):
         raise InputError(
-            f"{path}: holds no iterate of {size} numbers; leave out --resume "
-            "to start afresh"
+            f"{path}: holds no iterate of {size} numbers; {_AFRESH}"
         )
     return x

@@ -139,8 +139,8 @@ class SoleLaw:
     def __post_init__(self):
         if len(self.spheres) < 2:
             raise InputError(
-                "spheres: a foot rolls over one alone; reduce with --spheres 2 "
-                "or more"
+                "spheres: a foot rolls over one alone; reduce to two or more "
+                "(--spheres 2)"
             )
         for name in self.spheres:
             if "." in name or not name.strip():

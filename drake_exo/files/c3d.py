@@ -572,8 +572,7 @@ def _check_written(path: Path) -> None:
         decode(path)
     except InputError as error:
         raise InputError(
-            f"{path}: cannot be written; make room or choose another folder "
-            "for --out"
+            f"{path}: cannot be written; make room or choose another folder"
         ) from error
 
 

@@ -123,6 +123,14 @@ class Model:
             )
         check_bounds("gravity_m_s2", self.gravity_m_s2, {"minimum": 0.0})
 
+    def __repr__(self) -> str:
+        # Not every segment: a notebook shows what its last line is.
+        held = ", ".join(self.assembly.cuffs)
+        return (
+            f"Model({self.name!r}, {self.human.mass_kg:.1f} kg, "
+            f"{self.human.height_m:.2f} m{held and f'; cuffs {held}'})"
+        )
+
     @property
     def assembly(self) -> Assembly:
         """What it is put together of."""

@@ -120,12 +120,12 @@ class Case(Setup):
             resume = read_checkpoint(Path(resume))
         if resume is not None and resume.case not in ("", self.name):
             raise InputError(
-                f"--resume: the checkpoint is of the case {resume.case!r}, "
+                f"resume: the checkpoint is of the case {resume.case!r}, "
                 f"this one is {self.name!r}; give the case that was begun"
             )
         if resume is not None and resume.key not in ("", self.key):
             raise InputError(
-                "--resume: the checkpoint is of other settings, another mesh "
+                "resume: the checkpoint is of other settings, another mesh "
                 "or load of this case; only iterations may change"
             )
         folder = None if folder is None else Path(folder)

@@ -454,7 +454,9 @@ def read_columns(path, needed=(), used=None) -> dict[str, np.ndarray]:
 
 def text_lines(path) -> list[str]:
     """Lines of a text file of a load."""
-    return read_text(path, "check the path and --data-root").splitlines()
+    return read_text(
+        path, "check path and data_root (--data-root)"
+    ).splitlines()
 
 
 def numbers_of(

@@ -124,7 +124,7 @@ def test_a_checkpoint_of_another_machine_is_taken(tmp_path):
     np.savez(path, x=x, structure="a", values=values * (1.0 + 1e-13))
     np.testing.assert_array_equal(read_checkpoint(path, ("a", values), 4), x)
     for other in (("b", values), ("a", values[:3]), ("a", values + 1e-3)):
-        with pytest.raises(InputError, match="another study"):
+        with pytest.raises(InputError, match=r"study .*without resume"):
             read_checkpoint(path, other, 4)
 
 

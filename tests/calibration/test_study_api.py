@@ -117,6 +117,8 @@ def test_a_prediction_is_read_by_names(found, study):
     for read in (found.coordinate, found.moment, found.cuff):
         with pytest.raises(dx.InputError, match="elbow"):
             read("elbow")
+    with pytest.raises(dx.InputError, match="meshcat is None; give a Meshcat"):
+        found.view(None)
 
 
 @pytest.mark.slow

@@ -304,6 +304,12 @@ def test_total_mass_is_that_of_subject_and_device():
         plant = build_plant(kind, human)
         total = plant.CalcTotalMass(plant.CreateDefaultContext())
         assert total == pytest.approx(mass, rel=1e-13)
+    shown = repr(Model("coupled", human, exoskeleton)).split("; ")
+    assert shown == [
+        "Model('coupled', 62.6 kg, 1.68 m",
+        "cuffs shank, thigh, pelvis)",
+    ]
+    assert repr(Model("human", human)) == "Model('human', 62.6 kg, 1.68 m)"
 
 
 def test_plant_holds_the_parameters_exactly():

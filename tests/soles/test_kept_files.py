@@ -143,6 +143,7 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
     folder, case, _ = stored
     (found,) = find_designs(folder)
     assert found.name == "example" and found.setup.load.rotation is None
+    assert repr(found) == f"StoredDesign('example', {str(folder)!r})"
     np.testing.assert_allclose(found.setup.mesh.nodes, case.mesh.nodes)
     np.testing.assert_allclose(found.setup.start.point_L, case.start.point_L)
     np.testing.assert_allclose(found.setup.start.point_W, case.start.point_W)

@@ -294,7 +294,7 @@ class Design:
                 bool(sign * (value - limit) <= _ROUNDING * limit + 1e-9),
                 float(value), limit, unit, name,
                 "the design by the exact law is outside the case's limit; "
-                "optimise it longer (--resume, --iterations)",
+                "optimise it longer (resume, iterations)",
             )
             for what, value, limit, unit, sign in held
             if limit is not None
@@ -310,7 +310,7 @@ class Design:
             last = self.optima[-1]
             said = (
                 f"the search ended before it was optimal ({last.status}); go "
-                "on with --resume or more --iterations"
+                "on (resume) with more iterations"
             )
             note("optimum", bool(last.optimal), None, None, said)
         if finer is not None:

@@ -90,14 +90,14 @@ class Checkpoint:
         count, names = len(problem.undeformed), problem.names()
         if len(self.p) != count:
             raise InputError(
-                f"--resume: the checkpoint has {len(self.p)} coefficients, "
+                f"resume: the checkpoint has {len(self.p)} coefficients, "
                 f"the case {count}; it is of another case"
             )
         if self.multipliers is not None and len(self.multipliers) != len(names):
             raise InputError(
-                f"--resume: the checkpoint has {len(self.multipliers)} "
+                f"resume: the checkpoint has {len(self.multipliers)} "
                 f"limits, the case {len(names)} ({', '.join(names)}); give "
-                "the same case and --limits"
+                "the same case and limits"
             )
 
     def write(self, folder: Path) -> None:
@@ -190,6 +190,9 @@ class StoredDesign:
 
     folder: Path
     setup: Setup
+
+    def __repr__(self) -> str:
+        return f"StoredDesign({self.name!r}, {str(self.folder)!r})"
 
     @property
     def name(self) -> str:

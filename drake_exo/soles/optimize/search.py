@@ -113,7 +113,7 @@ def optimise(
         if row.state == "lost":
             raise InputError(
                 "optimize.starts: the process of a start was killed, for "
-                "want of memory perhaps; go on with --resume and --jobs 1"
+                "want of memory perhaps; go on (resume) with one at once"
             )
         row.result()
 
