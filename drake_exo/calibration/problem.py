@@ -694,16 +694,20 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
     """Refuse trials that a program cannot be made of.
 
     Raises:
-        InputError: two are of one name; one is of another model, does not
-            start at 0, holds what is no number, is too long, or has a cuff,
-            a foot or a segment that the model has not.
+        InputError: two are the same movement; one is of another model, does
+            not start at 0, holds what is no number, is too long, or has a
+            cuff, a foot or a segment that the model has not.
     """
-    own, names = model.coordinates, [trial.name for trial in trials]
+    own = model.coordinates
     for k, trial in enumerate(trials):
-        if trial.name in names[:k]:
-            raise InputError(
-                f"two trials are called {trial.name!r}; give each its own name"
-            )
+        for other in trials[:k]:
+            if np.array_equal(trial.q, other.q) and np.array_equal(
+                trial.ground.array, other.ground.array
+            ):
+                raise InputError(
+                    f"trials {other.name} and {trial.name} are the same part "
+                    "of a recording, which would count twice; leave one out"
+                )
         if trial.coordinates != own:
             raise InputError(
                 f"trial {trial.name}: has the coordinates "

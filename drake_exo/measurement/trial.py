@@ -393,7 +393,8 @@ def as_trials(trials) -> tuple[Trial, ...]:
     """Trials that somebody gives.
 
     Raises:
-        InputError: there are none, or they are something else.
+        InputError: there are none, they are something else, or two are of one
+            name.
     """
     if not isinstance(trials, Iterable) or isinstance(trials, str):
         raise InputError(f"{trials!r:.60} is no list of trials; give several")
@@ -403,4 +404,10 @@ def as_trials(trials) -> tuple[Trial, ...]:
     for trial in found:
         if not isinstance(trial, Trial):
             raise InputError(f"{trial!r:.60} is no trial; give a Trial")
+    names = [trial.name for trial in found]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise InputError(
+                f"two trials are called {name!r}; give each its own name"
+            )
     return found

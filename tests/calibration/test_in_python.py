@@ -128,6 +128,15 @@ def test_trials_that_no_program_can_be_made_of_are_refused(made, change, words):
         dx.InteractionCalibration(made.model, trials, made.contact)
 
 
+def test_no_movement_counts_twice(made):
+    trial = made.trials[0]
+    with pytest.raises(InputError, match="two trials are called 'rise1'"):
+        dx.Study(made.model, [trial, trial])
+    again = [*made.trials, replace(trial, name="again")]
+    with pytest.raises(InputError, match="trials rise1 and again are the same"):
+        dx.InteractionCalibration(made.model, again, made.contact)
+
+
 def test_a_controller_of_the_device_alone_is_sent_to_predict(made):
     controller = dx.AssistController(knee_nm=10.0)
     with pytest.raises(InputError, match="belongs into predict"):
