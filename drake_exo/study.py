@@ -39,6 +39,7 @@ from drake_exo.calibration.results import (
     Origin,
     phase_summary,
     read_calibration,
+    write_bands,
     write_contact,
     write_model,
     write_trial,
@@ -701,7 +702,32 @@ class Prediction(_Solved, Trial):
     def bands(self) -> Bands | None:
         """Bands of 95 %; None where no calibration says how sure it is."""
         self.solution.check()
+        return self._bands
+
+    @cached_property
+    def _bands(self) -> Bands | None:
         return bands(self.result)
+
+    def write(self, folder: str | Path, verdict: Verdict | None = None) -> None:
+        """The trial as predicted and as measured, and bands, into a folder.
+
+        `read_trial` reads them, OpenSim the tables (docs/results.md).
+
+        Args:
+            folder: made if it is not there.
+            verdict: whose mark tables bear; that of the solve and its audit if
+                None.
+        """
+        folder, band = Path(folder), self.bands()
+        if verdict is None:
+            verdict = Verdict((*phase_checks(self.result, [self.audit()]),))
+        folder.mkdir(parents=True, exist_ok=True)
+        write_trial(folder, self, verdict.mark)
+        # On the clock that was found, as it is compared with.
+        (measured,) = self.result.problem.trials
+        measured.save(folder / f"measured_{self.name}")
+        if band is not None:
+            write_bands(folder, self, band, verdict.mark)
 
     def plot(self, measured: Trial | None = None) -> Figure:
         """Angles, velocities, forces of cuffs and ground beside the measured.

@@ -16,12 +16,7 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration.audit import spread
 from drake_exo.calibration.clocks import Clock, phase_checks
-from drake_exo.calibration.results import (
-    solve_summary,
-    write_bands,
-    write_contact,
-    write_trial,
-)
+from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.solving import forget
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
@@ -247,7 +242,7 @@ def write_predictions(
     summary["audit"] = [audit.summary() for audit in audits]
     summary["clocks"] = [c.summary() for p in found for c in p.clocks]
     if good:
-        _write(out, good, bands, summary, verdict.mark)
+        _write(out, good, bands, summary, verdict)
         print(audit_table(summary["audit"]))
     if summary["clocks"]:
         print(clocks_table(summary["clocks"]))
@@ -341,23 +336,19 @@ def _summary(study: Study, found: list[Prediction], trials) -> dict:
 
 
 def _write(
-    out: Path, good: list[tuple], bands, summary: dict, mark: str
+    out: Path, good: list[tuple], bands, summary: dict, verdict: Verdict
 ) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
-    for (prediction, usual, measured), band in zip(good, bands, strict=True):
-        write_trial(out, prediction, mark)
+    for prediction, usual, _ in good:
+        prediction.write(out, verdict)
         if usual is not None:
             usual.save(out / f"uncalibrated_{usual.name}")
-        # On the clock that was found, as it is compared with here.
-        measured.save(out / f"measured_{measured.name}")
-        if band is not None:
-            write_bands(out, prediction, band, mark)
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
     usual = [r for r in summary["rmsd_uncalibrated"] if r is not None]
     if usual:
         text += "\n\nthe same with uncalibrated cuffs\n" + rmsd_table(usual)
     text += f"\nmovements start from {summary['starts_from']}"
-    write_text(out / "rmsd.txt", text, mark)
+    write_text(out / "rmsd.txt", text, verdict.mark)
     print(text)
     rows = [
         [
@@ -376,5 +367,5 @@ def _write(
         [t for _, _, t in good],
         [b for _, b, _ in good],
         bands,
-        mark,
+        verdict.mark,
     )

@@ -8,6 +8,7 @@ import pytest
 
 import drake_exo as dx
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
+from drake_exo.files.output import Check, Verdict
 from drake_exo.virtual_laboratory import synthetic
 
 pytestmark = pytest.mark.slow
@@ -143,6 +144,21 @@ def test_a_prediction_is_scored_audited_and_drawn(found, study):
     }
 
 
+@pytest.mark.slow
+def test_a_prediction_is_written_and_read(found, study, tmp_path):
+    found.write(tmp_path / "new")
+    back = dx.read_trial(tmp_path / "new", "rise1")
+    np.testing.assert_array_equal(back.q, found.q)
+    measured = dx.read_trial(tmp_path / "new", "rise1", "measured")
+    np.testing.assert_array_equal(measured.q, study.trials()[0].q)
+    off = Verdict((Check("audit", False, 2.5, 1.0, "N", "rise1"),))
+    found.write(tmp_path / "new", off)
+    tables = list((tmp_path / "new").glob("*.sto"))
+    assert tmp_path / "new" / "rise1_bands.sto" in tables
+    for path in tables:
+        assert "DOES NOT HOLD: audit" in path.read_text("utf-8").splitlines()[0]
+
+
 def test_stiffer_cuffs_predict_another_interaction(found, study, cuffs):
     trial = study.trials()[0]
     stiff = dx.predict(study, trial, cuffs.contact, scale_interaction=1.4)
@@ -174,6 +190,8 @@ def test_a_failed_solve_is_sealed_until_it_is_unsealed(study, made):
         with pytest.raises(dx.SealedSolutionError):
             read()
     assert repr(found).startswith("Prediction('rise1', '")
+    with pytest.raises(dx.SealedSolutionError):
+        found.write("nowhere")
     found.solution.unseal()
     assert found.coordinate("hip").shape == found.times.shape
 

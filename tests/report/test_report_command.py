@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -96,8 +97,9 @@ def test_what_is_predicted_uncalibrated_is_kept(trials, tmp_path, monkeypatch):
     summary = dict.fromkeys(names, ()) | {"measured_sd": {}, "starts_from": ""}
     shown = []
     monkeypatch.setattr(predict, "draw_figures", lambda *a: shown.extend(a[3]))
-    good = [(trials[0], usual, trials[0]), (trials[1], None, trials[1])]
-    predict._write(tmp_path, good, [None, None], summary, "")
+    found = SimpleNamespace(write=lambda *_: None)
+    good = [(found, usual, trials[0]), (found, None, trials[1])]
+    predict._write(tmp_path, good, [None, None], summary, Verdict(()))
     assert shown == [usual, None]
     found = read_trial(tmp_path, "rise1", "uncalibrated")
     np.testing.assert_array_equal(found.moments, usual.moments)
