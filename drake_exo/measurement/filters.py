@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, sosfiltfilt
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import MarkerData, between, missing_column, runs
@@ -67,6 +66,9 @@ def low_pass(
     Raises:
         InputError: as `check_filterable`.
     """
+    # It loads SciPy's statistics, a second that only recordings need.
+    from scipy.signal import butter, sosfiltfilt
+
     check_filterable(source, len(values), rate_hz, cutoff_hz)
     n = order // 2
     warped = np.tan(np.pi * cutoff_hz / rate_hz)

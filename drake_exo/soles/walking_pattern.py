@@ -13,7 +13,6 @@ from scipy.interpolate import BSpline
 from scipy.linalg import null_space
 from scipy.optimize import LinearConstraint, brentq, minimize
 from scipy.spatial import ConvexHull
-from scipy.stats.qmc import Halton
 
 from drake_exo.errors import InputError
 from drake_exo.files.schema import not_negative, positive, quantity
@@ -422,6 +421,9 @@ class Gait:
         """
         if number == 0:
             return self.start
+        # SciPy's statistics take a second to load.
+        from scipy.stats.qmc import Halton
+
         found, drawn = 0, Halton(len(self.start), scramble=False)
         for _ in range(_DRAWN * number):
             (x,) = drawn.random(1)
