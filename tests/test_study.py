@@ -52,6 +52,8 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("{left: 2, right: 1}", "{left: 1, right: 1}", "'both: 1'"),
         ("{left: 2, right: 1}", "{left: 2, both: 1}", "name the plates"),
         ("name: rise2", "name: rise1", "two trials are named 'rise1'"),
+        ("name: rise2", "name: quality", "trials[1].name is 'quality', as a"),
+        ("name: rise2", "name: Summary", "trials[1].name is 'Summary', as a"),
         ("rise: 1", "start_s: 2\n    end_s: 1", "end_s (1) must be after"),
         ("model: human", "model: humn", "did you mean 'human'"),
         (

@@ -31,6 +31,8 @@ Use = Literal["calibration", "prediction"]
 Legs = Literal["left", "right", "both"]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Point = tuple[float, float, float]
+# Files of `check` and of a batch, beside those that are called as trials.
+_TAKEN = ("quality", "summary", "task", "timing")
 
 
 @dataclass(frozen=True)
@@ -620,8 +622,11 @@ class RecordingSettings:
         names = [trial.name for trial in self.trials]
         for i, name in enumerate(names):
             check_file_name(f"trials[{i}].name", name)
-            if name == "quality":  # what `check` calls its own file
-                raise InputError("no trial can be named 'quality'; rename it")
+            if name.lower() in _TAKEN:
+                raise InputError(
+                    f"trials[{i}].name is {name!r}, as a command calls a file "
+                    "of its own; rename the trial"
+                )
             if names.count(name) > 1:
                 raise InputError(f"two trials are named {name!r}; rename one")
         if not names:
