@@ -32,6 +32,7 @@ import drake_exo
 from drake_exo.errors import InputError, nearest
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
+from drake_exo.files.tables import read_bytes
 
 STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")
@@ -535,8 +536,8 @@ def _digests(path: Path, root: Path | None) -> dict[str, str]:
     """
     found = {"": _digest(path)}
     try:
-        tree = yaml.load(path.read_bytes(), Loader=_Loader)
-    except (OSError, yaml.YAMLError, ValueError, RecursionError):
+        tree = yaml.load(read_bytes(path), Loader=_Loader)
+    except (InputError, yaml.YAMLError, ValueError, RecursionError):
         return found  # its task says what is wrong
     return found | _named(tree, path.parent if root is None else root)
 
@@ -579,6 +580,6 @@ def _words(tree) -> list[str]:
 def _digest(path: Path) -> str:
     """Of a file's contents, "" if it is none."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except (OSError, ValueError):
+        return hashlib.sha256(read_bytes(path)).hexdigest()
+    except (InputError, ValueError):
         return ""

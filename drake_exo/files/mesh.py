@@ -1,5 +1,6 @@
 """Mesh files of any format that meshio knows, damaged ones refused."""
 
+import codecs
 import contextlib
 import io
 import warnings
@@ -10,6 +11,9 @@ import meshio
 import numpy as np
 
 from drake_exo.errors import InputError, reason
+from drake_exo.files.tables import read_bytes
+
+_MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_cells(
@@ -33,9 +37,14 @@ def read_cells(
         InputError: unreadable or damaged, nodes that are not finite, cells
             with nodes that are not there.
     """
+    start = read_bytes(path)
+    if start.startswith(_MARKS):
+        raise InputError(
+            f"{path}: begins with a byte order mark; save it as UTF-8 without "
+            "one (BOM)"
+        )
     try:
         # meshio would look for the end of a .ply's header for ever.
-        start = Path(path).read_bytes()
         if start.startswith(b"ply") and b"end_header" not in start:
             raise ValueError("its header does not end")
         with _quiet():
@@ -43,10 +52,6 @@ def read_cells(
             cells = [b.data for b in raw.cells if b.type == cell_type]
             found = np.concatenate(cells) if cells else np.zeros((0, 1))
             nodes = np.asarray(raw.points, float)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
     # meshio exits; bytes that are no text are those of a file cut off.
     except (SystemExit, UnicodeDecodeError) as error:
         raise InputError(

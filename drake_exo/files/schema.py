@@ -33,6 +33,7 @@ from drake_exo.errors import (
     first_line,
     nearest,
 )
+from drake_exo.files.tables import read_bytes
 
 T = TypeVar("T")
 
@@ -52,11 +53,7 @@ def load(path: str | Path, cls: type[T]) -> T:
             does not allow.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); check the path"
-        ) from error
+        text = read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: is not a text file; give a YAML file in UTF-8"

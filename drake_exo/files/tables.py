@@ -27,10 +27,16 @@ def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
     """What a file holds.
 
     Raises:
-        InputError: it cannot be read; `remedy` ends the sentence.
+        InputError: it cannot be read, or is no file (a device or a pipe
+            may never end); `remedy` ends the sentence.
     """
+    path = Path(path)
     try:
-        return Path(path).read_bytes()
+        if not (path.is_file() or path.is_dir()) and path.exists():
+            raise InputError(
+                f"{path}: cannot be read (no regular file); {remedy}"
+            )
+        return path.read_bytes()
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); {remedy}"
@@ -45,7 +51,10 @@ def read_text(path: str | Path, remedy: str = "check the path") -> str:
     """
     data = read_bytes(path, remedy)
     if b"\0" in data:
-        raise InputError(f"{path}: is a binary file, not text; check it")
+        raise InputError(
+            f"{path}: is a binary file, not text, or in UTF-16; save it as "
+            "UTF-8"
+        )
     text = data.decode("utf-8-sig", errors="replace")
     # Names from damaged files end up in messages: one line, printable.
     return printable(text, keep="\t\r\n")

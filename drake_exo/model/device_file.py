@@ -15,6 +15,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from drake_exo.errors import InputError, reason
+from drake_exo.files.tables import read_text
 from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 
 _KINDS = (".sdf", ".urdf")
@@ -45,13 +46,7 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
             f"{path}: is no device that can be read; give one of "
             f"{', '.join(_KINDS)}"
         )
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot be read ({reason(error)}); check model.device.file"
-        ) from error
-    return brought_in(assembly, text)
+    return brought_in(assembly, read_text(path, "check model.device.file"))
 
 
 # Whether an element's numbers are xyz and rpy of a frame, turned by half a

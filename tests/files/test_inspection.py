@@ -1,5 +1,6 @@
 """What `drake-exo inspect` says of each format, and of a bad file."""
 
+import os
 from xml.etree import ElementTree
 
 import meshio
@@ -165,6 +166,23 @@ def test_a_bad_file_is_one_sentence(tmp_path, capsys, ending):
     message = capsys.readouterr().err
     assert message.startswith("drake-exo: error: ") and str(path) in message
     assert message.count("\n") == 1
+
+
+@pytest.mark.parametrize("ending", ["c3d", "csv", "asc", "osim", "obj"])
+def test_a_pipe_or_a_folder_is_one_sentence(tmp_path, ending):
+    for make, words in ((os.mkfifo, "no regular file"), (os.mkdir, "Is a dir")):
+        path = tmp_path / f"{words}.{ending}"
+        make(path)
+        with pytest.raises(InputError, match=words):
+            inspect(path)
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "vtk", "msh"])
+def test_a_byte_order_mark_before_a_mesh_is_named(tmp_path, ending):
+    path = tmp_path / f"a.{ending}"
+    path.write_text("v 0 0 0", encoding="utf-8-sig")
+    with pytest.raises(InputError, match="save it as UTF-8 without"):
+        inspect(path)
 
 
 def test_the_command_prints_it(tmp_path, capsys, markers):

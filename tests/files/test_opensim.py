@@ -151,6 +151,7 @@ def test_standing_still_in_degrees_is_believed(tmp_path):
         (lambda s: s.replace("\tknee", "\tknee\tknee"), "two columns"),
         (lambda s: s.replace("Columns=2", "Columns=3"), "nColumns=3, but"),
         (lambda s: b"\x00\x01" + s.encode(), "binary file"),
+        (lambda s: s.encode("utf-16"), "in UTF-16; save it as UTF-8"),
         (lambda s: "", "no line 'endheader'"),
     ],
 )

@@ -1,4 +1,5 @@
 import dataclasses
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -210,6 +211,9 @@ def test_post_init_complaints_carry_file_and_line():
 def test_unreadable_files(tmp_path):
     with pytest.raises(InputError, match=r"none\.yaml: cannot be read"):
         schema.load(tmp_path / "none.yaml", Study)
+    os.mkfifo(tmp_path / "p.yaml")
+    with pytest.raises(InputError, match=r"p\.yaml: .*no regular file"):
+        schema.load(tmp_path / "p.yaml", Study)
     binary = tmp_path / "b.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(InputError, match=r"b\.yaml: is not a text file"):
