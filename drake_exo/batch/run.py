@@ -385,6 +385,7 @@ def run_batch(
     out: str | Path,
     open_pool: Callable[[], AbstractContextManager[Pool]],
     parse: str,
+    write: Callable[[Batch], object],
 ) -> Batch:
     """Run what of a batch is not done yet.
 
@@ -393,6 +394,7 @@ def run_batch(
         out: folder of results; of the same batch's, too, as far as it came.
         open_pool: makes the pool, where there is something to do.
         parse: "module:name" of what turns a command into its arguments.
+        write: called with what is returned, while no other run writes there.
 
     Raises:
         InputError: the batch file is not as it should be, or `out` holds
@@ -410,7 +412,10 @@ def run_batch(
         _check_sweep(batch, path)
         _check_options(batch, path, function_of(parse))
     with _prepared(out, tasks):
-        return _run_all(out, tasks, done, todo, open_pool, parse, path.parent)
+        near = path.parent
+        found = _run_all(out, tasks, done, todo, open_pool, parse, near)
+        write(found)
+    return found
 
 
 def _run_all(out, tasks, done, todo, open_pool, parse, near) -> Batch:

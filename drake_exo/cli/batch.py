@@ -57,9 +57,11 @@ def run(args: argparse.Namespace) -> int:
             print(f"dashboard: {cluster.dashboard}", flush=True)
         return cluster
 
-    found = run_batch(args.batch, args.out, open_pool, _PARSE)
-    if not is_told(found):
-        write_results(found)
+    def write(found: Batch) -> None:
+        if not is_told(found):
+            write_results(found)
+
+    found = run_batch(args.batch, args.out, open_pool, _PARSE, write)
     print(text_of(found))
     return found.exit_code
 

@@ -18,7 +18,7 @@ from drake_exo.batch.run import (
     run_task,
 )
 from drake_exo.errors import InputError
-from drake_exo.files.output import write_json
+from drake_exo.files.output import locked, write_json
 
 TASK_OF_BERT = Task(
     "bert/check", "bert", "", "check", source=Path("/b/bert.yaml"), key="k" * 64
@@ -193,8 +193,24 @@ def test_options_are_parsed_before_anything_runs(tmp_path, options, words):
     )
     out = tmp_path / "out"
     with pytest.raises(InputError, match=words):
-        run_batch(path, out, lambda: None, f"{cli.__name__}:parse")
+        run_batch(path, out, lambda: None, f"{cli.__name__}:parse", print)
     assert not out.exists()
+
+
+def test_tables_are_written_while_no_other_run_may(tmp_path):
+    path, out, told = tmp_path / "b.yaml", tmp_path / "out", []
+    path.write_text("steps: [check]\nlaboratories: {seeds: [1]}\n")
+
+    def stop():
+        raise KeyboardInterrupt
+
+    def write(found):
+        told.append(found)
+        with pytest.raises(InputError, match="another run"), locked(out):
+            pass
+
+    found = run_batch(path, out, stop, "drake_exo.cli:parse", write)
+    assert told == [found] and found.exit_code == 130
 
 
 @pytest.mark.parametrize("name", ["case.yaml", "bert.yml"])
