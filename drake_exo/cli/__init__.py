@@ -66,6 +66,14 @@ def positive(text: str) -> int:
     return number
 
 
+def above_zero(text: str) -> float:
+    """A finite number above 0 on the command line."""
+    number = float(text)
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is no number above 0")
+    return number
+
+
 def add_study(parser: argparse.ArgumentParser, **options) -> None:
     """Add what every command on a study reads."""
     parser.add_argument("study", type=Path, metavar="STUDY.yaml", **options)

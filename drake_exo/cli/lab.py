@@ -3,7 +3,7 @@
 import argparse
 import os
 
-from drake_exo.cli import add_out
+from drake_exo.cli import add_out, positive
 from drake_exo.contact.strap import read_design
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--jobs",
-        type=int,
+        type=positive,
         default=PROCESSES,
         help="processes at a time (default: a core for each, at most 2)",
     )

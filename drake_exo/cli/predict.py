@@ -18,6 +18,7 @@ from drake_exo.calibration.audit import spread
 from drake_exo.calibration.clocks import Clock, phase_checks
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.solving import forget
+from drake_exo.cli import above_zero
 from drake_exo.cli.calibrate import (
     STOPPED_CODE,
     add_study_arguments,
@@ -75,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--scale-interaction",
-        type=float,
+        type=above_zero,
         default=1.0,
         metavar="FACTOR",
         help="of the interaction's stiffness and damping; 1.4 is Phase C2",
@@ -87,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--torque-limit",
-        type=float,
+        type=above_zero,
         metavar="NM",
         help="instead of the study's prediction.torque_limit_nm",
     )
@@ -253,11 +254,6 @@ def write_predictions(
 
 def _changes(args: argparse.Namespace) -> dict:
     """What options put in the place of the study's settings."""
-    for name in ("scale_interaction", "torque_limit"):
-        value = getattr(args, name)
-        if value is not None and not 0.0 < value < float("inf"):
-            option = "--" + name.replace("_", "-")
-            raise InputError(f"{option} is {value:g}; give a positive number")
     changes = {
         "objective": args.objective,
         "torque_limit_nm": args.torque_limit,

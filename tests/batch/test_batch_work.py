@@ -180,7 +180,10 @@ def test_damaged_task_files_are_none(tmp_path):
     ("options", "words"),
     [
         ("[--no-such]", "unrecognized arguments: --no-such"),
-        ("[--help]", "options of check: help"),
+        ("[--help]", "options of predict: help"),
+        ("[--scale-interaction, '0']", "interaction: 0 is no number above 0"),
+        ("[--scale-interaction, '-1.4']", "-1.4 is no number above 0"),
+        ("[--torque-limit, nan]", "limit: nan is no number above 0"),
     ],
 )
 def test_options_are_parsed_before_anything_runs(tmp_path, options, words):
@@ -188,8 +191,8 @@ def test_options_are_parsed_before_anything_runs(tmp_path, options, words):
 
     path = tmp_path / "b.yaml"
     path.write_text(
-        "steps: [check]\nlaboratories: {seeds: [1]}\n"
-        f"options: {{check: {options}}}"
+        "steps: [calibrate, predict]\nlaboratories: {seeds: [1]}\n"
+        f"options: {{predict: {options}}}"
     )
     out = tmp_path / "out"
     with pytest.raises(InputError, match=words):

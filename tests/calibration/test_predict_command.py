@@ -131,8 +131,6 @@ def test_a_checkpoint_of_another_machine_is_taken(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--scale-interaction", "0"], "--scale-interaction"),
-        (["--torque-limit", "nan"], "--torque-limit"),
         (["--controller", "nowhere"], "MODULE:NAME"),
     ],
 )
