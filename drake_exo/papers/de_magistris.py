@@ -458,7 +458,7 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
     figures = {
         SOLES: pictures.soles_figure([_drawn(d) for d in designs]),
         "histories.png": pictures.histories_figure(
-            {d.name: read_columns(d.folder / "history.csv") for d in designs}
+            {d.name: d.history() for d in designs}
         ),
     }
     if len(designs) > 1:  # a design has a picture of its own stiffness

@@ -150,12 +150,21 @@ def load_figure(
     left.fill(*ring.T, color="0.93", zorder=0)
     left.plot(*ring.T, color="0.5", lw=1)
     if not ground.is_flat:
-        beside = 1.1 * np.stack([outline.min(axis=0), outline.max(axis=0)]).T
-        heights = left.contour(
-            1e3 * ground.x, 1e3 * ground.y, 1e3 * ground.z.T, 8, cmap="copper"
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        low, high = 1.05 * low - 0.05 * high, 1.05 * high - 0.05 * low
+        # Labels are placed by what is seen.
+        left.set(
+            xlim=(1e3 * low[0], 1e3 * high[0]),
+            ylim=(1e3 * low[1], 1e3 * high[1]),
+            aspect="equal",
         )
+        low = np.maximum(low, [ground.x[0], ground.y[0]])
+        high = np.minimum(high, [ground.x[-1], ground.y[-1]])
+        x, y = np.meshgrid(*np.linspace(low, high, 101).T)
+        places = np.stack([x.ravel(), y.ravel()], axis=1)
+        z = ground.height(places).reshape(x.shape)
+        heights = left.contour(1e3 * x, 1e3 * y, 1e3 * z, 8, cmap="copper")
         left.clabel(heights, fmt="%g mm", fontsize=7)
-        left.set(**dict(zip(("xlim", "ylim"), 1e3 * beside, strict=True)))
     points = left.scatter(
         *(1e3 * load.zmp.T), c=load.times, s=9, cmap="viridis", zorder=3
     )

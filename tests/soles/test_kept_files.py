@@ -159,6 +159,9 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
     (folder / "summary.json").write_text(json.dumps({"c_tr": 1, "c": "x"}))
     with pytest.raises(InputError, match="c_rot is missing, or no number"):
         found.summary()
+    (folder / "history.csv").write_text("iteration,cost\n1,2\n")
+    with pytest.raises(InputError, match="no column 'stage'; optimise the"):
+        found.history()
     (folder / "sole.vtk").unlink()
     with pytest.raises(InputError, match=r"sole\.vtk: is missing"):
         find_designs(folder)

@@ -28,6 +28,7 @@ from drake_exo.soles.optimize.files import (
     MESH,
     STEPS,
     SUMMARY,
+    TRACE,
     Checkpoint,
     write_case,
 )
@@ -41,7 +42,6 @@ _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh
 _MOST = 200_000  # elements of it: some 4 GB
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
-_TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
 
 
 @dataclass
@@ -126,8 +126,8 @@ class Design:
             for number, best in enumerate(self.optima)
             for row in best.trace
         ]
-        columns = np.array(rows, dtype=float).reshape(-1, len(_TRACE)).T
-        return dict(zip(_TRACE, columns, strict=True))
+        columns = np.array(rows, dtype=float).reshape(-1, len(TRACE)).T
+        return dict(zip(TRACE, columns, strict=True))
 
     @property
     def smoothed(self) -> tuple[float, float] | None:

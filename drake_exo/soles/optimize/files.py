@@ -17,6 +17,8 @@ from drake_exo.soles.settings import Settings, Setup, StartBlock
 from drake_exo.soles.simulation import HISTORY
 
 CHECKPOINT = "checkpoint.json"
+# Columns of history.csv, of every iteration.
+TRACE = ("stage", "iteration", "cost", "violation", "dual_infeasibility")
 _LARGEST = 1e30
 
 
@@ -211,6 +213,21 @@ class StoredDesign:
                 raise InputError(
                     f"{self.folder / SUMMARY}: {key} is missing, or no number; "
                     "optimise the sole again"
+                )
+        return found
+
+    def history(self) -> dict[str, np.ndarray]:
+        """Columns of its history.csv, see `TRACE`.
+
+        Raises:
+            InputError: It is missing or damaged.
+        """
+        path = self.folder / "history.csv"
+        found = read_columns(path)
+        for name in TRACE:
+            if name not in found:
+                raise InputError(
+                    f"{path}: has no column {name!r}; optimise the sole again"
                 )
         return found
 
