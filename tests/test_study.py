@@ -66,6 +66,12 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("  prior", "  front: [0.5, 0]\n  prior", "must be above 0"),
         ("  prior", "  end_tolerance: {velocity_m_s: -1}\n  prior", "least 0"),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
+        ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
+        (
+            "    modulus",
+            "    radius_m: {nominal: 1, lower: 1.0e-5, upper: 1}\n    modulus",
+            "radius_m: lower bound is 1e-05, but must be at least 0.001 m",
+        ),
         (
             "\nfoot_ground:",
             "\ninteraction: {thigh: {normal_n_m: {nominal: 0, lower: 0, "

@@ -133,6 +133,16 @@ class SphereSettings:
 
     def __post_init__(self):
         _check_not_negative(self)
+        # Softer, a person sinks in to the knees; smaller, it is no sphere.
+        for name, least, unit in (
+            ("modulus_n_m2", 1e4, "N/m^2"),
+            ("radius_m", 1e-3, "m"),
+        ):
+            check_bounds(
+                f"{name}: lower bound",
+                getattr(self, name).lower,
+                {"unit": unit, "minimum": least},
+            )
 
 
 @dataclass(frozen=True)

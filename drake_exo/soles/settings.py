@@ -105,7 +105,7 @@ class MaterialBlock:
 
     name: str
     youngs_modulus_pa: float | None = quantity(
-        "Pa", None, above=0.0, maximum=1e12
+        "Pa", None, minimum=1e3, maximum=1e12
     )
     poissons_ratio: float | None = None
     density_kg_per_m3: float | None = quantity("kg/m³", None, minimum=10.0)

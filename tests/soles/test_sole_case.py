@@ -135,6 +135,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, capsys, name):
         ("iterations: 5", "divisions: [0, 1, 1]", "whole numbers of cells"),
         ("starts: 1", "strain: 30", "strain"),
         ("load:", "start: {yaw_rad: -5.7e+1}\nload:", "yaw_rad"),
+        ("neoprene}", "neoprene, youngs_modulus_pa: 5}", "at least 1000 Pa"),
     ],
 )
 def test_numbers_out_of_bounds_are_refused_by_key(old, new, words):
