@@ -488,17 +488,12 @@ class Designed:
     def _other_limits(self, row: dict) -> Iterator[tuple]:
         """Of a row of `felt`: its key, unit, the limit's name and value."""
         limits, before = self.settings.limits, row["before"]
-        for key, unit, name, today in (
-            ("peak_n", "N", "normal_n", 1.0),
-            ("pressure_kpa", "kPa", "pressure_kpa", 1.0),
-            ("shear_n", "N", "shear_n", 1.0),
-            ("shear_n", "N", "shear_factor", before["shear_n"]),
-            ("moment_nm", "N m", "moment_nm", 1.0),
-            ("moment_nm", "N m", "moment_factor", before["moment_nm"]),
-        ):
-            most = getattr(limits, name)
-            if most is not None:
-                yield key, unit, name, most * today
+        if limits.pressure_kpa is not None:
+            yield "pressure_kpa", "kPa", "pressure_kpa", limits.pressure_kpa
+        units = {"shear_n": "N", "peak_n": "N", "moment_nm": "N m"}
+        keys = list(units)  # as components are counted
+        for k, name, most in limits.of_forces([before[key] for key in keys]):
+            yield keys[k], units[keys[k]], name, most
 
     def _hold(self) -> Hold:
         """By how much the built cuffs hold the device in the forecast."""

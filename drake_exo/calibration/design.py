@@ -64,7 +64,7 @@ from drake_exo.collocation.bushing_kernels import (
 )
 from drake_exo.collocation.kernels import MOMENT_UNIT
 from drake_exo.collocation.trial_program import TrialProgram, minimised
-from drake_exo.contact.bushing import NORMAL, ROTATION, TANGENTIAL
+from drake_exo.contact.bushing import NORMAL, TANGENTIAL
 from drake_exo.contact.strap import (
     BY_AREA,
     RELEASES,
@@ -334,15 +334,10 @@ class _Wearing(PhaseProblem):
         for cuff, force in movement.cuffs.items():
             differ = self.wearer.shown(cuff)
             most = np.full(3, np.inf)
-            most[NORMAL] = (limits.normal_n or np.inf) / differ
-            most[TANGENTIAL] = limits.shear_n or np.inf
-            most[ROTATION] = limits.moment_nm or np.inf
             today = self._posed.today[self.wearer.name][cuff]
-            for k, factor in (
-                (TANGENTIAL, limits.shear_factor),
-                (ROTATION, limits.moment_factor),
-            ):
-                most[k] = min(most[k], (factor or np.inf) * today[k])
+            for k, _, limit in limits.of_forces(today):
+                most[k] = min(most[k], limit)
+            most[NORMAL] /= differ
             if self.wearer.is_drawn:
                 most = np.maximum(most, today)
             program.label(

@@ -1,6 +1,6 @@
 """Settings of the Phases A to D, as they stand in a study file."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from math import log
 from pathlib import Path
@@ -9,7 +9,12 @@ from typing import Literal
 from scipy.special import ndtri
 
 from drake_exo.calibration.error_model import ErrorSizes
-from drake_exo.contact.bushing import BushingParameters
+from drake_exo.contact.bushing import (
+    NORMAL,
+    ROTATION,
+    TANGENTIAL,
+    BushingParameters,
+)
 from drake_exo.contact.hunt_crossley import (
     LAWS,
     Constants,
@@ -786,6 +791,25 @@ class DesignLimits:
     shear_factor: float | None = positive("1", None)
     effort_factor: float | None = positive("1", 1.05)
     support: float | None = positive("1", 0.005)
+
+    def of_forces(
+        self, today: Sequence[float]
+    ) -> Iterator[tuple[int, str, float]]:
+        """Limits on a cuff's force: component, limit's name and value.
+
+        Args:
+            today: largest components (3,) [N, N, N m].
+        """
+        for k, name, unit in (
+            (NORMAL, "normal_n", 1.0),
+            (TANGENTIAL, "shear_n", 1.0),
+            (TANGENTIAL, "shear_factor", today[TANGENTIAL]),
+            (ROTATION, "moment_nm", 1.0),
+            (ROTATION, "moment_factor", today[ROTATION]),
+        ):
+            value = getattr(self, name)
+            if value is not None:
+                yield k, name, value * unit
 
 
 @dataclass(frozen=True)

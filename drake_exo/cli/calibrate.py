@@ -128,13 +128,14 @@ def run(args: argparse.Namespace) -> int:
             study.foot_ground if only_foot else study.interaction,
             contact,
         )
-        done = finished(out, of) if args.resume else None
+        front = only_foot and not (args.no_front or study.sole)
+        front = front and bool(study.foot_ground.front)
+        points = len(study.foot_ground.front_factors) if front else 0
+        done = finished(out, of, points) if args.resume else None
         if done is not None:
             print(f"{args.out} is complete; nothing to resume")
             return done.exit_code
         if only_foot:
-            front = not (args.no_front or study.sole)
-            front = front and bool(study.foot_ground.front)
             code = write_foot_ground(
                 study, out, args.resume, front, checks, args.accept
             )
@@ -222,12 +223,13 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
     return checksum([use, study.model, said, study.sole, trials, known, more])
 
 
-def finished(folder: Path, of: str) -> Verdict | None:
+def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:
     """The verdict of a run that solved its problem, if there was one.
 
     Args:
         folder: of the run.
         of: what it has to be made of, see `inputs`.
+        points: that its front has, if it drew one.
 
     Raises:
         InputError: it is made of something else.
@@ -245,7 +247,8 @@ def finished(folder: Path, of: str) -> Verdict | None:
             "choose another folder for --out, or replace it with --force "
             "instead of --resume"
         )
-    return found
+    drawn = summary.get("front", range(points))
+    return found if len(drawn) >= points else None
 
 
 def _write(

@@ -25,7 +25,7 @@ from drake_exo.cli import sensitivity as command
 from drake_exo.collocation.kernels import (
     FootGroundKernel,
 )
-from drake_exo.files.output import Verdict, save_figure
+from drake_exo.files.output import Verdict, save_figure, write_json
 from drake_exo.nlp.ipopt import STOPPED_BY_USER
 from drake_exo.report.figures import front_figure
 from drake_exo.report.gathering import front_table
@@ -178,6 +178,11 @@ def test_a_front_ends_where_it_is_stopped(result, monkeypatch, tmp_path):
     assert calibrate._write(told, tmp_path, {}, True, (), ()) == 130
     found = json.loads((tmp_path / "summary.json").read_text())
     assert [r["factor"] for r in found["front"]] == [1.0]
+    # What is missing is not complete.
+    summary = {"checks": [], "inputs": "it", "front": found["front"]}
+    write_json(tmp_path / "summary.json", summary)
+    assert calibrate.finished(tmp_path, "it", 1) is not None
+    assert calibrate.finished(tmp_path, "it", 3) is None
 
 
 def test_a_front_is_of_the_grid_that_was_found(result, monkeypatch):
