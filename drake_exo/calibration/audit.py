@@ -411,8 +411,8 @@ def spread(trials: list[Trial]) -> dict:
 
     The mean over the movement of the standard deviation at each percent of
     it; the paper compares its RMSD with that. NaN for a single trial. Keys as
-    in `rmsd`; the centre of pressure is taken from the foot, where all trials
-    load it.
+    in `rmsd`; joints of the device count in trials with encoders, the centre of
+    pressure is taken from the foot, where all trials load it.
     """
     names = trials[0].coordinates
     sampled = [
@@ -425,6 +425,13 @@ def spread(trials: list[Trial]) -> dict:
             return np.full(values.shape[2:], np.nan)
         sd = np.ma.masked_invalid(values.std(axis=0, ddof=1))
         return np.ma.filled(sd.mean(axis=0), np.nan)
+
+    own = [s for t, s in zip(trials, sampled, strict=True) if has_encoders(t)]
+
+    def of_joints(signal):
+        found = _of_joints(names, deviation(signal))
+        told = _of_joints(names, deviation(signal, own or sampled[:1]))
+        return found | {joint: told[joint] for joint in names.device}
 
     moments, interaction = {}, {}
     if all(t.moments is not None for t in trials):
@@ -445,8 +452,8 @@ def spread(trials: list[Trial]) -> dict:
                 lambda t, side=side: t.soles[side].cop_x - t.coordinate(root)
             )
     return {
-        "angles_deg": _of_joints(names, deviation(lambda t: t.q)),
-        "velocities_deg_s": _of_joints(names, deviation(lambda t: t.v)),
+        "angles_deg": of_joints(lambda t: t.q),
+        "velocities_deg_s": of_joints(lambda t: t.v),
         "grf_n": grf,
         "cop_mm": cop.get("both", cop),
         "moments_nm": moments,

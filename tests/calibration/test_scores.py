@@ -166,6 +166,18 @@ def test_spread_of_cuffs_counts_trials_that_have_them():
     )
 
 
+def test_spread_of_the_device_counts_trials_with_encoders():
+    none = {"exoskeleton_angles": "those of the human"}
+    told = [seen("a"), moved(seen("b"), q=0.02)]
+    untold = [replace(moved(t, q=1.0), provenance=none) for t in told]
+    both, own = spread([*told, *untold]), spread(told)
+    for key in ("angles_deg", "velocities_deg_s"):
+        for joint in ("exo_ankle", "exo_knee", "exo_hip"):
+            assert both[key][joint] == own[key][joint]
+            assert np.isnan(spread(untold)[key][joint])
+    assert both["angles_deg"]["knee"] > 10.0 * own["angles_deg"]["knee"]
+
+
 def test_spread_of_pressure_where_all_trials_load_the_foot():
     trials = [moved(seen("a"), cop=0.012), moved(seen("b"), cop=-0.012)]
     F = trials[0].ground.force.copy()
