@@ -132,10 +132,10 @@ def decode(path: Path) -> C3dContents:
     """Decode a file.
 
     Raises:
-        InputError: it cannot be read, is no C3D file, is truncated, or is
-            damaged.
+        InputError: it cannot be read, is no C3D file, is truncated, is
+            damaged, or has more frames than can be read.
     """
-    _check_complete(path)
+    is_long = _check_complete(path)
     done = subprocess.run(
         [sys.executable, str(_CHILD), str(path.absolute())],
         capture_output=True,
@@ -147,6 +147,11 @@ def decode(path: Path) -> C3dContents:
         raise _damaged(path, what or "its parts contradict each other")
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as found:
         arrays = {name: found[name] for name in found.files}
+    if is_long and len(arrays["points"]) <= _LONG:
+        raise InputError(
+            f"{path}: holds more than {_LONG} frames, and the others cannot be "
+            "read; export the movement alone, or .trc and .mot"
+        )
     if (np.abs(arrays["points"]) > _FARTHEST).any():
         raise _damaged(path, "a marker is out of all bounds")
     rate, analog_rate = arrays["rates"]
@@ -169,11 +174,15 @@ def decode(path: Path) -> C3dContents:
 
 _BLOCK = 512  # bytes
 _INTEL, _DEC, _MIPS = 84, 85, 86
-_LONG = 0xFFFF  # header's last frame where there are more
+_LONG = 0xFFFF  # header's last frame where there are more, if it tells
 
 
-def _check_complete(path: Path) -> None:
-    """Refuse a file shorter than its header announces."""
+def _check_complete(path: Path) -> bool:
+    """Refuse a file shorter than its header announces.
+
+    Returns:
+        Whether there are more frames than a header can count.
+    """
     data = read_bytes(path)
     if len(data) < 2 * _BLOCK or data[1] != 0x50:
         raise InputError(f"{path}: is not a C3D file; check the path")
@@ -189,13 +198,16 @@ def _check_complete(path: Path) -> None:
         )
     words = np.frombuffer(data[:24], "<u2").astype(int)
     points, analogs, first, last, start = words[[1, 2, 3, 4, 8]]
-    if last == _LONG:
-        return
     # The scale's sign: reals where it is negative.
     sign = words[7] if processor[0] == _INTEL else words[6]
     size = (4 * points + analogs) * (4 if sign >> 15 else 2)
-    if len(data) < (start - 1) * _BLOCK + (last - first + 1) * size:
+    beyond = len(data) - (start - 1) * _BLOCK - (last - first + 1) * size
+    if last == _LONG:
+        return beyond >= _BLOCK
+    if beyond < 0:
         raise _truncated(path)
+    # Others let the count begin again.
+    return size > 0 and beyond >= (_LONG + 1) * size
 
 
 def _truncated(path) -> InputError:

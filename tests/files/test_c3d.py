@@ -401,6 +401,20 @@ def test_truncated_files_are_told_by_their_header(
         decode(path)
 
 
+def test_more_frames_than_can_be_counted(tmp_path, markers, monkeypatch):
+    """Of which ezc3d reads as many as its header says, or none beyond."""
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers)
+    whole, (n, m) = path.read_bytes(), markers.positions.shape[:2]
+    path.write_bytes(whole + bytes(0x10000 * m * 16))
+    with pytest.raises(InputError, match="holds more than 65535 frames"):
+        decode(path)
+    path.write_bytes(whole + bytes(512))
+    monkeypatch.setattr(c3d_files, "_LONG", n)
+    with pytest.raises(InputError, match=f"holds more than {n} frames"):
+        decode(path)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
