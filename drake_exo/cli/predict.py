@@ -114,16 +114,17 @@ def run(args: argparse.Namespace) -> int:
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
     reads = [*study.reads, args.calibration, args.design]
-    # Bad input ends before a folder is made.
+    # Bad input ends before a folder is made, or hours of work.
+    worn = None if args.design is None else read_design(args.design)
     contact, checks = study.calibrated(
         args.calibration, args.accept, study.trials("prediction")
     )
     checks += study.gate("prediction", args.accept)
     clocks = None
-    if args.design is not None:
+    if worn is not None:
         # Of the cuffs that were worn.
         clocks = find_clocks(study, study.trials("prediction"), contact)
-        study, contact = on_design(study, contact, read_design(args.design))
+        study, contact = on_design(study, contact, worn)
     folder = prepare_output_folder(args.out, args.force, args.resume, reads)
     with folder as out:
         code = write_predictions(

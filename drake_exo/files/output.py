@@ -692,8 +692,8 @@ def stored(summary: Mapping[str, Any]) -> Verdict | None:
         return None
     try:
         rows = [Check(**row) for row in summary["checks"]]
-        accepted = tuple(map(str, summary.get("accepted", ())))
-        whole = all(
+        accepted = tuple(summary.get("accepted", ()))
+        whole = all(isinstance(name, str) for name in accepted) and all(
             isinstance(r.name, str)
             and isinstance(r.holds, bool)
             and isinstance(r.level, str)

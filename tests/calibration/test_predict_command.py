@@ -132,6 +132,7 @@ def test_a_checkpoint_of_another_machine_is_taken(tmp_path):
     ("options", "words"),
     [
         (["--controller", "nowhere"], "MODULE:NAME"),
+        (["--design", "nowhere"], "nowhere: cannot be read"),
     ],
 )
 def test_bad_options_are_one_sentence(

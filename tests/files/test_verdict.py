@@ -103,6 +103,8 @@ def test_a_summary_of_an_earlier_version_is_marked():
 def test_damaged_checks_are_bad_input(checks):
     with pytest.raises(InputError, match="run it again"):
         stored({"checks": checks})
+    with pytest.raises(InputError, match="run it again"):
+        stored({"checks": [], "accepted": [7.5]})
 
 
 def test_beginnings_are_accepted_at_dots_only():
