@@ -697,6 +697,8 @@ def stored(summary: Mapping[str, Any]) -> Verdict | None:
             isinstance(r.name, str)
             and isinstance(r.holds, bool)
             and isinstance(r.level, str)
+            and isinstance(r.value, int | float | None)
+            and isinstance(r.limit, int | float | None)
             for r in rows
         )
     except TypeError:

@@ -98,7 +98,14 @@ def test_a_summary_of_an_earlier_version_is_marked():
 
 @pytest.mark.parametrize(
     "checks",
-    [[{"name": "audit"}], [{"name": 3, "holds": True}], 5, [5], ["audit"]],
+    [
+        [{"name": "audit"}],
+        [{"name": 3, "holds": True}],
+        [{"name": "audit", "holds": True, "value": []}],
+        5,
+        [5],
+        ["audit"],
+    ],
 )
 def test_damaged_checks_are_bad_input(checks):
     with pytest.raises(InputError, match="run it again"):

@@ -233,7 +233,9 @@ def test_a_spline_is_read_from_its_folder(tmp_path):
     np.testing.assert_array_equal(again, p)
     for change, words in (
         ({"coefficients": p[1:].tolist()}, "do not fit"),
+        ({"coefficients": [None, *p[1:].tolist()]}, "do not fit"),
         ({"intervals": [3]}, "holds no design"),
+        ({"intervals": [3, 1e300]}, "holds no design"),
     ):
         path.write_text(json.dumps(told | change))
         with pytest.raises(InputError, match=words):

@@ -248,9 +248,10 @@ class StoredDesign:
                 tuple(map(int, data.get("kept", ()))),
             )
             p = np.array(data["coefficients"], dtype=float)
+            fits = p.shape == (spline.count,) and np.isfinite(p).all()
         except (ValueError, KeyError, TypeError, OverflowError):
             raise InputError(f"{path}: holds no design; {remedy}") from None
-        if p.shape != (spline.count,):
+        if not fits:
             raise InputError(f"{path}: coefficients do not fit; {remedy}")
         return spline, p
 
