@@ -305,8 +305,8 @@ class Load:
                 f"friction of {asked[q]:.3f} (along over across the ground; "
                 f"{beyond.sum()} of {len(beyond)} samples), and "
                 f"contact.friction is {friction:g}: the sole slips away; "
-                "leave these samples out (least_force_n, from, to), or give a "
-                "larger contact.friction"
+                "leave these samples out (least_force_n, from, to; of a "
+                "pattern least_share), or give a larger contact.friction"
             )
 
     def bearable(self, friction: float, width: float) -> "Load":
@@ -364,7 +364,7 @@ class Load:
                 f"{500 * off[1]:.0f} mm left of the sole's: move the load "
                 "(origin_m and yaw_rad, shift_m of a recording) or the block "
                 "start, take a larger sole, or leave these samples out "
-                "(least_force_n, from, to)"
+                "(least_force_n, from, to; of a pattern least_share)"
             )
 
 

@@ -188,6 +188,7 @@ def test_a_zmp_outside_is_told_by_how_much():
     assert "x 0.2050 m, y 0.0500 m" in said and "2 of 3 samples" in said
     # Its middle at (180, 50) mm, the sole's at (50, 10).
     assert "130 mm before and 40 mm left" in said and "least_force_n" in said
+    assert "of a pattern least_share" in said
     edge = Load([0.0], force[:1], [[0.2, 0.06]])
     edge.check_inside(places)
 
