@@ -236,10 +236,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.sqrt(settings.weight * share[used])[:, None]",
             "(settings.weight * share[used])[:, None]",
         ),
-        (
-            "most[NORMAL] = (limits.normal_n or np.inf) / differ",
-            "most[NORMAL] = limits.normal_n or np.inf",
-        ),
+        ("most[NORMAL] /= differ", "most[NORMAL] /= 1.0"),
         (
             "MovedWeight(b, first + 1, segment, 1j * weight)",
             "MovedWeight(b, first + 1, segment, weight)",
