@@ -200,15 +200,15 @@ def _quadratic_indentation(divisions, nu):
 
 @pytest.mark.slow
 def test_smoothed_element_does_not_lock():
-    """Excess stiffness over quadratic tets at ν = 0.3, 0.45, 0.49."""
+    """Excess stiffness over quadratic tets at ν = 0.3 and 0.49."""
     table = {}
-    for nu in (0.3, 0.45, 0.49):
+    for nu in (0.3, 0.49):
         reference = _quadratic_indentation((16, 8, 4), nu)
         for element in ELEMENTS:
             soft = _indentation((16, 8, 4), element, nu)
             table[nu, element] = reference / soft - 1
     text = ", ".join(f"{k}: {v:+.3f}" for k, v in table.items())
-    for nu in (0.3, 0.45, 0.49):
+    for nu in (0.3, 0.49):
         assert abs(table[nu, "smoothed"]) < 0.1, text
         assert table[nu, "smoothed"] < 0.5 * table[nu, "linear"], text
     assert table[0.49, "linear"] > 0.2, text

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from as_load import as_load
 from small_parts import complementarity
+from undrawn import undrawn
 from unmarked import unmarked
 
 from drake_exo import cli
@@ -185,7 +186,8 @@ def _simulate(tmp_path, text, *more):
 
 @pytest.mark.slow
 def test_a_simulation_ends_with_its_verdict(tmp_path, capsys):
-    code, summary = _simulate(tmp_path, EXAMPLE)
+    with undrawn():
+        code, summary = _simulate(tmp_path, EXAMPLE)
     assert (code, summary["verdict"]) == (0, "holds")
     assert "verdict: holds" in capsys.readouterr().out
     checks = {c["name"]: c for c in summary["checks"]}
@@ -201,7 +203,8 @@ def test_a_simulation_ends_with_its_verdict(tmp_path, capsys):
     out = tmp_path / "out"
     assert unmarked(out) == [] and len(list(out.glob("*.png"))) >= 5
     assert "inside out" in capsys.readouterr().out
-    code, summary = _simulate(tmp_path, soft, "--accept", "plausibility")
+    with undrawn():
+        code, summary = _simulate(tmp_path, soft, "--accept", "plausibility")
     assert (code, summary["accepted"]) == (0, ["plausibility"])
 
 

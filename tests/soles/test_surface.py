@@ -208,7 +208,6 @@ def test_a_box_keeps_its_edges(tets):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_parts_that_overlap_are_refused():
     """A block that is sunk into the sole would come out as a hollow."""
     sole = _box(SIZE)
