@@ -284,7 +284,7 @@ def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
     h = _GRID * share * thickness.usual
     low, high = points.min(axis=0) - 1.5 * h, points.max(axis=0) + 1.5 * h
     if flat:  # the grid's own
-        high[2] = points[:, 2].max()
+        high[2] = corners[top][:, :, 2].max()
     grid = grid_mesh(
         *(
             np.linspace(a, b, int(np.ceil((b - a) / h)) + 1)
