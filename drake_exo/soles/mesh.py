@@ -454,7 +454,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
         raise InputError(
             f"{name}: no Dirichlet surface, since no face lies in the top "
             "plane (highest z); turn the mesh so that the flat surface glued "
-            "to the foot is on top"
+            "to the foot is on top, or give mesh.top_m of a rough surface"
         )
     below = nodes[mesh.contact, :2]
     if np.linalg.matrix_rank(below - below[:1], 1e-9) < 2:

@@ -413,10 +413,11 @@ def _nearest(corners, points, step: float):
     Points (n, 3), the triangles that they lie on (n,), how far (n,).
     """
     samples, owner = _sampled(corners, step)
-    _, near = cKDTree(samples).query(points, k=min(6, len(samples)))
+    some = range(1, min(6, len(samples)) + 1)
+    _, near = cKDTree(samples).query(points, k=some)
     best, least = points.copy(), np.full(len(points), np.inf)
     on = np.zeros(len(points), int)
-    for column in owner[near.reshape(len(points), -1).T]:
+    for column in owner[near.T]:
         p = _on_triangles(corners[column], points)
         away = np.linalg.norm(p - points, axis=1)
         better = away < least

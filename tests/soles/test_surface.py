@@ -94,6 +94,7 @@ def test_nearest_points_of_a_sphere():
     points = np.random.default_rng(0).standard_normal((200, 3))
     points *= np.random.default_rng(1).uniform(0.5, 2, (200, 1))
     near, _, _ = _nearest(corners, points, 0.05)
+    assert _nearest(corners, points[:0], 0.05)[0].shape == (0, 3)
     aim = points / np.linalg.norm(points, axis=1, keepdims=True)
     assert np.abs(near - aim).max() < 0.08
     away = np.linalg.norm(near - points, axis=1)
