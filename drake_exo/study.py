@@ -720,7 +720,7 @@ class Prediction(_Solved, Trial):
         """
         folder, band = Path(folder), self.bands()
         if verdict is None:
-            verdict = Verdict((*phase_checks(self.result, [self.audit()]),))
+            verdict = Verdict(tuple(phase_checks(self.result, [self.audit()])))
         folder.mkdir(parents=True, exist_ok=True)
         write_trial(folder, self, verdict.mark)
         # On the clock that was found, as it is compared with.

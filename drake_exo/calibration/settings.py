@@ -800,7 +800,7 @@ class DesignLimits:
         Args:
             today: largest components (3,) [N, N, N m].
         """
-        for k, name, unit in (
+        for k, name, size in (
             (NORMAL, "normal_n", 1.0),
             (TANGENTIAL, "shear_n", 1.0),
             (TANGENTIAL, "shear_factor", today[TANGENTIAL]),
@@ -809,7 +809,7 @@ class DesignLimits:
         ):
             value = getattr(self, name)
             if value is not None:
-                yield k, name, value * unit
+                yield k, name, value * size
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,10 @@ def positive(text: str) -> int:
 
 def above_zero(text: str) -> float:
     """A finite number above 0 on the command line."""
-    number = float(text)
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is no number above 0")
     return number

@@ -128,8 +128,8 @@ def run(args: argparse.Namespace) -> int:
             study.foot_ground if only_foot else study.interaction,
             contact,
         )
-        front = only_foot and not (args.no_front or study.sole)
-        front = front and bool(study.foot_ground.front)
+        drawn = bool(study.foot_ground.front) and not args.no_front
+        front = drawn and only_foot and study.sole is None
         points = len(study.foot_ground.front_factors) if front else 0
         done = finished(out, of, points) if args.resume else None
         if done is not None:
@@ -247,8 +247,8 @@ def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:
             "choose another folder for --out, or replace it with --force "
             "instead of --resume"
         )
-    drawn = summary.get("front", range(points))
-    return found if len(drawn) >= points else None
+    is_cut = "front" in summary and len(summary["front"]) < points
+    return None if is_cut else found
 
 
 def _write(
