@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from small_parts import with_setup
 
 from drake_exo.soles.case import EXAMPLE, Case
@@ -18,7 +19,7 @@ from drake_exo.soles.optimize.limits import (
     active_limits,
     soft_minimum,
 )
-from drake_exo.soles.optimize.search import stage_problem
+from drake_exo.soles.optimize.search import nearest_allowed, stage_problem
 
 NAMES = ["volume", "elements", "depth", "height", "draft_deg", "stability",
          "tilt_deg", "strain", "c_rot"]  # fmt: skip
@@ -64,6 +65,29 @@ def test_slopes_of_cost_and_every_limit(problem, design):
     numeric = (ahead - behind) / (2 * h)
     np.testing.assert_allclose(exact, numeric, rtol=2e-5, atol=1e-7)
     assert np.abs(numeric).min() > 1e-3
+
+
+def test_the_nearest_design_that_its_shape_allows(problem, design):
+    """What pulls it back is held by limits alone; within them it stays."""
+
+    def limits(p):
+        return problem.shape_limits(problem.deformed(p))
+
+    assert min(value for _, value, _ in limits(design)) < -0.05
+    found = nearest_allowed(problem, (0.3, 1.4), design)
+    values = np.array([value for _, value, _ in limits(found)])
+    assert values.min() == pytest.approx(0.01, abs=1e-5)
+    held = [
+        problem.by_coefficients(X)
+        for _, value, X in limits(found)
+        if value < 0.0101
+    ]
+    pull = problem.metric @ (found - design)
+    _, left = nnls(np.array(held).T, pull)
+    assert left < 0.01 * np.linalg.norm(pull)
+    np.testing.assert_allclose(
+        nearest_allowed(problem, (0.3, 1.4), found), found, atol=1e-4
+    )
 
 
 def test_slopes_by_force_and_zmp(problem, design):

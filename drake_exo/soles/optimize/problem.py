@@ -184,12 +184,19 @@ class ShapeProblem:
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
-        surface = self.surface.evaluate(self.mesh)
+        rigid = [name for name, *_ in self.shape_limits(self.mesh)]
+        return rigid + list(self.limited)
+
+    def shape_limits(
+        self, mesh: TetMesh
+    ) -> list[tuple[str, float, np.ndarray]]:
+        """Limits that take no simulation: name, scaled value, ∂/∂nodes."""
+        full = self.limits["volume"]
+        part, by_nodes = mesh.volume / full, mesh.volume_gradient() / full
         return [
-            "volume",
-            "elements",
-            *(name for name, *_ in surface),
-            *self.limited,
+            ("volume", 1.0 - part, -by_nodes),
+            ("elements", *self._elements(mesh)),
+            *self.surface.evaluate(mesh),
         ]
 
     def constraints(self, p: np.ndarray) -> np.ndarray:
@@ -197,15 +204,9 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             return np.full(len(self.names()), np.nan)
-        mesh = e.sole.mesh
-        return np.array(
-            [
-                1.0 - mesh.volume / self.limits["volume"],
-                self._elements(mesh)[0],
-                *(value for _, value, _ in self.surface.evaluate(mesh)),
-                *(limit(e)[0] for limit in self.limited.values()),
-            ]
-        )
+        values = [value for _, value, _ in self.shape_limits(e.sole.mesh)]
+        values += [limit(e)[0] for limit in self.limited.values()]
+        return np.array(values)
 
     def accept(self, p: np.ndarray) -> None:
         """Take a design as accepted: later ones stay on its branch."""
@@ -236,16 +237,11 @@ class ShapeProblem:
         by_nodes, by_load = gradients(
             e.sole, e.solver, e.load, self.setup.start, e.history, parts
         )
-        rows = [self.by_coefficients(X) for X in by_nodes]
-        volume = -self.by_coefficients(e.sole.mesh.volume_gradient())
-        elements = self.by_coefficients(self._elements(e.sole.mesh)[1])
-        surface = [
-            self.by_coefficients(by_nodes)
-            for *_, by_nodes in self.surface.evaluate(e.sole.mesh)
-        ]
-        volume = volume / self.limits["volume"]
-        limits = [volume, elements, *surface, *rows[1:]]
-        return rows[0], np.array(limits), by_load
+        shape = [X for *_, X in self.shape_limits(e.sole.mesh)]
+        cost, *rows = map(
+            self.by_coefficients, [by_nodes[0], *shape, *by_nodes[1:]]
+        )
+        return cost, np.array(rows), by_load
 
     def regularization(self, p: np.ndarray):
         """Of the shape: value, gradient (P,), Hessian (P, P)."""

@@ -19,6 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.optimize import Bounds, minimize
 
 from drake_exo.errors import InputError
 from drake_exo.jobs.engine import (
@@ -49,6 +50,7 @@ _WALKS = 4  # that are tried for each start of a sole whose walk is free
 _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
 # Of the strain that is allowed: what a stage changes, its scale does not know.
 _STRAIN_AIM = 0.98
+_ROOM = 0.01  # of limits at the start
 _TRIES = 20  # bends that are drawn until one can be simulated
 
 
@@ -299,7 +301,10 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     problem = None
     if at is None:
         problem = stage_problem(setup, block.stages[0])
-        p = start_design(problem, problem.within(block.bounds), bend)
+        bounds = problem.within(block.bounds)
+        p = nearest_allowed(
+            problem, bounds, start_design(problem, bounds, bend)
+        )
         at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
     elif len(at.starts) > number:  # finished before an interruption
         row = at.starts[number]
@@ -444,6 +449,36 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
     return np.clip(p, *bounds)
 
 
+def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
+    """The nearest design within the limits that take no simulation.
+
+    In the metric of shapes. A search that begins within them stays there.
+    """
+    p, walk = np.split(p, [problem.spline.count])
+    low, high = (np.broadcast_to(b, len(p) + len(walk)) for b in bounds)
+    metric = problem.metric[: len(p), : len(p)]
+
+    def limits(s):
+        return problem.shape_limits(problem.deformed(np.append(s, walk)))
+
+    def away(s):
+        pull = metric @ (s - p)
+        return 0.5 * (s - p) @ pull, pull
+
+    nearest = minimize(
+        away, p, method="SLSQP", jac=True,
+        bounds=Bounds(low[: len(p)], high[: len(p)]),
+        constraints={
+            "type": "ineq",
+            "fun": lambda s: [value - _ROOM for _, value, _ in limits(s)],
+            "jac": lambda s: [
+                problem.by_coefficients(X) for *_, X in limits(s)
+            ],
+        },
+    )  # fmt: skip
+    return np.clip(np.append(nearest.x, walk), low, high)
+
+
 # A thick layer for the case's own optimum, then a thin one for all points.
 FRONT_STAGES = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
@@ -503,7 +538,7 @@ def pareto_front(
         )  # fmt: skip
 
     problem = stage_problem(free, stages[0])
-    p = first_design(problem, bounds)
+    p = nearest_allowed(problem, bounds, first_design(problem, bounds))
     if problem.evaluate(p) is None:
         raise InputError(
             "the front's first design cannot be simulated; simulate the case "
