@@ -11,7 +11,8 @@ from drake_exo.soles.mesh import brick, halved
 from drake_exo.soles.optimize import design as module
 from drake_exo.soles.optimize.design import _at_least_twice
 from drake_exo.soles.optimize.files import Checkpoint
-from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
+from drake_exo.soles.optimize.limits import FEASIBLE
+from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.results import Step
 
 

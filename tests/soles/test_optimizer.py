@@ -7,8 +7,8 @@ import pytest
 
 from drake_exo.soles.optimize import optimizer
 from drake_exo.soles.optimize.files import Checkpoint
+from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.optimizer import (
-    FEASIBLE,
     Optimum,
     QuasiNewton,
     _Callbacks,

@@ -32,7 +32,8 @@ from drake_exo.soles.optimize.files import (
     Checkpoint,
     write_case,
 )
-from drake_exo.soles.optimize.optimizer import FEASIBLE, Optimum
+from drake_exo.soles.optimize.limits import FEASIBLE
+from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step, write_csv
 from drake_exo.soles.settings import Setup, brick_like

@@ -165,6 +165,10 @@ _SHARPNESS = 60.0  # of the soft minimum over samples
 _SURFACE_SHARPNESS = 500.0  # likewise over nodes or faces of the surface
 _DOWNWARDS = 0.5  # least downward part of a normal at the bottom
 _TILT_SCALE = 0.06  # 1 − cos 20°
+_DRAFT_SCALE = 0.1  # rad
+# What a scaled limit may miss; a design is checked to be within a per cent of
+# each.
+FEASIBLE = 5e-3
 _MET = 10.0  # of samples that no limit is on: next to none of a soft minimum
 
 
@@ -348,6 +352,9 @@ class SurfaceLimits:
             value, share = soft_minimum(
                 -up - np.sin(np.deg2rad(mine["draft_deg"])), _SURFACE_SHARPNESS
             )
+            # A draft is told by its angle: what counts as feasible has all.
+            value = value / _DRAFT_SCALE - FEASIBLE
+            share = share / _DRAFT_SCALE
             # ∂(a_z/|a|)/∂a, and a = (p1 − p0) × (p2 − p0).
             pull = -normal * up[:, None]
             pull[:, 2] += 1.0

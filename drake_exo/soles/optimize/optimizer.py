@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_exo.nlp import load_ipyopt
+from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.problem import ShapeProblem
 
 _DAMPING = 0.2
@@ -58,8 +59,6 @@ class QuasiNewton:
         self.matrix += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / sBs
 
 
-# Of a scaled limit; a design is checked to be within a per cent of each.
-FEASIBLE = 5e-3
 # A stage ends after so many iterations, or rejected simulations, that changed
 # cost and violation by less and did not bring the optimality error, once below
 # 1, down by a factor.
