@@ -680,7 +680,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/soles/mesh.py": [
         ("floor = 1e-9 * np.median(np.abs(mesh.volumes))", "floor = 1e-9"),
-        ("(hidden or angles", "(angles"),
+        ("WALL + np.ptp(mesh.nodes[:, 2])", "WALL"),
     ],
     "drake_exo/soles/optimize/design.py": [
         ('1e6 * limits["volume"]', 'limits["volume"]'),

@@ -3,10 +3,6 @@
 Sole frame: x forward, y left, z up, origin at the centre of the top plane
 (the surface fixed to the rigid foot); the sole lies below, at z <= 0. Shapes
 by (4) and (5) of the paper.
-
-A mould is a block with the sole as its cavity, open at the fixed surface.
-Radial deformations keep the directions of the fixed outline from the origin,
-so that the ring between it and the block's edge is filled by going round both.
 """
 
 import math
@@ -16,6 +12,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from manifold3d import Manifold, Mesh64
 from scipy.interpolate import BSpline
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
@@ -499,29 +496,41 @@ def is_watertight(corners: np.ndarray) -> bool:
 
 
 WALL = 0.01  # metres around and below the sole
+_SAME = 1e-7  # metres: corners of a mould nearer to each other are one
 
 
 def mould_triangles(mesh: TetMesh) -> np.ndarray:
-    """Outward triangles of a sole's mould's closed surface [m], (f, 3, 3)."""
+    """Outward triangles of a sole's mould's closed surface [m], (f, 3, 3).
+
+    A block less the sole, open above its top; none where the sole's own
+    surface is not closed.
+    """
+    # The cavity: the sole, and what is above its top.
+    n, loops = len(mesh.nodes), rings(mesh.top_faces)
+    lift = np.array([0.0, 0.0, WALL + np.ptp(mesh.nodes[:, 2])])
+    a = np.concatenate(loops)
+    b = np.concatenate([np.roll(loop, -1) for loop in loops])
+    faces = [mesh.contact_faces, mesh.top_faces + n]
+    faces += [np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)]
+    nodes = np.concatenate([mesh.nodes, mesh.nodes + lift])
+    cavity = solid(nodes, np.concatenate(faces))
+    if cavity.is_empty():
+        return corners_of(cavity)
     low, high = mesh.nodes.min(axis=0) - WALL, mesh.nodes.max(axis=0) + WALL
-    top = mesh.nodes[mesh.fixed, 2].mean()
-    (x0, y0), (x1, y1) = low[:2], high[:2]
-    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    rim = mesh.nodes[_rim(mesh)]
-    block = np.column_stack([corners, np.full(4, top)])
-    floor = np.column_stack([corners, np.full(4, low[2])])
-    sides = []
-    for k in range(4):
-        a, b, c, d = floor[k], floor[k - 3], block[k - 3], block[k]
-        sides += [[a, b, c], [a, c, d]]
-    sides += [[floor[0], floor[2], floor[1]], [floor[0], floor[3], floor[2]]]
-    cavity = mesh.nodes[mesh.contact_faces[:, [0, 2, 1]]]
-    return np.concatenate([np.array(sides), _ring(block, rim), cavity])
+    high[2] = mesh.nodes[mesh.fixed, 2].mean()
+    block = Manifold.cube(high - low).translate(low)
+    return corners_of((block - cavity).simplify(_SAME))
 
 
-def _rim(mesh: TetMesh) -> np.ndarray:
-    """Nodes around the fixed surface, counter-clockwise from above."""
-    return rings(mesh.top_faces)[0]
+def solid(nodes: np.ndarray, faces: np.ndarray) -> Manifold:
+    """Of a closed surface of outward triangles; empty if it is not closed."""
+    return Manifold(Mesh64(nodes, faces.astype(np.uint64)))
+
+
+def corners_of(body: Manifold) -> np.ndarray:
+    """Outward triangles of a body's surface, (f, 3, 3)."""
+    mesh = body.to_mesh64()
+    return mesh.vert_properties[:, :3][mesh.tri_verts.astype(int)]
 
 
 def rings(faces: np.ndarray) -> list[np.ndarray]:
@@ -540,44 +549,6 @@ def rings(faces: np.ndarray) -> list[np.ndarray]:
                 del after[ring[-1]]
         found.append(np.array(ring))
     return found
-
-
-def _ring(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """Upward triangles between two loops around the origin's vertical."""
-    outer, inner = (
-        np.roll(p, -int(np.argmin(_angle(p))), axis=0) for p in (outer, inner)
-    )
-    angles = [
-        np.append(_angle(p), 2 * np.pi + _angle(p[:1])) for p in (outer, inner)
-    ]
-    i = j = 0
-    triangles = []
-    while i < len(outer) or j < len(inner):
-        a, b = outer[i % len(outer)], inner[j % len(inner)]
-        after = inner[(j + 1) % len(inner)]
-        # Far from a the inner loop turns its edges away from it.
-        hidden = np.cross(after - a, b - a)[2] <= 0
-        ahead = j == len(inner) or (
-            i < len(outer) and (hidden or angles[0][i + 1] <= angles[1][j + 1])
-        )
-        if ahead:
-            i += 1
-            triangles.append([a, outer[i % len(outer)], b])
-        else:
-            j += 1
-            triangles.append([a, after, b])
-    return np.array(triangles)
-
-
-def has_star_outline(mesh: TetMesh) -> bool:
-    """Whether the fixed outline goes round the origin without turning back."""
-    angle = _angle(mesh.nodes[_rim(mesh)])
-    turn = (np.diff(np.append(angle, angle[0])) + np.pi) % (2 * np.pi) - np.pi
-    return bool((turn > 0).all() and abs(turn.sum() - 2 * np.pi) < 1e-6)
-
-
-def _angle(points: np.ndarray) -> np.ndarray:
-    return np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
 
 
 _DEGREE = 2

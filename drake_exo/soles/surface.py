@@ -19,6 +19,7 @@ from typing import Literal
 from zipfile import BadZipFile
 
 import numpy as np
+from manifold3d import Manifold, OpType
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -30,9 +31,11 @@ from drake_exo.soles.mesh import (
     check_size,
     check_top,
     checked_mesh,
+    corners_of,
     face_edges,
     grid_mesh,
     normals_of,
+    solid,
 )
 
 
@@ -129,7 +132,7 @@ class Surface:
 
     @property
     def volume(self) -> float:
-        """Signed [m³]."""
+        """What it encloses [m³]."""
         return float(np.linalg.det(self.corners).sum() / 6)
 
 
@@ -151,10 +154,9 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
     longest = float(np.ptp(nodes[faces.ravel()], axis=0).max())
     nodes, faces = _merged(nodes * _scale(path, longest, unit), faces)
     _check_closed(path, nodes, faces)
-    surface = Surface(nodes[faces], str(path))
-    if surface.volume < 0:
-        surface = Surface(nodes[faces[:, ::-1]], str(path))
-    return surface
+    if np.linalg.det(nodes[faces]).sum() < 0:
+        faces = faces[:, ::-1]
+    return Surface(_united(path, nodes, faces), str(path))
 
 
 def _scale(path, longest: float, unit: Unit | None) -> float:
@@ -206,6 +208,31 @@ def _check_closed(path, nodes, faces) -> None:
         )
 
 
+def _united(path, nodes, faces) -> np.ndarray:
+    """Corners (t, 3, 3), parts that overlap made one, as a slicer does.
+
+    A part within another that is turned inside out is a hollow.
+    """
+    parts = solid(nodes, faces).decompose()
+    if len(parts) < 2:
+        return nodes[faces]
+    hollows = [part for part in parts if part.volume() < 0]
+    whole = Manifold.batch_boolean(
+        [part for part in parts if part.volume() > 0], OpType.Add
+    )
+    left = whole.volume() + sum(part.volume() for part in hollows)
+    for hollow in hollows:
+        inner = corners_of(hollow)[:, ::-1].reshape(-1, 3)
+        places, which = np.unique(inner, axis=0, return_inverse=True)
+        whole -= solid(places, which.reshape(-1, 3))
+    if abs(whole.volume() - left) > 1e-6 * left:
+        raise InputError(
+            f"{path}: a part that is turned inside out is no hollow within "
+            "another; turn its normals outwards"
+        )
+    return corners_of(whole)
+
+
 def sole_from_surface(
     surface: Surface,
     tets: int = 5000,
@@ -243,13 +270,13 @@ def sole_from_surface(
         ) from None
     fixed = _fixed_nodes(nodes, cells, corners, top, top_m is None)
     mesh = checked_mesh(nodes, cells, fixed, surface.name)
-    enclosed = float(np.linalg.det(corners).sum() / 6.0)
-    missed = abs(mesh.volume / enclosed - 1.0)
-    if max(missed, thickness.doubled) > _SAME_VOLUME:
+    enclosed = surface.volume
+    if abs(mesh.volume / enclosed - 1.0) > _SAME_VOLUME:
         raise InputError(
             f"{surface.name}: encloses {1e6 * enclosed:.1f} cm³, of which "
-            f"{1e6 * mesh.volume:.1f} cm³ were meshed: its parts overlap or "
-            "lie apart; unite them where it was drawn, or give more mesh.tets"
+            f"{1e6 * mesh.volume:.1f} cm³ were meshed: it overlaps itself or "
+            "has parts that lie apart; mend it where it was drawn, or give "
+            "more mesh.tets"
         )
     return mesh
 
@@ -316,10 +343,7 @@ def _share(thickness: "_Thickness", tets: int) -> float:
 
 
 class _Thickness:
-    """Crossings of vertical lines with a surface, on a plane grid.
-
-    `doubled` is the part of what it encloses that two of its parts count.
-    """
+    """Crossings of vertical lines with a surface, on a plane grid."""
 
     def __init__(self, corners: np.ndarray, count: int = 120):
         flat = corners[:, :, :2].reshape(-1, 2)
@@ -334,13 +358,11 @@ class _Thickness:
     def _inside_length(self) -> np.ndarray:
         i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
         places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
-        total, enclosed = np.zeros(len(places)), 0.0
-        for rows, z, up in crossings(self.corners, places):
-            enclosed += float((z * up).sum())
+        total = np.zeros(len(places))
+        for rows, z, _ in crossings(self.corners, places):
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
-        self.doubled = 1.0 - total.sum() / enclosed
         return total.reshape(self.shape)
 
     @property

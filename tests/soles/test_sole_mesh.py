@@ -8,11 +8,9 @@ from drake_exo.errors import InputError
 from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
-    _ring,
     brick,
     checked_mesh,
     halved,
-    has_star_outline,
     read_mesh,
     write_triangles,
     write_vtk,
@@ -286,39 +284,6 @@ def test_a_top_has_a_middle_if_it_is_nearly_a_rectangle(tmp_path, out, found):
             InputError, match=r"no rectangle, and lies at z = 0\.5"
         ):
             read_mesh(tmp_path / "it.vtk")
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_a_ring_fills_what_is_between_two_outlines(seed):
-    """Wherever their corners are: upward triangles, the areas' difference."""
-    rng = np.random.default_rng(seed)
-
-    def loop(count, radius):
-        angle = 2 * np.pi * (np.arange(count) + rng.uniform(0, 1)) / count
-        angle = np.roll(angle + rng.uniform(-0.1, 0.1, count), seed)
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
-        return np.stack([x, y, 0 * x], axis=1)
-
-    def area(p):
-        x, y = p[:, :2].T
-        return 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-    outer, inner = loop(4 + seed, 3.0), loop(11, 1.0)
-    a, b, c = np.swapaxes(_ring(outer, inner), 0, 1)
-    parts = 0.5 * np.cross(b - a, c - a)[:, 2]
-    assert len(parts) == len(outer) + len(inner) and (parts > 0).all()
-    assert parts.sum() == pytest.approx(area(outer) - area(inner))
-
-
-def test_outlines_that_turn_back_are_no_stars():
-    mesh = brick((0.2, 0.1, 0.03), (8, 4, 1))
-    assert has_star_outline(mesh)
-    nodes = mesh.nodes.copy()
-    for shift, star in ((0.03, True), (0.09, False)):
-        bent = nodes.copy()
-        notch = np.isclose(nodes[:, 0], 0.05) & np.isclose(nodes[:, 1], 0.05)
-        bent[notch, 0] += shift - 0.02
-        assert has_star_outline(mesh.with_nodes(bent)) is star
 
 
 def test_a_brick_has_the_cells_that_it_is_asked_for():

@@ -8,12 +8,12 @@ import pytest
 from drake_exo.soles.mesh import (
     SphericalSpline,
     brick,
-    has_star_outline,
     is_watertight,
     mould_triangles,
     write_triangles,
 )
 from drake_exo.soles.optimize.design import Design
+from drake_exo.soles.surface import crossings
 
 SIZE = (0.23, 0.13, 0.03)
 
@@ -79,15 +79,43 @@ def test_the_mould_is_a_block_less_the_sole(mesh, tmp_path):
     )
 
 
-def test_an_outline_that_turns_back_has_no_mould(mesh, tmp_path):
-    away = mesh.with_nodes(mesh.nodes + np.array([0.3, 0.0, 0.0]))
+def test_any_outline_and_any_top_has_a_mould(mesh):
+    """A bean, which turns back; a cup, deeper than the walls are thick."""
+    base = brick(SIZE, (16, 6, 3))
+    x, y, z = base.nodes.T
+    bean = np.stack([x, y + 25 * x**2, z], 1)
+    cup = np.stack([x, y, z + 3 * x**2], 1)
+    tops = []
+    for nodes in (bean, cup):
+        shape = base.with_nodes(nodes)
+        corners = mould_triangles(shape)
+        assert is_watertight(corners)
+        top = nodes[shape.fixed, 2].mean()
+        tops.append(top)
+        assert corners[..., 2].max() == pytest.approx(top)
+        # Lines from below meet the mould's floor, the cavity and, beside it
+        # alone, the block's top.
+        for at, count in (((0.0, 0.0), 2), ((0.11, nodes[:, 1].min()), 2)):
+            met = [z.shape[1] for _, z, _ in crossings(corners, np.array([at]))]
+            assert met == [count]
+    span = np.ptp(bean, axis=0) + np.array([0.02, 0.02, 0.01])
+    sole = base.with_nodes(bean)
+    assert _volume(mould_triangles(sole)) == pytest.approx(
+        np.prod(span) - sole.volume, rel=1e-6
+    )
+    assert tops[0] == 0 < 0.01 < tops[1]
+
+
+def test_a_sole_that_is_not_closed_has_no_mould(mesh, tmp_path, monkeypatch):
     told = {"depth": 0.02, "height": 0.04, "draft": 1.0}
-    for shape, has_mould in ((mesh, True), (away, False)):
-        assert has_star_outline(shape) == has_mould
-        folder = tmp_path / str(has_mould)
+    for name, has_mould in (("closed", True), ("open", False)):
+        folder = tmp_path / name
         folder.mkdir()
+        if not has_mould:
+            faces = mesh.contact_faces[1:]
+            monkeypatch.setitem(mesh.__dict__, "contact_faces", faces)
         checked = Design._write_stl(
-            SimpleNamespace(mesh=shape, _surface=told), folder
+            SimpleNamespace(mesh=mesh, _surface=told), folder
         )
         assert (folder / "mould.stl").exists() == has_mould
         assert ("mould.stl" in checked) == has_mould

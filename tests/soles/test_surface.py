@@ -222,14 +222,26 @@ def test_a_box_keeps_its_edges(tets, scanned):
     assert (away < 1e-3).sum() >= 7
 
 
-@pytest.mark.slow
-def test_parts_that_overlap_are_refused():
-    """A block that is sunk into the sole would come out as a hollow."""
-    sole = _box(SIZE)
-    tread = _box((0.05, 0.05, 0.02)) - [0.0, 0.0, 0.02]
-    surface = Surface(np.concatenate([sole, tread]), "tread.stl")
-    with pytest.raises(InputError, match=r"tread\.stl: encloses .* overlap"):
-        sole_from_surface(surface, 2000)
+def test_parts_that_overlap_are_one(tmp_path):
+    """Lugs sunk into a sole, a part within it; a hollow stays one."""
+    path, sole = tmp_path / "tread.stl", _box(SIZE)
+    lug = _box((0.02, 0.02, 0.02))
+    inner = _box((0.05, 0.04, 0.01)) - [0.0, 0.0, 0.01]
+
+    def volume(*parts):
+        write_triangles(path, np.concatenate([sole, *parts]))
+        return 1e6 * read_surface(path).volume
+
+    lugs = [lug + np.array([x, 0.0, -0.02]) for x in (-0.06, 0.0, 0.09)]
+    # Each stands out by 10 mm; of the last one half, over the sole's end.
+    assert volume(*lugs) == pytest.approx(480.0 + 3 * 4.0)
+    lugs[-1] += [0.01, 0.0, 0.0]
+    assert volume(*lugs) == pytest.approx(480.0 + 3 * 4.0 + 2.0)
+    assert volume(inner) == pytest.approx(480.0)
+    assert volume(inner[:, ::-1]) == pytest.approx(460.0)
+    assert volume(inner[:, ::-1], lugs[0]) == pytest.approx(464.0)
+    with pytest.raises(InputError, match=r"tread\.stl: a part .* no hollow"):
+        volume(lugs[0][:, ::-1])
 
 
 @pytest.mark.slow

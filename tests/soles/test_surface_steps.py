@@ -125,8 +125,20 @@ def test_inside_is_what_any_of_some_parts_holds():
     for inner, wanted in ((part, [1, 1, 0]), (part[:, ::-1], [0, 1, 0])):
         thickness = steps._Thickness(np.concatenate([corners, inner]))
         np.testing.assert_array_equal(thickness.inside(places, 0.0), wanted)
-        twice = 2 / 9 if wanted[0] else 0.0  # an eighth, over nine of them
-        assert thickness.doubled == pytest.approx(twice, abs=0.01)
+
+
+def test_a_mesh_that_misses_what_is_enclosed_is_refused(monkeypatch):
+    surface = steps.Surface(_boundary(brick((0.2, 0.1, 0.04), (2, 2, 2))), "it")
+    for y, refused in ((0.096, False), (0.094, True)):
+        less = brick((0.2, y, 0.04), (2, 2, 2))
+        monkeypatch.setattr(
+            steps, "_meshed", lambda *more, m=less: (m.nodes, m.tets)
+        )
+        if not refused:
+            assert steps.sole_from_surface(surface).volume == less.volume
+            continue
+        with pytest.raises(InputError, match=r"800.0 cm³, of which 752.0 cm³"):
+            steps.sole_from_surface(surface)
 
 
 def test_thickness_of_a_wedge_is_linear():

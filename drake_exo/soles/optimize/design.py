@@ -17,7 +17,6 @@ from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
     halved,
-    has_star_outline,
     is_watertight,
     mould_triangles,
     write_triangles,
@@ -395,8 +394,8 @@ class Design:
             }
         }
         write_triangles(folder / "sole.stl", sole)
-        if has_star_outline(self.mesh):
-            mould = mould_triangles(self.mesh)
+        mould = mould_triangles(self.mesh)
+        if len(mould):
             write_triangles(folder / "mould.stl", mould)
             told["mould.stl"] = {
                 "watertight": is_watertight(mould),
