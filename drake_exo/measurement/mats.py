@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import igl
 import meshio
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,7 +38,6 @@ _READERS = {
     ".obj": meshio.obj.read,
 }
 _FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
-_NEIGHBOURS = 32
 _SAMPLES = 65  # of a line that is laid on the surface
 # Vector area over area: 0 of what is closed, 0.64 of half a cylinder.
 _PATCH_SHARE = 0.8
@@ -60,50 +60,21 @@ class Surface:
     def __post_init__(self):
         corners = self.vertices[self.triangles]
         centres = corners.mean(axis=1)
-        reach = np.linalg.norm(corners - centres[:, None], axis=2).max()
         a, b, c = corners.transpose(1, 0, 2)
         area = 0.5 * np.cross(b - a, c - a)
         for name, value in (
-            ("_corners", corners),
             ("_centres", centres),
             ("_tree", cKDTree(centres)),
-            ("_reach", reach),
             ("_area", area),
         ):
             object.__setattr__(self, name, value)
 
-    def closest(
-        self, points: np.ndarray, exact: bool = True
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Nearest points (P, 3) of the surface, and their triangles (P,).
-
-        Args:
-            points: (P, 3) [m].
-            exact: look at every triangle that might be nearer than those
-                with the nearest centres; slow for points deep inside.
-        """
-        count = min(_NEIGHBOURS, len(self.triangles))
-        near, index = self._tree.query(points, k=count)
-        near = near.reshape(len(points), count)
-        index = index.reshape(len(points), count)
-        found, triangle = self._closest_of(points, index)
-        far = np.linalg.norm(found - points, axis=1) + self._reach
-        if exact and count < len(self.triangles):
-            # Large triangles may reach closer than their centres tell.
-            for i in np.flatnonzero(near[:, -1] < far):
-                some = self._tree.query_ball_point(points[i], far[i])
-                found[i : i + 1], triangle[i : i + 1] = self._closest_of(
-                    points[i : i + 1], np.array([some])
-                )
-        return found, triangle
-
-    def _closest_of(self, points, index):
-        """Nearest points on some triangles each, index (P, K)."""
-        on = _closest_on_triangles(points[:, None], self._corners[index])
-        distance = np.linalg.norm(on - points[:, None], axis=2)
-        best = distance.argmin(axis=1)
-        rows = np.arange(len(points))
-        return on[rows, best], index[rows, best]
+    def closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest points (P, 3) of the surface, and their triangles (P,)."""
+        _, triangles, on = igl.point_mesh_squared_distance(
+            points, self.vertices, self.triangles
+        )
+        return on, triangles
 
     def normals(self, points, triangles, radius: float) -> np.ndarray:
         """Outward unit normals (P, 3), averaged over a cell's size."""
@@ -117,7 +88,7 @@ class Surface:
         """Lines (L, S, 3) over the surface between points (L, 3)."""
         t = np.linspace(0.0, 1.0, _SAMPLES)[None, :, None]
         chord = start[:, None] + t * (end - start)[:, None]
-        on, _ = self.closest(chord.reshape(-1, 3), exact=False)
+        on, _ = self.closest(chord.reshape(-1, 3))
         return on.reshape(chord.shape)
 
 
@@ -184,30 +155,6 @@ def _outwards(surface: Surface) -> Surface:
         )
     flipped = surface.triangles[:, ::-1]
     return Surface(surface.vertices, flipped, surface.source)
-
-
-def _closest_on_triangles(p, corners):
-    """Nearest points (..., 3) of triangles (..., 3, 3) to points (..., 3)."""
-    a, b, c = (corners[..., k, :] for k in range(3))
-    n = np.cross(b - a, c - a)
-    square = (n * n).sum(-1, keepdims=True)
-    size = np.maximum(square, 1e-300)
-    on = p - ((p - a) * n).sum(-1, keepdims=True) / size * n
-    inside = square[..., 0] > 0.0  # scans have triangles without area
-    best = np.full(on.shape[:-1], np.inf)
-    result = on.copy()
-    for s, e in ((a, b), (b, c), (c, a)):
-        inside &= (np.cross(e - s, on - s) * n).sum(-1) >= 0.0
-    for s, e in ((a, b), (b, c), (c, a)):
-        d = e - s
-        length = np.maximum((d * d).sum(-1, keepdims=True), 1e-300)
-        t = np.clip(((p - s) * d).sum(-1, keepdims=True) / length, 0.0, 1.0)
-        q = s + t * d
-        distance = np.linalg.norm(q - p, axis=-1)
-        closer = ~inside & (distance < best)
-        best = np.where(closer, distance, best)
-        result = np.where(closer[..., None], q, result)
-    return result
 
 
 def place_cells(

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 from zipfile import BadZipFile
 
+import igl
 import numpy as np
 from manifold3d import Manifold, OpType
 from scipy.sparse import coo_array
@@ -318,7 +319,7 @@ def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
             for a, b in zip(low, high, strict=True)
         )
     )
-    away = _nearest(corners[~top] if flat else corners, grid.nodes, 0.5 * h)[2]
+    away = _nearest(corners[~top] if flat else corners, grid.nodes)[2]
     inside = thickness.inside(grid.nodes, flat * 0.01 * h)
     level = np.where(inside, -away, away)
     body = {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h}
@@ -385,19 +386,9 @@ class _Thickness:
         return np.maximum(t, 0.2 * self.usual)
 
     def inside(self, nodes: np.ndarray, lower: float) -> np.ndarray:
-        """Whether points (n, 3) [m] of a grid, taken lower, are inside."""
-        places, which = np.unique(nodes[:, :2], axis=0, return_inverse=True)
-        which, z = which.ravel(), nodes[:, 2] - lower
-        out = np.zeros(len(nodes), dtype=bool)
-        order = np.argsort(which, kind="stable")
-        ends = np.searchsorted(which[order], np.arange(len(places) + 1))
-        nudge = 1e-7 * np.array([np.pi, np.e])
-        for found in crossings(self.corners, places + nudge):
-            for row, own, up in zip(*found, strict=True):
-                here = order[ends[row] : ends[row + 1]]
-                # Parts that overlap are one.
-                out[here] = (own > z[here, None]) @ up > 0
-        return out
+        """Whether points (n, 3) [m], taken lower, are inside of any part."""
+        places = nodes - np.array([0.0, 0.0, lower])
+        return igl.fast_winding_number(*_soup(self.corners), places) > 0.5
 
 
 def crossings(corners: np.ndarray, places: np.ndarray):
@@ -429,60 +420,19 @@ def crossings(corners: np.ndarray, places: np.ndarray):
         yield rows, z[at], up[at]
 
 
-def _nearest(corners, points, step: float):
-    """On triangles (t, 3, 3) what is nearest to points (n, 3).
+def _soup(corners) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (t, 3, 3) or edges (t, 2, 3) as places and their numbers."""
+    places = corners.reshape(-1, 3)
+    return places, np.arange(len(places)).reshape(len(corners), -1)
+
+
+def _nearest(corners, points):
+    """On triangles (t, 3, 3) or edges (t, 2, 3) what is nearest to points.
 
     Points (n, 3), the triangles that they lie on (n,), how far (n,).
     """
-    samples, owner = _sampled(corners, step)
-    some = range(1, min(6, len(samples)) + 1)
-    _, near = cKDTree(samples).query(points, k=some)
-    best, least = points.copy(), np.full(len(points), np.inf)
-    on = np.zeros(len(points), int)
-    for column in owner[near.T]:
-        p = _on_triangles(corners[column], points)
-        away = np.linalg.norm(p - points, axis=1)
-        better = away < least
-        best[better], least[better] = p[better], away[better]
-        on[better] = column[better]
-    return best, on, least
-
-
-def _sampled(corners, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points on triangles about `step` apart, and the triangles they are on."""
-    a, b, c = np.swapaxes(corners, 0, 1)
-    sides = np.linalg.norm(np.stack([b - a, c - b, a - c]), axis=2)
-    count = np.ceil(sides.max(axis=0) / step).astype(int).clip(1, 200)
-    places, owners = [], []
-    for n in np.unique(count):
-        own = np.flatnonzero(count == n)
-        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-        u, v = (x[i + j <= n, None] / n for x in (i, j))
-        p = a[own, None] + u * (b - a)[own, None] + v * (c - a)[own, None]
-        places.append(p.reshape(-1, 3))
-        owners.append(np.repeat(own, len(u)))
-    return np.concatenate(places), np.concatenate(owners)
-
-
-def _on_triangles(corners, points) -> np.ndarray:
-    """Nearest point of a triangle (n, 3, 3) to each point (n, 3)."""
-    a, b, c = np.swapaxes(corners, 0, 1)
-    e, f, d = b - a, c - a, points - a
-    ee, ef, ff = (e * e).sum(1), (e * f).sum(1), (f * f).sum(1)
-    de, df = (d * e).sum(1), (d * f).sum(1)
-    det = np.maximum(ee * ff - ef**2, 1e-300)
-    u, v = (ff * de - ef * df) / det, (ee * df - ef * de) / det
-    inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (det > 1e-12 * ee * ff)
-    out = a + u[:, None] * e + v[:, None] * f
-    least = np.where(inside, -1.0, np.inf)
-    for p, q in ((a, b), (b, c), (c, a)):
-        along, size = q - p, np.maximum(((q - p) ** 2).sum(1), 1e-300)
-        t = np.clip(((points - p) * along).sum(1) / size, 0, 1)
-        x = p + t[:, None] * along
-        away = np.linalg.norm(x - points, axis=1)
-        better = away < least
-        out[better], least[better] = x[better], away[better]
-    return out
+    far, on, best = igl.point_mesh_squared_distance(points, *_soup(corners))
+    return best, on, np.sqrt(far)
 
 
 def _onto(nodes, cells, corners, top, flat):
@@ -491,7 +441,7 @@ def _onto(nodes, cells, corners, top, flat):
     skin = np.unique(mesh.boundary_faces)
     aim = nodes.copy()
     size = np.cbrt(np.median(mesh.volumes))
-    aim[skin], on, _ = _nearest(corners, nodes[skin], size)
+    aim[skin], on, _ = _nearest(corners, nodes[skin])
     free = np.ones(len(skin), dtype=bool)
     if flat:
         height = corners[top][:, :, 2].max()
@@ -501,7 +451,7 @@ def _onto(nodes, cells, corners, top, flat):
         aim[up] = nodes[up]
         # A rim moves within the top, onto the sides' upper edge.
         sides = corners[~top]
-        aim[rim, :2] = _nearest(sides, nodes[rim], size)[0][:, :2]
+        aim[rim, :2] = _nearest(sides, nodes[rim])[0][:, :2]
         aim[up, 2] = height
         free = ~np.isin(skin, up)
     _onto_edges(aim, skin, np.where(free, on, -1), corners, size, mesh)
@@ -533,7 +483,7 @@ def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
         return
     own, edge = np.full(len(aim), -1), aim.copy()
     own[skin[on >= 0]] = patch[on[on >= 0]]
-    edge[skin] = _nearest(ends[:, [0, 1, 1]], aim[skin], size)[0]
+    edge[skin] = _nearest(ends, aim[skin])[0]
     away = np.linalg.norm(edge - aim, axis=1)
     # What is there already belongs to both patches.
     there = (away < _THERE * size) & (own >= 0)
@@ -597,7 +547,7 @@ def _fixed_nodes(nodes, cells, corners, top, flat) -> np.ndarray:
         height = corners[top][:, :, 2].max()
         return skin[np.abs(nodes[skin, 2] - height) < 1e-9]
     size = np.cbrt(np.median(mesh.volumes))
-    away = _nearest(corners[top], nodes[skin], 0.5 * size)[2]
+    away = _nearest(corners[top], nodes[skin])[2]
     return skin[away < 0.1 * size]
 
 

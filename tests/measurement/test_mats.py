@@ -11,7 +11,6 @@ from drake_exo.errors import InputError
 from drake_exo.measurement.mats import (
     Surface,
     _along,
-    _closest_on_triangles,
     _seen,
     _steps,
     _to_segment,
@@ -157,11 +156,12 @@ def test_the_nearest_point_of_a_triangle_in_each_of_its_regions():
         (-0.5, 2.0, 0.5): (0.0, 1.0, 0.0),
     }
     p, on = (np.array(list(x)) for x in (wanted, wanted.values()))
+    one = np.array([[0, 1, 2]])
     for turned in (corners, corners[::-1], corners[[1, 2, 0]]):
-        found = _closest_on_triangles(p, turned)
+        found, _ = Surface(turned, one, "it").closest(p)
         np.testing.assert_allclose(found, on, atol=1e-12)
     flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    found = _closest_on_triangles(np.array([[2.0, 1.0, 1.0]]), flat)
+    found, _ = Surface(flat, one, "it").closest(np.array([[2.0, 1.0, 1.0]]))
     np.testing.assert_allclose(found, [[2.0, 0.0, 0.0]])
 
 
