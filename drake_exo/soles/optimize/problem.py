@@ -190,13 +190,17 @@ class ShapeProblem:
     def shape_limits(
         self, mesh: TetMesh
     ) -> list[tuple[str, float, np.ndarray]]:
-        """Limits that take no simulation: name, scaled value, ∂/∂nodes."""
-        full = self.limits["volume"]
-        part, by_nodes = mesh.volume / full, mesh.volume_gradient() / full
+        """Limits that take no simulation.
+
+        Name, scaled value and its derivatives by the coefficients.
+        """
+        full, by = self.limits["volume"], self.by_coefficients
+        left, slope = 1 - mesh.volume / full, by(mesh.volume_gradient()) / full
+        others = [("elements", *self._elements(mesh))]
+        others += self.surface.evaluate(mesh)
         return [
-            ("volume", 1.0 - part, -by_nodes),
-            ("elements", *self._elements(mesh)),
-            *self.surface.evaluate(mesh),
+            ("volume", left, -slope),
+            *((name, value, by(X)) for name, value, X in others),
         ]
 
     def constraints(self, p: np.ndarray) -> np.ndarray:
@@ -237,11 +241,9 @@ class ShapeProblem:
         by_nodes, by_load = gradients(
             e.sole, e.solver, e.load, self.setup.start, e.history, parts
         )
-        shape = [X for *_, X in self.shape_limits(e.sole.mesh)]
-        cost, *rows = map(
-            self.by_coefficients, [by_nodes[0], *shape, *by_nodes[1:]]
-        )
-        return cost, np.array(rows), by_load
+        cost, *rows = map(self.by_coefficients, by_nodes)
+        shape = [row for *_, row in self.shape_limits(e.sole.mesh)]
+        return cost, np.array([*shape, *rows]), by_load
 
     def regularization(self, p: np.ndarray):
         """Of the shape: value, gradient (P,), Hessian (P, P)."""

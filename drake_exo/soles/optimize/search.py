@@ -471,9 +471,7 @@ def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
         constraints={
             "type": "ineq",
             "fun": lambda s: [value - _ROOM for _, value, _ in limits(s)],
-            "jac": lambda s: [
-                problem.by_coefficients(X) for *_, X in limits(s)
-            ],
+            "jac": lambda s: [row for *_, row in limits(s)],
         },
     )  # fmt: skip
     return np.clip(np.append(nearest.x, walk), low, high)
