@@ -147,7 +147,7 @@ def test_thick_parts_have_larger_elements():
     x = mesh.nodes[mesh.tets].mean(axis=1)[:, 0]
     assert mesh.volume == pytest.approx(surface.volume, rel=2e-3)
     thin, thick = mesh.volumes[x < -0.05], mesh.volumes[x > 0.05]
-    assert np.median(thick) > 2 * np.median(thin)
+    assert np.mean(thick) > 3 * np.mean(thin)
 
 
 @pytest.mark.slow
@@ -203,7 +203,7 @@ def test_sharp_edges_of_a_box():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("tets", "scanned"), [(1000, True), (3000, False)])
+@pytest.mark.parametrize(("tets", "scanned"), [(1000, True), (2500, False)])
 def test_a_box_keeps_its_edges(tets, scanned):
     size = np.array([0.25, 0.1, 0.03])
     box = _box(size)
@@ -219,8 +219,7 @@ def test_a_box_keeps_its_edges(tets, scanned):
     corner = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T * size / 2
     corner[:, 2] -= size[2] / 2
     away, _ = cKDTree(mesh.nodes).query(corner)
-    # Elements in the way hold one or two back.
-    assert (away < 1e-3).sum() >= 6 and away.max() < 0.003
+    assert (away < 1e-3).sum() >= 7
 
 
 def test_parts_that_overlap_are_one(tmp_path):
