@@ -154,9 +154,9 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
         raise InputError(f"{path}: holds no triangles; export a triangle mesh")
     longest = float(np.ptp(nodes[faces.ravel()], axis=0).max())
     nodes, faces = _merged(nodes * _scale(path, longest, unit), faces)
-    _check_closed(path, nodes, faces)
     if np.linalg.det(nodes[faces]).sum() < 0:
         faces = faces[:, ::-1]
+    nodes, faces = _parted(path, nodes, faces)
     return Surface(_united(path, nodes, faces), str(path))
 
 
@@ -188,11 +188,17 @@ def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
     return nodes[first], faces[(a != b) & (b != c) & (c != a)]
 
 
-def _check_closed(path, nodes, faces) -> None:
-    """Refuse holes, and edges that more than two triangles share."""
+def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of its own for each part where parts touch along edges.
+
+    Of the triangles that share an edge, those are one part's that have nothing
+    but its inside between them. Holes are refused.
+    """
     edges = face_edges(faces)
-    key, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
-    bad = np.flatnonzero(count != 2)
+    key, which, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    bad = np.flatnonzero(count % 2)
     if len(bad):
         x, y, z = nodes[key[bad[0]]].mean(axis=0)
         what = "open" if count[bad[0]] == 1 else "shared by several triangles"
@@ -201,16 +207,47 @@ def _check_closed(path, nodes, faces) -> None:
             f"or worse, the first near ({x:.4f}, {y:.4f}, {z:.4f}) m; repair "
             "it (a mesh repair of any CAD or slicer)"
         )
-    turned = len(np.unique(edges, axis=0)) < len(edges)
-    if turned:
+    forth = edges[:, 0] < edges[:, 1]
+    if (2 * np.bincount(which.ravel(), forth) != count).any():
         raise InputError(
             f"{path}: neighbouring triangles are turned against each other; "
             "make their normals consistent"
         )
+    if count.max() == 2:
+        return nodes, faces
+    groups = np.split(
+        np.lexsort((~forth, which.ravel())), np.cumsum(count)[:-1]
+    )
+    pairs = [group for group in groups if len(group) == 2]
+    for (start, end), group in zip(nodes[key], groups, strict=True):
+        if len(group) > 2:
+            apex = nodes[np.roll(faces, 1, axis=1).ravel()[group]] - start
+            basis = np.linalg.svd((end - start)[None])[2][1:]
+            basis[1] *= np.sign(np.linalg.det([end - start, *basis]))
+            angle = np.arctan2(*(basis @ apex.T)[::-1])
+            ahead, back = np.split(angle, 2)
+            # Outwards is where the angle grows; touching faces are no part.
+            between = (ahead[:, None] - back - 1e-6) % (2 * np.pi)
+            while np.isfinite(between).any():
+                i, j = np.unravel_index(between.argmin(), between.shape)
+                between[i], between[:, j] = np.inf, np.inf
+                pairs.append(group[[i, len(ahead) + j]])
+    one, other = np.transpose(pairs)  # edges in faces' corners, nose to tail
+    after = np.roll(np.arange(faces.size).reshape(-1, 3), -1, axis=1).ravel()
+    links = (
+        np.concatenate([one, after[one]]),
+        np.concatenate([after[other], other]),
+    )
+    same = coo_array((np.ones(2 * len(one)), links), shape=2 * (faces.size,))
+    _, first, corner = np.unique(
+        connected_components(same, directed=False)[1],
+        return_index=True, return_inverse=True,
+    )  # fmt: skip
+    return nodes[faces.ravel()[first]], corner.reshape(-1, 3)
 
 
 def _united(path, nodes, faces) -> np.ndarray:
-    """Corners (t, 3, 3), parts that overlap made one, as a slicer does.
+    """Corners (t, 3, 3), parts that meet made one, as a slicer does.
 
     A part within another that is turned inside out is a hollow.
     """

@@ -244,6 +244,42 @@ def test_parts_that_overlap_are_one(tmp_path):
         volume(lugs[0][:, ::-1])
 
 
+def _mirrored(corners):
+    """A box whose faces are cut along their other diagonals."""
+    return corners[:, ::-1] * [-1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+@pytest.mark.parametrize("other", [_mirrored, lambda corners: corners])
+def test_parts_that_touch_are_one(tmp_path, other, shuffled):
+    """A midsole, an outsole of its outline and a heel that stands on it."""
+    path, sole = tmp_path / "layers.stl", _box(SIZE)
+    x, y, z = SIZE
+    outsole = other(sole) - [0.0, 0.0, z]
+    heel = other(_box((x / 4, y, z))) - [3 * x / 8, 0.0, 2 * z]
+    parts = np.concatenate([sole, outsole, heel])
+    if shuffled:
+        parts = np.random.default_rng(0).permutation(parts)
+    write_triangles(path, parts)
+    surface = read_surface(path)
+    assert surface.volume == pytest.approx(2.25 * np.prod(SIZE), rel=1e-6)
+    area = 0.5 * np.linalg.norm(
+        np.cross(*np.diff(surface.corners, axis=1).swapaxes(0, 1)), axis=1
+    )
+    outside = 2 * (x * y + (x + y) * 2 * z + (x / 4 + y) * z)
+    assert area.sum() == pytest.approx(outside, rel=1e-6)
+
+
+def test_parts_that_touch_along_an_edge_stay_two(tmp_path):
+    path, sole = tmp_path / "steps.stl", _box(SIZE)
+    lower = sole + np.array([SIZE[0], 0.0, -SIZE[2]])
+    for parts in ((sole, lower), (lower[:, ::-1], sole[:, ::-1])):
+        write_triangles(path, np.concatenate(parts))
+        surface = read_surface(path)
+        assert surface.volume == pytest.approx(2 * np.prod(SIZE), rel=1e-6)
+        assert len(surface.corners) == 2 * len(sole)
+
+
 @pytest.mark.slow
 def test_a_top_that_is_not_flat_is_asked_for_and_taken():
     corners = shoe_surface(60, 10)

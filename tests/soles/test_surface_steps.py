@@ -78,16 +78,16 @@ def test_the_first_bad_edge_is_told_where_it_is():
     nodes, faces = steps._merged(
         corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
     )
-    steps._check_closed("file", nodes, faces)
+    assert steps._parted("file", nodes, faces)[0] is nodes
     with pytest.raises(InputError, match="3 edges are open") as caught:
-        steps._check_closed("file", nodes, np.delete(faces, hole, axis=0))
+        steps._parted("file", nodes, np.delete(faces, hole, axis=0))
     said = str(caught.value).split("near (")[1].split(")")[0]
     place = np.array([float(number) for number in said.split(",")])
     edges = 0.5 * (corners[hole] + np.roll(corners[hole], 1, axis=0))
     assert np.abs(edges - place).max(axis=1).min() < 1e-4
     fin = np.concatenate([faces, faces[:1, ::-1]])
     with pytest.raises(InputError, match="3 edges are shared by several"):
-        steps._check_closed("file", nodes, fin)
+        steps._parted("file", nodes, fin)
 
 
 # What lies where
