@@ -222,9 +222,9 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
     for (start, end), group in zip(nodes[key], groups, strict=True):
         if len(group) > 2:
             apex = nodes[np.roll(faces, 1, axis=1).ravel()[group]] - start
-            basis = np.linalg.svd((end - start)[None])[2][1:]
-            basis[1] *= np.sign(np.linalg.det([end - start, *basis]))
-            angle = np.arctan2(*(basis @ apex.T)[::-1])
+            along = (end - start) / np.linalg.norm(end - start)
+            y = np.cross(along, apex[0])
+            angle = np.arctan2(apex @ y, apex @ np.cross(y, along))
             ahead, back = np.split(angle, 2)
             # Outwards is where the angle grows; touching faces are no part.
             between = (ahead[:, None] - back - 1e-6) % (2 * np.pi)
