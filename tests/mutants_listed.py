@@ -760,7 +760,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/soles/surface.py": [
         ("flat * 0.01 * h", "flat * 0.01"),
         ("back - 1e-6", "back"),
-        ("np.cross(along, apex[0])", "np.cross(apex[0], along)"),
+        ("np.cross(y, along)", "np.cross(along, y)"),
         ("low - 0.3183 * self.step", "low"),
         (
             "order[shared[which[order]] == 2] // 3",
