@@ -1,26 +1,96 @@
-"""Mesh files of any format that meshio knows, damaged ones refused."""
+"""Mesh files: STL, OBJ, what meshio knows; damaged ones are refused."""
 
 import codecs
 import contextlib
 import io
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import meshio
 import numpy as np
+from manifold3d import triangulate
 
 from drake_exo.errors import InputError, reason
 from drake_exo.files.tables import read_bytes
 
+_STL = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
+_VERTEX = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def read_any(path: Path) -> meshio.Mesh:
+    """A mesh of any format by its ending."""
+    own = {".obj": read_obj, ".stl": read_stl}
+    return own.get(Path(path).suffix.lower(), meshio.read)(path)
+
+
+def read_obj(path: Path) -> meshio.Mesh:
+    """The faces of a Wavefront file, polygons cut into triangles.
+
+    Normals, textures, groups, lines and free forms are left out; meshio
+    stumbles over them.
+    """
+    places, faces = [], []
+    text = re.sub(r"\\\r?\n", " ", path.read_bytes().decode("latin-1"))
+    for line in re.split(r"[\r\n]", text):
+        kind, *words = line.split("#")[0].split() or [""]
+        if kind == "v":
+            places.append(words[:3])
+        elif kind == "f":
+            face = [int(word.split("/")[0]) for word in words]
+            # From 1 on, or backwards from the last place so far.
+            faces.append([i + len(places) * (i < 0) - (i > 0) for i in face])
+            if 0 in face:
+                raise ValueError("a face names node 0; they count from 1")
+    nodes = np.array(places, float)
+    triangles = []
+    for count in {len(face) for face in faces} - {0, 1, 2}:
+        face = np.array([face for face in faces if len(face) == count])
+        fan = np.stack([face[:, :-2], face[:, 1:-1], face[:, 2:]], axis=2)
+        fan[:, :, 0] = face[:, :1]
+        a, b, c = np.moveaxis(nodes[fan], 2, 0)
+        area = np.cross(b - a, c - a)
+        normal = area.sum(axis=1)
+        turned = (np.einsum("fti,fi->ft", area, normal) < 0).any(axis=1)
+        triangles += fan[~turned].reshape(-1, 3).tolist()
+        for i in np.flatnonzero(turned):
+            away = int(np.abs(normal[i]).argmax())
+            flat = np.roll(nodes[face[i]], -1 - away, axis=1)[:, :2]
+            flat[:, 1] *= np.sign(normal[i, away])
+            triangles += face[i, triangulate([flat])].tolist()
+    return meshio.Mesh(nodes, [("triangle", triangles)] if triangles else [])
+
+
+def read_stl(path: Path) -> meshio.Mesh:
+    """The triangles of an STL file, each with corners of its own.
+
+    Binary if it is as long as its header says, whatever that begins with.
+    """
+    whole = path.read_bytes()
+    count = int.from_bytes(whole[80:84], "little")
+    if 0 <= len(whole) - 84 - 50 * count < 50:
+        corners = np.frombuffer(whole, _STL, count, 84)["corners"]
+    else:
+        corners = np.array(_VERTEX.findall(whole.decode("latin-1")), float)
+        if len(whole) > 84 and not len(corners):
+            raise ValueError(
+                f"no STL of text, and {(len(whole) - 84) / 50:g} triangles "
+                f"follow a header that says {count}"
+            )
+        if len(corners) % 3:
+            raise ValueError("its last triangle is cut off")
+    places = corners.reshape(-1, 3)
+    triangles = np.arange(len(places)).reshape(-1, 3)
+    return meshio.Mesh(places, [("triangle", triangles)])
 
 
 def read_cells(
     path: Path,
     cell_type: str,
     remedy: str,
-    read: Callable[[Path], meshio.Mesh] = meshio.read,
+    read: Callable[[Path], meshio.Mesh] = read_any,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and cells of one type.
 
@@ -28,7 +98,7 @@ def read_cells(
         path: the file.
         cell_type: meshio's name, such as "triangle".
         remedy: ends the message where the file cannot be understood.
-        read: meshio's reader.
+        read: The file's reader.
 
     Returns:
         Nodes (n, 3) and node indices of the cells (c, k); c may be 0.

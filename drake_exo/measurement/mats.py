@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError
-from drake_exo.files.mesh import read_cells
+from drake_exo.files.mesh import read_cells, read_obj, read_stl
 from drake_exo.files.pressure import (
     PressureRecording,
     read_novel_asc,
@@ -33,9 +33,9 @@ from drake_exo.model.assembly import SIDES
 # A body or a part of it, largest extent [m].
 _PLAUSIBLE_M = (0.08, 3.0)
 _READERS = {
-    ".stl": meshio.stl.read,
+    ".stl": read_stl,
     ".ply": meshio.ply.read,
-    ".obj": meshio.obj.read,
+    ".obj": read_obj,
 }
 _FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
 _SAMPLES = 65  # of a line that is laid on the surface

@@ -222,6 +222,95 @@ def test_a_box_keeps_its_edges(tets, scanned):
     assert (away < 1e-3).sum() >= 7
 
 
+def _words(key, rows, form="{:g}"):
+    return "".join(
+        f"{key} {' '.join(form.format(x) for x in row)}\n" for row in rows
+    )
+
+
+def test_an_obj_of_any_modeller_is_read(tmp_path):
+    """Normals, textures, colours, groups, quads, concave ends, free forms."""
+    path = tmp_path / "sole.obj"
+    # A U, seen from above, of 180 mm by 60 less 120 by 40; 20 high.
+    outline = np.array([[0, 0], [180, 0], [180, 60], [150, 60], [150, 20],
+                        [30, 20], [30, 60], [0, 60]])  # fmt: skip
+    n, i = len(outline), np.arange(1, len(outline) + 1)
+    places = [(*p, z) for z in (-20, 0) for p in outline]
+    quads = np.stack([i, i % n + 1, i % n + 1 + n, i + n], axis=1)
+    volume = 1e-9 * 20 * (180 * 60 - 120 * 40)
+
+    def read(text):
+        path.write_bytes(text.encode("latin-1"))
+        return read_surface(path).volume
+
+    for end in (0, 1, 5):  # a concave polygon from any corner on
+        ends = np.roll([i[::-1], i + n], end, axis=1)
+        plain = _words("v", places) + _words("f", ends) + _words("f", quads)
+        assert read(plain) == pytest.approx(volume, rel=1e-9)
+        turned = np.roll(places, end, axis=1)
+        found = read(_words("v", turned) + plain[plain.index("f") :])
+        assert found == pytest.approx(volume, rel=1e-9)
+    head = "# gr\xf6\xdfe\nmtllib a.mtl\no Sole\n"
+    more = "vt 0 0\nvn 0 0 1\ng tread\nusemtl rubber\ns 1\n"
+    behind = _words("f", [*(ends - 2 * n - 1), *(quads - 2 * n - 1)])
+    colours = _words("v", [(*p, 1, 0, 0) for p in places])
+    free = "cstype bspline\ndeg 2\ncurv 0 1 1 2 3\nparm u 0 1\nend\nl 1 2\n"
+    faces = [*ends, *quads]
+    for text in (
+        head + plain + free,
+        colours + more + _words("f", faces, "{}/1/1"),
+        colours + more + _words("f", faces, "{}//1"),
+        _words("v", places) + behind,
+        plain.replace("f 1 2", "f 1 \\\n 2").replace("\n", " # x\r\n", 1),
+    ):
+        assert read(text) == pytest.approx(volume, rel=1e-9)
+    for wrong, said in (("f 0 1 2", "face names node 0"), ("f 1 2 99", "not")):
+        with pytest.raises(
+            InputError, match=rf"sole\.obj: .*{said}.* as STL or OBJ$"
+        ):
+            read(plain + wrong)
+
+
+def test_an_stl_of_any_program_is_read(tmp_path):
+    """What a header says of a binary file, names and ends of lines of text."""
+    path, corners = tmp_path / "sole.stl", _brick_surface()
+    write_triangles(path, corners)
+    plain = path.read_bytes()
+    text = "solid S\xf6hle\n" + "".join(
+        "facet normal 0 0 0\nouter loop\n" + _words("vertex", triangle)
+        + "endloop\nendfacet\n"
+        for triangle in 1e3 * corners
+    )  # fmt: skip
+    text += "endsolid\n"
+
+    def read(data):
+        path.write_bytes(data)
+        return read_surface(path).volume
+
+    for data in (
+        b"solid of a CAD\n".ljust(80) + plain[80:],
+        plain + bytes(20),
+        text.encode("latin-1"),
+        text.upper().replace("\n", "\r").encode("latin-1"),
+        text.replace(
+            "endfacet\n", "endfacet\nendsolid\n\nsolid b\n", 1
+        ).encode(),
+    ):
+        assert read(data) == pytest.approx(np.prod(SIZE), rel=1e-5)
+    count = len(corners)
+    for data, said in (
+        (
+            plain[:-50],
+            f"{count - 1} triangles follow a header that says {count}",
+        ),
+        (plain[:80] + plain[83:79:-1] + plain[84:], "header that says"),
+        (text[: text.rindex("vertex")].encode(), "last triangle is cut off"),
+        (text.replace(".", ",").encode(), "could not convert"),
+    ):
+        with pytest.raises(InputError, match=rf"sole\.stl: .*{said}.* as STL"):
+            read(data)
+
+
 def test_parts_that_overlap_are_one(tmp_path):
     """Lugs sunk into a sole, a part within it; a hollow stays one."""
     path, sole = tmp_path / "tread.stl", _box(SIZE)
