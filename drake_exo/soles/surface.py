@@ -149,7 +149,7 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
             the unit.
     """
     path = Path(path)
-    nodes, faces = read_cells(path, "triangle", "give an STL or OBJ file")
+    nodes, faces = read_cells(path, "triangle", "export it again as STL or OBJ")
     if len(faces) == 0:
         raise InputError(f"{path}: holds no triangles; export a triangle mesh")
     longest = float(np.ptp(nodes[faces.ravel()], axis=0).max())
@@ -434,14 +434,17 @@ def crossings(corners: np.ndarray, places: np.ndarray):
     Yields rows of places with a like number of crossings, heights (rows, k),
     and 1 where triangles look upwards there, else -1.
     """
-    a, b, c = np.swapaxes(corners, 0, 1)
-    e, f = (b - a)[:, :2], (c - a)[:, :2]
-    det = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
-    steep = np.abs(det) < 1e-16
-    det = np.where(steep, 1.0, det)
+    low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
     found = []
     for first in range(0, len(places), 256):
-        d = places[first : first + 256, None] - a[None, :, :2]
+        batch = places[first : first + 256]
+        left, right = batch[:, 0].min(), batch[:, 0].max()
+        a, b, c = np.swapaxes(corners[(low <= right) & (high >= left)], 0, 1)
+        e, f = (b - a)[:, :2], (c - a)[:, :2]
+        det = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
+        steep = np.abs(det) < 1e-16
+        det = np.where(steep, 1.0, det)
+        d = batch[:, None] - a[None, :, :2]
         u = (d[..., 0] * f[:, 1] - d[..., 1] * f[:, 0]) / det
         v = (e[:, 0] * d[..., 1] - e[:, 1] * d[..., 0]) / det
         hit = (u >= 0) & (v >= 0) & (u + v < 1) & ~steep

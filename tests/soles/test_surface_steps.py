@@ -1,5 +1,7 @@
 """From a surface to a mesh, step by step, each against a closed form."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -115,6 +117,20 @@ def test_lines_meet_triangles_where_their_planes_say():
     assert max(map(len, wanted)) > 5
     for a, b in zip(found, wanted, strict=True):
         np.testing.assert_allclose(a, sorted(b), atol=1e-9)
+
+
+def test_lines_through_a_scan_take_little_memory():
+    """Of 100 000 triangles: all with every line took two gigabytes."""
+    corners = _boundary(brick((0.25, 0.1, 0.03), (120, 40, 2)))
+    scan = (corners[:, None] * np.linspace(0.5, 1, 4)[:, None, None]).reshape(
+        -1, 3, 3
+    )
+    scan = np.concatenate([scan, scan[::-1]])
+    tracemalloc.start()
+    steps._Thickness(scan)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 3e8
 
 
 def test_inside_is_what_any_of_some_parts_holds():
