@@ -311,6 +311,14 @@ def test_an_stl_of_any_program_is_read(tmp_path):
             read(data)
 
 
+@pytest.mark.parametrize("axes", [[1, 0, 2], [2, 1, 0]])
+def test_a_sole_that_is_not_long_along_x_is_refused(axes):
+    """Its walk would go sideways, or it would stand on its toe."""
+    surface = Surface(_box(SIZE)[:, ::-1, axes], "turned.stl")
+    with pytest.raises(InputError, match=r"turned\.stl: .* 200 .*; turn it$"):
+        sole_from_surface(surface)
+
+
 def test_parts_that_overlap_are_one(tmp_path):
     """Lugs sunk into a sole, a part within it; a hollow stays one."""
     path, sole = tmp_path / "tread.stl", _box(SIZE)
