@@ -250,26 +250,46 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
 def _united(path, nodes, faces) -> np.ndarray:
     """Corners (t, 3, 3), parts that meet made one, as a slicer does.
 
-    A part within another that is turned inside out is a hollow.
+    A part within another that is turned inside out is a hollow, in which a
+    third may lie.
     """
     parts = solid(nodes, faces).decompose()
     if len(parts) < 2:
         return nodes[faces]
-    hollows = [part for part in parts if part.volume() < 0]
-    whole = Manifold.batch_boolean(
-        [part for part in parts if part.volume() > 0], OpType.Add
-    )
-    left = whole.volume() + sum(part.volume() for part in hollows)
-    for hollow in hollows:
-        inner = corners_of(hollow)[:, ::-1].reshape(-1, 3)
-        places, which = np.unique(inner, axis=0, return_inverse=True)
-        whole -= solid(places, which.reshape(-1, 3))
-    if abs(whole.volume() - left) > 1e-6 * left:
+    hollows = []
+    for part in parts:
+        if part.volume() < 0:
+            inner = corners_of(part)[:, ::-1].reshape(-1, 3)
+            places, which = np.unique(inner, axis=0, return_inverse=True)
+            hollows.append(solid(places, which.reshape(-1, 3)))
+    parts = [part for part in parts if part.volume() > 0]
+    if not hollows:
+        return corners_of(Manifold.batch_boolean(parts, OpType.Add))
+    # Filled is what lies in more parts than hollows.
+    parts, hollows = _layers(parts), _layers(hollows)
+    parts += [Manifold()] * (len(hollows) - len(parts))
+    hollows += [Manifold()] * (len(parts) - len(hollows))
+    pairs = list(zip(parts, hollows, strict=True))
+    beyond = sum((hollow - part).volume() for part, hollow in pairs)
+    if beyond > 1e-6 * parts[0].volume():
         raise InputError(
             f"{path}: a part that is turned inside out is no hollow within "
             "another; turn its normals outwards"
         )
-    return corners_of(whole)
+    filled = [part - hollow for part, hollow in pairs]
+    return corners_of(Manifold.batch_boolean(filled, OpType.Add))
+
+
+def _layers(bodies: list[Manifold]) -> list[Manifold]:
+    """What lies in one body or more, in two or more, and so on."""
+    layers = []
+    for body in bodies:
+        rest = body
+        for k, layer in enumerate(layers):
+            layers[k], rest = layer + rest, layer ^ rest
+        if not rest.is_empty():
+            layers.append(rest)
+    return layers
 
 
 def sole_from_surface(
