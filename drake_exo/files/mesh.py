@@ -41,9 +41,9 @@ def read_obj(path: Path) -> meshio.Mesh:
         elif kind == "f":
             face = [int(word.split("/")[0]) for word in words]
             # From 1 on, or backwards from the last place so far.
-            faces.append([i + len(places) * (i < 0) - (i > 0) for i in face])
-            if 0 in face:
-                raise ValueError("a face names node 0; they count from 1")
+            faces.append([i + len(places) if i < 0 else i - 1 for i in face])
+    if any(not 0 <= i < len(places) for face in faces for i in face):
+        raise ValueError("a face names a node that is not there")
     nodes = np.array(places, float)
     triangles = []
     for count in {len(face) for face in faces} - {0, 1, 2}:

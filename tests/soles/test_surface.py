@@ -264,7 +264,8 @@ def test_an_obj_of_any_modeller_is_read(tmp_path):
         plain.replace("f 1 2", "f 1 \\\n 2").replace("\n", " # x\r\n", 1),
     ):
         assert read(text) == pytest.approx(volume, rel=1e-9)
-    for wrong, said in (("f 0 1 2", "face names node 0"), ("f 1 2 99", "not")):
+    for wrong in ("f 0 1 2", "f 1 2 99", "f -1 -2 -99"):
+        said = "a face names a node that is not there"
         with pytest.raises(
             InputError, match=rf"sole\.obj: .*{said}.* as STL or OBJ$"
         ):
