@@ -302,7 +302,7 @@ def test_an_stl_of_any_program_is_read(tmp_path):
         (plain[:-50], last),
         (plain[:80] + plain[83:79:-1] + plain[84:], "readable"),
         (text[: text.rindex("vertex")].encode(), "readable"),
-        (text.replace(".", ",").encode(), "Failed to parse face 0"),
+        (text.replace(".", ",").encode(), "readable"),
     ):
         with pytest.raises(InputError, match=rf"sole\.stl: .*{said}"):
             read(data)
