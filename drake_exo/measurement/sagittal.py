@@ -46,6 +46,18 @@ def _unit(axis: str) -> np.ndarray:
     return e
 
 
+def fixed(given) -> np.ndarray:
+    """Numbers as an array that cannot be written to; the given one still can.
+
+    >>> fixed([1, 2]).flags.writeable
+    False
+    """
+    is_array = isinstance(given, np.ndarray)
+    array = given.view() if is_array else np.array(given, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
 @dataclass(frozen=True, eq=False)
 class PlanarWrench:
     """Force in the sagittal plane and its moment about the origin.
@@ -53,6 +65,8 @@ class PlanarWrench:
     Attributes:
         force: (N, 2) F_x, F_z [N].
         moment: (N,) M_y about the laboratory's origin at z = 0 [N m].
+
+    Arrays cannot be written to; change a copy.
 
     >>> standing = PlanarWrench(np.array([[0.0, 700.0]]), np.array([-70.0]))
     >>> standing.cop_x.tolist()
@@ -64,8 +78,7 @@ class PlanarWrench:
 
     def __post_init__(self):
         for name, given in vars(self).copy().items():
-            if not isinstance(given, np.ndarray):
-                object.__setattr__(self, name, np.asarray(given, dtype=float))
+            object.__setattr__(self, name, fixed(given))
         if self.force.shape != (*self.moment.shape, 2):
             raise ValueError(
                 f"force has the shape {self.force.shape}, moment "

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import read_arrays, read_json, write_json
-from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
 
 Source = Literal["measured", "solved", "simulated"]
@@ -22,9 +22,9 @@ class CuffForce:
     """Force of a cuff on the human, as a mat or a model knows it.
 
     Attributes:
-        normal: (n,) across the segment [N].
-        tangential: (n,) along it [N]; None where not known: mats do not
-            measure it.
+        normal: (n,) across the segment, forward [N].
+        tangential: (n,) along it, upward [N]; None where not known: mats do
+            not measure it.
         moment: (n,) [N m], toes-up positive; likewise.
 
     >>> CuffForce(np.array([12.0])).tangential is None
@@ -37,8 +37,8 @@ class CuffForce:
 
     def __post_init__(self):
         for name, given in vars(self).copy().items():
-            if given is not None and not isinstance(given, np.ndarray):
-                object.__setattr__(self, name, np.asarray(given, dtype=float))
+            if given is not None:
+                object.__setattr__(self, name, fixed(given))
 
     @staticmethod
     def of(components: np.ndarray) -> "CuffForce":
@@ -68,6 +68,10 @@ class CuffForce:
 @dataclass(frozen=True, eq=False)
 class Trial:
     """One movement of one subject; forces and angles are of both legs.
+
+    Toes up, dorsiflexion, knee and hip flexion are positive, of angles and of
+    moments; all angles are zero in upright standing. Arrays cannot be written
+    to: change a copy, and put it in with `dataclasses.replace`.
 
     Attributes:
         name: unique in its study.
@@ -133,9 +137,8 @@ class Trial:
                         f"trial {self.name}: {name} holds no real numbers; "
                         "give an array of them"
                     )
-                object.__setattr__(
-                    self, name, numbers.astype(float, copy=False)
-                )
+                numbers = fixed(numbers.astype(float, copy=False))
+                object.__setattr__(self, name, numbers)
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,

@@ -89,11 +89,12 @@ def test_a_trial_goes_on_the_clock_that_was_found(in_device):
     true = replace(trial, moments=moments, friction=None)
     shown = late(true, encoders=0.03)
     spline = CubicSpline(t, moments[:, exo])
-    shown.moments[:, exo] = spline(np.clip(t - 0.03, t[0], None))
-    change = shown.moments[:, exo] - moments[:, exo]
+    seen = shown.moments.copy()
+    seen[:, exo] = spline(np.clip(t - 0.03, t[0], None))
+    change = seen[:, exo] - moments[:, exo]
     for column, device in zip(change.T, names.device, strict=True):
-        shown.moments[:, names.joint(names.follows(device))] -= column
-    shown = recorded(shown, encoders=0.01)
+        seen[:, names.joint(names.follows(device))] -= column
+    shown = recorded(replace(shown, moments=seen), encoders=0.01)
     found = retimed(shown, [Clock(trial.name, "encoders", 0.04, 0.004)])
     inside = (t > 0.1) & (t < t[-1] - 0.1)
     device = names.device_columns

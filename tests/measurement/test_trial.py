@@ -281,3 +281,21 @@ def test_a_cuff_s_name_may_have_dots(whole, tmp_path):
         np.testing.assert_allclose(
             found.cuffs["thigh.left"].normal, whole.cuffs["thigh"].normal
         )
+
+
+def test_what_is_read_from_a_trial_does_not_change_it(whole):
+    """Degrees made of radians in place would be what is calibrated on."""
+    given = whole.q.copy()
+    trial = replace(whole, q=given)
+    for signal in (
+        trial.times,
+        trial.coordinate("knee"),
+        trial.moment("knee"),
+        trial.ground.force_z,
+        trial.ground.moment,
+        trial.cuff("thigh").normal,
+        trial.sample(trial.times).q,
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            signal *= 2.0
+    given[:] = 0.0  # whose it is may
