@@ -27,6 +27,7 @@ from pydrake.multibody.tree import (
 )
 
 from drake_exo.errors import InputError, check_bounds
+from drake_exo.files import schema
 from drake_exo.model.assembly import (
     ASSEMBLIES,
     Assembly,
@@ -92,12 +93,23 @@ class Model:
         exoskeleton: the shipped device; None without it.
         gravity_m_s2: magnitude of gravity.
 
+    Raises:
+        InputError: parts that do not fit together, or a mass, a length, ...
+            out of its bounds.
+
     >>> human = nominal_human()
     >>> model = Model("coupled", human, fit_exoskeleton(human))
     >>> model.tree.coordinates.device
     ('exo_ankle', 'exo_knee', 'exo_hip')
     >>> list(model.cuffs)
     ['shank', 'thigh', 'pelvis']
+
+    A heavier thigh; `replace` is that of `dataclasses`:
+
+    >>> thigh = replace(human.thigh, mass_kg=human.thigh.mass_kg + 5.0)
+    >>> heavier = replace(model, human=replace(human, thigh=thigh))
+    >>> round(heavier.tree.mass - model.tree.mass, 6)
+    5.0
     """
 
     kind: Kind | Assembly
@@ -121,6 +133,9 @@ class Model:
                 f"a model of kind {self.name!r} takes no exoskeleton; leave it "
                 "out, or choose 'coupled'"
             )
+        schema.check(self.human, HumanParameters, "human")
+        if self.exoskeleton is not None:
+            schema.check(self.exoskeleton, ExoskeletonParameters, "exoskeleton")
         check_bounds("gravity_m_s2", self.gravity_m_s2, {"minimum": 0.0})
 
     def __repr__(self) -> str:

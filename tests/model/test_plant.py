@@ -1,6 +1,7 @@
 import csv
 import logging
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -392,6 +393,23 @@ def test_model_files_are_found_by_package_url():
 def test_wrong_arguments_are_refused(arguments, words):
     with pytest.raises(InputError, match=words):
         build_plant(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "words"),
+    [
+        ("human", {"mass_kg": -5.0}, "human: thigh.mass_kg is -5.0, but must"),
+        ("human", {"length_m": 424.0}, "human: thigh.length_m .* at most 3 m"),
+        ("exoskeleton", {"inertia_kg_m2": 0.0}, "exoskeleton: thigh.inertia"),
+    ],
+)
+def test_what_no_body_has_is_refused(part, change, words):
+    """Drake only warns of it, and makes another mass of it."""
+    model = nominal_model("coupled")
+    whole = getattr(model, part)
+    thigh = replace(whole.thigh, **change)
+    with pytest.raises(InputError, match=words):
+        replace(model, **{part: replace(whole, thigh=thigh)})
 
 
 def test_human_plant_takes_no_exoskeleton():
