@@ -532,7 +532,11 @@ class Calibration(_Solved):
         return known[name]
 
     def uncertainty(self) -> Uncertainty | None:
-        """95 % intervals; None where nothing can be told."""
+        """95 % intervals of what is free; None where nothing can be told.
+
+        `names`, `sd`, `half_width`, `identifiable`: (m,) each, in the units of
+        `contact.units()`.
+        """
         f = self.study.filter
         return uncertainty(self.result, f.cutoff_hz, f.order)
 

@@ -56,15 +56,23 @@ _HIGHEST = 3.0  # of the cut-off frequency
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Of free parameters at an optimum.
+    """Of free parameters at an optimum, in the units of each.
 
     Attributes:
-        names: (m,).
+        names: (m,), those of `ContactModel.values`.
         covariance: (m, m), by noise and prior.
         pull: (m,) how far the terms that track nothing have moved each.
         prior_sd: (m,) what was known before.
         at_bound: (m,) bool; of those nothing is told but that.
         law: (m,) how far off each is where a cuff is no bushing.
+
+    >>> one = np.eye(1)
+    >>> known = Uncertainty(
+    ...     ["heel.x"], 1e-6 * one, 0 * one[0], one[0], one[0] < 0)
+    >>> known
+    Uncertainty(heel.x ± 0.00196)
+    >>> dict(zip(known.names, known.half_width.round(5)))
+    {'heel.x': np.float64(0.00196)}
     """
 
     names: list[str]
@@ -73,6 +81,12 @@ class Uncertainty:
     prior_sd: np.ndarray
     at_bound: np.ndarray
     law: np.ndarray | float = 0.0
+
+    def __repr__(self) -> str:
+        # Not the arrays: a notebook shows what its last line is.
+        widths = zip(self.names, self.half_width, strict=True)
+        told = (f"{name} ± {width:.3g}" for name, width in widths)
+        return f"Uncertainty({', '.join(told)})"
 
     @property
     def sd(self) -> np.ndarray:
@@ -514,6 +528,10 @@ DISCREPANCY = 0.12
 class Bands:
     """Half widths of 95 % bands around a predicted trial.
 
+    `q`, `v` and `cuffs` are around the trial's own; what is seen, around that
+    plus how far off it is: a mat's reading at `found.cuff(name).normal +
+    bands.off_mats[name]`, within `bands.mats[name]`.
+
     Attributes:
         q, v: (n, nq), units as the trial's.
         cuffs: cuff -> (n, 3) tangential, normal [N], moment [N m].
@@ -533,8 +551,13 @@ class Bands:
     off_v: np.ndarray
     off_mats: dict[str, np.ndarray]
 
+    def __repr__(self) -> str:
+        # Not the arrays: a notebook shows what its last line is.
+        told = (f"{c} ± {self.normal(c).mean():.1f} N" for c in self.cuffs)
+        return f"Bands({len(self.q)} samples; {', '.join(told)})"
+
     def normal(self, cuff: str) -> np.ndarray:
-        """Of a cuff's normal force (n,) [N]: as its mats show it, if any."""
+        """Of a cuff's normal force (n,) [N]: `mats`, where it has some."""
         return self.mats.get(cuff, self.cuffs[cuff][:, NORMAL])
 
     def coverage(self, found: Trial, measured: Trial) -> dict:

@@ -720,8 +720,8 @@ def AssistController_(T):
         positive, so support extends.
 
         Args of the constructor:
-            knee_nm, hip_nm: support at a right angle, both legs [N m].
-            damping: [N m s/rad].
+            knee_nm, hip_nm: support at a right angle, both legs [N m]; 15.
+            damping: [N m s/rad]; 0.5.
 
         Input exoskeleton_state (6): ankle, knee, hip [rad], then rates [rad/s].
         Output exoskeleton_torques (3): ankle, knee, hip [N m].

@@ -361,8 +361,8 @@ def write_campaign(
     """Simulate a subject and write what a laboratory would hand over.
 
     Args:
-        folder: exists; receives study.yaml, standing and trial files, and
-            truth/, which no calibration reads.
+        folder: made if it is not there; receives study.yaml, standing and
+            trial files, and truth/, which no calibration reads.
         seed: same seed, same bytes.
         disturbances: names of `DISTURBANCES` that act.
         trials: number of movements in use, the three of calibration first;

@@ -68,6 +68,14 @@ def test_a_strap_that_the_device_holds_elsewhere_is_strained(in_device):
     assert cuffs["shank"].preload == (0.0, 0.0, 0.0)
 
 
+def test_who_changes_a_contact_has_a_copy(exact):
+    """A cuff made stiffer to predict with is not the calibration's."""
+    values, contact = exact.contact.values(), exact.contact
+    contact.bushings["thigh"] = contact.bushings["thigh"].scaled(2.0)
+    contact.ground.spheres.clear()
+    assert exact.contact.values() == values
+
+
 def test_audit_simulates_with_the_cuffs(exact):
     checked = audit(exact)
     assert checked.simulated_interaction_n < 1.0

@@ -6,10 +6,12 @@ import re
 import shlex
 import sys
 import typing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import drake_exo as dx
 from drake_exo import cli
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -241,3 +243,26 @@ def test_every_key_of_a_case_is_in_the_soles_page():
                 if dataclasses.is_dataclass(inner) and inner not in seen:
                     todo.append(inner)
     assert len(seen) > 12
+
+
+@pytest.mark.slow
+def test_intervals_bands_and_nominal_cuffs_are_as_the_page_says():
+    page = (ROOT / "docs" / "results.md").read_text("utf-8")
+    block = [b for k, b in _FENCE.findall(page) if k == "python"][-1]
+    made = dx.synthetic.rises_in_device(1, nodes_per_second=40)
+    names = {"dx": dx, "trial": made.trials[0]}
+    names["study"] = study = dx.Study(made.model, made.trials)
+    for phase in ("interaction", "prediction"):
+        solver = replace(getattr(study, phase).solver, nodes_per_second=40)
+        changed = replace(getattr(study, phase), solver=solver)
+        setattr(study, phase, changed)
+    names["cuffs"] = dx.calibrate_interaction(study, None, made.contact)
+    exec(block, names)
+    known, found = names["known"], names["found"]
+    assert len(known.names) == len(known.half_width)
+    lower, upper = names["lower"], names["upper"]
+    knee = found.coordinate("knee")
+    assert ((lower < knee) & (knee < upper)).all()
+    assert names["normal"].shape == found.times.shape
+    assert names["usual"].posterior is None
+    assert len(repr(known)) < 1000 and len(repr(names["band"])) < 200
