@@ -27,7 +27,7 @@ MOST_SAMPLES = 100_000  # of a load; each is a system to solve
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """Force and ZMP at N samples.
+    """Force and ZMP at N samples; arrays that cannot be written to.
 
     >>> import drake_exo as dx
     >>> load = dx.soles.Load([0.0, 0.1], [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2)
@@ -36,6 +36,13 @@ class Load:
            [0., 0.]])
     >>> load.every(1).times
     array([0.])
+
+    In a case, `replace` being that of `dataclasses`:
+
+    >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    >>> twice = replace(case.load, force=2.0 * case.load.force)
+    >>> replace(case, load=twice).load.force[0]
+    array([ 20.,   0., 800.])
 
     Raises:
         InputError: Samples are missing, not finite or of another shape, time
@@ -89,6 +96,7 @@ class Load:
                     f"{self.name}: {label} holds no numbers, or rows of "
                     "different lengths; give an array of them"
                 ) from error
+            values.flags.writeable = False
             object.__setattr__(self, label, values)
             if values.shape != (np.size(self.times), *shape):
                 raise InputError(

@@ -268,12 +268,12 @@ class Step:
     @property
     def origin(self) -> np.ndarray:
         """Place of the sole frame's origin [m], (N, 3)."""
-        return self.history.O
+        return self.history.O.copy()
 
     @property
     def rotation(self) -> np.ndarray:
         """Orientation of the sole frame, (N, 3, 3)."""
-        return self.history.R
+        return self.history.R.copy()
 
     @property
     def angles(self) -> np.ndarray:
@@ -305,7 +305,7 @@ class Step:
     @property
     def stiffness(self) -> np.ndarray:
         """K_c about the ZMP, [dF; dΓ] = K_c [dO; dω], (N, 6, 6)."""
-        return self.history.K_c
+        return self.history.K_c.copy()
 
     @property
     def sigma_max_translation(self) -> np.ndarray:

@@ -39,6 +39,16 @@ def test_forces_and_zmp_are_the_nodes_sums(step):
         np.testing.assert_allclose(zmp, load.zmp[q], atol=1e-7)
 
 
+def test_what_is_read_from_a_step_does_not_change_it(step):
+    """Stiffness in N/mm, made in place, would be that of costs and checks."""
+    figures = step.costs, step.summary()
+    for signal in (step.stiffness, step.origin, step.rotation, step.force):
+        signal *= 1e-3
+    assert (step.costs, step.summary()) == figures
+    with pytest.raises(ValueError, match="read-only"):
+        step.setup.load.force[:] *= 2.0
+
+
 def test_pressure_is_force_over_a_nodes_area(step):
     mesh = step.sole.mesh
     area = mesh.contact_areas
