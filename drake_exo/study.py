@@ -481,9 +481,10 @@ class Calibration(_Solved):
         until `solution.unseal()`.
         """
         self.solution.check()
+        copy = self.result.contact.with_values({})  # who changes it may
         if self.posterior is None:
-            return self.result.contact
-        return replace(self.result.contact, posterior=self.posterior)
+            return copy
+        return replace(copy, posterior=self.posterior)
 
     @cached_property
     def _known(self) -> Posterior:

@@ -91,9 +91,9 @@ class PhaseResult:
         """Calibrated ones with their value as nominal."""
         return self.problem.parameters_at(self.values)
 
-    @property
+    @cached_property
     def contact(self) -> ContactModel:
-        """The contact with those values, anew: who changes it has a copy."""
+        """The contact with those values."""
         values = np.array([p.nominal for p in self.parameters])
         return self.problem.with_values(values)
 

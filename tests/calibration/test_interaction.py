@@ -12,6 +12,7 @@ from drake_exo.calibration.uncertainty import noise_basis, uncertainty
 from drake_exo.cli import main
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.nlp.sensitivity import response
+from drake_exo.study import Calibration, Study
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
     noisy,
@@ -68,12 +69,14 @@ def test_a_strap_that_the_device_holds_elsewhere_is_strained(in_device):
     assert cuffs["shank"].preload == (0.0, 0.0, 0.0)
 
 
-def test_who_changes_a_contact_has_a_copy(exact):
+def test_who_changes_a_contact_has_a_copy(exact, in_device):
     """A cuff made stiffer to predict with is not the calibration's."""
-    values, contact = exact.contact.values(), exact.contact
+    study = Study(in_device.model, in_device.trials)
+    found = Calibration("interaction", study, exact)
+    values, contact = found.contact.values(), found.contact
     contact.bushings["thigh"] = contact.bushings["thigh"].scaled(2.0)
     contact.ground.spheres.clear()
-    assert exact.contact.values() == values
+    assert found.contact.values() == values
 
 
 def test_audit_simulates_with_the_cuffs(exact):
