@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import igl
 import meshio
 import numpy as np
 from manifold3d import triangulate
@@ -16,6 +15,8 @@ from manifold3d import triangulate
 from drake_exo.errors import InputError, reason
 from drake_exo.files.tables import read_bytes
 
+_STL = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
+_VERTEX = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -63,8 +64,26 @@ def read_obj(path: Path) -> meshio.Mesh:
 
 
 def read_stl(path: Path) -> meshio.Mesh:
-    """The triangles of an STL file, each with corners of its own."""
-    places, triangles = igl.read_triangle_mesh(str(path))
+    """The triangles of an STL file, each with corners of its own.
+
+    Binary if it is as long as its header says, whatever that begins with.
+    (libigl's reader runs without end on damaged text.)
+    """
+    whole = path.read_bytes()
+    count = int.from_bytes(whole[80:84], "little")
+    if 0 <= len(whole) - 84 - 50 * count < 50:
+        corners = np.frombuffer(whole, _STL, count, 84)["corners"]
+    else:
+        corners = np.array(_VERTEX.findall(whole.decode("latin-1")), float)
+        if len(whole) > 84 and not len(corners):
+            raise ValueError(
+                f"no STL of text, and {(len(whole) - 84) / 50:g} triangles "
+                f"follow a header that says {count}"
+            )
+        if len(corners) % 3:
+            raise ValueError("its last triangle is cut off")
+    places = corners.reshape(-1, 3)
+    triangles = np.arange(len(places)).reshape(-1, 3)
     return meshio.Mesh(places, [("triangle", triangles)])
 
 

@@ -39,6 +39,6 @@ def test_a_hip_belt_is_calibrated_and_predicted():
     problem = made.prediction(settings, made.trials[1], found.contact)
     predicted = problem.solve()
     assert predicted.success
-    off = predicted.trials[0].coordinate("motor")
-    off -= made.trials[1].sample(predicted.trials[0].times).coordinate("motor")
-    assert abs(off).max() < 0.01
+    moved = predicted.trials[0].coordinate("motor")
+    true = made.trials[1].sample(predicted.trials[0].times).coordinate("motor")
+    assert abs(moved - true).max() < 0.01

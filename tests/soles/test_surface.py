@@ -292,20 +292,32 @@ def test_an_stl_of_any_program_is_read(tmp_path):
         b"solid of a CAD\n".ljust(80) + plain[80:],
         plain + bytes(20),
         text.encode("latin-1"),
+        text.upper().replace("\n", "\r").encode("latin-1"),
         text.replace(
             "endfacet\n", "endfacet\nendsolid\n\nsolid b\n", 1
         ).encode(),
     ):
         assert read(data) == pytest.approx(np.prod(SIZE), rel=1e-5)
-    last = rf"Failed to parse face {len(corners) - 1} "
+    count = len(corners)
     for data, said in (
-        (plain[:-50], last),
-        (plain[:80] + plain[83:79:-1] + plain[84:], "readable"),
-        (text[: text.rindex("vertex")].encode(), "readable"),
-        (text.replace(".", ",").encode(), "readable"),
+        (
+            plain[:-50],
+            f"{count - 1} triangles follow a header that says {count}",
+        ),
+        (plain[:80] + plain[83:79:-1] + plain[84:], "header that says"),
+        (text[: text.rindex("vertex")].encode(), "last triangle is cut off"),
+        (text.replace(".", ",").encode(), "could not convert"),
     ):
-        with pytest.raises(InputError, match=rf"sole\.stl: .*{said}"):
+        with pytest.raises(InputError, match=rf"sole\.stl: .*{said}.* as STL"):
             read(data)
+
+
+@pytest.mark.parametrize("axes", [[1, 0, 2], [2, 1, 0]])
+def test_a_sole_that_is_not_long_along_x_is_refused(axes):
+    """Its walk would go sideways, or it would stand on its toe."""
+    surface = Surface(_box(SIZE)[:, ::-1, axes], "turned.stl")
+    with pytest.raises(InputError, match=r"turned\.stl: .* 200 .*; turn it$"):
+        sole_from_surface(surface)
 
 
 def test_parts_that_overlap_are_one(tmp_path):
