@@ -20,13 +20,7 @@ _VERTEX = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def read_any(path: Path) -> meshio.Mesh:
-    """A mesh of any format by its ending."""
-    own = {".obj": read_obj, ".stl": read_stl}
-    return own.get(Path(path).suffix.lower(), meshio.read)(path)
-
-
-def read_obj(path: Path) -> meshio.Mesh:
+def _read_obj(path: Path) -> meshio.Mesh:
     """The faces of a Wavefront file, polygons cut into triangles.
 
     Normals, textures, groups, lines and free forms are left out; meshio
@@ -63,7 +57,7 @@ def read_obj(path: Path) -> meshio.Mesh:
     return meshio.Mesh(nodes, [("triangle", triangles)] if triangles else [])
 
 
-def read_stl(path: Path) -> meshio.Mesh:
+def _read_stl(path: Path) -> meshio.Mesh:
     """The triangles of an STL file, each with corners of its own.
 
     Binary if it is as long as its header says, whatever that begins with.
@@ -87,11 +81,14 @@ def read_stl(path: Path) -> meshio.Mesh:
     return meshio.Mesh(places, [("triangle", triangles)])
 
 
+_READERS = {".obj": _read_obj, ".stl": _read_stl, ".ply": meshio.ply.read}
+
+
 def read_cells(
     path: Path,
     cell_type: str,
     remedy: str,
-    read: Callable[[Path], meshio.Mesh] = read_any,
+    read: Callable[[Path], meshio.Mesh] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and cells of one type.
 
@@ -99,7 +96,7 @@ def read_cells(
         path: the file.
         cell_type: meshio's name, such as "triangle".
         remedy: ends the message where the file cannot be understood.
-        read: The file's reader.
+        read: The file's reader, by default that of its ending.
 
     Returns:
         Nodes (n, 3) and node indices of the cells (c, k); c may be 0.
@@ -109,6 +106,7 @@ def read_cells(
             with nodes that are not there.
     """
     start = read_bytes(path)
+    read = read or _READERS.get(path.suffix.lower(), meshio.read)
     if start.startswith(_MARKS):
         raise InputError(
             f"{path}: begins with a byte order mark; save it as UTF-8 without "

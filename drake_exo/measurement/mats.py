@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import igl
-import meshio
 import numpy as np
 from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError
-from drake_exo.files.mesh import read_cells, read_obj, read_stl
+from drake_exo.files.mesh import read_cells
 from drake_exo.files.pressure import (
     PressureRecording,
     read_novel_asc,
@@ -32,11 +31,7 @@ from drake_exo.model.assembly import SIDES
 
 # A body or a part of it, largest extent [m].
 _PLAUSIBLE_M = (0.08, 3.0)
-_READERS = {
-    ".stl": read_stl,
-    ".ply": meshio.ply.read,
-    ".obj": read_obj,
-}
+_SUFFIXES = (".stl", ".ply", ".obj")
 _FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
 _SAMPLES = 65  # of a line that is laid on the surface
 # Vector area over area: 0 of what is closed, 0.64 of half a cylinder.
@@ -100,13 +95,12 @@ def read_surface(path: Path, scan: Scan) -> Surface:
             in the unit that the study names, or a patch whose outer side
             cannot be told.
     """
-    read = _READERS.get(Path(path).suffix.lower())
-    if read is None:
+    if Path(path).suffix.lower() not in _SUFFIXES:
         raise InputError(
             f"{path}: is no scan that can be read; give one of "
-            f"{', '.join(_READERS)}"
+            f"{', '.join(_SUFFIXES)}"
         )
-    raw, triangles = read_cells(path, "triangle", "export it again", read)
+    raw, triangles = read_cells(path, "triangle", "export it again")
     if len(triangles) == 0:
         raise InputError(f"{path}: holds no triangles; export a mesh")
     check_size(path, raw[np.unique(triangles)], scan.unit)

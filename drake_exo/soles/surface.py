@@ -196,9 +196,7 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
     but its inside between them. Holes are refused.
     """
     edges = face_edges(faces)
-    key, which, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    key, which, count = _shared(edges)
     bad = np.flatnonzero(count % 2)
     if len(bad):
         x, y, z = nodes[key[bad[0]]].mean(axis=0)
@@ -209,20 +207,19 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
             "it (a mesh repair of any CAD or slicer)"
         )
     forth = edges[:, 0] < edges[:, 1]
-    if (2 * np.bincount(which.ravel(), forth) != count).any():
+    if (2 * np.bincount(which, forth) != count).any():
         raise InputError(
             f"{path}: neighbouring triangles are turned against each other; "
             "make their normals consistent"
         )
     if count.max() == 2:
         return nodes, faces
-    groups = np.split(
-        np.lexsort((~forth, which.ravel())), np.cumsum(count)[:-1]
-    )
+    groups = np.split(np.lexsort((~forth, which)), np.cumsum(count)[:-1])
     pairs = [group for group in groups if len(group) == 2]
+    beside = nodes[np.roll(faces, 1, axis=1).ravel()]
     for (start, end), group in zip(nodes[key], groups, strict=True):
         if len(group) > 2:
-            apex = nodes[np.roll(faces, 1, axis=1).ravel()[group]] - start
+            apex = beside[group] - start
             along = (end - start) / np.linalg.norm(end - start)
             y = np.cross(along, apex[0])
             angle = np.arctan2(apex @ y, apex @ np.cross(y, along))
@@ -245,6 +242,14 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
         return_index=True, return_inverse=True,
     )  # fmt: skip
     return nodes[faces.ravel()[first]], corner.reshape(-1, 3)
+
+
+def _shared(edges):
+    """Each edge's ends once; which each is (n,); how many triangles have it."""
+    ends, which, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return ends, which.ravel(), count
 
 
 def _united(path, nodes, faces) -> np.ndarray:
@@ -578,10 +583,7 @@ def _sharp(corners, size: float):
     _, first, at = np.unique(
         np.round(places / step), axis=0, return_index=True, return_inverse=True
     )
-    edges, which, shared = np.unique(
-        np.sort(face_edges(first[at].reshape(-1, 3)), axis=1), axis=0,
-        return_inverse=True, return_counts=True,
-    )  # fmt: skip
+    edges, which, shared = _shared(face_edges(first[at].reshape(-1, 3)))
     order = np.argsort(which, kind="stable")
     pair = (order[shared[which[order]] == 2] // 3).reshape(-1, 2)
     ends = places[edges[shared == 2]]
