@@ -131,7 +131,8 @@ def test_damaged_files_are_refused(trial, tmp_path):
 )
 def test_files_that_hold_no_trial_are_refused(trial, tmp_path, change):
     trial.save(tmp_path / "t")
-    arrays = dict(np.load(tmp_path / "t.npz"))
+    with np.load(tmp_path / "t.npz") as stored:
+        arrays = dict(stored)
     change(arrays)
     np.savez(tmp_path / "t.npz", **arrays)
     with pytest.raises(InputError, match=r"t: holds no trial.*run what wrote"):

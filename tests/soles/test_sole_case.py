@@ -64,8 +64,8 @@ def test_a_case_runs_and_leaves_its_results(folder):
     assert page.stat().st_size < 20e6
     assert "handle_command_bytearray" in text
     assert 'src="' not in text  # nothing is fetched
-    arrays = np.load(folder / "out" / "history.npz")
-    assert arrays["force_W"].shape[0] == 3
+    with np.load(folder / "out" / "history.npz") as arrays:
+        assert arrays["force_W"].shape[0] == 3
     for name in ("load", "stiffness", "pose", "pressure"):
         assert (folder / "out" / f"{name}.png").stat().st_size > 5000
 

@@ -159,7 +159,8 @@ def test_folder_without_soles_is_refused(tmp_path):
 
 
 def test_damaged_history_is_refused(folder):
-    data = dict(np.load(folder / HISTORY))
+    with np.load(folder / HISTORY) as arrays:
+        data = dict(arrays)
     del data["place_W"]
     np.savez(folder / HISTORY, **data)
     with pytest.raises(InputError, match="place_W"):
