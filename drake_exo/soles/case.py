@@ -94,7 +94,12 @@ class Case(Setup):
 
         Args:
             progress: Called with samples done and samples in all.
+
+        Raises:
+            InputError: The load's ZMP leaves the sole, or its force the
+                friction cone.
         """
+        self.check_load()
         return Step.of(self, progress)
 
     def optimize(
@@ -114,8 +119,10 @@ class Case(Setup):
             at_once: Processes for the starts; with 1 this one makes all.
 
         Raises:
-            InputError: The checkpoint is damaged or of another case.
+            InputError: The checkpoint is damaged or of another case, or as of
+                `simulate`.
         """
+        self.check_load()
         if isinstance(resume, Path | str):
             resume = read_checkpoint(Path(resume))
         if resume is not None and resume.case not in ("", self.name):

@@ -448,7 +448,6 @@ class Setup:
         start = settings.start_pose(mesh, ground)
         level = _level(mesh, start)
         ground.check_below(level, "ground.heights")
-        up = ground.normal(level)
         width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
         found = []
         for block in settings.all_loads:
@@ -456,8 +455,7 @@ class Setup:
             if load.rotation is not None:
                 turned = load.rotation @ rotation_z(start.yaw)
                 load = replace(load, rotation=turned)
-            load.check_inside(level)
-            load.check_friction(friction, up)
+            cls(settings, load, mesh, start, ground).check_load()
             found.append(load.bearable(friction, width))
         load = found[0]
         if settings.loads:
@@ -466,6 +464,18 @@ class Setup:
         setup = cls(settings, load, mesh, start, ground)
         setup.spline().free_map()  # refuses what leaves nothing to change
         return setup
+
+    def check_load(self) -> None:
+        """Refuse what no pose of the sole answers.
+
+        Raises:
+            InputError: The ZMP leaves the sole, or the force the friction
+                cone.
+        """
+        level = self.level
+        self.load.check_inside(level)
+        up = self.ground.normal(level)
+        self.load.check_friction(self.settings.contact.friction, up)
 
     @property
     def gait(self) -> Gait | None:

@@ -66,6 +66,21 @@ def test_loads_with_clocks_of_their_own_follow_one_another(tmp_path):
         read_csv(path)
 
 
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"zmp": [[0.2, 0.0]] * 5}, "outside the sole by 85.0 mm at 0 s"),
+        ({"force": [[390.0, 0, 400]] * 5}, "asks for a friction of 0.975"),
+    ],
+)
+def test_a_load_given_in_python_is_checked_as_a_file_s(changed, words):
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    case = replace(case, load=replace(case.load, **changed))
+    for run in (case.simulate, case.optimize):
+        with pytest.raises(InputError, match=words):
+            run()
+
+
 def test_ground_in_millimetres():
     x, y = (v.ravel() for v in np.meshgrid(*[50.0 * np.arange(5)] * 2))
     table = {"x_m": x, "y_m": y, "z_m": 0.0 * x}
