@@ -26,6 +26,7 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 # Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
+_LONG = 0.6  # least extent along x, over the largest
 _FIXED = "fixed"  # data of a file's nodes: 1 where glued to the foot
 _DOWNWARDS = 1e-3  # of a face's normal: beyond rounding
 UPWARDS = 0.0175  # of a face's normal: a degree, vertical sides as meshed
@@ -331,8 +332,8 @@ def read_mesh(
 
     Raises:
         InputError: Unreadable file, no tetrahedra, inverted or unconnected
-            elements, no Dirichlet surface, not in metres, or a top that
-            needs an origin.
+            elements, no Dirichlet surface, not in metres, not long along x,
+            or a top that needs an origin.
     """
     path, said = Path(path), {}
 
@@ -363,6 +364,7 @@ def read_mesh(
         top = np.flatnonzero(glued[used] > 0)
     mesh = checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
     if not is_told:
+        check_turned(nodes, path)
         more = f", or mark the nodes glued to it by 1 in point data {_FIXED!r}"
         check_top(mesh.nodes[mesh.boundary_faces], mesh.is_top, path, more)
     return mesh
@@ -415,6 +417,22 @@ def check_size(places: np.ndarray, name: str, end: str) -> None:
     if not _LEAST_LENGTH < size.max() < _LARGEST_LENGTH:
         numbers = " x ".join(f"{x:g}" for x in size)
         raise InputError(f"{name}: the sole is {numbers} m large{end}")
+
+
+def check_turned(places: np.ndarray, name) -> None:
+    """Refuse places (k, 3) [m] of a sole that is not long along x.
+
+    Args:
+        places: On the sole.
+        name: Of its file.
+    """
+    size = np.ptp(places, axis=0)
+    if size[0] < _LONG * size.max():
+        numbers = " x ".join(f"{1e3 * x:.0f}" for x in size)
+        raise InputError(
+            f"{name}: its x, y and z reach over {numbers} mm, but a sole is "
+            "long along x (forward) and its top looks along z; turn it"
+        )
 
 
 def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:

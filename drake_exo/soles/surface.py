@@ -31,6 +31,7 @@ from drake_exo.soles.mesh import (
     TetMesh,
     check_size,
     check_top,
+    check_turned,
     checked_mesh,
     corners_of,
     face_edges,
@@ -111,7 +112,6 @@ Unit = Literal["m", "cm", "mm", "inch"]
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 SUFFIXES = (".stl", ".obj")
 _FOOT = (0.1, 0.45)  # longest side of a foot's sole [m]
-_LONG = 0.6  # least extent along x, over the largest
 _FLAT = 2e-3  # of the longest side: faces of one flat top
 _GRID = 0.5  # of an element's size: cells that are cut
 _SECONDS = 120  # of processor time for Mmg
@@ -318,13 +318,7 @@ def sole_from_surface(
     """
     places, end = surface.corners.reshape(-1, 3), " by mesh.unit; correct that"
     check_size(places, surface.name, end)
-    size = np.ptp(places, axis=0)
-    if size[0] < _LONG * size.max():
-        numbers = " x ".join(f"{1e3 * x:.0f}" for x in size)
-        raise InputError(
-            f"{surface.name}: its x, y and z reach over {numbers} mm, but a "
-            "sole is long along x (forward) and its top looks along z; turn it"
-        )
+    check_turned(places, surface.name)
     top = _top_faces(surface, top_m)
     place = surface.corners[top].reshape(-1, 3)
     low, high = place.min(axis=0), place.max(axis=0)

@@ -142,6 +142,16 @@ def test_a_mesh_without_flat_top_is_refused(tmp_path):
         read_mesh(path)
 
 
+def test_a_mesh_that_is_long_along_y_is_refused_as_a_surface_is(tmp_path):
+    """A block of a case says itself which way it lies, and so does its file."""
+    mesh, path = brick((0.1, 0.25, 0.03), (2, 4, 2)), tmp_path / "turned.vtk"
+    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
+    with pytest.raises(InputError, match=r"100 x 250 x 30 mm, .*; turn it"):
+        read_mesh(path)
+    write_vtk(path, mesh)
+    np.testing.assert_array_equal(read_mesh(path).tets, mesh.tets)
+
+
 def test_a_bump_is_no_top(tmp_path):
     """A sixth of what is seen from above: nobody glues a foot to it."""
     mesh = brick(SIZE, (6, 4, 2))
