@@ -464,15 +464,14 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
     if len(designs) > 1:  # a design has a picture of its own stiffness
         figures["stiffness.png"] = _stiffness(designs)
     summaries = {d.name: d.summary() for d in designs}
+    found = {
+        d.name: finite_strain.from_json(kept, d.folder / SUMMARY)
+        for d in designs
+        if (kept := summaries[d.name].get("finite_strain"))
+    }
     mark = joined_mark({n: stored_mark(s) for n, s in summaries.items()})
     for name, figure in figures.items():
         pictures.save(figure, out / name, mark)
-    found = {n: s.get("finite_strain") or {} for n, s in summaries.items()}
-    found = {
-        name: finite_strain.from_json(f)
-        for name, f in found.items()
-        if "samples" in f
-    }
     text = finite_strain.write_table(out, found, mark) if found else ""
     _write_page(out, designs, [*figures, "front.png"], text)
     return text

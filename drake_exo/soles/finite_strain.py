@@ -26,6 +26,7 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from drake_exo.errors import InputError
 from drake_exo.files.output import write_text
 from drake_exo.soles.contact.law import (
     FLAT,
@@ -545,13 +546,25 @@ def compare_strains(
     }
 
 
-def from_json(found: dict) -> dict:
-    """What `compare_strains` returned, out of a file: its null is NaN again."""
+def from_json(found: dict, name: Path | str) -> dict:
+    """What `compare_strains` returned, out of a file: its null is NaN again.
+
+    Raises:
+        InputError: It is no longer what was written; names the file.
+    """
 
     def numbers(row: dict) -> dict:
         return {k: np.nan if v is None else v for k, v in row.items()}
 
-    return numbers(found) | {"samples": [numbers(r) for r in found["samples"]]}
+    try:
+        sole = numbers(found)
+        sole["samples"] = [numbers(row) for row in found["samples"]]
+        table({"": sole}), _columns({"": sole})
+    except (AttributeError, LookupError, TypeError, ValueError):
+        raise InputError(
+            f"{name}: finite_strain is damaged; run drake-exo sole strain again"
+        ) from None
+    return sole
 
 
 def _failures(finite: FiniteHistory) -> list[dict]:
@@ -656,12 +669,14 @@ def write_table(folder: Path, found: dict[str, dict], mark: str = "") -> str:
     """Write finite_strain.txt, marked, and .csv; the text."""
     text = table(found)
     write_text(folder / "finite_strain.txt", text, mark)
+    write_csv(folder / TABLE, _columns(found))
+    return text
+
+
+def _columns(found: dict[str, dict]) -> dict[str, list]:
     rows = [
         {"sole": name} | row
         for name, sole in found.items()
         for row in sole["samples"]
     ]
-    write_csv(
-        folder / TABLE, {key: [row[key] for row in rows] for key in rows[0]}
-    )
-    return text
+    return {key: [row[key] for row in rows] for key in rows[0]}

@@ -10,6 +10,7 @@ from page_reader import player_data
 from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
+from drake_exo.errors import InputError
 from drake_exo.soles import finite_strain
 from drake_exo.soles.animation import replay_soles
 from drake_exo.soles.case import Case
@@ -174,6 +175,30 @@ def test_a_sample_not_reached_is_nan_in_table_and_csv(study, tmp_path):
     assert text.count("nan") == 2
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda told: told["samples"][0].update(tilt_deg_small="12"),
+        lambda told: told["samples"][1].pop("stability_n_per_m_small"),
+        lambda told: told["samples"].clear(),
+        lambda told: told.update(failures=7),
+        lambda told: told.pop("samples"),
+    ],
+)
+def test_a_changed_table_is_refused(study, tmp_path, change, capsys):
+    """Before anything is drawn."""
+    folder = tmp_path / "small"
+    shutil.copytree(study / "small", folder)
+    row = json.loads((folder / "summary.json").read_text())
+    change(row["finite_strain"])
+    (folder / "summary.json").write_text(json.dumps(row))
+    out = tmp_path / "out"
+    assert cli.main(["sole", "report", str(folder), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "small/summary.json: finite_strain is damaged; run drake" in said
+    assert not (out / "soles.png").exists()
+
+
 def test_the_start_is_that_of_the_initial_shape(study):
     (design,) = find_designs(study)
     np.testing.assert_allclose(design.setup.start.point_L, [-0.115, 0.0, -0.03])
@@ -206,5 +231,8 @@ def test_a_collapse_stands_in_the_table():
 def test_a_table_without_rows_is_read(tmp_path):
     """As a run leaves that had no iteration to do."""
     (tmp_path / "history.csv").write_text("stage,cost\n")
-    columns = read_columns(tmp_path / "history.csv")
+    given = tmp_path / "history.csv", ("cost",)
+    columns = read_columns(*given, may_be_empty=True)
     assert {k: len(v) for k, v in columns.items()} == {"stage": 0, "cost": 0}
+    with pytest.raises(InputError, match="holds no data rows"):
+        read_columns(*given)

@@ -133,7 +133,7 @@ def test_the_table_says_each_number_in_its_column(compared, tmp_path):
         for key, value in row.items():
             if isinstance(value, float):
                 assert float(written[key]) == pytest.approx(value, rel=1e-9)
-    nothing = from_json(found | {"c_tr_finite": None})
+    nothing = from_json(found | {"c_tr_finite": None}, "s.json")
     assert np.isnan(nothing["c_tr_finite"])
     assert nothing["samples"] == found["samples"]
 
