@@ -433,13 +433,16 @@ def read_csv(path) -> Load:
     )
 
 
-def read_columns(path, needed=(), used=None) -> dict[str, np.ndarray]:
+def read_columns(
+    path, needed, used=None, may_be_empty: bool = False
+) -> dict[str, np.ndarray]:
     """Columns of a CSV file by the names in its first line, (N,) each.
 
     Args:
-        path: The file; a table of a run that took no steps has no rows.
+        path: The file.
         needed: Names that it must have, in any order, among others.
         used: Names of columns without gaps; all by default.
+        may_be_empty: It may have no rows, as of a run that took no steps.
 
     Raises:
         InputError: It cannot be read, a name is missing, or a row is damaged.
@@ -453,7 +456,7 @@ def read_columns(path, needed=(), used=None) -> dict[str, np.ndarray]:
             f"{path}:1: column {missing[0]!r} is missing; the header must "
             f"name {', '.join(needed)}"
         )
-    if not lines and not needed:
+    if not lines and may_be_empty:
         return {name: np.zeros(0) for name in names}
     whole = [k for k, n in enumerate(names) if used is None or n in used]
     table = numbers_of(path, lines, 2, len(names), ",", whole)

@@ -102,7 +102,7 @@ def soles() -> dict:
             "steps.csv",
             "text",
             text(timed(4), "time_s,a,b,c\n", ","),
-            loads.read_columns,
+            lambda path: loads.read_columns(path, ("time_s",)),
         ),
         "sole checkpoint": (
             "checkpoint.json",

@@ -160,7 +160,7 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
     with pytest.raises(InputError, match="c_rot is missing, or no number"):
         found.summary()
     (folder / "history.csv").write_text("iteration,cost\n1,2\n")
-    with pytest.raises(InputError, match="no column 'stage'; optimise the"):
+    with pytest.raises(InputError, match="column 'stage' is missing"):
         found.history()
     (folder / "sole.vtk").unlink()
     with pytest.raises(InputError, match=r"sole\.vtk: is missing"):
