@@ -6,7 +6,7 @@ by (4) and (5) of the paper.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -50,18 +50,21 @@ class TetMesh:
         nodes: Positions in the sole frame [m], (n, 3).
         tets: Node indices, positively oriented, (e, 4).
         fixed: Sorted indices of the nodes that move with the foot.
+        lost: Part of the surface of a file that the mesh does not follow;
+            None where it was made of none.
     """
 
     nodes: np.ndarray
     tets: np.ndarray
     fixed: np.ndarray
+    lost: float | None = None
 
     def __repr__(self) -> str:
         return f"TetMesh({len(self.nodes)} nodes, {len(self.tets)} tets)"
 
     def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
         """The same connectivity at other node positions."""
-        out = TetMesh(np.asarray(nodes, float), self.tets, self.fixed)
+        out = replace(self, nodes=np.asarray(nodes, float))
         # The boundary does not depend on positions, and the nodes that may
         # touch stay the same ones.
         for name in ("boundary_faces", "contact"):

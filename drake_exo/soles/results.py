@@ -40,6 +40,7 @@ _NEAR_SLIP = 0.95  # part of μ
 # Less force [N] and longer contact [s] are no step of a foot.
 _LIGHT, _LONG = 5.0, 20.0
 _UNDERCUT = 0.01  # part of the bare surface
+_LOST = 0.01  # part of a file's surface
 _COMPLEMENTARITY = 1e-6
 _NOT_SMALL = (
     "small strain does not hold so far; judge the sole in finite strain "
@@ -140,7 +141,14 @@ def _notes(step):
         "friction", used <= limit, used, limit, "",
         "the sole is about to slip away as a whole",
     )  # fmt: skip
-    undercut = step.sole.mesh.undercut
+    lost, undercut = step.sole.mesh.lost, step.sole.mesh.undercut
+    if lost is not None:
+        yield (
+            "surface", lost <= _LOST, lost, _LOST, "",
+            "so much of the file's surface is not in the mesh: grooves, ribs "
+            "or holes narrower than elements; give more mesh.tets, or leave "
+            "them out of the file",
+        )  # fmt: skip
     yield (
         "undercut", undercut <= _UNDERCUT, undercut, _UNDERCUT, "",
         "so much of the bare surface faces upwards: a rigid mould that opens "

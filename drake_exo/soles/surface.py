@@ -13,7 +13,7 @@ bodies that it runs on without end; arrays go through stdin and stdout.
 import io
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 from zipfile import BadZipFile
@@ -120,6 +120,7 @@ _FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
 _SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
 _PATCH = 4.0  # least area of a patch, in squares of a typical size
 _SAME_VOLUME = 0.05  # of what a surface encloses, that a mesh may miss
+_SAMPLES = 20_000  # points of a surface at which it is compared with a mesh
 _THERE = 0.3  # of a typical size: a node that is on an edge already
 _LEAST_QUALITY = 0.3  # of elements whose nodes are moved
 _SHORTER = 12  # times that a move is halved
@@ -343,7 +344,22 @@ def sole_from_surface(
             "has parts that lie apart; mend it where it was drawn, or give "
             "more mesh.tets"
         )
-    return mesh
+    return replace(mesh, lost=_lost(corners, mesh))
+
+
+def _lost(corners: np.ndarray, mesh: TetMesh) -> float:
+    """Part of a surface's area that lies off its mesh.
+
+    By over a quarter of an element's edge: 0.4 % of one without narrow
+    grooves and ribs at most, 7 to 9 % of one with grooves that are lost.
+    """
+    rng = np.random.default_rng(0)
+    area = np.linalg.norm(normals_of(corners), axis=1)
+    faces = rng.choice(len(area), _SAMPLES, p=area / area.sum())
+    weights = rng.dirichlet((1.0, 1.0, 1.0), _SAMPLES)
+    points = np.einsum("ni,nij->nj", weights, corners[faces])
+    off = _nearest(mesh.nodes[mesh.boundary_faces], points)[2]
+    return float(np.mean(off > 0.5 * np.cbrt(np.median(mesh.volumes))))
 
 
 def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:

@@ -32,6 +32,7 @@ def _told(**changes):
         "stability": np.array([900.0, 800.0, np.nan]),
         "zmp_error": 0.01,
         "undercut": 0.001,
+        "lost": 0.001,
         "friction_used": 0.5,
         "worst": 1e-9,
         "measured": np.array([False, False, False]),
@@ -49,7 +50,9 @@ def _told(**changes):
             ),
         ),
         law=SimpleNamespace(friction=0.8),
-        sole=SimpleNamespace(mesh=SimpleNamespace(undercut=made["undercut"])),
+        sole=SimpleNamespace(
+            mesh=SimpleNamespace(undercut=made["undercut"], lost=made["lost"])
+        ),
         times=np.array([0.0, 0.1, 0.25]),
         history=SimpleNamespace(
             reports=[SimpleNamespace(message=m) for m in ("", "", "lost")]
@@ -83,6 +86,7 @@ def test_a_block_is_pressed_by_force_over_modulus_and_area():
         ("plausibility.strain", "largest_strain", 0.3, "note"),
         ("plausibility.undercut", "undercut", 0.01, "note"),
         ("plausibility.friction", "friction_used", 0.76, "note"),
+        ("plausibility.surface", "lost", 0.01, "note"),
         ("contact", "worst", 1e-6, "fail"),
     ],
 )

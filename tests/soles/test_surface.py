@@ -3,16 +3,24 @@
 import meshio
 import numpy as np
 import pytest
+from manifold3d import Manifold
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from shoe import shoe_surface
 
 from drake_exo import cli
 from drake_exo.errors import InputError
-from drake_exo.soles.case import EXAMPLE
-from drake_exo.soles.mesh import brick, normals_of, write_triangles
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.mesh import (
+    brick,
+    corners_of,
+    normals_of,
+    write_triangles,
+)
+from drake_exo.soles.results import step_checks
 from drake_exo.soles.surface import (
     Surface,
+    _lost,
     _nearest,
     _sharp,
     _Thickness,
@@ -134,6 +142,38 @@ def test_a_shoe_is_meshed(shoe):
     a, b, c = np.swapaxes(flat, 0, 1)
     wanted = 0.5 * np.cross(b - a, c - a)[:, 2].sum()
     assert area == pytest.approx(wanted, rel=0.02)
+    assert mesh.lost < 0.004
+
+
+def test_how_much_of_a_surface_a_mesh_does_not_follow():
+    """Grooves of 3 by 12 mm in a block whose elements are larger."""
+    mesh = brick(SIZE, (8, 4, 2))
+    assert _lost(mesh.nodes[mesh.boundary_faces], mesh) == 0
+    grooved = corners_of(_grooved(0.003, 0.012))
+    area = np.linalg.norm(normals_of(grooved), axis=1).sum() / 2
+    near = 0.5 * np.cbrt(np.prod(SIZE) / len(mesh.tets))
+    lost = 9 * (SIZE[1] - 2 * near) * (0.003 + 2 * (0.012 - near))
+    assert _lost(grooved, mesh) == pytest.approx(lost / area, rel=0.05)
+
+
+def _grooved(width, depth):
+    body = Manifold.cube(SIZE).translate((-0.1, -0.04, -SIZE[2]))
+    for place in np.linspace(-0.08, 0.08, 9):
+        groove = Manifold.cube((width, 0.1, 2 * depth), center=True)
+        body -= groove.translate((place, 0, -SIZE[2]))
+    return body
+
+
+@pytest.mark.slow
+def test_a_case_whose_grooves_are_lost_says_so(tmp_path):
+    write_triangles(tmp_path / "sole.stl", corners_of(_grooved(0.002, 0.006)))
+    text = EXAMPLE.replace(
+        "brick: {size_m: [0.23, 0.13, 0.03], divisions: [4, 3, 2]}",
+        "file: sole.stl\n  tets: 500",
+    )
+    checks = step_checks(Case.from_text(text, tmp_path).simulate())
+    (told,) = [c for c in checks if c.name == "plausibility.surface"]
+    assert not told.holds and told.level == "note" and told.value > 0.05
 
 
 @pytest.mark.slow
