@@ -133,6 +133,18 @@ class StudyFile(RecordingSettings):
                     )
 
 
+# What a study's attributes are, those of a study file among them.
+_SETTINGS = {
+    "foot_ground": FootGroundSettings,
+    "interaction": InteractionSettings,
+    "prediction": PredictionSettings,
+    "design": DesignSettings,
+    "filter": Filter,
+}
+_OTHERS = ("name", "model", "sole", "device", "file", "root", "reads",
+           "_trials", "_loaded", "_judged")  # fmt: skip
+
+
 class Study:
     """A subject with its trials, and the settings of the phases.
 
@@ -174,22 +186,27 @@ class Study:
         self.sole = sole
         self.name = name
         check_type(model, Model, "model")
-        self.foot_ground = schema.checked(
-            foot_ground, FootGroundSettings, "foot_ground"
-        )
-        self.interaction = schema.checked(
-            interaction, InteractionSettings, "interaction"
-        )
-        self.prediction = schema.checked(
-            prediction, PredictionSettings, "prediction"
-        )
-        self.design = schema.checked(design, DesignSettings, "design")
-        self.filter = schema.checked(filter, Filter, "filter")
+        self.foot_ground = foot_ground
+        self.interaction = interaction
+        self.prediction = prediction
+        self.design = design
+        self.filter = filter
         self._trials = as_trials(trials)
         self.device = device
         if device is not None:
             self.device = schema.check(device, Device, "device")
             self.device.check(model.coordinates)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # A name that is misspelt would be kept, and never read.
+        if name in _SETTINGS:
+            value = schema.checked(value, _SETTINGS[name], name)
+        elif name not in _OTHERS:
+            known = [n for n in (*_SETTINGS, *_OTHERS) if n[0] != "_"]
+            raise AttributeError(
+                f"a study has no {name!r} to set{nearest(name, known)}"
+            )
+        super().__setattr__(name, value)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -162,3 +163,17 @@ def test_what_is_no_study_is_told():
     ):
         with pytest.raises(InputError, match=r"study is 'a\.yaml'; give"):
             function("a.yaml", *others)
+
+
+def test_what_a_study_does_not_have_is_not_set():
+    """Misspelt, it was kept and never read."""
+    made = dx.synthetic.rises_in_device(1, nodes_per_second=40)
+    study = dx.Study(made.model, made.trials)
+    with pytest.raises(AttributeError, match=r"'predicton' .* 'prediction'"):
+        study.predicton = study.prediction
+    with pytest.raises(AttributeError, match="no 'solver_tolerance' to set"):
+        study.solver_tolerance = 1
+    with pytest.raises(InputError, match=r"prediction is .*PredictionSettings"):
+        study.prediction = study.interaction
+    study.prediction = changed = replace(study.prediction, torque_limit_nm=90.0)
+    assert study.prediction == changed
