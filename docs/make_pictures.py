@@ -24,11 +24,11 @@ def write_png(path: Path, colours: np.ndarray) -> None:
 def main() -> None:
     """Write human.png and rise.png."""
     _FOLDER.mkdir(exist_ok=True)
-    alone = Scene(nominal_model("human"), stills=True)
+    alone = Scene(nominal_model("human"))
     write_png(
         _FOLDER / "human.png", alone.render(alone.upright_pose(STANDING_DEG))
     )
-    coupled = Scene(nominal_model("coupled"), stills=True, chair_height_m=0.43)
+    coupled = Scene(nominal_model("coupled"), chair_height_m=0.43)
     # The exoskeleton's angles differ a little: straps are soft.
     poses = [
         coupled.upright_pose(joints, offsets)

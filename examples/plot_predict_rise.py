@@ -29,7 +29,7 @@ for scale in (0.5, 2.0, 1.0):
 left.set(xlabel="time [s]", ylabel="device's hip before the person's [deg]")
 right.set(xlabel="time [s]", ylabel="normal force at the pelvis [N]")
 left.legend()
-scene = dx.Scene(made.model, stills=True)
+scene = dx.Scene(made.model)
 for axis, t in zip(above.subplots(1, 5), np.linspace(0, 1.5, 5), strict=True):
     (q,) = found.sample(np.array([t])).q
     axis.imshow(scene.render(q, width=300, height=400))

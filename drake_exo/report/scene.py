@@ -78,7 +78,6 @@ class Scene:
         meshcat: Meshcat | None = None,
         prefix: str = "model",
         colour: Rgba | None = None,
-        stills: bool = False,
     ):
         """Build the diagram.
 
@@ -90,7 +89,6 @@ class Scene:
             prefix: path there, under which the bodies hang.
             colour: of everything, such as a translucent one; the model's own
                 colours if None.
-            stills: prepare an off-screen renderer for still pictures.
         """
         self.coordinates = model.coordinates
         builder = DiagramBuilder()
@@ -110,8 +108,6 @@ class Scene:
                 meshcat,
                 MeshcatVisualizerParams(prefix=prefix),
             )
-        if stills:
-            self._scene_graph.AddRenderer(RENDERER, _renderer())
         self.diagram = builder.Build()
         self.context = self.diagram.CreateDefaultContext()
 
@@ -173,7 +169,7 @@ class Scene:
         width: int = 700,
         height: int = 900,
     ) -> np.ndarray:
-        """Picture of a pose, of a scene made with `stills=True`.
+        """Picture of a pose; the first takes a second longer.
 
         Args:
             q: (nq,) positions.
@@ -184,6 +180,10 @@ class Scene:
             (height, width, 3) colours, 0 to 255.
         """
         self.set_pose(q)
+        scene = self._scene_graph
+        context = scene.GetMyMutableContextFromRoot(self.context)
+        if not scene.HasRenderer(context, RENDERER):
+            scene.AddRenderer(context, RENDERER, _renderer())
         view = view or OBLIQUE
         fine = 2  # drawn twice as fine and averaged: smooth edges
         camera = ColorRenderCamera(

@@ -44,7 +44,7 @@ def test_exoskeleton_may_stand_off_the_human():
 @pytest.mark.slow
 def test_picture_shows_a_subject_of_the_right_height():
     """Rows that hold colour (shirt, skin) span what the camera sees."""
-    scene = Scene(nominal_model("human"), stills=True)
+    scene = Scene(nominal_model("human"))
     picture = scene.render(
         scene.upright_pose(STANDING_DEG), width=120, height=160
     )
@@ -149,7 +149,7 @@ def test_a_camera_looks_at_its_target_upright():
 
 def test_a_picture_is_averaged_over_four_of_its_points(monkeypatch):
     """Drawn twice as fine: a chequered one is grey."""
-    made = Scene(nominal_model("human"), stills=False)
+    made = Scene(nominal_model("human"))
     fine = np.indices((16, 12)).sum(axis=0) % 2 * 255
     fine[:2, :2] = 200
     image = SimpleNamespace(
