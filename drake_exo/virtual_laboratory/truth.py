@@ -16,7 +16,7 @@ from drake_exo.contact.parameters import (
     nominal_contact,
 )
 from drake_exo.contact.strap import Design
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_names
 from drake_exo.files.output import write_json
 from drake_exo.files.tables import Table
 from drake_exo.measurement.trial import Trial
@@ -95,15 +95,14 @@ def checked(names: Iterable[str]) -> frozenset[str]:
     """The names as a set.
 
     Raises:
-        InputError: one is unknown.
+        InputError: one is unknown, or a single name is no list.
     """
-    active = frozenset(names)
-    for name in sorted(active - set(DISTURBANCES)):
-        raise InputError(
-            f"no disturbance is called '{name}'; known are "
-            f"{', '.join(DISTURBANCES)}"
-        )
-    return active
+    names = names if isinstance(names, str) else tuple(names)
+    try:
+        check_names(names, DISTURBANCES)
+    except InputError as error:
+        raise InputError(f"disturbances: {error}") from None
+    return frozenset(names)
 
 
 @dataclass(frozen=True)

@@ -264,6 +264,7 @@ def test_protocol_is_that_of_the_paper():
     ("arguments", "message"),
     [
         ({"disturbances": ["marker_nois"]}, "marker_noise"),
+        ({"disturbances": "gaps"}, "disturbances: 'gaps' is no list of names"),
         ({"seed": -1}, "seed is -1"),
         ({"trials": 0}, "trials is 0"),
         ({"trials": 10}, "1 to 9"),
