@@ -538,7 +538,9 @@ class Designed:
         first, *others = self.before.items()
         name, moved = first
         return found | {
-            "trials": [_label(m.trial, name if others else "") for m in moved],
+            "trials": [
+                trial_label(m.trial, name if others else "") for m in moved
+            ],
             "response": self.settings.response,
             "peaks_n": {c: asdict(p) for c, p in self.peaks.items()},
             "support": self.support,
@@ -670,7 +672,7 @@ class Designed:
                 for name, movements in getattr(self, what).items():
                     for m in movements:
                         who = name if len(self.before) > 1 else ""
-                        label = _label(m.trial, who)
+                        label = trial_label(m.trial, who)
                         m.trial.save(folder / f"{what}_{label}")
         write_json(folder / "summary.json", self.summary(accepted))
         return verdict
@@ -709,7 +711,7 @@ def forecast_norm(
     return float(ratio) * found.norm_n
 
 
-def _label(trial: Trial, who: str) -> str:
+def trial_label(trial: Trial, who: str) -> str:
     """What a trial's file is called; of several wearers, with the name."""
     return f"{who}_{trial.name}" if who else trial.name
 

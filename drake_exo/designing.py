@@ -41,6 +41,7 @@ from drake_exo.designed import (
     forecast_norm,
     largest_deflection,
     largest_force,
+    trial_label,
 )
 from drake_exo.errors import InputError, check_file_name, check_type
 from drake_exo.files import schema
@@ -102,8 +103,7 @@ def design(
     )
     names = _names(studies)
     if len(names) > 1:  # files are called after them
-        for name in names:
-            check_file_name("subject.name", name)
+        _check_labels(names, studies)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):
         own.warn_of(own.trials("prediction"))
@@ -242,6 +242,22 @@ def _names(studies: Sequence[Study]) -> list[str]:
     if len(set(own)) == len(own):
         return own
     return [f"{name} {k + 1}" for k, name in enumerate(own)]
+
+
+def _check_labels(names: Sequence[str], studies: Sequence[Study]) -> None:
+    """Refuse wearers of whose trials two would be written into one file."""
+    named: dict[str, str] = {}
+    for name, study in zip(names, studies, strict=True):
+        check_file_name("subject.name", name)
+        for trial in study.trials("prediction"):
+            label = trial_label(trial, name)
+            if label in named:
+                raise InputError(
+                    f"subject.name: a trial of {named[label]!r} and one of "
+                    f"{name!r} would both be called {label!r}; give another "
+                    "name to one of them"
+                )
+            named[label] = name
 
 
 def movements(

@@ -537,6 +537,18 @@ def test_studies_and_calibrations_must_match(study):
         dx.design(own, [contact, contact])
 
 
+def test_wearers_whose_files_would_be_called_alike_are_refused(study):
+    """One's movements were written over the other's."""
+    own, contact = study
+    trial, _ = own.trials()
+    pair = [
+        dx.Study(own.model, [replace(trial, name=called)], name=name)
+        for name, called in (("a", "b_c"), ("a_b", "c"))
+    ]
+    with pytest.raises(InputError, match=r"'a' and one of 'a_b' .* 'a_b_c'"):
+        dx.design(pair, [contact, contact])
+
+
 def test_what_is_asked_in_python_is_checked(study):
     own, contact = study
     ground = replace(contact, bushings={})
