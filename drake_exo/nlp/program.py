@@ -139,6 +139,15 @@ class BatchedProgram:
         # alive: Drake takes ten times as long to find it.
         self._known: dict[int, int] = {}
 
+    def __getstate__(self):
+        # Of a calibration or prediction that another process is given.
+        raise TypeError(
+            "what is solved holds a Drake program, which cannot be pickled or "
+            "copied; pass on a calibration's contact and trials or a "
+            "prediction's result.trials, or the folder that write() made, for "
+            "read_contact and read_trial"
+        )
+
     @property
     def counts(self) -> tuple[int, int, int]:
         """Variables, costs and constraints: more where it was added to."""

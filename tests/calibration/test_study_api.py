@@ -1,5 +1,6 @@
 """The phases from Python, without a file: `import drake_exo as dx`."""
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -98,6 +99,17 @@ def test_a_calibration_is_written_and_read(cuffs, tmp_path):
     back = dx.read_trial(tmp_path, "rise1")
     np.testing.assert_array_equal(back.q, cuffs.trials[0].q)
     assert (tmp_path / "kinematics.png").stat().st_size > 1000
+
+
+def test_for_another_process_it_is_told_what_to_pass_on(cuffs, found):
+    for solved in (cuffs, found):
+        with pytest.raises(TypeError, match="pass on a calibration's contact"):
+            pickle.dumps(solved)
+    given = pickle.dumps((cuffs.contact, cuffs.trials, found.result.trials))
+    contact, (trial,), (predicted,) = pickle.loads(given)
+    assert contact.values() == cuffs.contact.values()
+    np.testing.assert_array_equal(trial.q, cuffs.trials[0].q)
+    np.testing.assert_array_equal(predicted.q, found.q)
 
 
 def test_a_prediction_is_read_by_names(found, study):
