@@ -6,6 +6,7 @@ cannot fall behind the program: a test makes it anew and compares.
 """
 
 import dataclasses
+import inspect
 import re
 import sys
 import types
@@ -223,7 +224,8 @@ def attributes(cls: type) -> dict[str, str]:
     if cls in _SAME_KEYS:
         found |= attributes(_SAME_KEYS[cls])
     for base in reversed(cls.__mro__):
-        doc = base.__dict__.get("__doc__") or ""
+        # Python 3.13 takes the indentation out, those before leave it in.
+        doc = inspect.cleandoc(base.__dict__.get("__doc__") or "")
         match = re.search(r"Attributes:\n(.*?)(?:\n\s*\n|\Z)", doc, re.DOTALL)
         if match:
             found |= _entries(match[1])
@@ -232,7 +234,7 @@ def attributes(cls: type) -> dict[str, str]:
 
 def _entries(text: str) -> dict[str, str]:
     found: dict[str, str] = {}
-    parts = re.split(r"^ {8}(?=\w)", text, flags=re.MULTILINE)
+    parts = re.split(r"^ {4}(?=\w)", text, flags=re.MULTILINE)
     for part in (p for p in parts if p.strip()):
         names, _, meaning = part.partition(":")
         for name in names.split(","):

@@ -296,7 +296,7 @@ def _model(path: str, model: ET.Element) -> OsimModel:
     }
     joints = [
         _joint(path, joint, bodies)
-        for joint in model.find("JointSet/objects") or ()
+        for joint in model.iterfind("JointSet/objects/*")
     ]
     if not bodies or not joints:
         raise InputError(f"{path}: has no bodies or no joints")
