@@ -7,6 +7,7 @@ final state (Phase C1; C2 with --scale-interaction 1.4).
 import argparse
 import importlib
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -265,6 +266,8 @@ def _changes(args: argparse.Namespace) -> dict:
 def load_controller(name: str | None) -> System | None:
     """Make the controller that MODULE:NAME names; None for none.
 
+    Modules of the working folder are found as well.
+
     Raises:
         InputError: there is no such thing, or it cannot be made.
     """
@@ -276,8 +279,11 @@ def load_controller(name: str | None) -> System | None:
     module, _, attribute = name.partition(":")
     remedy = (
         "give the name of a class or function without arguments, in a module "
-        "that Python finds, that makes a LeafSystem"
+        "of this folder or one that Python finds, that makes a LeafSystem"
     )
+    here = str(Path.cwd())
+    if here not in sys.path:  # an installed command does not look there
+        sys.path.append(here)
     try:
         make = getattr(importlib.import_module(module), attribute)
         if not isinstance(make, type | FunctionType):

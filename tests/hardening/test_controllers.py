@@ -1,5 +1,7 @@
 """--controller with names and code that make no sense: one sentence."""
 
+import sys
+
 import numpy as np
 import pytest
 from pydrake.systems.framework import BasicVector, LeafSystem
@@ -48,6 +50,15 @@ def test_code_that_makes_no_controller(name, words, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(InputError, match=words):
         load_controller(f"my_controllers:{name}")
+
+
+def test_modules_of_the_working_folder_are_found(tmp_path, monkeypatch):
+    """An installed command has the folder of its script on the path instead."""
+    (tmp_path / "beside_the_study.py").write_text(_MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    made = load_controller("beside_the_study:Bare")
+    assert type(made).__module__ == "beside_the_study"
 
 
 @pytest.mark.parametrize("text", ["def (", "raise OSError('x')", "1/0", "\0"])
