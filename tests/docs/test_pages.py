@@ -9,6 +9,7 @@ import typing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import drake_exo as dx
@@ -164,6 +165,21 @@ def test_the_device_in_the_page_is_worn():
     model = Model(with_text(assembly, models_path()), nominal_human())
     assert model.coordinates.device == ("motor",)
     assert list(model.cuffs) == ["calf"]
+
+
+def test_the_controller_in_the_page_is_one(tmp_path, monkeypatch):
+    from drake_exo.cli.predict import load_controller
+    from drake_exo.collocation.kernels import ControllerKernel
+
+    page = (ROOT / "docs" / "your_exoskeleton.md").read_text("utf-8")
+    (block,) = [b for k, b in _FENCE.findall(page) if k == "python"]
+    (tmp_path / "my_controller.py").write_text(block)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    kernel = ControllerKernel(load_controller("my_controller:Support"), 2)
+    # The first at a right angle, the other one turning; and these torques.
+    x = np.array([[np.pi / 2, 0.0, 0.0, 3.0, -10.0, -3.0]])
+    np.testing.assert_allclose(kernel.evaluate(x, np.zeros((1, 1))), 0.0)
 
 
 def said() -> list[str]:
