@@ -107,7 +107,9 @@ def angles_xyz(R: np.ndarray) -> np.ndarray:
 
 def rotations_xyz(angles: np.ndarray) -> np.ndarray:
     """R = Rx·Ry·Rz of angles [rad] (..., 3)."""
-    return Rotation.from_euler("XYZ", angles).as_matrix()
+    # SciPy 1.15 takes rows alone.
+    rows = Rotation.from_euler("XYZ", np.reshape(angles, (-1, 3)))
+    return rows.as_matrix().reshape(*np.shape(angles), 3)
 
 
 def rotation_z(yaw: float) -> np.ndarray:
