@@ -164,7 +164,7 @@ def _overrides(name: str, of: type, doc: str) -> type:
 SegmentOverrides = _overrides(
     "SegmentOverrides",
     SegmentParameters,
-    "Values that replace scaled ones; None keeps the scaled value.",
+    "Values that replace scaled ones; what is left out stays.",
 )
 HumanOverrides = _overrides(
     "HumanOverrides",
