@@ -54,6 +54,7 @@ def test_help_imports_no_command():
         (InputError("a.yaml: wrong; mend it"), 2, "a.yaml: wrong; mend it"),
         (OSError(errno.ENOSPC, "No space"), 2, "results: cannot be written"),
         (OSError(errno.EROFS, "Read-only", "x/y"), 2, "x/y: cannot be written"),
+        (OSError(errno.ENAMETOOLONG, "Too long", "x"), 2, "x: Too long; give"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (MemoryError("Unable to allocate 6 GiB"), 2, "allocate 6 GiB"),
     ],
@@ -150,3 +151,26 @@ def test_sums_do_not_depend_on_how_many_cores_there_are():
             check=True,
         )
         assert done.stdout.strip() == seen
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("design {loop} --calibration here --out here", "loop: "),
+        ("batch {loop} --out here", "loop: "),
+        ("lab --model {loop} --out here", "loop: "),
+        ("sole report {long}", "File name too long"),
+        ("sole reduce here --out .", "give a .yaml file for --out"),
+        ("sole study --data-root gone --out here", "gone: is no folder"),
+    ],
+)
+def test_a_path_that_cannot_be_is_one_sentence(
+    command, words, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop").symlink_to("loop")
+    argv = command.format(loop="loop", long="x" * 300).split()
+    assert cli.main(argv) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["loop"]

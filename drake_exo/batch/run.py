@@ -400,7 +400,7 @@ def run_batch(
         InputError: the batch file is not as it should be, or `out` holds
             something else.
     """
-    path, out = Path(path).resolve(), Path(out).resolve()
+    path, out = (Path(os.path.realpath(p)) for p in (path, out))
     batch = read_batch(path)
     try:
         tasks = tasks_of(batch, path.parent)

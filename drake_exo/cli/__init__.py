@@ -14,7 +14,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from drake_exo import __version__
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, first_line
 
 # Each has a module here with `add_arguments(parser)` and `run(args)`; commands
 # of a command set their own `run`. It is imported on demand: `drake-exo sole`
@@ -48,6 +48,10 @@ _NO_ROOM = (
     errno.EPERM,
     errno.EIO,
 )
+
+
+# Of a path that cannot be one: too long a name, a link to itself.
+_NO_PATH = errno.ENAMETOOLONG, errno.ELOOP
 
 
 def count(text: str) -> int:
@@ -147,6 +151,13 @@ def _run(parsed: Callable[[], argparse.Namespace]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
+        if error.errno in _NO_PATH:
+            print(
+                f"drake-exo: error: {first_line(str(error.filename))}: "
+                f"{error.strerror}; give another path",
+                file=sys.stderr,
+            )
+            return 2
         if error.errno not in _NO_ROOM:
             raise
         place = error.filename or getattr(args, "out", None) or "the results"

@@ -7,6 +7,7 @@ read it.
 """
 
 import argparse
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Design, forecast, and write everything to --out."""
-    files = {path.resolve() for path in args.study}
+    files = set(map(os.path.realpath, args.study))
     if len(files) < len(args.study):
         raise InputError(
             f"{len(args.study)} studies, but {len(files)} files; give each "

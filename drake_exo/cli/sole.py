@@ -301,9 +301,9 @@ def _reduce(args) -> int:
     # SciPy's optimiser takes a moment to load.
     from drake_exo.contact import reduction
 
-    rows = args.out.with_suffix(".csv")
-    if rows == args.out or args.out.is_dir():
+    if args.out.is_dir() or args.out.suffix == ".csv":
         raise InputError(f"{args.out}: give a .yaml file for --out")
+    rows = args.out.with_suffix(".csv")
     for path in (args.out, rows):
         if path.exists() and not args.force:
             raise InputError(f"{path}: is there already; give --force")

@@ -143,8 +143,9 @@ def prepare_output_folder(
             writing there.
     """
     target = Path(path)
+    whole = Path(os.path.realpath(target))  # of a link to itself, too
     for source in filter(None, reads):
-        if Path(source).resolve().is_relative_to(target.resolve()):
+        if Path(os.path.realpath(source)).is_relative_to(whole):
             raise InputError(
                 f"{target}: --out would replace {source}, which is read; "
                 "choose another folder for --out"

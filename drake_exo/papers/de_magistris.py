@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from drake_exo.errors import InputError
 from drake_exo.files.output import (
     Check,
     Verdict,
@@ -80,7 +81,13 @@ _TOLD = ("/optimize", "/front")  # jobs whose end is worth a line
 
 
 def step_block(root: Path | None) -> LoadBlock:
-    """The authors' step where `root` has it, else our own pattern's."""
+    """The authors' step where `root` has it, else our own pattern's.
+
+    Raises:
+        InputError: `root` is no folder.
+    """
+    if root is not None and not root.is_dir():
+        raise InputError(f"{root}: is no folder; check data_root (--data-root)")
     if root is not None and (root / AUTHORS_STEP).is_file():
         return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
     return LoadBlock(pattern=Pattern())

@@ -13,6 +13,7 @@ evaluated from the file alone, by a reader that knows nothing of the planar
 model.
 """
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -540,7 +541,7 @@ def export_opensim(
         )
     if out.suffix != ".osim":
         raise InputError(f"{out}: must end in .osim; correct --out")
-    if out.resolve() == Path(model_file).resolve():
+    if os.path.realpath(out) == os.path.realpath(model_file):
         raise InputError(
             f"{out}: --out would replace the model that it is made of; "
             "choose another file"
