@@ -72,6 +72,7 @@ class FootGroundCalibration(PhaseProblem):
         settings: noise, bounds, grid.
         parameters: to calibrate; those of the settings by default.
         ground: contact that is known, of a sole; then there are none.
+        refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
@@ -188,6 +189,7 @@ class InteractionCalibration(PhaseProblem):
         trials: measured.
         contact: of foot and ground, calibrated; its bushings are not used.
         settings: noise, bounds, grid.
+        refined: finer intervals, see `PhaseProblem`.
 
     Raises:
         InputError: the model has no cuffs.
@@ -306,6 +308,7 @@ class PredictionProblem(PhaseProblem):
         settings: objective, noise, grid.
         controller: gives the exoskeleton's torques; None where they are
             measured (tracked) or free.
+        refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
