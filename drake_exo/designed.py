@@ -460,12 +460,12 @@ class Designed:
                     "the design comes no nearer under its other limits, or "
                     "its forecast slides on: lower limits.migration_mm",
                 )
-            for key, unit, name, most in self._other_limits(row):
-                if row["after"][key] > _BEYOND * most:
+            for key, unit, name, limit in self._other_limits(row):
+                if row["after"][key] > _BEYOND * limit:
                     yield note(
                         "design.limits",
                         value=row["after"][key],
-                        limit=most,
+                        limit=limit,
                         unit=unit,
                         where=row["cuff"],
                         sentence="is beyond its limit in the forecast, where "

@@ -306,6 +306,19 @@ def test_a_migration_at_its_limit_is_within_it(made, felt, monkeypatch):
 
 
 @pytest.mark.slow
+def test_every_cuff_has_the_same_limit_on_migration(made, felt, monkeypatch):
+    """Whatever other limits it has, and in which order they are told."""
+    row = felt[0] | {"after": felt[0]["after"] | {"migration_mm": 6.0}}
+    row["before"] = row["before"] | {"moment_nm": 1.0, "shear_n": 2.0}
+    monkeypatch.setattr(Designed, "felt", lambda _: [row, row])
+    for most, told in ((7.0, 0), (5.0, 2)):
+        limits = DesignLimits(migration_mm=most)
+        own = replace(made, settings=replace(SETTINGS, limits=limits))
+        found = [c for c in own.checks() if c.name == "design.migration"]
+        assert [c.limit for c in found] == [most] * told
+
+
+@pytest.mark.slow
 def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
     """By the limit's own name; one of today's counts from there."""
     row = felt[0]
